@@ -14,7 +14,7 @@ from sweep.cli.exits import DONE
 from sweep.core.arguments import Arguments
 from sweep.core.files import write_whole
 from sweep.core.parameters import InputError
-from sweep.formulas import FORMULAS, Formula, Input, NoSolution, covering, find
+from sweep.formulas import FORMULAS, Formula, Input, NoSolution, find, find_by_equation
 
 PICTURES = (".pdf", ".png", ".svg")
 
@@ -46,7 +46,7 @@ def _answer(args: argparse.Namespace) -> Iterator[str]:
     if args.name is None:
         return _listing(FORMULAS.values(), args.json)
     if re.fullmatch(r"\d+(\.\d+)*", args.name):
-        found = covering(args.name)
+        found = find_by_equation(args.name)
         if not found:
             raise InputError(f"equation {args.name} is in no formula (`sweep formula` lists all with their equations)")
         return _listing(found, args.json)
@@ -64,11 +64,11 @@ def _answer(args: argparse.Namespace) -> Iterator[str]:
 
 def _listing(formulas: Any, as_json: bool) -> Iterator[str]:
     if as_json:
-        yield json.dumps({formula.name: {"what": formula.what, "source": formula.reference} for formula in formulas})
+        yield json.dumps({formula.name: {"what": formula.summary, "source": formula.reference} for formula in formulas})
         return
     for formula in formulas:
         units = ", ".join(f"{name} {unit}".rstrip() for name, unit in formula.outputs.items())
-        yield f"{formula.name:22} {formula.what}: {units}. {formula.reference}"
+        yield f"{formula.name:22} {formula.summary}: {units}. {formula.reference}"
 
 
 def _values(formula: Formula, assignments: Sequence[str]) -> dict[str, Any]:
@@ -151,9 +151,9 @@ def _report(formula: Formula, values: Mapping[str, Any]) -> dict[str, Any]:
     outputs = formula.evaluate(values)
     return {
         "formula": formula.name,
-        "what": formula.what,
+        "what": formula.summary,
         "source": formula.reference,
-        "corrected": formula.corrected,
+        "corrected": formula.is_corrected,
         "correction": formula.correction,
         "inputs": {
             entry.name: {"value": values[entry.name], "unit": entry.unit, "allowed": entry.domain()}
@@ -164,7 +164,7 @@ def _report(formula: Formula, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _report_lines(formula: Formula, report: Mapping[str, Any]) -> Iterator[str]:
-    yield f"{formula.name}: {formula.what}"
+    yield f"{formula.name}: {formula.summary}"
     yield f"source: {formula.reference}"
     yield f"corrected: {formula.correction or 'no, as printed'}"
     yield "inputs"
@@ -207,7 +207,7 @@ def _plot(formula: Formula, rows: Sequence[Mapping[str, Any]], key: str, file: P
         panel.set_ylabel(unit or "1")
         panel.legend()
     panels[-1].set_xlabel(f"{key} ({_unit(formula.inputs, key) or '1'})")
-    figure.suptitle(f"{formula.what}\n{formula.reference}", fontsize="medium")
+    figure.suptitle(f"{formula.summary}\n{formula.reference}", fontsize="medium")
     write_whole(file, partial(figure.savefig, dpi=120))
 
 

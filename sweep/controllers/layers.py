@@ -145,7 +145,7 @@ class HeldLegs(Layer):
         """These legs on their straight way in joint space, spent by lambda_1; their reach counts for nothing."""
         origin, held = jnp.where(now.begins, now.joints, own), self.held[now.stage]
         goal = nearest(self.joints[now.stage], origin)
-        posed = origin + stepping.lambda_1(now.phase, 0.0, 1.0)[0] * (goal - origin)
+        posed = origin + stepping.trapezoidal_transfer(now.phase, 0.0, 1.0)[0] * (goal - origin)
         joints, target = jnp.where(held[:, None], posed, command.joints), command.target
         feet = feet_in_world(now.robot, target.position, target.quat, joints)
         target = target._replace(feet=jnp.where(held[:, None], feet, target.feet))

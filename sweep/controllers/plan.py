@@ -22,7 +22,7 @@ from sweep.models.obstacles.surface import FreeState
 
 CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)  # swings; the third spends its way by lambda_1
 LOCKED, LEVELLING, BALANCE = range(3)  # middle legs: as planned; as a flywheel that comes to rest, or that balances
-STEADY, SMOOTH, ELLIPTIC = range(3)  # how a body path is spent: by its rates, by lambda_1, as the half-ellipse swing
+STEADY, SMOOTH, ELLIPTIC = range(3)  # timing of a body path: its own rates, trapezoidal_transfer, half-ellipse swing
 # How a stage begins: with footholds and base shifted by the base's error; from the feet's measured places, at their
 # commanded depth or, on a free body, pressed as far beyond them as the stage says; or just from what was commanded.
 REZERO, REGRIP, GRIP, KEEP = "rezero", "regrip", "grip", "keep"
@@ -168,7 +168,7 @@ def swing_progress(cycle: Int[Array, ""], carry: Array, u: Float[Array, ""]) -> 
     """Share of the way and height in units of the stage's `height`, at phase u of a swing: lambda and y' + y_s."""
     x_a, y_a = stepping.cycle_a(u)
     x_b, y_b = stepping.cycle_b(u)
-    smooth, _ = stepping.lambda_1(u, 0.0, 1.0)
+    smooth, _ = stepping.trapezoidal_transfer(u, 0.0, 1.0)
     share_e, y_e = stepping.half_ellipse(u)
     shares = jnp.stack([0.5 + 0.5 * x_a / stepping.LANDING, 0.5 + 0.5 * x_b / stepping.LANDING, smooth, share_e])
     share, height = shares[cycle], jnp.stack([y_a, y_b, y_b, y_e])[cycle]
@@ -179,7 +179,7 @@ def pace_progress(pace: Int[Array, ""], rates: Float[Array, " 2"], u: Float[Arra
     """Share of a body path that is done at phase u of its stage; a steady one is the cubic with `rates` at its ends."""
     first, last = rates - 1
     steady = u + (first * (1 - u) - last * u) * u * (1 - u)
-    return jnp.stack([steady, stepping.lambda_1(u, 0.0, 1.0)[0], stepping.half_ellipse(u)[0]])[pace]
+    return jnp.stack([steady, stepping.trapezoidal_transfer(u, 0.0, 1.0)[0], stepping.half_ellipse(u)[0]])[pace]
 
 
 def along_arc(start: Array, end: Array, pivot: Array, arc: Array, share: Array) -> Float[Array, " 3"]:

@@ -65,7 +65,7 @@ def meant(support: Support, start: FreeState, seen: FreeState, clock: Array, dur
         first + share * goes,
         start.turn + share * turns,
     )
-    done, rate = stepping.lambda_1(share, 0.0, 1.0)
+    done, rate = stepping.trapezoidal_transfer(share, 0.0, 1.0)
     way, turn = support.position - start.position, logarithm(multiply(jnp.asarray(support.quat), conjugate(start.quat)))
     to_pose = FreeState(
         start.position + done * way,

@@ -1,13 +1,13 @@
-"""The closed-form results of the sources, corrected: a library of JAX functions, and all of them by name.
+"""Closed-form results of the sources, corrected: JAX functions, and a table of them by name.
 
-A module that defines some is named here, and nowhere else.
+Importing a module registers its formulas, so each module of this package is imported here.
 """
 
 from collections.abc import Mapping
 from typing import Any
 
 from sweep.core.errors import known
-from sweep.formulas import (  # noqa: F401  whose formulas are put among them as they are read
+from sweep.formulas import (  # noqa: F401  their import registers formulas
     ball,
     ball_meeting,
     ball_reach,
@@ -26,27 +26,34 @@ from sweep.formulas import (  # noqa: F401  whose formulas are put among them as
 from sweep.formulas import formula as defined
 from sweep.formulas.formula import Formula, Input, NoSolution
 
-__all__ = ["FORMULAS", "Formula", "Input", "NoSolution", "covering", "evaluate", "find"]
+__all__ = ["FORMULAS", "Formula", "Input", "NoSolution", "evaluate", "find", "find_by_equation"]
 
 # in the order of their sources
-FORMULAS: Mapping[str, Formula] = dict(sorted(defined.FORMULAS.items(), key=lambda item: item[1].place))
+FORMULAS: Mapping[str, Formula] = dict(sorted(defined.FORMULAS.items(), key=lambda item: item[1].sort_key))
 
 
 def find(name: str) -> Formula:
-    """The formula called `name`; raises `InputError` with what is allowed."""
+    """Look up a formula by its name; an unknown name raises `InputError` with the known ones."""
     known(name, FORMULAS, f"formula {name}")
     return FORMULAS[name]
 
 
 def evaluate(name: str, inputs: Mapping[str, Any]) -> dict[str, Any]:
-    """Outputs of formula `name` as plain numbers and lists; inputs left out take their defaults.
+    """Evaluate a formula in double precision, whatever JAX's default precision is.
 
-    In double precision, whatever JAX's default is. Raises `InputError`: an unknown name, an input outside its
-    domain, or inputs for which the formula has no solution (`NoSolution`).
+    Args:
+        name: The formula's name, as in `sweep formula`.
+        inputs: Values by input name, in the inputs' units; inputs that are missing take their defaults.
+
+    Returns:
+        Outputs by name, as plain numbers and lists, in the units of `Formula.outputs`.
+
+    Raises:
+        InputError: An unknown name, an input outside its domain, or, as `NoSolution`, inputs that have no solution.
     """
     return find(name).evaluate(inputs)
 
 
-def covering(equation: str) -> list[Formula]:
-    """Formulas that hold equation `equation` ("2.1.6" of the monograph, "14" of the thesis)."""
+def find_by_equation(equation: str) -> list[Formula]:
+    """List the formulas that implement an equation ("2.1.6" of the monograph, "14" of the thesis)."""
     return [formula for formula in FORMULAS.values() if formula.covers(equation)]

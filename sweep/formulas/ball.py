@@ -25,7 +25,7 @@ BallRadius = Annotated[Scalar, positive("m", 0.84)]
 CentreDistance = Annotated[Scalar, positive("m", 1.1)]
 
 
-class Stabilise(NamedTuple):
+class StabilisingMove(NamedTuple):
     """Shapes at time tau and the constants of delta (times in s, `ubar` in 1/s^2)."""
 
     ubar: Annotated[Float[Array, "..."], "1/s^2"]
@@ -46,7 +46,7 @@ def stabilise_delta(
     T: Annotated[Scalar, positive("s", 2.0)],
     Delta: Annotated[Scalar, Input("s", 0.0, at_least=0)],
     tau: Annotated[Scalar, Input("s", 1.0, at_least=0)],
-) -> Stabilise:
+) -> StabilisingMove:
     """Body's moves that stop a ball: delta from 0 to 1, pulse delta'.
 
     The ball ends at rest with no angular momentum gained.
@@ -61,12 +61,12 @@ def stabilise_delta(
     ubar = 2 / (np.sqrt(5) / 2 - 1)
     early, late = (np.sqrt(5) - 1) / 4, (np.sqrt(5) + 1) / 4
     pulse = _bell(s)
-    return Stabilise(
+    return StabilisingMove(
         ubar / length**2, early * length, late * length, _spline(s, ubar, early, late), pulse, pulse * T / length
     )
 
 
-class Lateral(NamedTuple):
+class LateralMove(NamedTuple):
     """Shape of the sideways move."""
 
     mu: Annotated[Float[Array, "..."], ""]
@@ -75,7 +75,7 @@ class Lateral(NamedTuple):
 @formula("monograph", "3.3.7")
 def lateral_mu(
     T: Annotated[Scalar, positive("s", 2.0)], tau: Annotated[Scalar, Input("s", 1.0, at_least=0)]
-) -> Lateral:
+) -> LateralMove:
     """Sideways push of a ball: pulse with a plateau.
 
     At its peak of 2, with d = T/4. Its integral is 3/2 T, so that the gain of (3.1.8) must be cut by 2/3 where this
@@ -83,7 +83,7 @@ def lateral_mu(
     """
     share = tau / T
     without_plateau = jnp.clip(share, 0.0, 0.25) + jnp.clip(share - 0.75, 0.0, 0.25)
-    return Lateral(_bell(2 * without_plateau))
+    return LateralMove(_bell(2 * without_plateau))
 
 
 def _spline(s: Array, ubar: float, early: float, late: float) -> Array:
@@ -128,13 +128,22 @@ def ball_climb(
 
 
 def climbing_rate(omega0: Scalar, effort: Scalar, R: Scalar) -> Array:
-    """Lower root dphi (rad/s) of (3.1.14), i.e. (3.1.16); `effort` is the book's cursive P. Nan if there is none."""
+    """Climbing rate of a robot that reaches the top of a ball as the ball stops: lower root of monograph (3.1.14).
+
+    Args:
+        omega0: Rate of the ball at the start (rad/s).
+        effort: The book's cursive P, dimensionless.
+        R: Radius of the ball (m).
+
+    Returns:
+        dphi (rad/s) of (3.1.16); nan where the equation has no root.
+    """
     speed = omega0 * R
-    # The other way of writing the root, in which nothing cancels for a fast ball.
+    # This form of the root does not cancel for a fast ball.
     return 2 * effort * GRAVITY / (speed + jnp.sqrt(speed**2 - 4 * effort**2 * R * GRAVITY))
 
 
-class Omega(NamedTuple):
+class BallRate(NamedTuple):
     """Rate of the ball (rad/s)."""
 
     omega: Annotated[Float[Array, "..."], "rad/s"]
@@ -150,14 +159,14 @@ def ball_omega(
     phi1: Annotated[Scalar, Input("rad", np.pi / 2, at_least=-np.pi, at_most=np.pi)],
     dphi: Annotated[Scalar, Input("rad/s", 1.0)],
     omega0: Annotated[Scalar, Input("rad/s", 1.0)],
-) -> Omega:
+) -> BallRate:
     """Rate of a ball after the robot moved on it at a constant rate.
 
     The robot goes from phi0 to phi1 at dphi, which must not be 0.
     """
     p = _ratio(m, M, R, rho)
     growth = jnp.log1p(p * (jnp.sin(phi1) - jnp.sin(phi0)) / (1 + p * jnp.sin(phi0)))
-    return Omega(omega0 - (GRAVITY + dphi**2 * R) / (dphi * R) * growth)
+    return BallRate(omega0 - (GRAVITY + dphi**2 * R) / (dphi * R) * growth)
 
 
 class Descent(NamedTuple):
@@ -190,7 +199,7 @@ def _ratio(m: Scalar, M: Scalar, R: Scalar, rho: Scalar) -> Scalar:
     return m * rho / (R * (ROLLING * M + m))
 
 
-class Circle(NamedTuple):
+class TurnRadius(NamedTuple):
     """Radius (m) of the ball's circle."""
 
     rho_exact: Annotated[Float[Array, "..."], "m"]
@@ -211,7 +220,7 @@ def ball_turn(
     h: Annotated[Scalar, positive("m", 0.3)],
     phi: Annotated[Scalar, Input("rad", 0.2, above=-np.pi / 2, below=np.pi / 2)],
     v: Annotated[Scalar, positive("m/s", 0.5)],
-) -> Circle:
+) -> TurnRadius:
     """Radius of the steady turn of a ball, exact and as printed.
 
     The ball's speed is v (m/s), the robot leans by phi (rad) to the inside.
@@ -223,10 +232,10 @@ def ball_turn(
     A, B = ROLLING * M / m, 1 + height * jnp.cos(phi)
     D, S = GRAVITY * height * jnp.sin(phi), (h + R) * jnp.sin(phi)
     approx = v**2 * (A + B) / D
-    return Circle(approx * (1 + jnp.sqrt(1 - 4 * D * B * S / (v * (A + B)) ** 2)) / 2, approx)
+    return TurnRadius(approx * (1 + jnp.sqrt(1 - 4 * D * B * S / (v * (A + B)) ** 2)) / 2, approx)
 
 
-class Swerve(NamedTuple):
+class BallSwerve(NamedTuple):
     """Of a ball that is turned while the robot goes aside."""
 
     rho_phi: Annotated[Float[Array, "..."], "m"]
@@ -251,7 +260,7 @@ def ball_swerve(
     v: Annotated[Scalar, positive("m/s", 0.5)],
     J_r: Annotated[Scalar, Input("kg m^2", 1.0, at_least=0)],
     J_zeta: Annotated[Scalar, Input("kg m^2", 1.5, at_least=0)],
-) -> Swerve:
+) -> BallSwerve:
     """Turn of a rolling ball while the robot leans at a steady rate: radius, spin, gain of speed.
 
     The ball's speed is v (m/s), the robot leans by phi (rad) to the inside, more by dphi (rad/s), and turns with the
@@ -264,4 +273,4 @@ def ball_swerve(
     C_1 = ROLLING * M / m + 1 + height * jnp.cos(phi)
     c_2 = J_r / unit + height * jnp.cos(phi) + height**2
     turning = height * (GRAVITY + dphi**2 * R) * jnp.sin(phi) / (v * C_1)
-    return Swerve(v / turning, -J_zeta * turning / (SPINNING * M * R**2), R * c_2 * turning / C_1)
+    return BallSwerve(v / turning, -J_zeta * turning / (SPINNING * M * R**2), R * c_2 * turning / C_1)

@@ -14,7 +14,7 @@ from sweep.formulas.formula import Input, Scalar, formula, positive
 
 
 class Approach(NamedTuple):
-    """Speed that is wanted of the ball, and the time in which it gets there."""
+    """Commanded speed of the ball, and the time constant with which the ball reaches it."""
 
     v: Annotated[Float[Array, "..."], "m/s"]
     tau: Annotated[Float[Array, "..."], "s"]
@@ -42,7 +42,7 @@ def ball_approach(
 
 
 class Impact(NamedTuple):
-    """What is left of the speed, and the speed at which feet land as far off as told."""
+    """Coefficient of restitution, and the speed at which landing feet miss the ball's footholds by d."""
 
     e: Annotated[Float[Array, "..."], ""]
     v: Annotated[Float[Array, "..."], "m/s"]
@@ -65,8 +65,8 @@ def ball_impact(
     return Impact(e, 2 * d / (T * (1 + e)))
 
 
-class Hold(NamedTuple):
-    """Friction of ball and ball."""
+class BallContactFriction(NamedTuple):
+    """Coefficient of friction between the two balls."""
 
     mu: Annotated[Float[Array, "..."], ""]
 
@@ -79,7 +79,7 @@ def balls_hold(
     T_2: Annotated[Scalar, Input("N m", -10.0)],
     s: Annotated[Scalar, Input("m", 0.0, at_least=0)],
     t: Annotated[Scalar, positive("s", 2.0)],
-) -> Hold:
+) -> BallContactFriction:
     """Least friction between two balls that touch, at which they roll no farther than told.
 
     T_1 and T_2 are the moments of feet about the balls' lowest points, forward. Pressed together by
@@ -88,4 +88,4 @@ def balls_hold(
     """
     presses = T_1 - T_2
     left = jnp.abs(T_1 + T_2) - 4 * ROLLING * M * R * s / t**2
-    return Hold(jnp.where(presses > 0, jnp.maximum(left, 0.0) / presses, jnp.nan))
+    return BallContactFriction(jnp.where(presses > 0, jnp.maximum(left, 0.0) / presses, jnp.nan))

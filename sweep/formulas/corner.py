@@ -20,7 +20,7 @@ Offset = Annotated[Scalar, positive("", 0.4)]
 Friction = Annotated[Scalar, positive("", 1.1)]
 
 
-class Balanced(NamedTuple):
+class BalancedForces(NamedTuple):
     """Equal k_zeta for all feet, opposite k_tau for the upper and the lower ones."""
 
     k_zeta: Annotated[Float[Array, "..."], ""]
@@ -30,7 +30,7 @@ class Balanced(NamedTuple):
 
 
 @formula("monograph", "2.1.1-2.1.6", condition=_CONDITION)
-def corner_balanced(psi: HalfAngle, eps: Offset, k: Friction) -> Balanced:
+def corner_balanced(psi: HalfAngle, eps: Offset, k: Friction) -> BalancedForces:
     """Forces on a corner or pole (psi = 0), balanced scheme, at friction k.
 
     The balanced scheme where friction k is used up. Nan unless k > tan psi.
@@ -47,7 +47,7 @@ def corner_balanced(psi: HalfAngle, eps: Offset, k: Friction) -> Balanced:
     root = jnp.hypot(s, lean)
     N_u = 1 / (2 * k_zeta * (1 + lean / (root + s)))
     N_d = eps / (2 * (lean + root + s))
-    return Balanced(k_zeta, k_tau, N_u, N_d)
+    return BalancedForces(k_zeta, k_tau, N_u, N_d)
 
 
 class LeastFriction(NamedTuple):
@@ -98,7 +98,7 @@ def corner_equalN(psi: HalfAngle, eps: Offset, k: Friction) -> EqualNormal:
     return EqualNormal(k_zeta, (-2 * eps * k_zeta - s) / c, (2 * eps * k_zeta - s) / c, 1 / (4 * k_zeta))
 
 
-class Squeeze(NamedTuple):
+class LeastSqueeze(NamedTuple):
     """The larger normal force of the best distribution, in P."""
 
     Nhat: Annotated[Float[Array, "..."], "P"]
@@ -110,7 +110,7 @@ class Squeeze(NamedTuple):
     correction="called optimal in 2.1, the balanced scheme squeezes more than this (3.16 P against 2.83 P)",
     condition=_CONDITION,
 )
-def corner_min_squeeze(psi: HalfAngle, eps: Offset, k: Friction) -> Squeeze:
+def corner_min_squeeze(psi: HalfAngle, eps: Offset, k: Friction) -> LeastSqueeze:
     """Least squeeze of a corner or pole over all equilibria.
 
     Of *all* equilibria of the four feet, in P; less than both schemes of monograph 2.1.
@@ -125,4 +125,4 @@ def corner_min_squeeze(psi: HalfAngle, eps: Offset, k: Friction) -> Squeeze:
     lifted = 2 * jnp.sqrt(jnp.maximum(spare * pull**2 + eps * s * pull - eps**2 / 4, 0.0)) / c
     shared_below = c**2 * spare - (2 * eps * s) ** 2
     shared = c * jnp.hypot(c, 2 * eps) / (4 * jnp.sqrt(jnp.where(shared_below > 0, shared_below, 1.0)))
-    return Squeeze(jnp.where(c * k > s, jnp.where(lifted >= 1, pull, shared), jnp.nan))
+    return LeastSqueeze(jnp.where(c * k > s, jnp.where(lifted >= 1, pull, shared), jnp.nan))

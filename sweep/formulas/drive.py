@@ -51,7 +51,7 @@ def servo(
     return ServoGains(chi2, torque, poles_re, poles_im)
 
 
-class Delay(NamedTuple):
+class ServoDelay(NamedTuple):
     """The longest delay, and how fast the joint swings at it."""
 
     delay: Annotated[Float[Array, "..."], "s"]
@@ -64,7 +64,7 @@ def servo_delay(
     stiffness: Annotated[Scalar, positive("N*m/rad", 45000.0)],
     damping: Annotated[Scalar, Input("N*m*s/rad", 514.26, at_least=0)],
     c_e: Annotated[Scalar, Input("N*m*s/rad", 10.0, at_least=0)],
-) -> Delay:
+) -> ServoDelay:
     """How late a joint drive may know of its own joint before it swings by itself.
 
     About an inertia J (by default of a shin in the air and its drive), unsaturated, the back-EMF c_e not being late:
@@ -75,4 +75,4 @@ def servo_delay(
     net = damping**2 - c_e**2
     omega = jnp.sqrt((net + jnp.sqrt(net**2 + 4 * (J * stiffness) ** 2)) / 2) / J
     angle = jnp.arctan2(damping * omega, stiffness) + jnp.arctan2(c_e, J * omega)
-    return Delay(angle / omega, omega)
+    return ServoDelay(angle / omega, omega)

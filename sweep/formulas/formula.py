@@ -1,9 +1,9 @@
-"""What is known of a formula: its inputs, outputs, units, domain and source, all from where it is defined.
+"""Formulas with their inputs, outputs, units, domain and source, all read from the definition of a function.
 
 A formula is one typed JAX function under the decorator `formula`. Its arguments are its inputs, each annotated with an
-`Input`; its result is a named tuple of its outputs, each annotated with a unit; the first line of its docstring says
-what it gives. Such a function broadcasts and gives nan outside its domain, so it can be jitted, vmapped and
-differentiated; refusing bad input, in one line, is the business of `Formula.evaluate`.
+`Input`; its result is a named tuple of its outputs, each annotated with a unit; the first line of its docstring is the
+formula's summary. Such a function broadcasts and gives nan outside its domain, so it can be jitted, vmapped and
+differentiated. `Formula.evaluate` refuses bad input with a message of one line.
 """
 
 import inspect
@@ -30,9 +30,9 @@ class NoSolution(InputError):
 
 @dataclass(frozen=True)
 class Input:
-    """One input: a number, a vector of fixed size (its default tells which), or a choice among `options`.
+    """One input of a formula: a number, a vector of the default's size, or a choice among `options`.
 
-    Its name is that of the argument which it annotates.
+    Modules create it in the annotation of an argument; `Formula.inputs` fills in that argument's name.
     """
 
     unit: str
@@ -44,8 +44,16 @@ class Input:
     options: tuple[Any, ...] = ()
     name: str = ""
 
-    def checked(self, value: Any, path: str) -> Any:
-        """`value` as a float, an option or a list of floats; raises `InputError` naming `path.name`."""
+    def validate(self, value: Any, path: str) -> Any:
+        """Convert a value to a float, an option or a list of floats.
+
+        Args:
+            value: What the user wrote.
+            path: The formula's name, for the message.
+
+        Raises:
+            InputError: The value is of another kind or outside the domain; the message names `path.name`.
+        """
         path = f"{path}.{self.name}"
         if self.options:
             if isinstance(value, bool) or value not in self.options:
@@ -67,35 +75,35 @@ class Input:
         return float(value)
 
     def domain(self) -> str:
-        """What is allowed, in words and with the unit."""
+        """Describe the allowed values in words, with the unit."""
         if self.options:
             return f"one of {', '.join(map(str, self.options))}"
         return f"{in_words(vars(self))}{f' {self.unit}' if self.unit else ''}"
 
 
 def positive(unit: str, default: float, below: float = math.inf) -> Input:
-    """An input that must be greater than zero: a length, a mass, a duration, …."""
+    """Make an input that must be greater than zero: a length, a mass, a duration."""
     return Input(unit, default, above=0, below=below)
 
 
 @dataclass(frozen=True)
 class Formula:
-    """A result of the sources, by name."""
+    """A formula of the sources with its metadata; the decorator `formula` makes one for each function."""
 
     function: Callable[..., Any]
     source: str  # "monograph" or "thesis"
     equations: tuple[str, ...]  # "2.1.4-2.1.6" is a range; a section where the text has no number
-    correction: str = ""  # what the printed formula gets wrong; empty where it is right
-    condition: str = ""  # what the inputs must satisfy together
+    correction: str = ""  # the error of the printed formula; empty where it is right
+    condition: str = ""  # a condition on several inputs at once
 
     @property
     def name(self) -> str:
-        """The name of its function, by which commands and studies know it."""
+        """The function's name, which commands and studies use."""
         return self.function.__name__
 
     @property
-    def what(self) -> str:
-        """What it gives, in one line."""
+    def summary(self) -> str:
+        """The first line of the function's docstring, without the full stop and in lower case."""
         first = str(self.function.__doc__).splitlines()[0].removesuffix(".")
         return first[0].lower() + first[1:]
 
@@ -109,13 +117,13 @@ class Formula:
 
     @cached_property
     def inputs(self) -> tuple[Input, ...]:
-        """By flat names: a named tuple's are `prm.a` of the argument `prm`, and `a` of an only argument."""
-        found = []
+        """Inputs with flat names: field `a` of a named tuple `prm` is `prm.a`, or `a` if `prm` is the only argument."""
+        result = []
         for name, hint in self._arguments.items():
             parts = {name: hint} if _metadata(hint) else get_type_hints(hint, include_extras=True)
             prefix = "" if _metadata(hint) or len(self._arguments) == 1 else f"{name}."
-            found += [replace(_metadata(part)[0], name=prefix + own) for own, part in parts.items()]
-        return tuple(found)
+            result += [replace(_metadata(part)[0], name=prefix + field) for field, part in parts.items()]
+        return tuple(result)
 
     @cached_property
     def outputs(self) -> Mapping[str, str]:
@@ -124,8 +132,8 @@ class Formula:
         return {name: _metadata(hint)[0] for name, hint in results.items()}
 
     @property
-    def corrected(self) -> bool:
-        """Whether this differs from the printed formula."""
+    def is_corrected(self) -> bool:
+        """Whether the function differs from the printed formula."""
         return bool(self.correction)
 
     @property
@@ -134,8 +142,8 @@ class Formula:
         return f"{self.source} {', '.join(f'({equations})' for equations in self.equations)}"
 
     @property
-    def place(self) -> tuple[str, tuple[int, ...]]:
-        """Where it comes among others."""
+    def sort_key(self) -> tuple[str, tuple[int, ...]]:
+        """Key that sorts formulas by source, then by the number of their first equation."""
         return self.source, _order(self.equations[0].partition("-")[0])
 
     @cached_property
@@ -143,7 +151,7 @@ class Formula:
         return jax.jit(self.function, static_argnames=[entry.name for entry in self.inputs if entry.options])
 
     def covers(self, equation: str) -> bool:
-        """Whether this is where equation `equation` of its source is found."""
+        """Whether the formula implements equation `equation` of its source."""
         number = _order(equation)
         for equations in self.equations:
             first, _, last = equations.partition("-")
@@ -152,15 +160,15 @@ class Formula:
         return False
 
     def complete(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Every input checked, defaults filled in, by flat name (`prm.a`); raises `InputError`."""
+        """Validate all inputs and fill in defaults, by flat name (`prm.a`); raises `InputError`."""
         flat = dict(_flatten(values))
         names = [entry.name for entry in self.inputs]
         for name in flat:
             known(name, names, f"{self.name}.{name}")
-        return {entry.name: entry.checked(flat.get(entry.name, entry.default), self.name) for entry in self.inputs}
+        return {entry.name: entry.validate(flat.get(entry.name, entry.default), self.name) for entry in self.inputs}
 
     def evaluate(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Outputs as plain numbers and lists, in double precision whatever JAX's default; raises `InputError`."""
+        """Evaluate in double precision, whatever JAX's default, to numbers and lists; raises `InputError`."""
         with jax.enable_x64(True):
             outputs = self.compute(values)
         if not all(np.all(np.isfinite(value)) for value in outputs.values()):
@@ -169,7 +177,7 @@ class Formula:
         return {name: value.tolist() for name, value in outputs.items()}
 
     def compute(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
-        """Outputs in JAX's default precision, nan where there is no solution; raises `InputError`."""
+        """Evaluate in JAX's default precision, nan where there is no solution; raises `InputError`."""
         inputs = self.complete(values)
         numbers = (inputs[each.name] if each.options else jnp.asarray(inputs[each.name]) for each in self.inputs)
         arguments = {
@@ -185,17 +193,24 @@ FORMULAS: dict[str, Formula] = {}
 def formula[F: Callable[..., Any]](
     source: str, *equations: str, correction: str = "", condition: str = ""
 ) -> Callable[[F], F]:
-    """Decorator that puts a function among `FORMULAS`; see `Formula`."""
+    """Decorator that registers a function in `FORMULAS`.
 
-    def put(function: F) -> F:
+    Args:
+        source: "monograph" or "thesis".
+        equations: Numbers of its equations; "2.1.4-2.1.6" is a range.
+        correction: The error of the printed formula, if any.
+        condition: A condition on several inputs at once, if any.
+    """
+
+    def register(function: F) -> F:
         FORMULAS[function.__name__] = Formula(function, source, equations, correction, condition)
         return function
 
-    return put
+    return register
 
 
 def _metadata(hint: Any) -> tuple[Any, ...]:
-    """What an annotation says besides its type; nothing of a named tuple."""
+    """Metadata of an `Annotated` hint; empty for a named tuple."""
     return getattr(hint, "__metadata__", ())
 
 

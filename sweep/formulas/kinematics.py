@@ -1,4 +1,4 @@
-"""The leg (`leg`) and the step cycles (`stepping`) as formulas."""
+"""Formulas of the leg's kinematics (module `leg`) and of step cycles (module `stepping`)."""
 
 from typing import Annotated, NamedTuple
 
@@ -20,7 +20,7 @@ def _side(leg: int) -> Array:
 
 
 class Foot(NamedTuple):
-    """Foot from the hip, body axes."""
+    """The foot relative to the hip, base axes."""
 
     foot: Annotated[Float[Array, "... 3"], "m"]
 
@@ -38,7 +38,7 @@ def leg_fk(
 
 
 class JointAngles(NamedTuple):
-    """Angles with the knee outside and, for a foot on the inner side, inside."""
+    """Joint angles with the knee on the outer and on the inner side, and whether the foot is on the inner side."""
 
     angles: Annotated[Float[Array, "... 3"], "rad"]
     mirror_knee_angles: Annotated[Float[Array, "... 3"], "rad"]
@@ -63,7 +63,7 @@ def leg_ik(
 
 
 class Mounts(NamedTuple):
-    """Hips of legs 1 to 6, body axes."""
+    """Hips of legs 1 to 6, base axes."""
 
     points: Annotated[Float[Array, "6 3"], "m"]
 
@@ -74,8 +74,8 @@ def mounts(b_p: Annotated[Scalar, positive("m", 0.525)]) -> Mounts:
     return Mounts(legs.circular_mounts(b_p))
 
 
-class Cycle(NamedTuple):
-    """Foot in the axes of its cycle."""
+class CycleFoot(NamedTuple):
+    """The foot in the axes of its step cycle."""
 
     xy: Annotated[Float[Array, "... 2"], "m"]
 
@@ -93,14 +93,14 @@ def step_cycle(
     d_y: Annotated[Scalar, positive("m", 0.08)],
     kprime: Annotated[int, Input("", 2, options=(1, 2))],
     period: Annotated[Scalar, Input("s", 0.0, at_least=0)],
-) -> Cycle:
+) -> CycleFoot:
     """Foot in a step cycle, swing and stance (period 0: that of kprime)."""
     full = jnp.where(jnp.asarray(period) > 0, period, tstar * (1 + 2 / kprime))
-    return Cycle(stepping.step_cycle(cycle, t % full, tstar, d_x, d_y, kprime))
+    return CycleFoot(stepping.step_cycle(cycle, t % full, tstar, d_x, d_y, kprime))
 
 
-class Blend(NamedTuple):
-    """Share of the way, and its rate."""
+class TransferShare(NamedTuple):
+    """Share of the path that is done, and its rate."""
 
     lam: Annotated[Float[Array, "..."], ""]
     dlam: Annotated[Float[Array, "..."], "1/s"]
@@ -112,6 +112,6 @@ def lambda1(
     t0: Annotated[Scalar, Input("s", 0.0)],
     tstar: Annotated[Scalar, positive("s", 1.2156)],
     sigma2: Annotated[Scalar, Input("", 1.0, at_least=0.5, at_most=1)],
-) -> Blend:
+) -> TransferShare:
     """Share of an irregular transfer done at a time, and its rate."""
-    return Blend(*stepping.lambda_1(t, t0, tstar, sigma2))
+    return TransferShare(*stepping.trapezoidal_transfer(t, t0, tstar, sigma2))

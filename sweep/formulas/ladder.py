@@ -10,7 +10,7 @@ from sweep.formulas.formula import Scalar, formula, positive
 
 
 class LadderStatics(NamedTuple):
-    """How far up the load may go (share of the length), and whether it may go all the way."""
+    """Highest place of the load as a share of the ladder's length, and whether that is the top."""
 
     chi_max: Annotated[Float[Array, "..."], ""]
     holds_for_all: Annotated[Bool[Array, "..."], ""]
@@ -37,7 +37,7 @@ def ladder(
     return LadderStatics(jnp.clip(chi, 0.0, 1.0), slope * f1 >= 1)
 
 
-class Lean(NamedTuple):
+class LadderInclination(NamedTuple):
     """The least angle at which the ladder stands."""
 
     phi: Annotated[Float[Array, "..."], "rad"]
@@ -48,7 +48,7 @@ def ladder_lean(
     f1: Annotated[Scalar, positive("", 1.0)],
     f2: Annotated[Scalar, positive("", 1.0)],
     chi: Annotated[Scalar, positive("", 1.0)],
-) -> Lean:
+) -> LadderInclination:
     """How steep a ladder has to lean for a load on it to stay.
 
     Least angle phi (rad) with friction f1 on the floor, f2 on the wall, and the load's weight at the share chi of the
@@ -56,4 +56,4 @@ def ladder_lean(
     f1; a ladder of its own weight M under a robot of m at its top has chi = (m + M/2)/(m + M).
     """
     slope = chi * (1 / f1 + f2) - f2
-    return Lean(jnp.arctan(jnp.maximum(slope, 0.0)))
+    return LadderInclination(jnp.arctan(jnp.maximum(slope, 0.0)))

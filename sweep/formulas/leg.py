@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Real
 
-# (-1)^i of leg i: +1 on the left. 32 bits wide, as 64-bit NumPy constants break JAX once both precisions were used.
+# (-1)^i of leg i: +1 on the left. 32 bits wide, as 64-bit NumPy constants break JAX in a process of both precisions.
 SIDE = np.array([-1, 1, -1, 1, -1, 1], np.int32)
 
 
@@ -19,7 +19,18 @@ def fk(
     thigh: Array | float,
     shin: Array | float,
 ) -> Float[Array, "*b 3"]:
-    """Foot relative to the hip (m) from alpha, beta, gamma (rad): monograph (1.1.1), with a coxa (1.1.4)."""
+    """Forward kinematics of a leg: monograph (1.1.1), with a coxa (1.1.4).
+
+    Args:
+        side: +1 for legs on the left, -1 on the right; as `SIDE`.
+        angles: alpha, beta, gamma (rad).
+        coxa: Length of the coxa (m); 0 where the leg has none.
+        thigh: Length of the thigh (m).
+        shin: Length of the shin (m).
+
+    Returns:
+        The foot relative to the hip (m, base axes).
+    """
     alpha, beta, gamma = angles[..., 0], angles[..., 1], angles[..., 2]
     reach = side * (coxa + thigh * jnp.sin(beta)) - shin * jnp.sin(beta + gamma)
     height = -side * thigh * jnp.cos(beta) + shin * jnp.cos(beta + gamma)
@@ -34,12 +45,22 @@ def ik(
     shin: Array | float,
     mirror: Bool[Array, "*b"] | bool = False,
 ) -> tuple[Float[Array, "*b 3"], Float[Array, "*b"]]:
-    """Joint angles (rad) that put the foot there, and by how much (m) it lies out of reach.
+    """Inverse kinematics of a leg: monograph (1.1.3), corrected.
 
-    Monograph (1.1.3). The printed branch for a foot on the inner side of its hip misses the foot; this form is exact
-    on both sides and for any coxa. The knee stays on the outer side, so that with an inner foot it moves fore and
-    aft against the foot, as 2.6.2 wants on a narrow track; `mirror` puts it on the inner side for those feet, where
-    it moves with the foot. A target out of reach is clamped to the nearest point on the line from the hip joint.
+    The printed branch for a foot on the inner side of its hip misses the foot; this form is exact on both sides and for
+    any coxa. The knee stays on the outer side, so that with an inner foot it moves fore and aft against the foot, as
+    2.6.2 wants on a narrow track. A target out of reach is clamped to the nearest point on the line from the hip joint.
+
+    Args:
+        side: +1 for legs on the left, -1 on the right; as `SIDE`.
+        foot: The foot relative to the hip (m, base axes).
+        coxa: Length of the coxa (m); 0 where the leg has none.
+        thigh: Length of the thigh (m).
+        shin: Length of the shin (m).
+        mirror: Whether the knee of a foot on the inner side is on that side, too, where it moves with the foot.
+
+    Returns:
+        alpha, beta, gamma (rad), and the distance of the foot beyond the leg's reach (m).
     """
     x, y, z = foot[..., 0], foot[..., 1], foot[..., 2]
     outer = jnp.where(side * y >= 0, 1.0, -1.0)
@@ -57,18 +78,26 @@ def ik(
 
 
 def _angle(cosine: Array) -> Array:
-    """The clamped arccos, f2 of (1.1.3)."""
-    clamped = jnp.abs(cosine) >= 1.0  # there it has no slope, and that of arccos is no number
+    """Clamped arccos, f2 of (1.1.3), with zero derivative where it is clamped: that of arccos is infinite there."""
+    clamped = jnp.abs(cosine) >= 1.0
     return jnp.where(clamped, jnp.where(cosine > 0, 0.0, jnp.pi), jnp.arccos(jnp.where(clamped, 0.0, cosine)))
 
 
 def rectangular_mounts(length: Array | float, width: Array | float) -> Float[Array, "6 3"]:
-    """Hips along the sides of the body (m, base axes): monograph 1.1."""
+    """Hips in two rows along the sides of a rectangular base: monograph 1.1.
+
+    Args:
+        length: Distance between the front and the rear hips (m).
+        width: Distance between the rows (m).
+
+    Returns:
+        Hips of legs 1 to 6 (m, base axes).
+    """
     x = jnp.array([-1, -1, 0, 0, 1, 1]) * length / 2
     return jnp.stack([x, SIDE * width / 2, jnp.zeros(6)], axis=-1)
 
 
 def circular_mounts(radius: Array | float) -> Float[Array, "6 3"]:
-    """Hips on a circle, at the corners of a hexagon (m, base axes): monograph (1.1.5)."""
+    """Hips of legs 1 to 6 (m, base axes) at the corners of a hexagon of `radius` (m): monograph (1.1.5)."""
     angle = jnp.array([np.pi / 6 + i // 2 * np.pi / 3 for i in range(6)])
     return jnp.stack([-radius * jnp.cos(angle), SIDE * radius * jnp.sin(angle), jnp.zeros(6)], axis=-1)

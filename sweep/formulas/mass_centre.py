@@ -18,14 +18,26 @@ def leg_mass_centre(
     thigh_mass: Scalar,
     shin_mass: Scalar,
 ) -> Float[Array, "*b 3"]:
-    """Mass centre of a leg of two uniform links from its hip (m, base axes): (3.1.9)."""
+    """Mass centre of a leg of two uniform links: monograph (3.1.9).
+
+    Args:
+        side: +1 for legs on the left, -1 on the right.
+        angles: alpha, beta, gamma (rad).
+        thigh: Length of the thigh (m).
+        shin: Length of the shin (m).
+        thigh_mass: Mass of the thigh (kg).
+        shin_mass: Mass of the shin (kg).
+
+    Returns:
+        The mass centre relative to the hip (m, base axes).
+    """
     knee = leg.fk(side, angles, 0.0, thigh, 0.0)
     foot = leg.fk(side, angles, 0.0, thigh, shin)
     return (thigh_mass * knee / 2 + shin_mass * (knee + foot) / 2) / (thigh_mass + shin_mass)
 
 
 class MassCentre(NamedTuple):
-    """Derivative of the mass centre by the body's centre, both from the ball's centre."""
+    """Derivative of the robot's mass centre by the centre of its base, both relative to the ball's centre."""
 
     D: Annotated[Float[Array, "3 3"], ""]
 

@@ -14,8 +14,8 @@ from sweep.formulas.raft_statics import HalfHeight, HalfLength, HalfWidth, Water
 Friction = Annotated[Scalar, positive("N*s/m^3", 20.0)]
 
 
-class Tow(NamedTuple):
-    """Speed (m/s), nose-down tilt (rad), the slower pole of the heading (1/s): it is kept where this is negative."""
+class TowedRaftMotion(NamedTuple):
+    """Speed (m/s), nose-down tilt (rad), slower pole of the heading (1/s); the heading is stable if it is negative."""
 
     speed: Annotated[Float[Array, "..."], "m/s"]
     tilt: Annotated[Float[Array, "..."], "rad"]
@@ -39,7 +39,7 @@ def raft_tow(
     gamma: WaterWeight,
     k_lin: Friction,
     C: Annotated[Scalar, positive("kg*m^2", 790.0)],
-) -> Tow:
+) -> TowedRaftMotion:
     """Speed, tilt and heading's pole of a raft towed by a force fixed in the world.
 
     Raft towed by F (N, fixed in the world) at the point (x_s, 0, z_s) (m) of the raft.
@@ -53,10 +53,10 @@ def raft_tow(
     b34 = friction * (a**2 + b**2) / 3
     discriminant = b34**2 - 4 * C * F * x_s
     root = jnp.where(discriminant > 0, jnp.sqrt(jnp.where(discriminant > 0, discriminant, 1.0)), 0.0)
-    return Tow(jnp.asarray(F / friction), tilt, (-b34 + root) / (2 * C))
+    return TowedRaftMotion(jnp.asarray(F / friction), tilt, (-b34 + root) / (2 * C))
 
 
-class Push(NamedTuple):
+class PushedRaftMotion(NamedTuple):
     """Speeds along the raft's axes (m/s), rotations about them (rad), rise of the centre (m)."""
 
     speed_x: Annotated[Float[Array, "..."], "m/s"]
@@ -83,7 +83,7 @@ def raft_push(
     d: HalfHeight,
     gamma: WaterWeight,
     k_lin: Friction,
-) -> Push:
+) -> PushedRaftMotion:
     """Steady motion of a raft under a force fixed in its own axes.
 
     The force (N) comes with a moment (N m, none about z).
@@ -98,4 +98,4 @@ def raft_push(
     speed_x = (F_x + F_z * M_y / k_pitch) / (friction - F_z * arm / k_pitch)
     speed_y = (F_y - F_z * M_x / k_roll) / (friction - F_z * arm / k_roll)
     roll, pitch = (M_x - speed_y * arm) / k_roll, (M_y + speed_x * arm) / k_pitch
-    return Push(speed_x, speed_y, roll, pitch, (F_y * roll - F_x * pitch) / (4 * gamma * a * b))
+    return PushedRaftMotion(speed_x, speed_y, roll, pitch, (F_y * roll - F_x * pitch) / (4 * gamma * a * b))

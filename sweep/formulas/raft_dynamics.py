@@ -53,7 +53,18 @@ class RaftBody(NamedTuple):
 def wrench(
     raft: RaftBody, z: Scalar, R: Float[Array, "3 3"], v: Float[Array, " 3"], w: Float[Array, " 3"]
 ) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
-    """Force (N, world axes) and moment about the centre (N m, body axes): buoyancy, drag and load, (4.2.1)."""
+    """Buoyancy, drag and weight of a raft in motion: monograph (4.2.1).
+
+    Args:
+        raft: The raft and its load.
+        z: Height of the centre over the water plane (m).
+        R: Rotation from body to world axes.
+        v: Velocity of the centre (m/s, world axes).
+        w: Angular velocity (rad/s, body axes).
+
+    Returns:
+        Force (N, world axes) and moment about the centre (N m, body axes).
+    """
     a3 = R[2]  # the vertical in body axes
     water = buoyancy(a3, -z, raft.a, raft.b, raft.d, raft.gamma)
     drag = raft_drag(R.T @ v, w, raft.a, raft.b, raft.d, raft.zeta0, raft.k_lin, raft.k_quad)
@@ -147,20 +158,29 @@ def raft_ode(
     state0 = jnp.asarray(state0)
     # Well above round-off, well below what the model is good for.
     accuracy = float(jnp.finfo(state0.dtype).eps) ** (2 / 3)
-    return RaftMotion(integrated(lambda state: rate(prm, state), state0, t_end, accuracy))
+    return RaftMotion(integrate(lambda state: state_derivative(prm, state), state0, t_end, accuracy))
 
 
-def integrated(
+def integrate(
     rate: Callable[[Array], Array], start: Float[Array, " n"], end: Scalar, accuracy: float
 ) -> Float[Array, " n"]:
-    """The solution of y' = rate(y) at the time `end`, nan after `MOST_STEPS`: Dormand and Prince's method.
+    """Integrate y' = rate(y) by the method of Dormand and Prince, of order 5.
 
-    It is of order 5; an error estimated by that of order 4 keeps each step to `accuracy`, relative and absolute.
+    The error of a step is estimated by the embedded method of order 4.
+
+    Args:
+        rate: The derivative of y.
+        start: y at time 0.
+        end: Time to integrate to, in the unit of `rate`.
+        accuracy: Largest error of a step, relative and absolute.
+
+    Returns:
+        y at the time `end`; nan after `MOST_STEPS` steps.
     """
     end = jnp.asarray(end, start.dtype)
 
-    def step(now: tuple[Array, ...]) -> tuple[Array, ...]:
-        time, y, size, number = now
+    def step(carry: tuple[Array, ...]) -> tuple[Array, ...]:
+        time, y, size, number = carry
         last = size >= end - time
         size = jnp.minimum(size, end - time)
         slopes = [rate(y)]
@@ -175,18 +195,18 @@ def integrated(
         return jnp.where(taken, after, time), jnp.where(taken, new, y), next_size, number + 1
 
     first = jnp.zeros_like(end), start, end / 100, jnp.asarray(0)
-    time, y, _, _ = jax.lax.while_loop(lambda now: (now[0] < end) & (now[3] < MOST_STEPS), step, first)
+    time, y, _, _ = jax.lax.while_loop(lambda carry: (carry[0] < end) & (carry[3] < MOST_STEPS), step, first)
     return jnp.where(time >= end, y, jnp.nan)
 
 
-def rate(raft: RaftBody, state: Float[Array, " 18"]) -> Float[Array, " 18"]:
-    """Time derivative of the state (4.2.1), (4.2.3)."""
-    r, R, v, w = parts(state)
+def state_derivative(raft: RaftBody, state: Float[Array, " 18"]) -> Float[Array, " 18"]:
+    """Time derivative of a raft's state, whose layout the module describes: monograph (4.2.1), (4.2.3)."""
+    r, R, v, w = split_state(state)
     force, moment = wrench(raft, r[2], R, v, w)
     spin = (moment - jnp.cross(w, raft.J * w)) / raft.J
     return jnp.concatenate([v, (R @ _cross(w)).ravel(), force / raft.M, spin])
 
 
-def parts(state: Float[Array, " 18"]) -> tuple[Array, Array, Array, Array]:
-    """Position, rotation, velocity and angular velocity."""
+def split_state(state: Float[Array, " 18"]) -> tuple[Array, Array, Array, Array]:
+    """Split a state into position (3,), rotation (3, 3), velocity (3,) and angular velocity (3,)."""
     return state[:3], state[3:12].reshape(3, 3), state[12:15], state[15:]

@@ -42,16 +42,29 @@ def hydro(
 
     Exact. Nan if the tilt is 90 degrees or more.
     """
-    return buoyancy(upright(a31, a32), depth, a, b, d, gamma)
+    return buoyancy(vertical_in_body_axes(a31, a32), depth, a, b, d, gamma)
 
 
-def upright(a31: Scalar, a32: Scalar) -> Float[Array, "... 3"]:
-    """The vertical a3 (unit, body axes) with its positive third component."""
+def vertical_in_body_axes(a31: Scalar, a32: Scalar) -> Float[Array, "... 3"]:
+    """Upward unit vector in body axes from its first two components; the third is positive."""
     return jnp.stack(jnp.broadcast_arrays(a31, a32, jnp.sqrt(1 - a31**2 - a32**2)), axis=-1)
 
 
 def buoyancy(a3: Float[Array, "... 3"], depth: Scalar, a: Scalar, b: Scalar, d: Scalar, gamma: Scalar) -> Hydro:
-    """Buoyancy for the vertical `a3`; `depth` over a33 is where the water plane cuts the body's z axis."""
+    """Buoyant force and moment on a raft of any tilt below 90 degrees: monograph (4.1.1)-(4.1.4), corrected.
+
+    Args:
+        a3: Upward unit vector (body axes).
+        depth: Depth of the centre under the water plane (m).
+        a: Half length of the raft (m).
+        b: Half width (m).
+        d: Half height (m).
+        gamma: Specific weight of water (N/m^3).
+
+    Returns:
+        Force (N) and moment about the centre (N m), body axes.
+    """
+    # the water plane cuts the body's z axis at depth / a33
     a31, a32, a33 = jnp.moveaxis(a3, -1, 0)
     cut, slope_x, slope_y = depth / a33, a31 / a33, a32 / a33
     area = a * b
@@ -128,7 +141,7 @@ def raft_equilibrium(
 
 
 class OffsetLimit(NamedTuple):
-    """How far the robot may go from the raft's middle, fore and aft and sideways (m)."""
+    """Largest distance of the robot from the raft's middle, fore and aft, and sideways (m)."""
 
     delta_x: Annotated[Float[Array, "..."], "m"]
     delta_y: Annotated[Float[Array, "..."], "m"]

@@ -12,20 +12,25 @@ LANDING = float(np.cos(PHI_0))  # x* / d_x = sqrt(15) / 4
 
 
 def swing_time(rate: Array | float) -> Array | float:
-    """t* (s) of a cycle with angular rate varpi (rad/s): (pi - 2 phi_0) / varpi."""
+    """Duration t* (s) of the swing of a step cycle with angular rate varpi (rad/s): (pi - 2 phi_0) / varpi."""
     return (np.pi - 2 * PHI_0) / rate
 
 
 def cycle_a(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
-    """Swing along the ellipse's arc, (1.3.1) a: x'/d_x and (y' + y_s)/d_y. It lands softly."""
+    """Swing of step cycle a, along the arc of an ellipse with a soft landing, at phase u: (1.3.1) a.
+
+    Returns: x'/d_x and (y' + y_s)/d_y.
+    """
     phi = PHI_0 + u * (np.pi - 2 * PHI_0)
     return -jnp.cos(phi), jnp.sin(phi) + 0.25
 
 
 def cycle_b(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
-    """Swing along the half ellipse, (1.3.1) b: x'/d_x and (y' + y_s)/d_y, for a foot that must not move back first.
+    """Swing of step cycle b, along half an ellipse, for a foot that must not move back first, at phase u: (1.3.1) b.
 
     The angular rate is pi/t*; the printed one, that of cycle a, overshoots point B.
+
+    Returns: x'/d_x and (y' + y_s)/d_y.
     """
     phi = np.pi * u
     return -LANDING * jnp.cos(phi), 1.25 * jnp.sin(phi)
@@ -34,9 +39,18 @@ def cycle_b(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b
 def step_cycle(
     kind: str, t: Array | float, t_star: Array | float, d_x: Array | float, d_y: Array | float, k_prime: Array | float
 ) -> Float[Array, "*b 2"]:
-    """(x', y') (m) of a foot in its cycle's axes at local time t (s): (1.3.1), and (1.3.2) on the ground from t*.
+    """Foot in a step cycle, swing and stance: monograph (1.3.1), and (1.3.2) on the ground from t*.
 
-    `k_prime` 2 gives a stance of t* (tripod), 1 one of 2 t* (gallop): printed the other way round.
+    Args:
+        kind: "a", the arc of an ellipse, or "b", half an ellipse.
+        t: Time since lift-off (s).
+        t_star: Duration of the swing (s).
+        d_x: Half length of the cycle's ellipse (m).
+        d_y: Half height of the cycle's ellipse (m).
+        k_prime: 2 for a stance of t* (tripod), 1 for one of 2 t* (gallop); printed the other way round.
+
+    Returns:
+        (x', y') (m) in the cycle's axes.
     """
     x_swing, y_swing = (cycle_a if kind == "a" else cycle_b)(jnp.clip(t / t_star, 0, 1))
     x_stance = LANDING * (1 - k_prime * (t - t_star) / t_star)
@@ -46,12 +60,21 @@ def step_cycle(
     return jnp.stack([x, y], axis=-1)
 
 
-def lambda_1(
+def trapezoidal_transfer(
     t: Array | float, t_0: Array | float, t_star: Array | float, sigma_2: Array | float = 1.0
 ) -> tuple[Array, Array]:
-    """Share of an irregular transfer done at time t, and its rate (1/s): the trapezoid of (1.3.3).
+    """Timing lambda_1 of an irregular transfer, whose rate is a trapezoid over time: monograph (1.3.3).
 
-    It ends at t_0 + sigma_2 t*, 1/2 <= sigma_2 <= 1; w = 1/[sigma (sigma_2 t* - sigma)], printed for sigma_2 = 1 only.
+    w = 1/[sigma (sigma_2 t* - sigma)] is printed for sigma_2 = 1 only.
+
+    Args:
+        t: Time (s).
+        t_0: Start of the transfer (s).
+        t_star: Duration of a swing (s).
+        sigma_2: Share of t* after which the transfer ends, 1/2 to 1.
+
+    Returns:
+        Share of the transfer that is done, 0 to 1, and its rate (1/s).
     """
     sigma = t_star / 4
     end = sigma_2 * t_star
@@ -65,17 +88,25 @@ def lambda_1(
 
 
 def half_ellipse(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
-    """Share of the step done and height/h of a swing without impact: thesis (16), tau = -pi/2 (1 + cos pi u)."""
+    """Swing that lands without impact, at phase u: thesis (16), tau = -pi/2 (1 + cos pi u).
+
+    Returns: share of the step's length that is done, and height over the largest height.
+    """
     tau = -np.pi / 2 * (1 + jnp.cos(np.pi * u))
     return (1 + jnp.cos(tau)) / 2, -jnp.sin(tau)
 
 
 def lift_direction(step: Float[Array, "*b 3"], plane: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
-    """Unit vector of a swing's height, (1.3.3): normal to the step, in the plane that it spans with `plane`.
+    """Direction in which a swing lifts the foot: monograph (1.3.3).
 
-    A step of no length is lifted along `plane` itself.
+    Args:
+        step: From lift-off to touchdown (m).
+        plane: A vector that spans the swing's plane together with `step`.
+
+    Returns:
+        The unit vector normal to `step` in that plane; along `plane` for a step of no length.
     """
     across = jnp.cross(step, jnp.cross(plane, step))
-    size = jnp.sqrt(jnp.sum(across**2, axis=-1, keepdims=True) + 1e-24)  # a step of no length has a slope, too
+    size = jnp.sqrt(jnp.sum(across**2, axis=-1, keepdims=True) + 1e-24)  # keeps the gradient finite at zero length
     straight = plane / jnp.linalg.norm(plane, axis=-1, keepdims=True)
     return jnp.where(size > 1e-9, across / jnp.maximum(size, 1e-9), straight)

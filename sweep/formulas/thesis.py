@@ -55,7 +55,17 @@ def thesis_fk(
 
 
 def thesis_ik(foot: Float[Array, "... 3"], l1: Scalar, l2: Scalar, l3: Scalar) -> Float[Array, "... 3"]:
-    """Angles (phi, psi, gam) of a foot, knee up, in closed form; nan out of reach."""
+    """Inverse kinematics of the thesis' leg in closed form, knee up.
+
+    Args:
+        foot: The foot in the frame of the thesis (9)-(11), in the unit of the links.
+        l1: Length of the coxa.
+        l2: Length of the thigh.
+        l3: Length of the shin.
+
+    Returns:
+        Angles (phi, psi, gam) (rad); nan out of reach.
+    """
     x, y, z = jnp.moveaxis(foot, -1, 0)
     ahead = jnp.hypot(x, y) - l1
     gam = -jnp.arccos((ahead**2 + z**2 - l2**2 - l3**2) / (2 * l2 * l3))
@@ -66,9 +76,19 @@ def thesis_ik(foot: Float[Array, "... 3"], l1: Scalar, l2: Scalar, l3: Scalar) -
 def thesis_ik_euler(
     start: Float[Array, " 3"], path: Float[Array, "n 3"], l1: Scalar, l2: Scalar, l3: Scalar
 ) -> Float[Array, "n 3"]:
-    """Angles along a path of feet by Euler steps with the inverse Jacobian, from the angles of its first: thesis (13).
+    """Inverse kinematics along a path of the foot by Euler steps with the inverse Jacobian: thesis (13).
 
     The error grows with the length of a step; `thesis_ik` has none.
+
+    Args:
+        start: Angles (phi, psi, gam) (rad) at the path's first point.
+        path: Points of the foot, in the unit of the links.
+        l1: Length of the coxa.
+        l2: Length of the thigh.
+        l3: Length of the shin.
+
+    Returns:
+        Angles (rad) at each point.
     """
 
     def step(angles: Array, move: Array) -> tuple[Array, Array]:

@@ -146,7 +146,7 @@ def posed(case: Case, plan: Plan, stage: Array, u: Array) -> tuple[Stance, Float
     origin, _ = joint_targets(robot, reference(plan, before, jnp.ones(()), *begins(plan, before, free)))
     origin = jnp.where(legs.held[before][:, None], legs.joints[before], origin)
     held = legs.held[stage]
-    way = stepping.lambda_1(u, 0.0, 1.0)[0] * (legs.joints[stage] - origin)
+    way = stepping.trapezoidal_transfer(u, 0.0, 1.0)[0] * (legs.joints[stage] - origin)
     joints = jnp.where(held[:, None], origin + way, joints)
     feet = feet_in_world(robot, stance.position, stance.quat, joints)
     return stance._replace(feet=jnp.where(held[:, None], feet, stance.feet)), joints, jnp.where(held, 0.0, shortfall)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sweep.core.parameters import InputError
-from sweep.formulas import FORMULAS, covering, evaluate
+from sweep.formulas import FORMULAS, evaluate, find_by_equation
 
 # Whole systems, not functions of numbers to broadcast; their derivatives are tested where they live.
 SYSTEMS = ("raft_linear", "raft_modes", "raft_ode", "mounts", "ball_jacobian")
@@ -86,9 +86,9 @@ def test_bad_input_is_one_line(name, inputs, message):
 
 
 def test_formulas_are_found_by_equation():
-    assert [formula.name for formula in covering("3.1.20")] == ["max_ball"]
-    assert "thesis_fk" in [formula.name for formula in covering("14")]
-    assert covering("9.9.9") == []
+    assert [formula.name for formula in find_by_equation("3.1.20")] == ["max_ball"]
+    assert "thesis_fk" in [formula.name for formula in find_by_equation("14")]
+    assert find_by_equation("9.9.9") == []
 
 
 def test_the_page_lists_every_formula_with_its_equations():
