@@ -11,7 +11,7 @@ import time
 import numpy as np
 import shared
 
-from sweep.controllers.calibration import names
+from sweep.controllers.calibration import learnable_sizes
 from sweep.engines import devices, make
 from sweep.metrics.outcome import classify
 from sweep.models.case import Case
@@ -41,7 +41,9 @@ def row(overrides: tuple[str, ...], world_of: Case) -> list[str]:
     engine = make(dataclasses.replace(exp.settings, width=ROBOTS), exp.case, exp.case, exp.thresholds)
     figures = engine.run(world, exp.case, np.arange(ROBOTS))
     cause = classify(figures, exp.thresholds, engine.stages)["cause"]
-    errors = [rms(figures[f"learned_{name}_m"] / getattr(world.robot, name) - 1) for name in names(world.robot)]
+    errors = [
+        rms(figures[f"learned_{name}_m"] / getattr(world.robot, name) - 1) for name in learnable_sizes(world.robot)
+    ]
     if "calibration_slip_max_m" not in figures:
         return [*errors, "", ""]
     slip, done = figures["calibration_slip_max_m"], cause != "uncalibrated"
@@ -57,7 +59,7 @@ def main() -> None:
     """Measure and keep the table."""
     start = time.perf_counter()
     case, random = compose([*STAND]).case, np.random.default_rng(0)
-    sizes = names(case.robot)
+    sizes = learnable_sizes(case.robot)
     true = {n: getattr(case.robot, n) * random.uniform(1 - SPREAD, 1 + SPREAD, ROBOTS) for n in sizes}
     world = dataclasses.replace(case, robot=dataclasses.replace(case.robot, **true))
     before = [rms(getattr(case.robot, name) / value - 1) for name, value in true.items()]

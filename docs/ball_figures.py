@@ -18,7 +18,7 @@ from one_run import traced
 
 from sweep import load
 from sweep.analysis.intervals import wilson
-from sweep.controllers.manoeuvres.balancing.ball_aside import BallAside, gain
+from sweep.controllers.manoeuvres.balancing.ball_aside import BallAside, lateral_gain
 from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.ball_over import BallOver
@@ -118,7 +118,9 @@ def promised(time: np.ndarray, case: Case, aside: BallAside) -> np.ndarray:
     ball, mass = case.on(Ball), float(total_mass(case.robot))
     plan = aside.plan(case)
     over = (
-        float(gain(case, plan, aside.period)) * aside.speed * np.asarray(lateral_mu(aside.period, jnp.asarray(time)).mu)
+        float(lateral_gain(case, plan, aside.period))
+        * aside.speed
+        * np.asarray(lateral_mu(aside.period, jnp.asarray(time)).mu)
     )
     height = ball.radius + float(plan.position[0, 2])
     inertia = ROLLING * ball.mass * ball.radius + mass * height

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from one_run import traced
 
 from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS, Waypoints
-from sweep.controllers.plan import Plan, reference
+from sweep.controllers.plan import Plan, reference_stance
 from sweep.controllers.posture import joint_targets
 from sweep.core.letters import DPI, legend_below, lettering, sheet
 from sweep.formulas.leg import SIDE
@@ -42,7 +42,7 @@ def play(case: Case, plan: Plan, stages: range, frames: int = 101) -> Motion:
     feet, position, begin, parts = plan.start.feet, plan.start.position, 0.0, []
     u = jnp.linspace(0, 1, frames)
     for k in range(stages.stop):
-        stance = jax.vmap(reference, (None, None, 0, None, None))(plan, jnp.int32(k), u, feet, position)
+        stance = jax.vmap(reference_stance, (None, None, 0, None, None))(plan, jnp.int32(k), u, feet, position)
         if k in stages:
             joints = jax.vmap(lambda s: joint_targets(case.robot, s)[0])(stance)
             parts.append((begin + u * plan.duration[k], stance.feet, stance.position, joints))
@@ -69,7 +69,7 @@ def way_points(_: str) -> str:
     with jax.enable_x64(True):
         case = compose([SCENARIO, *AS_PRINTED]).case
         assert isinstance(case.manoeuvre, Waypoints)
-        gone = np.linalg.norm(case.manoeuvre.steps(case.robot), axis=1)
+        gone = np.linalg.norm(case.manoeuvre.cycle_steps(case.robot), axis=1)
         begins = np.cumsum([0.0, *2 * gone])[:-1]  # m along the way, a cycle being two steps
         far = 0.0
         for start, end in pairwise(WAYPOINTS):
@@ -126,7 +126,7 @@ def angles(case: Case) -> None:
     values = thesis_angles(motion.joints)
     robot = case.robot
     assert isinstance(case.manoeuvre, Waypoints)
-    height = case.manoeuvre.home(robot)[1]
+    height = case.manoeuvre.home_position(robot)[1]
     widest = float(thesis_workspace(-height, robot.coxa, robot.thigh, robot.shin, robot.mount_radius).phimax)
     ranges = ((-widest, widest), (0, np.pi / 2), (-np.pi, -1.4))  # γ is printed up to -pi/2, but goes beyond it
     figure = sheet(7.0)

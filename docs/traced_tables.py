@@ -81,8 +81,8 @@ def events() -> Iterator[list[str]]:
            "torque (N m)"]  # fmt: skip
     exp, trace = told("scenario=ladder_climb")
     case, manoeuvre = exp.case, exp.case.manoeuvre
-    plan = jax.jit(manoeuvre.way)(case)
-    planned = jax.jit(manoeuvre.course)(case, plan).planned
+    plan = jax.jit(manoeuvre.route)(case)
+    planned = jax.jit(manoeuvre.force_plan)(case, plan).optimum
     weight = float(GRAVITY * total_mass(case.robot))
     for event, (ours, to) in EVENTS.items():
         stages, frames = among(plan.names, ours), among(trace.stages, ours)[trace.stage]

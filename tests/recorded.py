@@ -32,7 +32,8 @@ from sweep.systems.hexapod import assign
 
 FOLDER = Path(__file__).parent / "data" / "plans"
 TRACKED = FOLDER.parent / "tracked.npz"
-GROUPED = re.compile(r"\.curve|\.way|\.layers\[\d+\]")  # numbers have names of their own
+GROUPED = re.compile(r"\.curve|\.path|\.layers\[\d+\]")  # fields of these have unique names
+RECORDED_NAMES = {".servo": ".own"}  # fields renamed since: their recorded names seed the weights of sums
 TICKS = 150  # of a whole plan
 ERRORS = 2e-3  # m, rad and their rates, of what the tracker is told
 LOADED = 0.9  # share of ticks in which a foot bears load
@@ -139,10 +140,15 @@ def tracked(name: str) -> np.ndarray:
 
         start = state, jax.tree.map(lambda x: jnp.asarray(x, float), (plan.start, joints))
         stage, commands = jax.jit(lambda start, errors: jax.lax.scan(tick, start, errors))(start, errors)[1]
-        numbers = {jax.tree_util.keystr(path): np.asarray(value, float)
+        numbers = {_recorded_name(path): np.asarray(value, float)
                    for path, value in jax.tree_util.tree_leaves_with_path(commands)}  # fmt: skip
         sums = sum(_by_stage(key, value, TICKS) for key, value in numbers.items())
     return np.stack([stage, sums[:-1]])
+
+
+def _recorded_name(path: Any) -> str:
+    key = jax.tree_util.keystr(path)
+    return next((old + key.removeprefix(new) for new, old in RECORDED_NAMES.items() if key.startswith(new)), key)
 
 
 def _with_some_forces(case: Case, plan: Any, random: np.random.Generator) -> Any:

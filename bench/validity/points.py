@@ -14,7 +14,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from sweep.controllers.manoeuvres.walking.walk import standing
+from sweep.controllers.manoeuvres.walking.walk import level_stance
 from sweep.controllers.posture import joint_targets
 from sweep.models.case import Case
 from sweep.models.contact import Contact
@@ -126,7 +126,7 @@ def batch(scenes: Sequence[Scene]) -> Batch:
     base = compose([]).case
     obstacles = [points(scene) for scene in scenes]
     nominal = dataclasses.replace(base, obstacle=obstacles[0], contact=Contact())
-    stance, _ = standing(nominal, 0.3, 0.525)
+    stance, _ = level_stance(nominal, 0.3, 0.525)
     joints, _ = joint_targets(nominal.robot, stance)
     q, v = start(scenes)
     q[:, :25] = np.concatenate([stance.position + jnp.array(BESIDE), stance.quat, joints.ravel()])

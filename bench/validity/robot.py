@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.frames import Stance
-from sweep.controllers.manoeuvres.walking.walk import standing
+from sweep.controllers.manoeuvres.walking.walk import level_stance
 from sweep.controllers.posture import joint_targets
 from sweep.core.constants import GRAVITY
 from sweep.models import scene
@@ -60,7 +60,7 @@ def rows() -> tuple[Case, list[Standing]]:
     Targets of feet are drawn apart by some hundredths of a millimetre, so that feet push against each other.
     """
     case = dataclasses.replace(compose(["manoeuvre=stand"]).case, obstacle=Kerb(height=HEIGHT))
-    _, centres = standing(case, 0.3, 0.525)
+    _, centres = level_stance(case, 0.3, 0.525)
     front = float(np.asarray(centres)[4, 0])
     sets = {"six": range(6), "five": (0, 1, 2, 4, 5), "four": (0, 1, 4, 5), "three": (0, 3, 4)}
     found = []
@@ -90,7 +90,7 @@ def _standing(
     case: Case, name: str, springs: Sequence[Spring], moved: np.ndarray, bound: float | None, ahead: float = 0.0
 ) -> Standing:
     """Its feet in the ground by what bears the weight, from where targets draw them apart; front feet `ahead` (m)."""
-    stance, _ = standing(case, 0.3, 0.525)
+    stance, _ = level_stance(case, 0.3, 0.525)
     feet = np.asarray(stance.feet, float) + moved
     stands = sorted({spring.foot for spring in springs})
     off = np.setdiff1d(np.arange(N_LEGS), stands)

@@ -1,4 +1,4 @@
-"""What a robot that stands on a ball must know of itself and of the ball (monograph 3.1.1, 3.1.2)."""
+"""State of a robot on a ball: mass centre, angular momentum and footholds (monograph 3.1.1, 3.1.2)."""
 
 import jax
 import jax.numpy as jnp
@@ -15,16 +15,26 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import Robot, total_mass
 
 UP = (0.0, 0.0, 1.0)
-FORE = (-1.0, -1.0, 0.0, 0.0, 1.0, 1.0)  # rear, middle and front legs
+FORE = (-1.0, -1.0, 0.0, 0.0, 1.0, 1.0)  # direction of rear, middle and front legs along the body
 
 
 def centre_of_mass(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
-    """r_m (m) of a stance, world axes: monograph (3.1.9)."""
+    """Return the mass centre r_m (m) of a stance, world axes: monograph (3.1.9).
+
+    Args:
+        robot: the robot, as believed.
+        stance: feet and base, world axes.
+    """
     return stance.position + rotate(stance.quat, mass_centre(robot, joint_targets(robot, stance)[0]))
 
 
-def follow_up(robot: Robot, stance: Stance) -> Float[Array, "2 2"]:
-    """Horizontal part of D in (3.1.1): how the mass centre follows the body while the feet stand."""
+def mass_centre_jacobian(robot: Robot, stance: Stance) -> Float[Array, "2 2"]:
+    """Return the horizontal part of D in (3.1.1): how the mass centre moves with the base while the feet stand.
+
+    Args:
+        robot: the robot, as believed.
+        stance: feet and base, world axes.
+    """
 
     def centre(shift: Array) -> Array:
         position = stance.position + jnp.append(shift, 0.0)
@@ -33,48 +43,75 @@ def follow_up(robot: Robot, stance: Stance) -> Float[Array, "2 2"]:
     return jax.jacfwd(centre)(jnp.zeros(2, stance.position.dtype))
 
 
-def base_move(robot: Robot, stance: Stance, wanted: Float[Array, " 2"]) -> Float[Array, " 2"]:
-    """By how much (m) the base must move for the mass centre to move by `wanted`: D^-1 of (3.1.1).
+def base_shift(robot: Robot, stance: Stance, wanted: Float[Array, " 2"]) -> Float[Array, " 2"]:
+    """Return the horizontal base shift (m) that shifts the mass centre by `wanted`: D^-1 of (3.1.1).
 
-    None where a leg is at its full length, at which nothing can be said of how the mass centre follows.
+    The shift is 0 if a leg is at full length, where D is not defined.
+
+    Args:
+        robot: the robot, as believed.
+        stance: feet and base, world axes.
+        wanted: shift of the mass centre (m).
     """
-    (a, b), (c, d) = follow_up(robot, stance)
+    (a, b), (c, d) = mass_centre_jacobian(robot, stance)
     move = jnp.stack([d * wanted[0] - b * wanted[1], a * wanted[1] - c * wanted[0]]) / (a * d - b * c)
     return jnp.where(jnp.all(jnp.isfinite(move)), move, 0.0)
 
 
-def measured_stance(robot: Robot, seen: Observation) -> Stance:
-    """Feet and base where they are measured, world axes."""
-    feet = feet_in_world(robot, seen.position, seen.quat, seen.angles)
-    return Stance(feet, seen.position, seen.quat)
+def measured_stance(robot: Robot, obs: Observation) -> Stance:
+    """Return the measured stance, world axes.
 
-
-def angular_momentum(robot: Robot, ball: Ball, seen: Observation) -> Float[Array, " 3"]:
-    """K_S (N m s) of robot and ball about the ball's lowest point S, the feet standing on the ball.
-
-    Links count as if they did not turn about the robot's mass centre, which is a hundredth of it.
+    Args:
+        robot: the robot, as believed.
+        obs: the measurement.
     """
-    stance, free = measured_stance(robot, seen), seen.free
+    feet = feet_in_world(robot, obs.position, obs.quat, obs.angles)
+    return Stance(feet, obs.position, obs.quat)
+
+
+def angular_momentum(robot: Robot, ball: Ball, obs: Observation) -> Float[Array, " 3"]:
+    """Return the angular momentum K_S (N m s) of robot and ball about the ball's lowest point S, all feet on the ball.
+
+    The spin of links about the robot's mass centre is neglected, 1 % of the whole.
+
+    Args:
+        robot: the robot, as believed.
+        ball: the ball, as believed.
+        obs: the measurement.
+
+    Returns:
+        K_S in world axes.
+    """
+    stance, free = measured_stance(robot, obs), obs.free
     centre, velocity, turn = free.position[0], free.velocity[0], free.turn[0]
     up = ball.radius * jnp.asarray(UP)
     feet = velocity + jnp.cross(turn, stance.feet - centre)
-    moves = Stance(feet, seen.velocity, jnp.zeros_like(seen.quat))
-    place, rate = jax.jvp(lambda s: centre_of_mass(robot, s), (stance,), (moves,))
-    rate = jnp.where(jnp.all(jnp.isfinite(rate)), rate, seen.velocity)  # a leg at its full length has no derivative
-    of_robot = total_mass(robot) * jnp.cross(place - centre + up, rate)
-    return of_robot + ball.mass * (jnp.cross(up, velocity) + (ROLLING - 1) * ball.radius**2 * turn)
+    moves = Stance(feet, obs.velocity, jnp.zeros_like(obs.quat))
+    centre_of_robot, rate = jax.jvp(lambda s: centre_of_mass(robot, s), (stance,), (moves,))
+    rate = jnp.where(jnp.all(jnp.isfinite(rate)), rate, obs.velocity)
+    robot_momentum = total_mass(robot) * jnp.cross(centre_of_robot - centre + up, rate)
+    return robot_momentum + ball.mass * (jnp.cross(up, velocity) + (ROLLING - 1) * ball.radius**2 * turn)
 
 
-def towards(momentum: Float[Array, " 3"], mass: Array | float) -> Float[Array, " 2"]:
-    """K_S x g / (m g^2): by how much (m s) the mass centre must be ahead, and for how long, to take K_S away."""
+def lean_impulse(momentum: Float[Array, " 3"], mass: Array | float) -> Float[Array, " 2"]:
+    """Return K_S x g/(m g^2) (m s): the lean of the mass centre, times its duration, that cancels the momentum K_S.
+
+    Args:
+        momentum: angular momentum K_S (N m s), world axes.
+        mass: of the robot (kg).
+    """
     return jnp.stack([-momentum[1], momentum[0]]) / (mass * GRAVITY)
 
 
-def footholds(radius: Array | float, circle: Array | float, chord: Array | float) -> Float[Array, "6 3"]:
-    """Feet from the ball's centre (m): list after fig. 3.1.7, x ahead.
+def ball_footholds(radius: Array | float, circle: Array | float, chord: Array | float) -> Float[Array, "6 3"]:
+    """Return the footholds on a ball relative to its centre (m), x ahead: list after fig. 3.1.7.
 
-    On a circle of radius d1 = `circle`, front and rear feet d2 = `chord` from its middle. The printed list gives leg i
-    the place of leg 7 - i.
+    The printed list exchanges legs i and 7 - i.
+
+    Args:
+        radius: of the ball (m).
+        circle: radius d_1 of the circle of footholds (m).
+        chord: distance d_2 of front and rear feet from the middle of that circle (m).
     """
     ahead = jnp.asarray(FORE) * chord
     aside = SIDE * jnp.sqrt(circle**2 - ahead**2)
@@ -82,18 +119,33 @@ def footholds(radius: Array | float, circle: Array | float, chord: Array | float
     return jnp.stack([ahead, aside, above + 0 * ahead], axis=-1)
 
 
-def turned_back(feet: Float[Array, "6 3"], alpha: Array | float, along: Float[Array, " 2"]) -> Float[Array, "6 3"]:
-    """The turned foot frame: feet (m, from the ball's centre) turned by `alpha` (rad) against its way `along`.
+def turn_footholds_back(
+    feet: Float[Array, "6 3"], alpha: Array | float, along: Float[Array, " 2"]
+) -> Float[Array, "6 3"]:
+    """Return footholds turned by an angle against the ball's direction of motion: the turned foot frame.
 
-    Their circle is then as far behind the vertical at touchdown as it is ahead of it when the feet lift off: the top of
-    a ball that rolls forward takes them forward.
+    A ball that rolls forward carries the feet on its top forward. Their circle is thus as far behind the vertical at
+    touchdown as it is ahead of it at lift-off.
+
+    Args:
+        feet: footholds relative to the ball's centre (m), world axes.
+        alpha: angle (rad).
+        along: unit vector of the ball's motion, in the plane.
     """
     left = jnp.stack([-along[1], along[0], jnp.zeros_like(along[0])])
     return rotate(exponential(-alpha * left)[None], feet)
 
 
-def over_ball(start: Array, goal: Array, share: Array, phase: Array, height: Array) -> Float[Array, "6 3"]:
-    """Feet on their way over the ball, from its centre: on the arc from `start` to `goal`, `height` (m) above it."""
+def swing_over_ball(start: Array, goal: Array, share: Array, phase: Array, height: Array) -> Float[Array, "6 3"]:
+    """Return swinging feet on an arc over the ball, relative to its centre (m).
+
+    Args:
+        start: feet at lift-off (m, from the centre), (6, 3).
+        goal: footholds (m, from the centre), (6, 3).
+        share: share of the chord from start to goal that is covered.
+        phase: phase of the stage, 0 to 1, along which the radius changes from that of the start to that of the goal.
+        height: lift above that radius (m).
+    """
     chord = start + share * (goal - start)
     radius, goal_radius = (jnp.linalg.norm(p, axis=-1, keepdims=True) for p in (start, goal))
     radius = radius + phase * (goal_radius - radius) + height

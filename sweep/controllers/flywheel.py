@@ -1,4 +1,4 @@
-"""The middle legs as a flywheel: straight out to the sides, they turn the body by their reaction (monograph 2.6.2)."""
+"""Middle legs as a flywheel: stretched out to the sides, they turn the body by their reaction (monograph 2.6.2)."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.layers import Command, Layer, Now
+from sweep.controllers.layers import Command, Layer, TickContext
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, LOCKED, Plan
 from sweep.controllers.posture import mass_centre
@@ -17,13 +17,13 @@ from sweep.core.rotations import rotate, wrapped
 from sweep.models.drive import Servo
 from sweep.models.robot import Robot
 
-RIGHT, LEFT = (2, 1), (3, 1)  # beta of legs 3 and 4, in tables of joints (6, 3)
+RIGHT, LEFT = (2, 1), (3, 1)  # indices of beta of legs 3 and 4 in joint arrays (6, 3)
 TURNING = np.zeros((6, 3), bool)
 TURNING[RIGHT] = TURNING[LEFT] = True
 
 
 class Gains(NamedTuple):
-    """Feedback of the middle legs as a flywheel, c_1 ... c_6 of monograph 2.6.2."""
+    """Feedback gains of the flywheel, c_1 to c_6 of monograph 2.6.2; made by the beam manoeuvres."""
 
     c1: Array | float  # N/m
     c2: Array | float  # N s/m
@@ -31,49 +31,58 @@ class Gains(NamedTuple):
     c4: Array | float  # N m s/rad
     c5: Array | float  # N m/rad
     c6: Array | float  # N m s/rad
-    back_emf: Array | float  # N m s/rad, what the drives are believed to lose and make up for
+    back_emf: Array | float  # N m s/rad, believed loss of the drives, which the law compensates
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Flywheel(Layer):
-    """How the middle legs balance the body, over S stages."""
+    """Layer that balances the body with the middle legs, over S stages."""
 
-    mode: Int[Array, " s"]
+    mode: Int[Array, " s"]  # `LOCKED`, `LEVELLING` or `BALANCE`
     gains: Gains
 
-    def blind(self, stage: Int[Array, ""]) -> Bool[Array, ""]:
-        """While the robot stands on two feet, about which it tilts."""
+    def ignores_base_pose(self, stage: Int[Array, ""]) -> Bool[Array, ""]:
+        """Return True while the robot balances on two feet, about which its base tilts."""
         return self.mode[stage] == BALANCE
 
-    def commanded(self, now: Now, own: None, command: Command) -> tuple[None, Command]:
-        """The middle legs in torque mode, from where they are seen."""
-        turning, servo = self.order(now.robot, now.plan, now.stage, now.seen)
-        joints = jnp.where(turning, now.seen.angles, command.joints)  # where position mode takes over from
-        return own, command._replace(joints=joints, own=(turning, servo))
+    def modify_command(self, ctx: TickContext, state: None, command: Command) -> tuple[None, Command]:
+        """Put the middle legs under torque control, with the measured angles as their joint targets."""
+        turning, servo = self.servo_command(ctx.robot, ctx.plan, ctx.stage, ctx.obs)
+        joints = jnp.where(turning, ctx.obs.angles, command.joints)  # where position mode takes over from
+        return state, command._replace(joints=joints, servo=(turning, servo))
 
-    def order(
-        self, robot: Robot, plan: Plan, stage: Int[Array, ""], seen: Observation
+    def servo_command(
+        self, robot: Robot, plan: Plan, stage: Int[Array, ""], obs: Observation
     ) -> tuple[Bool[Array, "6 3"], Servo]:
-        """What the drives are told of the joints in torque mode, and which these are.
+        """Return which joints are under torque control and their servo law.
 
-        M_3 = -(c_1 xi_c + c_2 xi_c')/2 - M_g while the robot balances, c_5 (beta_3 - pi/2) - c_6 beta_3' - M_g while
-        four feet stand; xi_c is how far the centre of mass is off the planned line to the left. Leg 4 follows leg 3,
-        M_4 = c_3 (beta_4 - beta_3) - c_4 beta_4', as a servo of its drive: at c_3 = -5e4 it is too stiff for the
-        controller's ticks. (c_4 = 2 sqrt(-c_3) + 100 makes it the drive of (1.2.1).) The drives make up for their
-        back-EMF.
+        While the robot balances, M_3 = -(c_1 xi_c + c_2 xi_c')/2 - M_g, where xi_c is the distance of the mass centre
+        to the left of the planned line. While four feet stand, M_3 = c_5 (beta_3 - pi/2) - c_6 beta_3' - M_g. Leg 4
+        follows leg 3 by M_4 = c_3 (beta_4 - beta_3) - c_4 beta_4'. Its drive runs that law as a servo, since c_3 = -5e4
+        is too stiff for the control period. (c_4 = 2 sqrt(-c_3) + 100 makes it the drive of (1.2.1).) The law
+        compensates the back-EMF of the drives.
+
+        Args:
+            robot: the robot, as believed.
+            plan: the plan.
+            stage: stage number.
+            obs: measurement of this tick.
+
+        Returns:
+            Mask of the joints (6, 3), and the servo law.
         """
         gains = self.gains
-        left = rotate(plan.quat[stage], jnp.array([0.0, 1.0, 0.0], seen.position.dtype))
-        place, velocity = centre_of_mass(robot, seen)
+        left = rotate(plan.quat[stage], jnp.array([0.0, 1.0, 0.0], obs.position.dtype))
+        place, velocity = measured_centre_of_mass(robot, obs)
         balance = -(gains.c1 * ((place - plan.position[stage]) @ left) + gains.c2 * (velocity @ left)) / 2
-        angle = seen.angles[RIGHT]
-        level = gains.c5 * wrapped(angle - jnp.pi / 2) - gains.c6 * seen.rates[RIGHT]
-        torque = jnp.where(self.mode[stage] == BALANCE, balance, level) - weight(robot) * jnp.sin(angle)
-        zeros = jnp.zeros_like(seen.angles)
-        along = seen.angles[LEFT] + wrapped(angle - seen.angles[LEFT])
+        angle = obs.angles[RIGHT]
+        level = gains.c5 * wrapped(angle - jnp.pi / 2) - gains.c6 * obs.rates[RIGHT]
+        torque = jnp.where(self.mode[stage] == BALANCE, balance, level) - leg_weight_moment(robot) * jnp.sin(angle)
+        zeros = jnp.zeros_like(obs.angles)
+        target = obs.angles[LEFT] + wrapped(angle - obs.angles[LEFT])
         servo = Servo(
-            target=seen.angles.at[LEFT].set(along),
+            target=obs.angles.at[LEFT].set(target),
             stiffness=zeros.at[LEFT].set(-gains.c3),
             damping=zeros.at[RIGHT].set(-gains.back_emf).at[LEFT].set(gains.c4 - gains.back_emf),
             torque=zeros.at[RIGHT].set(torque),
@@ -81,13 +90,18 @@ class Flywheel(Layer):
         return jnp.asarray(TURNING) & (self.mode[stage] != LOCKED), servo
 
 
-def weight(robot: Robot) -> Array | float:
-    """Moment of a straight, level leg's weight about its hip (N m): (m_1 + m_2) g l_c."""
+def leg_weight_moment(robot: Robot) -> Array | float:
+    """Return the moment of a straight, level leg's weight about its hip (N m): (m_1 + m_2) g l_c."""
     return GRAVITY * (robot.thigh_mass * robot.thigh / 2 + robot.shin_mass * (robot.thigh + robot.shin / 2))
 
 
-def centre_of_mass(robot: Robot, seen: Observation) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
-    """Of the believed robot as it is seen: place (m) and velocity (m/s), world axes."""
-    arm, change = jax.jvp(lambda angles: mass_centre(robot, angles), (seen.angles,), (seen.rates,))
-    place = seen.position + rotate(seen.quat, arm)
-    return place, seen.velocity + rotate(seen.quat, jnp.cross(seen.spin, arm) + change)
+def measured_centre_of_mass(robot: Robot, obs: Observation) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
+    """Return position (m) and velocity (m/s) of the robot's mass centre from a measurement, world axes.
+
+    Args:
+        robot: the robot, as believed.
+        obs: the measurement.
+    """
+    offset, rate = jax.jvp(lambda angles: mass_centre(robot, angles), (obs.angles,), (obs.rates,))
+    place = obs.position + rotate(obs.quat, offset)
+    return place, obs.velocity + rotate(obs.quat, jnp.cross(obs.spin, offset) + rate)

@@ -1,8 +1,8 @@
-"""Force planning: with which foot forces a standing robot holds its weight (monograph 2.1, for any stance).
+"""Force planning: foot forces with which a standing robot holds its weight, for any stance (monograph 2.1).
 
-The equations of balance leave the forces of more than two standing feet open. Here they are chosen so that the largest
-of one quantity (friction used, joint torque, or normal force) is least, within friction cones and limits. The answer
-is a centre of the forces that do nearly as well, not their extreme: it changes smoothly with the pose.
+With more than two standing feet, balance leaves the forces undetermined. Here they minimise the largest value of one
+quantity (friction used, joint torque or normal force) within friction cones and limits. The solution is a centre of the
+near-optimal forces rather than an extreme one, so that it changes smoothly with the pose.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import Stance, ground, stance_to_world
+from sweep.controllers.frames import Stance, stance_to_world, surface_under
 from sweep.controllers.layers import Feedforward
-from sweep.controllers.plan import Plan, Stage, begins, reference
+from sweep.controllers.plan import Plan, Stage, reference_stance, stage_start
 from sweep.controllers.posture import foot_positions, joint_targets, mass_centre
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, parameters, quantity
@@ -27,66 +27,75 @@ from sweep.models.robot import Robot, total_mass
 Effort = Literal["friction", "torque", "normal"]
 _BOUND: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}
 
-# By how much the level of each Newton step lies above the largest effort, that before every second step: first no
-# level, from no balance to the first centre. In the end by `LAST`, if `Bounds` says nothing else.
-LAST = 0.01
-SLACK = np.repeat(np.array([1e12] * 12 + list(np.geomspace(5 * LAST, LAST, 40)), np.float32), 2)
-LENGTHS = (1.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)  # of a Newton step, of which the longest that fits is taken
-FOCUS = 8.0  # weight of the pressed bounds against all others
-KEEP = 0.2  # of the room to a bound that a step has to leave
-MOVES = 1e-5  # m and rad, of a base that does: more than single precision makes of changing frames
-LOAD = "load"  # law of rests in which load goes over
+# Each Newton step bounds the effort by a level above its largest value, by a relative slack that shrinks every second
+# step. It starts without a bound, from forces that are not in balance, and ends at `MIN_SLACK` unless `Bounds` sets
+# another one.
+MIN_SLACK = 0.01
+SLACK = np.repeat(np.array([1e12] * 12 + list(np.geomspace(5 * MIN_SLACK, MIN_SLACK, 40)), np.float32), 2)
+# of a Newton step, of which the longest that stays within bounds is taken
+STEP_LENGTHS = (1.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)
+EFFORT_WEIGHT = 8.0  # weight of the bounds on the effort against all others
+MARGIN_KEPT = 0.2  # share of the margin to a bound that a step has to keep
+MOTION_THRESHOLD = 1e-5  # m and rad, of a base that moves; above rounding of frame changes in single precision
+LOAD = "load"  # law of stages in which load transfers between feet
 KNOTS = 5  # moments of a stage for which forces are planned
 
 
 class StaticPose(NamedTuple):
-    """A pose of the robot as far as forces are concerned. World axes."""
+    """A pose of the robot for force planning, world axes; made by `static_pose`."""
 
     arm: Float[Array, "6 3"]  # m, feet from the robot's mass centre
     normal: Float[Array, "6 3"]  # of the surfaces under the feet, outward
-    stands: Bool[Array, " 6"]
-    jacobian: Float[Array, "6 3 3"]  # m, of a foot by its leg's joints
-    own_torque: Float[Array, "6 3"]  # N m, that holds the leg's links up
+    stands: Bool[Array, " 6"]  # which feet stand
+    jacobian: Float[Array, "6 3 3"]  # m/rad, of each foot by its leg's joints
+    own_torque: Float[Array, "6 3"]  # N m, that holds the links of the leg
     weight: Float[Array, ""]  # N
 
 
 class Bounds(NamedTuple):
-    """What forces have to keep to; each a number or one for each foot."""
+    """Bounds on foot forces, each a number or one for each foot; made by `PlannedForces.force_bounds`."""
 
     friction: Array | float  # coefficient
-    torque: Array | float  # N m, of a joint
+    torque: Array | float  # N m, of each joint
     least_normal: Array | float = 0.0  # N
     most_normal: Array | float = 1e4  # N
-    # share of the effort that the level above it is away: the more, the farther are forces from all other bounds
-    slack: Array | float = LAST
+    # relative distance of the final level from the effort; a larger one keeps forces farther from all bounds
+    slack: Array | float = MIN_SLACK
 
 
-class Sought(NamedTuple):
-    """What forces are planned for."""
+class ForceProblem(NamedTuple):
+    """Pose and bounds for which forces are planned."""
 
     pose: StaticPose
     bounds: Bounds
 
 
-class Search(NamedTuple):
-    """How far the method of centres has come."""
+class SearchState(NamedTuple):
+    """State of the search for forces after a Newton step."""
 
-    force: Float[Array, "6 3"]  # weights
+    force: Float[Array, "6 3"]  # in weights
     level: Float[Array, " 6"]  # bound of the effort, in weights
 
 
 class FootForces(NamedTuple):
-    """Planned foot forces, and the most that they ask for."""
+    """Foot forces in a pose and the effort they take, made by `evaluate_forces`."""
 
-    force: Float[Array, "6 3"]  # N, of the surface on the foot
-    friction: Float[Array, ""]  # largest tangential over normal force
+    force: Float[Array, "6 3"]  # N, of the surface on the foot, world axes
+    friction: Float[Array, ""]  # largest ratio of tangential to normal force
     torque: Float[Array, ""]  # N m, largest of the joints
     normal: Float[Array, ""]  # N, largest
-    imbalance: Float[Array, ""]  # in weights (and weights times m): what is not held
+    imbalance: Float[Array, ""]  # in weights (and weights times m), force and moment that are left unsupported
 
 
-def pose(robot: Robot, stance: Stance, normal: Float[Array, "6 3"], stands: Bool[Array, " 6"]) -> StaticPose:
-    """The robot in a stance, its joints where inverse kinematics has them."""
+def static_pose(robot: Robot, stance: Stance, normal: Float[Array, "6 3"], stands: Bool[Array, " 6"]) -> StaticPose:
+    """Return the pose of a stance for force planning.
+
+    Args:
+        robot: the robot, as believed.
+        stance: feet and base, world axes; joint angles follow by inverse kinematics.
+        normal: outward normals of the surfaces under the feet, world axes.
+        stands: which feet stand.
+    """
     angles, _ = joint_targets(robot, stance)
     weight = GRAVITY * total_mass(robot)
     quat = jnp.broadcast_to(stance.quat, (6, 4))
@@ -99,52 +108,74 @@ def pose(robot: Robot, stance: Stance, normal: Float[Array, "6 3"], stands: Bool
 
 
 def joint_torque(pose: StaticPose, force: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-    """Drive torques (N m) under foot forces (N) at rest."""
+    """Return the joint torques (N m) that balance foot forces and the weight of the links at rest.
+
+    Args:
+        pose: the pose.
+        force: forces on the feet (N), world axes.
+    """
     return pose.own_torque - jnp.einsum("lij,li->lj", pose.jacobian, force)
 
 
-def distribute(pose: StaticPose, bounds: Bounds, least: Effort) -> FootForces:
-    """Foot forces in balance within `bounds` that ask for nearly the least of one effort.
+def distribute_forces(pose: StaticPose, bounds: Bounds, least: Effort) -> FootForces:
+    """Return balanced foot forces within bounds that nearly minimise one effort.
 
-    The method of centres: a level is set a little above the largest effort, Newton's method takes the forces towards
-    the point that is farthest, in the logarithmic sense, from the level and all bounds, and so on with ever less room.
-    With the least `slack` the effort ends within some 3 % of the least possible one. What is left of the weight
-    (`imbalance`) stays below 1 % where forces within the bounds exist, and above it where there are none.
+    The method of centres: a level slightly above the largest effort is set, a Newton step moves the forces towards the
+    point that is farthest, in the logarithmic sense, from the level and all bounds, and so on with a shrinking margin.
+    With the least `slack`, the effort ends within about 3 % of the optimum. The `imbalance` stays below 1 % if
+    admissible forces exist, and above it if there are none.
+
+    Args:
+        pose: the pose.
+        bounds: bounds on the forces.
+        least: effort to minimise.
     """
-    sought = Sought(pose, Bounds(*(jnp.asarray(b, float) for b in bounds)))
-    return asked(pose, searched(least)(jax.tree.map(lambda x: x[None], sought))[0])
+    problem = ForceProblem(pose, Bounds(*(jnp.asarray(b, float) for b in bounds)))
+    return evaluate_forces(pose, force_search(least)(jax.tree.map(lambda x: x[None], problem))[0])
 
 
-def searched(least: Effort) -> Callable[[Sought], Float[Array, "n 6 3"]]:
-    """What finds forces in weights for n poses within bounds.
+def force_search(least: Effort) -> Callable[[ForceProblem], Float[Array, "n 6 3"]]:
+    """Return the function that finds forces, in weights, for n problems at once.
 
-    In a traced program it is one operation, which goes by the name of `SEARCHES`: this package's own compiler can take
-    its place, since poses have nothing to do with each other.
+    In a traced program it is a single operation with a name from `SEARCHES`, so that the package's own compiler can
+    replace it by a faster one that treats all problems in parallel.
     """
-    return _SEARCHED[least]
+    return _SEARCH_BY_EFFORT[least]
 
 
-def _by_xla(least: Effort) -> Callable[[Sought], Float[Array, "n 6 3"]]:
-    def one(sought: Sought) -> Array:
-        problem = _Task.of(sought)
-        return jax.lax.fori_loop(0, len(SLACK), lambda k, s: problem.step(s, k, least), problem.nothing).force
+def _make_search(least: Effort) -> Callable[[ForceProblem], Float[Array, "n 6 3"]]:
+    def one(problem: ForceProblem) -> Array:
+        task = _SearchTask.from_problem(problem)
+        return jax.lax.fori_loop(0, len(SLACK), lambda k, s: task.step(s, k, least), task.initial_state).force
 
-    def search(sought: Sought) -> Array:
-        return jax.vmap(one)(sought)
+    def search(problems: ForceProblem) -> Array:
+        return jax.vmap(one)(problems)
 
     search.__name__ = f"forces_of_least_{least}"
     return jax.jit(search)
 
 
-def step(least: Effort, sought: Sought, so_far: Search, number: Int[Array, ""]) -> Search:
-    """Newton step `number` of the search for one pose, the first of which takes nothing from `so_far`."""
-    return _Task.of(sought).step(so_far, number, least)
+def search_step(least: Effort, problem: ForceProblem, search: SearchState, number: Int[Array, ""]) -> SearchState:
+    """Run one Newton step of the search for a single problem.
+
+    Args:
+        least: effort to minimise.
+        problem: pose and bounds.
+        search: state after the step before; ignored by step 0.
+        number: number of the step.
+    """
+    return _SearchTask.from_problem(problem).step(search, number, least)
 
 
-def asked(pose: StaticPose, force: Float[Array, "6 3"]) -> FootForces:
-    """Forces in weights, and what they ask for."""
-    scaled = _Scaled.of(pose)
-    sound = jnp.all(jnp.isfinite(force))  # far from any solution Newton's method may break down
+def evaluate_forces(pose: StaticPose, force: Float[Array, "6 3"]) -> FootForces:
+    """Return forces in N and the effort they take; forces that are not finite count as 0.
+
+    Args:
+        pose: the pose.
+        force: forces on the feet, in weights, world axes.
+    """
+    scaled = _ScaledPose.from_pose(pose)
+    sound = jnp.all(jnp.isfinite(force))  # Newton's method may diverge far from a solution
     force = jnp.where(sound, force, 0.0)
     efforts = {name: jnp.max(scaled.effort(force, name)) for name in _BOUND}
     return FootForces(
@@ -152,29 +183,29 @@ def asked(pose: StaticPose, force: Float[Array, "6 3"]) -> FootForces:
         efforts["friction"],
         efforts["torque"] * pose.weight,
         efforts["normal"] * pose.weight,
-        jnp.max(jnp.abs(scaled.left(force))),
+        jnp.max(jnp.abs(scaled.imbalance(force))),
     )
 
 
-class _Scaled(NamedTuple):
-    """A pose with forces in weights; swinging feet carry nothing and count nowhere."""
+class _ScaledPose(NamedTuple):
+    """A pose with forces in weights; swinging feet carry nothing and bound nothing."""
 
     normal: Float[Array, "6 3"]
     stands: Float[Array, " 6"]
-    grasp: Float[Array, "6 6 3"]  # force and moment about the mass centre, by a foot's force
+    grasp: Float[Array, "6 6 3"]  # force and moment about the mass centre by a foot's force
     drive: Float[Array, "6 3 3"]  # joint torques by a foot's force
     own: Float[Array, "6 3"]
 
     @classmethod
-    def of(cls, pose: StaticPose) -> "_Scaled":
+    def from_pose(cls, pose: StaticPose) -> "_ScaledPose":
         stands = pose.stands.astype(pose.arm.dtype)
         eye = jnp.broadcast_to(jnp.eye(3, dtype=stands.dtype), (6, 3, 3))
         moment = jnp.cross(pose.arm[:, None, :], eye).swapaxes(1, 2)
         grasp = jnp.concatenate([eye, moment], axis=1) * stands[:, None, None]
         return cls(pose.normal, stands, grasp, -pose.jacobian.swapaxes(1, 2), pose.own_torque / pose.weight)
 
-    def first(self, bounds: Bounds) -> Array:
-        """Forces along the normals, not in balance, within the bounds where the smallest normal force allows it."""
+    def initial_forces(self, bounds: Bounds) -> Array:
+        """Unbalanced forces along the normals, within the bounds if the least normal force permits it."""
         pull = jnp.abs(jnp.einsum("lij,lj->li", self.drive, self.normal)) + 1e-6
         most = jnp.min((jnp.asarray(bounds.torque)[:, None] - jnp.abs(self.own)) / pull, axis=-1)
         size = 0.5 * (bounds.least_normal + jnp.minimum(most, bounds.most_normal))
@@ -184,7 +215,7 @@ class _Scaled(NamedTuple):
         return self.own + jnp.einsum("lij,lj->li", self.drive, force)
 
     def effort(self, force: Array, kind: Effort) -> Float[Array, " 6"]:
-        """What each foot asks for."""
+        """Effort of each foot."""
         normal = jnp.sum(force * self.normal, axis=-1)
         if kind == "torque":
             return jnp.max(jnp.abs(self.torque(force)), axis=-1) * self.stands
@@ -193,35 +224,35 @@ class _Scaled(NamedTuple):
         tangential = jnp.sqrt(jnp.sum((force - normal[:, None] * self.normal) ** 2, axis=-1) + 1e-12)
         return jnp.where(self.stands > 0, tangential / jnp.maximum(normal, 1e-6), 0.0)
 
-    def left(self, force: Array) -> Float[Array, " 6"]:
-        """Weight that is not held, and its moment (m)."""
+    def imbalance(self, force: Array) -> Float[Array, " 6"]:
+        """Weight that is not supported, and its moment (m)."""
         weight = jnp.zeros(6, force.dtype).at[2].set(1.0)
         return weight - jnp.einsum("lij,lj->i", self.grasp, force)
 
-    def room(self, force: Array, bounds: Bounds) -> dict[Effort, Float[Array, "6 k"]]:
-        """What is left to each bound; positive within."""
+    def margins(self, force: Array, bounds: Bounds) -> dict[Effort, Float[Array, "6 k"]]:
+        """Distance to each bound, positive inside."""
         normal = jnp.sum(force * self.normal, axis=-1)
         tangential = jnp.sum((force - normal[:, None] * self.normal) ** 2, axis=-1)
         torque = self.torque(force)
         cap = jnp.asarray(bounds.torque)[:, None]
-        room: dict[Effort, Array] = {
+        margins: dict[Effort, Array] = {
             "friction": jnp.stack([(bounds.friction * normal) ** 2 - tangential, normal - bounds.least_normal], -1),
             "torque": jnp.concatenate([cap - torque, cap + torque], axis=-1),
             "normal": (bounds.most_normal - normal)[:, None],
         }
-        return {kind: jnp.where(self.stands[:, None] > 0, r, 1.0) for kind, r in room.items()}
+        return {kind: jnp.where(self.stands[:, None] > 0, r, 1.0) for kind, r in margins.items()}
 
     def barrier(self, force: Array, bounds: Bounds, least: Effort) -> Array:
-        weight = {kind: FOCUS if kind == least else 1.0 for kind in _BOUND}
-        logs = {kind: jnp.sum(jnp.log(room)) for kind, room in self.room(force, bounds).items()}
+        weight = {kind: EFFORT_WEIGHT if kind == least else 1.0 for kind in _BOUND}
+        logs = {kind: jnp.sum(jnp.log(margins)) for kind, margins in self.margins(force, bounds).items()}
         return -sum((weight[kind] * logs[kind] for kind in logs), jnp.zeros(()))
 
-    def towards_centre(self, force: Array, bounds: Bounds, least: Effort) -> Array:
-        """A Newton step towards balance and the centre of what the bounds leave, short enough to stay within."""
+    def newton_step(self, force: Array, bounds: Bounds, least: Effort) -> Array:
+        """Forces after a Newton step towards balance and the centre of the bounds, shortened to stay inside."""
         gradient = jax.grad(self.barrier)(force, bounds, least)
         swings = (1 - self.stands)[:, None, None] * jnp.eye(3, dtype=force.dtype)
         curvature = jnp.stack(
-            [  # a foot's force bears on its own bounds only
+            [  # a foot's force affects its own bounds only
                 jax.jvp(lambda f: jax.grad(self.barrier)(f, bounds, least), (force,), (jnp.zeros_like(force) + axis,))[
                     1
                 ]
@@ -235,30 +266,30 @@ class _Scaled(NamedTuple):
         schur = jnp.einsum("lij,ljk->ik", self.grasp, across)
         scale = jnp.sqrt(jnp.diagonal(schur) + 1e-12)
         schur = schur / scale / scale[:, None] + 1e-6 * jnp.eye(6, dtype=force.dtype)
-        short = self.left(force) - jnp.einsum("lij,lj->i", self.grasp, down)
-        direction = down + across @ (_solved(schur, short / scale) / scale)
-        now = self.room(force, bounds)
+        short = self.imbalance(force) - jnp.einsum("lij,lj->i", self.grasp, down)
+        direction = down + across @ (_solve_6x6(schur, short / scale) / scale)
+        margins = self.margins(force, bounds)
 
         def fits(length: Array) -> Array:
-            then = self.room(force + length * direction, bounds)
-            kept = [jnp.all(then[k] > KEEP * now[k]) for k in now]
+            after = self.margins(force + length * direction, bounds)
+            kept = [jnp.all(after[k] > MARGIN_KEPT * margins[k]) for k in margins]
             return jnp.stack(kept).all()
 
-        lengths = jnp.asarray(LENGTHS, force.dtype)
+        lengths = jnp.asarray(STEP_LENGTHS, force.dtype)
         length = jnp.max(jnp.where(jax.vmap(fits)(lengths), lengths, 0.0))
         return force + length * direction
 
 
-class _Task(NamedTuple):
-    """A pose, what forces have to keep to there, and how far the levels are away."""
+class _SearchTask(NamedTuple):
+    """A force problem in scaled form."""
 
-    scaled: _Scaled
+    scaled: _ScaledPose
     bounds: Bounds  # of each foot, in weights
-    slack: Float[Array, ""]  # over `LAST`
+    slack: Float[Array, ""]  # over `MIN_SLACK`
 
     @classmethod
-    def of(cls, sought: Sought) -> "_Task":
-        (pose, bounds), scaled = sought, _Scaled.of(sought.pose)
+    def from_problem(cls, problem: ForceProblem) -> "_SearchTask":
+        (pose, bounds), scaled = problem, _ScaledPose.from_pose(problem.pose)
         start = Bounds(
             bounds.friction,
             bounds.torque / pose.weight,
@@ -266,112 +297,141 @@ class _Task(NamedTuple):
             bounds.most_normal / pose.weight,
         )
         each = Bounds(*[jnp.broadcast_to(jnp.asarray(b, scaled.normal.dtype), (6,)) for b in start])
-        return cls(scaled, each, jnp.asarray(bounds.slack / LAST, scaled.normal.dtype))
+        return cls(scaled, each, jnp.asarray(bounds.slack / MIN_SLACK, scaled.normal.dtype))
 
     @property
-    def nothing(self) -> Search:
-        """The search before its first step."""
-        return Search(jnp.zeros_like(self.scaled.normal), jnp.zeros_like(self.scaled.stands))
+    def initial_state(self) -> SearchState:
+        """State of the search before its first step."""
+        return SearchState(jnp.zeros_like(self.scaled.normal), jnp.zeros_like(self.scaled.stands))
 
-    def step(self, so_far: Search, number: Array, least: Effort) -> Search:
-        """The search a Newton step later."""
-        force = jnp.where(number == 0, self.scaled.first(self.bounds), so_far.force)
+    def step(self, search: SearchState, number: Array, least: Effort) -> SearchState:
+        """State of the search after a Newton step."""
+        force = jnp.where(number == 0, self.scaled.initial_forces(self.bounds), search.force)
         slack = jnp.asarray(SLACK, force.dtype)[number] * self.slack
         above = (1 + slack) * jnp.max(self.scaled.effort(force, least))
-        level = jnp.where(number % 2 == 0, jnp.minimum(above, getattr(self.bounds, _BOUND[least])), so_far.level)
+        level = jnp.where(number % 2 == 0, jnp.minimum(above, getattr(self.bounds, _BOUND[least])), search.level)
         lower = self.bounds._replace(**{_BOUND[least]: level})
-        return Search(self.scaled.towards_centre(force, lower, least), level)
+        return SearchState(self.scaled.newton_step(force, lower, least), level)
 
 
-_SEARCHED: dict[Effort, Callable[[Sought], Array]] = {least: _by_xla(least) for least in _BOUND}
-SEARCHES: dict[str, Effort] = {search.__name__: least for least, search in _SEARCHED.items()}
+_SEARCH_BY_EFFORT: dict[Effort, Callable[[ForceProblem], Array]] = {least: _make_search(least) for least in _BOUND}
+SEARCHES: dict[str, Effort] = {search.__name__: least for least, search in _SEARCH_BY_EFFORT.items()}
 
 
-class Course(NamedTuple):
-    """Planned forces along a plan: S stages, `KNOTS` even moments of each."""
+class ForcePlan(NamedTuple):
+    """Planned forces along a plan: S stages, `KNOTS` evenly spaced moments of each. Made by `plan_forces`."""
 
-    force: Float[Array, "s k 6 3"]  # N
+    force: Float[Array, "s k 6 3"]  # N, on the feet, world axes
     torque: Float[Array, "s k 6 3"]  # N m, of the joints
-    planned: FootForces  # the optimum of each moment by itself, leading axes (s, k)
+    optimum: FootForces  # optimum of each moment by itself, leading axes (s, k)
 
 
-def moment(belief: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> StaticPose:
-    """The pose at phase `u` of a stage as planned, bodies as they start."""
+def planned_pose(belief: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> StaticPose:
+    """Return the planned pose at a phase of a stage, with free bodies where they start.
+
+    Args:
+        belief: believed parameters.
+        plan: the plan.
+        stage: stage number.
+        u: phase of the stage, 0 to 1.
+    """
     free, frames = free_start(belief.obstacle), (plan.foot_frame[stage], plan.base_frame[stage])
-    feet, position = begins(plan, stage, free)
-    stance = stance_to_world(reference(plan, stage, u, feet, position), *frames, free)
-    normal = ground(belief.obstacle, feet, plan.foot_frame[stage]).normal
-    return pose(belief.robot, stance, normal, ~plan.swing[stage])
+    feet, position = stage_start(plan, stage, free)
+    stance = stance_to_world(reference_stance(plan, stage, u, feet, position), *frames, free)
+    normal = surface_under(belief.obstacle, feet, plan.foot_frame[stage]).normal
+    return static_pose(belief.robot, stance, normal, ~plan.swing[stage])
 
 
-def along(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> Course:
-    """Foot forces for all of a plan, the feet on the believed obstacle.
+def plan_forces(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> ForcePlan:
+    """Plan foot forces along a whole plan, with the feet on the believed obstacle.
 
-    In a stage in which nothing moves, load goes evenly from the forces before it to those after it: so that feet that
-    are to swing carry nothing when they do.
+    In stages without any motion, forces change linearly from those before to those after. So feet are unloaded when
+    their swing starts.
+
+    Args:
+        belief: believed parameters.
+        plan: the plan.
+        bounds: bounds on the forces.
+        least: effort to minimise.
     """
     stages = plan.duration.shape[0]
     number, phases = jnp.arange(stages), jnp.linspace(0.0, 1.0, KNOTS)
-    _, base = jax.vmap(lambda s: begins(plan, s, free_start(belief.obstacle)))(number)
-    poses = jax.vmap(lambda k: moment(belief, plan, number[k // KNOTS], phases[k % KNOTS]))(jnp.arange(stages * KNOTS))
-    each = jax.tree.map(lambda b: jnp.broadcast_to(jnp.asarray(b, float), (stages * KNOTS, *jnp.shape(b))), bounds)
-    found = jax.vmap(asked)(poses, searched(least)(Sought(poses, each)))
-    poses, planned = jax.tree.map(lambda x: x.reshape(stages, KNOTS, *x.shape[1:]), (poses, found))
+    _, base = jax.vmap(lambda s: stage_start(plan, s, free_start(belief.obstacle)))(number)
+    poses = jax.vmap(lambda k: planned_pose(belief, plan, number[k // KNOTS], phases[k % KNOTS]))(
+        jnp.arange(stages * KNOTS)
+    )
+    every_bounds = jax.tree.map(
+        lambda b: jnp.broadcast_to(jnp.asarray(b, float), (stages * KNOTS, *jnp.shape(b))), bounds
+    )
+    optima = jax.vmap(evaluate_forces)(poses, force_search(least)(ForceProblem(poses, every_bounds)))
+    poses, planned = jax.tree.map(lambda x: x.reshape(stages, KNOTS, *x.shape[1:]), (poses, optima))
     force = planned.force
     before = jnp.concatenate([force[:1, 0], force[:-1, -1]])[:, None]
     after = jnp.concatenate([force[1:, 0], force[-1:, -1]])[:, None]
-    moves = jnp.linalg.norm(plan.position - base, axis=-1) + jnp.linalg.norm(plan.turn, axis=-1) > MOVES
-    rests = ~jnp.any(plan.swing, axis=-1) & ~moves
+    is_moving = jnp.linalg.norm(plan.position - base, axis=-1) + jnp.linalg.norm(plan.turn, axis=-1) > MOTION_THRESHOLD
+    is_rest = ~jnp.any(plan.swing, axis=-1) & ~is_moving
     share = phases[:, None, None]
-    force = jnp.where(rests[:, None, None, None], (1 - share) * before + share * after, force)
-    return Course(force, jax.vmap(jax.vmap(joint_torque))(poses, force), planned)
+    force = jnp.where(is_rest[:, None, None, None], (1 - share) * before + share * after, force)
+    return ForcePlan(force, jax.vmap(jax.vmap(joint_torque))(poses, force), planned)
 
 
 @parameters
 class PlannedForces:
-    """What a manoeuvre that holds on with planned forces needs to be told of them; a base of its own parameters."""
+    """Base class with the parameters of manoeuvres that hold on by planned foot forces."""
 
-    effort: str = choice("friction", "friction", "torque", "normal")  # of which the forces ask for the least
-    load_time: float = quantity(0.4, "s", above=0, at_most=10)  # for load to go from foot to foot before a swing
-    friction_share: float = quantity(1.0, "-", above=0, at_most=1)  # of the believed friction, planned with at most
-    torque_share: float = quantity(0.85, "-", above=0, at_most=1)  # of the believed drives' limit
-    least_normal: float = quantity(8.0, "N", at_least=0)  # force of a standing foot
-    # share of the effort by which forces may ask for more than it, to keep away from all other bounds
-    slack: float = quantity(LAST, "-", at_least=LAST, at_most=2)
-    creep: float = quantity(0.0125, "m/s", at_least=0)  # inwards, of a foot that has missed the surface
-    anchoring: float = quantity(0.01, "s", above=0)  # in which footholds follow the feet
+    effort: str = choice("friction", "friction", "torque", "normal")  # which effort the planned forces minimise
+    load_time: float = quantity(0.4, "s", above=0, at_most=10)  # time of the load transfer between feet before a swing
+    # share of the believed friction that the forces may use
+    friction_share: float = quantity(1.0, "-", above=0, at_most=1)
+    # share of the drives' believed torque limit that the forces may use
+    torque_share: float = quantity(0.85, "-", above=0, at_most=1)
+    least_normal: float = quantity(8.0, "N", at_least=0)  # least normal force of a standing foot
+    # relative increase of the effort over its minimum that is accepted to stay away from all other bounds
+    slack: float = quantity(MIN_SLACK, "-", at_least=MIN_SLACK, at_most=2)
+    creep: float = quantity(0.0125, "m/s", at_least=0)  # speed at which a foot that missed the surface moves on into it
+    anchoring: float = quantity(0.01, "s", above=0)  # time constant with which footholds follow the measured feet
 
-    def loading(self, stages: Sequence[Stage]) -> list[Stage]:
-        """`stages` with a rest before each of them, in which load goes off the feet that are to swing.
+    def with_load_transfer(self, stages: Sequence[Stage]) -> list[Stage]:
+        """Return the stages with a rest before each one, in which feet that are to swing are unloaded.
 
         A rest is in the frames of the stage before it.
         """
-        before = [Stage("", 0.0), *stages]
-        return [s for last, stage in zip(before, stages, strict=False) for s in (
+        previous_stages = [Stage("", 0.0), *stages]
+        return [s for previous, stage in zip(previous_stages, stages, strict=False) for s in (
             Stage(f"{stage.name}.{LOAD}", self.load_time, law=LOAD,
-                  foot_frames=last.foot_frames, base_frame=last.base_frame), stage
+                  foot_frames=previous.foot_frames, base_frame=previous.base_frame), stage
         )]  # fmt: skip
 
-    def bounds(self, belief: Case) -> Bounds:
-        """What forces have to keep to."""
+    def force_bounds(self, belief: Case) -> Bounds:
+        """Return the bounds on foot forces."""
         friction, torque = self.friction_share * belief.contact.friction, self.torque_share * belief.drive.torque_limit
         return Bounds(friction, torque, self.least_normal, slack=self.slack)
 
-    def course(self, belief: Case, plan: Plan) -> Course:
-        """The forces of least `effort` along `plan`."""
-        return along(belief, plan, self.bounds(belief), cast(Effort, self.effort))
+    def force_plan(self, belief: Case, plan: Plan) -> ForcePlan:
+        """Return the forces of least `effort` along a plan.
+
+        Args:
+            belief: believed parameters.
+            plan: the plan.
+        """
+        return plan_forces(belief, plan, self.force_bounds(belief), cast(Effort, self.effort))
 
     def with_feedforward(self, belief: Case, plan: Plan) -> Plan:
-        """`plan` with its `course` as offsets of what the believed drives are told (`Feedforward`)."""
-        course = self.course(belief, plan)
-        inward = -jax.vmap(lambda *feet: ground(belief.obstacle, *feet).normal)(plan.foothold, plan.foot_frame)
+        """Return the plan with planned forces, as a `Feedforward` layer of joint offsets for the believed drives.
+
+        Args:
+            belief: believed parameters.
+            plan: the plan.
+        """
+        course = self.force_plan(belief, plan)
+        inward = -jax.vmap(lambda *feet: surface_under(belief.obstacle, *feet).normal)(plan.foothold, plan.foot_frame)
         offset = course.torque / belief.drive.stiffness
-        told = (jnp.asarray(x, float) for x in (self.creep, self.anchoring))
-        return plan.with_layer(Feedforward(offset, jnp.max(course.planned.imbalance, axis=-1), inward, *told))
+        rates = (jnp.asarray(x, float) for x in (self.creep, self.anchoring))
+        return plan.with_layer(Feedforward(offset, jnp.max(course.optimum.imbalance, axis=-1), inward, *rates))
 
 
-def _solved(m: Float[Array, "6 6"], right: Float[Array, " 6"]) -> Float[Array, " 6"]:
-    """m^-1 right of a positive definite m by its quarters, in arithmetic alone."""
+def _solve_6x6(m: Float[Array, "6 6"], right: Float[Array, " 6"]) -> Float[Array, " 6"]:
+    """Solution of m x = right for a positive definite m, by 3x3 blocks."""
     first, cross, last = m[:3, :3], m[:3, 3:], m[3:, 3:]
     inverse = _inverse_3x3(first)
     force = inverse @ right[:3]

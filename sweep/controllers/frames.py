@@ -1,4 +1,4 @@
-"""Where feet and base are told to be, in the frames of a plan (`sweep/models/frames.py`), from one to another."""
+"""Stances, and their transformation between the world and the frames of free bodies (`sweep/models/frames.py`)."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from sweep.models.obstacles.surface import FreeState, Obstacle, Surface, free_st
 
 
 class Stance(NamedTuple):
-    """Where feet and base are, or are meant to be. World axes."""
+    """Feet and base of the robot, planned or measured; world axes unless said otherwise."""
 
     feet: Float[Array, "6 3"]  # m
     position: Float[Array, " 3"]  # m, of the base
@@ -19,7 +19,13 @@ class Stance(NamedTuple):
 
 
 def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeState) -> Float[Array, "n 3"]:
-    """Points (m), each in its own frame of the bodies as they are in `free`."""
+    """Transform points from their frames to world axes.
+
+    Args:
+        points: points (m), each in its own frame.
+        frame: number of each point's frame.
+        free: state of the free bodies that the frames move with.
+    """
     turned, shift = points, jnp.zeros_like(points)
     for k in range(free.position.shape[0]):
         turned = jnp.where((frame == fixed(k))[:, None], rotate(free.quat[k : k + 1], points), turned)
@@ -28,21 +34,40 @@ def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeSta
 
 
 def to_frame(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeState) -> Float[Array, "n 3"]:
-    """The inverse of `to_world`."""
+    """Transform points from world axes to their frames; the inverse of `to_world`.
+
+    Args:
+        points: points (m), world axes.
+        frame: number of each point's frame.
+        free: state of the free bodies that the frames move with.
+    """
     for k in range(free.position.shape[0]):
         points = points - _goes_with(frame, k)[:, None] * free.position[k]
         points = jnp.where((frame == fixed(k))[:, None], rotate(conjugate(free.quat[k : k + 1]), points), points)
     return points
 
 
-def ground(obstacle: Obstacle, feet: Float[Array, "6 3"], frame: Int[Array, " 6"]) -> Surface:
-    """The obstacle at footholds (m) in some frames, its free bodies as they start."""
+def surface_under(obstacle: Obstacle, feet: Float[Array, "6 3"], frame: Int[Array, " 6"]) -> Surface:
+    """Return the obstacle's surface at footholds, with its free bodies where they start.
+
+    Args:
+        obstacle: the obstacle.
+        feet: footholds (m), each in its own frame.
+        frame: number of each foot's frame.
+    """
     free = free_start(obstacle)
     return under(obstacle, to_world(feet, frame, free), poses(free))
 
 
 def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
-    """A stance whose feet and base are in the given frames; only a body's own axes turn its attitude."""
+    """Transform a stance from the frames of its feet and base to world axes; only body-fixed frames turn the base.
+
+    Args:
+        stance: feet and base in their frames.
+        feet: number of each foot's frame.
+        base: number of the base's frame.
+        free: state of the free bodies that the frames move with.
+    """
     position, quat = to_world(stance.position[None], base[None], free)[0], stance.quat
     for k in range(free.position.shape[0]):
         quat = jnp.where(base == fixed(k), multiply(free.quat[k], quat), quat)
@@ -50,7 +75,14 @@ def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""]
 
 
 def stance_to_frame(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
-    """The inverse of `stance_to_world`."""
+    """Transform a stance from world axes to the frames of its feet and base; the inverse of `stance_to_world`.
+
+    Args:
+        stance: feet and base, world axes.
+        feet: number of each foot's frame.
+        base: number of the base's frame.
+        free: state of the free bodies that the frames move with.
+    """
     position, quat = to_frame(stance.position[None], base[None], free)[0], stance.quat
     for k in range(free.position.shape[0]):
         quat = jnp.where(base == fixed(k), multiply(conjugate(free.quat[k]), quat), quat)

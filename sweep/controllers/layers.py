@@ -1,4 +1,7 @@
-"""What a plan adds to the core of its tracker: layers, each with a table of its own, and a state where it needs one."""
+"""Tracker layers: parts of a plan that modify footholds, stance, command or joint targets in every tick.
+
+A layer is a field of a plan with tables over its stages. It may have a state of its own, which the tracker keeps.
+"""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
@@ -17,137 +20,180 @@ from sweep.models.drive import Servo
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.robot import Robot
 
-SOON = 0.1  # s after the end of a swing, in which all its feet go on inwards; then those do that hang
-FASTER = 3.0  # than all of them, those go on that hang
+# s after the planned end of a swing, during which all its feet move on into the surface; after it only feet without
+# load do.
+CREEP_TIME = 0.1
+# speed of such a foot over the speed at which all move on
+LONE_CREEP_FACTOR = 3.0
 
 
-class Now(NamedTuple):
-    """A control tick as layers and guidance see it."""
+class TickContext(NamedTuple):
+    """One control tick as layers and guided manoeuvres see it; made by the tracker."""
 
-    robot: Robot  # as it is believed
+    robot: Robot  # as believed
     plan: Plan
-    before: Int[Array, ""]  # stage of the last tick
-    stage: Int[Array, ""]
-    clock: Float[Array, ""]  # s since the stage began
+    last_stage: Int[Array, ""]  # stage number in the last tick
+    stage: Int[Array, ""]  # stage number
+    clock: Float[Array, ""]  # s since the stage started
     phase: Float[Array, ""]  # of the stage, 0 to 1
-    begins: Bool[Array, ""]  # whether this is its first tick
-    seen: Observation
-    free: FreeState  # as the stage has them
+    is_first_tick: Bool[Array, ""]  # of the stage
+    obs: Observation
+    free: FreeState  # reference state of the free bodies, see `Layer.body_reference`
     period: float  # s
-    joints: Float[Array, "6 3"]  # rad, last targets
-    untold: Array | float = 0.0  # s, for which a foot stands before its load is seen
-    behind: Array | float = 0.0  # s, by which loads are seen later than places
+    joints: Float[Array, "6 3"]  # rad, targets of the last tick
+    touchdown_delay: Array | float = 0.0  # s, from touchdown until the measured load shows it
+    load_delay: Array | float = 0.0  # s, lag of measured loads behind measured positions
 
 
 class Command(NamedTuple):
-    """What the controller asks for at the end of a tick."""
+    """Output of the controller in one tick, made by the tracker."""
 
-    joints: Float[Array, "6 3"]  # rad
-    target: Stance
+    joints: Float[Array, "6 3"]  # rad, joint targets
+    target: Stance  # stance that the targets should bring about
     phase: Float[Array, ""]  # of the stage, 0 to 1
-    shortfall: Float[Array, " 6"]  # m, by how much foot targets are out of reach
-    own: tuple[Bool[Array, "6 3"], Servo] | None = None  # which joints do otherwise than go to `joints`, and what
-    # `target` with the base where exact sensors would have it, which metrics compare the true pose with; None: the same
+    shortfall: Float[Array, " 6"]  # m, by which each foot target is out of reach
+    # Joints that get a servo law in place of the joint targets, and that law; None: no joint does.
+    servo: tuple[Bool[Array, "6 3"], Servo] | None = None
+    # `target` with the base where exact sensors would put it, which metrics compare the true pose with; None: the same
     reference: Stance | None = None
 
 
 class Layer:
-    """A layer does nothing in moments of which it does not say otherwise."""
+    """Base class of tracker layers; each hook leaves its input unchanged unless a subclass overrides it.
 
-    anchors: ClassVar = False  # whether footholds follow the feet, which need not be moved with the base's error then
+    The tracker calls the hooks in every tick, in the order in which the layers stand in the plan.
+    """
 
-    def begun(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Any:
-        """Its state before the first tick, with feet in their frames and free bodies as in `free`."""
+    # whether footholds follow the measured feet, so that they need no shift by the base's error
+    anchors_feet: ClassVar = (
+        False  # whether footholds follow the feet, which need not be moved with the base's error then
+    )
+
+    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Any:
+        """Return the layer's state before the first tick.
+
+        Args:
+            start: stance of the plan's start, in the frames of its first stage.
+            joints: joint angles (rad) of that stance.
+            free: free bodies at the start, world axes.
+        """
         return None
 
-    def borne(self, plan: Plan, own: Any, stage: Int[Array, ""], clock: Float[Array, ""], free: FreeState) -> FreeState:
-        """Free bodies as a stage has them `clock` s after it began, where they are seen as in `free`."""
+    def body_reference(
+        self, plan: Plan, state: Any, stage: Int[Array, ""], clock: Float[Array, ""], free: FreeState
+    ) -> FreeState:
+        """Return the state of the free bodies that the stage plans with.
+
+        Args:
+            plan: the plan that is followed.
+            state: the layer's state.
+            stage: stage number.
+            clock: s since the stage started.
+            free: measured state of the free bodies, or the reference of the layer before, world axes.
+        """
         return free
 
-    def entered(self, stage: Int[Array, ""], own: Any, was: FreeState, free: FreeState) -> tuple[Any, FreeState]:
-        """Its state and free bodies as a stage begins: seen as in `free`, and as in `was` to the stage before."""
-        return own, free
+    def on_stage_enter(
+        self, stage: Int[Array, ""], state: Any, last_free: FreeState, free: FreeState
+    ) -> tuple[Any, FreeState]:
+        """Return the layer's state and the reference of the free bodies when a stage starts.
 
-    def blind(self, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
-        """Whether the base's place says nothing of the feet's in a stage."""
+        Args:
+            stage: number of the stage that starts.
+            state: the layer's state.
+            last_free: reference state of the free bodies in the stage before, world axes.
+            free: measured state of the free bodies, world axes.
+        """
+        return state, free
+
+    def ignores_base_pose(self, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
+        """Return whether the measured base pose says nothing about the feet in this stage."""
         return False
 
-    def anchored(self, now: Now, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-        """Footholds of a stage (m, in its frames), a tick on."""
+    def update_footholds(self, ctx: TickContext, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+        """Return the footholds of the current stage (m, in its frames) for this tick."""
         return feet
 
-    def crept(
-        self, plan: Plan, own: Any, stage: Int[Array, ""], clock: Float[Array, ""], feet: Float[Array, "6 3"],
-        behind: Array | float,
+    def advance_late_feet(
+        self, plan: Plan, state: Any, stage: Int[Array, ""], clock: Float[Array, ""], feet: Float[Array, "6 3"],
+        load_delay: Array | float,
     ) -> Float[Array, "6 3"]:  # fmt: skip
-        """Feet (m, world axes) as a stage ends `clock` s after it began, where the plan has them at `feet`.
+        """Return where feet are commanded to when a stage ends, or while it waits for late touchdowns.
 
-        Loads are seen `behind` s later than places.
+        Args:
+            plan: the plan that is followed.
+            state: the layer's state.
+            stage: stage number.
+            clock: s since the stage started.
+            feet: planned feet (m, world axes).
+            load_delay: lag (s) of measured loads behind measured positions.
         """
         return feet
 
-    def led(self, now: Now, own: Any, target: Stance) -> tuple[Any, Stance]:
-        """Its state and the stance (world axes) that the robot goes to, where the stage wants `target`."""
-        return own, target
+    def modify_stance(self, ctx: TickContext, state: Any, target: Stance) -> tuple[Any, Stance]:
+        """Return the layer's state and the stance to command, given the planned stance `target` (both world axes)."""
+        return state, target
 
-    def commanded(self, now: Now, own: Any, command: Command) -> tuple[Any, Command]:
-        """Its state and the command, where the tracker asks for `command`."""
-        return own, command
+    def modify_command(self, ctx: TickContext, state: Any, command: Command) -> tuple[Any, Command]:
+        """Return the layer's state and the modified command."""
+        return state, command
 
-    def driven(self, now: Now, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-        """What the drives are told (rad) to have the joints at `joints`."""
+    def modify_joint_targets(self, ctx: TickContext, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+        """Return the joint targets (rad) to send to the drives so that the joints reach `joints`."""
         return joints
 
 
-class Slack(NamedTuple):
-    """Where feet are on their way, see `Ease`. World axes."""
+class EaseState(NamedTuple):
+    """State of `Ease`: where the feet are on the way to their new footholds. World axes."""
 
-    command: Float[Array, "6 3"]  # m, in the last tick, from the origins of their frames
-    left: Float[Array, "6 3"]  # m, from where they stand to where they were commanded before the stage
+    command: Float[Array, "6 3"]  # m, feet in the last tick, from the origins of their frames
+    offset: Float[Array, "6 3"]  # m, last command before the stage minus the foothold
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Ease(Layer):
-    """Feet that go over to where a stage takes them to stand: a jump would have the drives kick."""
+    """Layer that moves feet gradually to the footholds of a new stage, since a jump would make the drives jerk."""
 
-    time: Float[Array, ""]  # s, that it takes
+    time: Float[Array, ""]  # s, duration of the transition
 
-    def begun(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Slack:
-        """Feet that stand where they were commanded."""
-        return Slack(start.feet, jnp.zeros_like(start.feet))
+    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> EaseState:
+        """Return the state with all feet at their footholds."""
+        return EaseState(start.feet, jnp.zeros_like(start.feet))
 
-    def led(self, now: Now, own: Slack, target: Stance) -> tuple[Slack, Stance]:
-        """The feet on their way, evenly within `time`."""
-        frame, nowhere = now.plan.foot_frame, jnp.zeros((6, 3))
-        was, here = (to_world(nowhere, frame[stage], now.free) for stage in (now.before, now.stage))
-        left = jnp.where(now.begins, own.command + was - target.feet, own.left)
-        feet = target.feet + jnp.clip(1 - now.clock / self.time, 0.0, 1.0) * left
-        return Slack(feet - here, left), target._replace(feet=feet)
+    def modify_stance(self, ctx: TickContext, state: EaseState, target: Stance) -> tuple[EaseState, Stance]:
+        """Blend each foot linearly from its last command to its foothold within `time`."""
+        frame, zeros = ctx.plan.foot_frame, jnp.zeros((6, 3))
+        before, origin = (to_world(zeros, frame[stage], ctx.free) for stage in (ctx.last_stage, ctx.stage))
+        left = jnp.where(ctx.is_first_tick, state.command + before - target.feet, state.offset)
+        feet = target.feet + jnp.clip(1 - ctx.clock / self.time, 0.0, 1.0) * left
+        return EaseState(feet - origin, left), target._replace(feet=feet)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class HeldLegs(Layer):
-    """Legs that follow joint angles instead of footholds: which do, and where they go, over S stages.
+    """Layer for legs that follow joint angles instead of footholds, over S stages.
 
-    The state is where the joints (rad) were as the stage began.
+    Made from `Stage.posture`. The state is the joint angles (rad) at the start of the stage.
     """
 
-    held: Bool[Array, "s 6"]
+    held: Bool[Array, "s 6"]  # which legs
     joints: Float[Array, "s 6 3"]  # rad, at the end of the stage
 
-    def begun(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Float[Array, "6 3"]:
-        """The joint angles (rad) at the start."""
+    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Float[Array, "6 3"]:
+        """Return the joint angles (rad) at the start."""
         return joints
 
-    def commanded(self, now: Now, own: Float[Array, "6 3"], command: Command) -> tuple[Float[Array, "6 3"], Command]:
-        """These legs on their straight way in joint space, spent by lambda_1; their reach counts for nothing."""
-        origin, held = jnp.where(now.begins, now.joints, own), self.held[now.stage]
-        goal = nearest(self.joints[now.stage], origin)
-        posed = origin + stepping.trapezoidal_transfer(now.phase, 0.0, 1.0)[0] * (goal - origin)
+    def modify_command(
+        self, ctx: TickContext, state: Float[Array, "6 3"], command: Command
+    ) -> tuple[Float[Array, "6 3"], Command]:
+        """Move these legs along a straight line in joint space with trapezoidal timing; their reach is not checked."""
+        origin, held = jnp.where(ctx.is_first_tick, ctx.joints, state), self.held[ctx.stage]
+        goal = nearest(self.joints[ctx.stage], origin)
+        posed = origin + stepping.trapezoidal_transfer(ctx.phase, 0.0, 1.0)[0] * (goal - origin)
         joints, target = jnp.where(held[:, None], posed, command.joints), command.target
-        feet = feet_in_world(now.robot, target.position, target.quat, joints)
+        feet = feet_in_world(ctx.robot, target.position, target.quat, joints)
         target = target._replace(feet=jnp.where(held[:, None], feet, target.feet))
         shortfall = jnp.where(held, 0.0, command.shortfall)
         return origin, command._replace(joints=joints, target=target, shortfall=shortfall)
@@ -156,72 +202,93 @@ class HeldLegs(Layer):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Feedforward(Layer):
-    """Holding on with planned foot forces, over S stages and K even moments of each.
+    """Layer that holds on with planned foot forces, given at K evenly spaced moments of each of S stages.
 
-    The drives are told of a force as an offset of their targets. It acts as planned only where the foothold is the
-    place at which the foot really stands: 1 mm off is a force as large as the robot's weight. So a foot that
-    hangs longer than the others of its swing goes on alone: they would push the base away. The state is how far (m)
-    each has gone on alone.
+    A planned force is commanded as an offset of the joint targets. The force acts as planned only if the foothold is
+    exactly where the foot stands: with stiff drives, an error of 1 mm is a force as large as the robot's weight.
+    Therefore footholds of loaded feet follow the measured feet, and a foot that hangs longer than the others of its
+    swing moves on alone, since all feet moving on would push the base away. The state is the distance (m) that each
+    foot has moved on alone.
+
+    Made by `PlannedForces.with_feedforward`.
     """
 
-    anchors: ClassVar = True
-    offset: Float[Array, "s k 6 3"]  # rad, that the drives turn into the joint torques wanted
-    imbalance: Float[Array, " s"]  # what the forces leave of the weight; more than a little where none hold it
+    anchors_feet: ClassVar = True
+    offset: Float[Array, "s k 6 3"]  # rad, of the joint targets, by which the drives produce the planned torques
+    # share of the weight that the planned forces leave unsupported; clearly above 0 where no admissible forces hold the
+    # robot
+    imbalance: Float[Array, " s"]
     inward: Float[Array, "s 6 3"]  # unit vectors into the surface at the footholds
-    creep: Float[Array, ""]  # m/s, of a foot that has not touched down at the end of its swing
-    anchoring: Float[Array, ""]  # s, in which the foothold of a loaded foot follows the place where it really is
+    creep: Float[Array, ""]  # m/s, of a foot without touchdown at the end of its swing
+    anchoring: Float[Array, ""]  # s, time constant with which footholds of loaded feet follow the measured feet
 
-    def begun(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Float[Array, " 6"]:
-        """No foot has gone on yet."""
+    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Float[Array, " 6"]:
+        """Return zero distances (m): no foot has moved on yet."""
         return jnp.zeros(len(joints))
 
-    def entered(
-        self, stage: Int[Array, ""], own: Float[Array, " 6"], was: FreeState, free: FreeState
+    def on_stage_enter(
+        self, stage: Int[Array, ""], state: Float[Array, " 6"], last_free: FreeState, free: FreeState
     ) -> tuple[Float[Array, " 6"], FreeState]:
-        """No foot has gone on in a stage that begins."""
-        return jnp.zeros_like(own), free
+        """Reset the distances (m) that feet have moved on."""
+        return jnp.zeros_like(state), free
 
-    def led(self, now: Now, own: Float[Array, " 6"], target: Stance) -> tuple[Float[Array, " 6"], Stance]:
-        """Feet `crept`; farther, those that bear no load long after the end of their swing.
+    def modify_stance(
+        self, ctx: TickContext, state: Float[Array, " 6"], target: Stance
+    ) -> tuple[Float[Array, " 6"], Stance]:
+        """Move late feet on into the surface; those still without load after `CREEP_TIME` go further, and faster.
 
-        None that may bear some, since it would push the base away; not before it is known which did in time.
+        A foot that may carry load is excluded, since it would push the base away. The extra motion starts once the
+        measured load would have shown a touchdown in time.
         """
-        late = jnp.clip(now.clock - now.plan.duration[now.stage] - (SOON + now.untold), 0.0, now.period)
-        bears = now.seen.loaded if now.seen.perhaps is None else now.seen.perhaps
-        own = own + jnp.where(bears, 0.0, FASTER * self.creep * late)
-        return own, target._replace(feet=self.crept(now.plan, own, now.stage, now.clock, target.feet, now.behind))
+        late = jnp.clip(ctx.clock - ctx.plan.duration[ctx.stage] - (CREEP_TIME + ctx.touchdown_delay), 0.0, ctx.period)
+        bears = ctx.obs.loaded if ctx.obs.maybe_loaded is None else ctx.obs.maybe_loaded
+        state = state + jnp.where(bears, 0.0, LONE_CREEP_FACTOR * self.creep * late)
+        return state, target._replace(
+            feet=self.advance_late_feet(ctx.plan, state, ctx.stage, ctx.clock, target.feet, ctx.load_delay)
+        )
 
-    def anchored(self, now: Now, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-        """Those of loaded standing feet follow the feet, no faster than loads are seen behind places."""
-        stage, seen = now.stage, now.seen
-        places = feet_in_world(now.robot, seen.position, seen.quat, seen.angles)
-        real = to_frame(places, now.plan.foot_frame[stage], now.free)
-        # a foot that has just left, or come, is followed wrongly for as long as loads come later than places
-        time = jnp.maximum(self.anchoring, now.behind)
-        share = jnp.where(seen.loaded & ~now.plan.swing[stage], jnp.minimum(1.0, now.period / time), 0.0)
+    def update_footholds(self, ctx: TickContext, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+        """Let the footholds of loaded standing feet follow the measured feet.
+
+        The time constant is at least the lag of the loads, so that a foot that just left or landed is not followed by
+        mistake for long.
+        """
+        stage, obs = ctx.stage, ctx.obs
+        places = feet_in_world(ctx.robot, obs.position, obs.quat, obs.angles)
+        real = to_frame(places, ctx.plan.foot_frame[stage], ctx.free)
+        time = jnp.maximum(self.anchoring, ctx.load_delay)
+        share = jnp.where(obs.loaded & ~ctx.plan.swing[stage], jnp.minimum(1.0, ctx.period / time), 0.0)
         return feet + share[:, None] * (real - feet)
 
-    def crept(
-        self, plan: Plan, own: Float[Array, " 6"], stage: Int[Array, ""], clock: Float[Array, ""],
-        feet: Float[Array, "6 3"], behind: Array | float,
+    def advance_late_feet(
+        self, plan: Plan, state: Float[Array, " 6"], stage: Int[Array, ""], clock: Float[Array, ""],
+        feet: Float[Array, "6 3"], load_delay: Array | float,
     ) -> Float[Array, "6 3"]:  # fmt: skip
-        """Swinging feet go on inwards while the stage waits for their touchdown.
+        """Move swinging feet on into the surface while the stage waits for their touchdown.
 
-        As soon as it may be known which landed in time, since those that go on lift the base off the others; not later
-        than `SOON`: feet that really hang have the base sink meanwhile.
+        This starts as soon as measured loads may show which feet landed, since feet that move on lift the base off the
+        others, and after `CREEP_TIME` at the latest: while feet hang, the base sinks.
         """
-        late = jnp.clip(clock - plan.duration[stage] - jnp.minimum(behind, SOON), 0.0, SOON)
-        way = (self.creep * late + own)[:, None] * self.inward[stage]
-        return feet + jnp.where(plan.swing[stage][:, None], way, 0.0)
+        late = jnp.clip(clock - plan.duration[stage] - jnp.minimum(load_delay, CREEP_TIME), 0.0, CREEP_TIME)
+        distance = (self.creep * late + state)[:, None] * self.inward[stage]
+        return feet + jnp.where(plan.swing[stage][:, None], distance, 0.0)
 
-    def driven(self, now: Now, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-        """Targets with the offset that the planned forces take."""
-        return joints + between(self.offset, now.stage, now.phase)
+    def modify_joint_targets(self, ctx: TickContext, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+        """Add the joint offsets that produce the planned forces."""
+        return joints + interpolate_moments(self.offset, ctx.stage, ctx.phase)
 
 
-def between(moments: Float[Array, "s k 6 3"], stage: Int[Array, ""], phase: Float[Array, ""]) -> Float[Array, "6 3"]:
-    """What is planned for k even moments of every stage, at `phase` (0 to 1) of one: linear between them."""
-    last = moments.shape[1] - 1
-    before = jnp.minimum((phase * last).astype(jnp.int32), last - 1)
-    share = phase * last - before
-    return (1 - share) * moments[stage, before] + share * moments[stage, before + 1]
+def interpolate_moments(
+    values: Float[Array, "s k 6 3"], stage: Int[Array, ""], phase: Float[Array, ""]
+) -> Float[Array, "6 3"]:
+    """Interpolate linearly between values at evenly spaced moments of each stage.
+
+    Args:
+        values: values at k evenly spaced moments, from the start to the end of each stage.
+        stage: stage number.
+        phase: phase of the stage, 0 to 1.
+    """
+    last = values.shape[1] - 1
+    first = jnp.minimum((phase * last).astype(jnp.int32), last - 1)
+    share = phase * last - first
+    return (1 - share) * values[stage, first] + share * values[stage, first + 1]

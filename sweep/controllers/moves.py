@@ -31,7 +31,7 @@ CYCLES = {"a": CYCLE_A, "b": CYCLE_B, "b_smooth": CYCLE_B_SMOOTH, "half_ellipse"
 PACES = {"even": (STEADY, (1.0, 1.0)), "eased": (STEADY, (0.0, 0.0)), "smooth": (SMOOTH, (1.0, 1.0))}
 OPPOSITE = {group: group.replace("front", "rear") if "front" in group else group.replace("rear", "front")
             for group in GROUPS}  # fmt: skip
-WRONG = str | bool | list | Mapping | None  # is no number
+NOT_A_NUMBER = str | bool | list | Mapping | None  # is no number
 type Feet = dict[int, Float[Array, " 3"]]  # m, by leg
 type Numbers = list[Any]
 type Place = Mapping[str, Numbers]  # coordinates in one chart
@@ -72,9 +72,9 @@ SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"} 
 class Footing(NamedTuple):
     """Where a foot stands, and with what it goes."""
 
-    at: Float[Array, " 3"]  # m, from where its next swing's curve is told
+    point: Float[Array, " 3"]  # m, from where its next swing's curve is told
     frame: int = WORLD  # of that
-    stands: int = WORLD  # the frame with which it goes
+    stance_frame: int = WORLD  # the frame with which it goes
     place: Place | None = None  # where a chart says so
 
 
@@ -86,13 +86,13 @@ class Standing(NamedTuple):
     frame: int = WORLD  # of the base
 
 
-def standing(feet: Feet, pitch: Number, frame: int = WORLD) -> Standing:
+def standing_on(feet: Feet, pitch: Number, frame: int = WORLD) -> Standing:
     """On footholds (m) that no chart tells, feet and base in one frame."""
-    return Standing({leg: Footing(at, frame, frame) for leg, at in feet.items()}, pitch, frame)
+    return Standing({leg: Footing(point, frame, frame) for leg, point in feet.items()}, pitch, frame)
 
 
 @dataclass(frozen=True)
-class Terms:
+class MoveContext:
     """What a file's words mean on an obstacle, for a manoeuvre."""
 
     belief: Case
@@ -100,7 +100,7 @@ class Terms:
     time: Number  # s, t*
     lift: Number  # m, d_y
     depths: Mapping[str, Number] = field(default_factory=dict)  # m, of feet in what they stand on, by chart; else 0
-    own: Mapping[str, Chart] = field(default_factory=dict)  # charts of the manoeuvre's
+    extra_charts: Mapping[str, Chart] = field(default_factory=dict)  # charts of the manoeuvre's
     supports: Mapping[str, tuple[Support, ...]] = field(default_factory=lambda: {"free": ()})  # by name, of every body
     laws: tuple[str, ...] = ()  # that moves may be under
     stage: Mapping[str, Any] = field(default_factory=dict)  # what all stages have besides
@@ -112,8 +112,8 @@ class Terms:
             raise InputError(f"{where} = {_plain(numbers)} is not allowed: [{', '.join(chart.names)}]")
         deep = self.depths.get(name, 0.0) if depth is None else depth
         stands = chart.frame if chart.stands is None else chart.stands
-        at = chart.at(self.belief.obstacle, float(SIDE[leg - 1]), self.unit, deep, *numbers)
-        return Footing(at, chart.frame, stands, place)
+        point = chart.at(self.belief.obstacle, float(SIDE[leg - 1]), self.unit, deep, *numbers)
+        return Footing(point, chart.frame, stands, place)
 
     def base(self, place: Place, where: str) -> tuple[Float[Array, " 3"], Number | None, Chart]:
         """The base's centre (m), its pitch (rad) if that is said, and its chart. Raises `InputError`."""
@@ -121,18 +121,18 @@ class Terms:
         names, count = chart.based(), len(chart.names)
         if not (count - chart.optional <= len(numbers) <= len(names)):
             raise InputError(f"{where} = {_plain(numbers)} is not allowed: [{', '.join(names)}]")
-        of, numbers, beside = self.belief.obstacle, numbers[:count], numbers[count:]
-        at = chart.at(of, 1.0, self.unit, 0.0, *numbers)
+        obstacle, numbers, pitch = self.belief.obstacle, numbers[:count], numbers[count:]
+        point = chart.at(obstacle, 1.0, self.unit, 0.0, *numbers)
         if chart.pitch:
-            return at, chart.pitch(of, self.unit, *numbers), chart
-        return at, jnp.radians(jnp.asarray(beside[0], float)) if beside else None, chart
+            return point, chart.pitch(obstacle, self.unit, *numbers), chart
+        return point, jnp.radians(jnp.asarray(pitch[0], float)) if pitch else None, chart
 
     def chart(self, place: Place, where: str) -> tuple[str, Chart, Numbers]:
         """Name and chart of a place, and its coordinates. Raises `InputError`."""
         if len(place) != 1:
             raise InputError(f"{where} = {_plain(place)} is not allowed: coordinates in one chart")
         name, numbers = next(iter(place.items()))
-        offered = {**self.belief.obstacle.charts, **self.own}
+        offered = {**self.belief.obstacle.charts, **self.extra_charts}
         if name not in offered:
             kind = self.belief.obstacle.kind
             raise InputError(f"{where}: chart {name} is unknown on {kind}{suggest(name, offered)}")
@@ -151,90 +151,99 @@ class Terms:
         return level + up * np.array([0.0, 0.0, 1.0])
 
 
-def placed(part: str, terms: Terms) -> tuple[Float[Array, "6 3"], Float[Array, " 3"], Standing]:
+def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"], Float[Array, " 3"], Standing]:
     """Where feet and base are (m, world axes) before anything moves, by a part that is `placing`.
 
     Raises `InputError`.
     """
-    _, move = placing(terms.belief, part)
-    feet = {leg: terms.foot(leg, place or {}, f"{move.path}.{group}", move.depth)
+    _, move = placing_move(context.belief, part)
+    feet = {leg: context.foot(leg, place or {}, f"{move.path}.{group}", move.depth)
             for group, place in move.feet.items() for leg in GROUPS[group]}  # fmt: skip
-    position, pitch, chart = terms.base(move.base, f"{move.path}.base")
-    at = Standing(feet, 0.0 if pitch is None else pitch, chart.frame)
-    world = jnp.stack([in_frame(terms.belief, feet[leg], WORLD) for leg in LEGS])
-    return world, in_frame(terms.belief, Footing(position, chart.frame), WORLD), at
+    position, pitch, chart = context.base(move.base, f"{move.path}.base")
+    standing = Standing(feet, 0.0 if pitch is None else pitch, chart.frame)
+    world = jnp.stack([foot_in_frame(context.belief, feet[leg], WORLD) for leg in LEGS])
+    return world, foot_in_frame(context.belief, Footing(position, chart.frame), WORLD), standing
 
 
-def stages_of(part: str, terms: Terms, at: Standing, prefix: str | None = None) -> tuple[list[Stage], Standing]:
+def part_stages(
+    part: str, context: MoveContext, standing: Standing, prefix: str | None = None
+) -> tuple[list[Stage], Standing]:
     """Stages of a part's moves from where the robot stands, and where it stands then; `PART.` is before their names.
 
     Raises `InputError` for what the language has no words for.
     """
-    return staged(moves(terms.belief, part), terms, at, f"{part}." if prefix is None else prefix)
+    return move_stages(read_moves(context.belief, part), context, standing, f"{part}." if prefix is None else prefix)
 
 
-def staged(moves: Mapping[str, Move], terms: Terms, at: Standing, prefix: str) -> tuple[list[Stage], Standing]:
+def move_stages(
+    moves: Mapping[str, Move], context: MoveContext, standing: Standing, prefix: str
+) -> tuple[list[Stage], Standing]:
     """Stages of moves by name, as `stages_of` makes them."""
     stages = []
     for name, move in moves.items():
-        stage, at = _stage(prefix + name, move, terms, at)
+        stage, standing = _move_stage(prefix + name, move, context, standing)
         stages.append(stage)
-    return stages, at
+    return stages, standing
 
 
-def _stage(name: str, move: Move, terms: Terms, at: Standing) -> tuple[Stage, Standing]:
-    feet, frames, swing, guides = dict(at.feet), {leg: foot.stands for leg, foot in at.feet.items()}, {}, {}
-    for group, said in move.feet.items():
+def _move_stage(name: str, move: Move, context: MoveContext, standing: Standing) -> tuple[Stage, Standing]:
+    feet, frames, swing, guides = (
+        dict(standing.feet),
+        {leg: foot.stance_frame for leg, foot in standing.feet.items()},
+        {},
+        {},
+    )
+    for group, place_said in move.feet.items():
         where = f"{move.path}.{group}"
         for leg in GROUPS[group]:
-            left = at.feet[leg]
-            if (place := said or left.place) is None:
+            old_footing = standing.feet[leg]
+            if (place := place_said or old_footing.place) is None:
                 raise InputError(f"{where} is not allowed without a place: nothing says where it stands")
-            feet[leg] = terms.foot(leg, place, where)
+            feet[leg] = context.foot(leg, place, where)
             frames[leg] = feet[leg].frame
-            swing[leg] = feet[leg].at if move.depth is None else terms.foot(leg, place, where, move.depth).at
+            swing[leg] = feet[leg].point if move.depth is None else context.foot(leg, place, where, move.depth).point
             if move.leave and move.land:
-                ways = (terms.unit * terms.vector(leg, numbers) for numbers in (move.leave, move.land))
-                starts = in_frame(terms.belief, left, frames[leg]), feet[leg].at
+                ways = (context.unit * context.vector(leg, numbers) for numbers in (move.leave, move.land))
+                starts = foot_in_frame(context.belief, old_footing, frames[leg]), feet[leg].point
                 guides[leg] = jnp.stack([start + way for start, way in zip(starts, ways, strict=True)])
-    known(move.support, terms.supports, f"{move.path}.support = {move.support}")
+    known(move.support, context.supports, f"{move.path}.support = {move.support}")
     if move.law:
-        known(move.law, terms.laws, f"{move.path}.law = {move.law}")
+        known(move.law, context.laws, f"{move.path}.law = {move.law}")
     stage = Stage(
-        name, move.time * terms.time if move.seconds is None else move.seconds, swing,
-        CYCLES[move.swing], move.lift * terms.lift,
-        (0.0, 0.0, 1.0) if move.plane is None else jnp.stack([terms.vector(leg, move.plane) for leg in LEGS]),
-        carry=move.carry, guides=guides, foot_frames=tuple(frames[leg] for leg in LEGS), base_frame=at.frame,
-        support=terms.supports[move.support], law=move.law, **terms.stage,
+        name, move.time * context.time if move.seconds is None else move.seconds, swing,
+        CYCLES[move.swing], move.lift * context.lift,
+        (0.0, 0.0, 1.0) if move.plane is None else jnp.stack([context.vector(leg, move.plane) for leg in LEGS]),
+        carry=move.carry, guides=guides, foot_frames=tuple(frames[leg] for leg in LEGS), base_frame=standing.frame,
+        support=context.supports[move.support], law=move.law, **context.stage,
     )  # fmt: skip
     pace, rates = PACES[move.pace]
     press = move.press * stage.press[0], move.press * stage.press[1]
     stage = replace(stage, pace=pace, rates=tuple(move.rates) if move.rates else rates, press=press)
     if not move.base:
-        return stage, at._replace(feet=feet)
-    position, pitch, chart = terms.base(move.base, f"{move.path}.base")
-    turn = None if pitch is None else jnp.asarray(at.pitch - pitch, float)
+        return stage, standing._replace(feet=feet)
+    position, pitch, chart = context.base(move.base, f"{move.path}.base")
+    turn = None if pitch is None else jnp.asarray(standing.pitch - pitch, float)
     pivot, arc = None, jnp.radians(jnp.asarray(move.arc, float))
     if move.pivot:
-        pivot = terms.base({next(iter(move.base)): move.pivot}, f"{move.path}.pivot")[0]
+        pivot = context.base({next(iter(move.base)): move.pivot}, f"{move.path}.pivot")[0]
     elif chart.about and turn is not None:
-        pivot, arc = chart.about(terms.belief.obstacle, terms.unit, *next(iter(move.base.values()))), jnp.abs(turn)
+        pivot, arc = chart.about(context.belief.obstacle, context.unit, *next(iter(move.base.values()))), jnp.abs(turn)
     stage = replace(
-        stage, position=position, turn=None if turn is None else turn * terms.left, pivot=pivot, arc=arc,
+        stage, position=position, turn=None if turn is None else turn * context.left, pivot=pivot, arc=arc,
         base_frame=chart.frame,
     )  # fmt: skip
-    return stage, Standing(feet, at.pitch if pitch is None else pitch, chart.frame)
+    return stage, Standing(feet, standing.pitch if pitch is None else pitch, chart.frame)
 
 
-def in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]:
+def foot_in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]:
     """Where a foot stands (m), in a frame, free bodies as they start."""
     if foot.frame == frame:
-        return foot.at
+        return foot.point
     free = free_start(belief.obstacle)
-    return to_frame(to_world(foot.at[None], jnp.array([foot.frame]), free), jnp.array([frame]), free)[0]
+    return to_frame(to_world(foot.point[None], jnp.array([foot.frame]), free), jnp.array([frame]), free)[0]
 
 
-def moves(belief: Case, part: str, above: tuple[str, ...] = ()) -> dict[str, Move]:
+def read_moves(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> dict[str, Move]:
     """The moves of a part of a case's plan, by name. Raises `InputError`.
 
     A part with `reverse` has those of another one backwards, which began as the only move of the part `from` places the
@@ -248,56 +257,61 @@ def moves(belief: Case, part: str, above: tuple[str, ...] = ()) -> dict[str, Mov
     if not isinstance(chart := common.get("base", ""), str):
         raise InputError(f"plan.{part}.base = {chart} is not allowed: a chart's name")
     if "reverse" not in common:
-        again = [f"{k + 1}." for k in range(common.pop(REPEAT))] if REPEAT in common else [""]
-        found = {name: {**common, **given, "base": _based(common, given)}
-                 for name, given in content[part].items() if isinstance(given, Mapping)}  # fmt: skip
-        return {before + name: _move(f"plan.{part}.{name}", _at(given, k))
-                for k, before in enumerate(again) for name, given in found.items()}  # fmt: skip
+        prefixes = [f"{k + 1}." for k in range(common.pop(REPEAT))] if REPEAT in common else [""]
+        parsed = {name: {**common, **values, "base": _base_with_chart(common, values)}
+                 for name, values in content[part].items() if isinstance(values, Mapping)}  # fmt: skip
+        return {prefix + name: _parse_move(f"plan.{part}.{name}", _repetition(values, k))
+                for k, prefix in enumerate(prefixes) for name, values in parsed.items()}  # fmt: skip
     for key in content[part]:
         known(key, REVERSED, f"plan.{part}.{key}")
-    above = (*above, part)  # which are made of this one
+    enclosing = (*enclosing, part)  # which are made of this one
     for key in ("reverse", "from"):
-        if not isinstance(other := common.get(key), str) or other in above:
-            raise InputError(f"plan.{part}.{key} = {other} is not allowed: another part")
-    forth = {"": placing(belief, common["from"], above)[1], **moves(belief, common["reverse"], above)}
-    found = backwards(_pitched(belief, forth))
-    if one_and_other := common.get("mirror"):
-        if not isinstance(one_and_other, list) or len(one_and_other) != 2:
-            raise InputError(f"plan.{part}.mirror = {one_and_other} is not allowed: two charts")
-        found = {name: mirrored(belief, move, one_and_other) for name, move in found.items()}
-    return {name: replace(move, law=common.get("law", move.law)) for name, move in found.items()}
+        if not isinstance(other_part := common.get(key), str) or other_part in enclosing:
+            raise InputError(f"plan.{part}.{key} = {other_part} is not allowed: another part")
+    forward_moves = {
+        "": placing_move(belief, common["from"], enclosing)[1],
+        **read_moves(belief, common["reverse"], enclosing),
+    }
+    parsed = reverse_moves(_with_pitch(belief, forward_moves))
+    if mirror_charts := common.get("mirror"):
+        if not isinstance(mirror_charts, list) or len(mirror_charts) != 2:
+            raise InputError(f"plan.{part}.mirror = {mirror_charts} is not allowed: two charts")
+        parsed = {name: mirror_move(belief, move, mirror_charts) for name, move in parsed.items()}
+    return {name: replace(move, law=common.get("law", move.law)) for name, move in parsed.items()}
 
 
-def _at(given: Any, k: int) -> Any:
+def _repetition(values: Any, k: int) -> Any:
     """What a move says when it is made after `k` times: numbers that go by it are arrays."""
-    return jax.tree.map(lambda x: x[k] if np.ndim(x) else x, given)
+    return jax.tree.map(lambda x: x[k] if np.ndim(x) else x, values)
 
 
-def backwards(moves: Mapping[str, Move]) -> dict[str, Move]:
+def reverse_moves(moves: Mapping[str, Move]) -> dict[str, Move]:
     """Moves that go back to where the robot is placed by the first one: each to where the forward one came from."""
     start, *others = moves.items()
-    base, feet, found = start[1].base, _by_leg(start[1]), {}
+    base, feet, reversed_moves = start[1].base, _by_leg(start[1]), {}
     for name, move in others:
-        goes = _by_leg(move)
-        found[name] = replace(move, base=base, feet={leg: feet[leg] for leg in goes}, leave=move.land, land=move.leave)
-        base, feet = move.base or base, feet | {leg: place for leg, place in goes.items() if place}
-    return dict(reversed(found.items()))
+        targets = _by_leg(move)
+        reversed_moves[name] = replace(
+            move, base=base, feet={leg: feet[leg] for leg in targets}, leave=move.land, land=move.leave
+        )
+        base, feet = move.base or base, feet | {leg: place for leg, place in targets.items() if place}
+    return dict(reversed(reversed_moves.items()))
 
 
-def _pitched(belief: Case, moves: Mapping[str, Move]) -> dict[str, Move]:
+def _with_pitch(belief: Case, moves: Mapping[str, Move]) -> dict[str, Move]:
     """Moves that say the pitch which the base keeps where it says none: its charts do not tell it."""
-    offered, kept, found = belief.obstacle.charts, 0.0, {}
+    offered, pitch, result = belief.obstacle.charts, 0.0, {}
     for name, move in moves.items():
         for place, numbers in move.base.items():
             chart = offered.get(place)
             if chart is None or chart.pitch:
-                kept = None
+                pitch = None
             elif len(numbers) > len(chart.names):
-                kept = numbers[-1]
-            elif kept is not None:
-                move = replace(move, base={place: [*numbers, kept]})
-        found[name] = move
-    return found
+                pitch = numbers[-1]
+            elif pitch is not None:
+                move = replace(move, base={place: [*numbers, pitch]})
+        result[name] = move
+    return result
 
 
 def _by_leg(move: Move) -> dict[str, Place | None]:
@@ -305,40 +319,40 @@ def _by_leg(move: Move) -> dict[str, Place | None]:
     return {NAMES[leg]: place for group, place in move.feet.items() for leg in GROUPS[group]}
 
 
-def placing(belief: Case, part: str, above: tuple[str, ...] = ()) -> tuple[str, Move]:
+def placing_move(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> tuple[str, Move]:
     """A part's only move, which places base and feet, with its name. Raises `InputError`."""
-    (name, move), *others = moves(belief, part, above).items()
+    (name, move), *others = read_moves(belief, part, enclosing).items()
     if others or not move.base or len({leg for leg, place in _by_leg(move).items() if place}) < len(LEGS):
         raise InputError(f"plan.{part} is not allowed: one move, which places the base and all feet")
     return name, move
 
 
-def mirrored(belief: Case, move: Move, swapped: Sequence[str]) -> Move:
+def mirror_move(belief: Case, move: Move, charts: Sequence[str]) -> Move:
     """A move in a mirror across the robot's way: what is ahead is behind, front legs are rear ones."""
-    offered, other = belief.obstacle.charts, dict(zip(swapped, reversed(swapped), strict=True))
+    offered, swapped_chart = belief.obstacle.charts, dict(zip(charts, reversed(charts), strict=True))
 
-    def place(given: Place | None) -> Place | None:
-        return given and {other.get(chart, chart): [-number if name == "ahead" else number
+    def place(values: Place | None) -> Place | None:
+        return values and {swapped_chart.get(chart, chart): [-number if name == "ahead" else number
                           for name, number in zip(offered[chart].names, numbers, strict=False)]
-                          for chart, numbers in given.items()}  # fmt: skip
+                          for chart, numbers in values.items()}  # fmt: skip
 
-    def vector(given: Numbers | None) -> Numbers | None:
-        return given and [given[0], -given[1], given[2]]
+    def vector(values: Numbers | None) -> Numbers | None:
+        return values and [values[0], -values[1], values[2]]
 
-    feet = {OPPOSITE[group]: place(given) for group, given in move.feet.items()}
+    feet = {OPPOSITE[group]: place(values) for group, values in move.feet.items()}
     return replace(move, feet=feet, base=place(move.base) or {}, plane=vector(move.plane), leave=vector(move.leave),
                    land=vector(move.land))  # fmt: skip
 
 
-def _based(common: Mapping[str, Any], given: Mapping[str, Any]) -> Any:
+def _base_with_chart(common: Mapping[str, Any], values: Mapping[str, Any]) -> Any:
     """The base's place with its chart, which the part says if the move does not."""
-    place = given.get("base", {})
+    place = values.get("base", {})
     return {common.get("base", ""): place} if isinstance(place, list) else place
 
 
-def _move(where: str, given: Mapping[str, Any]) -> Move:
-    feet = {key: given[key] for key in GROUPS if key in given}
-    words = {key: value for key, value in given.items() if key not in GROUPS}
+def _parse_move(where: str, values: Mapping[str, Any]) -> Move:
+    feet = {key: values[key] for key in GROUPS if key in values}
+    words = {key: value for key, value in values.items() if key not in GROUPS}
     allowed = [f.name for f in fields(Move) if f.name not in ("feet", "path")]
     for key, value in words.items():
         known(key, [*allowed, *GROUPS], f"{where}.{key}")
@@ -348,14 +362,14 @@ def _move(where: str, given: Mapping[str, Any]) -> Move:
             raise InputError(f"{where}.{key} = {_plain(value)} is not allowed: [{', '.join(COMPONENTS[key])}]")
         if key in NUMBERS and (isinstance(value, Mapping | list) or (value is None is not NUMBERS[key])):
             raise InputError(f"{where}.{key} = {_plain(value)} is not allowed: a number")
-    for key, value in given.items():
-        wrong = [number for number in _listed(value) if isinstance(number, WRONG)]
+    for key, value in values.items():
+        wrong = [number for number in _leaves(value) if isinstance(number, NOT_A_NUMBER)]
         if wrong and key not in (*WORDS, "support", "law"):
             raise InputError(f"{where}.{key} = {wrong[0]} is not allowed: a number")
         if key in LONG and isinstance(value, int | float) and not 0 < value < math.inf:
             raise InputError(f"{where}.{key} = {value:g} is not allowed: above 0")
     for key in ("base", *feet):
-        place = given.get(key)
+        place = values.get(key)
         if place and not (isinstance(place, Mapping) and [*map(type, place.values())] == [list]):
             raise InputError(f"{where}.{key} = {_plain(place)} is not allowed: coordinates in one chart")
     return Move(where, feet, **words)
@@ -370,25 +384,25 @@ def _plain(value: Any) -> Any:
     return jax.tree.map(plain, value)
 
 
-def _listed(value: Any) -> Iterator[Any]:
+def _leaves(value: Any) -> Iterator[Any]:
     """What stands in a value of a move, but in it alone."""
     if isinstance(value, Mapping | list):
         for part in value.values() if isinstance(value, Mapping) else value:
-            yield from _listed(part)
+            yield from _leaves(part)
     elif value is not None:
         yield value
 
 
-def numbers_of[T](cls: type[T], belief: Case, part: str) -> T:
+def read_numbers[T](cls: type[T], belief: Case, part: str) -> T:
     """A part of a case's plan that holds numbers, not moves, as a named tuple. Raises `InputError`."""
-    given, names = tabled(belief).get(part, {}), cls.__annotations__
-    if missing := [name for name in names if name not in given]:
+    values, names = tabled(belief).get(part, {}), cls.__annotations__
+    if missing := [name for name in names if name not in values]:
         raise InputError(f"plan.{part}.{missing[0]} is missing")
-    for name, value in given.items():
+    for name, value in values.items():
         known(name, names, f"plan.{part}.{name}")
-        several = get_origin(names[name]) is tuple
-        wanted, every = (len(get_args(names[name])), value) if several else (1, [value])
-        if not isinstance(every, list) or len(every) != wanted or any(isinstance(x, WRONG) for x in every):
-            told = f"{wanted} numbers" if several else "a number"
-            raise InputError(f"plan.{part}.{name} = {_plain(value)} is not allowed: {told}")
-    return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in given.items()})
+        is_list = get_origin(names[name]) is tuple
+        length, numbers = (len(get_args(names[name])), value) if is_list else (1, [value])
+        if not isinstance(numbers, list) or len(numbers) != length or any(isinstance(x, NOT_A_NUMBER) for x in numbers):
+            allowed = f"{length} numbers" if is_list else "a number"
+            raise InputError(f"plan.{part}.{name} = {_plain(value)} is not allowed: {allowed}")
+    return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})

@@ -1,4 +1,7 @@
-"""What the controller is told of the state: bias, noise and delay; and where it takes free bodies to be by that."""
+"""Sensor model: turns the true state into what the controller measures, with bias, noise and delay.
+
+Also holds the filter that smooths the measured poses of an obstacle's free bodies (balls, rafts, ladders).
+"""
 
 from typing import Any, NamedTuple
 
@@ -12,95 +15,140 @@ from sweep.models.control import Control
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
 
-# folded into a key to draw errors of the free bodies, of the feet's load, and of what turns
-FREE, LOAD, RATES = 1, 2, 3
-DOUBT = 4.0  # deviations of what is measured on a foot in the air that do not yet make it stand
+FREE, LOAD, RATES = 1, 2, 3  # folded into a rollout's key to draw the errors of free bodies, of foot loads and of rates
+# A foot counts as loaded if the measured load exceeds the threshold by this many standard deviations of the load error.
+CONTACT_DEVIATIONS = 4.0
 
 
 class Observation(NamedTuple):
-    """What the controller sees of the robot and of the obstacle's free bodies. World axes."""
+    """Measured state of the robot and of the obstacle's free bodies in one control tick, world axes.
+
+    Made by `observe`; the engines also make one without errors from the true state.
+    """
 
     position: Float[Array, " 3"]  # m, of the base
     quat: Float[Array, " 4"]  # base to world
     velocity: Float[Array, " 3"]  # m/s, of the base
-    spin: Float[Array, " 3"]  # rad/s, of the base, base axes
-    angles: Float[Array, "6 3"]  # rad, of the joints
-    rates: Float[Array, "6 3"]  # rad/s
-    joint_error: Float[Array, "6 3"]  # rad, measured minus true joint angle: what the drives' feedback suffers
-    loaded: Bool[Array, " 6"]  # which feet carry load, for sure
+    spin: Float[Array, " 3"]  # rad/s, angular velocity of the base, base axes
+    angles: Float[Array, "6 3"]  # rad, joint angles
+    rates: Float[Array, "6 3"]  # rad/s, joint rates
+    joint_error: Float[Array, "6 3"]  # rad, measured minus true joint angle; acts on the feedback of the drives
+    loaded: Bool[Array, " 6"]  # feet that surely carry load
     free: FreeState
-    load: Float[Array, " 6"] | float = np.inf  # N, on each foot, along the normal
-    perhaps: Bool[Array, " 6"] | None = None  # which do by what is measured; None: those that are loaded
+    load: Float[Array, " 6"] | float = np.inf  # N, measured load on each foot, along the surface normal
+    maybe_loaded: Bool[Array, " 6"] | None = None  # feet that may carry load; None: same as `loaded`
 
 
 class Biases(NamedTuple):
-    """Constant errors of what is measured of the robot in a rollout."""
+    """Constant sensor errors of one rollout, drawn by `draw_biases`. World axes."""
 
     position: Float[Array, " 3"]  # m
-    turn: Float[Array, " 3"]  # rad
+    turn: Float[Array, " 3"]  # rad, rotation vector
     velocity: Float[Array, " 3"]  # m/s
     joint: Float[Array, "6 3"]  # rad
-    load: Float[Array, " 6"]  # N
+    load: Float[Array, " 6"]  # N, of each foot
 
 
 class Sensors(NamedTuple):
-    """A rollout's biases and the true observations before this one, newest first."""
+    """State of the sensors in a rollout: its biases and the true observations of past ticks, newest first.
+
+    Made by `init_sensors`.
+    """
 
     bias: Biases
-    free_bias: Float[Array, "k 4 3"]  # of position, orientation, velocity and turning
-    past: Observation  # leaves (delay_buffer, ...), at least one
+    free_bias: Float[Array, "k 4 3"]  # bias of each free body's position, orientation, velocity and angular velocity
+    history: Observation  # leaves (delay_buffer, ...), at least one
 
 
-def biases(noise: Noise, key: Array) -> Biases:
-    """Draw those of one rollout."""
+def draw_biases(noise: Noise, key: Array) -> Biases:
+    """Draw the constant errors of the robot's sensors for one rollout.
+
+    Args:
+        noise: standard deviations of the biases, and fixed offsets that are added.
+        key: random key of the rollout.
+
+    Returns:
+        Biases in world axes.
+    """
     keys = jax.random.split(key, 4)
     shapes = ((3,), (3,), (3,), (6, 3))
     sizes = (noise.position_bias, noise.orientation_bias, noise.velocity_bias, noise.joint_bias)
     draws = zip(keys, sizes, shapes, strict=True)
     position, turn, velocity, joint = (size * jax.random.normal(k, shape, float) for k, size, shape in draws)
-    offsets = [[getattr(noise, f"{what}_offset_{axis}") for axis in "xyz"] for what in ("position", "orientation")]
+    offsets = [[getattr(noise, f"{kind}_offset_{axis}") for axis in "xyz"] for kind in ("position", "orientation")]
     shift, tilt = (jnp.stack([jnp.asarray(x, float) for x in three]) for three in offsets)
     load = noise.load_bias * jax.random.normal(jax.random.fold_in(key, LOAD), (6,), float)
     return Biases(position + shift, turn + tilt, velocity, joint, load)
 
 
-def free_biases(noise: Noise, key: Array, free: FreeState) -> Float[Array, "k 4 3"]:
-    """Those of the free bodies' position, orientation, velocity and turning."""
+def draw_body_biases(noise: Noise, key: Array, free: FreeState) -> Float[Array, "k 4 3"]:
+    """Draw the constant errors of the measured poses and velocities of free bodies for one rollout.
+
+    Args:
+        noise: standard deviations of the biases.
+        key: random key of the rollout.
+        free: state of the k free bodies; only their number and precision matter.
+
+    Returns:
+        Errors of position (m), orientation (rad, rotation vector), velocity (m/s) and angular velocity (rad/s) of each
+        body, (k, 4, 3), world axes.
+    """
     sizes = (noise.body_position_bias, noise.body_orientation_bias, noise.body_velocity_bias, noise.body_turn_bias)
-    return _scatter(jax.random.fold_in(key, FREE), sizes, free)
+    return _draw_body_errors(jax.random.fold_in(key, FREE), sizes, free)
 
 
-def install(noise: Noise, key: Array, truth: Observation) -> Sensors:
-    """The biases that `key` draws; before the rollout's start everything was as `truth`."""
-    past = jax.tree.map(lambda x: jnp.broadcast_to(x, (max(noise.delay_buffer, 1), *x.shape)), truth)
-    return Sensors(biases(noise, key), free_biases(noise, key, truth.free), past)
+def init_sensors(noise: Noise, key: Array, truth: Observation) -> Sensors:
+    """Draw a rollout's biases and fill the history with the state at the start.
+
+    Args:
+        noise: sensor errors and the length of the delay buffer.
+        key: random key of the rollout.
+        truth: true state at the start; the state before the start is taken to be the same.
+    """
+    history = jax.tree.map(lambda x: jnp.broadcast_to(x, (max(noise.delay_buffer, 1), *x.shape)), truth)
+    return Sensors(draw_biases(noise, key), draw_body_biases(noise, key, truth.free), history)
 
 
 def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> tuple[Sensors, Observation]:
-    """Delayed, biased and noisy view of `truth`; joint errors act in the drives and are not delayed."""
-    past = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old[:-1]]), truth, sensors.past)
+    """Return the delayed, biased and noisy measurement of a true state.
+
+    Joint errors act on the feedback of the drives in the same tick, hence they are not delayed.
+
+    Args:
+        noise: sensor errors; delays are in control ticks.
+        sensors: biases and history of the rollout.
+        truth: true state in this tick.
+        key: random key of the tick.
+
+    Returns:
+        The sensors with `truth` added to the history, and the measurement. Its `loaded` is the delayed true contact;
+        see `with_contact_detection` for contact by measured load.
+    """
+    history = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old[:-1]]), truth, sensors.history)
 
     def delayed(delay: Array | float, new: Any, old: Any) -> Any:
         late = jnp.clip(jnp.round(delay).astype(jnp.int32), 0, noise.delay_buffer)
-        return jax.tree.map(lambda now, before: jnp.where(late == 0, now, before[jnp.maximum(late - 1, 0)]), new, old)
+        return jax.tree.map(
+            lambda newest, earlier: jnp.where(late == 0, newest, earlier[jnp.maximum(late - 1, 0)]), new, old
+        )
 
-    seen = delayed(noise.delay, truth, sensors.past)
-    free = delayed(noise.body_delay, truth.free, sensors.past.free)
-    load = delayed(noise.delay + noise.load_delay, truth.load, sensors.past.load) + sensors.bias.load
+    obs = delayed(noise.delay, truth, sensors.history)
+    free = delayed(noise.body_delay, truth.free, sensors.history.free)
+    load = delayed(noise.delay + noise.load_delay, truth.load, sensors.history.load) + sensors.bias.load
     sizes = (noise.body_position_noise, noise.body_orientation_noise, noise.body_velocity_noise, noise.body_turn_noise)
-    error = sensors.free_bias + _scatter(jax.random.fold_in(key, FREE), sizes, free)
+    error = sensors.free_bias + _draw_body_errors(jax.random.fold_in(key, FREE), sizes, free)
     dtype = truth.position.dtype
     draw = jax.random.normal(key, (33,), dtype)
     rates = jax.random.normal(jax.random.fold_in(key, RATES), (21,), dtype)
     joint_error = sensors.bias.joint + noise.joint_noise * draw[9:27].reshape(6, 3)
     turn = sensors.bias.turn + noise.orientation_noise * draw[3:6]
-    seen = seen._replace(
-        position=seen.position + sensors.bias.position + noise.position_noise * draw[:3],
-        quat=multiply(exponential(turn), seen.quat),
-        velocity=seen.velocity + sensors.bias.velocity + noise.velocity_noise * draw[6:9],
-        spin=seen.spin + noise.spin_noise * rates[:3],
-        angles=seen.angles + joint_error,
-        rates=seen.rates + noise.joint_rate_noise * rates[3:].reshape(6, 3),
+    obs = obs._replace(
+        position=obs.position + sensors.bias.position + noise.position_noise * draw[:3],
+        quat=multiply(exponential(turn), obs.quat),
+        velocity=obs.velocity + sensors.bias.velocity + noise.velocity_noise * draw[6:9],
+        spin=obs.spin + noise.spin_noise * rates[:3],
+        angles=obs.angles + joint_error,
+        rates=obs.rates + noise.joint_rate_noise * rates[3:].reshape(6, 3),
         joint_error=joint_error,
         load=load + noise.load_noise * draw[27:],
         free=FreeState(
@@ -110,54 +158,88 @@ def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> t
             free.turn + error[:, 3],
         ),
     )
-    return sensors._replace(past=past), seen
+    return sensors._replace(history=history), obs
 
 
-def weighed(control: Control, noise: Noise, seen: Observation) -> Observation:
-    """`seen`, and which feet carry load by what is measured: for sure, where `noise` is believed, and perhaps."""
-    doubt = DOUBT * jnp.sqrt(jnp.square(noise.load_noise) + jnp.square(noise.load_bias))
-    perhaps = seen.load > control.load_threshold
-    return seen._replace(loaded=seen.load > control.load_threshold + doubt, perhaps=perhaps)
+def with_contact_detection(control: Control, noise: Noise, obs: Observation) -> Observation:
+    """Set `loaded` and `maybe_loaded` of an observation from its measured foot loads.
+
+    A foot surely carries load if the measurement exceeds the threshold by `CONTACT_DEVIATIONS` standard deviations of
+    the believed load error, and may carry load if the measurement exceeds the threshold.
+
+    Args:
+        control: has the load threshold (N).
+        noise: believed sensor errors.
+        obs: observation whose `load` was measured.
+    """
+    doubt = CONTACT_DEVIATIONS * jnp.sqrt(jnp.square(noise.load_noise) + jnp.square(noise.load_bias))
+    perhaps = obs.load > control.load_threshold
+    return obs._replace(loaded=obs.load > control.load_threshold + doubt, maybe_loaded=perhaps)
 
 
-def behind(noise: Noise, period: float) -> Array | float:
-    """By how much later (s) loads are seen than places."""
+def load_delay_s(noise: Noise, period: float) -> Array | float:
+    """Return by how much (s) measured foot loads lag behind measured positions.
+
+    Args:
+        noise: believed sensor errors, with delays in control ticks.
+        period: control period (s).
+    """
     return noise.load_delay * period
 
 
-def untold(noise: Noise, period: float) -> Array | float:
-    """For how long (s) a foot stands before its load is known."""
+def touchdown_detection_delay_s(noise: Noise, period: float) -> Array | float:
+    """Return how long (s) after touchdown the measured load of a foot can show it.
+
+    Args:
+        noise: believed sensor errors, with delays in control ticks.
+        period: control period (s).
+    """
     return (noise.delay + noise.load_delay) * period
 
 
-def _scatter(key: Array, sizes: tuple[Array | float, ...], free: FreeState) -> Float[Array, "k 4 3"]:
-    """Errors of the free bodies of the given deviations; the key is one that nothing of the robot draws from."""
+def _draw_body_errors(key: Array, sizes: tuple[Array | float, ...], free: FreeState) -> Float[Array, "k 4 3"]:
+    """Normal errors of each free body, from a stream of random numbers that no error of the robot uses."""
     return jnp.stack(sizes)[:, None] * jax.random.normal(key, (*free.position.shape[:1], 4, 3), free.position.dtype)
 
 
-class Observer(NamedTuple):
-    """Two filters in a row: after one alone, feet that stand on a body would still change speed at every tick."""
+class BodyObserver(NamedTuple):
+    """State of the free-body filter: two complementary filters in series.
+
+    With a single filter, feet that stand on a body would still get a jump in velocity at every tick. Made by the
+    tracker for manoeuvres on free bodies.
+    """
 
     first: FreeState
     second: FreeState
 
 
-def followed(observer: Observer, seen: FreeState, time: Array | float, period: float) -> Observer:
-    """The poses a control tick of `period` (s) on: complementary filters.
+def filter_body_pose(
+    observer: BodyObserver, measured: FreeState, time_constant: Array | float, period: float
+) -> BodyObserver:
+    """Advance the free-body filter by one control tick.
 
-    They go on with the measured velocities and are drawn to the measured poses, each with half of the time constant
-    `time` (s), so that steady motion is followed without lag. With 0 s they are the measured ones.
+    Each of the two complementary filters integrates the measured velocities and is corrected towards the pose before it
+    with half of the time constant. Steady motion is therefore followed without lag.
+
+    Args:
+        observer: state of the filter.
+        measured: measured state of the free bodies, world axes.
+        time_constant: of both filters together (s); 0 passes the measurement through.
+        period: control period (s).
+
+    Returns:
+        The new state; its `second` is the filtered pose with the measured velocities.
     """
-    first = _drawn(observer.first, seen, time / 2, period)
-    return Observer(first, _drawn(observer.second, first, time / 2, period))
+    first = _filter_step(observer.first, measured, time_constant / 2, period)
+    return BodyObserver(first, _filter_step(observer.second, first, time_constant / 2, period))
 
 
-def _drawn(estimate: FreeState, to: FreeState, time: Array | float, period: float) -> FreeState:
-    share = period / jnp.maximum(time, period)
-    position = estimate.position + period * to.velocity
-    quat = multiply(exponential(period * to.turn), estimate.quat)
-    off = logarithm(multiply(to.quat, conjugate(quat)))
+def _filter_step(estimate: FreeState, measured: FreeState, time_constant: Array | float, period: float) -> FreeState:
+    share = period / jnp.maximum(time_constant, period)
+    position = estimate.position + period * measured.velocity
+    quat = multiply(exponential(period * measured.turn), estimate.quat)
+    off = logarithm(multiply(measured.quat, conjugate(quat)))
     quat = multiply(exponential(share * off), quat)
-    # rounded products of thousands of ticks lose their length, and with it the feet that stand on the body their place
+    # Normalise: rounding over thousands of ticks would change the length, and shift feet that stand on the body.
     quat = quat / jnp.linalg.norm(quat, axis=-1, keepdims=True)
-    return to._replace(position=position + share * (to.position - position), quat=quat)
+    return measured._replace(position=position + share * (measured.position - position), quat=quat)

@@ -1,7 +1,7 @@
-"""The vocabulary of manoeuvres: a plan is a list of stages, laid out as one table that a controller can follow.
+"""The plan: a list of stages, and the table of arrays made from it that the tracker follows.
 
-In a stage some legs swing to given footholds along a step cycle while the body moves along its path; the other feet
-stand. Numbers come from the belief's parameters, so that plans are built under vmap; the number of stages and their
+In a stage, some legs swing to footholds along a step cycle while the base moves along its path; the other feet stand.
+All numbers may depend on the belief's parameters, so that plans can be made under vmap. The number of stages and their
 names are fixed at compile time.
 """
 
@@ -20,27 +20,32 @@ from sweep.formulas import stepping
 from sweep.models.frames import WORLD
 from sweep.models.obstacles.surface import FreeState
 
-CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)  # swings; the third spends its way by lambda_1
-LOCKED, LEVELLING, BALANCE = range(3)  # middle legs: as planned; as a flywheel that comes to rest, or that balances
-STEADY, SMOOTH, ELLIPTIC = range(3)  # timing of a body path: its own rates, trapezoidal_transfer, half-ellipse swing
-# How a stage begins: with footholds and base shifted by the base's error; from the feet's measured places, at their
-# commanded depth or, on a free body, pressed as far beyond them as the stage says; or just from what was commanded.
+# swing profiles; CYCLE_B_SMOOTH is cycle B with the timing of `stepping.trapezoidal_transfer`
+CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)
+# middle legs: as planned; as a flywheel that comes to rest; as a flywheel that balances
+LOCKED, LEVELLING, BALANCE = range(3)
+# progress of the base: a cubic with given rates at its ends; trapezoidal timing; as the half-ellipse swing
+STEADY, SMOOTH, ELLIPTIC = range(3)
+# How a stage starts. REZERO: footholds and base shifted by the measured base error. REGRIP: measured feet at their
+# commanded depth. GRIP: as REGRIP, but feet on free bodies pressed in by `Stage.press`. KEEP: the commanded feet.
 REZERO, REGRIP, GRIP, KEEP = "rezero", "regrip", "grip", "keep"
-# a body is: where it is seen; going over to a velocity; going to a pose; rolling along with the others; held where it
-# was meant to be when the stage before ended; one that floats: going to a pose, but along the world's y axis and in
-# height where it is
+# Reference motion of a free body during a stage: as measured; to a velocity; to a pose; with the mean motion of all
+# bodies; held at its reference at the end of the stage before; of a floating body, to a pose, but measured along y and
+# in height.
 MEASURED, TO_VELOCITY, TO_POSE, TOGETHER, KEPT, ALONGSIDE = range(6)
 STILL, LEVEL = np.zeros(3, np.float32), np.array([1, 0, 0, 0], np.float32)
-STAND = 0.5  # s, before the first and after the last swing
+STAND = 0.5  # s, standing before the first and after the last swing
 
 
 class Support(NamedTuple):
-    """How a free body is meant to move from where it is seen when a stage begins; of a plan, over S stages, k bodies.
+    """Reference motion of a free body in a stage, from its measured state on; in a plan, over S stages and k bodies.
 
-    To the velocity (with its rate of turning) that it has at the stage's end, at constant acceleration: monograph
-    (3.3.5), also to rest. Not from one into the floor: a body that chatters on it falls for a step now and then, and
-    would be meant to go on and sink by millimetres. To a pose, spent by lambda_1. Together: as the mean of all bodies
-    has moved and turned. Kept: not from where it is seen, so that it is pulled back there.
+    - `TO_VELOCITY`: to a velocity and angular velocity at the end of the stage, at constant acceleration: monograph
+      (3.3.5). A starting velocity into the floor counts as 0: a ball that rattles on the floor falls for some ticks,
+      and would be planned to sink by millimetres.
+    - `TO_POSE`: to a pose, with trapezoidal timing (lambda_1).
+    - `TOGETHER`: with the mean motion of all bodies.
+    - `KEPT`: stays at its last reference, so that feet pull a body back that drifts.
     """
 
     mode: Int[Array, "*b"] | int = MEASURED
@@ -55,51 +60,55 @@ RESTS, STAYS = Support(TO_VELOCITY), Support(KEPT)
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage in a manoeuvre's own words; what is left out stays as it was."""
+    """One stage of a plan as manoeuvres write it; what is left out stays as in the stage before."""
 
     name: str
     duration: Array | float  # s
     swing: Mapping[int, Array] = field(default_factory=dict)  # leg number -> foothold (m, world)
-    cycle: int = CYCLE_A
-    height: Array | float = 0.0  # m: k^ d_y of (1.3.3), or h of the half-ellipse
-    # e of (1.3.3), which lifts the swing: one for all legs, or by leg (6, 3)
+    cycle: int = CYCLE_A  # swing profile
+    # m, k^ d_y of (1.3.3), or h of the half-ellipse
+    height: Array | float = 0.0
+    # e of (1.3.3), the direction in which swings are lifted: one for all legs, or by leg (6, 3)
     plane: Array | np.ndarray | Sequence[float] | Sequence[Sequence[float]] = (0.0, 0.0, 1.0)
-    carry: Array | float = 0.0  # share of the swing's way that is made evenly, with the body, in a regular gait
+    # share of the swing that progresses evenly with the base, as in a regular gait
+    carry: Array | float = 0.0
     position: Array | None = None  # m, base at the end
     turn: Array | None = None  # rad, rotation vector of the base over the stage, world axes
-    pace: int = STEADY
-    rates: tuple[float, float] = (1.0, 1.0)  # of a steady pace at the stage's start and end, in units of its mean
-    pivot: Array | None = None  # m, centre of the ellipse that the base goes along
-    arc: Array | float = 0.0  # rad, how far it goes along the ellipse, below pi; 0 is straight on
-    # control points (2, 3) (m, world) of a leg's swing along a cubic Bezier curve, which leaves towards the first and
-    # lands from the second: for swings over edges, in place of `height` and `plane`
+    pace: int = STEADY  # progress of the base
+    rates: tuple[float, float] = (1.0, 1.0)  # speed of a steady base at the start and end, over its mean speed
+    pivot: Array | None = None  # m, centre of the ellipse along which the base goes
+    arc: Array | float = 0.0  # rad, angle covered on that ellipse, below pi; 0 is a straight line
+    # Control points (2, 3) (m, world) of a swing along a cubic Bezier curve, which leaves towards the first and lands
+    # from the second. For swings over edges, in place of `height` and `plane`.
     guides: Mapping[int, Array] = field(default_factory=dict)
-    # leg number -> joint angles (rad) that it goes to, straight in joint space, and keeps until its next swing. A leg
-    # that swings as well stands at its foothold then, which these angles must reach.
+    # leg number -> joint angles (rad), approached straight in joint space and held until the leg's next swing. A leg
+    # that swings as well stands at its foothold afterwards, so these angles must reach it.
     posture: Mapping[int, Array | Sequence[float]] = field(default_factory=dict)
-    flywheel: int = LOCKED
-    foot_frames: tuple[int, ...] = (WORLD,) * 6  # in which each foot stands or swings, see frames.py
-    base_frame: int = WORLD  # of its place; a body's own axes turn its attitude, too
-    support: tuple[Support, ...] = ()  # of every free body; none is said of those that are where they are seen
-    law: str = ""  # that leads it, or by which metrics know it; the plan alone leads one without
+    flywheel: int = LOCKED  # mode of the middle legs
+    # frame in which each foot stands or swings, see frames.py
+    foot_frames: tuple[int, ...] = (WORLD,) * 6
+    base_frame: int = WORLD  # frame of the base position; a body-fixed frame also turns the base
+    support: tuple[Support, ...] = ()  # reference motion of every free body; empty: as measured
+    law: str = ""  # name of the feedback law that guides the stage, or by which metrics find it; empty: follow the plan
     onset: str = REZERO
-    # m, by how much feet on a free body are commanded beyond where they are measured: into it, and to the middle plane
+    # m, by which feet on a free body are commanded beyond their measured places: into the body, and towards the middle
+    # plane
     press: tuple[Array | float, Array | float] = (0.0, 0.0)
 
 
-class Curves(NamedTuple):
-    """How feet swing, over S stages."""
+class SwingCurves(NamedTuple):
+    """Swings of all feet, over S stages."""
 
     cycle: Int[Array, " s"]
     height: Float[Array, " s"]  # m
     plane: Float[Array, "s 6 3"]
     guides: Float[Array, "s 6 2 3"]  # m
-    guided: Bool[Array, "s 6"]  # which swings have guides
+    guided: Bool[Array, "s 6"]  # swings along Bezier curves
     carry: Float[Array, " s"]
 
 
-class Ways(NamedTuple):
-    """How the base's way is spent, and along what, over S stages."""
+class BasePaths(NamedTuple):
+    """Path and progress of the base, over S stages."""
 
     pace: Int[Array, " s"]
     rates: Float[Array, "s 2"]
@@ -110,39 +119,45 @@ class Ways(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Plan:
-    """Stages as arrays over S; `names` are static."""
+    """A plan as arrays over S stages, made by `compile_plan`; static fields are known at compile time."""
 
     names: tuple[str, ...] = field(metadata={"static": True})
     start: Stance
     duration: Float[Array, " s"]
     swing: Bool[Array, "s 6"]
-    foothold: Float[Array, "s 6 3"]  # at the end of the stage, commanded
-    curve: Curves
-    position: Float[Array, "s 3"]  # of the base, at the end
-    quat: Float[Array, "s 4"]  # of the base, at the start
-    turn: Float[Array, "s 3"]
-    way: Ways
+    foothold: Float[Array, "s 6 3"]  # m, commanded, at the end of the stage
+    curve: SwingCurves
+    position: Float[Array, "s 3"]  # m, base at the end of the stage
+    quat: Float[Array, "s 4"]  # base to world, at the start of the stage
+    turn: Float[Array, "s 3"]  # rad, rotation vector of the base over the stage
+    path: BasePaths
     foot_frame: Int[Array, "s 6"]
     base_frame: Int[Array, " s"]
     press: Float[Array, "s 2"]  # m
-    patience: Float[Array, ""]  # s, that a stage waits for its swing feet to touch down
-    layers: tuple[Any, ...] = ()  # what is done besides, see `sweep.controllers.layers`
-    # whether errors are taken back in the plane, with the heading's
+    patience: Float[Array, ""]  # s, longest wait for the touchdown of swinging feet
+    layers: tuple[Any, ...] = ()  # see `sweep.controllers.layers`
+    # whether base errors are corrected in the plane and in heading only
     steered: bool = field(default=False, metadata={"static": True})
-    onset: tuple[str, ...] = field(default=(), metadata={"static": True})  # of each stage
-    laws: tuple[str, ...] = field(default=(), metadata={"static": True})  # of each stage
+    onset: tuple[str, ...] = field(default=(), metadata={"static": True})  # by stage
+    laws: tuple[str, ...] = field(default=(), metadata={"static": True})  # by stage
 
     def layer[T](self, kind: type[T]) -> T | None:
-        """The one of a class, if there is one."""
+        """Return the layer of a class; None if the plan has none."""
         return next((layer for layer in self.layers if isinstance(layer, kind)), None)
 
     def with_layer(self, layer: Any) -> "Plan":
-        """With this one besides, or in place of that of its class."""
+        """Return the plan with this layer added, or in place of the layer of the same class."""
         return replace(self, layers=(*(one for one in self.layers if not isinstance(one, type(layer))), layer))
 
 
-def moved(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:
-    """The same plan in axes turned by `quat` and shifted by `by` (m): from an obstacle's frame to the world."""
+def transform_plan(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:
+    """Return the plan in other axes, such as from an obstacle's frame to the world.
+
+    Args:
+        plan: plan to transform.
+        quat: rotation from the old to the new axes.
+        by: shift (m) after the rotation, new axes.
+    """
 
     def point(p: Array) -> Array:
         return rotate(jnp.broadcast_to(quat, (*p.shape[:-1], 4)), p) + by
@@ -153,19 +168,28 @@ def moved(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:
     start = Stance(point(plan.start.feet), point(plan.start.position), multiply(quat, plan.start.quat))
     turned = multiply(jnp.broadcast_to(quat, plan.quat.shape), plan.quat)
     curve = plan.curve._replace(plane=vector(plan.curve.plane), guides=point(plan.curve.guides))
-    way = plan.way._replace(pivot=point(plan.way.pivot))
+    path = plan.path._replace(pivot=point(plan.path.pivot))
     return replace(plan, start=start, foothold=point(plan.foothold), curve=curve, quat=turned,
-                   position=point(plan.position), way=way, turn=vector(plan.turn))  # fmt: skip
+                   position=point(plan.position), path=path, turn=vector(plan.turn))  # fmt: skip
 
 
 def path_length(plan: Plan) -> Float[Array, ""]:
-    """Length of the base's planned way (m), from the end of one stage straight to the end of the next."""
+    """Return the length (m) of the base's path, with straight lines between the ends of stages."""
     points = jnp.concatenate([plan.start.position[None], plan.position])
     return jnp.sum(jnp.linalg.norm(jnp.diff(points, axis=0), axis=-1))
 
 
 def swing_progress(cycle: Int[Array, ""], carry: Array, u: Float[Array, ""]) -> tuple[Array, Array]:
-    """Share of the way and height in units of the stage's `height`, at phase u of a swing: lambda and y' + y_s."""
+    """Return progress lambda and lift y' + y_s of a swing at a phase.
+
+    Args:
+        cycle: swing profile, such as `CYCLE_A`.
+        carry: share of the swing that progresses evenly.
+        u: phase of the stage, 0 to 1.
+
+    Returns:
+        The share of the way to the foothold, and the lift in units of the stage's `height`.
+    """
     x_a, y_a = stepping.cycle_a(u)
     x_b, y_b = stepping.cycle_b(u)
     smooth, _ = stepping.trapezoidal_transfer(u, 0.0, 1.0)
@@ -176,39 +200,69 @@ def swing_progress(cycle: Int[Array, ""], carry: Array, u: Float[Array, ""]) -> 
 
 
 def pace_progress(pace: Int[Array, ""], rates: Float[Array, " 2"], u: Float[Array, ""]) -> Array:
-    """Share of a body path that is done at phase u of its stage; a steady one is the cubic with `rates` at its ends."""
+    """Return the share of a base path that is covered at a phase of its stage.
+
+    Args:
+        pace: `STEADY`, `SMOOTH` or `ELLIPTIC`.
+        rates: speed of a steady base at the start and end, over its mean speed.
+        u: phase of the stage, 0 to 1.
+    """
     first, last = rates - 1
     steady = u + (first * (1 - u) - last * u) * u * (1 - u)
     return jnp.stack([steady, stepping.trapezoidal_transfer(u, 0.0, 1.0)[0], stepping.half_ellipse(u)[0]])[pace]
 
 
-def along_arc(start: Array, end: Array, pivot: Array, arc: Array, share: Array) -> Float[Array, " 3"]:
-    """Point (m) that has done `share` of the arc of `arc` rad between two radii of an ellipse about `pivot`.
+def arc_point(start: Array, end: Array, pivot: Array, arc: Array, share: Array) -> Float[Array, " 3"]:
+    """Return the point on an elliptic arc between two points; equal shares are equal angles on a circle.
 
-    Equal shares are equal angles where the ellipse is a circle. With arc 0 the way is straight.
+    Args:
+        start: first point (m), (3,).
+        end: last point (m), (3,).
+        pivot: centre of the ellipse (m), (3,).
+        arc: angle of the arc (rad); 0 is a straight line.
+        share: share of the arc that is covered, 0 to 1.
     """
     whole, rest = jnp.sinc(arc / jnp.pi), 1 - share
     near, far = rest * jnp.sinc(rest * arc / jnp.pi) / whole, share * jnp.sinc(share * arc / jnp.pi) / whole
     return near * start + far * end + (1 - near - far) * pivot
 
 
-def along_guides(start: Array, guides: Float[Array, "*b 2 3"], end: Array, share: Array) -> Float[Array, "*b 3"]:
-    """Point (m) at `share` of the cubic Bezier curve from `start` to `end` (*b, 3) with two control points between.
+def bezier_point(start: Array, guides: Float[Array, "*b 2 3"], end: Array, share: Array) -> Float[Array, "*b 3"]:
+    """Return the point on a cubic Bezier curve, which stays in the hull of its four points.
 
-    The curve stays in the hull of its four points.
+    Args:
+        start: first point (m), (*b, 3).
+        guides: two control points (m), (*b, 2, 3).
+        end: last point (m), (*b, 3).
+        share: parameter of the curve, 0 to 1.
     """
     rest = 1 - share
     near, far = guides[..., 0, :], guides[..., 1, :]
     return rest**3 * start + 3 * rest**2 * share * near + 3 * rest * share**2 * far + share**3 * end
 
 
-def led_by(plan: Plan, stage: Int[Array, ""], *laws: str) -> Bool[Array, ""]:
-    """Whether the stage is under one of these laws."""
+def is_under_law(plan: Plan, stage: Int[Array, ""], *laws: str) -> Bool[Array, ""]:
+    """Return whether a stage is guided by one of these laws.
+
+    Args:
+        plan: the plan.
+        stage: stage number.
+        *laws: names of laws.
+    """
     return jnp.asarray(np.isin(plan.laws, laws))[stage]
 
 
-def begins(plan: Plan, stage: Int[Array, ""], free: FreeState) -> tuple[Float[Array, "6 3"], Float[Array, " 3"]]:
-    """Where feet and base (m) are in a stage's frames when it begins, had all gone as planned with bodies as `free`."""
+def stage_start(plan: Plan, stage: Int[Array, ""], free: FreeState) -> tuple[Float[Array, "6 3"], Float[Array, " 3"]]:
+    """Return feet and base at the start of a stage as planned, in the frames of the stage.
+
+    Args:
+        plan: the plan.
+        stage: stage number.
+        free: state of the free bodies, world axes.
+
+    Returns:
+        Feet (6, 3) and base position (3,), both m.
+    """
     before = jnp.maximum(stage - 1, 0)
     feet = jnp.where(stage > 0, plan.foothold[before], plan.start.feet)
     position = jnp.where(stage > 0, plan.position[before], plan.start.position)
@@ -219,26 +273,37 @@ def begins(plan: Plan, stage: Int[Array, ""], free: FreeState) -> tuple[Float[Ar
     return stance.feet, stance.position
 
 
-def ends(plan: Plan, free: FreeState) -> Stance:
-    """Where feet and base (world axes) are at the ends of all stages, over S, bodies as `free`."""
+def stage_end_stances(plan: Plan, free: FreeState) -> Stance:
+    """Return the planned stances at the ends of all S stages, world axes.
+
+    Args:
+        plan: the plan.
+        free: state of the free bodies at all these moments, world axes.
+    """
     last = Stance(plan.foothold, plan.position, multiply(exponential(plan.turn), plan.quat))
     return jax.vmap(stance_to_world, (0, 0, 0, None))(last, plan.foot_frame, plan.base_frame, free)
 
 
-def reference(
+def reference_stance(
     plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, position: Array, goal: Array | None = None
 ) -> Stance:
-    """What stage number `stage` wants at phase u (0 to 1), having begun with `feet` (6, 3) and base `position`.
+    """Return the planned stance at a phase of a stage, in the frames of the stage.
 
-    Those that swing go to `goal` (6, 3) if it is given, to their footholds else.
+    Args:
+        plan: the plan.
+        stage: stage number.
+        u: phase of the stage, 0 to 1.
+        feet: footholds (m) with which the stage started, (6, 3).
+        position: base position (m) with which the stage started, (3,).
+        goal: where swinging feet go (m), (6, 3); None: to their planned footholds.
     """
-    way, curve, goal = plan.way, plan.curve, plan.foothold[stage] if goal is None else goal
+    way, curve, goal = plan.path, plan.curve, plan.foothold[stage] if goal is None else goal
     done = pace_progress(way.pace[stage], way.rates[stage], u)
     quat = multiply(exponential(done * plan.turn[stage]), plan.quat[stage])
-    centre = along_arc(position, plan.position[stage], way.pivot[stage], way.arc[stage], done)
+    centre = arc_point(position, plan.position[stage], way.pivot[stage], way.arc[stage], done)
     share, height = swing_progress(curve.cycle[stage], curve.carry[stage], u)
     lift = stepping.lift_direction(goal - feet, curve.plane[stage])
     lifted = feet + share * (goal - feet) + curve.height[stage] * height * lift
-    guided = along_guides(feet, curve.guides[stage], goal, share)
+    guided = bezier_point(feet, curve.guides[stage], goal, share)
     along = jnp.where(curve.guided[stage][:, None], guided, lifted)
     return Stance(jnp.where(plan.swing[stage][:, None], along, feet), centre, quat)

@@ -1,6 +1,6 @@
-"""New plans out of old ones: backwards in time, in a mirror, one after the other.
+"""Plans made from other plans: reversed in time, mirrored, or joined.
 
-For plans of feet alone: without postures, flywheel or planned forces; mirrored and joined ones in the world's frame.
+For plans without postures, flywheel or planned forces. Mirrored and joined plans must be in world axes.
 """
 
 from dataclasses import fields, replace
@@ -11,33 +11,35 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sweep.controllers.frames import Stance, stance_to_world, to_frame, to_world
-from sweep.controllers.plan import Plan, begins
+from sweep.controllers.plan import Plan, stage_start
 from sweep.core.rotations import exponential, multiply
 from sweep.models import plan_table
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import FreeState, free_start, no_bodies
 
-BACK = "back."  # put before the names of stages that run backwards in time
+BACK = "back."  # prefix of the names of stages that run backwards in time
 OTHER_SIDE = np.array([1, 0, 3, 2, 5, 4])  # index of each leg's partner on the robot's other side
 
 
 def last_stance(plan: Plan) -> Stance:
-    """The stance in which a plan ends."""
+    """Return the stance in which a plan ends, in the frames of its last stage."""
     return Stance(plan.foothold[-1], plan.position[-1], multiply(exponential(plan.turn[-1]), plan.quat[-1]))
 
 
-def reversed_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
-    """The way back: it starts at the plan's last stance, and at time T - t it wants what the plan wants at t.
+def reverse_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
+    """Return the plan that runs backwards: at time T - t it has the stance that `plan` has at t.
 
-    Free bodies are as in `free`, and stay there.
+    Step cycles, paces and paths are their own reversal except at their ends. So a stage goes back with the same swings,
+    from its footholds to those of the stage before, in the frames of the latter: a foot goes to where it is to stand on
+    a measured body. Reversing twice gives the plan again.
 
-    Every step cycle, pace and path of the vocabulary is its own reversal but for its ends, so that a stage goes back
-    by the same swings, from its footholds to those of the stage before, in the frames of these: a foot goes to where
-    it is to stand on a body as that is seen. Applied twice, it gives the plan again.
+    Args:
+        plan: plan to reverse.
+        free: state of the free bodies, which stay there; None: there are none.
     """
     free = no_bodies() if free is None else free
-    starts, position = jax.vmap(lambda stage: begins(plan, stage, free))(jnp.arange(len(plan.names)))
-    frame = jnp.concatenate([plan.foot_frame[:1], plan.foot_frame[:-1]])  # of what a foot came from, and goes back to
+    starts, position = jax.vmap(lambda stage: stage_start(plan, stage, free))(jnp.arange(len(plan.names)))
+    frame = jnp.concatenate([plan.foot_frame[:1], plan.foot_frame[:-1]])  # frames to go back to
     feet, guides = (
         _in_frames(points, plan.foot_frame, frame, free) for points in (starts[:, :, None], plan.curve.guides)
     )
@@ -47,7 +49,7 @@ def reversed_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
         return jnp.flip(array, axis=0)
 
     curve = plan.curve._replace(guides=jnp.flip(guides, axis=2))
-    way = plan.way._replace(rates=jnp.flip(plan.way.rates, axis=1))
+    path = plan.path._replace(rates=jnp.flip(plan.path.rates, axis=1))
     return replace(
         plan,
         names=tuple(name.removeprefix(BACK) if name.startswith(BACK) else BACK + name for name in plan.names[::-1]),
@@ -60,48 +62,57 @@ def reversed_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
         duration=back(plan.duration),
         swing=back(plan.swing),
         curve=jax.tree.map(back, curve),
-        way=jax.tree.map(back, way),
+        path=jax.tree.map(back, path),
         base_frame=back(plan.base_frame),
         onset=plan.onset[::-1],
         laws=plan.laws[::-1],
     )
 
 
-def gone(belief: Case, plan: Plan) -> Plan:
-    """A plan without its forces, gone as the file of the case's plan says: forth, back, or there and back."""
+def apply_direction(belief: Case, plan: Plan) -> Plan:
+    """Return a plan in the direction that the case's plan file names: forward, back, or there and back.
+
+    Args:
+        belief: the case.
+        plan: the forward plan, without planned forces.
+    """
     way = plan_table.way(belief)
     if way == plan_table.FORTH:
         return plan
-    back = reversed_in_time(plan, free_start(belief.obstacle))
-    return back if way == plan_table.BACK else joined(plan, back)
+    back = reverse_in_time(plan, free_start(belief.obstacle))
+    return back if way == plan_table.BACK else join_plans(plan, back)
 
 
 def _in_frames(
     points: Float[Array, "s 6 n 3"], frame: Int[Array, "s 6"], into: Int[Array, "s 6"], free: FreeState
 ) -> Float[Array, "s 6 n 3"]:
-    """Points (m) of every stage and leg in other frames."""
+    """Points (m) of every stage and leg, transformed from `frame` to the frame `into`."""
     flat = points.reshape(-1, 3)
     old, new = (jnp.repeat(frames.reshape(-1), points.shape[2]) for frames in (frame, into))
     return to_frame(to_world(flat, old, free), new, free).reshape(points.shape)
 
 
-def mirrored(plan: Plan, normal: Float[np.ndarray, " 3"]) -> Plan:
-    """The plan seen in a mirror through the world's origin with unit `normal`; left and right legs change places.
+def mirror_plan(plan: Plan, normal: Float[np.ndarray, " 3"]) -> Plan:
+    """Return the plan mirrored in a plane through the world's origin, with left and right legs exchanged.
 
-    For robots that are their own mirror image. Applied twice, it gives the plan again.
+    For robots that are their own mirror image. Mirroring twice gives the plan again.
+
+    Args:
+        plan: plan to mirror, world axes.
+        normal: unit normal of the plane.
     """
     mirror = jnp.asarray(np.eye(3) - 2 * np.outer(normal, normal))
     left = np.array([0.0, 1.0, 0.0])
-    # From the base's mirror, its plane of symmetry, to this one: a rotation by twice the angle between them.
-    between = jnp.asarray(np.concatenate([[normal @ left], np.cross(left, normal)]))
+    # From the base's own plane of symmetry to this one: a rotation by twice the angle between them.
+    to_mirror = jnp.asarray(np.concatenate([[normal @ left], np.cross(left, normal)]))
 
     def legs(array: Array) -> Array:
-        """Of vectors by stage and leg, (S, 6, ..., 3)."""
+        """Mirror vectors by stage and leg, (S, 6, ..., 3)."""
         return array[:, OTHER_SIDE] @ mirror
 
     def attitude(quat: Array) -> Array:
         turned = jnp.concatenate([quat[..., :1], -quat[..., 1:] @ mirror], axis=-1)
-        return multiply(turned, jnp.broadcast_to(between, quat.shape))
+        return multiply(turned, jnp.broadcast_to(to_mirror, quat.shape))
 
     feet, position, quat = plan.start
     return replace(
@@ -115,12 +126,17 @@ def mirrored(plan: Plan, normal: Float[np.ndarray, " 3"]) -> Plan:
         position=plan.position @ mirror,
         quat=attitude(plan.quat),
         turn=-plan.turn @ mirror,
-        way=plan.way._replace(pivot=plan.way.pivot @ mirror),
+        path=plan.path._replace(pivot=plan.path.pivot @ mirror),
     )
 
 
-def joined(first: Plan, *others: Plan) -> Plan:
-    """The plans one after the other; each should start in the stance in which the one before it ends."""
+def join_plans(first: Plan, *others: Plan) -> Plan:
+    """Return plans one after the other; each should start in the stance in which the one before it ends.
+
+    Args:
+        first: first plan, whose start and layers are kept.
+        *others: the following plans.
+    """
     plans = (first, *others)
     whole = ("start", "patience", "layers")
     names = [f.name for f in fields(Plan) if f.name not in whole and not f.metadata.get("static")]

@@ -1,7 +1,7 @@
-"""Touch: what the places where feet come to stand tell of the obstacle, and where its surface is under them.
+"""Learning from touch: estimates the obstacle's sizes from touchdowns, and moves feet to the real surface.
 
-A foot that has just come to stand is at the surface. How far inside or outside the believed surface it is, is one
-equation for the obstacle's sizes; recursive least squares take in one after the other.
+A foot that has just landed is at the surface. Its distance from the believed surface is one equation for the obstacle's
+sizes; recursive least squares takes in one equation after the other.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sweep.controllers import frames
 from sweep.controllers.frames import Stance, to_frame, to_world
 from sweep.controllers.layers import HeldLegs
-from sweep.controllers.observation import Observation, untold
+from sweep.controllers.observation import Observation, touchdown_detection_delay_s
 from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import TrackerState
@@ -26,201 +26,257 @@ from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import Bodies, Obstacle, Surface, free_start, marked, placed, poses, under
 from sweep.models.robot import Robot
 
-REACH = 0.04  # m, how far a foot that finds no surface goes on beyond where it is planned
-COMING = 0.5  # of a swing, from where on a foot that bears load has landed
-TOO_FAR = 0.002  # m, that a foot in search of the surface may go on before it is told of the load on it
-YIELD = 0.5  # of what presses a foot too much as it lands, by which it yields in a tick
-CLEAR = 0.005  # m, that a foot may land outside of the planned surface; farther out it is lifted, by as much
+MAX_SEARCH = 0.04  # m, how far a foot moves on beyond its planned place in search of the surface
+LANDING_PHASE = 0.5  # phase of a swing after which a loaded foot counts as landed
+MAX_OVERSHOOT = 0.002  # m, that a searching foot may move on before its load is measured
+YIELD_SHARE = 0.5  # share of the excess pressure of a landing foot that it gives way to in one tick
+# m, by which a foot may land outside the planned surface; further out it is lifted, by as much above it
+CLEARANCE = 0.005
 
 
-class Touched(NamedTuple):
-    """What touching has told so far."""
+class TouchState(NamedTuple):
+    """State of learning from touch, made by `init_touch`."""
 
-    obstacle: Obstacle  # as it is believed now
-    first: Obstacle  # as the first plan was made for
-    covariance: Float[Array, "n n"]  # of the sizes of `names`, in their units
-    felt: Bool[Array, " 6"]  # which feet have come to stand since they swung
-    left: Float[Array, " 6"]  # m, outwards, by which each foot's command is still to be moved; or has gone on inwards
-    caution: Float[Array, ""]  # deviations, see `planned_for`
+    obstacle: Obstacle  # obstacle as believed now
+    first_obstacle: Obstacle  # obstacle for which the first plan was made
+    covariance: Float[Array, "n n"]  # of the sizes in `learnable_sizes`, in their units
+    has_landed: Bool[Array, " 6"]  # feet that have landed since their swing
+    # m, outward shift of each foot's command that is still to be made; negative: it has moved on inward
+    pending: Float[Array, " 6"]
+    caution: Float[Array, ""]  # standard deviations, see `planning_obstacle`
 
 
-def names(obstacle: Obstacle | type[Obstacle]) -> tuple[str, ...]:
-    """The obstacle's sizes that can be learned: of one that moves those that lying on the floor, or feet, tell."""
+def learnable_sizes(obstacle: Obstacle | type[Obstacle]) -> tuple[str, ...]:
+    """Return the names of the obstacle's sizes that touch can determine.
+
+    If its free bodies move, these are the sizes that show when they lie on the floor, or when feet stand on them.
+    """
     if obstacle.free_bodies:  # pyright: ignore[reportAttributeAccessIssue]
         return obstacle.lying or obstacle.stood_on  # pyright: ignore[reportAttributeAccessIssue]
     fields = dataclasses.fields(obstacle)  # pyright: ignore[reportArgumentType]
     return tuple(f.name for f in fields if f.metadata.get("role") == "quantity")
 
 
-def by_feet(obstacle: Obstacle) -> bool:
-    """Whether it is feet that tell these sizes."""
+def is_learned_by_feet(obstacle: Obstacle) -> bool:
+    """Return whether feet determine these sizes, rather than where free bodies lie."""
     return not obstacle.free_bodies or bool(obstacle.stood_on)
 
 
-def untouched(control: Control, obstacle: Obstacle) -> Touched:
-    """Before anything is touched: sizes as believed, all feet where they stand."""
+def init_touch(control: Control, obstacle: Obstacle) -> TouchState:
+    """Return the state before anything is touched: sizes as believed, all feet standing.
+
+    Args:
+        control: has the prior deviation of sizes.
+        obstacle: the believed obstacle.
+    """
     sizes = _sizes(obstacle)
     covariance = jnp.diag((control.obstacle_error * sizes) ** 2)
     caution = jnp.asarray(control.caution, float)
-    known = _with(obstacle, sizes)
-    return Touched(known, known, covariance, jnp.ones(N_LEGS, bool), jnp.zeros(N_LEGS), caution)
+    known = _with_sizes(obstacle, sizes)
+    return TouchState(known, known, covariance, jnp.ones(N_LEGS, bool), jnp.zeros(N_LEGS), caution)
 
 
-def standing(
+def update_from_stance(
     control: Control,
     noise: Noise,
     robot: Robot,
     start: Stance,
-    so_far: Touched,
+    touch_state: TouchState,
     position: Float[Array, "3"],
     quat: Float[Array, "4"],
     angles: Float[Array, "6 3"],
-) -> Touched:
-    """What is known when feet at the places of `start` stand, seen with these joint angles (rad) and base (m)."""
+) -> TouchState:
+    """Update the sizes from a measurement of all feet standing at the start.
+
+    Args:
+        control: settings of learning.
+        noise: believed sensor errors.
+        robot: the robot, as believed.
+        start: planned stance, world axes.
+        touch_state: state of learning.
+        position: measured base position (m).
+        quat: measured base attitude.
+        angles: measured joint angles (rad).
+    """
     places = feet_in_world(robot, position, quat, angles)
-    ground = under(so_far.obstacle, start.feet, _at_rest(so_far.first))
-    out = jnp.sum((places - start.feet) * ground.normal, axis=1)
-    variance = _variance(control, noise, so_far.obstacle)
-    known, _ = _known(so_far, places, out, ground.normal, variance, jnp.ones(N_LEGS, bool))
-    return known._replace(first=planned_for(known))
+    ground = under(touch_state.obstacle, start.feet, _start_poses(touch_state.first_obstacle))
+    outside = jnp.sum((places - start.feet) * ground.normal, axis=1)
+    variance = _variance(control, noise, touch_state.obstacle)
+    known, _ = _update_sizes(touch_state, places, outside, ground.normal, variance, jnp.ones(N_LEGS, bool))
+    return known._replace(first_obstacle=planning_obstacle(known))
 
 
-def lying(control: Control, noise: Noise, so_far: Touched, places: Float[Array, "k 3"]) -> Touched:
-    """What is known when the obstacle's free bodies lie on the floor with their centres at `places` (m)."""
-    bodies = _at_rest(so_far.obstacle)._replace(position=places)
-    owner = tuple(range(len(so_far.obstacle.free_bodies)))
+def update_from_resting_bodies(
+    control: Control, noise: Noise, touch_state: TouchState, places: Float[Array, "k 3"]
+) -> TouchState:
+    """Update the sizes from where the obstacle's free bodies lie on the floor.
+
+    Args:
+        control: settings of learning.
+        noise: believed sensor errors.
+        touch_state: state of learning.
+        places: measured centres of the bodies (m), world axes.
+    """
+    bodies = _start_poses(touch_state.obstacle)._replace(position=places)
+    owner = tuple(range(len(touch_state.obstacle.free_bodies)))
 
     def inside(x: Array) -> Array:
-        return _with(so_far.obstacle, x).surface(places, owner, bodies).depth
+        return _with_sizes(touch_state.obstacle, x).surface(places, owner, bodies).depth
 
     variance = control.touch_error**2 + noise.body_position_noise**2 + noise.body_position_bias**2
-    return _taken_in(so_far, inside, variance, jnp.ones(len(owner), bool))[0]
+    return _update_sizes_from_depths(touch_state, inside, variance, jnp.ones(len(owner), bool))[0]
 
 
-def planned_for(touched: Touched) -> Obstacle:
-    """The obstacle to plan for: heights that are uncertain somewhat larger than they probably are.
+def planning_obstacle(touched: TouchState) -> Obstacle:
+    """Return the obstacle to plan for: uncertain heights are raised by `caution` standard deviations.
 
-    A foot that comes down on what is lower than planned goes on in search of it; where it is higher, links touch its
-    edge before a foot can tell.
+    A foot over a surface lower than planned moves on in search of it. If the surface is higher, links hit its edge
+    before any foot can sense it.
     """
-    known = names(touched.obstacle)
+    known = learnable_sizes(touched.obstacle)
     deviation = jnp.sqrt(jnp.maximum(jnp.diagonal(touched.covariance), 0.0))
     more = jnp.array([name in touched.obstacle.heights for name in known]) * touched.caution * deviation
-    return _with(touched.obstacle, _sizes(touched.obstacle) + more)
+    return _with_sizes(touched.obstacle, _sizes(touched.obstacle) + more)
 
 
-def planned_on(so_far: Touched, plan: Plan, stage: Int[Array, ""]) -> Surface:
-    """What `plan`, the first one, was made for at a stage's footholds, free bodies as they start."""
-    return frames.ground(so_far.first, plan.foothold[stage], plan.foot_frame[stage])
+def planned_surface(touch_state: TouchState, plan: Plan, stage: Int[Array, ""]) -> Surface:
+    """Return the surface that the first plan was made for at a stage's footholds, with free bodies where they start.
+
+    Args:
+        touch_state: state of learning.
+        plan: the first plan.
+        stage: stage number.
+    """
+    return frames.surface_under(touch_state.first_obstacle, plan.foothold[stage], plan.foot_frame[stage])
 
 
-def felt(
+def touch_tick(
     control: Control,
     noise: Noise,
     robot: Robot,
     plan: Plan,
     ground: Surface,
     state: TrackerState,
-    so_far: Touched,
-    seen: Observation,
+    touch_state: TouchState,
+    obs: Observation,
     period: float,
-) -> tuple[Touched, Float[Array, "6 3"], Bool[Array, " 6"]]:
-    """A tick of `period` seconds on: what is known, how far footholds are to be moved (m, their frames), who searches.
+) -> tuple[TouchState, Float[Array, "6 3"], Bool[Array, " 6"]]:
+    """Run one control tick of learning from touch: update the sizes, and move feet to the real surface.
 
-    `ground` is `planned_on` in this stage: of its face a foot is taken to be, as deep in it as planned. On a free
-    body all is worked out as if that were where it starts. Where sizes are uncertain, a foot is told to stand so deep
-    inside the surface that it has felt, along whose normal its command goes over; one that lands before its swing is
-    over yields by what it is pressed more, or, far outside of where it was to land, goes on to its place above the
-    surface that it has met; one that has come to the end of its swing in the air, or stands there, goes on inwards,
-    once a load would be known of, and no faster than that allows. Along the surface it stays where it is. Legs that
-    are held by their joints do nothing of this, since footholds tell them nothing. Footholds of swinging feet are
-    moved from where they are planned, those of the others from where they were told to be in the last tick.
+    If sizes are uncertain:
+
+    - A foot that lands updates the sizes, and its command moves along the surface normal to the commanded depth inside
+      the real surface.
+    - A foot that lands before the end of its swing gives way to the excess pressure. If it is far outside its planned
+      place, it is lifted over the surface that it met.
+    - A foot in the air after its swing moves on inward, once a load would be measured, and no faster than the delay of
+      the load allows.
+
+    Along the surface, commands stay where they are. Legs held by joint angles are left out. On free bodies, everything
+    is computed as if the body were where it starts.
+
+    Args:
+        control: settings of learning.
+        noise: believed sensor errors.
+        robot: the robot, as believed.
+        plan: plan that is followed.
+        ground: `planned_surface` of the stage; each foot is taken to be on its face, as deep inside as planned.
+        state: state of the controller.
+        touch_state: state of learning.
+        obs: measurement of this tick.
+        period: control period (s).
+
+    Returns:
+        The new state of learning; the shift of footholds (m, (6, 3), in their frames), from the plan for swinging feet
+        and from the last command for standing ones; and which feet search for the surface.
     """
     stage, normal = state.stage, ground.normal
-    frame, rest = plan.foot_frame[stage], free_start(so_far.first)
-    free = seen.free if state.observer is None else state.observer.second
+    frame, rest = plan.foot_frame[stage], free_start(touch_state.first_obstacle)
+    free = obs.free if state.observer is None else state.observer.second
 
     def feet(angles: Array) -> Array:
-        places = feet_in_world(robot, seen.position, seen.quat, angles)
+        places = feet_in_world(robot, obs.position, obs.quat, angles)
         return to_world(to_frame(places, frame, free), frame, rest)
 
-    places, told, began = feet(seen.angles), feet(state.joints), to_world(state.feet, frame, rest)
-    out = jnp.sum((places - to_world(plan.foothold[stage], frame, rest)) * normal, axis=1)
+    places, commanded, swing_start = feet(obs.angles), feet(state.joints), to_world(state.feet, frame, rest)
+    outside = jnp.sum((places - to_world(plan.foothold[stage], frame, rest)) * normal, axis=1)
     legs = plan.layer(HeldLegs)
-    goes = jnp.ones(N_LEGS, bool) if legs is None else ~legs.held[stage]
-    stands = goes & ~plan.swing[stage]
-    new = stands & seen.loaded & ~so_far.felt
-    known, uncertain = _known(so_far, places, out, normal, _variance(control, noise, so_far.obstacle), new)
-    outwards = jnp.sum((places - began) * normal, axis=1) - ground.depth
-    comes = goes & plan.swing[stage] & (state.clock >= COMING * plan.duration[stage])
-    left = jnp.where(stands | comes, jnp.where(new & uncertain, outwards, so_far.left), 0.0)
-    has = stands & (so_far.felt | new)
+    follows_footholds = jnp.ones(N_LEGS, bool) if legs is None else ~legs.held[stage]
+    stands = follows_footholds & ~plan.swing[stage]
+    lands = stands & obs.loaded & ~touch_state.has_landed
+    known, uncertain = _update_sizes(
+        touch_state, places, outside, normal, _variance(control, noise, touch_state.obstacle), lands
+    )
+    outwards = jnp.sum((places - swing_start) * normal, axis=1) - ground.depth
+    may_land = follows_footholds & plan.swing[stage] & (state.clock >= LANDING_PHASE * plan.duration[stage])
+    pending = jnp.where(stands | may_land, jnp.where(lands & uncertain, outwards, touch_state.pending), 0.0)
+    landed = stands & (touch_state.has_landed | lands)
     step = control.touch_speed * period
-    follows = jnp.where(has & seen.loaded, jnp.clip(left, -step, step), 0.0)
-    late = comes & (state.clock >= plan.duration[stage])
-    searches = ((stands & ~has) | (late & ~seen.loaded)) & uncertain & (left > -REACH)
-    unknown = untold(noise, period)
-    goes_on = searches & (stands | (state.clock >= plan.duration[stage] + unknown))
-    onwards = jnp.where(goes_on, jnp.minimum(step, TOO_FAR * period / jnp.maximum(unknown, period)), 0.0)
-    strain = jnp.sum((places - told) * normal, axis=1)  # m, by which it is held outside of where it is told to be
-    pressed = YIELD / (1 + noise.delay) * (strain - ground.depth)
-    back = jnp.maximum(pressed, -jnp.maximum(left, 0.0))  # to where it was planned, at most
-    lifted = jnp.where(strain > 0, jnp.maximum(out + CLEAR - left, 0.0), 0.0)
-    early = comes & ~late & seen.loaded & uncertain
-    yields = jnp.where(early, jnp.where(out > ground.depth + CLEAR, lifted, back), 0.0)
-    moved = follows - onwards
-    left = jnp.where(searches, left - onwards, left - follows + yields)
+    tracking = jnp.where(landed & obs.loaded, jnp.clip(pending, -step, step), 0.0)
+    is_late = may_land & (state.clock >= plan.duration[stage])
+    is_searching = ((stands & ~landed) | (is_late & ~obs.loaded)) & uncertain & (pending > -MAX_SEARCH)
+    detection_delay = touchdown_detection_delay_s(noise, period)
+    goes_on = is_searching & (stands | (state.clock >= plan.duration[stage] + detection_delay))
+    onwards = jnp.where(goes_on, jnp.minimum(step, MAX_OVERSHOOT * period / jnp.maximum(detection_delay, period)), 0.0)
+    strain = jnp.sum((places - commanded) * normal, axis=1)  # m
+    pressed = YIELD_SHARE / (1 + noise.delay) * (strain - ground.depth)
+    give_way = jnp.maximum(pressed, -jnp.maximum(pending, 0.0))
+    lift = jnp.where(strain > 0, jnp.maximum(outside + CLEARANCE - pending, 0.0), 0.0)
+    lands_early = may_land & ~is_late & obs.loaded & uncertain
+    yields = jnp.where(lands_early, jnp.where(outside > ground.depth + CLEARANCE, lift, give_way), 0.0)
+    standing_move = tracking - onwards
+    pending = jnp.where(is_searching, pending - onwards, pending - tracking + yields)
     axes = rest._replace(position=jnp.zeros_like(rest.position))
-    moves = to_frame(jnp.where(stands, moved, left)[:, None] * normal, frame, axes)
-    return known._replace(felt=has, left=left), moves, searches
+    moves = to_frame(jnp.where(stands, standing_move, pending)[:, None] * normal, frame, axes)
+    return known._replace(has_landed=landed, pending=pending), moves, is_searching
 
 
 def _variance(control: Control, noise: Noise, obstacle: Obstacle) -> Array | float:
-    """Variance of how far a touched place is measured off the surface (m^2)."""
-    own = control.touch_error**2 + noise.position_noise**2 + noise.position_bias**2
-    return own + noise.body_position_noise**2 + noise.body_position_bias**2 if obstacle.free_bodies else own
+    """Variance of a touched point's measured distance from the surface (m^2)."""
+    variance = control.touch_error**2 + noise.position_noise**2 + noise.position_bias**2
+    return variance + noise.body_position_noise**2 + noise.body_position_bias**2 if obstacle.free_bodies else variance
 
 
-def _at_rest(obstacle: Obstacle) -> Bodies:
-    """Poses of its free bodies as they start."""
+def _start_poses(obstacle: Obstacle) -> Bodies:
+    """Poses of the obstacle's free bodies where they start."""
     return poses(free_start(obstacle))
 
 
-def _known(
-    so_far: Touched,
+def _update_sizes(
+    touch_state: TouchState,
     places: Float[Array, "6 3"],
-    out: Float[Array, " 6"],
+    outside: Float[Array, " 6"],
     normal: Float[Array, "6 3"],
     variance: Array | float,
     counts: Bool[Array, " 6"],
-) -> tuple[Touched, Bool[Array, " 6"]]:
-    """Sizes after those feet that count were found at the surface, and at which feet it was uncertain.
+) -> tuple[TouchState, Bool[Array, " 6"]]:
+    """Sizes after some feet were found at the surface, and at which feet the surface was uncertain.
 
-    `places` are outside of where they are planned by `out` (m) along the normal. What is seen of free bodies stays
-    where it is, whatever the sizes.
+    `places` are `outside` (m) of their planned places along the normal. The measured landmarks of free bodies stay in
+    place, whatever the sizes.
     """
-    marks = marked(so_far.first, free_start(so_far.first))
+    marks = marked(touch_state.first_obstacle, free_start(touch_state.first_obstacle))
 
     def inside(x: Array) -> Array:
-        """Taken at the planned depth: deep inside what is believed another face may be nearer."""
-        planned, obstacle = places - out[:, None] * normal, _with(so_far.obstacle, x)
-        return under(obstacle, planned, poses(placed(obstacle, marks))).depth - out
+        """Depths (m) on the planned face: deep inside the believed obstacle, another face may be nearer."""
+        planned, obstacle = places - outside[:, None] * normal, _with_sizes(touch_state.obstacle, x)
+        return under(obstacle, planned, poses(placed(obstacle, marks))).depth - outside
 
-    return _taken_in(so_far, inside, variance, counts)
+    return _update_sizes_from_depths(touch_state, inside, variance, counts)
 
 
-def _taken_in(
-    so_far: Touched, inside: Callable[[Array], Array], variance: Array | float, counts: Bool[Array, " m"]
-) -> tuple[Touched, Bool[Array, " m"]]:
-    """Sizes after those points that count were found at the surface, and at which it was uncertain.
+def _update_sizes_from_depths(
+    touch_state: TouchState, inside: Callable[[Array], Array], variance: Array | float, counts: Bool[Array, " m"]
+) -> tuple[TouchState, Bool[Array, " m"]]:
+    """Sizes after some points were found at the surface, and at which points the surface was uncertain.
 
-    `inside` says how deep (m) in the surface they are by given sizes.
+    `inside` gives the depths (m) of the points for given sizes.
     """
-    sizes = _sizes(so_far.obstacle)
+    sizes = _sizes(touch_state.obstacle)
     slopes = jax.jacfwd(inside)(sizes)
-    uncertain = jnp.sum((slopes @ so_far.covariance) * slopes, axis=1) > 0
-    sizes, covariance = _least_squares(sizes, so_far.covariance, inside(sizes), slopes, variance, counts)
-    return so_far._replace(obstacle=_with(so_far.obstacle, sizes), covariance=covariance), uncertain
+    uncertain = jnp.sum((slopes @ touch_state.covariance) * slopes, axis=1) > 0
+    sizes, covariance = _least_squares(sizes, touch_state.covariance, inside(sizes), slopes, variance, counts)
+    return touch_state._replace(obstacle=_with_sizes(touch_state.obstacle, sizes), covariance=covariance), uncertain
 
 
 def _least_squares(
@@ -231,7 +287,7 @@ def _least_squares(
     variance: Array | float,
     counts: Bool[Array, " m"],
 ) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
-    """Sizes and their covariance after those of m points that count were found at the surface, one after the other."""
+    """Sizes and covariance after the m points that count were found at the surface, taken one after the other."""
     first = sizes
     for k in range(slopes.shape[0]):
         slope = slopes[k]
@@ -243,8 +299,8 @@ def _least_squares(
 
 
 def _sizes(obstacle: Obstacle) -> Float[Array, " n"]:
-    return jnp.stack([jnp.asarray(getattr(obstacle, name), float) for name in names(obstacle)])
+    return jnp.stack([jnp.asarray(getattr(obstacle, name), float) for name in learnable_sizes(obstacle)])
 
 
-def _with(obstacle: Obstacle, sizes: Float[Array, " n"]) -> Obstacle:
-    return replace(obstacle, **{name: sizes[k] for k, name in enumerate(names(obstacle))})  # pyright: ignore
+def _with_sizes(obstacle: Obstacle, sizes: Float[Array, " n"]) -> Obstacle:
+    return replace(obstacle, **{name: sizes[k] for k, name in enumerate(learnable_sizes(obstacle))})  # pyright: ignore

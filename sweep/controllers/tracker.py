@@ -1,4 +1,4 @@
-"""The controller: follows a plan stage by stage, and turns feet and base into joint targets (monograph 1.3, 1.4)."""
+"""The controller: follows a plan stage by stage and turns feet and base into joint targets (monograph 1.3, 1.4)."""
 
 from functools import partial
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -9,104 +9,114 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world, to_frame
-from sweep.controllers.layers import Command, Now
-from sweep.controllers.observation import Observation, Observer, behind, followed, untold
-from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference
+from sweep.controllers.layers import Command, TickContext
+from sweep.controllers.observation import (
+    BodyObserver,
+    Observation,
+    filter_body_pose,
+    load_delay_s,
+    touchdown_detection_delay_s,
+)
+from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference_stance
 from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, nearest, rotate
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case, Riding
 from sweep.models.obstacles.surface import FreeState, Surface, free_start, poses, under
 
-LEFT = np.array([0.0, 1.0, 0.0], np.float32)  # of the base
+LEFT = np.array([0.0, 1.0, 0.0], np.float32)  # left of the base, base axes
 
 
 class PoseError(NamedTuple):
-    """How far the base is from where a stage wants it when the stage begins. World axes."""
+    """Difference of the base from where a stage wants it at its start, world axes; made by the tracker."""
 
     position: Float[Array, " 3"]  # m
-    turn: Float[Array, " 3"]  # rad, as a rotation vector
+    turn: Float[Array, " 3"]  # rad, rotation vector
 
 
 class TrackerState(NamedTuple):
-    """What the controller remembers."""
+    """State of the controller between ticks, made by `init` and advanced by `step`."""
 
-    stage: Int[Array, ""]
-    clock: Float[Array, ""]  # s since the stage began
-    feet: Float[Array, "6 3"]  # m, commanded footholds when the stage began, in its frames
-    position: Float[Array, " 3"]  # m, planned base when the stage began, in its frame
-    error: Float[Array, " 3"]  # m, measured body error when the stage began
-    turn: Float[Array, " 3"]  # rad, the same of its attitude, as a rotation vector in world axes
-    joints: Float[Array, "6 3"]  # rad, last targets
-    finished: Bool[Array, ""]
-    goal: Float[Array, "6 3"]  # m, footholds at the end of the stage, in its frames, of a guided manoeuvre
-    memory: Any  # of a guided manoeuvre
-    observer: Observer | None  # of the obstacle's free bodies, of a manoeuvre on them
-    told: Stance | None  # in the last tick, in the stage's frames, of a manoeuvre with events
-    layers: tuple[Any, ...]  # states of the plan's layers
-    true_error: PoseError | None = None  # what `error` and `turn` would be by exact sensors; None: sensors are exact
+    stage: Int[Array, ""]  # stage number
+    clock: Float[Array, ""]  # s since the stage started
+    feet: Float[Array, "6 3"]  # m, commanded footholds at the start of the stage, in its frames
+    position: Float[Array, " 3"]  # m, planned base at the start of the stage, in its frame
+    error: PoseError  # measured base error at the start of the stage
+    joints: Float[Array, "6 3"]  # rad, joint targets of the last tick
+    finished: Bool[Array, ""]  # whether the last stage has ended
+    goal: Float[Array, "6 3"]  # m, footholds at the end of the stage, in its frames; used by guided manoeuvres
+    memory: Any  # state of a guided manoeuvre's feedback, else None
+    observer: BodyObserver | None  # filter of the free bodies, for manoeuvres on them, else None
+    last_target: Stance | None  # last commanded stance in the stage's frames, for manoeuvres that end stages, else None
+    layer_states: tuple[Any, ...]  # one for each layer of the plan
+    true_error: PoseError | None = None  # `error` by exact sensors; None: sensors are exact
 
 
 class Guidance(NamedTuple):
-    """What a guided manoeuvre wants in a tick, in the stage's frames."""
+    """What the feedback of a guided manoeuvre asks for in one tick, in the frames of the stage."""
 
     stance: Stance
     goal: Float[Array, "6 3"]  # m, footholds at the end of the stage
-    memory: Any
+    memory: Any  # new state of the feedback
 
 
 @runtime_checkable
 class Guided(Protocol):
-    """A manoeuvre whose stages are re-derived from what is measured."""
+    """Protocol of manoeuvres with feedback of their own, which replan each tick from measurements."""
 
-    def memory(self, belief: Case, plan: Plan) -> Any:
-        """What its feedback remembers, at the start."""
+    def init_memory(self, belief: Case, plan: Plan) -> Any:
+        """Return the state of the feedback before the first tick."""
         ...
 
-    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
-        """What its feedback makes of a control tick."""
+    def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
+        """Return the stance to command in this tick.
+
+        Args:
+            belief: believed parameters.
+            ctx: the control tick.
+            state: state of the controller; its `memory` is the state of the feedback.
+        """
         ...
 
 
 @runtime_checkable
-class Eventful(Protocol):
-    """A manoeuvre whose stages may be over before their time; `duration` is then the longest that they take."""
+class EndsStages(Protocol):
+    """Protocol of manoeuvres that may end a stage early; `duration` of a stage is then its longest time."""
 
-    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
-        """Whether what the stage waits for has come."""
+    def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
+        """Return whether the event that the current stage waits for has occurred."""
         ...
 
 
 def init(belief: Case, plan: Plan, exact: bool = True) -> TrackerState:
-    """State of the tracker before the first tick, with the robot standing where the plan starts.
+    """Return the controller's state before the first tick, with the robot in the stance in which the plan starts.
 
     Args:
-        belief: the case that the controller believes in.
-        plan: the plan that is followed.
-        exact: whether sensors are exact, so that `step` needs no true pose.
+        belief: believed parameters.
+        plan: the plan to follow.
+        exact: whether sensors are exact, so that `step` needs no true state.
     """
     zero = jnp.zeros((), plan.duration.dtype)
-    none = jnp.zeros(3, zero.dtype)
+    zeros = jnp.zeros(3, zero.dtype)
     manoeuvre = belief.manoeuvre
     free = free_start(belief.obstacle)
     joints, _ = joint_targets(belief.robot, plan.start)
-    memory = manoeuvre.memory(belief, plan) if isinstance(manoeuvre, Guided) else None
+    memory = manoeuvre.init_memory(belief, plan) if isinstance(manoeuvre, Guided) else None
     start = stance_to_frame(plan.start, plan.foot_frame[0], plan.base_frame[0], free)
     return TrackerState(
         stage=jnp.int32(0),
         clock=zero,
         feet=start.feet,
         position=start.position,
-        error=none,
-        turn=none,
+        error=PoseError(zeros, zeros),
         joints=joints,
         finished=jnp.asarray(False),
         goal=start.feet,
         memory=memory,
-        observer=Observer(free, free) if isinstance(manoeuvre, Riding) else None,
-        told=start if isinstance(manoeuvre, Eventful) else None,
-        layers=tuple(layer.begun(start, joints, free) for layer in plan.layers),
-        true_error=None if exact else PoseError(none, none),
+        observer=BodyObserver(free, free) if isinstance(manoeuvre, Riding) else None,
+        last_target=start if isinstance(manoeuvre, EndsStages) else None,
+        layer_states=tuple(layer.init_state(start, joints, free) for layer in plan.layers),
+        true_error=None if exact else PoseError(zeros, zeros),
     )
 
 
@@ -114,241 +124,266 @@ def step(
     belief: Case,
     plan: Plan,
     state: TrackerState,
-    seen: Observation,
+    obs: Observation,
     period: float,
-    beside: Array | None = None,
+    foothold_offset: Array | None = None,
     truth: Observation | None = None,
 ) -> tuple[TrackerState, Command]:
-    """Follow the plan for one control tick.
+    """Run one control tick: advance the stage if it is over, and compute the joint targets.
 
     Args:
-        belief: the case that the controller believes in.
-        plan: the plan that is followed.
-        state: the tracker's state after the last tick.
-        seen: what the sensors measure.
-        period: length of a tick (s).
-        beside: offsets (6, 3) of the stage's footholds from the planned ones (m).
-        truth: what exact sensors would measure. It changes no command: `Command.reference` alone follows from it.
-            None if sensors are exact.
+        belief: believed parameters.
+        plan: the plan to follow.
+        state: state of the controller.
+        obs: measurement of this tick.
+        period: control period (s).
+        foothold_offset: shift (m) of the planned footholds of the current stage, (6, 3), in its frames; None: no shift.
+        truth: measurement by exact sensors, from which `Command.reference` follows but no command; None: sensors are
+            exact.
 
     Returns:
-        The new state, and the command.
+        The new state and the command for the drives.
     """
-    old, manoeuvre = state, belief.manoeuvre
+    previous, manoeuvre = state, belief.manoeuvre
     if isinstance(manoeuvre, Riding) and state.observer is not None:
-        observer = followed(state.observer, seen.free, manoeuvre.observer, period)
-        state, seen = state._replace(observer=observer), seen._replace(free=observer.second)
-    state = _advance(belief, plan, state._replace(clock=state.clock + period), seen, period, beside, truth)
+        observer = filter_body_pose(state.observer, obs.free, manoeuvre.observer, period)
+        state, obs = state._replace(observer=observer), obs._replace(free=observer.second)
+    state = _advance(belief, plan, state._replace(clock=state.clock + period), obs, period, foothold_offset, truth)
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
-    begins = (state.stage != old.stage) | ((old.stage == 0) & (old.clock == 0))
-    free, blind = borne(plan, state, seen.free)
-    now = Now(belief.robot, plan, old.stage, state.stage, state.clock, phase, begins, seen, free, period, state.joints,
-              untold(belief.noise, period), behind(belief.noise, period))  # fmt: skip
+    is_first_tick = (state.stage != previous.stage) | ((previous.stage == 0) & (previous.clock == 0))
+    free, ignores_pose = reference_body_state(plan, state, obs.free)
+    ctx = TickContext(
+        belief.robot, plan, previous.stage, state.stage, state.clock, phase, is_first_tick, obs, free, period,
+        state.joints, touchdown_detection_delay_s(belief.noise, period), load_delay_s(belief.noise, period),
+    )  # fmt: skip
     frames = plan.foot_frame[state.stage], plan.base_frame[state.stage]
     for layer in plan.layers:
-        state = state._replace(feet=layer.anchored(now, state.feet))
+        state = state._replace(feet=layer.update_footholds(ctx, state.feet))
     if isinstance(manoeuvre, Guided):
-        wanted, to, memory = manoeuvre.guide(belief, now, state)
+        stance, to, memory = manoeuvre.guide(belief, ctx, state)
         state = state._replace(goal=to, memory=memory)
     else:
         goal = plan.foothold[state.stage]
-        if beside is not None:
-            goal = goal + jnp.where(state.stage == old.stage, beside, 0.0)
-        wanted = reference(plan, state.stage, phase, state.feet, state.position, goal)
-    here = stance_to_world(wanted, *frames, free)
-    if old.told is not None:
-        state = _from_told(now, old.told, state, here)
-    # the body error that the stage began with fades out, unless the base's place says nothing of the feet's
-    left = jnp.where(blind, 1.0, 1 - phase)
-    target, states = _moved_base(here, left, PoseError(state.error, state.turn)), list(state.layers)
+        if foothold_offset is not None:
+            goal = goal + jnp.where(state.stage == previous.stage, foothold_offset, 0.0)
+        stance = reference_stance(plan, state.stage, phase, state.feet, state.position, goal)
+    in_world = stance_to_world(stance, *frames, free)
+    if previous.last_target is not None:
+        state = _blend_from_last_target(ctx, previous.last_target, state, in_world)
+    # The base error at the start of the stage fades out, unless the base pose says nothing about the feet.
+    remaining = jnp.where(ignores_pose, 1.0, 1 - phase)
+    target, states = _shift_base(in_world, remaining, state.error), list(state.layer_states)
     for k, layer in enumerate(plan.layers):
-        states[k], target = layer.led(now, states[k], target)
-    true_target = None if state.true_error is None else _moved_base(here, left, state.true_error)
-    if state.told is not None:
-        state = state._replace(told=stance_to_frame(target, *frames, free))
+        states[k], target = layer.modify_stance(ctx, states[k], target)
+    true_target = None if state.true_error is None else _shift_base(in_world, remaining, state.true_error)
+    if state.last_target is not None:
+        state = state._replace(last_target=stance_to_frame(target, *frames, free))
     joints, shortfall = joint_targets(belief.robot, target)
     command = Command(nearest(joints, state.joints), target, phase, shortfall, reference=true_target)
     for k, layer in enumerate(plan.layers):
-        states[k], command = layer.commanded(now, states[k], command)
-    state = state._replace(joints=command.joints, layers=tuple(states))
+        states[k], command = layer.modify_command(ctx, states[k], command)
+    state = state._replace(joints=command.joints, layer_states=tuple(states))
     for layer in plan.layers:
-        command = command._replace(joints=layer.driven(now, command.joints))
+        command = command._replace(joints=layer.modify_joint_targets(ctx, command.joints))
     return state, command
 
 
-def _moved_base(stance: Stance, left: Array | float, error: PoseError) -> Stance:
-    """`stance` with its base moved and turned by the part of an error that is `left`. World axes."""
-    quat = multiply(exponential(left * error.turn), stance.quat)
-    return Stance(stance.feet, stance.position + left * error.position, quat)
+def _shift_base(stance: Stance, share: Array | float, error: PoseError) -> Stance:
+    """Stance (world axes) with its base shifted and turned by a share of an error."""
+    quat = multiply(exponential(share * error.turn), stance.quat)
+    return Stance(stance.feet, stance.position + share * error.position, quat)
 
 
 def _advance(
     belief: Case,
     plan: Plan,
     state: TrackerState,
-    seen: Observation,
+    obs: Observation,
     period: float,
-    beside: Array | None,
+    foothold_offset: Array | None,
     truth: Observation | None,
 ) -> TrackerState:
-    """Go on to the next stage when time is up and every swinging foot has touched down, or patience has run out.
+    """Go to the next stage when its time is over and all swinging feet have touched down, or patience has run out.
 
-    A manoeuvre with events may end it earlier, wherever feet and base have come by then.
+    A manoeuvre that `EndsStages` may end a stage earlier, with feet and base wherever they are by then.
     """
     stage, manoeuvre = state.stage, belief.manoeuvre
     over = state.clock - plan.duration[stage]
-    landed = jnp.all(seen.loaded | ~plan.swing[stage])
+    landed = jnp.all(obs.loaded | ~plan.swing[stage])
     ends = (over >= 0) & (landed | (over >= plan.patience)) & ~state.finished
-    planned = plan.foothold[stage] if beside is None else plan.foothold[stage] + beside
+    planned = plan.foothold[stage] if foothold_offset is None else plan.foothold[stage] + foothold_offset
     goal = state.goal if isinstance(manoeuvre, Guided) else planned
     wanted = multiply(exponential(plan.turn[stage]), plan.quat[stage])
     reached = Stance(jnp.where(plan.swing[stage][:, None], goal, state.feet), plan.position[stage], wanted)
-    if isinstance(manoeuvre, Eventful) and state.told is not None:
-        ends = ends | (manoeuvre.ends(belief, plan, state, seen) & ~state.finished)
+    if isinstance(manoeuvre, EndsStages) and state.last_target is not None:
+        ends = ends | (manoeuvre.is_stage_over(belief, plan, state, obs) & ~state.finished)
         early = (over < 0) & plan.swing[stage][:, None]
-        reached = Stance(jnp.where(early, state.told.feet, reached.feet), *state.told[1:])
+        reached = Stance(jnp.where(early, state.last_target.feet, reached.feet), *state.last_target[1:])
     last = stage == plan.duration.shape[0] - 1
     following = jnp.where(last, stage, stage + 1)
-    meant, blind = borne(plan, state, seen.free)
-    ended = stance_to_world(reached, plan.foot_frame[stage], plan.base_frame[stage], meant)
-    late = behind(belief.noise, period)
-    for layer, own in zip(plan.layers, state.layers, strict=True):
-        ended = ended._replace(feet=layer.crept(plan, own, stage, state.clock, ended.feet, late))
+    reference_free, ignores_pose = reference_body_state(plan, state, obs.free)
+    ended = stance_to_world(reached, plan.foot_frame[stage], plan.base_frame[stage], reference_free)
+    load_delay = load_delay_s(belief.noise, period)
+    for layer, layer_state in zip(plan.layers, state.layer_states, strict=True):
+        ended = ended._replace(
+            feet=layer.advance_late_feet(plan, layer_state, stage, state.clock, ended.feet, load_delay)
+        )
 
-    def begin(seen: Observation, before: PoseError) -> Onset:
-        begun = onset(belief, plan, following, ended, seen)
-        if blind is False:
-            return begun
-        # it sees nothing of where feet are: the error before holds on
-        return jax.tree.map(partial(jnp.where, blind), Onset(ended.feet, before), begun)
+    def begin(obs: Observation, earlier: PoseError) -> StageStart:
+        start = start_stage(belief, plan, following, ended, obs)
+        if ignores_pose is False:
+            return start
+        # the base pose says nothing about the feet: keep the earlier error
+        return jax.tree.map(partial(jnp.where, ignores_pose), StageStart(ended.feet, earlier), start)
 
-    begun, true_error = begin(seen, PoseError(state.error, state.turn)), state.true_error
+    start, true_error = begin(obs, state.error), state.true_error
     if true_error is not None and truth is not None:
-        true_error = begin(seen._replace(position=truth.position, quat=truth.quat), true_error).error
-    frames, free, states = (plan.foot_frame[following], plan.base_frame[following]), seen.free, list(state.layers)
-    feet = to_frame(begun.feet, frames[0], free)
+        true_error = begin(obs._replace(position=truth.position, quat=truth.quat), true_error).error
+    frames, free, states = (plan.foot_frame[following], plan.base_frame[following]), obs.free, list(state.layer_states)
+    feet = to_frame(start.feet, frames[0], free)
     for k, layer in enumerate(plan.layers):
-        states[k], free = layer.entered(following, states[k], meant, free)
-    if free.position.shape[0]:  # what is left to the attitude of another frame fades as the error does
+        states[k], free = layer.on_stage_enter(following, states[k], reference_free, free)
+    if free.position.shape[0]:  # the difference to the attitude in another frame fades like the error
         wanted = stance_to_world(ended._replace(quat=plan.quat[following]), *frames, free).quat
-        between = multiply(ended.quat, conjugate(wanted))
+        turn_between = multiply(ended.quat, conjugate(wanted))
         stays = plan.base_frame[stage] == plan.base_frame[following]
 
-        def with_rest(error: PoseError) -> PoseError:
-            left = logarithm(multiply(exponential(error.turn), between))
-            return error._replace(turn=jnp.where(stays, error.turn, left))
+        def with_frame_turn(error: PoseError) -> PoseError:
+            turn = logarithm(multiply(exponential(error.turn), turn_between))
+            return error._replace(turn=jnp.where(stays, error.turn, turn))
 
-        begun = begun._replace(error=with_rest(begun.error))
-        true_error = true_error and with_rest(true_error)
+        start = start._replace(error=with_frame_turn(start.error))
+        true_error = true_error and with_frame_turn(true_error)
     shifted = state._replace(
         stage=following,
         clock=jnp.where(last, state.clock, jnp.minimum(jnp.maximum(over, 0.0), period)),
         feet=feet,
         position=to_frame(ended.position[None], frames[1][None], free)[0],
-        error=begun.error.position,
-        turn=begun.error.turn,
+        error=start.error,
         finished=last,
-        layers=tuple(states),
+        layer_states=tuple(states),
         true_error=true_error,
     )
-    hold = last | ~ends
-    kept = state._replace(finished=state.finished | (ends & last))
-    return jax.tree.map(partial(jnp.where, hold), kept, shifted)
+    stays_in_stage = last | ~ends
+    unchanged = state._replace(finished=state.finished | (ends & last))
+    return jax.tree.map(partial(jnp.where, stays_in_stage), unchanged, shifted)
 
 
-class Onset(NamedTuple):
-    """What a stage begins with, world axes."""
+class StageStart(NamedTuple):
+    """Footholds and base error with which a stage starts, world axes. Made by `start_stage`."""
 
     feet: Float[Array, "6 3"]  # m, footholds
     error: PoseError  # of the base
 
 
-def onset(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, seen: Observation) -> Onset:
-    """Stage number `following` begins after one that `ended` in a stance (world axes, as planned).
+def start_stage(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:
+    """Return the footholds and base error with which stage `following` starts, by the onset that its plan names.
 
-    The feet of that stance are the commanded footholds, not the reached ones: that keeps the pressure on the ground.
+    The onset (`REZERO`, `REGRIP`, `GRIP` or `KEEP`, see `sweep/controllers/plan.py`) starts from the commanded feet
+    rather than from the measured ones: that keeps the pressure on the ground.
+
+    Args:
+        belief: believed parameters.
+        plan: the plan to follow.
+        following: number of the stage that starts.
+        ended: stance in which the stage before should have ended, as planned, world axes.
+        obs: measurement of this tick.
     """
     first, *others = sorted(set(plan.onset))
-    chosen = ONSETS[first](belief, plan, following, ended, seen)
+    start = STAGE_STARTS[first](belief, plan, following, ended, obs)
     for name in others:
-        here = jnp.asarray(np.array(plan.onset) == name)[following]
-        chosen = jax.tree.map(partial(jnp.where, here), ONSETS[name](belief, plan, following, ended, seen), chosen)
-    return chosen
+        uses = jnp.asarray(np.array(plan.onset) == name)[following]
+        start = jax.tree.map(partial(jnp.where, uses), STAGE_STARTS[name](belief, plan, following, ended, obs), start)
+    return start
 
 
-def _kept(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, seen: Observation) -> Onset:
-    """Just what was commanded."""
+def _keep_commanded(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:
+    """Start from the commanded feet, without base error."""
     zero = jnp.zeros(3, ended.feet.dtype)
-    return Onset(ended.feet, PoseError(zero, zero))
+    return StageStart(ended.feet, PoseError(zero, zero))
 
 
-def _regripped(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, seen: Observation) -> Onset:
-    """Feet where they are measured along the surface, and as deep as they were commanded.
+def _regrip(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:
+    """Start with feet where they are measured along the surface, and as deep in it as commanded.
 
-    Also those that have not touched down yet: they are about to, as far off as the base is, which would otherwise be
-    handed on from step to step.
+    This includes feet that have not touched down yet: their foothold would be off by the base error, and each step
+    would hand that error on to the next.
     """
-    measured, surface = _measured(belief, seen)
+    measured, surface = _measured_feet(belief, obs)
     deep = jnp.sum((ended.feet - measured) * surface.normal, axis=-1, keepdims=True)
-    return _kept(belief, plan, following, ended._replace(feet=measured + deep * surface.normal), seen)
+    return _keep_commanded(belief, plan, following, ended._replace(feet=measured + deep * surface.normal), obs)
 
 
-def _gripped(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, seen: Observation) -> Onset:
-    """Feet on free bodies deeper than they are measured, and inward, to the base's middle plane.
+def _grip(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:
+    """Press feet on free bodies deeper than measured, and inward to the middle plane of the base; regrip all others.
 
-    The others are regripped: feet on the ground need not be squeezed. A foot that bears nothing is as deep as it was
-    commanded: pressed from where it hangs, it would stay in the air.
+    A foot without load keeps its commanded depth: pressed from where it hangs, it would stay in the air.
     """
-    (measured, surface), press = _measured(belief, seen), plan.press[following]
-    inward = -SIDE[:, None] * rotate(seen.quat, jnp.asarray(LEFT))
-    regripped = _regripped(belief, plan, following, ended, seen)
-    deep = jnp.where(seen.loaded[:, None], measured - press[0] * surface.normal, regripped.feet)
+    (measured, surface), press = _measured_feet(belief, obs), plan.press[following]
+    inward = -SIDE[:, None] * rotate(obs.quat, jnp.asarray(LEFT))
+    regripped = _regrip(belief, plan, following, ended, obs)
+    deep = jnp.where(obs.loaded[:, None], measured - press[0] * surface.normal, regripped.feet)
     on_body = (surface.body >= 0)[:, None]
     return regripped._replace(feet=jnp.where(on_body, deep + press[1] * inward, regripped.feet))
 
 
-def _measured(belief: Case, seen: Observation) -> tuple[Float[Array, "6 3"], Surface]:
-    """Feet where they are measured (m, world axes), and the believed surface there."""
-    feet = feet_in_world(belief.robot, seen.position, seen.quat, seen.angles)
-    return feet, under(belief.obstacle, feet, poses(seen.free))
+def _measured_feet(belief: Case, obs: Observation) -> tuple[Float[Array, "6 3"], Surface]:
+    """Measured feet (m, world axes) and the believed surface there."""
+    feet = feet_in_world(belief.robot, obs.position, obs.quat, obs.angles)
+    return feet, under(belief.obstacle, feet, poses(obs.free))
 
 
-def _rezeroed(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, seen: Observation) -> Onset:
-    """Feet moved with the base's error, which strains nothing, and that error: without it errors add up by stages.
+def _rezero(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:
+    """Shift the feet with the base error, which strains nothing, and let that error fade, lest it accumulate.
 
-    In a plan that is steered only its parts in the plane count: taken up by the standing feet and not by those that
-    land, the others would put the diagonals at different heights.
+    If the plan is steered, only position in the plane and heading count: standing feet would correct the rest of the
+    error while landing feet do not, which would put the diagonals at different heights.
     """
-    error = seen.position - ended.position
-    off = multiply(seen.quat, conjugate(ended.quat))
+    error = obs.position - ended.position
+    off = multiply(obs.quat, conjugate(ended.quat))
     turn = logarithm(off)
     if plan.steered:
         error, turn = error.at[2].set(0.0), jnp.zeros(3).at[2].set(heading(off))
     moved = ended.position + error + rotate(exponential(turn)[None], ended.feet - ended.position)
-    anchored = any(layer.anchors for layer in plan.layers)
-    return Onset(ended.feet if anchored else moved, PoseError(error, turn))
+    anchored = any(layer.anchors_feet for layer in plan.layers)
+    return StageStart(ended.feet if anchored else moved, PoseError(error, turn))
 
 
-ONSETS = {KEEP: _kept, REGRIP: _regripped, GRIP: _gripped, REZERO: _rezeroed}
+STAGE_STARTS = {KEEP: _keep_commanded, REGRIP: _regrip, GRIP: _grip, REZERO: _rezero}  # by the name of the onset
 
 
-def _from_told(now: Now, told: Stance, state: TrackerState, here: Stance) -> TrackerState:
-    """The base goes over from where it was told to be to what a stage wants that begins elsewhere, `here` in the world.
+def _blend_from_last_target(ctx: TickContext, last_target: Stance, state: TrackerState, stance: Stance) -> TrackerState:
+    """Blend the base from its last target into a stage that starts elsewhere, at `stance` (world axes).
 
-    As the error of one that is rezeroed does, which is measured.
+    The difference fades during the stage, like a measured error under `REZERO`.
     """
-    plan, before = now.plan, now.before
-    was = stance_to_world(told, plan.foot_frame[before], plan.base_frame[before], now.free)
-    takes = now.begins & ~jnp.asarray(np.array(plan.onset) == REZERO)[now.stage]
-    jump = PoseError(was.position - here.position, logarithm(multiply(was.quat, conjugate(here.quat))))
-    error, turn = jax.tree.map(partial(jnp.where, takes), jump, PoseError(state.error, state.turn))
-    true_error = state.true_error and jax.tree.map(partial(jnp.where, takes), jump, state.true_error)
-    return state._replace(error=error, turn=turn, true_error=true_error)
+    plan, before = ctx.plan, ctx.last_stage
+    last_in_world = stance_to_world(last_target, plan.foot_frame[before], plan.base_frame[before], ctx.free)
+    blends = ctx.is_first_tick & ~jnp.asarray(np.array(plan.onset) == REZERO)[ctx.stage]
+    jump = PoseError(
+        last_in_world.position - stance.position, logarithm(multiply(last_in_world.quat, conjugate(stance.quat)))
+    )
+    error = jax.tree.map(partial(jnp.where, blends), jump, state.error)
+    true_error = state.true_error and jax.tree.map(partial(jnp.where, blends), jump, state.true_error)
+    return state._replace(error=error, true_error=true_error)
 
 
-def borne(plan: Plan, state: TrackerState, seen: FreeState) -> tuple[FreeState, Bool[Array, ""] | bool]:
-    """Free bodies as layers have them in the stage, seen or meant to be; whether the base's place tells no feet's."""
-    blind = False
-    for layer, own in zip(plan.layers, state.layers, strict=True):
-        seen, blind = layer.borne(plan, own, state.stage, state.clock, seen), blind | layer.blind(state.stage)
-    return seen, blind
+def reference_body_state(plan: Plan, state: TrackerState, free: FreeState) -> tuple[FreeState, Bool[Array, ""] | bool]:
+    """Return the state of free bodies that the current stage plans with, and whether the base pose is to be ignored.
+
+    Args:
+        plan: the plan to follow.
+        state: state of the controller.
+        free: measured state of the free bodies, world axes.
+
+    Returns:
+        The reference state of the free bodies after all layers (see `Layer.body_reference`), and whether some layer
+        considers the base pose to say nothing about the feet.
+    """
+    ignores_pose = False
+    for layer, layer_state in zip(plan.layers, state.layer_states, strict=True):
+        free, ignores_pose = (
+            layer.body_reference(plan, layer_state, state.stage, state.clock, free),
+            ignores_pose | layer.ignores_base_pose(state.stage),
+        )
+    return free, ignores_pose

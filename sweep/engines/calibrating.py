@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.calibration import MOVES, Measured, names
-from sweep.controllers.poses import HOLD, MOVE, Poses, held
+from sweep.controllers.calibration import MOVES, PoseMeasurements, learnable_sizes
+from sweep.controllers.calibration_poses import HOLD, MOVE, CalibrationPoses, held_pose_index
 from sweep.core.errors import InputError
 from sweep.core.outcomes import FAILURE, INVALID
 from sweep.engines import batching, devices, prelude
@@ -44,7 +44,7 @@ class Calibrating:
     ):
         self.settings, self.limits = settings, limits
         prelude.check_level(belief, batching.nominal_plan(belief), world.control.calibrate)
-        others = {name: None for name in world.manoeuvre.goal if name not in Poses.goal}
+        others = {name: None for name in world.manoeuvre.goal if name not in CalibrationPoses.goal}
         self._limits = replace(limits, **others)  # pyright: ignore[reportArgumentType]
         self._poses = make(settings, _in_poses(world), _in_poses(belief), self._limits)
         self._then = make(settings, _informed(world), _informed(belief), limits)
@@ -141,7 +141,7 @@ def _in_poses(case: Case) -> Case:
     """The case of the poses: soft drives, nothing learned while it goes through them."""
     control = replace(case.control, calibrate="none", touch="none", replan="never")
     drive = replace(case.drive, stiffness=case.control.stiffness, damping=case.control.damping)
-    return replace(case, manoeuvre=Poses(case.manoeuvre), drive=drive, control=control)
+    return replace(case, manoeuvre=CalibrationPoses(case.manoeuvre), drive=drive, control=control)
 
 
 def _informed(case: Case) -> Case:
@@ -149,19 +149,19 @@ def _informed(case: Case) -> Case:
     return replace(case, control=replace(case.control, calibrate="none"))
 
 
-def _learner(given: tuple[Case, Case, Measured]) -> Callable[..., Any]:
+def _learner(given: tuple[Case, Case, PoseMeasurements]) -> Callable[..., Any]:
     """What rollouts like `given` learn of what really was in their poses: sizes by name, and figures."""
 
-    def learned(world: Case, belief: Case, true: Measured, key: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    def learned(world: Case, belief: Case, true: PoseMeasurements, key: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         found = prelude.calibrated(world, belief, true, key)
-        return {name: getattr(found.robot, name) for name in names(found.robot)}, calibration.told(found)
+        return {name: getattr(found.robot, name) for name in learnable_sizes(found.robot)}, calibration.told(found)
 
     return jax.jit(jax.vmap(learned, in_axes=(*devices.axes(given), 0)))
 
 
-def _means(seen: np.ndarray, every: float, threshold: float) -> Measured:
+def _means(seen: np.ndarray, every: float, threshold: float) -> PoseMeasurements:
     """Of each pose, from samples (s, n, columns) every so many seconds: base and joints, and which feet bear load."""
-    pose = np.array([held(every * (k + 1)) for k in range(round(len(MOVES) * (MOVE + HOLD) / every))])
+    pose = np.array([held_pose_index(every * (k + 1)) for k in range(round(len(MOVES) * (MOVE + HOLD) / every))])
     missing = max(0, len(pose) - len(seen))  # where all rollouts were over before
     seen = np.concatenate([seen, np.full((missing, *seen.shape[1:]), np.nan, seen.dtype)])[: len(pose)]
     each = [seen[pose == k] for k in range(len(MOVES))]  # not all as many
@@ -170,4 +170,4 @@ def _means(seen: np.ndarray, every: float, threshold: float) -> Measured:
     force = [np.linalg.norm(x[..., JOINT_Q.stop :].reshape(*x.shape[:2], N_LEGS, 3), axis=-1) for x in each]
     loaded = np.stack([np.all(x > threshold, axis=0) for x in force], axis=1)
     quat = mean[..., 3:7] / np.linalg.norm(mean[..., 3:7], axis=-1, keepdims=True)
-    return Measured(*map(jnp.asarray, (mean[..., :3], quat, mean[..., JOINT_Q].reshape(shape), loaded)))
+    return PoseMeasurements(*map(jnp.asarray, (mean[..., :3], quat, mean[..., JOINT_Q].reshape(shape), loaded)))

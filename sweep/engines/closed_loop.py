@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers import tracker
+from sweep.controllers.belief_update import LearnedState, initial_obstacle, update_from_touch, updated_belief
 from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Command
-from sweep.controllers.learned import Learned, at_first, felt, informed
-from sweep.controllers.observation import Observation, Sensors, install, observe, weighed
+from sweep.controllers.observation import Observation, Sensors, init_sensors, observe, with_contact_detection
 from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.controllers.tracker import TrackerState
@@ -45,7 +45,7 @@ class ClosedLoop(NamedTuple):
     seen: Observation  # the truth at the end of the last tick
     servo: Servo  # what the drives were told last
     key: Array
-    learned: Learned
+    learned: LearnedState
 
 
 class Start(NamedTuple):
@@ -139,7 +139,7 @@ def init(
     start: Start,
     energy: Array,
     key: Array,
-    learned: Learned,
+    learned: LearnedState,
     quiet: bool,
 ) -> ClosedLoop:
     """Before the first tick; `belief` holds what was learned already. `quiet`: see `is_quiet`."""
@@ -147,7 +147,7 @@ def init(
     bias_key, key = jax.random.split(key)
     sensors = None
     if not quiet:
-        sensors = install(world.noise, bias_key, seen._replace(free=surface.marked(world.obstacle, seen.free)))
+        sensors = init_sensors(world.noise, bias_key, seen._replace(free=surface.marked(world.obstacle, seen.free)))
     feet = feet_in_world(world.robot, seen.position, seen.quat, seen.angles)
     running = stream.begin(Begin(world, plan, seen.position, seen.quat, feet, seen.free, energy, learned))
     servo = position_mode(world.drive, seen.angles)
@@ -164,14 +164,14 @@ def act(
     sensors, seen = loop.sensors, loop.seen._replace(free=surface.marked(world.obstacle, loop.seen.free))
     if sensors is not None:
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick))
-    free = surface.placed(at_first(belief, loop.learned), seen.free)
-    seen = weighed(world.control, belief.noise, seen._replace(free=free))
-    state, followed, beside, learned = felt(world, belief, plan, loop.tracker, loop.learned, seen, period)
+    free = surface.placed(initial_obstacle(belief, loop.learned), seen.free)
+    seen = with_contact_detection(world.control, belief.noise, seen._replace(free=free))
+    state, followed, beside, learned = update_from_touch(world, belief, plan, loop.tracker, loop.learned, seen, period)
     exact = None if sensors is None else loop.seen
-    state, command = tracker.step(informed(belief, learned), followed, state, seen, period, beside, exact)
+    state, command = tracker.step(updated_belief(belief, learned), followed, state, seen, period, beside, exact)
     servo = position_mode(world.drive, command.joints - seen.joint_error)
-    if command.own is not None:
-        owned, own = command.own
+    if command.servo is not None:
+        owned, own = command.servo
         own = own._replace(target=own.target - seen.joint_error)
         servo = Servo(*[jnp.where(owned, a, b) for a, b in zip(own, servo, strict=True)])
     return loop._replace(tracker=state, sensors=sensors, servo=servo, learned=learned), command

@@ -10,7 +10,7 @@ import numpy as np
 from jax.stages import Compiled
 from jaxtyping import Array
 
-from sweep.controllers.learned import Learned
+from sweep.controllers.belief_update import LearnedState
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.engines import devices
@@ -42,7 +42,7 @@ class Fused(NamedTuple):
     begin: Planning
     kernel: Kernel
     end: Callable[..., dict[str, Array]]
-    again: Callable[..., Learned] | None  # what plans again before each chunk, if any
+    again: Callable[..., LearnedState] | None  # what plans again before each chunk, if any
     ticks: int  # of a chunk
     width: int
     watch: Watch | None

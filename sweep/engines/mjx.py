@@ -12,7 +12,7 @@ from jax.sharding import PartitionSpec
 from jax.stages import Compiled
 from jaxtyping import Array
 
-from sweep.controllers.learned import replanned
+from sweep.controllers.belief_update import replan_rest
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.waiting import part
@@ -254,12 +254,12 @@ class Mjx(Batched):
 
         def by_xla() -> Compiled:
             split = PartitionSpec(devices.BATCH)
-            again = jax.vmap(replanned, in_axes=(devices.axes(arrays[1]), 0, 0, 0))
+            again = jax.vmap(replan_rest, in_axes=(devices.axes(arrays[1]), 0, 0, 0))
             again = on_devices(again, in_specs=(devices.specs(arrays[1]), split, split, split), out_specs=split)
             return jax.jit(again).lower(arrays[1], plans, carries.loop.tracker.stage, carries.loop.learned).compile()
 
         with part("new plan"):
-            return fused_loop.eager_or(by_xla, replanned, belief, plan, carry.loop.tracker.stage, carry.loop.learned)
+            return fused_loop.eager_or(by_xla, replan_rest, belief, plan, carry.loop.tracker.stage, carry.loop.learned)
 
     def _compile_finish(
         self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
@@ -355,7 +355,7 @@ def _with_new_plan(axes: Case) -> Callable[[Case, Plan, Carry], Carry]:
 
     def one(belief: Case, plan: Plan, carry: Carry) -> Carry:
         loop = carry.loop
-        return carry._replace(loop=loop._replace(learned=replanned(belief, plan, loop.tracker.stage, loop.learned)))
+        return carry._replace(loop=loop._replace(learned=replan_rest(belief, plan, loop.tracker.stage, loop.learned)))
 
     return jax.vmap(one, in_axes=(axes, 0, 0))
 

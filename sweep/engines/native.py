@@ -15,9 +15,9 @@ from jax.stages import Compiled
 from jaxtyping import Array, Bool, Float
 from mujoco.batch import Batch
 
+from sweep.controllers.belief_update import LearnedState, replan_rest
 from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.layers import Command
-from sweep.controllers.learned import Learned, replanned
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
@@ -99,7 +99,7 @@ class NativePrograms(NamedTuple):
     start: Callable[[Case, Case, Array], tuple[Plan, tuple[Between, Start]]]
     tick: Kernel | Callable[[Any, Between, int], Between]
     finish: Callable[[Case, Plan, ClosedLoop], dict[str, Array]]
-    replan: Callable[..., Learned] | None  # see `replanned`
+    replan: Callable[..., LearnedState] | None  # see `replan_rest`
 
     def enter(self, given: Any, carried: Between, width: int) -> "Tiles | ByXla":
         """A batch that goes through ticks."""
@@ -297,7 +297,7 @@ class Native(Batched):
                 if self._replans:
                     given, of_it = ((x.loop.tracker.stage, x.loop.learned) for x in (between, now))
                     again = made(
-                        "new plan", replanned, (belief, plans, *given), (known, plan, *of_it), (axes[1], 0, 0, 0)
+                        "new plan", replan_rest, (belief, plans, *given), (known, plan, *of_it), (axes[1], 0, 0, 0)
                     )
                 return *started(), ticks.result(), finished, again
 

@@ -16,7 +16,7 @@ from jax.stages import Compiled
 from jaxtyping import Array, Float, Shaped
 
 from sweep.controllers import forces
-from sweep.controllers.forces import Bounds, Effort, Search, Sought, StaticPose
+from sweep.controllers.forces import Bounds, Effort, ForceProblem, SearchState, StaticPose
 from sweep.core.waiting import part
 from sweep.engines import devices
 from sweep.fused import eager, kernel
@@ -108,17 +108,17 @@ def _searches(program: Eager) -> dict[str, Code]:
 def _search(least: Effort, asked: tuple[jax.ShapeDtypeStruct, ...]) -> Code:
     """The search for one pose of those for which it is `asked`."""
 
-    def tick(sought: Sought, so_far: Search, number: Array) -> tuple[Search, dict[str, Array]]:
-        return forces.step(least, sought, so_far, number), {}
+    def tick(sought: ForceProblem, so_far: SearchState, number: Array) -> tuple[SearchState, dict[str, Array]]:
+        return forces.search_step(least, sought, so_far, number), {}
 
     sought = _sought([jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in asked])
     with part("search for forces"):
         return kernel.compiled(tick, sought, _nothing(sought.pose.arm))
 
 
-def _sought(leaves: Any) -> Sought:
+def _sought(leaves: Any) -> ForceProblem:
     pose = len(StaticPose._fields)
-    return Sought(StaticPose(*leaves[:pose]), Bounds(*leaves[pose:]))
+    return ForceProblem(StaticPose(*leaves[:pose]), Bounds(*leaves[pose:]))
 
 
 def _searched(search: Kernel, *asked: Shaped[np.ndarray, "n ... b"]) -> Float[np.ndarray, "n 6 3 b"]:
@@ -135,7 +135,7 @@ def _searched(search: Kernel, *asked: Shaped[np.ndarray, "n ... b"]) -> Float[np
     return np.moveaxis(force.reshape(width, -1, *force.shape[1:]), 0, -1)
 
 
-def _nothing(force: Any) -> Search:
+def _nothing(force: Any) -> SearchState:
     """The search before its first step."""
     zeros: Any = np.zeros((N_LEGS, 4), force.dtype)
-    return Search(zeros[:, :3], zeros[:, 3])
+    return SearchState(zeros[:, :3], zeros[:, 3])

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers import calibration, touch
-from sweep.controllers.calibration import HEIGHT, MOVES, Calibrated, Ground, Measured
+from sweep.controllers.belief_update import LearnedState, updated_belief
+from sweep.controllers.calibration import HEIGHT, MOVES, CalibrationResult, Ground, PoseMeasurements
 from sweep.controllers.frames import Stance
-from sweep.controllers.learned import Learned, informed
-from sweep.controllers.observation import biases, free_biases
+from sweep.controllers.observation import draw_biases, draw_body_biases
 from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.errors import InputError
@@ -28,25 +28,25 @@ FLAT = 1e-5  # within which ground is the floor, z = 0
 ERRORS, PLACES = 1, 2  # folded into a rollout's key to draw the errors of calibration, and of the bodies' places
 
 
-def prepared(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, Learned]:
+def prepared(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, LearnedState]:
     """What is believed from the start on, the plan that follows, what was learned for it; `key` is the rollout's."""
     plan, control = belief.manoeuvre.plan(belief), world.control
     if control.calibrate == "none" and control.touch == "none":
-        return belief, plan, Learned()
+        return belief, plan, LearnedState()
     seen = measured(world, start_state(world, belief, plan), key)
-    learned = Learned()
+    learned = LearnedState()
     if control.calibrate != "none":
-        calibrated = calibration.estimate(control, belief.noise, belief.robot, _ground(belief, plan.start), seen)
-        learned = learned._replace(calibrated=calibrated)
+        calibrated = calibration.estimate_sizes(control, belief.noise, belief.robot, _ground(belief, plan.start), seen)
+        learned = learned._replace(calibration=calibrated)
     if control.touch != "none":
-        nothing = touch.untouched(control, belief.obstacle)
-        if not touch.by_feet(belief.obstacle):
-            touched = touch.lying(control, belief.noise, nothing, places(world, key))
+        nothing = touch.init_touch(control, belief.obstacle)
+        if not touch.is_learned_by_feet(belief.obstacle):
+            touched = touch.update_from_resting_bodies(control, belief.noise, nothing, places(world, key))
         else:
-            robot, at_first = informed(belief, learned).robot, (seen.position[0], seen.quat[0], seen.angles[0])
-            touched = touch.standing(control, belief.noise, robot, plan.start, nothing, *at_first)
-        learned = learned._replace(touched=touched)
-    belief = informed(belief, learned)
+            robot, at_first = updated_belief(belief, learned).robot, (seen.position[0], seen.quat[0], seen.angles[0])
+            touched = touch.update_from_stance(control, belief.noise, robot, plan.start, nothing, *at_first)
+        learned = learned._replace(touch=touched)
+    belief = updated_belief(belief, learned)
     plan = belief.manoeuvre.plan(belief)
     if control.replan != "never":
         learned = learned._replace(plan=plan, shortfall=jnp.zeros(()))
@@ -61,9 +61,9 @@ def check(world: Case, belief: Case, plan: Plan) -> None:
     """
     control, obstacle = world.control, belief.obstacle
     moves = f"obstacle = {obstacle.kind} may move"
-    if control.touch != "none" and obstacle.free_bodies and not touch.names(obstacle):
+    if control.touch != "none" and obstacle.free_bodies and not touch.learnable_sizes(obstacle):
         raise InputError(f"control.touch = {control.touch} is not allowed: {moves}")
-    if control.replan != "never" and not touch.by_feet(obstacle):
+    if control.replan != "never" and not touch.is_learned_by_feet(obstacle):
         raise InputError(f"control.replan = {control.replan} is not allowed: {moves}")
     if control.replan != "never" and control.touch == "none":
         raise InputError(f"control.replan = {control.replan} is not allowed: it needs control.touch = obstacle")
@@ -102,12 +102,12 @@ def _ground(belief: Case, start: Stance) -> Ground:
 def places(world: Case, key: Array) -> Float[Array, "k 3"]:
     """Where the sensors of a rollout see the obstacle's free bodies (m) before it begins."""
     noise, free = world.noise, free_start(world.obstacle)
-    bias = free_biases(noise, jax.random.split(key)[0], free)[:, 0]
+    bias = draw_body_biases(noise, jax.random.split(key)[0], free)[:, 0]
     draws = jax.random.normal(jax.random.fold_in(key, PLACES), free.position.shape, float)
     return free.position + bias + noise.body_position_noise / jnp.sqrt(world.control.samples) * draws
 
 
-def measured(world: Case, start: Start, key: Array) -> Measured:
+def measured(world: Case, start: Start, key: Array) -> PoseMeasurements:
     """What the sensors of a rollout say of the poses, their biases those of its key.
 
     The feet come down to the ground where the robot starts, and slip a little from pose to pose. A foot that a pose
@@ -120,17 +120,17 @@ def measured(world: Case, start: Start, key: Array) -> Measured:
     slips = jax.random.normal(_drawn(key)[0], (len(MOVES), N_LEGS, 3), float)
     up = jnp.sum(slips * ground.normal, axis=-1, keepdims=True) * ground.normal
     feet = feet + control.slip * (slips - up) + HEIGHT * up
-    position, turned = calibration.poses(control, Stance(feet[0], start.qpos[:3], quat))
+    position, turned = calibration.base_poses(control, Stance(feet[0], start.qpos[:3], quat))
     angles, shortfall = jax.vmap(joint_targets, (None, 0))(world.robot, Stance(feet, position, turned))
-    return sensed(world, Measured(position, turned, angles, shortfall <= 0), key)
+    return sensed(world, PoseMeasurements(position, turned, angles, shortfall <= 0), key)
 
 
-def sensed(world: Case, true: Measured, key: Array) -> Measured:
+def sensed(world: Case, true: PoseMeasurements, key: Array) -> PoseMeasurements:
     """What the sensors of a rollout make of `true` means in each pose, their biases those of its key."""
-    noise, bias = world.noise, biases(world.noise, jax.random.split(key)[0])
+    noise, bias = world.noise, draw_biases(world.noise, jax.random.split(key)[0])
     draws = jax.random.normal(_drawn(key)[1], (len(MOVES), 24), float) / jnp.sqrt(world.control.samples)
     turn = bias.turn + noise.orientation_noise * draws[:, 3:6]
-    return Measured(
+    return PoseMeasurements(
         true.position + bias.position + noise.position_noise * draws[:, :3],
         multiply(exponential(turn), true.quat),
         true.angles + bias.joint + noise.joint_noise * draws[:, 6:].reshape(-1, N_LEGS, 3),
@@ -138,11 +138,11 @@ def sensed(world: Case, true: Measured, key: Array) -> Measured:
     )
 
 
-def calibrated(world: Case, belief: Case, true: Measured, key: Array) -> Calibrated:
+def calibrated(world: Case, belief: Case, true: PoseMeasurements, key: Array) -> CalibrationResult:
     """What a rollout's robot learns of its sizes where `true` is what really was in the poses."""
     start = belief.manoeuvre.plan(belief).start
     seen = sensed(world, true, key)
-    return calibration.estimate(world.control, belief.noise, belief.robot, _ground(belief, start), seen)
+    return calibration.estimate_sizes(world.control, belief.noise, belief.robot, _ground(belief, start), seen)
 
 
 def _drawn(key: Array) -> Array:

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.calibration import Calibrated, names
+from sweep.controllers.calibration import CalibrationResult, learnable_sizes
 from sweep.metrics.metric import Begin, Metric
 
 SIZES = {
@@ -16,15 +16,15 @@ SIZES = {
 }
 
 
-def begin(start: Begin) -> Calibrated:
+def begin(start: Begin) -> CalibrationResult:
     """What was learned does not change."""
-    assert start.learned.calibrated is not None  # since it applies
-    return start.learned.calibrated
+    assert start.learned.calibration is not None  # since it applies
+    return start.learned.calibration
 
 
-def told(found: Calibrated) -> dict[str, Array]:
+def told(found: CalibrationResult) -> dict[str, Array]:
     """Sizes that were found, and their deviations."""
-    sizes = names(found.robot)
+    sizes = learnable_sizes(found.robot)
     own = {f"learned_{name}_m": jnp.asarray(getattr(found.robot, name)) for name in sizes}
     deviations = {name: jnp.sqrt(found.covariance[k, k]) for k, name in enumerate(sizes)}
     return own | {f"learned_{name}_sd_m": own[f"learned_{name}_m"] * deviations[name] for name in sizes}

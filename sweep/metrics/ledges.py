@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.manoeuvres.balancing.ball_ledges import OFF, ON
-from sweep.controllers.plan import led_by
+from sweep.controllers.plan import is_under_law
 from sweep.metrics.metric import Cause, Elapsed, Metric, Moment, missed, still
 from sweep.models.obstacles.ledges import Ledges
 
@@ -28,8 +28,8 @@ def update(so_far: LedgeCrossing, now: Moment) -> LedgeCrossing:
     assert isinstance(ledges, Ledges)
     ball, speed = tick.truth.free.position[0], tick.truth.free.velocity[0, 0]
     ahead = tick.centre_of_mass[0] - ball[0]
-    leaves = led_by(now.plan, now.stage, OFF)
-    past = jnp.where(led_by(now.plan, now.stage, ON), ahead, jnp.where(leaves, -ahead, -jnp.inf))
+    leaves = is_under_law(now.plan, now.stage, OFF)
+    past = jnp.where(is_under_law(now.plan, now.stage, ON), ahead, jnp.where(leaves, -ahead, -jnp.inf))
     gap = jnp.minimum(so_far.gap, jnp.where(leaves, jnp.inf, ledges.at_far_wall - ball[0]))
     return LedgeCrossing(
         past=jnp.maximum(so_far.past, past),

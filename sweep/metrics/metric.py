@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from sweep.controllers.belief_update import LearnedState
 from sweep.controllers.frames import Stance
-from sweep.controllers.learned import Learned
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan
 from sweep.core.parameters import UNITS, quantity
@@ -58,7 +58,7 @@ class Begin(NamedTuple):
     feet: Float[Array, "6 3"]  # m, where they really are
     free: FreeState
     energy: Float[Array, ""]  # J
-    learned: Learned = Learned()
+    learned: LearnedState = LearnedState()
 
 
 class Moment(NamedTuple):
@@ -76,7 +76,7 @@ class Moment(NamedTuple):
     tick: Tick
     period: float  # s, of a tick
     time: Float[Array, ""]  # s, at its end
-    learned: Learned = Learned()
+    learned: LearnedState = LearnedState()
 
 
 def time_left(now: Moment) -> Float[Array, ""]:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.manoeuvres.afloat.raft_cross import PUSH, WAIT
-from sweep.controllers.plan import led_by
+from sweep.controllers.plan import is_under_law
 from sweep.core.rotations import heading, rotate
 from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
 from sweep.metrics.slip import Holding
@@ -44,7 +44,7 @@ def update(so_far: Afloat, now: Moment) -> Afloat:
         for side in (1.0, -1.0)
     )
     up = rotate(free.quat[0], jnp.array([0.0, 0.0, 1.0], free.quat.dtype))
-    pushes, arrives = (led_by(now.plan, now.stage, law) for law in (PUSH, WAIT))
+    pushes, arrives = (is_under_law(now.plan, now.stage, law) for law in (PUSH, WAIT))
     speed = free.velocity[0, 0]
     hold, way = so_far.hold.after(now)
     return Afloat(

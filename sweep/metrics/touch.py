@@ -5,19 +5,19 @@ import dataclasses
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.touch import Touched, names
+from sweep.controllers.touch import TouchState, learnable_sizes
 from sweep.metrics.metric import Begin, Elapsed, Metric, Moment
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.obstacles.surface import Obstacle
 
 
-def touched(at: Begin | Moment) -> Touched:
+def touched(at: Begin | Moment) -> TouchState:
     """The sizes as they are known by now."""
-    assert at.learned.touched is not None  # since it applies
-    return at.learned.touched
+    assert at.learned.touch is not None  # since it applies
+    return at.learned.touch
 
 
-def figures(found: Touched, at: Elapsed) -> dict[str, Array]:
+def figures(found: TouchState, at: Elapsed) -> dict[str, Array]:
     """Sizes that were felt, and their deviations."""
     parts = ({f"learned_{n}_{u}": jnp.asarray(getattr(found.obstacle, n)),
               f"learned_{n}_sd_{u}": jnp.sqrt(found.covariance[k, k])}
@@ -28,7 +28,7 @@ def figures(found: Touched, at: Elapsed) -> dict[str, Array]:
 def units(obstacle: Obstacle | type[Obstacle]) -> dict[str, str]:
     """The sizes of an obstacle that can be learned, and their units."""
     fields = {f.name: f for f in dataclasses.fields(obstacle)}  # pyright: ignore[reportArgumentType]
-    return {name: fields[name].metadata["unit"] for name in names(obstacle)}
+    return {name: fields[name].metadata["unit"] for name in learnable_sizes(obstacle)}
 
 
 def _columns() -> dict[str, str]:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.manoeuvres.balancing.ball_to_ball import OVER
-from sweep.controllers.plan import led_by
+from sweep.controllers.plan import is_under_law
 from sweep.metrics.metric import REST, Begin, Elapsed, Metric, Moment, Tail, missed
 from sweep.models.obstacles.two_balls import TwoBalls
 
@@ -38,7 +38,7 @@ def update(so_far: Balls, now: Moment) -> Balls:
     assert isinstance(balls, TwoBalls)
     apart = jnp.linalg.norm(free.position[1] - free.position[0]) - 2 * balls.radius
     speed = free.velocity[0, 0] - free.velocity[1, 0]
-    both = led_by(now.plan, now.stage, OVER)
+    both = is_under_law(now.plan, now.stage, OVER)
     return Balls(
         met=so_far.met | (apart < NEAR),
         meeting=jnp.where(so_far.met | (apart >= NEAR), so_far.meeting, speed),

@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep import metrics
+from sweep.controllers.belief_update import LearnedState
 from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.layers import Feedforward
-from sweep.controllers.learned import Learned
 from sweep.core.errors import InputError
 from sweep.core.parameters import LARGEST
 from sweep.engines.batching import nominal_plan
@@ -133,7 +133,7 @@ def controller(case: Case, settings: EngineSettings, limits: Thresholds) -> Cont
         own = believed(belief)
         _, plan, _ = prepared(own, own, key)
         start = start_state(own, own, plan)
-        loop = init(own, own, plan, start, jnp.zeros(()), key, Learned(), quiet=True)
+        loop = init(own, own, plan, start, jnp.zeros(()), key, LearnedState(), quiet=True)
         _, command = act(own, own, plan, loop, jnp.int32(0), period)
         state = {"plan": plan, "loop": loop, "command": command, "tick": jnp.int32(0)}
         return start.qpos, state, GRACE * jnp.sum(plan.duration) + REST

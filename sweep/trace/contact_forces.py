@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.layers import Feedforward, between
+from sweep.controllers.layers import Feedforward, interpolate_moments
 from sweep.core.constants import GRAVITY, LOADED
 from sweep.engines.base import Trace
 from sweep.engines.closed_loop import free_state
@@ -39,13 +39,13 @@ def planned(trace: Trace) -> ContactForces | None:
     first = np.maximum.accumulate(np.where(np.diff(trace.stage, prepend=-1) != 0, number, 0))
     tick = trace.time[1] - trace.time[0]
     phase = np.clip((trace.time - trace.time[first] + tick) / np.asarray(plan.duration)[trace.stage], 0, 1)
-    force = jax.vmap(partial(between, force))(jnp.asarray(trace.stage), jnp.asarray(phase, float))
+    force = jax.vmap(partial(interpolate_moments, force))(jnp.asarray(trace.stage), jnp.asarray(phase, float))
     return _contact_forces(trace, np.asarray(force))
 
 
 def _plan(belief):
     plan = belief.manoeuvre.plan(belief)
-    return plan, None if plan.layer(Feedforward) is None else belief.manoeuvre.course(belief, plan).force
+    return plan, None if plan.layer(Feedforward) is None else belief.manoeuvre.force_plan(belief, plan).force
 
 
 def surfaces(trace: Trace, points: np.ndarray, frames: slice | np.ndarray = slice(None)) -> Surface:

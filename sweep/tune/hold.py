@@ -14,7 +14,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
-from sweep.controllers.forces import LENGTHS, Bounds, StaticPose, joint_torque
+from sweep.controllers.forces import STEP_LENGTHS, Bounds, StaticPose, joint_torque
 
 # what the barriers of all bounds weigh against the reserve, in each Newton step
 WEIGHTS = np.repeat(np.geomspace(0.1, 1e-4, 16).astype(np.float32), 3)
@@ -60,7 +60,7 @@ def _centre(pose: StaticPose, bounds: Bounds) -> Centre:
             return Centre(to[:-1].reshape(6, 3), to[-1], price)
 
         fits = jax.vmap(lambda length: jnp.all(_room(pose, bounds, at(length)) > KEPT * before))
-        lengths = jnp.asarray(LENGTHS)
+        lengths = jnp.asarray(STEP_LENGTHS)
         return at(jnp.max(jnp.where(fits(lengths), lengths, 0.0)))
 
     begin = Centre(first, room - 1.0, jnp.zeros(6))

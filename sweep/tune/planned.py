@@ -9,8 +9,8 @@ from jaxtyping import Array, Bool, Float, Int
 from sweep.controllers import forces
 from sweep.controllers.frames import Stance, stance_to_world, to_world
 from sweep.controllers.layers import HeldLegs
-from sweep.controllers.plan import Plan, begins, reference
-from sweep.controllers.posture import feet_in_world, in_hips, joint_targets, leg_points, mass_centre
+from sweep.controllers.plan import Plan, reference_stance, stage_start
+from sweep.controllers.posture import feet_in_hip_axes, feet_in_world, joint_targets, leg_points, mass_centre
 from sweep.core.rotations import matrix, rotate, wrapped
 from sweep.formulas import leg, stepping
 from sweep.metrics.geometry import (
@@ -57,7 +57,8 @@ def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) 
     free = free_start(case.obstacle)
     stance, joints, shortfall = posed(case, plan, stage, u)
     starts, goal = (
-        to_world(feet, plan.foot_frame[stage], free) for feet in (begins(plan, stage, free)[0], plan.foothold[stage])
+        to_world(feet, plan.foot_frame[stage], free)
+        for feet in (stage_start(plan, stage, free)[0], plan.foothold[stage])
     )
     _, later, _ = posed(case, plan, stage, u + jnp.where(u > 0.5, -JOINTS_AT, JOINTS_AT))
     rates = wrapped(later - joints) / (JOINTS_AT * plan.duration[stage])
@@ -105,7 +106,7 @@ def left(
         legs=leg_gap(legs) - 2 * robot.link_radius,
         body=base_gap(legs, *base[:2], robot),
         fold=fold_gap(legs, robot.fork_ratio * robot.shin + robot.link_radius) - 2 * robot.link_radius,
-        outer=jnp.min(leg.SIDE * in_hips(robot, stance)[:, 1]),
+        outer=jnp.min(leg.SIDE * feet_in_hip_axes(robot, stance)[:, 1]),
         reach=jnp.min(reach),
         swing=jnp.min(above),
         edge=jnp.min(jnp.where(swing.swings, AROUND, inside)),
@@ -116,7 +117,7 @@ def left(
 
 def holding(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], bounds: forces.Bounds) -> Array:
     """The `reserve` of forces within `bounds` (shares of the weight) at phase `u` of a stage."""
-    return reserve(forces.moment(case, jax.tree.map(_sound, plan), stage, u), bounds)
+    return reserve(forces.planned_pose(case, jax.tree.map(_sound, plan), stage, u), bounds)
 
 
 @jax.custom_vjp
@@ -136,14 +137,14 @@ _sound.defvjp(lambda x: (x, None), _backwards)
 def posed(case: Case, plan: Plan, stage: Array, u: Array) -> tuple[Stance, Float[Array, "6 3"], Float[Array, " 6"]]:
     """The stance at phase `u` of a stage (world axes), its joint angles (rad), each foot's lack of reach (m)."""
     robot, free = case.robot, free_start(case.obstacle)
-    stance = reference(plan, stage, u, *begins(plan, stage, free))
+    stance = reference_stance(plan, stage, u, *stage_start(plan, stage, free))
     stance = stance_to_world(stance, plan.foot_frame[stage], plan.base_frame[stage], free)
     joints, shortfall = joint_targets(robot, stance)
     legs = plan.layer(HeldLegs)
     if legs is None:
         return stance, joints, shortfall
     before = jnp.maximum(stage - 1, 0)
-    origin, _ = joint_targets(robot, reference(plan, before, jnp.ones(()), *begins(plan, before, free)))
+    origin, _ = joint_targets(robot, reference_stance(plan, before, jnp.ones(()), *stage_start(plan, before, free)))
     origin = jnp.where(legs.held[before][:, None], legs.joints[before], origin)
     held = legs.held[stage]
     way = stepping.trapezoidal_transfer(u, 0.0, 1.0)[0] * (legs.joints[stage] - origin)

@@ -17,7 +17,7 @@ from sweep.controllers.frames import Stance, to_frame, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import MEASURED, Plan
 from sweep.controllers.posture import joint_targets, mass_centre
-from sweep.controllers.programme import Programme
+from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.controllers.tracker import TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, multiply, rotate, wrapped
@@ -84,7 +84,7 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
         h = jnp.where((remains > 2 * SHORT) & (remains <= period + SHORT), remains - SHORT, period)
         state, command = tracker.step(case, plan, state, seen, cast(float, h))
         position, quat = command.target.position, command.target.quat
-        stage, free = state.stage, tracker.borne(plan, state, seen.free)[0]
+        stage, free = state.stage, tracker.reference_body_state(plan, state, seen.free)[0]
         swings = plan.swing[stage]
         stood = jax.tree.map(lambda a, b: jnp.where(swings.reshape(-1, *[1] * (a.ndim - 1)), a, b),
                              _standing(case, command.target.feet, free), stood)  # fmt: skip
@@ -122,7 +122,7 @@ def _rolled(
     K = up x k, k = 7/5 M R v + m ((z + R)(v + u) - x u_z), where the mass centre moves by u over the ball and lies x
     ahead and z above; k changes by m (g x + u_z v).
     """
-    programme, follows = plan.layer(Programme), jnp.asarray(True)
+    programme, follows = plan.layer(ReferenceBodyMotion), jnp.asarray(True)
     if programme is not None:
         follows = jnp.asarray(programme.support.mode)[state.stage, 0] == MEASURED
     assert isinstance(case.obstacle, Ball)

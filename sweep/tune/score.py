@@ -190,7 +190,7 @@ class Score:
         found = worst(lambda k, u: planned.margins(belief, plan, k, u)._asdict(), moments)
         if hold:
             assert isinstance(belief.manoeuvre, PlannedForces)
-            bounds, knots = belief.manoeuvre.bounds(belief), np.full(len(chosen), forces.KNOTS)
+            bounds, knots = belief.manoeuvre.force_bounds(belief), np.full(len(chosen), forces.KNOTS)
             found |= worst(lambda k, u: {"hold": planned.holding(belief, plan, k, u, bounds)}, knots)
         return found
 

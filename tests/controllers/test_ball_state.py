@@ -8,9 +8,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from sweep.controllers.ball_state import angular_momentum, centre_of_mass, follow_up, footholds, over_ball, turned_back
+from sweep.controllers.ball_state import (
+    angular_momentum,
+    ball_footholds,
+    centre_of_mass,
+    mass_centre_jacobian,
+    swing_over_ball,
+    turn_footholds_back,
+)
 from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world, to_frame, to_world
-from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
+from sweep.controllers.manoeuvres.balancing.ball import stance_on_ball, stand_pose
 from sweep.controllers.manoeuvres.balancing.ball_turn import BallTurn
 from sweep.controllers.observation import Observation
 from sweep.core.rotations import exponential, multiply, rotate
@@ -27,7 +34,7 @@ AHEAD = jnp.array([1.0, 0.0])
 
 @pytest.fixture(scope="module")
 def perched():
-    return perch(CASE, CASE.manoeuvre)
+    return stand_pose(CASE, CASE.manoeuvre)
 
 
 def test_frames_go_with_their_bodies():
@@ -50,7 +57,7 @@ def test_frames_go_with_their_bodies():
 
 
 def test_mass_centre_is_over_the_ball(perched):
-    off = centre_of_mass(CASE.robot, on_ball(CASE, perched))
+    off = centre_of_mass(CASE.robot, stance_on_ball(CASE, perched))
     np.testing.assert_allclose(off[:2], 0, atol=1e-5)
 
 
@@ -62,24 +69,24 @@ def test_mass_centre_follows_the_body_as_the_formula_says(perched):
         ball.radius, circle, plan.chord_ratio * circle, perched.position[2], robot.body_length, robot.body_width,
         robot.thigh, robot.shin, robot.body_mass, robot.thigh_mass, robot.shin_mass,
     ).D  # fmt: skip
-    got = follow_up(robot, on_ball(CASE, perched))
+    got = mass_centre_jacobian(robot, stance_on_ball(CASE, perched))
     np.testing.assert_allclose(got, expected[:2, :2], atol=3e-3)
     assert 0.6 < float(got[0, 0]) < 0.75
 
 
 def test_turned_footholds_roll_into_their_mirror_image():
     """On the ball, and as far behind the vertical at touchdown as ahead of it after a stance."""
-    radius, turn, level = 0.84, 0.1, footholds(0.84, 0.5, 0.35)
-    landed = turned_back(level, turn, AHEAD)
+    radius, turn, level = 0.84, 0.1, ball_footholds(0.84, 0.5, 0.35)
+    landed = turn_footholds_back(level, turn, AHEAD)
     np.testing.assert_allclose(jnp.linalg.norm(landed, axis=-1), radius, atol=1e-6)
     lifted = rotate(exponential(jnp.array([[0.0, 2 * turn, 0.0]])), landed)  # as a ball that goes along x turns
-    np.testing.assert_allclose(lifted, turned_back(level, -turn, AHEAD), atol=1e-6)
+    np.testing.assert_allclose(lifted, turn_footholds_back(level, -turn, AHEAD), atol=1e-6)
     assert float(jnp.mean(landed[:, 0])) < 0
 
 
 def test_swinging_feet_stay_above_the_ball():
-    start, goal = (turned_back(footholds(0.84, 0.5, 0.35), turn, AHEAD) for turn in (0.1, -0.1))
-    way = [over_ball(start, goal, u, u, 0.0) for u in jnp.linspace(0, 1, 11)]
+    start, goal = (turn_footholds_back(ball_footholds(0.84, 0.5, 0.35), turn, AHEAD) for turn in (0.1, -0.1))
+    way = [swing_over_ball(start, goal, u, u, 0.0) for u in jnp.linspace(0, 1, 11)]
     np.testing.assert_allclose(jnp.linalg.norm(jnp.stack(way), axis=-1), 0.84, atol=1e-6)
     np.testing.assert_allclose(way[-1], goal, atol=1e-6)
 
@@ -113,8 +120,10 @@ def test_the_way_of_a_ball_goes_straight_on_and_round(radius):
     for angle, out in ((0.5, 0.0), (2.0, 0.01)):
         ahead, aside = (size + out) * np.sin(angle), size - (size + out) * np.cos(angle)
         on.append(turn.track(jnp.array([1.5 + ahead, np.sign(radius) * aside, 0.84])))
-    np.testing.assert_allclose([straight.come, straight.off, straight.curve], [1.0, 0.02, 0.0], atol=1e-6)
-    np.testing.assert_allclose([track.come for track in on], 1.5 + size * np.array([0.5, 2.0]), atol=1e-5)
-    np.testing.assert_allclose([track.off for track in on], [0.0, -np.sign(radius) * 0.01], atol=1e-5)
+    np.testing.assert_allclose(
+        [straight.progress, straight.left_offset, straight.curvature], [1.0, 0.02, 0.0], atol=1e-6
+    )
+    np.testing.assert_allclose([track.progress for track in on], 1.5 + size * np.array([0.5, 2.0]), atol=1e-5)
+    np.testing.assert_allclose([track.left_offset for track in on], [0.0, -np.sign(radius) * 0.01], atol=1e-5)
     np.testing.assert_allclose(on[0].along, [np.cos(0.5), np.sign(radius) * np.sin(0.5)], atol=1e-6)
-    np.testing.assert_allclose(on[0].curve, 1 / radius, rtol=1e-6)
+    np.testing.assert_allclose(on[0].curvature, 1 / radius, rtol=1e-6)

@@ -86,13 +86,15 @@ def order(mode: int, **seen):
     zero, nothing = jnp.zeros(3), jnp.zeros((6, 3))
     truth = Observation(level, plan.quat[stage], zero, zero, joints, nothing, nothing, jnp.ones(6, bool), no_bodies())
     truth = truth._replace(**seen)
-    return jax.jit(plan.layer(Flywheel).order, static_argnums=0)(CASE.robot, plan, jnp.int32(stage), truth), truth
+    return jax.jit(plan.layer(Flywheel).servo_command, static_argnums=0)(
+        CASE.robot, plan, jnp.int32(stage), truth
+    ), truth
 
 
 def test_balancing_torque():
     """M_3 = -(c_1 xi_c + c_2 xi_c')/2 - M_g: to the left of the beam's middle line is +x."""
     (turning, servo), truth = order(BALANCE)
-    weight = float(flywheel.weight(CASE.robot))
+    weight = float(flywheel.leg_weight_moment(CASE.robot))
     assert weight == pytest.approx(4.65, abs=0.01)  # N m, (m1 + m2) g l_c
     assert np.argwhere(turning).tolist() == [[2, 1], [3, 1]]
     assert float(servo.torque[2, 1]) == pytest.approx(-weight, abs=1e-3)
@@ -106,7 +108,7 @@ def test_levelling_damps_and_returns():
     joints = order(LEVELLING)[1].angles
     (_, rest), _ = order(LEVELLING)
     (_, turned), _ = order(LEVELLING, angles=joints.at[2, 1].add(0.2), rates=jnp.zeros((6, 3)).at[2, 1].set(1.0))
-    weight = float(flywheel.weight(CASE.robot))
+    weight = float(flywheel.leg_weight_moment(CASE.robot))
     expected = -6.25 * 0.2 - 10.067 - weight * (np.cos(0.2) - 1)
     assert float(turned.torque[2, 1] - rest.torque[2, 1]) == pytest.approx(expected, rel=1e-3)
     assert float(turned.target[3, 1] - rest.target[3, 1]) == pytest.approx(0.2, abs=1e-5)  # leg 4 follows leg 3

@@ -7,7 +7,7 @@ import pytest
 from playing import play, varied
 
 from sweep.controllers import forces
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.rotations import matrix
@@ -23,7 +23,7 @@ def case() -> Case:
 
 def plan_of(case: Case) -> Plan:
     """The whole way, without the forces and the rests that they need."""
-    return assemble(*case.manoeuvre.way(case), 0.5)
+    return compile_plan(*case.manoeuvre.route(case), 0.5)
 
 
 @pytest.mark.parametrize(("share", "seed"), [(0.0, 0), (0.02, 101), (0.02, 102), (0.04, 103)])
@@ -74,9 +74,9 @@ def test_a_house_that_the_gallop_does_not_end_at_is_refused(case, height, told):
 def test_the_way_over_the_edge_needs_no_more_friction_than_the_climb(case):
     """The book's friction is 1.1; the climb needs 1.06."""
     plan = plan_of(case)
-    course = forces.along(case, plan, forces.Bounds(1.1, 0.85 * 380.0, 8.0), "friction")
-    needed, over = np.asarray(course.planned.friction.max(axis=1)), np.char.startswith(plan.names, "roof.")
-    assert float(course.planned.imbalance.max()) < 0.01
+    course = forces.plan_forces(case, plan, forces.Bounds(1.1, 0.85 * 380.0, 8.0), "friction")
+    needed, over = np.asarray(course.optimum.friction.max(axis=1)), np.char.startswith(plan.names, "roof.")
+    assert float(course.optimum.imbalance.max()) < 0.01
     assert needed[over].max() <= needed[~over].max() < 1.07
 
 
@@ -84,6 +84,6 @@ def test_what_a_search_raises_a_formula_by_stays_raised():
     """Of the gallop's rise, which is made not a number where a house is too low."""
     case = compose(["scenario=corner_full"]).case
     lower = replace(case, plan=case.plan.raised("sizes.rise", -0.02).raised("sizes.rise", -0.01))
-    ends = [{stage.name: stage.position for stage in one.manoeuvre.way(one)[1]} for one in (case, lower)]
+    ends = [{stage.name: stage.position for stage in one.manoeuvre.route(one)[1]} for one in (case, lower)]
     off = ends[1]["gallop2.up"] - ends[0]["gallop2.up"]
     np.testing.assert_allclose(off, [0, 0, -0.03 * 0.75 * leg_unit(case.robot)], atol=1e-6)  # after 1.5 of 2 cycles

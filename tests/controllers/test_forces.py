@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from sweep.controllers.forces import Bounds, StaticPose, distribute, joint_torque, pose
+from sweep.controllers.forces import Bounds, StaticPose, distribute_forces, joint_torque, static_pose
 from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.walking.walk import Stand
 from sweep.controllers.posture import joint_targets
@@ -51,7 +51,7 @@ def standing(seed: int) -> StaticPose:
         lifted = 2 * (seed // 3 % 4)
         stands[lifted : lifted + 2] = False  # from 6 on: none
     stance = Stance(*(jnp.asarray(x, float) for x in (feet, base, quat)))
-    return pose(ROBOT, stance, jnp.asarray(normal, float), jnp.asarray(stands))
+    return static_pose(ROBOT, stance, jnp.asarray(normal, float), jnp.asarray(stands))
 
 
 def least_by_program(p: StaticPose, bounds: Bounds, least: str) -> float:
@@ -103,7 +103,9 @@ def test_forces_ask_for_hardly_more_than_a_linear_program_finds(least):
     """Within 4 %: the smooth centre's distance to the extreme, and the pyramid's to the cone."""
     poses = [standing(seed) for seed in range(12)]
     bounds = Bounds(friction=1.2, torque=200.0, least_normal=2.0, most_normal=3000.0)
-    found = jax.jit(jax.vmap(lambda p: distribute(p, bounds, least)))(jax.tree.map(lambda *x: jnp.stack(x), *poses))
+    found = jax.jit(jax.vmap(lambda p: distribute_forces(p, bounds, least)))(
+        jax.tree.map(lambda *x: jnp.stack(x), *poses)
+    )
     best = np.array([least_by_program(p, bounds, least) for p in poses])
     holds = np.isfinite(best)
     assert 0 < holds.sum() < len(poses)  # stances of both kinds
@@ -119,7 +121,7 @@ def test_slack_buys_room_to_the_bounds_for_a_little_of_the_effort():
     """Feet bear more evenly on the whole, and friction stays in bounds."""
     poses = jax.tree.map(lambda *x: jnp.stack(x), *(standing(seed) for seed in range(12)))
     bounds = Bounds(friction=1.2, torque=200.0, least_normal=2.0, most_normal=3000.0)
-    many = jax.jit(jax.vmap(lambda p, slack: distribute(p, bounds._replace(slack=slack), "friction"), (0, None)))
+    many = jax.jit(jax.vmap(lambda p, slack: distribute_forces(p, bounds._replace(slack=slack), "friction"), (0, None)))
     close, far = many(poses, 0.01), many(poses, 0.3)
     holds = np.asarray(close.imbalance) < Thresholds().imbalance_max
     normal = [
@@ -149,7 +151,7 @@ def test_on_level_ground_the_reserve_is_what_the_lightest_foot_bears_over_the_le
 def test_the_reserve_is_positive_where_forces_hold_and_has_the_slopes_of_small_changes():
     poses = jax.tree.map(lambda *x: jnp.stack(x), *(standing(seed) for seed in range(12)))
     bounds = Bounds(friction=1.2, torque=200.0, least_normal=2.0)
-    found = jax.jit(jax.vmap(lambda p: distribute(p, bounds, "friction")))(poses)
+    found = jax.jit(jax.vmap(lambda p: distribute_forces(p, bounds, "friction")))(poses)
 
     def shifted(way, p):
         return reserve(p._replace(arm=p.arm + way * jnp.array([1.0, 0.0, 0.0])), bounds)
@@ -172,8 +174,8 @@ def on_a_corner(psi: float, eps: float) -> StaticPose:
     )
 
 
-LEAST_NORMAL = jax.jit(lambda p, k: distribute(p, Bounds(k, 1.0, most_normal=20.0), "normal"))
-LEAST_FRICTION = jax.jit(lambda p, top: distribute(p, Bounds(3.0, 1.0, most_normal=top), "friction"))
+LEAST_NORMAL = jax.jit(lambda p, k: distribute_forces(p, Bounds(k, 1.0, most_normal=20.0), "normal"))
+LEAST_FRICTION = jax.jit(lambda p, top: distribute_forces(p, Bounds(3.0, 1.0, most_normal=top), "friction"))
 
 
 @pytest.mark.parametrize(("psi", "eps", "k"), [(np.pi / 4, 0.4, 1.1), (np.pi / 4, 0.2, 1.3), (0.0, 0.3, 0.6)])
@@ -192,8 +194,8 @@ def test_joint_torques_are_those_of_the_full_model(legs):
     case = Case(robot, Drive(), Contact(), Plane(), Stand(), Noise(), Execution())
     feet = np.stack([np.repeat([-0.5, 0.1, 0.55], 2), SIDE * 0.6, np.zeros(6)], -1)
     stance = Stance(*(jnp.asarray(x, float) for x in (feet, [0.02, -0.01, 0.45], (1.0, 0.0, 0.0, 0.0))))
-    p = pose(robot, stance, jnp.tile(jnp.array([0.0, 0, 1]), (6, 1)), jnp.ones(6, bool))
-    planned = distribute(p, Bounds(1.0, 100.0), "torque")
+    p = static_pose(robot, stance, jnp.tile(jnp.array([0.0, 0, 1]), (6, 1)), jnp.ones(6, bool))
+    planned = distribute_forces(p, Bounds(1.0, 100.0), "torque")
 
     model = compile_model(case, geoms=False)
     data = mujoco.MjData(model)

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.frames import Stance
-from sweep.controllers.gaits import GAITS, Step, advance, centre_offsets, regular_steps
+from sweep.controllers.gaits import GAITS, Step, body_advance, initial_foot_offsets, regular_steps
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, swing_progress
 
 STEP = Step(0.105, 0.03, 1.2)
@@ -16,10 +16,10 @@ FORWARD = jnp.array([1.0, 0.0, 0.0])
 
 def plan_of(name, cycles=3):
     gait = GAITS[name]
-    start = CENTRES + centre_offsets(gait, STEP, FORWARD)
+    start = CENTRES + initial_foot_offsets(gait, STEP, FORWARD)
     stance = Stance(start, jnp.zeros(3), jnp.array([1.0, 0, 0, 0]))
     stages = regular_steps(gait, STEP, stance, CENTRES, FORWARD, cycles * len(gait), 0.0)
-    return gait, assemble(stance, stages, 0.1)
+    return gait, compile_plan(stance, stages, 0.1)
 
 
 @pytest.mark.parametrize("name", GAITS)
@@ -46,7 +46,7 @@ def test_speed_is_v_o(name, k_prime):
     _, plan = plan_of(name)
     speed = float(plan.position[-1, 0] / plan.duration.sum())
     assert speed == pytest.approx(k_prime * STEP.landing / STEP.time, rel=1e-5)
-    assert advance(GAITS[name], STEP) == pytest.approx(k_prime * STEP.landing)
+    assert body_advance(GAITS[name], STEP) == pytest.approx(k_prime * STEP.landing)
 
 
 @pytest.mark.parametrize("name", ["tripod", "gallop", "level_gallop"])

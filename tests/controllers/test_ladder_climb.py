@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sweep.controllers.frames import Stance, stance_to_world
-from sweep.controllers.plan import Plan, begins
-from sweep.controllers.symmetry import reversed_in_time
+from sweep.controllers.plan import Plan, stage_start
+from sweep.controllers.symmetry import reverse_in_time
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, matrix, multiply
 from sweep.models.frames import WORLD, fixed
@@ -21,7 +21,7 @@ FREE = CASE.obstacle.start()
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    return jax.jit(lambda: CASE.manoeuvre.way(CASE))()
+    return jax.jit(lambda: CASE.manoeuvre.route(CASE))()
 
 
 @jax.jit
@@ -30,7 +30,7 @@ def ends(plan: Plan) -> tuple[Stance, Stance]:
 
     def one(k):
         last = Stance(plan.foothold[k], plan.position[k], multiply(exponential(plan.turn[k]), plan.quat[k]))
-        both = Stance(*begins(plan, k, FREE), plan.quat[k]), last
+        both = Stance(*stage_start(plan, k, FREE), plan.quat[k]), last
         first, last = (stance_to_world(each, plan.foot_frame[k], plan.base_frame[k], FREE) for each in both)
         return first, last
 
@@ -53,20 +53,20 @@ def test_stages_fit_together_where_frames_change(plan):
 
 def test_backwards_it_goes_through_the_same_stances(plan):
     first, last = ends(plan)
-    back_first, back_last = ends(reversed_in_time(plan, FREE))
+    back_first, back_last = ends(reverse_in_time(plan, FREE))
     same(Stance(*(x[::-1] for x in back_last)), first)
     same(Stance(*(x[::-1] for x in back_first)), last)
 
 
 def test_up_and_down_feet_go_to_where_they_stand_in_its_frame(plan):
     """A foothold on a ladder that has come to rest elsewhere is where the ladder is; one beside it is not."""
-    for way in (plan, reversed_in_time(plan, FREE)):
+    for way in (plan, reverse_in_time(plan, FREE)):
         feet = ends(way)[1].feet
         body = CASE.obstacle.surface(feet.reshape(-1, 3), (-1,) * (feet.size // 3), poses(FREE)).body.reshape(-1, 6)
         swing = np.asarray(way.swing)
         assert set(np.asarray(body[swing])) == {-1, 0}
         np.testing.assert_array_equal(way.foot_frame[swing], np.where(body[swing] == 0, fixed(0), WORLD))
-    twice = reversed_in_time(way, FREE)
+    twice = reverse_in_time(way, FREE)
     np.testing.assert_array_equal(twice.foot_frame, plan.foot_frame)
     np.testing.assert_allclose(twice.curve.guides[plan.curve.guided], plan.curve.guides[plan.curve.guided], atol=1e-5)
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.controllers.observation import Observation, install, observe
+from sweep.controllers.observation import Observation, init_sensors, observe
 from sweep.core.rotations import exponential, multiply
 from sweep.engines.closed_loop import is_quiet
 from sweep.fused.trace import Leaf, traced
@@ -26,7 +26,7 @@ def truth(x: float) -> Observation:
 
 def watch(noise: Noise, key=KEY, ticks: int = 8) -> list[Observation]:
     """What is seen of a truth that counts the ticks, from 1 on."""
-    sensors, seen = install(noise, key, truth(0)), []
+    sensors, seen = init_sensors(noise, key, truth(0)), []
     for k in range(1, ticks + 1):
         sensors, one = observe(noise, sensors, truth(k), jax.random.fold_in(key, k))
         seen.append(one)
@@ -73,7 +73,7 @@ def test_the_longest_delay_that_may_be_asked_for_can_be_fused():
         sensors, seen = observe(dataclasses.replace(noise, delay=given[0]), sensors, truth(2), given[1])
         return sensors, {"load": jnp.asarray(seen.load)}
 
-    one, sensors = jax.eval_shape(lambda: ((jnp.zeros(()), KEY), install(noise, KEY, truth(0))))
+    one, sensors = jax.eval_shape(lambda: ((jnp.zeros(()), KEY), init_sensors(noise, KEY, truth(0))))
 
     def somewhere(arrays, _):
         return [Leaf(0, x.shape, np.dtype(x.dtype).name) for x in arrays], 0
@@ -111,7 +111,7 @@ def test_biases_stay_and_noise_does_not():
 def test_noise_has_the_given_deviation(field, of):
     """400 ticks: the deviation of 1200 normal numbers, or more, is within 8 % of the true one, 4 standard errors."""
     noise = dataclasses.replace(Noise(), **{f"{field}_noise": 0.02})
-    sensors = install(noise, KEY, truth(0))
+    sensors = init_sensors(noise, KEY, truth(0))
     draw = jax.jit(jax.vmap(lambda k: of(observe(noise, sensors, truth(0), jax.random.fold_in(KEY, k))[1])))
     assert np.std(draw(jnp.arange(400))) == pytest.approx(0.02, rel=0.08)
 
@@ -128,7 +128,7 @@ def test_the_robot_its_feet_and_the_bodies_have_delays_of_their_own():
         return truth(k)._replace(free=FREE._replace(position=jnp.full((1, 3), float(k))))
 
     noise = Noise(delay=1.0, load_delay=2.0, body_delay=4.0, delay_buffer=4)
-    sensors = install(noise, KEY, late(0))
+    sensors = init_sensors(noise, KEY, late(0))
     for k in range(1, 9):
         sensors, seen = observe(noise, sensors, late(k), KEY)
         assert float(seen.position[0]) == pytest.approx(max(k - 1, 0))

@@ -9,7 +9,7 @@ import pytest
 from playing import played, varied
 
 from sweep.controllers.frames import Stance
-from sweep.controllers.plan import Plan, along_arc, moved, pace_progress, reference
+from sweep.controllers.plan import Plan, arc_point, pace_progress, reference_stance, transform_plan
 from sweep.controllers.posture import joint_targets
 from sweep.core.rotations import exponential, matrix, rotate
 from sweep.formulas.leg import SIDE
@@ -41,7 +41,7 @@ def play(case: Case) -> tuple[Plan, Stance, jax.Array]:
 
 def play_plan(case: Case, plan: Plan) -> tuple[Stance, jax.Array]:
     def stage(begin, k):
-        stance = jax.vmap(lambda u: reference(plan, k, u, *begin))(jnp.asarray(U))
+        stance = jax.vmap(lambda u: reference_stance(plan, k, u, *begin))(jnp.asarray(U))
         return (stance.feet[-1], stance.position[-1]), stance
 
     stances = jax.lax.scan(stage, (plan.start.feet, plan.start.position), jnp.arange(len(plan.names)))[1]
@@ -109,7 +109,7 @@ def test_its_edges_run_on_two_rails_while_it_pitches_up(case):
 def test_the_pitch_rate_does_not_jump_between_stages(case):
     plan, _, _ = play(case)
     first = plan.names.index("on.front")
-    rates = (plan.way.rates * plan.way.arc[:, None] / plan.duration[:, None])[first : first + 5]
+    rates = (plan.path.rates * plan.path.arc[:, None] / plan.duration[:, None])[first : first + 5]
     np.testing.assert_allclose(rates[:-1, 1], rates[1:, 0], rtol=1e-12)
 
 
@@ -152,7 +152,7 @@ def test_a_plan_may_be_made_anywhere(case):
     """Turning and shifting a plan is the same as turning and shifting where it leads."""
     plan, stances, _ = play(case)
     quat, by = exponential(jnp.array([0.0, 0.0, 0.7])), jnp.array([1.0, -2.0, 0.3])
-    there, shortfall = play_plan(case, moved(plan, quat, by))
+    there, shortfall = play_plan(case, transform_plan(plan, quat, by))
     for before, after in ((stances.feet, there.feet), (stances.position, there.position)):
         expected = rotate(jnp.broadcast_to(quat, (*before.shape[:-1], 4)), before) + by
         np.testing.assert_allclose(after, expected, atol=1e-9)
@@ -162,10 +162,10 @@ def test_a_plan_may_be_made_anywhere(case):
 def test_arcs_are_straight_circular_or_elliptic():
     start, end, pivot = jnp.array([2.0, 0, 0]), jnp.array([0, 1.0, 0]), jnp.array([0.0, 0, 0])
     share = jnp.asarray(U)
-    way = jax.vmap(lambda s: along_arc(start, end, pivot, jnp.pi / 2, s))(share)
+    way = jax.vmap(lambda s: arc_point(start, end, pivot, jnp.pi / 2, s))(share)
     np.testing.assert_allclose(way[:, 0], 2 * np.cos(np.pi / 2 * U), atol=1e-12)
     np.testing.assert_allclose(way[:, 1], np.sin(np.pi / 2 * U), atol=1e-12)
-    straight = jax.vmap(lambda s: along_arc(start, end, pivot + 5, jnp.array(0.0), s))(share)
+    straight = jax.vmap(lambda s: arc_point(start, end, pivot + 5, jnp.array(0.0), s))(share)
     np.testing.assert_allclose(straight, start + U[:, None] * (end - start), atol=1e-12)
 
 

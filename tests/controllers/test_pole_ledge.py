@@ -7,7 +7,7 @@ import pytest
 from playing import played, varied
 
 from sweep.controllers.frames import Stance
-from sweep.controllers.plan import Plan, reference
+from sweep.controllers.plan import Plan, reference_stance
 from sweep.controllers.posture import joint_targets, mass_centre
 from sweep.core.rotations import matrix, rotate
 from sweep.metrics.geometry import support_margin
@@ -51,7 +51,7 @@ def margins(case: Case, plan: Plan) -> jax.Array:
     base = jnp.concatenate([plan.start.position[None], plan.position[:-1]])
 
     def at(k, u):
-        stance: Stance = reference(plan, k, u, feet[k], base[k])
+        stance: Stance = reference_stance(plan, k, u, feet[k], base[k])
         joints, _ = joint_targets(case.robot, stance)
         centre = stance.position + rotate(stance.quat, mass_centre(case.robot, joints))
         return support_margin(stance.feet[:, :2], ~plan.swing[k], centre[:2])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from playing import U, played
 
-from sweep.controllers.plan import along_guides
+from sweep.controllers.plan import bezier_point
 from sweep.core.rotations import matrix
 from sweep.models.case import Case
 from sweep.study.config import compose
@@ -56,7 +56,7 @@ def test_it_follows_what_is_believed(case):
 def test_guides_shape_a_swing_and_keep_it_in_their_hull():
     start, end = jnp.zeros(3), jnp.array([1.0, 0, 0])
     guides = jnp.array([[0.0, 0, 2], [1.0, 0, 2]])
-    way = np.asarray(jax.vmap(lambda s: along_guides(start, guides, end, s))(jnp.asarray(U, float)))
+    way = np.asarray(jax.vmap(lambda s: bezier_point(start, guides, end, s))(jnp.asarray(U, float)))
     np.testing.assert_allclose(way[[0, 20, 40]], [[0, 0, 0], [0.5, 0, 1.5], [1, 0, 0]], atol=1e-6)
     assert way.min() >= 0
     assert way[:, 2].max() < 2

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from sweep.controllers import tracker
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.frames import Stance
-from sweep.controllers.manoeuvres.balancing.ball import on_ball, perch
+from sweep.controllers.manoeuvres.balancing.ball import stance_on_ball, stand_pose
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import GRIP, KEPT, MEASURED, RESTS, STAYS, TO_POSE, TO_VELOCITY, TOGETHER, Stage, Support
 from sweep.controllers.posture import joint_targets
-from sweep.controllers.programme import Programme, meant
+from sweep.controllers.reference_body_motion import ReferenceBodyMotion, reference_motion
 from sweep.core.rotations import exponential, logarithm
 from sweep.models.frames import fixed, koenig
 from sweep.models.obstacles.surface import FreeState, free_start
@@ -37,7 +37,7 @@ START, NOW = bodies([0.0, 3.0], [0.0, 0.5], [0.2, -0.2], [0.4, 0.4]), bodies([0.
 def moved(mode, clock, **goal):
     """Place along x and angle about y of both."""
     many = [jnp.stack([jnp.asarray(getattr(Support(mode, **goal), name))] * 2) for name in Support._fields]
-    free = meant(Support(*many), START, NOW, jnp.asarray(clock), jnp.asarray(TIME))
+    free = reference_motion(Support(*many), START, NOW, jnp.asarray(clock), jnp.asarray(TIME))
     return np.asarray(free.position[:, 0]), np.asarray(logarithm(free.quat)[:, 1]), free
 
 
@@ -56,7 +56,7 @@ def test_a_body_goes_over_to_a_velocity_from_where_it_is():
 def test_a_body_that_falls_for_a_moment_is_not_meant_to_sink():
     falls = START._replace(velocity=START.velocity.at[:, 2].set(-0.01))
     many = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(each) for each in x]), RESTS, RESTS)
-    ends = meant(many, falls, NOW, jnp.asarray(TIME), jnp.asarray(TIME))
+    ends = reference_motion(many, falls, NOW, jnp.asarray(TIME), jnp.asarray(TIME))
     np.testing.assert_array_equal(ends.position[:, 2], START.position[:, 2])
     np.testing.assert_array_equal(ends.velocity[:, 2], 0.0)
 
@@ -75,7 +75,7 @@ def test_a_body_goes_to_a_pose_follows_or_rolls_with_the_others():
 def test_a_body_that_is_kept_is_where_it_was_meant_to_be():
     np.testing.assert_allclose(moved(KEPT, TIME)[0], START.position[:, 0], atol=1e-6)
     one_kept = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(each) for each in x]), STAYS, RESTS)
-    _, free = Programme(jax.tree.map(lambda x: x[None], one_kept), afloat=False).entered(
+    _, free = ReferenceBodyMotion(jax.tree.map(lambda x: x[None], one_kept), afloat=False).on_stage_enter(
         jnp.int32(0), START, START, NOW
     )
     np.testing.assert_allclose(free.position[:, 0], [START.position[0, 0], NOW.position[1, 0]], atol=1e-6)
@@ -84,7 +84,7 @@ def test_a_body_that_is_kept_is_where_it_was_meant_to_be():
 @pytest.fixture(scope="module")
 def standing():
     """On a ball, and what is seen of it."""
-    stance = jax.jit(lambda: on_ball(CASE, perch(CASE, CASE.manoeuvre)))()
+    stance = jax.jit(lambda: stance_on_ball(CASE, stand_pose(CASE, CASE.manoeuvre)))()
     still, joints = jnp.zeros(3), joint_targets(CASE.robot, stance)[0]
     return stance, Observation(stance.position, stance.quat, still, still, joints, 0 * joints, 0 * joints,
                                jnp.ones(6, bool), free_start(CASE.obstacle))  # fmt: skip
@@ -93,10 +93,10 @@ def standing():
 def test_feet_that_grip_are_pressed_in_and_inward(standing):
     """From where they are measured, however they were commanded; one in the air comes down as deep as commanded."""
     stance, seen = standing
-    plan = assemble(stance, [Stage("a", 1.0), Stage("b", 1.0, onset=GRIP, press=(2e-3, 3e-3))], 0.0)
+    plan = compile_plan(stance, [Stage("a", 1.0), Stage("b", 1.0, onset=GRIP, press=(2e-3, 3e-3))], 0.0)
     told = stance._replace(feet=stance.feet + 0.01)
     hangs = seen._replace(loaded=jnp.arange(6) > 0)
-    feet = tracker.onset(CASE, plan, jnp.asarray(1), told, hangs).feet
+    feet = tracker.start_stage(CASE, plan, jnp.asarray(1), told, hangs).feet
     normal = (stance.feet - seen.free.position[0]) / jnp.linalg.norm(stance.feet - seen.free.position[0], axis=1)[
         :, None
     ]
@@ -110,7 +110,7 @@ class Waits:
 
     observer = 0.0
 
-    def ends(self, belief, plan, state, seen):
+    def is_stage_over(self, belief, plan, state, seen):
         return (state.stage == 0) & (seen.free.position[0, 0] > 0.1)
 
 
@@ -122,7 +122,7 @@ def test_an_event_ends_a_stage_and_the_next_goes_on_from_there(standing):
     up, foot = stance.position - centre + jnp.array([0.0, 0.0, 0.2]), stance.feet[0] - centre
     stages = [Stage("wait", 4.0, {1: foot + jnp.array([0.0, 0.0, 0.2])}, position=up, support=(), **frames),
               Stage("on", 1.0, position=up, support=(RESTS,), **frames)]  # fmt: skip
-    plan = assemble(stance, stages, 0.0, ease=0.1)
+    plan = compile_plan(stance, stages, 0.0, ease=0.1)
     case = replace(CASE, manoeuvre=Waits())
 
     @jax.jit

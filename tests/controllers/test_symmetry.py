@@ -9,7 +9,7 @@ from test_pole import play_plan
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan
-from sweep.controllers.symmetry import OTHER_SIDE, joined, last_stance, mirrored, reversed_in_time
+from sweep.controllers.symmetry import OTHER_SIDE, join_plans, last_stance, mirror_plan, reverse_in_time
 from sweep.core.rotations import matrix
 from sweep.models.case import Case
 from sweep.models.plan_table import tabled
@@ -50,7 +50,7 @@ def same_plan(a: Plan, b: Plan):
     turned = {"quat": (a.quat, b.quat), "start": (a.start.quat, b.start.quat)}
     for one, other in turned.values():
         same_attitude(one, other)
-    for name in ("duration", "swing", "foothold", "curve", "position", "turn", "way"):
+    for name in ("duration", "swing", "foothold", "curve", "position", "turn", "path"):
         for one, other in zip(*map(jax.tree.leaves, (getattr(a, name), getattr(b, name))), strict=True):
             np.testing.assert_allclose(one, other, atol=1e-12, err_msg=name)
     assert (a.onset, a.laws) == (b.onset, b.laws)
@@ -59,20 +59,20 @@ def same_plan(a: Plan, b: Plan):
 
 
 def test_back_at_any_time_is_where_it_was(case, plan):
-    there, back = references(case, plan), references(case, reversed_in_time(plan))
+    there, back = references(case, plan), references(case, reverse_in_time(plan))
     np.testing.assert_allclose(back.feet[::-1, ::-1], there.feet, atol=1e-9)
     np.testing.assert_allclose(back.position[::-1, ::-1], there.position, atol=1e-9)
     same_attitude(back.quat[::-1, ::-1], there.quat)
 
 
 def test_twice_backwards_or_mirrored_is_the_plan(plan):
-    same_plan(reversed_in_time(reversed_in_time(plan)), plan)
-    same_plan(mirrored(mirrored(plan, NORMAL), NORMAL), plan)
+    same_plan(reverse_in_time(reverse_in_time(plan)), plan)
+    same_plan(mirror_plan(mirror_plan(plan, NORMAL), NORMAL), plan)
 
 
 def test_the_mirror_image_of_what_a_plan_wants_is_what_its_mirror_image_wants(case, plan):
     mirror = np.eye(3) - 2 * np.outer(NORMAL, NORMAL)
-    there, image = references(case, plan), references(case, mirrored(plan, NORMAL))
+    there, image = references(case, plan), references(case, mirror_plan(plan, NORMAL))
     np.testing.assert_allclose(image.feet, (there.feet @ mirror)[:, :, OTHER_SIDE], atol=1e-9)
     np.testing.assert_allclose(image.position, there.position @ mirror, atol=1e-9)
     expected = mirror @ np.asarray(matrix(there.quat)) @ np.diag([1, -1, 1])  # the base is its own mirror image
@@ -80,8 +80,8 @@ def test_the_mirror_image_of_what_a_plan_wants_is_what_its_mirror_image_wants(ca
 
 
 def test_joined_plans_follow_each_other(case, plan):
-    back = reversed_in_time(plan)
-    both = joined(plan, back)
+    back = reverse_in_time(plan)
+    both = join_plans(plan, back)
     assert both.names == plan.names + back.names
     stances = references(case, both)
     np.testing.assert_allclose(stances.feet[::-1, ::-1], stances.feet, atol=1e-9)

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from sweep.controllers import touch
-from sweep.controllers.calibration import Calibrated
+from sweep.controllers.belief_update import LearnedState, replan_rest, update_from_touch
+from sweep.controllers.calibration import CalibrationResult
 from sweep.controllers.frames import Stance, stance_to_world
 from sweep.controllers.layers import HeldLegs
-from sweep.controllers.learned import Learned, felt, replanned
-from sweep.controllers.observation import Observation, Observer, weighed
-from sweep.controllers.plan import begins, reference
+from sweep.controllers.observation import BodyObserver, Observation, with_contact_detection
+from sweep.controllers.plan import reference_stance, stage_start
 from sweep.controllers.posture import joint_targets
-from sweep.controllers.touch import Touched
+from sweep.controllers.touch import TouchState
 from sweep.controllers.tracker import init
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
@@ -52,18 +52,18 @@ def on_pole(radius: float) -> tuple[int, Stance]:
     """The first stage in which all legs are on the pole but those that swing, at its end; feet at its true surface."""
     plan = planned()
     stage = plan.names.index("up.middle")
-    stance = reference(plan, jnp.int32(stage), jnp.ones(()), *begins(plan, jnp.int32(stage), no_bodies()))
+    stance = reference_stance(plan, jnp.int32(stage), jnp.ones(()), *stage_start(plan, jnp.int32(stage), no_bodies()))
     feet = stance.feet.at[:, :2].multiply(radius / jnp.linalg.norm(stance.feet[:, :2], axis=1)[:, None])
     return stage, stance._replace(feet=feet)
 
 
 def walk_on(stage: int, stance: Stance, ticks: int, loaded=True, noise=CASE.noise):
     """What is known, and the footholds told, after `ticks` in which no foot had been felt before."""
-    plan, state = planned(), untouched()._replace(felt=jnp.zeros(6, bool))
-    ground = touch.planned_on(untouched(), plan, jnp.int32(stage))
+    plan, state = planned(), untouched()._replace(has_landed=jnp.zeros(6, bool))
+    ground = touch.planned_surface(untouched(), plan, jnp.int32(stage))
     now = seen(stance, loaded)
     tracked = init(CASE, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
-    step = jax.jit(lambda s, t: touch.felt(CASE.control, noise, CASE.robot, plan, ground, t, s, now, PERIOD))
+    step = jax.jit(lambda s, t: touch.touch_tick(CASE.control, noise, CASE.robot, plan, ground, t, s, now, PERIOD))
     for _ in range(ticks):
         state, moves, _ = step(state, tracked)
         from_where = jnp.where(plan.swing[stage][:, None], plan.foothold[stage], tracked.feet)
@@ -71,16 +71,16 @@ def walk_on(stage: int, stance: Stance, ticks: int, loaded=True, noise=CASE.nois
     return state, tracked.feet
 
 
-def untouched() -> Touched:
-    return touch.untouched(CASE.control, CASE.obstacle)
+def untouched() -> TouchState:
+    return touch.init_touch(CASE.control, CASE.obstacle)
 
 
 def from_axis(feet) -> np.ndarray:
     return np.linalg.norm(np.asarray(feet)[:, :2], axis=1)
 
 
-def sizes(state: Touched) -> np.ndarray:
-    return np.array([getattr(state.obstacle, name) for name in touch.names(state.obstacle)])
+def sizes(state: TouchState) -> np.ndarray:
+    return np.array([getattr(state.obstacle, name) for name in touch.learnable_sizes(state.obstacle)])
 
 
 @pytest.mark.parametrize("radius", [0.40, 0.44])
@@ -108,12 +108,12 @@ def test_a_foot_that_finds_a_height_lower_than_cautiously_planned_stands_as_deep
     stage = len(plan.names) - 1
     higher = np.asarray(plan.foothold[stage] - case.manoeuvre.plan(case).foothold[stage])[:, 2]
     assert np.all(higher > 2e-3)
-    stance = reference(plan, jnp.int32(stage), jnp.ones(()), *begins(plan, jnp.int32(stage), no_bodies()))
+    stance = reference_stance(plan, jnp.int32(stage), jnp.ones(()), *stage_start(plan, jnp.int32(stage), no_bodies()))
     now = seen(stance._replace(feet=stance.feet.at[:, 2].set(case.on(Kerb).height)))
-    assert learned.touched is not None
-    learned = learned._replace(touched=learned.touched._replace(felt=jnp.zeros(6, bool)))
+    assert learned.touch is not None
+    learned = learned._replace(touch=learned.touch._replace(has_landed=jnp.zeros(6, bool)))
     state = init(case, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
-    step = jax.jit(lambda s, known: felt(case, case, plan, s, known, now, PERIOD))
+    step = jax.jit(lambda s, known: update_from_touch(case, case, plan, s, known, now, PERIOD))
     for _ in range(100):
         state, _, _, learned = step(state, learned)
     stands = ~np.asarray(plan.swing[stage])
@@ -122,9 +122,9 @@ def test_a_foot_that_finds_a_height_lower_than_cautiously_planned_stands_as_deep
 
 
 @pytest.mark.parametrize(("radius", "pressed", "moved"), [
-    (0.44, 0.002, 0.02 + DEEPENING + touch.CLEAR),  # far outside of where the pole should be: lifted off the true one
+    (0.44, 0.002, 0.02 + DEEPENING + touch.CLEARANCE),  # far outside of the believed pole: lifted off the true one
     (0.44, -0.002, 0),  # it is on its way
-    (0.424, DEEPENING + 0.002, touch.YIELD * 0.002),  # nearly where it should be: gives way to what presses it more
+    (0.424, DEEPENING + 0.002, touch.YIELD_SHARE * 0.002),  # nearly where believed: gives way to the extra pressure
     (0.424, -0.002, 0),
 ])  # fmt: skip
 def test_a_foot_that_lands_early_gives_way_or_is_lifted_clear(radius, pressed, moved):
@@ -133,17 +133,17 @@ def test_a_foot_that_lands_early_gives_way_or_is_lifted_clear(radius, pressed, m
     told = seen(stance._replace(feet=stance.feet.at[:, :2].multiply(1 - pressed / radius)))
     clock = 0.75 * plan.duration[stage]
     state = init(CASE, plan)._replace(stage=jnp.int32(stage), feet=stance.feet, joints=told.angles, clock=clock)
-    ground = touch.planned_on(untouched(), plan, jnp.int32(stage))
+    ground = touch.planned_surface(untouched(), plan, jnp.int32(stage))
     rest = plan, ground, state, untouched(), seen(stance), PERIOD
-    known, moves, searches = touch.felt(CASE.control, CASE.noise, CASE.robot, *rest)
+    known, moves, searches = touch.touch_tick(CASE.control, CASE.noise, CASE.robot, *rest)
     np.testing.assert_allclose(np.sum(moves * ground.normal, axis=1)[swings], moved, atol=2e-4)
     assert not np.any(np.asarray(searches)[swings])
-    assert not np.any(np.asarray(known.felt)[swings])  # it has not come to stand
+    assert not np.any(np.asarray(known.has_landed)[swings])  # it has not come to stand
 
 
 def test_a_foot_in_the_air_goes_on_inwards_so_far_and_no_farther():
     stage, stance = on_pole(0.43)
-    for ticks, way in ((10, 10 * PERIOD * CASE.control.touch_speed), (200, touch.REACH)):
+    for ticks, way in ((10, 10 * PERIOD * CASE.control.touch_speed), (200, touch.MAX_SEARCH)):
         _, feet = walk_on(stage, stance, ticks, loaded=False)
         moved = from_axis(planned().foothold[stage]) - from_axis(feet)
         np.testing.assert_allclose(moved, way, atol=1.01 * PERIOD * CASE.control.touch_speed)
@@ -153,12 +153,12 @@ def test_a_leg_that_is_held_by_its_joints_does_not_search():
     case = compose(["scenario=beam_cross", "control.touch=obstacle"]).case
     plan = case.manoeuvre.plan(case)
     stage = plan.names.index("narrow.1-4-5.down")
-    stance = reference(plan, jnp.int32(stage), jnp.ones(()), *begins(plan, jnp.int32(stage), no_bodies()))
+    stance = reference_stance(plan, jnp.int32(stage), jnp.ones(()), *stage_start(plan, jnp.int32(stage), no_bodies()))
     state = init(case, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
-    known = touch.untouched(case.control, case.obstacle)._replace(felt=jnp.zeros(6, bool))
-    ground = touch.planned_on(known, plan, jnp.int32(stage))
+    known = touch.init_touch(case.control, case.obstacle)._replace(has_landed=jnp.zeros(6, bool))
+    ground = touch.planned_surface(known, plan, jnp.int32(stage))
     rest = plan, ground, state, known, seen(stance, loaded=False), PERIOD
-    _, moves, searches = touch.felt(case.control, case.noise, case.robot, *rest)
+    _, moves, searches = touch.touch_tick(case.control, case.noise, case.robot, *rest)
     held = np.asarray(plan.layer(HeldLegs).held[stage])
     assert held.sum() == 3
     np.testing.assert_array_equal(searches, ~held)
@@ -171,7 +171,7 @@ def test_a_foot_that_is_told_late_of_its_load_goes_on_no_faster_than_that_allows
     _, feet = walk_on(stage, stance, ticks, loaded=False, noise=Noise(load_delay=late))
     moved = from_axis(planned().foothold[stage]) - from_axis(feet)
     stands = ~np.asarray(planned().swing[stage])
-    np.testing.assert_allclose(moved[stands], ticks / late * touch.TOO_FAR, rtol=0.01)
+    np.testing.assert_allclose(moved[stands], ticks / late * touch.MAX_OVERSHOOT, rtol=0.01)
     np.testing.assert_allclose(moved[~stands], 0, atol=1e-6)  # the load of those that land now is not known of yet
 
 
@@ -180,16 +180,19 @@ def test_what_a_sensor_shows_in_the_air_makes_no_foot_stand():
     rng, least, noise = np.random.default_rng(0), CASE.control.load_threshold, Noise(load_noise=3.0, load_bias=4.0)
     shown = jnp.asarray(4 * rng.standard_normal(10_000) + 3 * rng.standard_normal(10_000))
     told = seen(planned().start)._replace(load=shown)
-    doubted, believed = weighed(CASE.control, noise, told), weighed(CASE.control, CASE.noise, told)
+    doubted, believed = (
+        with_contact_detection(CASE.control, noise, told),
+        with_contact_detection(CASE.control, CASE.noise, told),
+    )
     assert np.mean(doubted.loaded) < 1e-3
-    for perhaps in (doubted.perhaps, believed.perhaps, believed.loaded):
+    for perhaps in (doubted.maybe_loaded, believed.maybe_loaded, believed.loaded):
         np.testing.assert_array_equal(perhaps, shown > least)
 
 
 def test_heights_are_planned_for_as_larger_until_a_foot_stands_there():
     nothing, pole = untouched(), CASE.on(PoleLedge)
     more = CASE.control.caution * CASE.control.obstacle_error
-    wary = touch.planned_for(nothing)
+    wary = touch.planning_obstacle(nothing)
     np.testing.assert_allclose(wary.height, pole.height * (1 + more), rtol=1e-6)
     np.testing.assert_allclose(wary.radius, pole.radius, rtol=1e-6)
     top = 1.01 * pole.height  # on which a robot stands that believes in the one above
@@ -198,9 +201,11 @@ def test_heights_are_planned_for_as_larger_until_a_foot_stands_there():
     up = jnp.array([0.0, 0.0, top - pole.height])
     true = start._replace(feet=start.feet + up, position=start.position + up)
     angles, short = joint_targets(CASE.robot, true)
-    found = touch.standing(CASE.control, CASE.noise, CASE.robot, start, nothing, true.position, true.quat, angles)
+    found = touch.update_from_stance(
+        CASE.control, CASE.noise, CASE.robot, start, nothing, true.position, true.quat, angles
+    )
     assert float(short.max()) == 0
-    np.testing.assert_allclose(touch.planned_for(found).height, top, atol=1e-3)
+    np.testing.assert_allclose(touch.planning_obstacle(found).height, top, atol=1e-3)
 
 
 @pytest.mark.parametrize("scenario", ["ball_climb", "ball_to_ball", "ball_ledges"])
@@ -212,8 +217,8 @@ def test_balls_tell_their_radius_by_how_high_they_lie(scenario):
         key, noise = jax.random.key(3), Noise(body_position_bias=bias)
         seen = places(dataclasses.replace(world, noise=noise), key)
         np.testing.assert_allclose(seen, free_start(world.obstacle).position, atol=4 * bias + 1e-6)
-        nothing = touch.untouched(belief.control, belief.obstacle)
-        found = touch.lying(belief.control, noise, nothing, seen)
+        nothing = touch.init_touch(belief.control, belief.obstacle)
+        found = touch.update_from_resting_bodies(belief.control, noise, nothing, seen)
         deviation = float(np.sqrt(found.covariance[0, 0]))
         assert deviation > 0.5 * bias  # two balls tell as much twice
         np.testing.assert_allclose(sizes(found), [larger], atol=4 * deviation if bias else 1e-4)
@@ -225,19 +230,19 @@ def test_feet_on_the_rungs_of_a_ladder_that_leans_otherwise_tell_their_step():
     belief = compose(["scenario=ladder_climb", "control.touch=obstacle", "control.replan=touched"]).case
     ladder = belief.on(Ladder)
     other = dataclasses.replace(ladder, rung_step=1.01 * ladder.rung_step)
-    plan, true = (case.manoeuvre.way(case)
+    plan, true = (case.manoeuvre.route(case)
                   for case in (belief, dataclasses.replace(belief, obstacle=other)))  # fmt: skip
     stage = plan.names.index("climb.front4.load")  # front feet on rung 3, middle ones on 2
     leans = dataclasses.replace(other, lean=ladder.lean - 0.02).start()
     stance = Stance(true.foothold[stage], true.position[stage], multiply(exponential(true.turn), true.quat)[stage])
     told = placed(ladder, marked(other, leans))  # by its lower ends, as if its rungs were where they are believed
     now = seen(stance_to_world(stance, true.foot_frame[stage], true.base_frame[stage], leans))._replace(free=told)
-    known = touch.untouched(belief.control, ladder)._replace(felt=jnp.zeros(6, bool))
+    known = touch.init_touch(belief.control, ladder)._replace(has_landed=jnp.zeros(6, bool))
     state = init(belief, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
-    state = state._replace(observer=Observer(told, told))
-    ground = touch.planned_on(known, plan, jnp.int32(stage))
+    state = state._replace(observer=BodyObserver(told, told))
+    ground = touch.planned_surface(known, plan, jnp.int32(stage))
     rest = belief.noise, belief.robot, plan, ground
-    found, moves, _ = touch.felt(belief.control, *rest, state, known, now, 1.0)
+    found, moves, _ = touch.touch_tick(belief.control, *rest, state, known, now, 1.0)
     np.testing.assert_allclose(found.obstacle.rung_step, other.rung_step, atol=1e-3)
     on_rungs = np.asarray(plan.foot_frame[stage]) != WORLD
     assert on_rungs.sum() == 4
@@ -253,23 +258,23 @@ def test_what_is_left_of_the_way_is_planned_for_the_pole_that_was_found():
     other = dataclasses.replace(CASE, obstacle=found)
     stage = plan.names.index("on.front")
     touched = untouched()._replace(obstacle=found)
-    learned = jax.jit(lambda: replanned(CASE, plan, jnp.int32(stage), Learned(None, touched, plan)))()
+    learned = jax.jit(lambda: replan_rest(CASE, plan, jnp.int32(stage), LearnedState(None, touched, plan)))()
     again = learned.plan
     assert float(learned.shortfall) == 0
     fresh = other.manoeuvre.plan(other)
     np.testing.assert_array_equal(again.foothold[: stage + 1], plan.foothold[: stage + 1])
     np.testing.assert_allclose(again.foothold[stage + 1 :], fresh.foothold[stage + 1 :], atol=1e-5)
     np.testing.assert_allclose(again.position[stage + 1 :], fresh.position[stage + 1 :], atol=1e-5)
-    none = Learned(None, touched._replace(obstacle=dataclasses.replace(found, radius=jnp.nan)), plan)
-    kept = jax.jit(lambda: replanned(CASE, plan, jnp.int32(stage), none))()
+    none = LearnedState(None, touched._replace(obstacle=dataclasses.replace(found, radius=jnp.nan)), plan)
+    kept = jax.jit(lambda: replan_rest(CASE, plan, jnp.int32(stage), none))()
     np.testing.assert_array_equal(kept.plan.foothold, plan.foothold)
     assert float(kept.shortfall) == np.inf
 
 
 def test_a_plan_out_of_reach_is_told_as_soon_as_it_is_made():
     plan, stage = planned(), jnp.int32(planned().names.index("on.front"))
-    small = Calibrated(dataclasses.replace(CASE.robot, shin=0.2), jnp.zeros((4, 4)))
-    learned = jax.jit(lambda: replanned(CASE, plan, stage, Learned(small, untouched(), plan)))()
+    small = CalibrationResult(dataclasses.replace(CASE.robot, shin=0.2), jnp.zeros((4, 4)))
+    learned = jax.jit(lambda: replan_rest(CASE, plan, stage, LearnedState(small, untouched(), plan)))()
     assert 0.005 < float(learned.shortfall) < 0.5
 
 

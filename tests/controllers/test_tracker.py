@@ -9,7 +9,7 @@ import pytest
 
 from sweep.controllers import tracker
 from sweep.controllers.frames import Stance
-from sweep.controllers.layers import FASTER, SOON, Feedforward
+from sweep.controllers.layers import CREEP_TIME, LONE_CREEP_FACTOR, Feedforward
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import REGRIP
 from sweep.controllers.posture import feet_in_world, joint_targets
@@ -104,7 +104,7 @@ def test_a_foot_that_hangs_goes_on_alone(plan, sure, late):
     stage, creep, wait = int(np.argmax(np.any(plan.swing, axis=1))), 0.01, 0.3  # m/s, s
     first, *others = np.flatnonzero(plan.swing[stage])
     held, stands = pressed(replace(plan, patience=jnp.array(1.0)), creep), jnp.arange(6) != first
-    seen = seen_at_start(plan, stands & sure)._replace(perhaps=stands)
+    seen = seen_at_start(plan, stands & sure)._replace(maybe_loaded=stands)
     told = replace(CASE, noise=Noise(delay=0.25 * late / PERIOD, load_delay=0.75 * late / PERIOD))
     begun = tracker.init(told, held)._replace(stage=jnp.int32(stage), clock=plan.duration[stage])
 
@@ -119,9 +119,11 @@ def test_a_foot_that_hangs_goes_on_alone(plan, sure, late):
     stages, feet = waiting(begun)
     assert np.all(stages == stage)
     below = np.asarray(plan.foothold[stage, :, 2] - feet[:, :, 2])
-    gone = np.clip(PERIOD * np.arange(1, 1 + len(below)) - 0.75 * late, 0, SOON)
+    gone = np.clip(PERIOD * np.arange(1, 1 + len(below)) - 0.75 * late, 0, CREEP_TIME)
     np.testing.assert_allclose(below[:, others], np.outer(creep * gone, np.ones(len(others))), atol=1e-5)
-    assert below[-1, first] == pytest.approx(creep * (SOON + FASTER * (wait - SOON - late)), abs=1e-5)
+    assert below[-1, first] == pytest.approx(
+        creep * (CREEP_TIME + LONE_CREEP_FACTOR * (wait - CREEP_TIME - late)), abs=1e-5
+    )
 
 
 @pytest.mark.parametrize(("behind", "time"), [(0.0, 0.03), (0.02, 0.03), (0.08, 0.08)])

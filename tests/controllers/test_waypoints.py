@@ -9,7 +9,7 @@ import pytest
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS
-from sweep.controllers.plan import Plan, reference
+from sweep.controllers.plan import Plan, reference_stance
 from sweep.controllers.posture import joint_targets
 from sweep.core.errors import InputError
 from sweep.engines.batching import nominal_plan
@@ -42,7 +42,7 @@ def play(case: Case, phases: jax.Array) -> tuple[Plan, Stance, tuple[jax.Array, 
     plan = case.manoeuvre.plan(case)
 
     def stage(begin, k):
-        stance = jax.vmap(lambda u: reference(plan, k, u, *begin))(phases)
+        stance = jax.vmap(lambda u: reference_stance(plan, k, u, *begin))(phases)
         return (stance.feet[-1], stance.position[-1]), stance
 
     stances = jax.lax.scan(stage, (plan.start.feet, plan.start.position), jnp.arange(len(plan.names)))[1]
@@ -63,7 +63,7 @@ def test_steps_are_the_share_of_the_limit_or_half_of_what_is_left(case):
         largest = 0.95 * min(limits)
         full = int(length // (2 * largest))
         expected += [largest] * full + [(length - 2 * full * largest) / 2]
-    steps = np.linalg.norm(case.manoeuvre.steps(case.robot), axis=1)
+    steps = np.linalg.norm(case.manoeuvre.cycle_steps(case.robot), axis=1)
     np.testing.assert_allclose(steps, expected + [0.0] * (len(steps) - len(expected)), rtol=1e-9)
 
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sweep.controllers.calibration import names
+from sweep.controllers.calibration import learnable_sizes
 from sweep.engines import make
 from sweep.metrics.outcome import classify
 from sweep.study.config import compose
@@ -16,7 +16,7 @@ STAND = ["scenario=walk_tripod", "manoeuvre=stand", "manoeuvre.duration=0.3", "c
 def simulated(*overrides: str):
     """Figures, labels, trace and true sizes of two robots that are 2 % larger and smaller than they believe."""
     exp = compose([*STAND, *overrides])
-    off = {name: getattr(exp.case.robot, name) * np.array([0.98, 1.02]) for name in names(exp.case.robot)}
+    off = {name: getattr(exp.case.robot, name) * np.array([0.98, 1.02]) for name in learnable_sizes(exp.case.robot)}
     world = dataclasses.replace(exp.case, robot=dataclasses.replace(exp.case.robot, **off))
     engine = make(dataclasses.replace(exp.settings, width=2), exp.case, exp.case, exp.thresholds)
     traces = engine.traces(world, exp.case, np.arange(2), 1)

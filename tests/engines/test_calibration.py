@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from sweep.controllers.calibration import names
+from sweep.controllers.calibration import learnable_sizes
 from sweep.core.errors import InputError
 from sweep.engines import devices, make, prelude
 from sweep.study.config import compose
@@ -19,7 +19,9 @@ ROBOTS, SPREAD = 64, 0.02
 def wrong(case, number: int):
     """A world of robots that are up to 2 % off in what can be learned."""
     random = np.random.default_rng(0)
-    off = {n: getattr(case.robot, n) * random.uniform(1 - SPREAD, 1 + SPREAD, number) for n in names(case.robot)}
+    off = {
+        n: getattr(case.robot, n) * random.uniform(1 - SPREAD, 1 + SPREAD, number) for n in learnable_sizes(case.robot)
+    }
     return dataclasses.replace(case, robot=dataclasses.replace(case.robot, **off))
 
 
@@ -28,12 +30,12 @@ def learned(*overrides):
     case = compose([*STAND, *overrides]).case
     world = wrong(case, ROBOTS)
     over = (devices.axes(world), None, 0)
-    calibrate = jax.vmap(lambda *of_one: prelude.prepared(*of_one)[2].calibrated, in_axes=over)
+    calibrate = jax.vmap(lambda *of_one: prelude.prepared(*of_one)[2].calibration, in_axes=over)
     arrays = devices.as_arrays(world), devices.as_arrays(case), devices.keys(np.arange(ROBOTS))
     found = jax.jit(calibrate)(*arrays)
-    true = [getattr(world.robot, n) for n in names(case.robot)]
+    true = [getattr(world.robot, n) for n in learnable_sizes(case.robot)]
     pairs = [
-        [np.asarray(getattr(r, n)) / t - 1 for n, t in zip(names(case.robot), true, strict=True)]
+        [np.asarray(getattr(r, n)) / t - 1 for n, t in zip(learnable_sizes(case.robot), true, strict=True)]
         for r in (case.robot, found.robot)
     ]
     return *(np.transpose(pair) for pair in pairs), np.asarray(found.covariance)

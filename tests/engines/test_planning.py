@@ -22,8 +22,8 @@ def start(world, belief, key):
     stands, zero = jnp.arange(6) != 1, jnp.zeros((6, 3))
     pose = forces.StaticPose(arm, normal, stands, jnp.broadcast_to(0.1 * jnp.eye(3), (6, 3, 3)), zero, jnp.array(600.0))
     bounds = forces.Bounds(*(jnp.asarray(bound, float) for bound in forces.Bounds(world, 60.0, 5.0, 1e3)))
-    sought = jax.tree.map(lambda x: x[None], forces.Sought(pose, bounds))
-    found = forces.asked(pose, forces.searched("friction")(sought)[0])
+    sought = jax.tree.map(lambda x: x[None], forces.ForceProblem(pose, bounds))
+    found = forces.evaluate_forces(pose, forces.force_search("friction")(sought)[0])
     return found, {"draw": draw, "lowest": jnp.min(arm) * found.imbalance, "bound": world}
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from sweep.controllers.plan import ends
+from sweep.controllers.plan import stage_end_stances
 from sweep.core.rotations import rotate
 from sweep.models.legs import PAIRS
 from sweep.models.obstacles import OBSTACLES
@@ -44,7 +44,7 @@ def test_a_plan_of_a_file_finds_its_places_on_the_obstacle(kind, tmp_path, monke
     with jax.enable_x64(True):
         free = free_start(case.obstacle)
         plan = case.manoeuvre.plan(case)  # which refuses what is out of reach
-        stances = ends(plan, free)
+        stances = stage_end_stances(plan, free)
         below = jax.vmap(lambda feet: under(case.obstacle, feet, poses(free)))(stances.feet)
         noses = np.asarray(rotate(stances.quat, jnp.array([1.0, 0.0, 0.0])))
     begun, ended = np.asarray(plan.start.feet), np.asarray(stances.feet)[-1]

@@ -10,8 +10,8 @@ from raft_laws import energy, vertical_momentum
 from scipy.linalg import expm
 from validity.simulation import simulate
 
-from sweep.controllers.assembly import assemble
-from sweep.controllers.manoeuvres.walking.walk import Stand, standing
+from sweep.controllers.compile_plan import compile_plan
+from sweep.controllers.manoeuvres.walking.walk import Stand, level_stance
 from sweep.controllers.plan import Plan, Stage
 from sweep.controllers.posture import joint_targets, mass_centre
 from sweep.core.constants import GRAVITY
@@ -77,7 +77,7 @@ def history(nominal):
     rows += [{name: float(x[k]) for name, x in sizes.items()} | {"viscosity": 5.0} for k in range(len(tilts))]
     rows = [Raft(**{"water_width": 1e3, "gap": OPEN} | row) for row in rows]
     q, v = np.zeros((len(rows), 32)), np.zeros((len(rows), 30))
-    stance, _ = standing(nominal, 0.3, 0.525)
+    stance, _ = level_stance(nominal, 0.3, 0.525)
     joints = np.asarray(joint_targets(nominal.robot, stance)[0])
     q[:, PLACE] = [raft.start().position[0] for raft in rows]
     q[:, 2], q[:, 3], q[:, 28], q[:, 7:25] = 1e6, 1.0, 1.0, joints.ravel()
@@ -225,10 +225,10 @@ class Ashore(Stand):
 
     def plan(self, belief: Case) -> Plan:
         """See `Stand`."""
-        start, _ = standing(belief, 0.3, 0.525)
+        start, _ = level_stance(belief, 0.3, 0.525)
         back = jnp.array([-1.5, 0.0, 0.0])
         ashore = start._replace(feet=start.feet + back, position=start.position + back)
-        return assemble(ashore, [Stage("stand", self.duration)], 0.0)
+        return compile_plan(ashore, [Stage("stand", self.duration)], 0.0)
 
 
 @parameters

@@ -11,7 +11,7 @@ from slab import Slab
 from validity.simulation import simulate
 
 from sweep.controllers.frames import Stance
-from sweep.controllers.manoeuvres.walking.walk import standing
+from sweep.controllers.manoeuvres.walking.walk import level_stance
 from sweep.controllers.posture import joint_targets
 from sweep.core.rotations import exponential
 from sweep.models import scene
@@ -29,7 +29,7 @@ def nominal():
 @pytest.fixture(scope="module")
 def history(nominal):
     """The robot shifts, tilts and turns its body over its feet; on a gripping and on a frictionless slab."""
-    start, _ = standing(nominal, 0.3, 0.525)
+    start, _ = level_stance(nominal, 0.3, 0.525)
     t = np.arange(0, SECONDS, STEP)
     gently = (0.5 - 0.5 * np.cos(np.pi * np.clip(t, 0, 1)))[:, None]
     shift = gently * np.stack([0.06 * np.sin(4 * t), 0.05 * np.sin(3 * t), 0.03 * np.sin(5 * t)], axis=1)

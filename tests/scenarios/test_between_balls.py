@@ -10,13 +10,13 @@ from test_on_ball import outcomes
 from sweep.controllers import tracker
 from sweep.controllers.ball_state import centre_of_mass
 from sweep.controllers.frames import Stance
-from sweep.controllers.layers import Now
+from sweep.controllers.layers import TickContext
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive
 from sweep.controllers.manoeuvres.balancing.ball_to_ball import BallDocking, Closing
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import MEASURED, ends
-from sweep.controllers.posture import in_hips
-from sweep.controllers.programme import Programme
+from sweep.controllers.plan import MEASURED, stage_end_stances
+from sweep.controllers.posture import feet_in_hip_axes
+from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.core.errors import InputError
 from sweep.engines import make
 from sweep.metrics.outcome import classify
@@ -58,7 +58,7 @@ def planned(**numbers):
     for path, value in numbers.items():
         case = replace(case, plan=case.plan.changed(f"over.{path.replace('_', '.')}", value))
     plan = case.manoeuvre.plan(case)
-    last = ends(plan, replace(case.on(TwoBalls), gap=0.0).start())
+    last = stage_end_stances(plan, replace(case.on(TwoBalls), gap=0.0).start())
     at = {name: Stance(*(x[k] for x in last)) for k, name in enumerate(plan.names) if name.startswith("over.")}
     return case, at
 
@@ -71,7 +71,7 @@ def inside(case, stance, legs):
 
 def stretch(case, stance, leg):
     """Of a leg from hip to foot, over thigh and shin."""
-    return float(jnp.linalg.norm(in_hips(case.robot, stance)[leg - 1]) / (case.robot.thigh + case.robot.shin))
+    return float(jnp.linalg.norm(feet_in_hip_axes(case.robot, stance)[leg - 1]) / (case.robot.thigh + case.robot.shin))
 
 
 def test_a_base_goes_on_until_the_mass_centre_is_over_the_feet_that_stand_next():
@@ -121,9 +121,9 @@ def test_no_step_is_begun_where_the_balls_touch(gap, over):
     case = compose(["scenario=ball_to_ball", f"obstacle.gap={gap}"]).case
     plan = case.manoeuvre.plan(case)
     state, seen = tracker.init(case, plan), at_start(plan, case.on(TwoBalls).start())
-    assert bool(BallDocking(BallDrive(), 0.03).ends(case, plan, state, seen)) is over
+    assert bool(BallDocking(BallDrive(), 0.03).is_stage_over(case, plan, state, seen)) is over
     late = state._replace(clock=0.5 * plan.duration[0])
-    assert not bool(BallDocking(BallDrive(), 0.03).ends(case, plan, late, seen))
+    assert not bool(BallDocking(BallDrive(), 0.03).is_stage_over(case, plan, late, seen))
 
 
 @pytest.mark.parametrize(("knees", "over"), [(0.0, True), (1.0, False)])
@@ -133,8 +133,8 @@ def test_the_base_goes_no_farther_on_a_straight_leg(knees, over):
     plan = case.manoeuvre.plan(case)
     seen, state = at_start(plan, case.on(TwoBalls).start(), knees), tracker.init(case, plan)
     ahead, front = (jnp.int32(plan.names.index(f"over.{name}")) for name in ("ahead", "front2"))
-    assert bool(Closing(0.0, 0.985).ends(case, plan, state._replace(stage=ahead), seen)) is over
-    assert not bool(Closing(0.0, 0.985).ends(case, plan, state._replace(stage=front), seen))
+    assert bool(Closing(0.0, 0.985).is_stage_over(case, plan, state._replace(stage=ahead), seen)) is over
+    assert not bool(Closing(0.0, 0.985).is_stage_over(case, plan, state._replace(stage=front), seen))
 
 
 def test_the_way_down_is_told_from_the_second_ball():
@@ -147,7 +147,7 @@ def test_the_way_down_is_told_from_the_second_ball():
         here, there = plan.names.index(name), down.names.index(name)
         wanted = np.asarray(down.foot_frame[there])
         assert np.asarray(plan.foot_frame[here]).tolist() == np.where(wanted == WORLD, WORLD, wanted + 2).tolist()
-        mode, of_one = (np.asarray(of.layer(Programme).support.mode) for of in (plan, down))
+        mode, of_one = (np.asarray(of.layer(ReferenceBodyMotion).support.mode) for of in (plan, down))
         assert mode[here].tolist() == [MEASURED, of_one[there, 0]]
 
 
@@ -166,11 +166,14 @@ def test_feet_on_the_second_ball_close_the_gap():
     state = tracker.init(case, plan)
     feet = plan.foothold[stage]
     state = state._replace(
-        stage=jnp.int32(stage), clock=plan.duration[stage], feet=feet, memory=Closing(press, 1.0).memory(case, plan)
+        stage=jnp.int32(stage),
+        clock=plan.duration[stage],
+        feet=feet,
+        memory=Closing(press, 1.0).init_memory(case, plan),
     )
     seen = at_start(plan, free)
-    now = Now(case.robot, plan, state.stage, state.stage, state.clock, jnp.ones(()), jnp.asarray(True), seen,
-              tracker.borne(plan, state, free)[0], 0.004, state.joints)  # fmt: skip
+    now = TickContext(case.robot, plan, state.stage, state.stage, state.clock, jnp.ones(()), jnp.asarray(True), seen,
+              tracker.reference_body_state(plan, state, free)[0], 0.004, state.joints)  # fmt: skip
     told = Closing(press, 1.0).guide(case, now, state)
     radius, way = case.on(TwoBalls).radius, gap + press
     eta, zeta = -np.asarray(feet)[4:, 0], np.asarray(feet)[4:, 2]

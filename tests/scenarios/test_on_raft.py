@@ -30,7 +30,7 @@ def test_the_push_ends_within_reach_of_the_bank(changes):
     exp = compose(["scenario=raft_cross", *changes])
     cross, plan = exp.case.manoeuvre, exp.case.manoeuvre.plan(exp.case)
     k = plan.names.index("push")
-    speed = cross.push * float(cross.push_off(exp.case).v0)
+    speed = cross.push * float(cross.push_motion(exp.case).v0)
     assert 0.5 * speed * float(plan.duration[k]) <= cross.push_ratio * exp.case.robot.body_length + 1e-6
 
 

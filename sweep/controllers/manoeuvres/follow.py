@@ -5,14 +5,14 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.forces import PlannedForces
 from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.moves import Terms, placed, stages_of
+from sweep.controllers.moves import MoveContext, initial_stance, part_stages
 from sweep.controllers.plan import GRIP, RESTS, STAND, STAYS, TOGETHER, Plan, Stage, Support
-from sweep.controllers.refusals import at_ends, refuse_reach
-from sweep.controllers.symmetry import gone
+from sweep.controllers.symmetry import apply_direction
+from sweep.controllers.validation import require_within_reach, stances_at_stage_ends
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import about_vertical, exponential, multiply
@@ -54,34 +54,38 @@ class Follow(PlannedForces):
 
         Raises `InputError` for what the file lacks, and where a foot is out of reach, by plain numbers.
         """
-        plan = self.way(belief)
-        refuse_reach(belief, lambda: at_ends(self.way(belief), free_start(belief.obstacle)), "plan is not allowed: ")
+        plan = self.route(belief)
+        require_within_reach(
+            belief,
+            lambda: stances_at_stage_ends(self.route(belief), free_start(belief.obstacle)),
+            "plan is not allowed: ",
+        )
         return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
 
-    def way(self, belief: Case) -> Plan:
+    def route(self, belief: Case) -> Plan:
         """The plan but for its forces."""
-        terms, stages = self.terms(belief), []
-        feet, position, at = placed(START, terms)
+        context, stages = self.move_context(belief), []
+        feet, position, standing = initial_stance(START, context)
         for part in told(belief):
             if part not in (START, *BESIDE):
-                more, at = stages_of(part, terms, at)
+                more, standing = part_stages(part, context, standing)
                 stages += more
         if not stages:
             raise InputError(f"plan is not allowed: manoeuvre.kind = {self.kind} needs a part with moves")
         x, y = belief.obstacle.forward
         level = about_vertical(jnp.asarray(np.arctan2(y, x)))
-        start = Stance(feet, position, multiply(exponential(-jnp.asarray(at.pitch) * terms.left), level))
-        stages = self.loading(stages) if self.forces == "planned" else stages
-        plan = assemble(start, [Stage("stand", STAND), *stages, Stage("halt", STAND)], self.patience,
+        start = Stance(feet, position, multiply(exponential(-jnp.asarray(standing.pitch) * context.left), level))
+        stages = self.with_load_transfer(stages) if self.forces == "planned" else stages
+        plan = compile_plan(start, [Stage("stand", STAND), *stages, Stage("halt", STAND)], self.patience,
                         free=free_start(belief.obstacle))  # fmt: skip
-        return gone(belief, plan)
+        return apply_direction(belief, plan)
 
-    def terms(self, belief: Case) -> Terms:
+    def move_context(self, belief: Case) -> MoveContext:
         """What the words of the file mean on the obstacle."""
         unit, obstacle = leg_unit(belief.robot), belief.obstacle
         supports = {"free": Support(), "rests": RESTS, "stays": STAYS, "together": Support(TOGETHER)}
         bodies = len(obstacle.free_bodies)
-        return Terms(
+        return MoveContext(
             belief, unit, stepping.swing_time(self.rate), self.lift_ratio * unit,
             dict.fromkeys(obstacle.charts, self.deepening),
             supports={name: (support,) * bodies for name, support in supports.items()},

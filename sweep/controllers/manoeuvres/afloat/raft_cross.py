@@ -11,15 +11,25 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import TRIPOD
-from sweep.controllers.layers import Now
-from sweep.controllers.manoeuvres.afloat.statics import refuse
+from sweep.controllers.layers import TickContext
+from sweep.controllers.manoeuvres.afloat.statics import require_floating
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.moves import Move, Terms, moves, staged, stages_of, standing
+from sweep.controllers.moves import Move, MoveContext, move_stages, part_stages, read_moves, standing_on
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import ALONGSIDE, REGRIP, STAYS, TO_VELOCITY, Plan, Stage, Support, led_by, reference
+from sweep.controllers.plan import (
+    ALONGSIDE,
+    REGRIP,
+    STAYS,
+    TO_VELOCITY,
+    Plan,
+    Stage,
+    Support,
+    is_under_law,
+    reference_stance,
+)
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, rotate
@@ -34,8 +44,8 @@ from sweep.models.robot import total_mass
 
 HIPS = (-0.5, -0.5, 0.0, 0.0, 0.5, 0.5)  # a_r, ahead of the base's centre
 MARGIN = 0.1  # a_r, on both sides of an edge, that footholds leave out
-PATIENCE = 3.0  # times that of coasting, for which a raft that was pushed too little is waited for
-FIRST = -0.75  # a_r, of the base, before it boards
+WAIT_FACTOR = 3.0  # times that of coasting, for which a raft that was pushed too little is waited for
+START_POSITION = -0.75  # a_r, of the base, before it boards
 # Laws: pushing off; coasting, until the raft is at the other bank; finding the place where it has come to; pulling it
 # in; and going on as planned from that place.
 PUSH, WAIT, REACH, PULL, ASHORE = "push", "wait", "reach", "pull", "ashore"
@@ -80,45 +90,51 @@ class RaftCross:
 
         Raises `InputError` where the raft would capsize or sink under the robot, by plain numbers.
         """
-        raft, length, push = belief.on(Raft), belief.robot.body_length, self.push_off(belief)
-        refuse(belief, (raft.length / 2 - MARGIN * length, self.offset))
-        how, first = self.terms(belief), FIRST - self.approach * self.stride_ratio
-        feet = {leg: how.foot(leg, {"near": [first + HIPS[leg - 1]]}, "", 0.0).at for leg in LEGS}
-        position, _, _ = how.base({"by_near": [first]}, "")
+        raft, length, push = belief.on(Raft), belief.robot.body_length, self.push_motion(belief)
+        require_floating(belief, (raft.length / 2 - MARGIN * length, self.offset))
+        context, first = self.move_context(belief), START_POSITION - self.approach * self.stride_ratio
+        feet = {leg: context.foot(leg, {"near": [first + HIPS[leg - 1]]}, "", 0.0).point for leg in LEGS}
+        position, _, _ = context.base({"by_near": [first]}, "")
         start = Stance(jnp.stack([feet[leg] for leg in LEGS]), position, jnp.array(IDENTITY))
-        aboard, reached, landed = (list(moves(belief, part).values()) for part in ("aboard", "reach", "land"))
+        aboard, reached, landed = (list(read_moves(belief, part).values()) for part in ("aboard", "reach", "land"))
         ashore, there, end = (move.base[chart][0] for move, chart in (
             (aboard[-1], "on_deck"), (reached[0], "on_deck_far"), (landed[-1], "by_far")))  # fmt: skip
         over = (raft.length / length + there - ashore) / self.steps
         pull = replace(reached[-1], feet={}, seconds=self.pull, support="pulled", law=PULL)
-        at = standing(feet, 0.0)
-        approach, at = staged(tripods(first, self.approach, self.stride_ratio, "by_near", "near"), how, at, "approach.")
-        board, at = stages_of("board", how, at)
-        push_off, at = stages_of("push", how, at, "")
-        on, at = stages_of("aboard", how, at)
-        walk, at = staged(tripods(ashore, self.steps, over, "on_deck", "deck"), how, at, "walk.")
-        (wait, *reach), at = stages_of("reach", how, at, "")
-        pulls, at = staged({f"pull{k + 1}": pull for k in range(self.pulls)}, how, at, "")
-        land, at = stages_of("land", how, at)
-        leave = tripods(end, self.leave, self.stride_ratio, "by_far", "far")
-        off, _ = staged({name: replace(move, law=ASHORE) for name, move in leave.items()}, how, at, "leave.")
+        standing = standing_on(feet, 0.0)
+        approach, standing = move_stages(
+            tripod_moves(first, self.approach, self.stride_ratio, "by_near", "near"), context, standing, "approach."
+        )
+        board, standing = part_stages("board", context, standing)
+        push_off, standing = part_stages("push", context, standing, "")
+        on, standing = part_stages("aboard", context, standing)
+        walk, standing = move_stages(
+            tripod_moves(ashore, self.steps, over, "on_deck", "deck"), context, standing, "walk."
+        )
+        (wait, *reach), standing = part_stages("reach", context, standing, "")
+        pulls, standing = move_stages({f"pull{k + 1}": pull for k in range(self.pulls)}, context, standing, "")
+        land, standing = part_stages("land", context, standing)
+        leave = tripod_moves(end, self.leave, self.stride_ratio, "by_far", "far")
+        off, _ = move_stages(
+            {name: replace(move, law=ASHORE) for name, move in leave.items()}, context, standing, "leave."
+        )
         stages = [
             Stage("stand", 0.5, onset=REGRIP),
             *approach,
             *board,
-            *(self.pushing(belief, stage, push) for stage in push_off),
+            *(self.push_stage(belief, stage, push) for stage in push_off),
             *on,
             *walk,
-            replace(wait, duration=PATIENCE * push.time),
+            replace(wait, duration=WAIT_FACTOR * push.time),
             *reach,
             *pulls,
             *land,
             *off,
             Stage("halt", 1.0, law=ASHORE, onset=REGRIP),
         ]
-        return assemble(start, stages, self.patience, ease=self.ease, free=raft.start(), afloat=True)
+        return compile_plan(start, stages, self.patience, ease=self.ease, free=raft.start(), afloat=True)
 
-    def terms(self, belief: Case) -> Terms:
+    def move_context(self, belief: Case) -> MoveContext:
         """Of moves between banks and raft, which stays once it is moored: a hold taken anew at every step gives way."""
         raft, length = belief.on(Raft), belief.robot.body_length
         aside, deck = belief.robot.body_width / 2 + self.spread_ratio * length, raft.thickness / 2
@@ -129,17 +145,21 @@ class RaftCross:
         bases = {"by_near": (0.0, hips, WORLD), "on_deck": (-half, hips + deck, own),
                  "on_deck_far": (half, hips + deck, own), "squat": (half, squat + deck, own),
                  "by_far": (width, hips, WORLD)}  # fmt: skip
-        charts = {name: beyond(edge, self.offset, aside, up, frame) for name, (edge, up, frame) in feet.items()}
-        charts |= {name: beyond(edge, self.offset, 0.0, up, frame) for name, (edge, up, frame) in bases.items()}
+        charts = {
+            name: chart_beyond_edge(edge, self.offset, aside, up, frame) for name, (edge, up, frame) in feet.items()
+        }
+        charts |= {
+            name: chart_beyond_edge(edge, self.offset, 0.0, up, frame) for name, (edge, up, frame) in bases.items()
+        }
         depths = {**dict.fromkeys(feet, self.deepening), "brace": self.deepening + self.bracing}
         berths = {"moored": half, "pulled": width - half}  # wherever along the banks
         along = jnp.array([1.0, 0.0, 0.0])
         supports = {"free": (Support(),), "stays": (STAYS,),
                     **{name: (Support(ALONGSIDE, position=x * along),) for name, x in berths.items()}}  # fmt: skip
-        return Terms(belief, length, self.swing, self.lift_ratio * length, depths, charts, supports,
+        return MoveContext(belief, length, self.swing, self.lift_ratio * length, depths, charts, supports,
                      (PUSH, WAIT, REACH, PULL, ASHORE), {"onset": REGRIP})  # fmt: skip
 
-    def pushing(self, belief: Case, stage: Stage, push: Crossing) -> Stage:
+    def push_stage(self, belief: Case, stage: Stage, push: Crossing) -> Stage:
         """Raft and robot gain speed at a constant force, with the turn that a push beside the middle gives.
 
         Heavy or fast ones are pushed harder: the rear feet stay on the bank meanwhile.
@@ -150,7 +170,7 @@ class RaftCross:
         to = Support(TO_VELOCITY, jnp.array([1.0, 0.0, 0.0]) * speed, jnp.array([0.0, 0.0, -1.0]) * turn)
         return replace(stage, duration=mass * speed / force, support=(to,))
 
-    def push_off(self, belief: Case) -> Crossing:
+    def push_motion(self, belief: Case) -> Crossing:
         """Speed, turn and time of the push by (4.3) and (4.3.1)."""
         raft, load = belief.on(Raft), total_mass(belief.robot)
         a, b, _ = raft.half
@@ -158,28 +178,28 @@ class RaftCross:
         inertia = mass * (a**2 + b**2) / 3
         return crossing(raft.water_width, raft.length, self.landing, mass, al2, inertia, inertia, self.offset)
 
-    def memory(self, belief: Case, plan: Plan) -> Float[Array, " 3"]:
+    def init_memory(self, belief: Case, plan: Plan) -> Float[Array, " 3"]:
         """Where the robot goes ashore, m from where it was to.
 
         Beside it, by how far the raft has come along the bank; and before it, where the raft met a bank before that.
         """
         return jnp.zeros(3)
 
-    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
+    def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """As planned, but ashore at the place where the raft has come to."""
-        plan, stage, free = now.plan, now.stage, now.seen.free
+        plan, stage, free = ctx.plan, ctx.stage, ctx.obs.free
         gap = jnp.min(far_gaps(belief.on(Raft), free))
         short = jnp.where((gap > self.near) & (gap < MARGIN * belief.robot.body_length), gap, 0.0)
-        come = jnp.stack([-short, self.come_along(plan, stage, free), jnp.zeros_like(short)])
-        along = jnp.where(now.begins & led_by(plan, stage, REACH), come, state.memory)
+        drift = jnp.stack([-short, self.drift_along_bank(plan, stage, free), jnp.zeros_like(short)])
+        memory = jnp.where(ctx.is_first_tick & is_under_law(plan, stage, REACH), drift, state.memory)
         frames = jnp.append(plan.foot_frame[stage], plan.base_frame[stage])
-        ashore = led_by(plan, stage, REACH, PULL, ASHORE) & (frames == WORLD)
-        shifts = jnp.where(ashore[:, None], along, 0.0)
+        ashore = is_under_law(plan, stage, REACH, PULL, ASHORE) & (frames == WORLD)
+        shifts = jnp.where(ashore[:, None], memory, 0.0)
         goal, position = plan.foothold[stage] + shifts[:6], plan.position.at[stage].add(shifts[6])
-        wanted = reference(replace(plan, position=position), stage, now.phase, state.feet, state.position, goal)
-        return Guidance(wanted, goal, along)
+        wanted = reference_stance(replace(plan, position=position), stage, ctx.phase, state.feet, state.position, goal)
+        return Guidance(wanted, goal, memory)
 
-    def come_along(self, plan: Plan, stage: Int[Array, ""], free: FreeState) -> Float[Array, ""]:
+    def drift_along_bank(self, plan: Plan, stage: Int[Array, ""], free: FreeState) -> Float[Array, ""]:
         """How far (m) along the bank from where it was to go ashore the base is told to be.
 
         On a raft that lies turned it is ahead of the middle, and so beside it.
@@ -187,11 +207,11 @@ class RaftCross:
         place = jnp.where(plan.base_frame[stage] == fixed(0), plan.position[stage], self.offset * jnp.eye(3)[1])
         return (free.position[0] + rotate(free.quat[0], place))[1] - self.offset
 
-    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
+    def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
         """The wait, as soon as the raft is there, or still before the bank; a pull, when it lies along the bank."""
-        gaps = far_gaps(belief.on(Raft), seen.free) + state.memory[0]
-        waits, pulls = led_by(plan, state.stage, WAIT), led_by(plan, state.stage, PULL)
-        still = jnp.abs(seen.free.velocity[0, 0]) < self.slow
+        gaps = far_gaps(belief.on(Raft), obs.free) + state.memory[0]
+        waits, pulls = is_under_law(plan, state.stage, WAIT), is_under_law(plan, state.stage, PULL)
+        still = jnp.abs(obs.free.velocity[0, 0]) < self.slow
         met = (jnp.min(gaps) < self.near) | (still & (jnp.min(gaps) < MARGIN * belief.robot.body_length))
         return (waits & met) | (pulls & (jnp.max(gaps) < self.close) & still)
 
@@ -202,26 +222,28 @@ def far_gaps(raft: Raft, free: FreeState) -> Float[Array, " 2"]:
     return raft.water_width - (free.position[0] + rotate(free.quat[0], corners))[:, 0]
 
 
-def beyond(edge: Array | float, middle: Array | float, aside: Array | float, up: Array | float, frame: int) -> Chart:
+def chart_beyond_edge(
+    edge: Array | float, middle: Array | float, aside: Array | float, up: Array | float, frame: int
+) -> Chart:
     """Places ahead of an edge at x (m), `aside` (m) of a way that is to the left of the middle by so much, `up` (m)."""
 
-    def at(of: Raft, side: float, unit: Number, depth: Number, ahead: Number) -> Float[Array, " 3"]:
+    def place(raft: Raft, side: float, unit: Number, depth: Number, ahead: Number) -> Float[Array, " 3"]:
         return point(edge + ahead * unit, middle + side * aside, up - depth)
 
-    return Chart(("ahead",), at, frame)
+    return Chart(("ahead",), place, frame)
 
 
-def tripods(base: Number, count: int, stride: Number, chart: str, on: str) -> dict[str, Move]:
+def tripod_moves(base: Number, count: int, stride: Number, chart: str, on: str) -> dict[str, Move]:
     """Swings of tripods in turn, the base at `base` (a_r) at first; they begin and end with the feet under their hips.
 
     It goes on by `stride` a swing; a foot lands half a stride ahead of its hip, the last ones under theirs.
     """
-    found = {}
+    result = {}
     for k in range(count + (count > 0)):
         base = base + stride if k < count else base
         ahead = stride / 2 if k < count - 1 else 0.0
         feet = {NAMES[leg]: {on: [base + HIPS[leg - 1] + ahead]} for leg in TRIPOD[k % 2]}
         support = "free" if on == "deck" else "moored" if on == "near" and k == 0 else "stays"
-        found[f"{k + 1}"] = Move(f"tripod {k + 1}", feet, base={chart: [base]}, pace="eased", swing="b_smooth",
+        result[f"{k + 1}"] = Move(f"tripod {k + 1}", feet, base={chart: [base]}, pace="eased", swing="b_smooth",
                                  lift=1.0, support=support)  # fmt: skip
-    return found
+    return result

@@ -4,12 +4,12 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import TRIPOD
-from sweep.controllers.manoeuvres.afloat.statics import refuse
+from sweep.controllers.manoeuvres.afloat.statics import require_floating
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.manoeuvres.walking.walk import standing
+from sweep.controllers.manoeuvres.walking.walk import level_stance
 from sweep.controllers.plan import CYCLE_B_SMOOTH, REGRIP, Plan, Stage
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
@@ -47,9 +47,9 @@ class RaftStand:
         Raises `InputError` where the raft would capsize or sink under the robot in the middle, by plain numbers.
         """
         raft, length = belief.on(Raft), belief.robot.body_length
-        refuse(belief, (0.0, 0.0))
+        require_floating(belief, (0.0, 0.0))
         free = raft.start()
-        stance, centres = standing(belief, self.spread_ratio * length, self.height_ratio * length)
+        stance, centres = level_stance(belief, self.spread_ratio * length, self.height_ratio * length)
         deck = free.position[0] + jnp.array([0.0, 0.0, 1.0]) * raft.half[2]
         start = Stance(deck + stance.feet, deck + stance.position, stance.quat)
         way = point(self.ahead, self.aside, 0.0)
@@ -65,4 +65,4 @@ class RaftStand:
                       rates=(0.0, 0.0), onset=REGRIP, foot_frames=DECK, base_frame=fixed(0))
             )  # fmt: skip
         stages.append(Stage("rest", self.rest, onset=REGRIP, foot_frames=DECK, base_frame=fixed(0)))
-        return assemble(start, stages, self.patience, ease=self.ease, free=free, afloat=True)
+        return compile_plan(start, stages, self.patience, ease=self.ease, free=free, afloat=True)

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from sweep.controllers.refusals import plain
+from sweep.controllers.validation import are_plain_numbers
 from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
 from sweep.formulas.raft_statics import raft_equilibrium
@@ -15,7 +15,9 @@ from sweep.models.obstacles.raft import CORNERS, WATER_DENSITY, Raft
 from sweep.models.robot import total_mass
 
 
-def loaded(belief: Case, offset: tuple[Array | float, Array | float], height: Array | float) -> tuple[Array, Array]:
+def freeboard_and_draught(
+    belief: Case, offset: tuple[Array | float, Array | float], height: Array | float
+) -> tuple[Array, Array]:
     """Least freeboard of the deck's corners, and least draught of the bottom's (m); nan where it capsizes.
 
     With the robot's mass centre `offset` (m) from the raft's middle, `height` (m) over its deck.
@@ -30,11 +32,13 @@ def loaded(belief: Case, offset: tuple[Array | float, Array | float], height: Ar
     return over + jnp.min(corners), 2 * d * rest.a33 - over - jnp.max(corners)
 
 
-def refuse(belief: Case, offset: tuple[float, float]) -> None:
+def require_floating(belief: Case, offset: tuple[float, float]) -> None:
     """Raise `InputError` where a raft of plain numbers capsizes or sinks, the robot `offset` (m) from its middle."""
-    if not plain(belief.robot, belief.obstacle, belief.manoeuvre):
+    if not are_plain_numbers(belief.robot, belief.obstacle, belief.manoeuvre):
         return
-    freeboard, draught = map(float, worked_out(lambda: loaded(belief, offset, 0.5 * belief.robot.body_length)))
+    freeboard, draught = map(
+        float, worked_out(lambda: freeboard_and_draught(belief, offset, 0.5 * belief.robot.body_length))
+    )
     if freeboard > 0 and draught > 0:
         return
     ends = "capsizes" if np.isnan(freeboard) else f"has a corner {-1e3 * freeboard:.0f} mm under water"

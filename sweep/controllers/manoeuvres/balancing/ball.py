@@ -14,27 +14,27 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.assembly import assemble
 from sweep.controllers.ball_state import (
     UP,
     angular_momentum,
-    base_move,
+    ball_footholds,
+    base_shift,
     centre_of_mass,
-    footholds,
+    lean_impulse,
     measured_stance,
-    over_ball,
-    towards,
-    turned_back,
+    swing_over_ball,
+    turn_footholds_back,
 )
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import TRIPOD
-from sweep.controllers.layers import Now
+from sweep.controllers.layers import TickContext
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.moves import Terms
+from sweep.controllers.moves import MoveContext
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import CYCLE_A, GRIP, KEEP, REGRIP, Plan, Stage, Support, swing_progress
-from sweep.controllers.refusals import refuse_reach
 from sweep.controllers.tracker import Guidance, TrackerState
+from sweep.controllers.validation import require_within_reach
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, conjugate, rotate
@@ -45,12 +45,12 @@ from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import Robot, total_mass
 
-CENTRING = 4  # Newton's iterations that put the mass centre over the ball's
+CENTRING_ITERATIONS = 4  # Newton's iterations that put the mass centre over the ball's
 CHI_ITERATIONS = 3  # of (3.1.10)
-FASTEST = 0.4  # m/s, of the base in the law of every tick
+MAX_BASE_SPEED = 0.4  # m/s, of the base in the law of every tick
 
 
-class Perch(NamedTuple):
+class StandPose(NamedTuple):
     """Where a robot stands on a ball, from the ball's centre (m)."""
 
     feet: Float[Array, "6 3"]
@@ -69,59 +69,59 @@ class OnBall:
 
     needs = (Ball,)
 
-    def driven(self, **how: Any) -> "BallDrive":
+    def make_drive(self, **options: Any) -> "BallDrive":
         """Steps of `ball_drive` on the same footholds, with parameters of their own."""
         return BallDrive(circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
-                         height_ratio=self.height_ratio, deepening=self.deepening, **how)  # fmt: skip
+                         height_ratio=self.height_ratio, deepening=self.deepening, **options)  # fmt: skip
 
 
-def terms(
+def ball_move_context(
     belief: Case,
     unit: Array | float,
     deepening: Array | float,
     press: tuple[Array | float, Array | float],
     supports: Mapping[str, tuple[Support, ...]],
     laws: tuple[str, ...] = (),
-) -> Terms:
+) -> MoveContext:
     """Of moves on balls and beside them, lengths in `unit` (m), how feet stand in m: see `Terms` and `Stage.press`."""
     depths = dict.fromkeys(belief.obstacle.charts, deepening)
-    return Terms(belief, unit, 1.0, unit, depths, supports=supports,
+    return MoveContext(belief, unit, 1.0, unit, depths, supports=supports,
                  laws=laws, stage={"onset": GRIP, "press": press})  # fmt: skip
 
 
-def refuse_start(belief: Case, start: Callable[[], Stance]) -> None:
+def require_start_within_reach(belief: Case, start: Callable[[], Stance]) -> None:
     """Raise `InputError` where a foot is out of reach at the start, by plain numbers."""
-    refuse_reach(belief, lambda: {f"at the start of manoeuvre = {belief.manoeuvre.kind}": start()},
+    require_within_reach(belief, lambda: {f"at the start of manoeuvre = {belief.manoeuvre.kind}": start()},
                  f"obstacle.radius = {belief.on(Ball).radius} is not allowed: ")  # fmt: skip
 
 
-def perch(belief: Case, manoeuvre: OnBall) -> Perch:
+def stand_pose(belief: Case, manoeuvre: OnBall) -> StandPose:
     """Feet on their circle, the base level over the ball."""
     radius, length = belief.on(Ball).radius, belief.robot.body_length
     circle = manoeuvre.circle_ratio * radius
-    feet = footholds(radius, circle, manoeuvre.chord_ratio * circle) * (1 - manoeuvre.deepening / radius)
+    feet = ball_footholds(radius, circle, manoeuvre.chord_ratio * circle) * (1 - manoeuvre.deepening / radius)
     above = jnp.asarray(UP) * (radius + manoeuvre.height_ratio * length)
-    return Perch(feet, _balanced(belief.robot, Stance(feet, above, jnp.array(IDENTITY))))
+    return StandPose(feet, _balanced_base(belief.robot, Stance(feet, above, jnp.array(IDENTITY))))
 
 
 @jax.jit  # for plans outside a compiled program
-def _balanced(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
+def _balanced_base(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
     """The base (m) that has the mass centre over the origin."""
-    for _ in range(CENTRING):
-        move = base_move(robot, stance, -centre_of_mass(robot, stance)[:2])
+    for _ in range(CENTRING_ITERATIONS):
+        move = base_shift(robot, stance, -centre_of_mass(robot, stance)[:2])
         stance = stance._replace(position=stance.position.at[:2].add(move))
     return stance.position
 
 
-def on_ball(belief: Case, perched: Perch) -> Stance:
+def stance_on_ball(belief: Case, pose: StandPose) -> Stance:
     """The perch in the world, before anything moves."""
     centre = jnp.asarray(UP) * belief.on(Ball).radius
-    return Stance(perched.feet + centre, perched.position + centre, jnp.array(IDENTITY))
+    return Stance(pose.feet + centre, pose.position + centre, jnp.array(IDENTITY))
 
 
-def staying(perched: Perch, times: Mapping[str, Array | float]) -> list[Stage]:
+def standing_stages(pose: StandPose, times: Mapping[str, Array | float]) -> list[Stage]:
     """Stages in which all feet stay, by their times (s)."""
-    return [Stage(name, time, position=perched.position, foot_frames=(fixed(0),) * 6, base_frame=koenig(0), onset=KEEP)
+    return [Stage(name, time, position=pose.position, foot_frames=(fixed(0),) * 6, base_frame=koenig(0), onset=KEEP)
             for name, time in times.items()]  # fmt: skip
 
 
@@ -163,74 +163,76 @@ class BallBalance(OnBall):
 
     def plan(self, belief: Case) -> Plan:
         """One stage each T; all feet stay."""
-        perched = perch(belief, self)
+        pose = stand_pose(belief, self)
         off = jnp.stack([jnp.asarray(self.offset, float), jnp.asarray(self.offset_aside, float)])
-        perched = perched._replace(position=perched.position.at[:2].add(off))
-        stages = staying(perched, {f"balance{k + 1}": self.period for k in range(self.stages)})
-        return assemble(on_ball(belief, perched), stages, 0.0)
+        pose = pose._replace(position=pose.position.at[:2].add(off))
+        stages = standing_stages(pose, {f"balance{k + 1}": self.period for k in range(self.stages)})
+        return compile_plan(stance_on_ball(belief, pose), stages, 0.0)
 
-    def memory(self, belief: Case, plan: Plan) -> BalanceMemory:
+    def init_memory(self, belief: Case, plan: Plan) -> BalanceMemory:
         """The base where the plan starts."""
         return BalanceMemory(plan.position[0], jnp.zeros(2), jnp.zeros(2), jnp.zeros(3))
 
-    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
+    def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """The base's place by the chosen law."""
         memory: BalanceMemory = state.memory
         if self.law == "manoeuvre":
-            memory = jax.tree.map(partial(jnp.where, now.begins), self._planned(belief, memory, now.seen), memory)
+            memory = jax.tree.map(
+                partial(jnp.where, ctx.is_first_tick), self._plan_move(belief, memory, ctx.obs), memory
+            )
             shape = stabilise_delta(self.period, self.rest, state.clock)
             way = memory.move * shape.delta + memory.pulse * shape.pulse_integral_T
             position = memory.place.at[:2].add(way)
         else:
-            memory = self._leant(belief, memory, state, now.seen, now.period) if self.law == "tick" else memory
+            memory = self._lean_tick(belief, memory, state, ctx.obs, ctx.period) if self.law == "tick" else memory
             position = memory.place
-        return Guidance(Stance(state.feet, position, now.plan.quat[now.stage]), state.feet, memory)
+        return Guidance(Stance(state.feet, position, ctx.plan.quat[ctx.stage]), state.feet, memory)
 
-    def _planned(self, belief: Case, memory: BalanceMemory, seen: Observation) -> BalanceMemory:
+    def _plan_move(self, belief: Case, memory: BalanceMemory, obs: Observation) -> BalanceMemory:
         """(3.1.1) and the pulse after fig. 3.1.2, from what is measured now."""
-        robot, stance = belief.robot, measured_stance(belief.robot, seen)
-        momentum = angular_momentum(robot, belief.on(Ball), seen)
-        off = (centre_of_mass(robot, stance) - seen.free.position[0])[:2]
-        pulse = towards(momentum, total_mass(robot)) / self.period
+        robot, stance = belief.robot, measured_stance(belief.robot, obs)
+        momentum = angular_momentum(robot, belief.on(Ball), obs)
+        off = (centre_of_mass(robot, stance) - obs.free.position[0])[:2]
+        pulse = lean_impulse(momentum, total_mass(robot)) / self.period
         place = memory.place.at[:2].add(memory.move)
-        return BalanceMemory(place, base_move(robot, stance, -off), base_move(robot, stance, pulse), momentum)
+        return BalanceMemory(place, base_shift(robot, stance, -off), base_shift(robot, stance, pulse), momentum)
 
-    def _leant(
-        self, belief: Case, memory: BalanceMemory, state: TrackerState, seen: Observation, period: float
+    def _lean_tick(
+        self, belief: Case, memory: BalanceMemory, state: TrackerState, obs: Observation, period: float
     ) -> BalanceMemory:
         """The base a tick on: the commanded stance's mass centre goes towards where the law of every tick wants it."""
-        robot, free = belief.robot, seen.free
+        robot, free = belief.robot, obs.free
         share = jnp.minimum(1.0, period / jnp.maximum(self.smoothing, period))
-        momentum = memory.momentum + share * (angular_momentum(robot, belief.on(Ball), seen) - memory.momentum)
-        wanted = self.momentum_gain * towards(momentum, total_mass(robot)) - self.place_gain * free.position[0, :2]
+        momentum = memory.momentum + share * (angular_momentum(robot, belief.on(Ball), obs) - memory.momentum)
+        wanted = self.momentum_gain * lean_impulse(momentum, total_mass(robot)) - self.place_gain * free.position[0, :2]
         wanted = jnp.clip(wanted, -self.reach, self.reach)
         stance = Stance(rotate(free.quat, state.feet), memory.place, jnp.array(IDENTITY))
         off = wanted - centre_of_mass(robot, stance)[:2]
-        move = base_move(robot, measured_stance(robot, seen), off)  # as commanded, legs may be out of reach
+        move = base_shift(robot, measured_stance(robot, obs), off)  # as commanded, legs may be out of reach
         step = jnp.minimum(1.0, period / self.lag) * move
-        place = memory.place.at[:2].add(jnp.clip(step, -FASTEST * period, FASTEST * period))
+        place = memory.place.at[:2].add(jnp.clip(step, -MAX_BASE_SPEED * period, MAX_BASE_SPEED * period))
         return memory._replace(place=place, momentum=momentum)
 
 
-class Track(NamedTuple):
+class TrackPoint(NamedTuple):
     """The ball on the way that it is to roll, seen from above."""
 
     along: Float[Array, " 2"]  # unit vector, where the way goes
-    come: Float[Array, ""]  # m, how far it has come
-    off: Float[Array, ""]  # m, by how much it is to the left of it
-    curve: Float[Array, ""]  # 1/m, of the way, to the left
+    progress: Float[Array, ""]  # m, how far it has come
+    left_offset: Float[Array, ""]  # m, by how much it is to the left of it
+    curvature: Float[Array, ""]  # 1/m, of the way, to the left
 
 
 class DriveMemory(NamedTuple):
     """What a step was planned with, and the steps before it."""
 
     push: Float[Array, ""]  # m, k_v (v_d - v_e), and what was always missing
-    missing: Float[Array, ""]  # m, of that: the sum over the steps so far
+    integral: Float[Array, ""]  # m, of that: the sum over the steps so far
     along: Float[Array, " 2"]  # of the way, when the step began
-    ahead: Float[Array, ""]  # m, of the ball on its way when the step began
+    progress: Float[Array, ""]  # m, of the ball on its way when the step began
     aside: Float[Array, ""]  # m, delta r^(3) to the left
     aside_before: Float[Array, ""]  # m, of the last step
-    way: Float[Array, ""]  # m, of the ball to the left when the step began
+    left_offset: Float[Array, ""]  # m, of the ball to the left when the step began
 
 
 @parameters
@@ -280,14 +282,14 @@ class BallDrive(OnBall):
 
     def aside(self, way: Float[Array, " 3"]) -> Array:
         """How far the ball is beside its way (m), see `Driving`."""
-        return jnp.abs(self.track(way).off)
+        return jnp.abs(self.track(way).left_offset)
 
     def plan(self, belief: Case) -> Plan:
         """Steps of both tripods in turn."""
-        perched = perch(belief, self)
-        return assemble(on_ball(belief, perched), self.steps_of(perched, "step"), self.patience, ease=self.ease)
+        pose = stand_pose(belief, self)
+        return compile_plan(stance_on_ball(belief, pose), self.step_stages(pose, "step"), self.patience, ease=self.ease)
 
-    def steps_of(self, perched: Perch, law: str, first: float = 1.0) -> list[Stage]:
+    def step_stages(self, pose: StandPose, law: str, first_share: float = 1.0) -> list[Stage]:
         """Tripods in turn, named by their law; standing feet on the ball's axes, swinging ones in its Koenig frame.
 
         The `first` takes a share of a step's time: half of it where the ball rolls already, and its feet start in the
@@ -296,73 +298,79 @@ class BallDrive(OnBall):
         stages = []
         for k in range(self.steps):
             legs = TRIPOD[k % 2]
-            swing = {leg: perched.feet[leg - 1] for leg in legs}
+            swing = {leg: pose.feet[leg - 1] for leg in legs}
             frames = tuple(koenig(0) if leg in legs else fixed(0) for leg in LEGS)
-            time = self.step_time * (1.0 if k else first)
-            stages.append(Stage(f"{law}{k + 1}", time, swing, CYCLE_A, position=perched.position,
+            time = self.step_time * (1.0 if k else first_share)
+            stages.append(Stage(f"{law}{k + 1}", time, swing, CYCLE_A, position=pose.position,
                                 foot_frames=frames, base_frame=koenig(0), law=law, onset=REGRIP))  # fmt: skip
         return stages
 
-    def track(self, place: Float[Array, " 3"]) -> Track:
+    def track(self, place: Float[Array, " 3"]) -> TrackPoint:
         """Where a ball at `place` (m) is on its way, which is along x."""
-        return Track(jnp.array([1.0, 0.0]), place[0], place[1], jnp.zeros_like(place[0]))
+        return TrackPoint(jnp.array([1.0, 0.0]), place[0], place[1], jnp.zeros_like(place[0]))
 
-    def memory(self, belief: Case, plan: Plan) -> DriveMemory:
+    def init_memory(self, belief: Case, plan: Plan) -> DriveMemory:
         """The memory before the first push."""
         zero = jnp.zeros(())
         return DriveMemory(zero, zero, jnp.array([1.0, 0.0]), zero, zero, zero, zero)
 
-    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
+    def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """The step's own law, planned where it begins."""
-        plan, stage, phase, free = now.plan, now.stage, now.phase, now.seen.free
-        planned, landing = self._planned(belief, now, state)
-        memory = jax.tree.map(partial(jnp.where, now.begins), planned, state.memory)
+        plan, stage, phase, free = ctx.plan, ctx.stage, ctx.phase, ctx.obs.free
+        planned, landing = self._plan_step(belief, ctx, state)
+        memory = jax.tree.map(partial(jnp.where, ctx.is_first_tick), planned, state.memory)
         swings = plan.swing[stage][:, None]
-        goal = jnp.where(now.begins, jnp.where(swings, landing, state.feet), state.goal)
+        goal = jnp.where(ctx.is_first_tick, jnp.where(swings, landing, state.feet), state.goal)
         time = plan.duration[stage]
         share, height = swing_progress(plan.curve.cycle[stage], jnp.zeros(()), phase)
         lift = height * self.lift_ratio * belief.robot.body_length
-        on_way = over_ball(state.feet, goal, share, phase, lift)
+        on_way = swing_over_ball(state.feet, goal, share, phase, lift)
         feet = jnp.where(swings, on_way, rotate(free.quat, state.feet))
         blend = jnp.minimum(1.0, 2 * phase)
         aside = memory.aside_before + blend**2 * (3 - 2 * blend) * (memory.aside - memory.aside_before)
         pulse = memory.push * time / self.step_time * stabilise_delta(time, 0.0, state.clock).pulse  # as fast in any
-        wanted = pulse * memory.along + aside * left(memory)
+        wanted = pulse * memory.along + aside * left_of_way(memory)
         lengthwise = self.compensate == "both"
-        position = compensated(belief.robot, plan.position[stage], feet, wanted, lengthwise)
+        position = compensate_base(belief.robot, plan.position[stage], feet, wanted, lengthwise)
         feet = jnp.where(swings, feet, rotate(conjugate(free.quat), feet))
         return Guidance(Stance(feet, position, plan.quat[stage]), goal, memory)
 
-    def _planned(self, belief: Case, now: Now, state: TrackerState) -> tuple[DriveMemory, Float[Array, "6 3"]]:
+    def _plan_step(
+        self, belief: Case, ctx: TickContext, state: TrackerState
+    ) -> tuple[DriveMemory, Float[Array, "6 3"]]:
         """(3.1.8), delta r^(3) and the plan's footholds turned, from the ball's measured place and speed."""
-        ball, memory, seen = belief.on(Ball), state.memory, now.seen
-        track = self.track(seen.free.position[0])
-        speed = seen.free.velocity[0, :2] @ track.along
-        wanted = jnp.minimum(self.speed, self.brake * (self.place - track.come))
+        ball, memory, obs = belief.on(Ball), state.memory, ctx.obs
+        track = self.track(obs.free.position[0])
+        speed = obs.free.velocity[0, :2] @ track.along
+        wanted = jnp.minimum(self.speed, self.brake * (self.place - track.progress))
         pushes = state.stage % self.push_every == 0
-        mean = (track.come - memory.ahead) / self.step_time  # within a step it varies
+        mean = (track.progress - memory.progress) / self.step_time  # within a step it varies
         went = jnp.where(state.stage == 0, speed, mean)
-        missing = memory.missing + jnp.where(pushes, self.speed_integral * (wanted - went), 0.0)
+        missing = memory.integral + jnp.where(pushes, self.speed_integral * (wanted - went), 0.0)
         missing = jnp.clip(missing, -self.push_max, self.push_max)
         push = jnp.clip(self.speed_gain * (wanted - speed) + missing, -self.push_max, self.push_max)
         push = jnp.where(pushes, push, 0.0)
-        before = jnp.where(state.stage == 0, track.off, memory.way)
-        lean = speed**2 * track.curve * leaning(belief, ball.radius + self.height_ratio * belief.robot.body_length)
-        aside = lean + self.aside_gain_before * before - self.aside_gain * track.off
+        before = jnp.where(state.stage == 0, track.left_offset, memory.left_offset)
+        lean = (
+            speed**2
+            * track.curvature
+            * lean_on_curve(belief, ball.radius + self.height_ratio * belief.robot.body_length)
+        )
+        aside = lean + self.aside_gain_before * before - self.aside_gain * track.left_offset
         planned = memory._replace(
-            push=push, missing=missing, along=track.along, ahead=track.come, aside=aside, aside_before=memory.aside,
-            way=track.off,
+            push=push, integral=missing, along=track.along, progress=track.progress, aside=aside,
+            aside_before=memory.aside, left_offset=track.left_offset,
         )  # fmt: skip
-        level = now.plan.foothold[now.stage]
-        return planned, turned_back(level, self.step_time * speed / (2 * ball.radius), track.along)
+        level = ctx.plan.foothold[ctx.stage]
+        return planned, turn_footholds_back(level, self.step_time * speed / (2 * ball.radius), track.along)
 
 
-def left(memory: DriveMemory) -> Float[Array, " 2"]:
+def left_of_way(memory: DriveMemory) -> Float[Array, " 2"]:
     """Unit vector to the left of the ball's way."""
     return jnp.stack([-memory.along[1], memory.along[0]])
 
 
-def leaning(belief: Case, height: Array | float) -> Array | float:
+def lean_on_curve(belief: Case, height: Array | float) -> Array | float:
     """How far aside (m) the mass centre keeps a ball on a curve of 1/m at 1 m/s, by (3.1.33).
 
     The mass centre is `height` (m) above the ball's centre.
@@ -371,15 +379,15 @@ def leaning(belief: Case, height: Array | float) -> Array | float:
     return (ROLLING * ball.mass * ball.radius + mass * (ball.radius + height)) / (mass * GRAVITY)
 
 
-def compensated(
-    robot: Robot, perched: Float[Array, " 3"], feet: Float[Array, "6 3"], wanted: Float[Array, " 2"], lengthwise: bool
+def compensate_base(
+    robot: Robot, balanced: Float[Array, " 3"], feet: Float[Array, "6 3"], wanted: Float[Array, " 2"], lengthwise: bool
 ) -> Float[Array, " 3"]:
     """The level base (m) that has the robot's mass centre over the plane at `wanted` (m), by (3.1.10).
 
-    From its balanced place `perched`; aside, and `lengthwise` too if told.
+    From its balanced place `pose`; aside, and `lengthwise` too if told.
     """
     heavier = total_mass(robot) / robot.body_mass
-    position = perched.at[:2].add(wanted)
+    position = balanced.at[:2].add(wanted)
     free = jnp.array([1.0 if lengthwise else 0.0, 1.0])
     for _ in range(CHI_ITERATIONS):
         off = wanted - centre_of_mass(robot, Stance(feet, position, jnp.array(IDENTITY)))[:2]

@@ -6,10 +6,16 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.frames import Stance
-from sweep.controllers.layers import Now
-from sweep.controllers.manoeuvres.balancing.ball import OnBall, compensated, on_ball, perch, staying
+from sweep.controllers.layers import TickContext
+from sweep.controllers.manoeuvres.balancing.ball import (
+    OnBall,
+    compensate_base,
+    stance_on_ball,
+    stand_pose,
+    standing_stages,
+)
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Guidance, TrackerState
@@ -21,7 +27,7 @@ from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import total_mass
 
-PLATEAU = 1.5  # integral of mu over T
+MU_INTEGRAL = 1.5  # integral of mu over T
 
 
 @parameters
@@ -48,41 +54,41 @@ class BallAside(OnBall):
 
     def plan(self, belief: Case) -> Plan:
         """Drive, coast, stop; all feet stay."""
-        perched = perch(belief, replace(self, circle_ratio=self._circle(belief)))
+        pose = stand_pose(belief, replace(self, circle_ratio=self._circle_ratio(belief)))
         times = {"drive": self.period, "coast": self.coast}
         times |= {f"stop{k + 1}": self.period for k in range(self.stops)}
-        return assemble(on_ball(belief, perched), staying(perched, times), 0.0)
+        return compile_plan(stance_on_ball(belief, pose), standing_stages(pose, times), 0.0)
 
-    def _circle(self, belief: Case) -> Array:
+    def _circle_ratio(self, belief: Case) -> Array:
         """d_1 (R) at which front and rear feet have their room."""
         robot = belief.robot
         aside = robot.body_width / 2 + self.room_ratio * robot.body_length
         wanted = aside / (belief.on(Ball).radius * jnp.sqrt(1 - self.chord_ratio**2))
         return jnp.clip(wanted, self.circle_ratio, 1.0)
 
-    def memory(self, belief: Case, plan: Plan) -> Float[Array, ""]:
+    def init_memory(self, belief: Case, plan: Plan) -> Float[Array, ""]:
         """The push of the stage, k_l (v_d - v_b) to the left (m), before the first one."""
         return jnp.zeros(())
 
-    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
+    def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """The mass centre over the ball, and aside of it as the stage has planned where it began."""
-        plan, stage, free = now.plan, now.stage, now.seen.free
+        plan, stage, free = ctx.plan, ctx.stage, ctx.obs.free
         wanted = jnp.where(stage == 0, self.speed, free.velocity[0, 1])  # coasting, as it goes
         wanted = jnp.where(stage > 1, 0.0, wanted)
-        push = self.gain * gain(belief, plan, self.period) * (wanted - free.velocity[0, 1])
-        push = jnp.where(now.begins, push, state.memory)
+        push = self.gain * lateral_gain(belief, plan, self.period) * (wanted - free.velocity[0, 1])
+        push = jnp.where(ctx.is_first_tick, push, state.memory)
         aside = push * lateral_mu(self.period, jnp.minimum(state.clock, self.period)).mu
         feet = rotate(free.quat, state.feet)
         over = jnp.stack([jnp.zeros_like(aside), aside])
-        position = compensated(belief.robot, plan.position[stage], feet, over, lengthwise=True)
+        position = compensate_base(belief.robot, plan.position[stage], feet, over, lengthwise=True)
         return Guidance(Stance(state.feet, position, plan.quat[stage]), state.feet, push)
 
 
-def gain(belief: Case, plan: Plan, period: Array | float) -> Array:
+def lateral_gain(belief: Case, plan: Plan, period: Array | float) -> Array:
     """k_l (s): the mass centre aside by k_l (v_d - v_b) mu for T changes the ball's speed from v_b to v_d.
 
     The mass centre's height is taken to be the base's.
     """
     ball, mass = belief.on(Ball), total_mass(belief.robot)
     inertia = ROLLING * ball.mass * ball.radius + mass * (ball.radius + plan.position[0, 2])
-    return inertia / (PLATEAU * mass * GRAVITY * period)
+    return inertia / (MU_INTEGRAL * mass * GRAVITY * period)

@@ -6,16 +6,16 @@ from typing import ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.frames import Stance
-from sweep.controllers.manoeuvres.balancing.ball import perch, refuse_start, terms
+from sweep.controllers.manoeuvres.balancing.ball import ball_move_context, require_start_within_reach, stand_pose
 from sweep.controllers.manoeuvres.balancing.ball_ride import RIDE, Ride
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, BesideBall
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import Standing, Terms, numbers_of, placed, stages_of
+from sweep.controllers.moves import MoveContext, Standing, initial_stance, part_stages, read_numbers
 from sweep.controllers.plan import RESTS, TO_VELOCITY, Plan, Stage, Support
-from sweep.controllers.refusals import plain
 from sweep.controllers.tracker import Guided
+from sweep.controllers.validation import are_plain_numbers
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import IDENTITY
@@ -26,7 +26,7 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.charts import Number
 
 
-class BallPush(NamedTuple):
+class PushSpeed(NamedTuple):
     """Of a plan's part `push`: what follows masses, as the least speed (3.1.15) does."""
 
     speed: Number  # of the ball, in units of the manoeuvre's
@@ -54,41 +54,43 @@ class BallClimb(BesideBall):
 
         Raises `InputError` where the ball is too large, or the feet do not reach the floor, by plain numbers.
         """
-        start, up = self.way_up(belief)
-        calm = self.calming.steps_of(perch(belief, self), CALM)
-        return assemble(start, [*up, *calm], self.patience, ease=self.ease)
+        start, up = self.climb_stages(belief)
+        calm = self.calm_drive.step_stages(stand_pose(belief, self), CALM)
+        return compile_plan(start, [*up, *calm], self.patience, ease=self.ease)
 
-    def way_up(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def climb_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Where the robot stands at the start, and the stages to where the ball is to be calmed; see `plan`."""
-        self.refuse(belief)
-        refuse_start(belief, lambda: self.begin(belief)[0])
-        start, at = self.begin(belief)
-        stages, at = stages_of("approach", self.terms(belief, self.deepening, (0.0, 0.0)), at, "")
-        held = self.terms(belief, self.deepening + self.press, (self.press, self.squeeze))
+        self.validate(belief)
+        require_start_within_reach(belief, lambda: self.start_standing(belief)[0])
+        start, standing = self.start_standing(belief)
+        stages, standing = part_stages("approach", self.move_context(belief, self.deepening, (0.0, 0.0)), standing, "")
+        on_ball = self.move_context(belief, self.deepening + self.press, (self.press, self.squeeze))
         for part, prefix in (("hold", ""), ("ride", "ride."), ("stand", "")):
-            more, at = stages_of(part, held, at, prefix)
+            more, standing = part_stages(part, on_ball, standing, prefix)
             stages += more
         return start, stages
 
-    def begin(self, belief: Case) -> tuple[Stance, Standing]:
+    def start_standing(self, belief: Case) -> tuple[Stance, Standing]:
         """Where the robot stands at the start."""
-        feet, position, at = placed("start", self.terms(belief, self.deepening, (0.0, 0.0)))
-        return Stance(feet, position, jnp.array(IDENTITY)), at
+        feet, position, standing = initial_stance("start", self.move_context(belief, self.deepening, (0.0, 0.0)))
+        return Stance(feet, position, jnp.array(IDENTITY)), standing
 
-    def terms(self, belief: Case, deepening: Array | float, press: tuple[Array | float, Array | float]) -> Terms:
+    def move_context(
+        self, belief: Case, deepening: Array | float, press: tuple[Array | float, Array | float]
+    ) -> MoveContext:
         """What the words of the moves to the ball and on it mean."""
         radius = belief.on(Ball).radius
-        speed = self.push_speed * numbers_of(BallPush, belief, "push").speed
+        speed = self.push_speed * read_numbers(PushSpeed, belief, "push").speed
         rolls = Support(TO_VELOCITY, jnp.zeros(3).at[0].set(speed), jnp.zeros(3).at[1].set(speed / radius))
         supports = {"free": (Support(),), "rests": (RESTS,), "rolls": (rolls,)}
-        return terms(belief, radius, deepening, press, supports, (RIDE,))
+        return ball_move_context(belief, radius, deepening, press, supports, (RIDE,))
 
-    def refuse(self, belief: Case) -> None:
+    def validate(self, belief: Case) -> None:
         """Raise `InputError` where the front feet do not reach so high that friction holds them: (3.1.18)-(3.1.22)."""
         robot, radius = belief.robot, belief.on(Ball).radius
         highest = 2 * (robot.thigh + robot.shin)  # of the front hips for which the ball may be largest
         numbers = (robot.thigh, robot.shin, highest, robot.body_width, belief.contact.friction)
-        if not plain(numbers, radius):
+        if not are_plain_numbers(numbers, radius):
             return
         most = float(worked_out(lambda: max_ball(*numbers).R))
         if not radius <= most:

@@ -12,12 +12,26 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.frames import Stance
-from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall, perch, refuse_start, terms
-from sweep.controllers.manoeuvres.balancing.parts import Driven, InParts
+from sweep.controllers.manoeuvres.balancing.ball import (
+    BallDrive,
+    OnBall,
+    ball_move_context,
+    require_start_within_reach,
+    stand_pose,
+)
+from sweep.controllers.manoeuvres.balancing.parts import ByParts, DriveUntil
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import Standing, Terms, mirrored, placed, placing, staged, stages_of
+from sweep.controllers.moves import (
+    MoveContext,
+    Standing,
+    initial_stance,
+    mirror_move,
+    move_stages,
+    part_stages,
+    placing_move,
+)
 from sweep.controllers.plan import LEVEL, RESTS, Plan, Support
 from sweep.controllers.tracker import Guided
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -29,25 +43,25 @@ ROLLS, ON, OFF = "roll", "on", "off"
 
 
 @dataclass(frozen=True)
-class WallDocking(Driven):
+class WallDocking(DriveUntil):
     """Until the ball rests at the far wall."""
 
     speed: Array | float  # m/s, at the wall
     near: Array | float  # m, that may be left to the wall
     calm: Array | float  # m/s, of a ball that rests there
 
-    def led(self, belief: Case, free: FreeState) -> Guided:
+    def drive_law(self, belief: Case, free: FreeState) -> Guided:
         """To a place so far behind the wall that its speed is left there."""
         return replace(self.drive, place=belief.on(Ledges).at_far_wall + self.speed / self.drive.brake)
 
-    def arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
+    def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
         """By what is left to the wall, and its speed."""
         left = belief.on(Ledges).at_far_wall - free.position[0, 0]
         return (left < self.near) & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 
 
 @parameters
-class BallLedges(OnBall, InParts):
+class BallLedges(OnBall, ByParts):
     """Get on to the ball from one ledge, roll it to the other wall, get off on the ledge there."""
 
     goal: ClassVar = {
@@ -77,36 +91,36 @@ class BallLedges(OnBall, InParts):
 
         Raises `InputError` where a foot is out of reach at the start, by plain numbers.
         """
-        refuse_start(belief, lambda: self.begin(belief)[0])
-        how, (stance, at) = self.terms(belief), self.begin(belief)
-        name, stands = placing(belief, "start")
+        require_start_within_reach(belief, lambda: self.start_standing(belief)[0])
+        context, (stance, standing) = self.move_context(belief), self.start_standing(belief)
+        name, stands = placing_move(belief, "start")
         stand = replace(stands, feet={})
-        halt = replace(mirrored(belief, stand, ()), seconds=1.0)
-        stages, _ = staged({name: stand}, how, at, "")
-        on, at = stages_of("on", how, at)
-        off, at = stages_of("off", how, at)
-        last, _ = staged({"halt": halt}, how, at, "")
-        rolling = self.drive.steps_of(perch(belief, self), ROLLS)
-        return assemble(stance, [*stages, *on, *rolling, *off, *last], self.patience, ease=self.ease)
+        halt = replace(mirror_move(belief, stand, ()), seconds=1.0)
+        stages, _ = move_stages({name: stand}, context, standing, "")
+        on, standing = part_stages("on", context, standing)
+        off, standing = part_stages("off", context, standing)
+        last, _ = move_stages({"halt": halt}, context, standing, "")
+        rolling = self.roll_drive.step_stages(stand_pose(belief, self), ROLLS)
+        return compile_plan(stance, [*stages, *on, *rolling, *off, *last], self.patience, ease=self.ease)
 
-    def begin(self, belief: Case) -> tuple[Stance, Standing]:
+    def start_standing(self, belief: Case) -> tuple[Stance, Standing]:
         """Where the robot stands at the start, as far aside as the ball."""
-        feet, position, at = placed("start", self.terms(belief))
+        feet, position, standing = initial_stance("start", self.move_context(belief))
         aside = belief.on(Ledges).start().position[0] * jnp.array([0.0, 1.0, 0.0])
-        return Stance(feet + aside, position, jnp.asarray(LEVEL)), at
+        return Stance(feet + aside, position, jnp.asarray(LEVEL)), standing
 
-    def terms(self, belief: Case) -> Terms:
+    def move_context(self, belief: Case) -> MoveContext:
         """What the words of the moves between ledges and ball mean."""
         press, supports = (self.press, self.squeeze), {"free": (Support(),), "rests": (RESTS,)}
-        return terms(belief, belief.robot.body_length, self.deepening, press, supports, (ON, OFF))
+        return ball_move_context(belief, belief.robot.body_length, self.deepening, press, supports, (ON, OFF))
 
     @property
-    def drive(self) -> BallDrive:
+    def roll_drive(self) -> BallDrive:
         """The steps that roll the ball."""
-        return self.driven(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain,
+        return self.make_drive(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain,
                            brake=self.brake)  # fmt: skip
 
     @property
     def parts(self) -> Mapping[str, Guided]:
         """The steps that roll the ball, by their law."""
-        return {ROLLS: WallDocking(self.drive, self.docking, self.near, self.calm_speed)}
+        return {ROLLS: WallDocking(self.roll_drive, self.docking, self.near, self.calm_speed)}

@@ -4,16 +4,16 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import ClassVar
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.gaits import Step
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive
 from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, BesideBall
-from sweep.controllers.manoeuvres.balancing.parts import Settling
-from sweep.controllers.manoeuvres.climbing.walking import AHEAD, EASED, centres, walk_away
+from sweep.controllers.manoeuvres.balancing.parts import SettleBall
+from sweep.controllers.manoeuvres.climbing.walking import AHEAD, REST_TO_REST, departure_stages, foot_centres_facing
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import moves
+from sweep.controllers.moves import read_moves
 from sweep.controllers.plan import CYCLE_B, REGRIP, STAYS, Plan, Stage
 from sweep.controllers.tracker import Guided
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -49,54 +49,54 @@ class BallOver(BesideBall):
     own_plan = "ball_over"  # in R
 
     @property
-    def up(self) -> BallClimb:
+    def climb(self) -> BallClimb:
         """The manoeuvre of the way up."""
-        return BallClimb(**self._common)
+        return BallClimb(**self._shared_parameters)
 
     @property
-    def down(self) -> BallDescend:
+    def descent(self) -> BallDescend:
         """The manoeuvre of the way down."""
-        return BallDescend(**self._common)
+        return BallDescend(**self._shared_parameters)
 
     @property
-    def _common(self) -> dict:
+    def _shared_parameters(self) -> dict:
         return {field.name: getattr(self, field.name) for field in fields(BesideBall)}
 
     @property
-    def driving(self) -> BallDrive:
+    def travel_drive(self) -> BallDrive:
         """The steps that roll the ball to its place, with the gains of those that stop it."""
-        return replace(self.calming, steps=self.drive, speed=self.speed, place=self.place, brake=self.brake)
+        return replace(self.calm_drive, steps=self.drive, speed=self.speed, place=self.place, brake=self.brake)
 
     @property
     def parts(self) -> Mapping[str, Guided]:
         """The ride up, calming steps, and those along."""
-        return {**self.up.parts, DRIVE: Settling(self.driving, self.calm_speed, self.near)}
+        return {**self.climb.parts, DRIVE: SettleBall(self.travel_drive, self.calm_speed, self.near)}
 
     def plan(self, belief: Case) -> Plan:
         """Up, calm, along, down, away.
 
         Raises `InputError` where the ball is too large, or the feet do not reach the floor, by plain numbers.
         """
-        perched = self.down.perched(belief)
-        start, up = self.up.way_up(belief)
-        calm = self.calming.steps_of(perched, CALM)
-        along = self.driving.steps_of(perched, DRIVE)
-        down = self.down.way_down(belief)
-        away = self.leaving(belief)
-        return assemble(start, [*up, *calm, *along, *down, *away], self.patience, ease=self.ease)
+        pose = self.descent.stand_pose(belief)
+        start, up = self.climb.climb_stages(belief)
+        calm = self.calm_drive.step_stages(pose, CALM)
+        along = self.travel_drive.step_stages(pose, DRIVE)
+        down = self.descent.descent_stages(belief)
+        away = self.leave_stages(belief)
+        return compile_plan(start, [*up, *calm, *along, *down, *away], self.patience, ease=self.ease)
 
-    def leaving(self, belief: Case) -> list[Stage]:
+    def leave_stages(self, belief: Case) -> list[Stage]:
         """By tripod, once the middle feet are under their hips; in the frame of a ball that is not to move."""
         radius, length = belief.on(Ball).radius, belief.robot.body_length
         height, spread = self.hips_ratio * length, self.spread_ratio * length
-        step = Step.of(length, self.half_step_ratio, self.lift_ratio, self.turning)
-        *_, last = moves(belief, "off").values()
+        step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.turning)
+        *_, last = read_moves(belief, "off").values()
         stood = tangent(belief.on(Ball), 1.0, radius, 0.0, *last.base["tangent"])
         position = stood.at[0].add(step.half_length).at[2].set(height - radius)  # so far that no leg hits the ball
-        under = position + centres(belief, spread, height, AHEAD)
+        under = position + foot_centres_facing(belief, spread, height, AHEAD)
         first = Stage("away.3-4", 1.0, {leg: under[leg - 1] for leg in PAIRS["middle"]}, CYCLE_B, 2 * step.height,
-                      position=position, rates=EASED)  # fmt: skip
-        ready, walk = walk_away(belief, step, position, spread, height, self.away, AHEAD)
+                      position=position, rates=REST_TO_REST)  # fmt: skip
+        ready, walk = departure_stages(belief, step, position, spread, height, self.away, AHEAD)
         # regripped: footholds that go over within `ease` do not go with a base that is rezeroed at once, and it hops
-        how = {"foot_frames": (koenig(0),) * 6, "base_frame": koenig(0), "support": (STAYS,), "onset": REGRIP}
-        return [replace(stage, **how) for stage in (first, *ready, *walk, Stage("halt", 1.0))]
+        options = {"foot_frames": (koenig(0),) * 6, "base_frame": koenig(0), "support": (STAYS,), "onset": REGRIP}
+        return [replace(stage, **options) for stage in (first, *ready, *walk, Stage("halt", 1.0))]

@@ -8,9 +8,9 @@ from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.ball_state import centre_of_mass, measured_stance
 from sweep.controllers.frames import Stance
-from sweep.controllers.layers import Now
+from sweep.controllers.layers import TickContext
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, reference
+from sweep.controllers.plan import Plan, reference_stance
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, logarithm, rotate
@@ -20,7 +20,7 @@ from sweep.models.obstacles.ball import Ball, nose_up, tangent
 from sweep.models.robot import total_mass
 
 RIDE = "ride"
-LAG, FARTHEST = 0.3, 0.03  # s, in which the base leans aside, and how far at most (m)
+LEAN_LAG, LEAN_MAX = 0.3, 0.03  # s, in which the base leans aside, and how far at most (m)
 
 
 class RideMemory(NamedTuple):
@@ -48,46 +48,46 @@ class Ride(NamedTuple):
     centring: Array | float  # s, over which the base goes to the tangent's point first
     lean: Array | float  # s, of the base against the ball's speed aside
 
-    def memory(self, belief: Case, plan: Plan) -> RideMemory:
+    def init_memory(self, belief: Case, plan: Plan) -> RideMemory:
         """Where the base is when the ride begins."""
-        first = _first(plan)
+        first = _first_stage(plan)
         x, _, z = plan.position[first - 1]
         elevation = 0.5 * np.pi + logarithm(plan.quat[first])[1]
         sin, cos = jnp.sin(elevation), jnp.cos(elevation)
         return RideMemory(elevation, z * sin - x * cos, x * sin + z * cos, jnp.zeros(()), jnp.zeros(()))
 
-    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
+    def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """The base goes up, and feet swing to places relative to it."""
-        ball, memory, plan, period = belief.on(Ball), state.memory, now.plan, now.period
-        distance, rate = memory.distance, self.rate(belief, now.seen)
+        ball, memory, plan, period = belief.on(Ball), state.memory, ctx.plan, ctx.period
+        distance, rate = memory.distance, self.climb_rate(belief, ctx.obs)
         share = jnp.minimum(1.0, memory.time / self.centring)
         share = share**2 * (3 - 2 * share)
         forward = jnp.clip(distance * rate * (1 - share), 0.0, -4 * jnp.minimum(memory.ahead, 0.0))
         turning = jnp.maximum(0.0, rate - forward / distance)
         elevation = jnp.minimum(0.5 * np.pi, memory.elevation + turning * period)
-        lean = jnp.clip(-self.lean * now.seen.free.velocity[0, 1], -FARTHEST, FARTHEST)
-        lean = jnp.where(state.stage > _first(plan), lean, 0.0)
-        aside = memory.aside + jnp.minimum(1.0, period / LAG) * (lean - memory.aside)
+        lean = jnp.clip(-self.lean * ctx.obs.free.velocity[0, 1], -LEAN_MAX, LEAN_MAX)
+        lean = jnp.where(state.stage > _first_stage(plan), lean, 0.0)
+        aside = memory.aside + jnp.minimum(1.0, period / LEAN_LAG) * (lean - memory.aside)
         memory = RideMemory(elevation, distance, memory.ahead + forward * period, aside, memory.time + period)
         pose = jnp.degrees(elevation), distance / ball.radius, memory.ahead / ball.radius
         down = -nose_up(ball, 1.0, *pose)
-        round_ = about_aside(down + memory.ahead / distance)
+        turn = rotation_about_y(down + memory.ahead / distance)
         swing, phase = plan.swing[state.stage][:, None], state.clock / plan.duration[state.stage]
-        goal = jnp.where(swing, rotate(round_[None], plan.foothold[state.stage]), state.feet)
+        goal = jnp.where(swing, rotate(turn[None], plan.foothold[state.stage]), state.feet)
         goal = jnp.where(phase < 1, goal, state.goal)  # late feet stay, or they would meet those ahead of them
-        feet = reference(plan, state.stage, jnp.clip(phase, 0.0, 1.0), state.feet, state.position, goal).feet
+        feet = reference_stance(plan, state.stage, jnp.clip(phase, 0.0, 1.0), state.feet, state.position, goal).feet
         position = tangent(ball, 1.0, 1.0, 0.0, *pose).at[1].set(aside)
-        return Guidance(Stance(feet, position, about_aside(down)), goal, memory)
+        return Guidance(Stance(feet, position, rotation_about_y(down)), goal, memory)
 
-    def rate(self, belief: Case, seen: Observation) -> Float[Array, ""]:
+    def climb_rate(self, belief: Case, obs: Observation) -> Float[Array, ""]:
         """(3.1.16), rad/s, of the mass centre where it is measured; none beyond the top.
 
         That rate grows up to the top: a robot that stopped there at once would tip over its front feet.
         """
         ball, robot = belief.on(Ball), belief.robot
-        off = centre_of_mass(robot, measured_stance(robot, seen)) - seen.free.position[0]
+        off = centre_of_mass(robot, measured_stance(robot, obs)) - obs.free.position[0]
         elevation = jnp.arctan2(off[2], -off[0])
-        omega = jnp.maximum(seen.free.turn[0, 1], 0.0)
+        omega = jnp.maximum(obs.free.turn[0, 1], 0.0)
         p = total_mass(robot) * jnp.hypot(off[0], off[2]) / (ball.radius * (ROLLING * ball.mass + total_mass(robot)))
         left = jnp.maximum(0.5 * np.pi - elevation, 0.0)
         effort = jnp.log((1 + p) / (1 + p * jnp.cos(left)))
@@ -97,17 +97,17 @@ class Ride(NamedTuple):
         most = jnp.minimum(self.most, jnp.sqrt(2 * self.braking * left))
         return jnp.minimum(jnp.maximum(self.gain * jnp.where(enough, root, fastest), self.least), most)
 
-    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
+    def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
         """The last stage is over where the robot has come to the top."""
-        last = _first(plan) + plan.laws.count(RIDE) - 1
+        last = _first_stage(plan) + plan.laws.count(RIDE) - 1
         return (state.stage == last) & (state.memory.elevation >= 0.5 * np.pi - 1e-4)
 
 
-def _first(plan: Plan) -> int:
+def _first_stage(plan: Plan) -> int:
     """Number of the ride's first stage."""
     return plan.laws.index(RIDE)
 
 
-def about_aside(angle: Array) -> Float[Array, " 4"]:
+def rotation_about_y(angle: Array) -> Float[Array, " 4"]:
     """Rotation by `angle` (rad) about y: nose down."""
     return exponential(jnp.zeros(3).at[1].set(angle))

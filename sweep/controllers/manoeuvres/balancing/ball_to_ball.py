@@ -11,22 +11,22 @@ from typing import ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.assembly import assemble
-from sweep.controllers.layers import Now
-from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall, on_ball, perch, terms
+from sweep.controllers.compile_plan import compile_plan
+from sweep.controllers.layers import TickContext
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall, ball_move_context, stance_on_ball, stand_pose
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
-from sweep.controllers.manoeuvres.balancing.ball_ride import about_aside
+from sweep.controllers.manoeuvres.balancing.ball_ride import rotation_about_y
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM
-from sweep.controllers.manoeuvres.balancing.checks import Asked, between, checked, stands_next
-from sweep.controllers.manoeuvres.balancing.parts import Driven, InParts, OfBall
+from sweep.controllers.manoeuvres.balancing.checks import CheckLimits, apply_checks, mass_centre_margins, next_support
+from sweep.controllers.manoeuvres.balancing.parts import ByParts, DriveUntil, SingleBallLaw
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import stages_of, standing
+from sweep.controllers.moves import part_stages, standing_on
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import TOGETHER, Plan, Stage, Support, ends, reference
+from sweep.controllers.plan import TOGETHER, Plan, Stage, Support, reference_stance, stage_end_stances
 from sweep.controllers.posture import leg_points
-from sweep.controllers.programme import Programme
-from sweep.controllers.refusals import at_ends, plain, refuse_reach
+from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.controllers.tracker import Guidance, Guided, TrackerState
+from sweep.controllers.validation import are_plain_numbers, require_within_reach, stances_at_stage_ends
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
@@ -40,25 +40,25 @@ from sweep.models.obstacles.two_balls import TwoBalls
 ROLLS, OVER = "roll", "over"
 
 
-def apart(balls: TwoBalls, free: FreeState) -> Float[Array, ""]:
+def ball_gap(balls: TwoBalls, free: FreeState) -> Float[Array, ""]:
     """delta, how far the balls are from each other along x (m)."""
     return free.position[1, 0] - free.position[0, 0] - 2 * balls.radius
 
 
 @dataclass(frozen=True)
-class BallDocking(Driven):
+class BallDocking(DriveUntil):
     """Until the first ball touches the second."""
 
     speed: Array | float  # m/s, as it comes there
 
-    def led(self, belief: Case, free: FreeState) -> Guided:
+    def drive_law(self, belief: Case, free: FreeState) -> Guided:
         """To a place so far behind the second ball that its speed is left there."""
-        place = free.position[0, 0] + apart(belief.on(TwoBalls), free) + self.speed / self.drive.brake
-        return OfBall(replace(self.drive, place=place), 0)
+        place = free.position[0, 0] + ball_gap(belief.on(TwoBalls), free) + self.speed / self.drive.brake
+        return SingleBallLaw(replace(self.drive, place=place), 0)
 
-    def arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
+    def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
         """By how far the balls are from each other."""
-        return apart(belief.on(TwoBalls), free) < 4e-3
+        return ball_gap(belief.on(TwoBalls), free) < 4e-3
 
 
 class ClosingMemory(NamedTuple):
@@ -76,46 +76,46 @@ class Closing(NamedTuple):
     press: Array | float  # epsilon, m
     straight: Array | float  # share of its length, of a leg that is too straight
 
-    def memory(self, belief: Case, plan: Plan) -> ClosingMemory:
+    def init_memory(self, belief: Case, plan: Plan) -> ClosingMemory:
         """The memory before the first stage."""
         return ClosingMemory(jnp.zeros(()))
 
-    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
+    def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """The stage's own stance, with the feet moved."""
-        plan, stage, balls = now.plan, now.stage, belief.on(TwoBalls)
-        gap = jnp.clip(apart(balls, now.seen.free), 0.0, FARTHEST)
+        plan, stage, balls = ctx.plan, ctx.stage, belief.on(TwoBalls)
+        gap = jnp.clip(ball_gap(balls, ctx.obs.free), 0.0, MAX_CLOSING)
         memory: ClosingMemory = state.memory
-        gap = jnp.where(now.begins, gap, memory.gap)
-        wanted = reference(plan, stage, now.phase, state.feet, state.position)
-        programme = plan.layer(Programme)
+        gap = jnp.where(ctx.is_first_tick, gap, memory.gap)
+        wanted = reference_stance(plan, stage, ctx.phase, state.feet, state.position)
+        programme = plan.layer(ReferenceBodyMotion)
         assert programme is not None  # since it is how balls are brought together
         both = jnp.asarray(programme.support.mode)[stage, 0] == TOGETHER
-        way = jnp.where(both, now.phase * (gap + self.press), 0.0)
-        quat = now.free.quat[1:]
-        turned = rotate(about_aside(-way / balls.radius)[None], rotate(quat, wanted.feet))
+        way = jnp.where(both, ctx.phase * (gap + self.press), 0.0)
+        quat = ctx.free.quat[1:]
+        turned = rotate(rotation_about_y(-way / balls.radius)[None], rotate(quat, wanted.feet))
         moved = rotate(conjugate(quat), turned - way * jnp.array([1.0, 0.0, 0.0]))
         stands = (plan.foot_frame[stage] == fixed(1))[:, None]
         return Guidance(wanted._replace(feet=jnp.where(stands, moved, wanted.feet)), plan.foothold[stage],
                         ClosingMemory(gap))  # fmt: skip
 
-    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
+    def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
         """The base goes no farther where a leg that stands gets too straight; the next pair is moved then."""
-        robot, goes = belief.robot, ~jnp.any(plan.swing[state.stage])
-        points = leg_points(robot, seen.angles)
+        robot, is_moving = belief.robot, ~jnp.any(plan.swing[state.stage])
+        points = leg_points(robot, obs.angles)
         stretch = jnp.linalg.norm(points[:, -1] - points[:, -3], axis=-1)
-        return goes & jnp.any(seen.loaded & (stretch > self.straight * (robot.thigh + robot.shin)))
+        return is_moving & jnp.any(obs.loaded & (stretch > self.straight * (robot.thigh + robot.shin)))
 
 
-FARTHEST = 0.02  # m, that a stage closes
+MAX_CLOSING = 0.02  # m, that a stage closes
 
 
-def touching(belief: Case) -> Case:
+def with_touching_balls(belief: Case) -> Case:
     """`belief` with balls that touch, one right behind the other."""
     return replace(belief, obstacle=replace(belief.on(TwoBalls), gap=0.0, offset=0.0))
 
 
 @parameters
-class BallToBall(OnBall, InParts):
+class BallToBall(OnBall, ByParts):
     """Roll the first ball to the second, go over from one to the other, and calm that or get off it."""
 
     goal: ClassVar = {**UPRIGHT, "second_ball_speed_max_mps": 0.01}
@@ -149,43 +149,45 @@ class BallToBall(OnBall, InParts):
         Raises `InputError` where a foot does not reach, or the mass centre is not between the feet that stand, by plain
         numbers.
         """
-        self.refuse(belief)
-        perched, down = perch(belief, self), self.down
-        calm = down.calming.steps_of(down.perched(belief), CALM)
-        off = down.way_down(belief) if self.finish == "floor" else []
+        self.validate(belief)
+        pose, down = stand_pose(belief, self), self.descent
+        calm = down.calm_drive.step_stages(down.stand_pose(belief), CALM)
+        off = down.descent_stages(belief) if self.finish == "floor" else []
         stages = [
-            *self.rolling.steps_of(perched, ROLLS),
-            *self.over(belief),
-            *OfBall(down, 1).stages([*calm, *off]),
+            *self.roll_drive.step_stages(pose, ROLLS),
+            *self.transfer_stages(belief),
+            *SingleBallLaw(down, 1).stages_on_ball([*calm, *off]),
         ]
-        return assemble(on_ball(belief, perched), stages, self.patience, ease=self.ease)
+        return compile_plan(stance_on_ball(belief, pose), stages, self.patience, ease=self.ease)
 
-    def over(self, belief: Case) -> list[Stage]:
+    def transfer_stages(self, belief: Case) -> list[Stage]:
         """From ball to ball, as if they stood still, touching; as the checks of 3.5.3 leave it."""
-        perched = perch(belief, self)
-        feet = dict(zip(LEGS, perched.feet, strict=True))
+        pose = stand_pose(belief, self)
+        feet = dict(zip(LEGS, pose.feet, strict=True))
         supports = {"free": (Support(),) * 2, "together": (Support(TOGETHER),) * 2}
-        how = terms(belief, belief.robot.body_length, self.deepening, (self.press, self.squeeze), supports, (OVER,))
-        stages = stages_of("over", how, standing(feet, 0.0, fixed(0)))[0]
-        return checked(touching(belief), on_ball(belief, perched), stages,
-                       Asked(self.spare, self.straight, self.clear))  # fmt: skip
+        context = ball_move_context(
+            belief, belief.robot.body_length, self.deepening, (self.press, self.squeeze), supports, (OVER,)
+        )
+        stages = part_stages("over", context, standing_on(feet, 0.0, fixed(0)))[0]
+        return apply_checks(with_touching_balls(belief), stance_on_ball(belief, pose), stages,
+                       CheckLimits(self.spare, self.straight, self.clear))  # fmt: skip
 
-    def refuse(self, belief: Case) -> None:
+    def validate(self, belief: Case) -> None:
         """Raise `InputError` where a foot is out of reach, or the mass centre not `spare` m between standing feet.
 
         At the ends of the stages from ball to ball, by plain numbers; after what the checks of 3.5.3 do about it.
         """
-        if not plain(belief.robot, belief.obstacle, self):
+        if not are_plain_numbers(belief.robot, belief.obstacle, self):
             return
 
-        start = touching(belief).on(TwoBalls).start
+        start = with_touching_balls(belief).on(TwoBalls).start
 
-        def over() -> tuple[Plan, Array]:
-            plan = assemble(on_ball(belief, perch(belief, self)), self.over(belief), 0.0)
-            return plan, between(belief.robot, ends(plan, start()), stands_next(plan.swing))
+        def plan_and_margins() -> tuple[Plan, Array]:
+            plan = compile_plan(stance_on_ball(belief, stand_pose(belief, self)), self.transfer_stages(belief), 0.0)
+            return plan, mass_centre_margins(belief.robot, stage_end_stances(plan, start()), next_support(plan.swing))
 
-        plan, inside = worked_out(over)
-        refuse_reach(belief, lambda: at_ends(plan, start()), f"{self.kind}: ")
+        plan, inside = worked_out(plan_and_margins)
+        require_within_reach(belief, lambda: stances_at_stage_ends(plan, start()), f"{self.kind}: ")
         inside = inside.min(axis=0)
         if not inside.min() >= self.spare:
             raise InputError(
@@ -194,12 +196,12 @@ class BallToBall(OnBall, InParts):
             )
 
     @property
-    def rolling(self) -> BallDrive:
+    def roll_drive(self) -> BallDrive:
         """The steps that roll the first ball."""
-        return self.driven(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain)
+        return self.make_drive(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain)
 
     @property
-    def down(self) -> BallDescend:
+    def descent(self) -> BallDescend:
         """The steps that stop the second ball, and the way down from it."""
         return BallDescend(calm=self.calm, calm_speed=self.calm_speed)
 
@@ -207,7 +209,7 @@ class BallToBall(OnBall, InParts):
     def parts(self) -> Mapping[str, Guided]:
         """Steps, the way over, steps."""
         return {
-            ROLLS: BallDocking(self.rolling, self.docking),
+            ROLLS: BallDocking(self.roll_drive, self.docking),
             OVER: Closing(self.closing, self.straight),
-            **{name: OfBall(law, 1) for name, law in self.down.parts.items()},
+            **{name: SingleBallLaw(law, 1) for name, law in self.descent.parts.items()},
         }

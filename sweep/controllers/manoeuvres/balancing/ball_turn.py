@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.manoeuvres.balancing.ball import BallDrive, Track
+from sweep.controllers.manoeuvres.balancing.ball import BallDrive, TrackPoint
 from sweep.core.parameters import choice, parameters, quantity
 
 
@@ -22,12 +22,12 @@ class BallTurn(BallDrive):
     straight: float = quantity(1.5, "m", at_least=0)  # before the turn
     radius: float = quantity(4.0, "m")  # rho, of the way of the ball's centre
 
-    def track(self, place: Float[Array, " 3"]) -> Track:
+    def track(self, place: Float[Array, " 3"]) -> TrackPoint:
         """Where a ball at `place` (m) is on its way, which is along x, then along the circle."""
         before = super().track(place)
         x, y = (place[0] - self.straight) / self.radius, 1 - place[1] / self.radius
         angle, out = jnp.arctan2(x, y), jnp.hypot(x, y)
         along = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
         off, curve = self.radius * (1 - out), jnp.ones_like(out) / self.radius
-        on = Track(along, self.straight + self.radius * angle, off, curve)
-        return Track(*(jnp.where(place[0] > self.straight, a, b) for a, b in zip(on, before, strict=True)))
+        circle = TrackPoint(along, self.straight + self.radius * angle, off, curve)
+        return TrackPoint(*(jnp.where(place[0] > self.straight, a, b) for a, b in zip(circle, before, strict=True)))

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.flywheel import Gains
 from sweep.controllers.frames import Stance
-from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
-from sweep.controllers.manoeuvres.climbing.walking import TOWARDS
+from sweep.controllers.gaits import TRIPOD, Step, initial_foot_offsets, regular_steps
+from sweep.controllers.manoeuvres.climbing.walking import FACING_MINUS_Y
 from sweep.controllers.manoeuvres.goals import ARRIVED, UPRIGHT
 from sweep.controllers.plan import BALANCE, CYCLE_B, LEVELLING, LOCKED, SMOOTH, STAND, Plan, Stage
 from sweep.controllers.posture import joint_targets
@@ -29,7 +29,7 @@ from sweep.models.robot import Robot, mounts
 
 DIAGONALS = ((1, 6), (2, 5))
 MIDDLE = (3, 4)
-OUT = np.isin(np.array(LEGS), MIDDLE)
+IS_MIDDLE = np.isin(np.array(LEGS), MIDDLE)
 LEVEL_LEGS = {3: (0.0, np.pi / 2, 0.0), 4: (0.0, np.pi / 2, np.pi)}  # straight out to the sides
 FORWARD = (0.0, -1.0, 0.0)
 
@@ -44,33 +44,33 @@ class BeamSite(NamedTuple):
     deepening: Array | float  # m, epsilon
     step: Step
 
-    def base(self, y: Array | float) -> Float[Array, " 3"]:
+    def base_at(self, y: Array | float) -> Float[Array, " 3"]:
         """The base's centre (m) where it is at y."""
         return point(0.0, y, self.ground + self.clearance)
 
-    def feet(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
+    def feet_at(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
         """Feet abreast of their hips, each `track` (m) from the middle line, for a base at y."""
         depth = jnp.full(6, self.ground - self.deepening)
         return jnp.stack([SIDE * jnp.asarray(track, float), y - mounts(self.robot)[:, 0], depth], axis=-1)
 
-    def swing(self, name: str, legs: Sequence[int], feet: Float[Array, "6 3"], **more) -> Stage:
+    def swing_stage(self, name: str, legs: Sequence[int], feet: Float[Array, "6 3"], **more) -> Stage:
         """Some legs step to where `feet` has theirs."""
-        return Stage(name, self.step.time, chosen(feet, legs), CYCLE_B, self.step.height, **more)
+        return Stage(name, self.step.time, by_leg(feet, legs), CYCLE_B, self.step.height, **more)
 
-    def angles(self, y: Array | float, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+    def joint_angles(self, y: Array | float, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
         """Joint angles (rad) that put the feet there, for a base at y."""
-        return joint_targets(self.robot, Stance(feet, self.base(y), jnp.array(TOWARDS)))[0]
+        return joint_targets(self.robot, Stance(feet, self.base_at(y), jnp.array(FACING_MINUS_Y)))[0]
 
-    def legs_out(self, y: Array | float) -> Float[Array, "6 3"]:
+    def stretched_feet(self, y: Array | float) -> Float[Array, "6 3"]:
         """Feet at the ends of straight legs, level and out to the sides, for a base at y."""
         robot = self.robot
-        feet = self.feet(y, robot.body_width / 2 + robot.coxa + robot.thigh + robot.shin)
+        feet = self.feet_at(y, robot.body_width / 2 + robot.coxa + robot.thigh + robot.shin)
         return feet.at[:, 2].set(self.ground + self.clearance)
 
-    def beside_hips(self, out: Array | float, down: Array | float) -> Float[Array, "6 3"]:
+    def angles_beside_hips(self, out: Array | float, down: Array | float) -> Float[Array, "6 3"]:
         """Joint angles (rad) that put every foot `out` (m) to the outside of its hip and `down` below it."""
-        feet = self.feet(0.0, self.robot.body_width / 2 + out)
-        return self.angles(0.0, feet.at[:, 2].set(self.ground + self.clearance - down))
+        feet = self.feet_at(0.0, self.robot.body_width / 2 + out)
+        return self.joint_angles(0.0, feet.at[:, 2].set(self.ground + self.clearance - down))
 
 
 @parameters
@@ -105,17 +105,17 @@ class BeamWalk:
         """
         site = self.site(belief)
         start = -belief.robot.body_length / 2 - 2 * site.step.landing
-        stages = [Stage("stand", STAND, posture=LEVEL_LEGS, flywheel=self.mode(LEVELLING))]
-        stages += self.diagonal(site, start, 2 * site.step.landing)
-        stages += [Stage("rest", STAND, flywheel=self.mode(LEVELLING)), Stage("halt", STAND)]
-        feet = jnp.where(OUT[:, None], site.legs_out(start), site.feet(start, site.track / 2))
-        stance = Stance(feet, site.base(start), jnp.array(TOWARDS))
-        return assemble(stance, stages, self.patience, self.gains(belief), steered=True)
+        stages = [Stage("stand", STAND, posture=LEVEL_LEGS, flywheel=self.flywheel_mode(LEVELLING))]
+        stages += self.diagonal_stages(site, start, 2 * site.step.landing)
+        stages += [Stage("rest", STAND, flywheel=self.flywheel_mode(LEVELLING)), Stage("halt", STAND)]
+        feet = jnp.where(IS_MIDDLE[:, None], site.stretched_feet(start), site.feet_at(start, site.track / 2))
+        stance = Stance(feet, site.base_at(start), jnp.array(FACING_MINUS_Y))
+        return compile_plan(stance, stages, self.patience, self.gains(belief), steered=True)
 
     def site(self, belief: Case) -> BeamSite:
         """The beam and the robot as they are believed."""
         length = belief.robot.body_length
-        step = Step.of(length, self.half_step_ratio, self.lift_ratio, self.rate)
+        step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
         track = belief.on(Beam).width - 2 * self.inset
         return BeamSite(belief.robot, belief.on(Beam).height, self.height_ratio * length, track, self.deepening, step)
 
@@ -123,28 +123,28 @@ class BeamWalk:
         """Feedback of the flywheel."""
         return Gains(self.c1, self.c2, self.c3, self.c4, self.c5, self.c6, belief.drive.back_emf)
 
-    def mode(self, wanted: int) -> int:
+    def flywheel_mode(self, wanted: int) -> int:
         """The mode `wanted` of the flywheel, or that of planned legs where the flywheel is off."""
         return wanted if self.flywheel == "on" else LOCKED
 
-    def diagonal(self, site: BeamSite, start: Array | float, way: Array | float) -> list[Stage]:
+    def diagonal_stages(self, site: BeamSite, start: Array | float, way: Array | float) -> list[Stage]:
         """2.6.2: pairs swing in turn to stand `way` (m) ahead of their hips, and the body follows.
 
         While a pair swings the centre of mass is over the line of the other two feet: these are abreast of their
         hips. The body goes on while four feet stand, and the middle legs come to rest.
         """
-        stages, y, rest = [], start, self.mode(LEVELLING)
+        stages, y, rest = [], start, self.flywheel_mode(LEVELLING)
         for k in range(self.steps):
             pair = DIAGONALS[k % 2]
-            goal = site.feet(y - way, site.track / 2)
+            goal = site.feet_at(y - way, site.track / 2)
             name = f"{k + 1}.{'-'.join(map(str, pair))}"
             y = y - way
             stages += [
-                site.swing(name, pair, goal, flywheel=self.mode(BALANCE)),
-                Stage(f"{k + 1}.body", 2 * site.step.time, position=site.base(y), pace=SMOOTH, flywheel=rest),
+                site.swing_stage(name, pair, goal, flywheel=self.flywheel_mode(BALANCE)),
+                Stage(f"{k + 1}.body", 2 * site.step.time, position=site.base_at(y), pace=SMOOTH, flywheel=rest),
             ]
-        last, goal = DIAGONALS[self.steps % 2], site.feet(y, site.track / 2)
-        stages.append(site.swing("close", last, goal, flywheel=self.mode(BALANCE)))
+        last, goal = DIAGONALS[self.steps % 2], site.feet_at(y, site.track / 2)
+        stages.append(site.swing_stage("close", last, goal, flywheel=self.flywheel_mode(BALANCE)))
         return stages
 
 
@@ -174,77 +174,79 @@ class BeamCross(BeamWalk):
         far = -belief.on(Beam).length - reach
         start, stages = self.walk_up(site, reach)
         stages += [
-            *rebuild(site, reach, site.track, self.transfer_lift, "narrow"),
-            *self.spread(site, reach),
-            *self.diagonal(site, reach, (reach - far) / self.steps),
-            Stage("rest", STAND, flywheel=self.mode(LEVELLING)),
-            *self.fold(site, far),
-            *rebuild(site, far, self.wide_track, self.transfer_lift, "wide"),
+            *change_track_stages(site, reach, site.track, self.transfer_lift, "narrow"),
+            *self.spread_stages(site, reach),
+            *self.diagonal_stages(site, reach, (reach - far) / self.steps),
+            Stage("rest", STAND, flywheel=self.flywheel_mode(LEVELLING)),
+            *self.fold_stages(site, far),
+            *change_track_stages(site, far, self.wide_track, self.transfer_lift, "wide"),
         ]
-        stance = Stance(site.feet(far, self.wide_track / 2), site.base(far), jnp.array(TOWARDS))
-        departure = self.tripods(self.walking(site), stance, self.departure)
+        stance = Stance(site.feet_at(far, self.wide_track / 2), site.base_at(far), jnp.array(FACING_MINUS_Y))
+        departure = self.tripod_stages(self.walking_site(site), stance, self.departure)
         stages += [replace(stage, name=f"depart.{stage.name}") for stage in departure]
-        return assemble(start, [*stages, Stage("halt", STAND)], self.patience, self.gains(belief), steered=True)
+        return compile_plan(start, [*stages, Stage("halt", STAND)], self.patience, self.gains(belief), steered=True)
 
     def walk_up(self, site: BeamSite, y: Array | float) -> tuple[Stance, list[Stage]]:
         """By tripod to where the base is at y, the feet then abreast of the hips."""
-        site, forward = self.walking(site), jnp.array(FORWARD)
+        site, forward = self.walking_site(site), jnp.array(FORWARD)
         step = site.step
         first = y + 2 * step.landing * self.approach
-        feet = site.feet(first, self.wide_track / 2) + centre_offsets(TRIPOD, step, forward)
-        start = Stance(feet, site.base(first), jnp.array(TOWARDS))
-        stages = [Stage("stand", STAND), *self.tripods(site, start, self.approach)]
-        goal = site.feet(y, self.wide_track / 2)
-        return start, stages + [site.swing(f"place.{'-'.join(map(str, legs))}", legs, goal) for legs in TRIPOD]
+        feet = site.feet_at(first, self.wide_track / 2) + initial_foot_offsets(TRIPOD, step, forward)
+        start = Stance(feet, site.base_at(first), jnp.array(FACING_MINUS_Y))
+        stages = [Stage("stand", STAND), *self.tripod_stages(site, start, self.approach)]
+        goal = site.feet_at(y, self.wide_track / 2)
+        return start, stages + [site.swing_stage(f"place.{'-'.join(map(str, legs))}", legs, goal) for legs in TRIPOD]
 
-    def walking(self, site: BeamSite) -> BeamSite:
+    def walking_site(self, site: BeamSite) -> BeamSite:
         """The site with the step that tripods take."""
         return site._replace(step=site.step._replace(half_length=self.walk_step_ratio * site.robot.body_length))
 
-    def tripods(self, site: BeamSite, start: Stance, number: int) -> list[Stage]:
+    def tripod_stages(self, site: BeamSite, start: Stance, number: int) -> list[Stage]:
         """Regular swings on the wide track."""
-        centres = site.feet(0.0, self.wide_track / 2) - site.base(0.0)
+        centres = site.feet_at(0.0, self.wide_track / 2) - site.base_at(0.0)
         return regular_steps(TRIPOD, site.step, start, centres, jnp.array(FORWARD), number, 0.0)
 
-    def spread(self, site: BeamSite, y: Array | float) -> list[Stage]:
+    def spread_stages(self, site: BeamSite, y: Array | float) -> list[Stage]:
         """2.6.1: the middle legs are lifted, led outward and straightened."""
-        raised, out = self.on_the_way(site, y)
-        return [*postures(site, "out", (raised, out)), Stage("out.3", site.step.time, posture=LEVEL_LEGS)]
+        raised, out = self.intermediate_angles(site, y)
+        return [*posture_stages(site, "out", (raised, out)), Stage("out.3", site.step.time, posture=LEVEL_LEGS)]
 
-    def fold(self, site: BeamSite, y: Array | float) -> list[Stage]:
+    def fold_stages(self, site: BeamSite, y: Array | float) -> list[Stage]:
         """2.6.3: back on to the narrow track, the same way."""
-        raised, out = self.on_the_way(site, y)
-        feet = site.feet(y, site.track / 2)
-        angles = chosen(site.angles(y, feet), MIDDLE)
-        down = Stage("down.3", site.step.time, chosen(feet, MIDDLE), posture=angles)
-        return [*postures(site, "down", (out, raised)), down]
+        raised, out = self.intermediate_angles(site, y)
+        feet = site.feet_at(y, site.track / 2)
+        angles = by_leg(site.joint_angles(y, feet), MIDDLE)
+        down = Stage("down.3", site.step.time, by_leg(feet, MIDDLE), posture=angles)
+        return [*posture_stages(site, "down", (out, raised)), down]
 
-    def on_the_way(self, site: BeamSite, y: Array | float) -> tuple[Array, Array]:
+    def intermediate_angles(self, site: BeamSite, y: Array | float) -> tuple[Array, Array]:
         """Joint angles (6, 3) with the feet lifted from the narrow track, and half bent outside of the hips."""
-        lifted = site.feet(y, site.track / 2) + jnp.array([0.0, 0.0, 1.0]) * self.transfer_lift
+        lifted = site.feet_at(y, site.track / 2) + jnp.array([0.0, 0.0, 1.0]) * self.transfer_lift
         reach = site.robot.thigh + site.robot.shin
-        return site.angles(y, lifted), site.beside_hips(0.5 * reach, 0.25 * reach)
+        return site.joint_angles(y, lifted), site.angles_beside_hips(0.5 * reach, 0.25 * reach)
 
 
-def rebuild(site: BeamSite, y: Array | float, track: Array | float, lift: Array | float, name: str) -> list[Stage]:
+def change_track_stages(
+    site: BeamSite, y: Array | float, track: Array | float, lift: Array | float, name: str
+) -> list[Stage]:
     """2.6.1 and 2.6.3: one tripod after the other goes over to another track, in planes across the body.
 
     The foot passes below its hip, where alpha is not defined by its place: it goes there in joint space.
     """
-    over, goal = site.beside_hips(0.02, site.clearance - lift), site.feet(y, track / 2)
-    angles, stages = site.angles(y, goal), []
+    over, goal = site.angles_beside_hips(0.02, site.clearance - lift), site.feet_at(y, track / 2)
+    angles, stages = site.joint_angles(y, goal), []
     for legs in TRIPOD:
         label = f"{name}.{'-'.join(map(str, legs))}"
-        stages.append(Stage(f"{label}.over", site.step.time, posture=chosen(over, legs)))
-        stages.append(Stage(f"{label}.down", site.step.time, chosen(goal, legs), posture=chosen(angles, legs)))
+        stages.append(Stage(f"{label}.over", site.step.time, posture=by_leg(over, legs)))
+        stages.append(Stage(f"{label}.down", site.step.time, by_leg(goal, legs), posture=by_leg(angles, legs)))
     return stages
 
 
-def postures(site: BeamSite, name: str, angles: Sequence[Array]) -> list[Stage]:
+def posture_stages(site: BeamSite, name: str, angles: Sequence[Array]) -> list[Stage]:
     """The middle legs go through postures."""
-    return [Stage(f"{name}.{k}", site.step.time, posture=chosen(a, MIDDLE)) for k, a in enumerate(angles, start=1)]
+    return [Stage(f"{name}.{k}", site.step.time, posture=by_leg(a, MIDDLE)) for k, a in enumerate(angles, start=1)]
 
 
-def chosen(values: Float[Array, "6 3"], legs: Sequence[int]) -> dict[int, Array]:
+def by_leg(values: Float[Array, "6 3"], legs: Sequence[int]) -> dict[int, Array]:
     """Feet or joint angles of some legs by number."""
     return {leg: values[leg - 1] for leg in legs}

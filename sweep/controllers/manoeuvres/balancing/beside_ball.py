@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, OnBall
-from sweep.controllers.manoeuvres.balancing.parts import InParts, Settling
+from sweep.controllers.manoeuvres.balancing.parts import ByParts, SettleBall
 from sweep.controllers.tracker import Guided
 from sweep.core.parameters import count, parameters, quantity
 
@@ -16,7 +16,7 @@ CALM = "calm"  # law of steps that stop the ball
 
 
 @parameters
-class BesideBall(OnBall, InParts):
+class BesideBall(OnBall, ByParts):
     """Their grip, and steps that stop the ball.
 
     These are tripods of `ball_drive` at v_d = 0, as many of `calm` as the ball needs.
@@ -34,12 +34,12 @@ class BesideBall(OnBall, InParts):
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     @property
-    def calming(self) -> BallDrive:
+    def calm_drive(self) -> BallDrive:
         """The steps that stop the ball."""
-        return self.driven(steps=self.calm, speed=0.0, step_time=self.step_time, speed_gain=self.speed_gain,
+        return self.make_drive(steps=self.calm, speed=0.0, step_time=self.step_time, speed_gain=self.speed_gain,
                            aside_gain=self.aside_gain, aside_gain_before=self.aside_gain_before)  # fmt: skip
 
     @property
     def parts(self) -> Mapping[str, Guided]:
         """The calming steps, by their law."""
-        return {CALM: Settling(self.calming, self.calm_speed, math.inf)}
+        return {CALM: SettleBall(self.calm_drive, self.calm_speed, math.inf)}

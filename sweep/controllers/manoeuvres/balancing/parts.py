@@ -10,17 +10,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from sweep.controllers.layers import Now
+from sweep.controllers.layers import TickContext
 from sweep.controllers.manoeuvres.balancing.ball import BallDrive, DriveMemory
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Stage, Support, led_by, reference
-from sweep.controllers.tracker import Eventful, Guidance, Guided, TrackerState
+from sweep.controllers.plan import Plan, Stage, Support, is_under_law, reference_stance
+from sweep.controllers.tracker import EndsStages, Guidance, Guided, TrackerState
 from sweep.models.case import Case
 from sweep.models.frames import WORLD, koenig
 from sweep.models.obstacles.surface import FreeState
 
 
-class InParts(ABC):
+class ByParts(ABC):
     """Guided in the stages of its parts, and as planned in the others."""
 
     @property
@@ -28,105 +28,107 @@ class InParts(ABC):
     def parts(self) -> Mapping[str, Guided]:
         """What guides the stages under each law, by the law's name."""
 
-    def memory(self, belief: Case, plan: Plan) -> dict[str, Any]:
+    def init_memory(self, belief: Case, plan: Plan) -> dict[str, Any]:
         """The memories of all parts, by law."""
-        return {name: part.memory(belief, plan) for name, part in self.parts.items()}
+        return {name: part.init_memory(belief, plan) for name, part in self.parts.items()}
 
-    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
+    def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """By the part whose stage it is."""
-        plan, stage = now.plan, now.stage
-        wanted, goal = reference(plan, stage, now.phase, state.feet, state.position), plan.foothold[stage]
+        plan, stage = ctx.plan, ctx.stage
+        wanted, goal = reference_stance(plan, stage, ctx.phase, state.feet, state.position), plan.foothold[stage]
         memory = dict(state.memory)
         for name, part in self.parts.items():
-            told = part.guide(belief, now, state._replace(memory=state.memory[name]))
-            leads, before = led_by(plan, stage, name), (wanted, goal, state.memory[name])
-            wanted, goal, memory[name] = jax.tree.map(partial(jnp.where, leads), tuple(told), before)
+            guidance = part.guide(belief, ctx, state._replace(memory=state.memory[name]))
+            leads, unchanged = is_under_law(plan, stage, name), (wanted, goal, state.memory[name])
+            wanted, goal, memory[name] = jax.tree.map(partial(jnp.where, leads), tuple(guidance), unchanged)
         return Guidance(wanted, goal, memory)
 
-    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
+    def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
         """Where the part says so whose stage it is."""
         over = jnp.asarray(False)
         for name, part in self.parts.items():
-            if isinstance(part, Eventful):
-                own = state._replace(memory=state.memory[name])
-                over = over | (led_by(plan, state.stage, name) & part.ends(belief, plan, own, seen))
+            if isinstance(part, EndsStages):
+                part_state = state._replace(memory=state.memory[name])
+                over = over | (
+                    is_under_law(plan, state.stage, name) & part.is_stage_over(belief, plan, part_state, obs)
+                )
         return over
 
 
 @dataclass(frozen=True)
-class Driven(ABC):
+class DriveUntil(ABC):
     """Tripods that roll a ball by the law of a drive, as many as it needs."""
 
     drive: BallDrive
 
-    def memory(self, belief: Case, plan: Plan) -> DriveMemory:
+    def init_memory(self, belief: Case, plan: Plan) -> DriveMemory:
         """The memory of the drive."""
-        return self.drive.memory(belief, plan)
+        return self.drive.init_memory(belief, plan)
 
-    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
+    def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """A tick of the drive's law."""
-        return self.led(belief, now.seen.free).guide(belief, now, state)
+        return self.drive_law(belief, ctx.obs.free).guide(belief, ctx, state)
 
-    def led(self, belief: Case, free: FreeState) -> Guided:
+    def drive_law(self, belief: Case, free: FreeState) -> Guided:
         """The drive, with the place that it goes to."""
         return self.drive
 
     @abstractmethod
-    def arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
+    def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
         """Whether the ball needs no further step."""
 
-    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
+    def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
         """No step is begun where the ball needs none."""
         has_just_begun = state.clock < 0.05 * plan.duration[state.stage]
-        return has_just_begun & self.arrived(belief, seen.free)
+        return has_just_begun & self.has_arrived(belief, obs.free)
 
 
 @dataclass(frozen=True)
-class Settling(Driven):
+class SettleBall(DriveUntil):
     """Until it is calm, and where it is to be."""
 
     calm: Array | float  # m/s
     within: Array | float  # m, of the drive's place
 
-    def arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
+    def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
         """By its place along x, and its speed."""
         near = jnp.abs(free.position[0, 0] - self.drive.place) < self.within
         return near & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 
 
-class OfBall(NamedTuple):
+class SingleBallLaw(NamedTuple):
     """A law for the only ball, on one of several."""
 
     law: Any  # Guided, and Eventful where it ends stages
     ball: int
 
-    def memory(self, belief: Case, plan: Plan) -> Any:
+    def init_memory(self, belief: Case, plan: Plan) -> Any:
         """The law's memory, as if there were no other ball."""
-        return self.law.memory(belief, plan)
+        return self.law.init_memory(belief, plan)
 
-    def guide(self, belief: Case, now: Now, state: TrackerState) -> Guidance:
+    def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """What the law says as if there were no other ball."""
-        return self.law.guide(belief, now._replace(seen=self._seen(now.seen)), state)
+        return self.law.guide(belief, ctx._replace(obs=self._obs_of_ball(ctx.obs)), state)
 
-    def ends(self, belief: Case, plan: Plan, state: TrackerState, seen: Observation) -> Bool[Array, ""]:
+    def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
         """What the law says as if there were no other ball."""
-        return self.law.ends(belief, plan, state, self._seen(seen))
+        return self.law.is_stage_over(belief, plan, state, self._obs_of_ball(obs))
 
-    def stages(self, of_only: Sequence[Stage]) -> list[Stage]:
+    def stages_on_ball(self, single_ball_stages: Sequence[Stage]) -> list[Stage]:
         """Stages on the only ball, on this one."""
 
-        def of(frame: int) -> int:
+        def frame_on_ball(frame: int) -> int:
             return frame if frame == WORLD else frame + koenig(self.ball) - koenig(0)
 
         return [
             replace(
                 stage,
-                foot_frames=tuple(map(of, stage.foot_frames)),
-                base_frame=of(stage.base_frame),
+                foot_frames=tuple(map(frame_on_ball, stage.foot_frames)),
+                base_frame=frame_on_ball(stage.base_frame),
                 support=(Support(),) * self.ball + stage.support if stage.support else (),
             )
-            for stage in of_only
+            for stage in single_ball_stages
         ]
 
-    def _seen(self, seen: Observation) -> Observation:
-        return seen._replace(free=jax.tree.map(lambda x: x[self.ball : self.ball + 1], seen.free))
+    def _obs_of_ball(self, obs: Observation) -> Observation:
+        return obs._replace(free=jax.tree.map(lambda x: x[self.ball : self.ball + 1], obs.free))

@@ -10,15 +10,15 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.forces import PlannedForces
 from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import Step
-from sweep.controllers.manoeuvres.climbing.walking import TOWARDS
+from sweep.controllers.manoeuvres.climbing.walking import FACING_MINUS_Y
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.moves import Standing, Terms, placed, stages_of
+from sweep.controllers.moves import MoveContext, Standing, initial_stance, part_stages
 from sweep.controllers.plan import STAND, Plan, Stage
-from sweep.controllers.symmetry import gone
+from sweep.controllers.symmetry import apply_direction
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import rearing
@@ -58,28 +58,30 @@ class OnCorner(PlannedForces):
     two_way: ClassVar = True
     own_plan = "corner"
 
-    def terms(self, belief: Case) -> Terms:
+    def move_context(self, belief: Case) -> MoveContext:
         """Of moves; the chart `edges` is for a base that pitches up before the corner."""
         unit = leg_unit(belief.robot)
-        step = Step.of(unit, self.half_step_ratio, self.lift_ratio, self.rate)
-        return Terms(belief, unit, step.time, step.height, own={"edges": rearing(belief.robot.body_length)})
+        step = Step.from_ratios(unit, self.half_step_ratio, self.lift_ratio, self.rate)
+        return MoveContext(
+            belief, unit, step.time, step.height, extra_charts={"edges": rearing(belief.robot.body_length)}
+        )
 
-    def climb(self, belief: Case) -> tuple[Stance, list[Stage], Standing]:
+    def climb_stages(self, belief: Case) -> tuple[Stance, list[Stage], Standing]:
         """Get on, spread the feet, gallop; where it stands then."""
-        terms = self.terms(belief)
-        places, position, at = placed("arrive", terms)
-        climb, at = stages_of("climb", terms, at, "")
-        gallop, at = stages_of("gallop", terms, at, "gallop")
-        return Stance(places, position, jnp.array(TOWARDS)), [*climb, *gallop], at
+        context = self.move_context(belief)
+        places, position, standing = initial_stance("arrive", context)
+        climb, standing = part_stages("climb", context, standing, "")
+        gallop, standing = part_stages("gallop", context, standing, "gallop")
+        return Stance(places, position, jnp.array(FACING_MINUS_Y)), [*climb, *gallop], standing
 
     def plan(self, belief: Case) -> Plan:
         """Stand, the way, halt, and the forces."""
-        start, way = self.way(belief)
-        stages = [Stage("stand", STAND), *self.loading(way), Stage("halt", STAND)]
-        return self.with_feedforward(belief, gone(belief, assemble(start, stages, self.patience)))
+        start, stages = self.route(belief)
+        stages = [Stage("stand", STAND), *self.with_load_transfer(stages), Stage("halt", STAND)]
+        return self.with_feedforward(belief, apply_direction(belief, compile_plan(start, stages, self.patience)))
 
     @abstractmethod
-    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Where the robot stands at the start, and the stages from there on."""
 
 
@@ -97,6 +99,6 @@ class CornerClimb(OnCorner):
     kind: str = choice("corner_climb", "corner_climb")
     rise_ratio: float = quantity(0.14, "a_r", at_least=0, at_most=100)  # of the whole gallop
 
-    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """To the end of the gallop."""
-        return self.climb(belief)[:2]
+        return self.climb_stages(belief)[:2]

@@ -18,7 +18,7 @@ from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.manoeuvres.climbing.corner import OnCorner
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import moves, stages_of
+from sweep.controllers.moves import part_stages, read_moves
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Stage
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -48,7 +48,7 @@ class CornerRoof(OnCorner):
 
     own_plan = "corner_roof"
 
-    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Climb until the front feet are below the edge, and get over it.
 
         Raises `InputError` where the house is too low, or too high for the cycles, by plain numbers; rows in which
@@ -60,13 +60,13 @@ class CornerRoof(OnCorner):
         rise = sizes["rise"]
         if not isinstance(rise, Tracer):
             unit = leg_unit(belief.robot)
-            self.refuse(belief, float(rise * unit), float(MOST_RISE * belief.robot.body_length))
+            self.validate(belief, float(rise * unit), float(MOST_RISE * belief.robot.body_length))
         known = belief.plan.raised(f"{SIZES}.rise", jnp.where(rise >= 0, 0.0, jnp.nan))
-        start, stages, at = self.climb(replace(belief, plan=known))
-        over, _ = stages_of("roof", self.terms(belief), at)
-        return start, [*stages, *over]
+        start, stages, standing = self.climb_stages(replace(belief, plan=known))
+        roof, _ = part_stages("roof", self.move_context(belief), standing)
+        return start, [*stages, *roof]
 
-    def refuse(self, belief: Case, rise: float, most: float) -> None:
+    def validate(self, belief: Case, rise: float, most: float) -> None:
         """Raise `InputError` where the gallop cannot go up by `rise` (m), `most` (m) a cycle."""
         top, needed = belief.on(Corner).height, math.ceil(rise / most)
         if rise < 0:
@@ -88,34 +88,34 @@ class CornerFull(CornerRoof):
     steps: int = count(10, at_least=0, at_most=100)  # swings by tripod on the roof
     roof_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.3)  # way of the base in each, from the third on
 
-    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """On to the roof, and some steps on."""
-        start, stages = super().way(belief)
-        return start, [*stages, *self.walk_on(belief)]
+        start, stages = super().route(belief)
+        return start, [*stages, *self.roof_stages(belief)]
 
-    def walk_on(self, belief: Case) -> list[Stage]:
+    def roof_stages(self, belief: Case) -> list[Stage]:
         """Swings by tripod, from where the base is over the edge.
 
         Where the roof is narrow, so are the tracks. In the first two the feet go beside their hips and the base rests:
         farther on middle feet would meet the front legs.
         """
-        terms, stages, length = self.terms(belief), [], belief.robot.body_length
-        way, height = self.roof_step_ratio * length, belief.on(Corner).height + self.height_ratio * terms.unit
-        *_, last = moves(belief, "roof").values()
-        base = terms.base(last.base, last.path)[0][1]
+        context, stages, length = self.move_context(belief), [], belief.robot.body_length
+        way, height = self.roof_step_ratio * length, belief.on(Corner).height + self.height_ratio * context.unit
+        *_, last = read_moves(belief, "roof").values()
+        base = context.base(last.base, last.path)[0][1]
         for k in range(self.steps):
-            on = way if k >= len(TRIPOD) else 0.0
-            base = base - on
+            advance = way if k >= len(TRIPOD) else 0.0
+            base = base - advance
             swing = {}
             for leg in TRIPOD[k % 2]:
-                hip = base - on / 2 + (1 - (leg - 1) // 2) * length / 2
-                swing[leg] = on_roof(belief, leg, hip, self.floor_track_ratio * terms.unit)
-            stages.append(Stage(f"on{k + 1}", terms.time, swing, CYCLE_B_SMOOTH, terms.lift, pace=SMOOTH,
+                hip = base - advance / 2 + (1 - (leg - 1) // 2) * length / 2
+                swing[leg] = roof_foothold(belief, leg, hip, self.floor_track_ratio * context.unit)
+            stages.append(Stage(f"on{k + 1}", context.time, swing, CYCLE_B_SMOOTH, context.lift, pace=SMOOTH,
                                 position=point(0.0, base, height)))  # fmt: skip
         return stages
 
 
-def on_roof(belief: Case, leg: int, y: Array | float, aside: Array | float) -> Float[Array, " 3"]:
+def roof_foothold(belief: Case, leg: int, y: Array | float, aside: Array | float) -> Float[Array, " 3"]:
     """A foothold beside a hip at `y`, so far `aside` (m), or as far back as the roof is wide enough."""
     slope, length = jnp.tan(belief.on(Corner).half_angle), belief.robot.body_length
     y = jnp.minimum(y, -BRINK * length - NARROWEST * length / slope)

@@ -9,15 +9,15 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from sweep.controllers.assembly import assemble
-from sweep.controllers.forces import LAST, PlannedForces
+from sweep.controllers.compile_plan import compile_plan
+from sweep.controllers.forces import MIN_SLACK, PlannedForces
 from sweep.controllers.gaits import Step
-from sweep.controllers.manoeuvres.climbing.walking import walk_away, walk_up
+from sweep.controllers.manoeuvres.climbing.walking import approach_stages, departure_stages
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import Terms, moves, placed, stages_of
+from sweep.controllers.moves import MoveContext, initial_stance, part_stages, read_moves
 from sweep.controllers.plan import Plan, Stage
-from sweep.controllers.refusals import at_ends, plain, refuse_reach
-from sweep.controllers.symmetry import gone
+from sweep.controllers.symmetry import apply_direction
+from sweep.controllers.validation import are_plain_numbers, require_within_reach, stances_at_stage_ends
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.ladder import ladder as statics
@@ -50,7 +50,7 @@ class LadderClimb(PlannedForces):
     rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, of the swings, whose time t* it gives
     deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # of footholds, inside
     patience: float = quantity(0.5, "s", at_least=0)  # longest wait for a touchdown
-    slack: float = quantity(0.2, "-", at_least=LAST, at_most=2)  # of planned forces, see `PlannedForces`
+    slack: float = quantity(0.2, "-", at_least=MIN_SLACK, at_most=2)  # of planned forces, see `PlannedForces`
     least_normal: float = quantity(12.0, "N", at_least=0)  # force of a standing foot
     load_time: float = quantity(0.3, "s", above=0, at_most=10)  # for load to go from foot to foot before a swing
     observer: float = quantity(0.1, "s", at_least=0, at_most=10)  # in which the measured ladder is taken over
@@ -64,33 +64,39 @@ class LadderClimb(PlannedForces):
 
         Raises `InputError` where the ladder cannot be climbed, by plain numbers.
         """
-        self.refuse(belief)
-        return self.with_feedforward(belief, self.way(belief))
+        self.validate(belief)
+        return self.with_feedforward(belief, self.route(belief))
 
-    def way(self, belief: Case) -> Plan:
+    def route(self, belief: Case) -> Plan:
         """The plan but for its forces."""
         ladder, robot = belief.on(Ladder), belief.robot
         length, unit = robot.body_length, leg_unit(robot)
-        step = Step.of(length, self.half_step_ratio, self.lift_ratio, self.rate)
-        terms = Terms(belief, unit, step.time, 0.0, dict.fromkeys(ladder.charts, self.deepening))
+        step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
+        context = MoveContext(belief, unit, step.time, 0.0, dict.fromkeys(ladder.charts, self.deepening))
         height, spread = self.height_ratio * unit, self.spread_ratio * length
-        places, arrival, at = placed("arrive", terms)
-        start, walk = walk_up(
+        places, arrival, standing = initial_stance("arrive", context)
+        start, walk = approach_stages(
             belief, step, arrival, spread, dict(zip(LEGS, places, strict=True)), self.steps, GAP * unit
         )
-        climb, _ = stages_of("climb", terms, at)
+        climb, _ = part_stages("climb", context, standing)
         last = point(0.0, -AWAY * unit, ladder.ledge_height + height)
-        settle, off = walk_away(belief, step, last, spread, height, self.steps_away)
-        way = [Stage("settle", self.settle), *walk, *self.loading([*climb, *settle]), *off, Stage("halt", self.settle)]
-        return gone(belief, assemble(start, way, self.patience, free=ladder.start()))
+        settle, off = departure_stages(belief, step, last, spread, height, self.steps_away)
+        stages = [
+            Stage("settle", self.settle),
+            *walk,
+            *self.with_load_transfer([*climb, *settle]),
+            *off,
+            Stage("halt", self.settle),
+        ]
+        return apply_direction(belief, compile_plan(start, stages, self.patience, free=ladder.start()))
 
-    def refuse(self, belief: Case) -> None:
+    def validate(self, belief: Case) -> None:
         """Raise `InputError`, by plain numbers, where the ladder slides, lacks rungs or is out of the legs' reach."""
         ladder, robot, contact = belief.on(Ladder), belief.robot, belief.contact
-        if not plain(robot, ladder, contact, self):
+        if not are_plain_numbers(robot, ladder, contact, self):
             return
         ladder.check()
-        places = [place for move in moves(belief, "climb").values() for place in move.feet.values() if place]
+        places = [place for move in read_moves(belief, "climb").values() for place in move.feet.values() if place]
         needs = max(int(place["rung"][0]) for place in places if "rung" in place)
         if ladder.rungs < needs:
             raise InputError(f"obstacle.rungs = {ladder.rungs} is not allowed: the way up needs {needs}")
@@ -103,9 +109,9 @@ class LadderClimb(PlannedForces):
                 f"obstacle.lean = {ladder.lean:g} is not allowed: with friction {grips[0]:g} on the floor and "
                 f"{grips[1]:g} on the wall the ladder slides under the robot at its top"
             )
-        refuse_reach(
+        require_within_reach(
             belief,
-            lambda: at_ends(self.way(belief), ladder.start()),
+            lambda: stances_at_stage_ends(self.route(belief), ladder.start()),
             f"obstacle.ledge_height = {ladder.ledge_height:g} is not allowed with obstacle.length = {ladder.length:g} "
             f"and obstacle.rung_step = {ladder.rung_step:g}: ",
         )

@@ -8,15 +8,15 @@ from typing import ClassVar
 
 from jaxtyping import Array
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.forces import PlannedForces
 from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import Step
-from sweep.controllers.manoeuvres.climbing.walking import walk_up
+from sweep.controllers.manoeuvres.climbing.walking import approach_stages
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.moves import Standing, Terms, placed, stages_of
+from sweep.controllers.moves import MoveContext, Standing, initial_stance, part_stages
 from sweep.controllers.plan import STAND, Plan, Stage
-from sweep.controllers.symmetry import gone
+from sweep.controllers.symmetry import apply_direction
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
@@ -63,30 +63,32 @@ class OnPole(PlannedForces):
     needs = (PoleLedge,)
     own_plan = "pole"
 
-    def step(self, belief: Case) -> Step:
+    def regular_step(self, belief: Case) -> Step:
         """Of the approach; swings on the pole are as long and as high."""
-        return Step.of(leg_unit(belief.robot), self.half_step_ratio, self.lift_ratio, self.rate)
+        return Step.from_ratios(leg_unit(belief.robot), self.half_step_ratio, self.lift_ratio, self.rate)
 
-    def terms(self, belief: Case) -> Terms:
+    def move_context(self, belief: Case) -> MoveContext:
         """Of moves; charts `edges` and `hang` are for a base that pitches up before the pole, and upright beside it."""
-        unit, step = leg_unit(belief.robot), self.step(belief)
+        unit, step = leg_unit(belief.robot), self.regular_step(belief)
         hang = ahead_above(lambda pole: (pole.radius + self.gap_ratio * unit, pole.height))
         own = {"edges": rearing(belief.robot.body_length), "hang": hang}
-        return Terms(belief, unit, step.time, step.height, {"side": self.deepening}, own, laws=(PRESS,))
+        return MoveContext(belief, unit, step.time, step.height, {"side": self.deepening}, own, laws=(PRESS,))
 
-    def climb(self, belief: Case, gap: Array | float = 0.0) -> tuple[Stance, list[Stage], Standing]:
+    def climb_stages(self, belief: Case, gap: Array | float = 0.0) -> tuple[Stance, list[Stage], Standing]:
         """Stand, go to the pole, get on and gallop up; where it stands then. `gap` (m) is as in `walk_up`."""
-        terms, step = self.terms(belief), self.step(belief)
-        places, arrival, at = placed("arrive", terms)
-        spread = self.spread_ratio * terms.unit
-        start, walk = walk_up(belief, step, arrival, spread, dict(zip(LEGS, places, strict=True)), self.steps, gap)
-        climb, at = stages_of("climb", terms, at, "")
-        gallop, at = stages_of("gallop", terms, at, "gallop")
-        return start, [Stage("stand", STAND), *walk, *self.rested([*climb, *gallop])], at
+        context, step = self.move_context(belief), self.regular_step(belief)
+        places, arrival, standing = initial_stance("arrive", context)
+        spread = self.spread_ratio * context.unit
+        start, walk = approach_stages(
+            belief, step, arrival, spread, dict(zip(LEGS, places, strict=True)), self.steps, gap
+        )
+        climb, standing = part_stages("climb", context, standing, "")
+        gallop, standing = part_stages("gallop", context, standing, "gallop")
+        return start, [Stage("stand", STAND), *walk, *self.with_rests([*climb, *gallop])], standing
 
-    def rested(self, stages: list[Stage]) -> list[Stage]:
+    def with_rests(self, stages: list[Stage]) -> list[Stage]:
         """With planned forces, `stages` with a rest before each of them for the load to go over."""
-        return self.loading(stages) if self.forces == "planned" else stages
+        return self.with_load_transfer(stages) if self.forces == "planned" else stages
 
 
 @parameters
@@ -99,10 +101,10 @@ class PoleClimb(OnPole):
 
     def plan(self, belief: Case) -> Plan:
         """The way and a halt, with its forces if they are planned."""
-        start, stages = self.way(belief)
-        plan = gone(belief, assemble(start, [*stages, Stage("halt", STAND)], self.patience))
+        start, stages = self.route(belief)
+        plan = apply_direction(belief, compile_plan(start, [*stages, Stage("halt", STAND)], self.patience))
         return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
 
-    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """The climb to the end of the gallop."""
-        return self.climb(belief)[:2]
+        return self.climb_stages(belief)[:2]

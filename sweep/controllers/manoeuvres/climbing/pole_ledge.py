@@ -25,9 +25,9 @@ from typing import ClassVar
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.climbing.pole_top import PoleTop
-from sweep.controllers.manoeuvres.climbing.walking import walk_away
+from sweep.controllers.manoeuvres.climbing.walking import departure_stages
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import stages_of
+from sweep.controllers.moves import part_stages
 from sweep.controllers.plan import Stage
 from sweep.core.parameters import choice, count, parameters
 from sweep.models.case import Case
@@ -50,12 +50,12 @@ class PoleToLedge(PoleTop):
         """The file for a ledge above, below or level with the top."""
         return f"pole_ledge_{self.across}"
 
-    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Get on the top, cross to the ledge, walk away."""
-        start, stages, at = self.ascend(belief)
-        terms, pole = self.terms(belief), belief.on(PoleLedge)
-        cross, _ = stages_of("ledge", terms, at)
-        height, spread = self.height_ratio * terms.unit, self.spread_ratio * terms.unit
-        last = point(0.0, -pole.radius - 0.75 * terms.unit, pole.ledge_height + height)
-        away, walk = walk_away(belief, self.step(belief), last, spread, height, self.steps_away)
-        return start, [*stages, *self.rested([*cross, *away]), *walk]
+        start, stages, standing = self.top_stages(belief)
+        context, pole = self.move_context(belief), belief.on(PoleLedge)
+        cross, _ = part_stages("ledge", context, standing)
+        height, spread = self.height_ratio * context.unit, self.spread_ratio * context.unit
+        last = point(0.0, -pole.radius - 0.75 * context.unit, pole.ledge_height + height)
+        away, walk = departure_stages(belief, self.regular_step(belief), last, spread, height, self.steps_away)
+        return start, [*stages, *self.with_rests([*cross, *away]), *walk]

@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import GALLOP, Step
 from sweep.controllers.manoeuvres.climbing.pole import OnPole
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.plan import CYCLE_B, STAND, Plan, Stage, moved
-from sweep.controllers.symmetry import joined, last_stance, mirrored, reversed_in_time
+from sweep.controllers.plan import CYCLE_B, STAND, Plan, Stage, transform_plan
+from sweep.controllers.symmetry import join_plans, last_stance, mirror_plan, reverse_in_time
 from sweep.core.parameters import choice, count, parameters
 from sweep.core.rotations import exponential, rotate
 from sweep.models.case import Case
@@ -26,7 +26,7 @@ from sweep.models.plan_table import SIZES
 from sweep.models.robot import leg_unit
 
 STEP = np.pi / 8  # sigma: how far round the pole the base goes in 3 t*; printed as pi/6 in 2 t*
-BEHIND = (0.0, 0.0, np.pi)  # rotation vector of the half turn to the ledge's side
+HALF_TURN = (0.0, 0.0, np.pi)  # rotation vector of the half turn to the ledge's side
 
 
 @parameters
@@ -45,21 +45,25 @@ class PoleRound(OnPole):
 
     def plan(self, belief: Case) -> Plan:
         """Climb, go round, and the climb from the ledge backwards."""
-        step, ledge, away = self.step(belief), belief.on(PoleLedge).ledge_height, replace(self, cycles=self.down_cycles)
+        step, ledge, away = (
+            self.regular_step(belief),
+            belief.on(PoleLedge).ledge_height,
+            replace(self, cycles=self.down_cycles),
+        )
         # A gap of x*, since walking up to the pole the front feet would stand beside it, where the ledge has ended.
-        start, stages, _ = away.climb(replace(belief, manoeuvre=away), step.landing)
-        from_ledge = assemble(start, stages, self.patience)
+        start, stages, _ = away.climb_stages(replace(belief, manoeuvre=away), step.landing)
+        from_ledge = compile_plan(start, stages, self.patience)
         rise = (ledge + 3 * self.down_cycles * step.landing) / (3 * self.cycles * leg_unit(belief.robot))
-        start, stages, _ = self.climb(replace(belief, plan=belief.plan.changed(f"{SIZES}.rise", rise)))
-        up = assemble(start, stages, self.patience)
+        start, stages, _ = self.climb_stages(replace(belief, plan=belief.plan.changed(f"{SIZES}.rise", rise)))
+        up = compile_plan(start, stages, self.patience)
         top = last_stance(up)
-        across = assemble(top, [Stage("hang", STAND), *half_way_round(step, top)], self.patience)
-        down = moved(reversed_in_time(from_ledge), exponential(jnp.array(BEHIND)), point(0.0, 0.0, ledge))
-        plan = joined(up, across, down)
-        return plan if self.side == "left" else mirrored(plan, np.array([1.0, 0.0, 0.0]))
+        across = compile_plan(top, [Stage("hang", STAND), *half_turn_stages(step, top)], self.patience)
+        down = transform_plan(reverse_in_time(from_ledge), exponential(jnp.array(HALF_TURN)), point(0.0, 0.0, ledge))
+        plan = join_plans(up, across, down)
+        return plan if self.side == "left" else mirror_plan(plan, np.array([1.0, 0.0, 0.0]))
 
 
-def half_way_round(step: Step, start: Stance) -> list[Stage]:
+def half_turn_stages(step: Step, start: Stance) -> list[Stage]:
     """2.3.6: pairs of feet go round the pole by `STEP` in their turns, while the base goes round it evenly.
 
     Printed for tripods. The three feet that stay then press unevenly, since the base turns a little while only three
@@ -68,22 +72,22 @@ def half_way_round(step: Step, start: Stance) -> list[Stage]:
     directions are those to the nearest quarter.
     """
     feet, position = start.feet, start.position
-    way = STEP / len(GALLOP)
-    axis, turn = point(0.0, 0.0, position[2]), point(0.0, 0.0, way)
+    advance = STEP / len(GALLOP)
+    axis, turn = point(0.0, 0.0, position[2]), point(0.0, 0.0, advance)
     stages = []
-    for k in range(round(np.pi / way)):
+    for k in range(round(np.pi / advance)):
         legs = GALLOP[k % 3]
-        swing = {leg: about_pole(feet[leg - 1], STEP) for leg in legs}
-        away = jnp.stack([about_pole(foot, STEP / 2) for foot in feet]).at[:, 2].set(0.0)
-        position = about_pole(position, way)
+        swing = {leg: turn_about_pole(feet[leg - 1], STEP) for leg in legs}
+        away = jnp.stack([turn_about_pole(foot, STEP / 2) for foot in feet]).at[:, 2].set(0.0)
+        position = turn_about_pole(position, advance)
         name = f"round{k // 3 + 1}.{('front', 'middle', 'rear')[k % 3]}"
         stages.append(Stage(name, step.time, swing, CYCLE_B, 1.5 * step.height, away, position=position,
-                            turn=turn, pivot=axis, arc=way))  # fmt: skip
+                            turn=turn, pivot=axis, arc=advance))  # fmt: skip
         for leg in legs:
             feet = feet.at[leg - 1].set(swing[leg])
     return stages
 
 
-def about_pole(place: Array, angle: float) -> Array:
+def turn_about_pole(place: Array, angle: float) -> Array:
     """A point (m) turned about the pole's axis by `angle` (rad)."""
     return rotate(exponential(point(0.0, 0.0, angle)), place)

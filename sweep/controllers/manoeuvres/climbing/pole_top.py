@@ -8,7 +8,7 @@ from typing import ClassVar
 from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.climbing.pole import PRESS, PoleClimb
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import Standing, stages_of
+from sweep.controllers.moves import Standing, part_stages
 from sweep.controllers.plan import Stage
 from sweep.core.parameters import choice, count, parameters
 from sweep.models.case import Case
@@ -24,15 +24,15 @@ class PoleTop(PoleClimb):
 
     own_plan = "pole_top"
 
-    def ascend(self, belief: Case) -> tuple[Stance, list[Stage], Standing]:
+    def top_stages(self, belief: Case) -> tuple[Stance, list[Stage], Standing]:
         """Climb until the base's front edge is x* below the top, and go on to the top; where it stands then."""
-        start, climb, at = self.climb(belief)
-        terms, stages = self.terms(belief), []
+        start, climb, standing = self.climb_stages(belief)
+        context, stages = self.move_context(belief), []
         for part in ("edge", "over", "top"):
-            more, at = stages_of(part, terms, at)
+            more, standing = part_stages(part, context, standing)
             stages += [stage for stage in more if stage.law != PRESS or self.forces != "planned"]
-        return start, [*climb, *self.rested(stages)], at
+        return start, [*climb, *self.with_rests(stages)], standing
 
-    def way(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """To where it stands on the top, at rest."""
-        return self.ascend(belief)[:2]
+        return self.top_stages(belief)[:2]

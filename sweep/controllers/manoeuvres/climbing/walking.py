@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.frames import Stance
-from sweep.controllers.gaits import TRIPOD, Step, centre_offsets, regular_steps
+from sweep.controllers.gaits import TRIPOD, Step, initial_foot_offsets, regular_steps
 from sweep.controllers.plan import CYCLE_B, Stage
 from sweep.controllers.posture import foot_centres
 from sweep.core.rotations import IDENTITY, rotate
@@ -22,20 +22,20 @@ class Facing(NamedTuple):
     forward: tuple[float, float, float]
 
 
-TOWARDS = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x_r along -y, z_r up
-ALONG_Y = Facing(TOWARDS, (0.0, -1.0, 0.0))
+FACING_MINUS_Y = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x_r along -y, z_r up
+ALONG_Y = Facing(FACING_MINUS_Y, (0.0, -1.0, 0.0))
 AHEAD = Facing(IDENTITY, (1.0, 0.0, 0.0))
-EASED = (0.0, 0.0)  # rates of a path of the base that starts and ends at rest, as swings do
+REST_TO_REST = (0.0, 0.0)  # rates of a path of the base that starts and ends at rest, as swings do
 
 
-def centres(
+def foot_centres_facing(
     belief: Case, spread: Array | float, height: Array | float, facing: Facing = ALONG_Y
 ) -> Float[Array, "6 3"]:
     """Feet `spread` (m) out from the hips and `height` (m) below them, as seen from the base, world axes."""
     return rotate(jnp.array(facing.quat)[None], foot_centres(belief.robot, spread, height))
 
 
-def walk_up(
+def approach_stages(
     belief: Case,
     step: Step,
     arrival: Float[Array, " 3"],
@@ -48,10 +48,10 @@ def walk_up(
 
     The base walks up to `gap` (m) before where it arrives, and goes the rest while the feet go to their places.
     """
-    forward, home = jnp.array(ALONG_Y.forward), centres(belief, spread, arrival[2])
+    forward, home = jnp.array(ALONG_Y.forward), foot_centres_facing(belief, spread, arrival[2])
     position = arrival - (gap + 2 * step.landing * steps) * forward
-    feet = position + home + centre_offsets(TRIPOD, step, forward)
-    start = Stance(feet, position, jnp.array(TOWARDS))
+    feet = position + home + initial_foot_offsets(TRIPOD, step, forward)
+    start = Stance(feet, position, jnp.array(FACING_MINUS_Y))
     stages = regular_steps(TRIPOD, step, start, home, forward, steps, 0.0)
     for k, legs in enumerate(TRIPOD):
         centre = arrival - (1 - k) * gap / 2 * forward
@@ -61,7 +61,7 @@ def walk_up(
     return start, stages
 
 
-def walk_away(
+def departure_stages(
     belief: Case,
     step: Step,
     position: Float[Array, " 3"],
@@ -71,12 +71,12 @@ def walk_away(
     facing: Facing = ALONG_Y,
 ) -> tuple[list[Stage], list[Stage]]:
     """The feet to where a tripod gait may start, the base at `position` (m), and `steps` swings of it."""
-    forward, home = jnp.array(facing.forward), centres(belief, spread, clearance, facing)
-    feet = position + home + centre_offsets(TRIPOD, step, forward)
+    forward, home = jnp.array(facing.forward), foot_centres_facing(belief, spread, clearance, facing)
+    feet = position + home + initial_foot_offsets(TRIPOD, step, forward)
     stages = []
     for legs in TRIPOD:
         name = f"away.{'-'.join(map(str, legs))}"
         stages.append(Stage(name, 1.5 * step.time, {leg: feet[leg - 1] for leg in legs}, CYCLE_B, 2 * step.height,
-                            position=position, rates=EASED))  # fmt: skip
+                            position=position, rates=REST_TO_REST))  # fmt: skip
     walk = regular_steps(TRIPOD, step, Stance(feet, position, jnp.array(facing.quat)), home, forward, steps, 0.0)
     return stages, [replace(stage, name=f"away.{stage.name}") for stage in walk]

@@ -6,11 +6,11 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.frames import Stance
-from sweep.controllers.gaits import GAITS, Step, centre_offsets, regular_steps
+from sweep.controllers.gaits import GAITS, Step, initial_foot_offsets, regular_steps
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.plan import STAND, Plan, Stage, moved
+from sweep.controllers.plan import STAND, Plan, Stage, transform_plan
 from sweep.controllers.posture import foot_centres
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, exponential
@@ -39,17 +39,17 @@ class Walk:
 
     def plan(self, belief: Case) -> Plan:
         """Stand, `steps` swings, stand. Along the believed ground, with the base parallel to it."""
-        start, swings = self.swings(belief, lambda centres: 0.0)
-        plan = assemble(start, [Stage("stand", STAND), *swings, Stage("halt", 2 * STAND)], self.patience)
-        return on_ground(plan, belief)
+        start, swings = self.swing_stages(belief, lambda centres: 0.0)
+        plan = compile_plan(start, [Stage("stand", STAND), *swings, Stage("halt", 2 * STAND)], self.patience)
+        return lay_on_ground(plan, belief)
 
-    def swings(self, belief: Case, back: Callable[[Array], Array | float]) -> tuple[Stance, list[Stage]]:
+    def swing_stages(self, belief: Case, start_offset: Callable[[Array], Array | float]) -> tuple[Stance, list[Stage]]:
         """On level ground, from a stance that is so far (m) behind the origin, by where its feet are from the base."""
         length, gait, forward = belief.robot.body_length, GAITS[self.gait], jnp.array([1.0, 0.0, 0.0])
-        step = Step.of(length, self.half_step_ratio, self.lift_ratio, self.rate)
-        start, centres = standing(belief, self.spread_ratio * length, self.height_ratio * length)
-        behind = back(centres) * forward
-        feet = start.feet + centre_offsets(gait, step, forward) - behind
+        step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
+        start, centres = level_stance(belief, self.spread_ratio * length, self.height_ratio * length)
+        behind = start_offset(centres) * forward
+        feet = start.feet + initial_foot_offsets(gait, step, forward) - behind
         start = start._replace(feet=feet, position=start.position - behind)
         return start, regular_steps(gait, step, start, centres, forward, self.steps, self.deepening)
 
@@ -69,17 +69,17 @@ class Stand:
     def plan(self, belief: Case) -> Plan:
         """One stage in which all feet stand."""
         length = belief.robot.body_length
-        start, _ = standing(belief, self.spread_ratio * length, self.height_ratio * length)
-        return on_ground(assemble(start, [Stage("stand", self.duration)], 0.0), belief)
+        start, _ = level_stance(belief, self.spread_ratio * length, self.height_ratio * length)
+        return lay_on_ground(compile_plan(start, [Stage("stand", self.duration)], 0.0), belief)
 
 
-def standing(belief: Case, spread: Array | float, height: Array | float) -> tuple[Stance, Array]:
+def level_stance(belief: Case, spread: Array | float, height: Array | float) -> tuple[Stance, Array]:
     """A stance over the origin of level ground, and its feet relative to the base (m)."""
     centres = foot_centres(belief.robot, spread, height)
     position = jnp.array([0.0, 0.0, 1.0]) * height
     return Stance(position + centres, position, jnp.array(IDENTITY)), centres
 
 
-def on_ground(plan: Plan, belief: Case) -> Plan:
+def lay_on_ground(plan: Plan, belief: Case) -> Plan:
     """The plan on the believed ground: turned by its slope."""
-    return moved(plan, exponential(jnp.array([0.0, -1.0, 0.0]) * belief.on(Plane).slope), jnp.zeros(3))
+    return transform_plan(plan, exponential(jnp.array([0.0, -1.0, 0.0]) * belief.on(Plane).slope), jnp.zeros(3))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.manoeuvres.walking.walk import Walk
 from sweep.controllers.plan import STAND, Plan, Stage
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -39,6 +39,6 @@ class WalkKerb(Walk):
             swing = {leg: foothold(foot) for leg, foot in stage.swing.items()}
             return replace(stage, swing=swing, position=stage.position.at[2].add(share * height))
 
-        start, level = self.swings(belief, lambda centres: jnp.max(centres[:, 0]) + self.distance)
+        start, level = self.swing_stages(belief, lambda centres: jnp.max(centres[:, 0]) + self.distance)
         stages = [Stage("stand", STAND), *map(lifted, level), Stage("halt", 2 * STAND)]
-        return assemble(start, stages, self.patience)
+        return compile_plan(start, stages, self.patience)

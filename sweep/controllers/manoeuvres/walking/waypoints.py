@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.controllers.assembly import assemble
+from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.manoeuvres.walking.walk import on_ground, standing
+from sweep.controllers.manoeuvres.walking.walk import lay_on_ground, level_stance
 from sweep.controllers.plan import ELLIPTIC, HALF_ELLIPSE, STAND, Plan, Stage
-from sweep.controllers.posture import outward
+from sweep.controllers.posture import leg_directions
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.thesis import thesis_fk, thesis_step, thesis_workspace
@@ -65,12 +65,12 @@ class Waypoints:
                 f"robot.shin = {robot.shin:g} is not allowed: greater than robot.thigh = {robot.thigh:g} m for "
                 "manoeuvre = waypoints"
             )
-        spread, height = self.home(robot)
-        start, centres = standing(belief, spread, height)
+        spread, height = self.home_position(robot)
+        start, centres = level_stance(belief, spread, height)
         lift = height - (robot.shin - robot.thigh)  # h: the foot stays below z = l2 - l3, where OA of (19) grows
         stages = [Stage("stand", STAND)]
         position = start.position
-        for k, step in enumerate(self.steps(robot)):
+        for k, step in enumerate(self.cycle_steps(robot)):
             moving = jnp.any(step != 0)
             time = jnp.where(moving, self.phase_time, IDLE)
             footing = position + 2 * step + centres - jnp.array([0.0, 0.0, self.deepening])
@@ -80,14 +80,14 @@ class Waypoints:
                 name = f"{k + 1}.{'-'.join(map(str, tripod))}"
                 stages.append(Stage(name, time, landing, HALF_ELLIPSE, moving * lift, position=position, pace=ELLIPTIC))
         stages.append(Stage("halt", 2 * STAND, position=start.position.at[:2].set(jnp.array(WAYPOINTS[-1]))))
-        return on_ground(assemble(start, stages, self.patience), belief)
+        return lay_on_ground(compile_plan(start, stages, self.patience), belief)
 
-    def home(self, robot: Robot) -> tuple[Array, Array]:
+    def home_position(self, robot: Robot) -> tuple[Array, Array]:
         """How far out from its hip and below it (m) a foot is at home, phi = 0: thesis (11). The latter is H."""
         foot = thesis_fk(0.0, self.psi, self.gamma, robot.coxa, robot.thigh, robot.shin).foot
         return foot[0], -foot[2]
 
-    def steps(self, robot: Robot) -> Float[Array, "cycles 3"]:
+    def cycle_steps(self, robot: Robot) -> Float[Array, "cycles 3"]:
         """The step of each cycle (m): the largest one, or half of what is left where two of them would be too much."""
         points = jnp.array(WAYPOINTS)
 
@@ -111,9 +111,9 @@ class Waypoints:
         Feet of the first tripod go ahead of home and back, those of the second behind it and back. Both ways are
         support once, so that the whole segment must be allowed, and the limit of the transfer never binds.
         """
-        spread, height = self.home(robot)
+        spread, height = self.home_position(robot)
         zone = thesis_workspace(-height, robot.coxa, robot.thigh, robot.shin, robot.mount_radius)
-        out = outward(robot)[:, :2]
+        out = leg_directions(robot)[:, :2]
         across = jnp.stack([out[:, 1], -out[:, 0]], axis=-1)  # x of the leg's frame, whose y points outward
         ahead = jnp.array([1.0 if leg in TRIPODS[0] else -1.0 for leg in LEGS])
         way = ahead[:, None] * jnp.stack([across @ direction, out @ direction], axis=-1)

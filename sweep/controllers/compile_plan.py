@@ -1,4 +1,4 @@
-"""From stages in a manoeuvre's own words to the table that a controller can follow."""
+"""Turns a list of stages into the table of arrays that the tracker follows."""
 
 from collections.abc import Sequence
 
@@ -9,21 +9,29 @@ from jaxtyping import Array
 from sweep.controllers.flywheel import Flywheel, Gains
 from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world
 from sweep.controllers.layers import Ease, HeldLegs
-from sweep.controllers.plan import Curves, Plan, Stage, Support, Ways
-from sweep.controllers.programme import Programme
+from sweep.controllers.plan import BasePaths, Plan, Stage, Support, SwingCurves
+from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.core.rotations import exponential, multiply
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.surface import FreeState
 
 
-def assemble(
+def compile_plan(
     start: Stance, stages: Sequence[Stage], patience: Array | float, gains: Gains | None = None, steered: bool = False,
     ease: Array | float | None = None, free: FreeState | None = None, afloat: bool = False,
 ) -> Plan:  # fmt: skip
-    """The table of `stages` from the stance `start` (world axes) on; `gains` are those of the flywheel, if any.
+    """Return the plan of a list of stages.
 
-    Where free bodies are as in `free` at the start, what no stage moves stays where it is in the world, whatever the
-    frames of the stages; without them it stays as it is in the frames.
+    Args:
+        start: stance at the start, world axes.
+        stages: the stages in order.
+        patience: longest wait for the touchdown of swinging feet (s).
+        gains: gains of the flywheel; None: there is none.
+        steered: whether base errors are corrected in the plane and in heading only.
+        ease: time (s) in which feet move over to new footholds; None: at once.
+        free: free bodies at the start. If given, feet and base that no stage moves keep their place in the world when
+            their frame changes; otherwise they keep their coordinates in the new frame.
+        afloat: whether the free bodies float.
     """
     rows, (feet, position, quat) = [], start
     before = Stage("start", 0.0)
@@ -44,24 +52,26 @@ def assemble(
         pivot = jnp.zeros(3) if stage.pivot is None else stage.pivot
         rows.append({
             "duration": jnp.asarray(stage.duration, float), "swing": swing, "foothold": feet,
-            "curve": Curves(
+            "curve": SwingCurves(
                 jnp.int32(stage.cycle), jnp.asarray(stage.height, float),
                 jnp.broadcast_to(jnp.asarray(stage.plane, float), (6, 3)), guides, guided,
                 jnp.asarray(stage.carry, float),
             ),
             "position": position, "quat": quat, "turn": turn,
-            "way": Ways(jnp.int32(stage.pace), jnp.asarray(stage.rates, float), pivot, jnp.asarray(stage.arc, float)),
+            "path": BasePaths(
+                jnp.int32(stage.pace), jnp.asarray(stage.rates, float), pivot, jnp.asarray(stage.arc, float)
+            ),
             "foot_frame": jnp.asarray(stage.foot_frames, jnp.int32), "base_frame": jnp.int32(stage.base_frame),
             "press": jnp.stack([jnp.asarray(depth, float) for depth in stage.press]),
         })  # fmt: skip
         if stage.turn is not None:
-            # a barrier, or the compiler writes out anew at every stage all turns before it
+            # Without the barrier, the compiler expands the product of all earlier turns at every stage.
             quat = jax.lax.optimization_barrier(multiply(exponential(turn), quat))
     table = jax.tree.map(lambda *values: jnp.stack(values), *rows)
     names = tuple(stage.name for stage in stages)
     onset, laws = tuple(stage.onset for stage in stages), tuple(stage.law for stage in stages)
     eased = None if ease is None else Ease(jnp.asarray(ease, float))
-    layers = (eased, _held(stages), _flywheel(stages, gains), _programme(stages, afloat))
+    layers = (eased, _held_legs(stages), _flywheel(stages, gains), _body_motion(stages, afloat))
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), steered=steered, onset=onset,
                 laws=laws,
                 layers=tuple(layer for layer in layers if layer is not None), **table)  # fmt: skip
@@ -73,24 +83,24 @@ def _flywheel(stages: Sequence[Stage], gains: Gains | None) -> Flywheel | None:
 
 
 def _moves_frames(before: Stage, stage: Stage) -> bool:
-    """Whether the base, or a foot that does not swing, goes over to another frame."""
+    """Whether the base, or a foot that does not swing, changes its frame."""
     feet = zip(LEGS, before.foot_frames, stage.foot_frames, strict=True)
     return before.base_frame != stage.base_frame or any(a != b and leg not in stage.swing for leg, a, b in feet)
 
 
-def _programme(stages: Sequence[Stage], afloat: bool) -> Programme | None:
-    """How free bodies are meant to move, where a stage says anything of it."""
+def _body_motion(stages: Sequence[Stage], afloat: bool) -> ReferenceBodyMotion | None:
+    """Layer of the free bodies' reference motion; None if no stage has one."""
     count = max(len(stage.support) for stage in stages)
     if not count:
         return None
     rows = [[Support(*map(jnp.asarray, each)) for each in stage.support or (Support(),) * count] for stage in stages]
     support = jax.tree.map(lambda *leaves: jnp.stack(leaves).reshape(len(rows), count, *leaves[0].shape),
                            *[each for row in rows for each in row])  # fmt: skip
-    return Programme(support, afloat)
+    return ReferenceBodyMotion(support, afloat)
 
 
-def _held(stages: Sequence[Stage]) -> HeldLegs | None:
-    """The legs that are held by their joints, from each stage's own words."""
+def _held_legs(stages: Sequence[Stage]) -> HeldLegs | None:
+    """Layer of the legs that hold joint angles; None if no stage has a posture."""
     if not any(stage.posture for stage in stages):
         return None
     kept, angles, held, joints = set(), jnp.zeros((6, 3)), [], []

@@ -1,0 +1,131 @@
+"""Reference motion of free bodies: where a stage plans a ball, raft or ladder to be, in place of where it is measured.
+
+While feet stand both on the ground and on a body, feet that followed the measured body would let it drift anywhere. And
+feet that are to push a body have to move ahead of it. In such stages the body's frames move with its reference.
+"""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from sweep.controllers.frames import Stance
+from sweep.controllers.layers import Layer
+from sweep.controllers.plan import ALONGSIDE, KEPT, TO_POSE, Plan, Support
+from sweep.core.rotations import about_vertical, conjugate, exponential, heading, logarithm, multiply
+from sweep.formulas import stepping
+from sweep.models.obstacles.surface import FreeState
+
+LOWEST = (-np.inf, -np.inf, 0.0)  # m/s, least velocity of a body on a floor
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ReferenceBodyMotion(Layer):
+    """Layer with the reference motion of k free bodies over S stages, as `Stage.support` gives it.
+
+    The state is the bodies' state at the start of the stage. Made by `compile_plan`.
+    """
+
+    support: Support  # leading axes (s, k)
+    # whether the bodies float: height and tilt are then always as measured
+    afloat: bool = field(metadata={"static": True})
+
+    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> FreeState:
+        """Return the state of the bodies at the start."""
+        return free
+
+    def body_reference(
+        self, plan: Plan, state: FreeState, stage: Int[Array, ""], clock: Float[Array, ""], free: FreeState
+    ) -> FreeState:
+        """Return the reference state of the bodies at this time of the stage."""
+        support = jax.tree.map(lambda x: x[stage], self.support)
+        return (floating_reference_motion if self.afloat else reference_motion)(
+            support, state, free, clock, plan.duration[stage]
+        )
+
+    def on_stage_enter(
+        self, stage: Int[Array, ""], state: FreeState, last_free: FreeState, free: FreeState
+    ) -> tuple[FreeState, FreeState]:
+        """Start the reference from the measured bodies, or from their last reference where they are `KEPT`."""
+        kept = jnp.asarray(self.support.mode)[stage] == KEPT
+        start = FreeState(*[jnp.where(kept[:, None], a, b) for a, b in zip(last_free, free, strict=True)])
+        return start, start
+
+
+def reference_motion(
+    support: Support, start: FreeState, measured: FreeState, clock: Array, duration: Array
+) -> FreeState:
+    """Return the reference state of free bodies at a time of a stage; it stays at its end after the stage's duration.
+
+    Args:
+        support: reference motion of each body, leading axis k.
+        start: state of the bodies at the start of the stage, world axes.
+        measured: measured state of the bodies, world axes.
+        clock: s since the stage started.
+        duration: of the stage (s).
+    """
+    time = jnp.minimum(clock, duration)
+    share = time / duration
+    first = jnp.maximum(start.velocity, jnp.asarray(LOWEST))
+    goes, turns = (then - now for then, now in ((support.velocity, first), (support.turn, start.turn)))
+    to_velocity = FreeState(
+        start.position + time * (first + 0.5 * share * goes),
+        multiply(exponential(time * (start.turn + 0.5 * share * turns)), start.quat),
+        first + share * goes,
+        start.turn + share * turns,
+    )
+    done, rate = stepping.trapezoidal_transfer(share, 0.0, 1.0)
+    way, turn = support.position - start.position, logarithm(multiply(jnp.asarray(support.quat), conjugate(start.quat)))
+    to_pose = FreeState(
+        start.position + done * way,
+        multiply(exponential(done * turn), start.quat),
+        rate / duration * way,
+        rate / duration * turn,
+    )
+    moved, turned = measured.position - start.position, logarithm(multiply(measured.quat, conjugate(start.quat)))
+    together = FreeState(
+        start.position + jnp.mean(moved, axis=0),
+        multiply(exponential(jnp.broadcast_to(jnp.mean(turned, axis=0), turned.shape)), start.quat),
+        jnp.broadcast_to(jnp.mean(measured.velocity, axis=0), measured.velocity.shape),
+        jnp.broadcast_to(jnp.mean(measured.turn, axis=0), measured.turn.shape),
+    )
+
+    kept = start._replace(velocity=jnp.zeros_like(start.velocity), turn=jnp.zeros_like(start.turn))
+
+    def select(*parts: Array) -> Array:
+        mode = jnp.broadcast_to(jnp.asarray(support.mode)[..., None], parts[0].shape)
+        return jnp.select([mode == k for k in range(KEPT)], parts[:KEPT], parts[KEPT])
+
+    return FreeState(*[select(*parts) for parts in zip(measured, to_velocity, to_pose, together, kept, strict=True)])
+
+
+def floating_reference_motion(
+    support: Support, start: FreeState, measured: FreeState, clock: Array, duration: Array
+) -> FreeState:
+    """Return the reference state of floating bodies: only the plane motion is planned, height and tilt are as measured.
+
+    For `ALONGSIDE` bodies, y and height of the pose to reach are those at the start of the stage.
+
+    Args:
+        support: reference motion of each body, leading axis k.
+        start: state of the bodies at the start of the stage, world axes.
+        measured: measured state of the bodies, world axes.
+        clock: s since the stage started.
+        duration: of the stage (s).
+    """
+    alongside = jnp.asarray(support.mode) == ALONGSIDE
+    kept = alongside[..., None] & (np.arange(3) > 0)
+    position = jnp.where(kept, start.position, support.position)
+    support = support._replace(mode=jnp.where(alongside, TO_POSE, support.mode), position=position)
+    plane = reference_motion(support, start, measured, clock, duration)
+    ahead = jax.vmap(heading)(multiply(plane.quat, conjugate(measured.quat)))
+    upright = np.array([False, False, True])
+    return FreeState(
+        jnp.where(upright, measured.position, plane.position),
+        multiply(jax.vmap(about_vertical)(ahead), measured.quat),
+        jnp.where(upright, measured.velocity, plane.velocity),
+        jnp.where(upright, plane.turn, measured.turn),
+    )

@@ -1,0 +1,60 @@
+"""Checks that refuse impossible plans before anything is compiled, as far as parameters are plain numbers."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.controllers.frames import Stance
+from sweep.controllers.plan import Plan, stage_end_stances
+from sweep.controllers.posture import joint_targets
+from sweep.core.errors import InputError
+from sweep.fused.numbers import worked_out
+from sweep.models.case import Case
+from sweep.models.obstacles.surface import FreeState
+
+
+def are_plain_numbers(*parts: Any) -> bool:
+    """Return whether all leaves are plain floats; those of traced or batched rollouts are not."""
+    return all(isinstance(x, float) for x in jax.tree.leaves(parts))
+
+
+def stances_at_stage_ends(plan: Plan, free: FreeState) -> dict[str, Stance]:
+    """Return the stances at the ends of a plan's stages, with a phrase for messages as key.
+
+    Args:
+        plan: the plan.
+        free: state of the free bodies at all these moments, world axes.
+    """
+    last = stage_end_stances(plan, free)
+    return {f"at the end of stage {name}": Stance(*(x[k] for x in last)) for k, name in enumerate(plan.names)}
+
+
+def require_within_reach(belief: Case, stances: Callable[[], Mapping[str, Stance]], prefix: str = "") -> None:
+    """Check that all feet are within reach in given stances, if the belief is made of plain numbers.
+
+    Args:
+        belief: believed parameters.
+        stances: makes the stances (world axes), with a phrase for messages as key.
+        prefix: start of the message.
+
+    Raises:
+        InputError: a foot is out of reach.
+    """
+    if not are_plain_numbers(belief.robot, belief.obstacle, belief.manoeuvre):
+        return
+    words = []
+
+    def shortfalls() -> Float[Array, "n 6"]:
+        found = stances()
+        words[:] = found
+        many = jax.tree.map(lambda *leaves: jnp.stack(leaves), *found.values())
+        return jax.vmap(lambda stance: joint_targets(belief.robot, stance)[1])(many)
+
+    lacks = worked_out(shortfalls)
+    if not lacks.max() <= 0:
+        stage, foot = np.unravel_index(lacks.argmax(), lacks.shape)
+        raise InputError(f"{prefix}foot {foot + 1} is {lacks.max():.3f} m out of reach {words[stage]}")
