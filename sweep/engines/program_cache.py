@@ -2,7 +2,8 @@
 
 JAX keeps what its compiler makes, but has to trace a program to find it again, which takes longer than to load it.
 A kept program is machine code within a pickle, as JAX serialises no other way: to load one is to run it. So they are
-loaded only from a folder and files of this user that nobody else can write.
+loaded only from a folder and files of this user that nobody else can write, and only where a digest of their content
+is as it was written: XLA aborts the process over a damaged program.
 """
 
 import contextlib
@@ -27,6 +28,7 @@ from sweep.core.errors import InputError
 from sweep.fused import driver
 
 MOST = 200  # files, of about a MB each
+DIGEST = hashlib.sha256().digest_size  # bytes before the compressed content
 _jax_settings = threading.RLock()
 
 
@@ -52,7 +54,7 @@ def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequen
         with unused():
             made = compiled()
     try:
-        _store(file, zlib.compress(pickle.dumps([_saved(part) for part in made]), level=1))
+        _store(file, pickle.dumps([_saved(part) for part in made]))
     except Exception as error:  # such as a full disk: what is made can run, and the next start makes it again
         _tell("kept", error)
     return made
@@ -95,7 +97,10 @@ def _key(made_of: Any, devices: Sequence[Any]) -> str:
 def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
     try:
         files.own(file)
-        content = zlib.decompress(file.read_bytes())
+        packed = file.read_bytes()
+        check, content = packed[:DIGEST], zlib.decompress(packed[DIGEST:])
+        if check != hashlib.sha256(content).digest():
+            raise ValueError("its content has changed")
         if b"lapack_" in content:  # whose functions JAX looks up when it first lowers a call of one, and not before
             jax.jit(jax.lax.linalg.cholesky).lower(np.eye(1))
         parts = pickle.loads(content)
@@ -122,6 +127,6 @@ def _saved(part: Any) -> Any:
 
 
 def _store(file: Path, content: bytes) -> None:
-    files.write_whole(file, content)
+    files.write_whole(file, hashlib.sha256(content).digest() + zlib.compress(content, level=1))
     for old in sorted(file.parent.glob("*.programs"), key=lambda f: f.stat().st_mtime)[:-MOST]:
         old.unlink(missing_ok=True)

@@ -5,6 +5,7 @@ import dataclasses
 import os
 import subprocess
 import sys
+import zlib
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -109,6 +110,20 @@ def test_a_damaged_file_is_replaced(folder, damage):
     np.testing.assert_array_equal(program(X)["y"], 2 * X)
     assert compiler.times == 1
     assert len(file.read_bytes()) == pytest.approx(len(whole), rel=0.05)
+
+
+def test_a_program_that_is_damaged_within_its_archive_never_reaches_xla(folder, monkeypatch):
+    program_cache.programs("two", ONE, Compiler(2.0))
+    (file,) = folder.glob("*.programs")
+    whole = file.read_bytes()
+    content = bytearray(zlib.decompress(whole[program_cache.DIGEST :]))
+    content[len(content) // 2] ^= 1
+    file.write_bytes(whole[: program_cache.DIGEST] + zlib.compress(bytes(content)))
+    monkeypatch.setattr(program_cache, "deserialize_and_load", lambda *_, **__: pytest.fail("XLA was given it"))
+    compiler = Compiler(2.0)
+    with pytest.warns(RuntimeWarning, match="its content has changed"):
+        program_cache.programs("two", ONE, compiler)
+    assert compiler.times == 1
 
 
 def test_a_folder_that_cannot_be_written_is_no_fault(tmp_path):
