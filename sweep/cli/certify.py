@@ -15,6 +15,7 @@ from sweep.analysis.intervals import clopper_pearson
 from sweep.analysis.stats import percent
 from sweep.cli.run import reporting
 from sweep.core.errors import InputError
+from sweep.core.files import path_in
 from sweep.report.tables import page_table
 from sweep.runs import growth, results, runner, store
 from sweep.study.config import Experiment, experiment
@@ -42,7 +43,7 @@ def run(given: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     with ThreadPoolExecutor() as pool:  # what is learned is learned while fresh draws are simulated
         score = pool.submit(certify.learn, given.shape, *learned, least)
         worst = pool.submit(certify.odds, *learned, convex=False) if given.shape != "score" else score
-        new = partial(drawn, exp, folder / FRESH, exp.study.seed + 1)
+        new = partial(drawn, exp, path_in(folder, FRESH), exp.study.seed + 1)
         fresh = new(given.rollouts) if given.rollouts else rows.iloc[order[1::2]]
     found = certify.certify(score.result(), learned, values(fresh, names), given.failures, given.confidence)
     lines = [told(found, given.shape, names)]
@@ -108,8 +109,9 @@ def checked(
     It looks worst where `worst`, a law of failing that was learned, is largest. They run in batches as wide as the
     fresh draws', for which an engine is there.
     """
-    number, width = CHECKED * certify.STEPS, int(store.read_points(folder / FRESH)["width"].iloc[0])
-    again = seeded(exp, folder / AGAIN, exp.study.seed + 2, number)
+    number, width = CHECKED * certify.STEPS, int(store.read_points(path_in(folder, FRESH))["width"].iloc[0])
+    place = path_in(folder, AGAIN)
+    again = seeded(exp, place, exp.study.seed + 2, number)
     again = replace(again, settings=replace(again.settings, width=width))
     table = runner.wanted_points(again)
     x = table[names].to_numpy(dtype=float)
@@ -119,10 +121,10 @@ def checked(
         "outside": np.flatnonzero(~inside)[:CHECKED],
     }
     chosen = np.unique(np.concatenate(list(kinds.values())))
-    with store.locked(folder / AGAIN), reporting("checks", len(chosen), f"{exp.scenario} for checks") as report:
-        runner.mend(again, folder / AGAIN)
-        runner.run(runner.lay_out(again, folder / AGAIN, table.iloc[chosen].reset_index(drop=True)), report)
-    rows = store.read_rows(folder / AGAIN).set_index("point_id")
+    with store.locked(place), reporting("checks", len(chosen), f"{exp.scenario} for checks") as report:
+        runner.mend(again, place)
+        runner.run(runner.lay_out(again, place, table.iloc[chosen].reset_index(drop=True)), report)
+    rows = store.read_rows(place).set_index("point_id")
     lines = []
     for kind, places in kinds.items():
         failed = rows.loc[table["point_id"].iloc[places], "outcome"] != "success"

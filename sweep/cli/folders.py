@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.core import terminal
 from sweep.core.errors import InputError
-from sweep.core.files import write_whole
+from sweep.core.files import path_in, write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,14 +38,19 @@ def status(given: argparse.Namespace) -> int:
 
 def verify(given: argparse.Namespace) -> int:
     """Which files of a folder are not as they were written."""
-    from sweep.runs import repair
+    from sweep.runs import repair, store
 
     problems, others, sound = repair.verify(given.dir)
     for line in (*problems, *others):
         print(line)
     remedy = f", {len(problems)} damaged: `sweep run` as before mends it" if problems else ""
     print(f"{given.dir}: {sound} part{' is' if sound == 1 else 's are'} sound{remedy}")
-    return UNEXPECTED if problems else DONE
+    if problems:
+        return UNEXPECTED
+    planned, done = store.read_points(given.dir), store.finished(given.dir)
+    if len(planned) and (there := int(planned["batch"].isin(done).sum())) < len(planned):
+        print(f"{given.dir}: {there} of {len(planned)} planned rollouts are there")
+    return DONE
 
 
 def matching(folder: Path, condition: str | None) -> "pd.DataFrame":
@@ -141,7 +146,7 @@ def draw_report(given: argparse.Namespace) -> int:
         place.like_rows_of(given.dir)
         with counting(again, 0, given.replays) as report:
             replays.make(found, chosen.chosen(found, given.replays), report)
-    print(page.write(found, folder / "report.html", chosen=columns))
+    print(page.write(found, path_in(folder, "report.html"), chosen=columns))
     for path in pictures(found, folder, columns):
         print(path)
     return DONE
@@ -167,7 +172,7 @@ def draw_pairs(given: argparse.Namespace, a: "Results", folder: Path) -> int:
         list(pairs.exhibits(found, table)),
         list(pairs.tables(table)),
     )
-    path = folder / f"report_{given.b.resolve().name}.html"
+    path = path_in(folder, f"report_{given.b.resolve().name}.html")
     print(page.write(found, path, shown=list(pairs.shown(a, b)), pairs=about))
     return DONE
 
@@ -184,7 +189,7 @@ def pictures(found: "Results", folder: Path, chosen: tuple[str, ...]) -> list[Pa
             name, figure = "map", maps.success_map(found.rows, found.stored, chosen)
         else:
             return []
-    return [save(figure, folder / f"{name}.{form}", dpi=200) for form in ("png", "svg")]
+    return [save(figure, path_in(folder, f"{name}.{form}"), dpi=200) for form in ("png", "svg")]
 
 
 def export_results(given: argparse.Namespace) -> int:

@@ -15,6 +15,7 @@ from sweep.cli.exits import DONE
 from sweep.core import provenance
 from sweep.core.arguments import Arguments
 from sweep.core.errors import InputError
+from sweep.core.files import path_in
 from sweep.core.waiting import waiting
 from sweep.engines.base import Trace
 from sweep.report import page, replays
@@ -46,7 +47,7 @@ def main(args: list[str]) -> int:
     of_folder = store.STUDY in names_in(options.what[0])
     found, shown = (stored if of_folder else fresh)(options.what, options.beside)
     path = options.output or (
-        Path(options.what[0]) / "view.html" if of_folder else PAGES / f"{found.exp.scenario}.html"
+        path_in(Path(options.what[0]), "view.html") if of_folder else PAGES / f"{found.exp.scenario}.html"
     )
     print(page.write(found, path, shown=shown, opened=1 + bool(options.beside)))
     if screen():

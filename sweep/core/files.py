@@ -51,6 +51,36 @@ def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
                 hidden.unlink()
 
 
+def path_in(folder: Path, name: str | Path) -> Path:
+    """Return the path of a file or folder inside a results folder, which may come from a stranger.
+
+    Every read, write and removal in a results folder goes through this check.
+
+    Args:
+        folder: The results folder. It may itself be a symbolic link.
+        name: Path below `folder`. It need not exist.
+
+    Returns:
+        `folder / name`.
+
+    Raises:
+        InputError: `name` is absolute or has `..`, a symbolic link leads out of `folder`, or the path is a device,
+            pipe or socket.
+    """
+    path, inside = folder / name, Path(name)
+    if inside.is_absolute() or ".." in inside.parts or not inside.parts:
+        raise InputError(f"{name} in {folder} is not allowed: a path below the folder")
+    try:
+        target = path.resolve()
+        if not target.is_relative_to(folder.resolve()):
+            raise InputError(f"{path} is not allowed: it leads out of the folder, to {target}")
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise InputError(f"{path} is not allowed: neither a file nor a folder")
+    except OSError as error:  # such as a ring of links
+        raise InputError(f"{path} cannot be read: {reason(error)}") from None
+    return path
+
+
 def descriptor(path: Path) -> int | None:
     """The number of the open file that `path` stands for, such as /dev/stdout or /dev/fd/3; None of any other path.
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from sweep.core import project
 from sweep.core.errors import InputError
-from sweep.core.files import write_whole
+from sweep.core.files import path_in, write_whole
 from sweep.core.start import VERSION
 from sweep.report.page import dates
 from sweep.runs import manifest, store
@@ -80,15 +80,18 @@ def described(crate: "ROCrate", results: Results, license_: str, author: str) ->
     root["license"] = {"@id": license_}
     crate.datePublished = datetime.now(UTC).replace(microsecond=0)
     given = [
-        crate.add_file(folder / name, f"{STUDY}/{name}", properties=about(name)) for name in (store.STUDY, store.POINTS)
+        crate.add_file(path_in(folder, name), f"{STUDY}/{name}", properties=about(name))
+        for name in (store.STUDY, store.POINTS)
     ]
     if read := exp.system.files():
         sources = {**read, project.FILE: io.StringIO("modules: []\n")}
         given += [crate.add_file(file, f"{PROJECT}/{name}", properties=about(name, "what is simulated"))
                   for name, file in sources.items()]  # fmt: skip
-    made = [crate.add_file(folder / name, f"{STUDY}/{name}", properties=about(name)) for name in kept(folder)]
+    made = [crate.add_file(path_in(folder, name), f"{STUDY}/{name}", properties=about(name)) for name in kept(folder)]
     made += [
-        crate.add_file(folder / name, name, properties=about(name)) for name in PICTURES if (folder / name).exists()
+        crate.add_file(path_in(folder, name), name, properties=about(name))
+        for name in PICTURES
+        if path_in(folder, name).exists()
     ]
     programs: list[Any] = [
         crate.add(SoftwareApplication(crate, f"{PYPI}/{name}/{number}/#{version}",
@@ -115,7 +118,7 @@ def described(crate: "ROCrate", results: Results, license_: str, author: str) ->
 def kept(folder: Path) -> Iterator[str]:
     """The files beside configuration and plan that count in a study's folder."""
     yield manifest.MANIFEST
-    if (folder / store.LOG).exists():
+    if path_in(folder, store.LOG).exists():
         yield store.LOG
     yield from (entry.file for entry in manifest.read(folder) if entry.file != store.POINTS)
 

@@ -7,7 +7,7 @@ import pandas as pd
 
 from sweep.analysis.stats import percent, rate
 from sweep.core.errors import InputError
-from sweep.core.files import legible
+from sweep.core.files import legible, path_in
 from sweep.runs import store
 
 
@@ -42,7 +42,7 @@ def line(folder: Path) -> dict[str, str]:
         "succeed": percent(found.share) if found.valid else "",
         "invalid": percent(found.invalid_share),
         "commit": stored["commit"] or stored["code"],
-        "date": f"{datetime.fromtimestamp((folder / store.STUDY).stat().st_mtime):%Y-%m-%d %H:%M}",
+        "date": f"{datetime.fromtimestamp(path_in(folder, store.STUDY).stat().st_mtime):%Y-%m-%d %H:%M}",
     }
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sweep.core.files import write_whole
+from sweep.core.files import path_in, write_whole
 from sweep.engines import devices
 from sweep.engines.base import NoTrace, Trace, same_bits
 from sweep.runs import batches, store
@@ -112,8 +112,8 @@ def read(folder: Path, row: pd.Series) -> dict[str, Any] | None:
 
 def kept(results: Results) -> Iterator[tuple[int, dict[str, Any]]]:
     """Rows (their place among the results') that a replay is kept of, and the replays."""
-    folder = results.folder / REPLAYS
-    there = {file.stem: file for file in folder.glob("*.json")} if folder.is_dir() else {}
+    folder = path_in(results.folder, REPLAYS)
+    there = {file.stem: path_in(folder, file.name) for file in folder.glob("*.json")} if folder.is_dir() else {}
     if not there:
         return
     names = results.rows["run_id"].astype(str) + "-" + results.rows["point_id"].astype(str)
@@ -123,4 +123,4 @@ def kept(results: Results) -> Iterator[tuple[int, dict[str, Any]]]:
 
 def path(folder: Path, row: pd.Series) -> Path:
     """Where the replay of a row is, or would be."""
-    return folder / REPLAYS / f"{row['run_id']}-{row['point_id']}.json"
+    return path_in(folder, f"{REPLAYS}/{row['run_id']}-{row['point_id']}.json")

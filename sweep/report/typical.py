@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from sweep.core.files import path_in
 from sweep.core.outcomes import SUCCESS
 from sweep.report import replays
 from sweep.report.labels import kind_of, meaning
@@ -40,7 +41,7 @@ def typical(results: Results) -> Iterator[Typical]:
         if len(own):
             sample = own.sample(min(len(own), SAMPLE), random_state=0).sort_index()
             row = sample.iloc[medoid(standardised(sample[columns].to_numpy(dtype=float)))]
-            picture = results.folder / PICTURES / f"{row['run_id']}-{row['point_id']}.png"
+            picture = path_in(results.folder, f"{PICTURES}/{row['run_id']}-{row['point_id']}.png")
             yield Typical(kind, len(own), row, meaning(kind, results.exp), picture)
 
 

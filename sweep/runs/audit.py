@@ -15,6 +15,7 @@ import pandas as pd
 
 from sweep.analysis import compare
 from sweep.core.errors import InputError
+from sweep.core.files import path_in
 from sweep.runs import runner, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment, experiment
@@ -41,11 +42,11 @@ def run(results: Results, number: int, ways: list[str], progress: runner.Progres
     points = results.rows.iloc[np.sort(chosen)]
     kept = [c for c in points if "." in str(c) and not str(c).startswith("engine.")]
     points = points[[*kept, "replicate", "stream", "point_id"]].reset_index(drop=True)
-    folder = results.folder / AUDIT
+    folder = path_in(results.folder, AUDIT)
     folder.mkdir(exist_ok=True)
     for name in ways or known:
         try:
-            again, table = _again(exp, known[name], points, folder / name)
+            again, table = _again(exp, known[name], points, path_in(folder, name))
         except InputError as error:
             if ways:
                 raise
@@ -119,9 +120,9 @@ def boundary(results: Results) -> np.ndarray:
 
 def done(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
     """The ways that `results` were audited in, with the pairs of rollouts before and again."""
-    folder = results.folder / AUDIT
+    folder = path_in(results.folder, AUDIT)
     for way in results.exp.system.ways:
-        if (folder / way / store.STUDY).exists() and store.finished(folder / way):
+        if path_in(folder, f"{way}/{store.STUDY}").exists() and store.finished(folder / way):
             again = store.read_rows(folder / way)
             before = results.rows[results.rows["point_id"].isin(again["point_id"])]
             if before.empty:  # other rows were chosen than those that were audited

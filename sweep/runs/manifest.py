@@ -13,7 +13,9 @@ from pathlib import Path
 from sweep.core import files
 from sweep.core.errors import InputError
 
-MANIFEST = "manifest.txt"
+MANIFEST, POINTS = "manifest.txt", "points.parquet"
+PARTS, HISTORIES, LAST_STATES = "parts", "histories", "last_states"
+PLACES = (PARTS, HISTORIES, LAST_STATES)  # the only folders of files that the manifest lists
 CHECK = 16  # digits of a line's own digest, before it
 PAUSES = (0.01, 0.05, 0.2, 0.5)  # s that who adds a line is given to finish it
 
@@ -45,23 +47,42 @@ def line(entry: Entry) -> str:
 
 
 def parse(folder: Path) -> tuple[list[Entry], list[int]]:
-    """The entries, and the numbers of the lines that are damaged."""
+    """The entries, and the numbers of the lines that are damaged.
+
+    Raises `InputError` where a sound line names a file that is none of a study's.
+    """
     try:
-        content = _settled(folder / MANIFEST)
+        content = _settled(files.path_in(folder, MANIFEST))
     except FileNotFoundError:
         return [], []
     entries, damaged = [], []
     for number, row in enumerate(content.removesuffix(b"\n").split(b"\n"), 1):
         check, _, text = row.partition(b" ")
         if check == files.digest(text)[:CHECK].encode():
-            values = json.loads(text)
-            tuples = {name: tuple(values[name]) for name in ("batches", "run_ids")}
-            entries.append(Entry(**{**values, **tuples}))
+            entries.append(_parse_entry(folder, number, text))
         else:
             damaged.append(number)
     if content and not content.endswith(b"\n") and not damaged:
         damaged.append(len(entries))
     return entries, damaged
+
+
+def _parse_entry(folder: Path, number: int, text: bytes) -> Entry:
+    where = f"{folder / MANIFEST}, line {number}"
+    try:
+        values = json.loads(text)
+        batches, run_ids = (tuple(values[name]) for name in ("batches", "run_ids"))
+        entry = Entry(**{**values, "batches": batches, "run_ids": run_ids})
+        words, numbers = (entry.file, entry.sha256, entry.study, entry.labels, *run_ids), (entry.length, *batches)
+        if {*map(type, words)} != {str} or {*map(type, numbers)} != {int}:
+            raise TypeError
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise InputError(f"{where} is no entry of a study's file") from None
+    place, _, name = entry.file.rpartition("/")
+    if entry.file != POINTS and (place not in PLACES or name in ("", ".", "..")):
+        allowed = f"{POINTS}, or a file in {', '.join(PLACES)}"
+        raise InputError(f"{where} names {entry.file!r}, which is not allowed: {allowed}")
+    return entry
 
 
 def _settled(path: Path) -> bytes:
@@ -83,12 +104,12 @@ def read(folder: Path) -> list[Entry]:
 
 def add(folder: Path, *entries: Entry) -> None:
     """From now on `entries` count, all at once. Raises `Fault`."""
-    files.append(folder / MANIFEST, "\n".join(map(line, entries)))
+    files.append(files.path_in(folder, MANIFEST), "\n".join(map(line, entries)))
 
 
 def rewrite(folder: Path, entries: Iterable[Entry]) -> None:
     """From now on `entries` count and no others. Raises `Fault`."""
-    files.write_whole(folder / MANIFEST, "".join(f"{line(entry)}\n" for entry in entries).encode())
+    files.write_whole(files.path_in(folder, MANIFEST), "".join(f"{line(entry)}\n" for entry in entries).encode())
 
 
 def judged(entries: Sequence[Entry], labels: str) -> list[Entry]:

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 from sweep.core.errors import InputError
+from sweep.core.files import path_in
 from sweep.engines import devices
 from sweep.study.config import Experiment
 
@@ -33,6 +34,6 @@ def _rows(folder: Path) -> list[str]:
     from sweep.runs import store  # whose libraries one rollout has no need of
 
     try:
-        return store.read_study(folder)["devices"] if (folder / store.STUDY).exists() else []
+        return store.read_study(folder)["devices"] if path_in(folder, store.STUDY).exists() else []
     except InputError:
         return []

@@ -9,8 +9,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sweep.core import files
+from sweep.core.errors import InputError
+from sweep.core.files import path_in
 from sweep.runs import manifest, store
 from sweep.runs.manifest import Entry
+from sweep.runs.plan_check import plan_differences
 
 SMALL, LARGE = 4096, 32768  # rows: parts with fewer are put together into parts with at most so many
 FEW = 8  # parts are not worth it
@@ -26,12 +29,13 @@ def verify(folder: Path) -> tuple[list[str], list[str], int]:
     try:
         store.read_study(folder)
     except store.Damaged as error:
-        if not (folder / store.PARTS).is_dir():
+        if not path_in(folder, store.PARTS).is_dir():
             raise
         problems.append(str(error))
-    if _planned(folder, entries) is None:
+    planned = _planned(folder, entries)
+    if planned is None:
         problems.append(f"{folder / store.POINTS} is lost or damaged")
-    parts = {folder / entry.file: _problem(folder, entry) for entry in entries if entry.batches}
+    parts = {folder / entry.file: _problem(folder, entry, planned) for entry in entries if entry.batches}
     others = {folder / entry.file: _problem(folder, entry) for entry in entries if _is_beside(entry)}
     problems += [f"{path} is damaged ({problem})" for path, problem in {**parts, **others}.items() if problem]
     sound = list(parts.values()).count(None)
@@ -48,8 +52,9 @@ def mend(folder: Path, study: str, labels: str) -> list[str]:
     lines = [f"{folder / manifest.MANIFEST} is damaged in line {number}: rebuilt" for number in damaged]
     kept = [entry for entry in entries if entry.file == store.POINTS]
     left = [entry for entry in entries if entry.batches and entry.labels != labels]  # by a relabelling that was killed
+    planned = _planned(folder, entries)
     for entry in (*manifest.judged(entries, labels), *filter(_is_beside, entries)):
-        if problem := _problem(folder, entry):
+        if problem := _problem(folder, entry, planned):
             remedy = "its rollouts are simulated again" if entry.batches else "`sweep replay` shows its rollouts again"
             lines.append(f"{folder / entry.file} is damaged ({problem}): {remedy}")
             left.append(entry)
@@ -70,11 +75,11 @@ def mend(folder: Path, study: str, labels: str) -> list[str]:
     if damaged or kept != entries:
         manifest.rewrite(folder, kept)
     for entry in left:
-        (folder / entry.file).unlink(missing_ok=True)
+        path_in(folder, entry.file).unlink(missing_ok=True)
     parts = [entry for entry in kept if entry.batches]
-    if planned is None and (parts or (folder / store.POINTS).exists()):
+    if planned is None and (parts or path_in(folder, store.POINTS).exists()):
         lines.append(f"{folder / store.POINTS} was lost or damaged: rebuilt from the parts")
-        (folder / store.POINTS).unlink(missing_ok=True)
+        path_in(folder, store.POINTS).unlink(missing_ok=True)
         if parts:
             store.write_points(folder, plan_of(folder, parts))
     return lines
@@ -88,24 +93,33 @@ def plan_of(folder: Path, parts: Sequence[Entry]) -> pd.DataFrame:
 
 def _planned(folder: Path, listed: Sequence[Entry]) -> pd.DataFrame | None:
     """The plan, if it is sound and has all that is listed."""
-    path = folder / store.POINTS
+    path = path_in(folder, store.POINTS)
     if not path.exists() or not any(e.file == store.POINTS and not _problem(folder, e) for e in listed):
         return None
-    planned = pq.read_table(store.content_of(path)).to_pandas()
+    planned = store.from_parquet(path, store.content_of(path)).to_pandas()
     return planned if {b for e in listed for b in e.batches} <= set(planned["batch"]) else None
 
 
-def _problem(folder: Path, entry: Entry) -> str | None:
+def _problem(folder: Path, entry: Entry, planned: pd.DataFrame | None = None) -> str | None:
+    """What is wrong with a listed file; the rows of a part are compared with those `planned`, if these are known."""
+    path = path_in(folder, entry.file)
     try:
-        return entry.problem(store.content_of(folder / entry.file))
+        content = store.content_of(path)
     except OSError as error:
         return files.reason(error)
+    if (problem := entry.problem(content)) or planned is None or not entry.batches:
+        return problem
+    try:
+        rows = store.from_parquet(path, content, list(planned.columns)).to_pandas()
+    except InputError as error:
+        return str(error)
+    return "; ".join(plan_differences(planned, rows, entry.batches)) or None
 
 
 def _unlisted(folder: Path, entries: Sequence[Entry]) -> Iterator[Path]:
     listed = {entry.file for entry in entries}
     for place in store.PLACES:
-        for path in sorted((folder / place).glob("*")):
+        for path in sorted(path_in(folder, place).glob("*")):
             if f"{place}/{path.name}" not in listed and not path.name.startswith(files.HIDDEN):
                 yield path
 
@@ -117,12 +131,12 @@ def _is_beside(entry: Entry) -> bool:
 def _own(folder: Path, path: Path) -> Entry | None:
     """What a part that is not listed says of itself; None where it is not one, or not as it was written."""
     try:
-        content = store.content_of(path)
+        content = store.content_of(path_in(folder, path.relative_to(folder)))
         sha256 = files.digest(content)
         if not path.stem.endswith(f"-{sha256[:12]}"):
             return None
         about = json.loads(pq.read_schema(content).metadata[store.ABOUT])
-    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):
+    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):  # `InputError` among them
         return None
     name = f"{path.parent.name}/{path.name}"
     return Entry(
@@ -146,7 +160,7 @@ def forget(folder: Path, entries: Sequence[Entry]) -> None:
     """Remove parts that count no longer. Raises `Fault`."""
     manifest.rewrite(folder, [entry for entry in manifest.read(folder) if entry not in entries])
     for entry in entries:
-        (folder / entry.file).unlink(missing_ok=True)
+        path_in(folder, entry.file).unlink(missing_ok=True)
 
 
 def compact(folder: Path, planned: pd.DataFrame) -> None:
@@ -168,7 +182,7 @@ def compact(folder: Path, planned: pd.DataFrame) -> None:
         beside = filter(_is_beside, listed)
         manifest.rewrite(folder, [*plan[-1:], *beside, *(entry for entry in kept if entry)])
         for file in merged:
-            (folder / file).unlink(missing_ok=True)
+            path_in(folder, file).unlink(missing_ok=True)
 
 
 def _runs(parts: Sequence[Entry], planned: pd.DataFrame) -> Iterator[list[Entry]]:

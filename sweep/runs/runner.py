@@ -15,6 +15,7 @@ import pandas as pd
 from sweep.core import provenance
 from sweep.core.errors import Fault, InputError
 from sweep.core.expressions import mask
+from sweep.core.files import path_in
 from sweep.core.outcomes import INVALID
 from sweep.engines.base import Engine
 from sweep.runs import histories, manifest, repair, store
@@ -202,7 +203,7 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
     as it ended. Raises `Fault` where disk, memory or workers fail.
     """
     folder, exp, found = job.folder, job.exp, Tally()
-    if (folder / store.STUDY).exists():
+    if path_in(folder, store.STUDY).exists():
         stored = store.read_study(folder)
         found = Tally(stored["stages"], stored["devices"])
         if stored["labels"] != job.labels:
@@ -234,7 +235,7 @@ def accepted(job: Job, done: "Done", entry: Entry) -> pd.DataFrame:
 
     Raises `Fault` where they are not those asked for.
     """
-    if not all((job.folder / one.file).exists() for one in (entry, *done.beside)):
+    if not all(path_in(job.folder, one.file).exists() for one in (entry, *done.beside)):
         raise Fault(f"{done.host} wrote batch {done.batch} to {job.folder.resolve()}, which is not seen here")
     if (entry.study, entry.labels) != (job.study, job.labels) or {one.study for one in done.beside} - {job.study}:
         raise Fault(f"{done.host} simulated batch {done.batch} of another study, or judged it by other thresholds")
@@ -248,7 +249,7 @@ def within_bounds(folder: Path, beside: tuple[Entry, ...]) -> list[Entry]:
     last = [entry for entry in beside if entry.file.startswith(f"{store.LAST_STATES}/")]
     room = histories.INVALID_ROWS - len(store.beside(folder, store.LAST_STATES)) if last else 0
     for entry in last[room:]:
-        (folder / entry.file).unlink(missing_ok=True)
+        path_in(folder, entry.file).unlink(missing_ok=True)
     return [entry for entry in beside if entry not in last[room:]]
 
 
@@ -324,7 +325,7 @@ def ended(job: Job, engine: Engine, rows: pd.DataFrame, finished: pd.DataFrame) 
     """The last states of a batch's invalid rows, as long as the folder has few of them, listed yet or not."""
     if not (finished["outcome"] == INVALID).any():
         return []
-    room = histories.INVALID_ROWS - len(list((job.folder / store.LAST_STATES).glob("*.parquet")))
+    room = histories.INVALID_ROWS - len(list(path_in(job.folder, store.LAST_STATES).glob("*.parquet")))
     try:
         return histories.last_states(job.exp, engine, batch(job.exp, rows), finished, room) if room > 0 else []
     except MemoryError:  # the rows are there all the same

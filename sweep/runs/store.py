@@ -17,13 +17,14 @@ import yaml
 
 from sweep.core import files, project
 from sweep.core.errors import Fault, InputError
+from sweep.core.files import path_in
 from sweep.runs import manifest
-from sweep.runs.manifest import Entry
+from sweep.runs.manifest import PARTS, PLACES, POINTS, Entry
+from sweep.runs.plan_check import plan_differences
 
 pa.set_memory_pool(pa.system_memory_pool())  # a million rows are read in 2 s of a processor; in 8 s by Arrow's own pool
-STUDY, POINTS, PARTS, LOG = "study.yaml", "points.parquet", "parts", "log.txt"
-HISTORIES, LAST_STATES = "histories", "last_states"
-PLACES = (PARTS, HISTORIES, LAST_STATES)  # folders of what the manifest lists
+STUDY, LOG, LOCK = "study.yaml", "log.txt", ".lock"
+HISTORIES, LAST_STATES = manifest.HISTORIES, manifest.LAST_STATES
 FORMAT = 2  # of the folder
 CHECK = "# sha256 of the lines above: "
 ABOUT = b"sweep"  # key of a part's own account of itself
@@ -51,11 +52,12 @@ def locked(folder: Path) -> Iterator[None]:
 
     Raises `InputError` where it cannot be written or another process has it.
     """
-    held = filelock.FileLock(folder / ".lock", timeout=0)
+    held = filelock.FileLock(path_in(folder, LOCK), timeout=0)
+    places = [path_in(folder, name) for name in PLACES]
     try:
-        (folder / PARTS).mkdir(parents=True, exist_ok=True)
+        path_in(folder, PARTS).mkdir(parents=True, exist_ok=True)
         held.acquire()
-        for place in (folder, *(folder / name for name in PLACES)):
+        for place in (folder, *places):
             for left in place.glob(f"{files.HIDDEN}*"):
                 left.unlink(missing_ok=True)
     except filelock.Timeout:
@@ -71,12 +73,12 @@ def locked(folder: Path) -> Iterator[None]:
 def write_study(folder: Path, content: Mapping[str, Any]) -> None:
     """What the folder holds: configuration, versions, devices. Raises `Fault`."""
     text = yaml.safe_dump({"format": FORMAT, **content}, sort_keys=False, allow_unicode=True)
-    files.write_whole(folder / STUDY, f"{text}{CHECK}{files.digest(text.encode())}\n".encode())
+    files.write_whole(path_in(folder, STUDY), f"{text}{CHECK}{files.digest(text.encode())}\n".encode())
 
 
 def read_study(folder: Path) -> dict[str, Any]:
     """Content of study.yaml. Raises `InputError` where `folder` is not a study's, or one of another format."""
-    path = folder / STUDY
+    path = path_in(folder, STUDY)
     damaged = Damaged(f"{path} is damaged: `sweep run` as before mends it")
     try:
         text, check, given = path.read_bytes().rpartition(CHECK.encode())
@@ -108,18 +110,35 @@ def write_points(folder: Path, points: pd.DataFrame) -> None:
     entry = Entry(POINTS, len(content), files.digest(content))
     if entry not in manifest.read(folder):  # any plan that was listed is sound, so that a kill in between does no harm
         manifest.add(folder, entry)
-    files.write_whole(folder / POINTS, content)
+    files.write_whole(path_in(folder, POINTS), content)
 
 
 def read_points(folder: Path) -> pd.DataFrame:
     """The plan, empty where nothing is planned yet. Raises `InputError`."""
-    path = folder / POINTS
+    path = path_in(folder, POINTS)
     if not path.exists():
         return pd.DataFrame()
     content = content_of(path)
     if not any(entry.file == POINTS and not entry.problem(content) for entry in manifest.read(folder)):
         raise Damaged(f"{path} is damaged: `sweep run` as before mends it")
-    return pq.read_table(content).to_pandas()
+    return from_parquet(path, content).to_pandas()
+
+
+def from_parquet(path: Path, content: pa.Buffer, columns: list[str] | None = None) -> pa.Table:
+    """Parse the content of a Parquet file.
+
+    Args:
+        path: Where it is from, for the message.
+        content: The bytes of the file.
+        columns: Names of the columns to read; None for all.
+
+    Raises:
+        InputError: It is no Parquet file, or has no such columns.
+    """
+    try:
+        return pq.read_table(content, columns=columns)
+    except (pa.ArrowException, OSError, KeyError) as error:
+        raise InputError(f"{path} is no table that can be read: {str(error).splitlines()[0]}") from None
 
 
 def content_of(path: Path) -> pa.Buffer:
@@ -163,8 +182,8 @@ def _written(folder: Path, name: str, table: pa.Table, about: Entry) -> Entry:
     sha256 = files.digest(content)
     entry = replace(about, file=f"{name}-{sha256[:12]}.parquet", length=len(content), sha256=sha256)
     with contextlib.suppress(OSError):  # said of the file
-        (folder / entry.file).parent.mkdir(exist_ok=True)
-    files.write_whole(folder / entry.file, content)
+        path_in(folder, entry.file).parent.mkdir(exist_ok=True)
+    files.write_whole(path_in(folder, entry.file), content)
     return entry
 
 
@@ -179,9 +198,9 @@ def beside(folder: Path, place: str) -> list[Entry]:
 
 def counted(folder: Path) -> list[Entry]:
     """The parts that hold a folder's rows: those of its manifest, judged by its thresholds. Raises `InputError`."""
-    if not (folder / STUDY).exists():
+    if not path_in(folder, STUDY).exists():
         return []
-    if not (folder / manifest.MANIFEST).exists() and any((folder / PARTS).glob("*.parquet")):
+    if not path_in(folder, manifest.MANIFEST).exists() and any(path_in(folder, PARTS).glob("*.parquet")):
         raise InputError(f"{folder / manifest.MANIFEST} is missing: `sweep run` as before mends it")
     return manifest.judged(manifest.read(folder), read_study(folder)["labels"])
 
@@ -198,7 +217,7 @@ def read_part(folder: Path, entry: Entry) -> pd.DataFrame:
 
 def read_table(folder: Path, entry: Entry, columns: list[str] | None = None) -> pa.Table:
     """As `read_part`, in Arrow's form; of all columns or of some."""
-    path = folder / entry.file
+    path = path_in(folder, entry.file)
     try:
         content = content_of(path)
         problem = entry.problem(content)
@@ -206,18 +225,27 @@ def read_table(folder: Path, entry: Entry, columns: list[str] | None = None) -> 
         content, problem = None, files.reason(error)
     if content is None or problem:
         raise InputError(f"{path} is damaged ({problem}): `sweep run` as before simulates it again")
-    return pq.read_table(content, columns=columns)
+    return from_parquet(path, content, columns)
 
 
 def read_rows(folder: Path) -> pd.DataFrame:
-    """All finished rows, in the order of their batches. Raises `InputError` where there are none."""
+    """All finished rows, in the order of their batches.
+
+    Raises `InputError` where there are none, and where they are not those of the plan.
+    """
     read_study(folder)
     if not (parts := read_parts(folder)):
         raise InputError(f"{folder} has no finished rollouts yet")
     # into pandas once, column by column: a million rows take seconds and little more memory than they need
     table = pa.concat_tables(parts, promote_options="permissive")
     del parts  # which would hold all columns
-    return table.to_pandas(self_destruct=True)
+    rows = table.to_pandas(self_destruct=True)
+    planned = read_points(folder)  # after the parts: a run that goes on plans its batches before it finishes them
+    if planned.empty:
+        raise Damaged(f"{folder / POINTS} is lost: `sweep run` as before mends it")
+    if problems := plan_differences(planned, rows, rows["batch"].unique()):
+        raise InputError(f"{folder} does not hold the rows of its {POINTS}: {problems[0]}; `sweep verify` names all")
+    return rows
 
 
 def read_parts(folder: Path, columns: list[str] | None = None) -> list[pa.Table]:
@@ -246,7 +274,7 @@ def find_row(rows: pd.DataFrame, point: str, folder: Path) -> pd.Series:
 def log(folder: Path, message: str) -> None:
     """Append one dated line to the log. Raises `Fault`."""
     try:
-        with (folder / LOG).open("a", encoding="utf-8") as file:
+        with path_in(folder, LOG).open("a", encoding="utf-8") as file:
             file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} {message}\n")
     except OSError as error:
         raise Fault(f"{folder / LOG} cannot be written: {files.reason(error)}") from None

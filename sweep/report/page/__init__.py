@@ -22,7 +22,7 @@ from PIL import Image
 
 from sweep.analysis.sample import pooled
 from sweep.analysis.stats import broken
-from sweep.core.files import write_whole
+from sweep.core.files import path_in, write_whole
 from sweep.core.letters import lettering
 from sweep.report import tables
 from sweep.report.exhibit import Exhibit
@@ -199,7 +199,7 @@ def dates(folder: Path) -> tuple[str, str]:
     """First and last day and time of the log, which may be damaged; empty without one."""
     stamps = []
     with suppress(OSError):
-        for line in (folder / store.LOG).read_text(encoding="utf-8", errors="replace").splitlines():
+        for line in path_in(folder, store.LOG).read_text(encoding="utf-8", errors="replace").splitlines():
             with suppress(ValueError):  # of a line that begins with none
                 datetime.fromisoformat(stamp := line.partition(" ")[0])
                 stamps.append(stamp)

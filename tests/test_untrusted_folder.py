@@ -1,0 +1,175 @@
+"""A folder of results from a stranger: no command reads, writes or removes a file outside of it."""
+
+import dataclasses
+import os
+import shutil
+
+import pandas as pd
+import pytest
+from small_study import STUDY, content, one_line
+
+from sweep.api import load
+from sweep.cli.main import main
+from sweep.core.errors import InputError
+from sweep.core.files import path_in
+from sweep.runs import manifest, store
+
+pytestmark = pytest.mark.usefixtures("fake_engine")
+SECRET = b"not for strangers"
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """A finished study of 56 rollouts."""
+    from fake_engine import FakeEngine
+
+    import sweep.engines
+    from sweep.runs import batches
+
+    out = tmp_path_factory.mktemp("sound") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweep.engines, "make", FakeEngine)
+        batches.forget_engine()
+        assert main(["run", *STUDY, f"out={out}"]) == 0
+        batches.forget_engine()
+    return out
+
+
+@pytest.fixture
+def folder(sound, tmp_path):
+    return shutil.copytree(sound, tmp_path / "out")
+
+
+@pytest.fixture
+def secret(tmp_path):
+    """A file of the user's own, outside of the folder."""
+    file = tmp_path / "secret"
+    file.write_bytes(SECRET)
+    return file
+
+
+def commands(folder):
+    """Every command that reads or writes a folder of results."""
+    one = str(folder)
+    crate = folder.parent / "made"
+    return (["status", one], ["verify", one], ["table", one], ["stats", one], ["report", one], ["list", one],
+            ["compare", one, one], ["relabel", one, "slip_max_m<0.011"], ["export", one, "--crate", str(crate)],
+            ["export", one, "--paper", str(crate)], ["audit", one], ["certify", one],
+            ["run", *STUDY, f"out={folder}"])  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["{secret}", "../secret", "parts/../../secret", "parts/", "other/secret", "secret"])
+@pytest.mark.parametrize("place", ["part", "beside"])
+def test_a_manifest_names_files_of_the_folder_only(folder, secret, capsys, name, place):
+    name = name.format(secret=secret)
+    entry = dataclasses.replace(store.counted(folder)[0], file=name, length=len(SECRET), labels="others")
+    manifest_line = manifest.line(entry if place == "part" else dataclasses.replace(entry, batches=()))
+    with (folder / manifest.MANIFEST).open("a") as file:
+        file.write(f"{manifest_line}\n")
+    for command in commands(folder):
+        capsys.readouterr()
+        code = main(command)
+        told = capsys.readouterr()
+        assert secret.read_bytes() == SECRET, command
+        if command[0] == "list":  # names what is wrong with each of many folders
+            assert "manifest.txt" in told.out
+            continue
+        assert code == 2, command
+        one_line(told.err, "manifest.txt, line", repr(name))
+
+
+def test_a_manifest_line_with_values_of_other_types_is_one_line(folder, capsys):
+    good = dataclasses.asdict(store.counted(folder)[0])
+    for change in ({"file": 3}, {"batches": ["0"]}, {"length": None}, {"more": 1}):
+        text = manifest.json.dumps({**good, **change})
+        (folder / manifest.MANIFEST).write_text(f"{manifest.files.digest(text.encode())[:16]} {text}\n")
+        assert main(["table", str(folder)]) == 2
+        one_line(capsys.readouterr().err, "manifest.txt, line 1 is no entry")
+
+
+@pytest.mark.parametrize("name", [store.STUDY, store.POINTS, manifest.MANIFEST, store.LOG, store.LOCK, "report.html",
+                                  "parts", "part"])  # fmt: skip
+def test_a_link_that_leads_out_of_the_folder_is_not_followed(folder, secret, capsys, name):
+    path = folder / (store.counted(folder)[0].file if name == "part" else name)
+    if name == "parts":
+        shutil.move(path, secret.with_name("elsewhere"))
+        path.symlink_to(secret.with_name("elsewhere"))
+        kept = {file: file.read_bytes() for file in secret.with_name("elsewhere").iterdir()}
+    else:
+        if path.exists():
+            secret.write_bytes(path.read_bytes())
+            path.unlink()
+        path.symlink_to(secret)
+        kept = {secret: secret.read_bytes()}
+    for command in commands(folder):
+        capsys.readouterr()
+        code = main(command)
+        assert {file: file.read_bytes() for file in kept} == kept, command
+        reads = {store.LOG: ("report",), store.LOCK: ("relabel", "run"),
+                 "report.html": ("report",)}.get(name)  # fmt: skip
+        if command[0] in (reads or ("table", "run", "relabel")) and "--paper" not in command:
+            assert code == 2, command
+            assert "is not allowed: it leads out of the folder" in capsys.readouterr().err
+    if name == "parts":
+        assert set(secret.with_name("elsewhere").iterdir()) == set(kept)
+
+
+def test_a_pipe_in_a_folder_is_refused_and_not_waited_for(folder, capsys):
+    for name in (store.POINTS, store.counted(folder)[0].file):
+        (folder / name).unlink()
+        os.mkfifo(folder / name)
+        assert main(["table", str(folder)]) == 2
+        one_line(capsys.readouterr().err, "neither a file nor a folder")
+        (folder / name).unlink()
+        (folder / name).write_bytes(b"")
+
+
+def test_a_path_in_a_folder_may_be_new_or_linked_within_it(tmp_path):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "link").symlink_to("here")
+    assert path_in(tmp_path, "link/new") == tmp_path / "link/new"
+    for name in ("", "/etc/passwd", "here/../../x", ".."):
+        with pytest.raises(InputError):
+            path_in(tmp_path, name)
+
+
+def forged(folder, change):
+    """The folder with the rows of its first part changed, and a manifest that vouches for them."""
+    entries = manifest.read(folder)
+    part = store.counted(folder)[0]
+    rows = change(store.read_part(folder, part))
+    manifest.rewrite(folder, [one for one in entries if one != part])
+    (folder / part.file).unlink()
+    made = store.write_part(folder, rows, part.study, part.labels)
+    manifest.add(folder, dataclasses.replace(made, batches=part.batches))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda rows: rows.iloc[1:], "1 row is missing"),
+        (lambda rows: pd.concat([rows] * 10), "72 rows are repeated"),
+        (lambda rows: pd.concat([rows, rows.tail(2).assign(slot=[90, 91])]), "2 rows are not planned"),
+        (lambda rows: rows.assign(**{rows.columns[0]: 0.123}), "differs in"),
+        (lambda rows: rows.drop(columns="stream"), "stream"),
+    ],
+)
+def test_rows_that_are_not_those_of_the_plan_are_named_and_made_again(folder, whole, capsys, change, words):
+    forged(folder, change)
+    with pytest.raises(InputError, match=words):
+        load(folder)
+    assert main(["stats", str(folder)]) == 2
+    one_line(capsys.readouterr().err, words)
+    assert main(["verify", str(folder)]) == 4
+    assert words in capsys.readouterr().out
+    assert main(["run", *STUDY, f"out={folder}"]) == 0
+    assert "8 rollouts in" in capsys.readouterr().err
+    pd.testing.assert_frame_equal(content(folder), whole)
+
+
+def test_verify_counts_planned_rollouts_that_are_not_there(folder, capsys):
+    part = store.counted(folder)[2]
+    manifest.rewrite(folder, [one for one in manifest.read(folder) if one != part])
+    (folder / part.file).unlink()
+    assert main(["verify", str(folder)]) == 0
+    assert "48 of 56 planned rollouts are there" in capsys.readouterr().out
