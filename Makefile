@@ -49,9 +49,9 @@ types: setup
 	$(BIN)/pyright
 	$(call SCRIPT,typescript@5.9,tsc,-p sweep/report/page)
 
-paper: setup  # all that docs/ shows: JOBS=14 at once for each GPU with 16 cores; QUICK=--quick on two cores, coarser
+paper: setup  # all that research/ shows: JOBS=14 at once for each GPU with 16 cores; QUICK=--quick on two cores, coarser
 	$(BIN)/python jobs/paper.py --jobs $(or $(JOBS),1) $(QUICK)
-	$(BIN)/python docs/cited.py
+	$(BIN)/python research/cited.py
 
 points: setup  # 20 rollouts of a shipped example, by the commit's hash, end as they did
 	$(BIN)/python jobs/check_points.py

@@ -1,6 +1,6 @@
 """What a comparison that stops by itself saves and costs, on simulated pairs: `python bench/anytime.py`.
 
-It writes docs/data/anytime.json, which docs/certainty.md cites.
+It writes research/data/anytime.json, which research/certainty.md cites.
 
 The two arms succeed with stated probabilities and a stated correlation, as common draws bring about. Beside the
 e-process of `sweep compare --anytime`: McNemar's exact test looked at after every ten pairs (which is wrong), the

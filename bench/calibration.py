@@ -2,7 +2,8 @@
 
 To run: `python bench/calibration.py`. Robots up to 2 % off in all lengths calibrate themselves on level ground:
 computed, as `control.calibrate=sizes` does, and simulated, on soft drives and on the drives as they are. Errors are
-root mean squares over the robots, of the sizes in %. It writes docs/data/calibration.json, cited by docs/learning.md.
+root mean squares over the robots, of the sizes in %. It writes
+research/data/calibration.json, cited by research/learning.md.
 """
 
 import dataclasses

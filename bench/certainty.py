@@ -1,7 +1,7 @@
-"""Regions that are certified, and what makes a climb fail, for docs/certainty.md: `python bench/certainty.py [1e-5]`.
+"""Certify regions and find what makes a climb fail, for research/certainty.md: `python bench/certainty.py [1e-5]`.
 
 Of 1 % failures, or of a hundred-thousandth, for which a GPU takes minutes. What is measured is written to
-docs/data/certified.json, or docs/data/certified_1e_5.json. Studies start with no program kept.
+research/data/certified.json, or research/data/certified_1e_5.json. Studies start with no program kept.
 """
 
 import json
@@ -26,7 +26,7 @@ from sweep.report.labels import axis_words
 from sweep.runs import store
 from sweep.study.config import experiment
 
-DATA = Path(__file__).parents[1] / "docs" / "data"
+DATA = Path(__file__).parents[1] / "research" / "data"
 LENGTHS = ("body_length", "body_width", "thigh", "shin")
 
 

@@ -4,8 +4,8 @@ To run: `python bench/cliffs.py [SCENARIO ...] [--folder FOLDER]`, from a checko
 `bench/margins.py`, of whose folder their rows are taken if they are there. The steepest step of each line that falls by
 a cliff's height is divided into eighths three times, every time the steepest eighth again; of the two rollouts that
 are then 1e-4 standard deviations apart it is told when their margins part, and how far their motions were apart by
-then. It adds the scenarios to docs/data/cliffs.json, which docs/certainty.md cites; without any all of
-docs/data/margins.json are measured.
+then. It adds the scenarios to research/data/cliffs.json, which research/certainty.md cites; without any all of
+research/data/margins.json are measured.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from sweep.report.replays import again
 from sweep.runs import store
 from sweep.study.config import Experiment
 
-DATA = margins.ROOT / "docs" / "data" / "cliffs.json"
+DATA = margins.ROOT / "research" / "data" / "cliffs.json"
 PARTS, ROUNDS = 8, 3  # into how many a step is divided, and how often
 APART = 1e-3  # m, of feet, base or free bodies: motions that have parted
 BEFORE = 1.0  # s, before margins part

@@ -2,7 +2,8 @@
 
     python bench/drive_delay.py
 
-It writes docs/data/drive_delay.json, which docs/robustness.md cites. The robot of `walk_tripod` stands, or hangs in
+It writes research/data/drive_delay.json, which research/robustness.md cites.
+The robot of `walk_tripod` stands, or hangs in
 the air, a joint's reference jumps by a milliradian, and for 0.2 s every drive's torque, which has no limit here, comes
 of the angle and rate that its joint had `delay` before. Where the joints' accelerations are larger in the last quarter
 of that than in the one before, it swings by itself; the shortest such delay is found by bisection. `formula` is

@@ -1,7 +1,7 @@
 """How right rare failures are told where the answer is known: `python bench/levels.py`.
 
 Of sums of normals beyond a bound by subset simulation; of these and other shapes by importance sampling. It writes
-docs/data/levels.json, which docs/certainty.md cites.
+research/data/levels.json, which research/certainty.md cites.
 """
 
 import time

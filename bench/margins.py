@@ -3,7 +3,8 @@
 To run: `python bench/margins.py [SCENARIO ...] [--folder FOLDER] [OVERRIDE ...]`, from a checkout. Each line goes from
 nominal into a random direction of the normals behind the errors of `study=any_rare`; a second pass goes through the
 step in which it fails, and through those in which its margin falls by a cliff's height. The same command goes on where
-it was. It adds the scenarios to docs/data/margins.json, which docs/certainty.md cites; without any those that are there
+it was. It adds the scenarios to research/data/margins.json, which research/certainty.md cites; without any
+those that are there
 are measured again, with the lengths that they had.
 """
 
@@ -26,7 +27,7 @@ from sweep.study.sought import Draws
 from sweep.study.study import points
 
 ROOT = Path(__file__).parents[1]
-FOLDER, DATA = ROOT / "results" / "lines", ROOT / "docs" / "data" / "margins.json"
+FOLDER, DATA = ROOT / "results" / "lines", ROOT / "research" / "data" / "margins.json"
 LINES, FAR = 16, 6.0  # standard deviations
 COARSE, FINE = 24, 5  # steps of a line; of one of them that is looked at closely
 CLIFF = 0.25  # of a margin, in units of its threshold, within a fine step

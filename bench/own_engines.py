@@ -1,7 +1,8 @@
 """Engines of own models beside each other: `python bench/own_engines.py FOLDER [LOOPS]`, with the extra `warp`.
 
 The study of `sweep init --model`, 16 loads by 16 frictions, on `native`, `mjx`, `warp`, and on `warp` again, each in a
-folder of FOLDER; those that are there are only read. What docs/own_model.md cites goes into docs/data/own_engines.json:
+folder of FOLDER; those that are there are only read. What docs/own_model.md cites goes into
+research/data/own_engines.json:
 outcomes that are equal and how far figures are apart, and the times in LOOPS, which is what bench/own_model.py printed.
 """
 
@@ -21,7 +22,7 @@ from sweep.core.files import write_whole
 from sweep.runs import store
 from sweep.study.columns import figure_columns
 
-DATA = Path(__file__).parents[1] / "docs/data/own_engines.json"
+DATA = Path(__file__).parents[1] / "research/data/own_engines.json"
 RUNS = {"native": "native", "mjx": "mjx", "warp": "warp", "warp_again": "warp"}  # engines by folder
 PAIRS = ("native", "mjx"), ("native", "warp"), ("mjx", "warp"), ("warp", "warp_again")
 FIGURES = {"travelled_m": ("way, mm", 1e3), "tilt_max_deg": ("tilt, °", 1), "energy_j": ("energy, J", 1)}

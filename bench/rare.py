@@ -5,7 +5,7 @@ are the truth, beside repetitions of importance sampling (each the study of one 
 on side by side: what a batch has room for beside rounds that are asked for are plain draws. Scenarios may run in
 processes of their own, on one GPU too. Cells that are done are taken as they are, and those of other code; plain draws
 go on, and with `--rows` searches; too few of other code begin anew. After each batch all is written to
-docs/data/rare.json, cited by docs/certainty.md.
+research/data/rare.json, cited by research/certainty.md.
 """
 
 import argparse
@@ -36,7 +36,7 @@ from sweep.study.config import Experiment, composed, experiment
 from sweep.study.sought import Draws, seen
 from sweep.study.study import points
 
-DATA = Path(__file__).parents[1] / "docs" / "data" / "rare.json"
+DATA = Path(__file__).parents[1] / "research" / "data" / "rare.json"
 # less the greater of two linear laws of the sizes, each of a way to fail: mean and half of the difference
 _MEAN = (
     "0.398 - (-1.07 * world.robot.body_length + 1.43 * world.robot.body_width"
@@ -374,7 +374,7 @@ class Kept:
 
 
 def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
-    """What docs/certainty.md cites."""
+    """What research/certainty.md cites."""
     return {"truth": truth(scenarios), "cost": cost(scenarios), "beyond": beyond(scenarios)}
 
 

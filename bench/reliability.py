@@ -1,6 +1,6 @@
 """What a folder of results withstands: attacks on a small study of the tests' fake engine.
 
-It writes docs/data/reliability.json.
+It writes research/data/reliability.json.
 
     python bench/reliability.py                              # minutes
     FLIPS=100000 KILLS=500 FUZZ=5000 python bench/reliability.py    # hours

@@ -2,7 +2,8 @@
 
     python bench/reproducibility.py        # some minutes: a walking study, one step long, once for each line
 
-It writes docs/data/reproducibility.json, which docs/reliability.md cites. Loops are XLA's: those that `fused` makes
+It writes research/data/reproducibility.json, which research/reliability.md cites. Loops are XLA's: those that `fused`
+makes
 have the same bits whatever the batch. Each run is a process of its own. Rows are paired by `point_id`; place in a batch
 and wall time are left out.
 """

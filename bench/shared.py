@@ -1,4 +1,4 @@
-"""Files of docs/data: of tables that one command makes, and such that processes side by side add to."""
+"""Files of research/data: of tables that one command makes, and such that processes side by side add to."""
 
 import json
 import time
@@ -13,7 +13,7 @@ from sweep.core.provenance import made_with
 from sweep.engines.run_id import device
 from sweep.engines.settings import EngineSettings
 
-DATA = Path(__file__).parents[1] / "docs" / "data"
+DATA = Path(__file__).parents[1] / "research" / "data"
 
 SCENARIOS = "scenarios"
 BY = ("code", "commit")  # what each was made with; of several the names of all

@@ -2,7 +2,8 @@
 
 Every scenario on both engines as `study=any_step` draws it: some minutes of a core each. Folders below results/steps
 that have all their rows are taken as they are, those of another machine too, so that parts may be run anywhere. It
-writes docs/data/steps.json, which docs/judge.md cites; scenarios without a folder stay there as they were told last,
+writes research/data/steps.json, which docs/judge.md cites; scenarios without a folder stay there as they were
+told last,
 and the table says what code each is of.
 """
 
@@ -22,7 +23,7 @@ from sweep.core.files import write_whole
 from sweep.runs import store
 
 ROOT = Path(__file__).parents[1]
-FOLDERS, DATA = ROOT / "results" / "steps", ROOT / "docs" / "data" / "steps.json"
+FOLDERS, DATA = ROOT / "results" / "steps", ROOT / "research" / "data" / "steps.json"
 STEPS = {"mjx": ("engine.time_step", (2e-3, 1e-3, 5e-4)), "native": ("engine.native_time_step", (1e-3, 5e-4))}
 DRAWS, DRAWN = 16, "robot.body_mass"  # how many, and a column that tells them apart
 

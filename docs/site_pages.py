@@ -1,13 +1,16 @@
-"""Pages of the site that lie elsewhere or are made: overview, results, parameters. A hook of mkdocs."""
+"""Build hook of mkdocs: adds the overview, generated reference pages and the evidence under research/ to the site."""
 
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
-import cited  # beside this, where mkdocs finds it
 from mkdocs.structure.files import File, Files  # pyright: ignore[reportMissingImports]
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "research"))
+import cited  # noqa: E402
+
 PYTHON = """# From Python
 
 `from sweep import load, run` gives studies as pandas tables, and `rows.sweep` their pictures.
@@ -20,32 +23,66 @@ PYTHON = """# From Python
 ::: sweep.analysis.screening
 ::: sweep.analysis.intervals
 """
+SHOWN = {".md", ".png", ".svg", ".gif", ".html"}  # of research/
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the pages that are not in docs/."""
+    """Add the pages that are not in docs/.
+
+    Args:
+        files: Files of docs/, as mkdocs found them.
+        config: Configuration of the site.
+
+    Returns:
+        `files` with the overview, results, parameters, the Python reference, and research/.
+    """
     from sweep.study import reference
 
     pages = {
-        "index.md": inward((ROOT / "README.md").read_text(encoding="utf-8")),
+        "index.md": link_from_root((ROOT / "README.md").read_text(encoding="utf-8")),
         "results.md": (ROOT / "results" / "README.md").read_text(encoding="utf-8"),
         "parameters.md": reference.page(),
         "python.md": PYTHON,
     }
     for name, content in pages.items():
         files.append(File.generated(config, name, content=content))
+    for path in sorted((ROOT / "research").rglob("*")):
+        if path.suffix in SHOWN:
+            name = str(path.relative_to(ROOT))
+            files.append(File(name, str(ROOT), config.site_dir, config.use_directory_urls))
     return files
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Links to the README lead to the overview; those to files beside docs/ become words; older data are told."""
-    markdown += f"\n\n{cited.outdated(markdown)}\n"
-    up = "../" * (page.file.src_uri.count("/") + 1)
-    markdown = markdown.replace(f"]({up}README.md)", f"]({up[3:]}index.md)")
-    return re.sub(rf"\[([^\]]*)\]\({re.escape(up)}[^)]*\)", r"\1", markdown)
+    """Rewrite links for the site's layout, and state on each page which of its data are older than the code.
+
+    Args:
+        markdown: Source of the page.
+        page: The page, as mkdocs knows it.
+
+    Returns:
+        The source with links inside the site; links to other files of the repository become plain text.
+    """
+    source = page.file.src_uri
+    if note := cited.outdated(markdown):
+        title, _, rest = markdown.partition("\n")
+        markdown = f"{title}\n\n*{note}*\n{rest}" if source.startswith("research/") else f"{markdown}\n\n{note}\n"
+    if source.startswith("research/"):
+        up = "../" * source.count("/")  # to the root of the repository, and to that of the site
+        markdown = markdown.replace(f"]({up}docs/", f"]({up}")
+        inside = ""
+    else:
+        up = "../" * (source.count("/") + 1)  # to the root of the repository; that of the site is one less
+        inside = up[3:]
+        markdown = markdown.replace(f"]({up}research/", f"]({inside}research/")
+        if source == "index.md":
+            return markdown
+    markdown = markdown.replace(f"]({up}README.md)", f"]({up if source.startswith('research/') else inside}index.md)")
+    outside = rf"\[([^\]]*)\]\({re.escape(up)}(?:bench|jobs|sweep|tests|conf|results)[^)]*\)"
+    return re.sub(outside, r"\1", markdown)
 
 
-def inward(text: str) -> str:
-    """The README as a page of docs/: links and pictures of docs/ are beside it, other links become words."""
+def link_from_root(text: str) -> str:
+    """The README as a page of the site: links into docs/ lose that folder, links to other files become plain text."""
     text = text.replace("](docs/", "](")
     return re.sub(r"(?<!!)\[([^\[\]]*)\]\((?!https://)((?![\w/]+\.md)[^)]*|bench/[^)]*)\)", r"\1", text)

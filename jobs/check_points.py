@@ -20,7 +20,7 @@ from sweep.study.config import compose, experiment
 from sweep.study.study import parameter_columns
 
 ROOT = Path(__file__).parents[1]
-EXAMPLES = ROOT / "docs" / "examples"
+EXAMPLES = ROOT / "research" / "examples"
 STUDIES = ("walk_map", "robustness_walk", "robustness_pole")
 NUMBER, TOLERATED, UNEXPECTED = 20, 1, 4
 

@@ -1,13 +1,13 @@
-"""Makes what docs/ shows: runs the studies of jobs/paper.yaml and jobs/robustness.yaml, draws pictures, writes
-docs/data/NAME.json of each.
+"""Makes what research/ shows: runs the studies of jobs/paper.yaml and jobs/robustness.yaml, draws pictures, writes
+research/data/NAME.json of each.
 
     python jobs/paper.py [NAME ...] [--quick] [--jobs 1] [--studies] [--out results/paper]
 
 A study's folder finishes what is missing in it and refuses rows of other code, so each code has folders of its own
 below OUT: whatever is interrupted goes on, and rows are taken as they are where their code is this one. That is why no
 workflow engine is used, which would ask files for their dates instead. What changed beyond its interval is written
-with the data that it is about, and told at the end. Coarser studies go into a copy of docs/, OUT/quick/docs. Of the N
-that are made at the same time each has one GPU.
+with the data that it is about, and told at the end. Coarser studies go into a copy of research/,
+OUT/quick/research. Of the N that are made at the same time each has one GPU.
 """
 
 import argparse
@@ -47,7 +47,7 @@ from sweep.runs import results
 from sweep.runs.results import Results
 
 ROOT = Path(__file__).parents[1]
-JOBS, DOCS = ROOT / "jobs", ROOT / "docs"
+JOBS, RESEARCH = ROOT / "jobs", ROOT / "research"
 ALLOWED = (0, 3, 4)  # invalid rows and broken expectations are results, too
 VALUES, PARTS = 20, 5  # of an axis, each for itself; of a longer one, equal parts
 DPI = 110
@@ -76,9 +76,9 @@ def main(argv: list[str] | None = None) -> int:
     chosen = {name: one for name, one in every.items() if any(fnmatch.fnmatch(name, word) for word in wanted)}
     chosen = {name: one for name, one in chosen.items() if "run" in one or not given.studies}
     chosen = {name: one for name, one in chosen.items() if len(one["budget"]) > 1 or not given.quick}
-    out, docs = given.out / code_version(), copied(given.out / "quick") if given.quick else DOCS
+    out, research = given.out / code_version(), copied(given.out / "quick") if given.quick else RESEARCH
     for folder in ("data", "figures"):
-        (docs / folder).mkdir(exist_ok=True)
+        (research / folder).mkdir(exist_ok=True)
     changed, failed, start, number = [], [], time.monotonic(), 0
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # else the first process takes the GPU's memory
     context = multiprocessing.get_context("spawn")  # fresh processes: a fork would share what JAX has started
@@ -86,7 +86,7 @@ def main(argv: list[str] | None = None) -> int:
     for place in range(given.jobs):
         own.put(every_card[place % len(every_card)])
     with ProcessPoolExecutor(given.jobs, context, take, (own,)) as processes:
-        for name, lines, fault, seconds in finished(processes, chosen, out, docs, given.quick):
+        for name, lines, fault, seconds in finished(processes, chosen, out, research, given.quick):
             number += 1
             state = "failed" if fault else "made"
             print(f"{number} of {len(chosen)}, {time.monotonic() - start:.0f} s: {name} {state} in {seconds:.0f} s")
@@ -115,10 +115,10 @@ def robustness(manoeuvres: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]
 
 
 def copied(folder: Path) -> Path:
-    """A copy of docs/, and beside it of the benches that write into docs/ beside them."""
-    for beside in ("docs", "bench"):
+    """Copy research/, and bench/ beside it, whose scripts write into research/."""
+    for beside in ("research", "bench"):
         shutil.copytree(ROOT / beside, folder / beside, dirs_exist_ok=True)
-    return folder / "docs"
+    return folder / "research"
 
 
 def cards() -> list[str]:
@@ -136,13 +136,13 @@ def take(own: Any) -> None:
 
 
 def finished(
-    processes: Executor, targets: dict[str, Any], out: Path, docs: Path, quick: bool
+    processes: Executor, targets: dict[str, Any], out: Path, research: Path, quick: bool
 ) -> Iterator[tuple[str, list[str], str, float]]:
     """What `each` tells of all targets, as soon as it is made: the longest first, then what is drawn of all others."""
     for last in (False, True):
         some = shared({name: one for name, one in targets.items() if ("last" in one) == last})
         groups = sorted(some, key=lambda group: -max(one["budget"][quick] for one in group.values()))
-        for done in as_completed([processes.submit(each, group, out, docs, quick) for group in groups]):
+        for done in as_completed([processes.submit(each, group, out, research, quick) for group in groups]):
             yield from done.result()
 
 
@@ -153,21 +153,21 @@ def shared(targets: dict[str, Any]) -> Iterator[dict[str, Any]]:
     yield from (dict(group) for _, group in groupby(studies, key=lambda item: ran_as(item[1])))
 
 
-def each(targets: dict[str, Any], out: Path, docs: Path, quick: bool) -> list[tuple[str, list[str], str, float]]:
+def each(targets: dict[str, Any], out: Path, research: Path, quick: bool) -> list[tuple[str, list[str], str, float]]:
     """Make targets: of each its name, what changed, why it failed where it did, and seconds."""
     told = []
     for name, target in targets.items():
         start, lines, fault = time.monotonic(), [], ""
         try:
-            lines = made(name, target, out, docs, quick)
+            lines = made(name, target, out, research, quick)
         except Exception as error:  # whatever it is, the other targets are made
             fault = f"{type(error).__name__}: {error}"
         told.append((name, lines, fault, time.monotonic() - start))
     return told
 
 
-def made(name: str, target: dict[str, Any], out: Path, docs: Path, quick: bool) -> list[str]:
-    """Make one target in `docs`; what changed beyond its interval since its data were written last."""
+def made(name: str, target: dict[str, Any], out: Path, research: Path, quick: bool) -> list[str]:
+    """Make one target in `research`; what changed beyond its interval since its data were written last."""
     folder, changed = out / ("quick" if quick else "full") / ran_as(target), []
     if "run" in target:
         command = [*target["run"], *(target.get("quick", []) if quick else [])]
@@ -179,12 +179,12 @@ def made(name: str, target: dict[str, Any], out: Path, docs: Path, quick: bool) 
             folder = copy
         found = results.read(folder, target.get("only"))
         if "script" not in target and target.get("picture", True):
-            picture(found, target, docs / "figures" / f"{name}.png")
+            picture(found, target, research / "figures" / f"{name}.png")
         about = {"command": f"sweep run {shlex.join(command)}", "quick": quick and "quick" in target}
-        changed = told(docs / "data" / f"{name}.json", about | summary(found, target) | {"seconds": round(seconds)})
+        changed = told(research / "data" / f"{name}.json", about | summary(found, target) | {"seconds": round(seconds)})
     if script := target.get("script"):
         words = [f"{word}{folder}" if word.endswith("=") else word for word in script[1:]]
-        run(str(docs / script[0]), *words)
+        run(str(research / script[0]), *words)
     return changed
 
 

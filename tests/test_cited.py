@@ -1,4 +1,4 @@
-"""Numbers of the pages are those of docs/data, and what jobs/paper.yaml makes is what the pages show."""
+"""Numbers of the pages are those of research/data, and what jobs/paper.yaml makes is what the pages show."""
 
 import fnmatch
 import json
@@ -16,7 +16,7 @@ from sweep.core.groups import GROUPS
 from sweep.study.config import compose
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT / "docs"), str(ROOT / "jobs")]
+sys.path[:0] = [str(ROOT / "research"), str(ROOT / "jobs")]
 
 import check_points  # noqa: E402  # pyright: ignore[reportMissingImports]
 import cited  # noqa: E402  # pyright: ignore[reportMissingImports]
@@ -32,7 +32,7 @@ def test_every_block_is_as_its_data_have_it():
     blocks = 0
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
-        assert cited.filled(text) == text, f"{page}: python docs/cited.py"
+        assert cited.filled(text) == text, f"{page}: python research/cited.py"
         found = cited.BLOCK.findall(text)
         sources = any(form == "sources" for _, _, form, *_ in found)
         assert sources or not cited.targets(text), f"{page}: no sources"
@@ -87,14 +87,14 @@ def strangers(pages, given):
     """A line for each table by hand that is not given, and for each that is given and not there."""
     for page, text in pages.items():
         for head in set(cited.by_hand(text)) - {*given.get(page, [])}:
-            yield f"docs/{page}: the table {head} is by hand: make it a block of docs/data (docs/cited.py)"
+            yield f"{page}: the table {head} is by hand: make it a block of research/data (research/cited.py)"
     for page, heads in given.items():
         for head in {*heads} - set(cited.by_hand(pages.get(page, ""))):
-            yield f"docs/{page}: {head} is not there any more: take it off {BY_HAND.name}"
+            yield f"{page}: {head} is not there any more: take it off {BY_HAND.name}"
 
 
 def test_tables_by_hand_are_those_that_are_given():
-    pages = {str(page.relative_to(cited.DOCS)): page.read_text(encoding="utf-8") for page in PAGES}
+    pages = {str(page.relative_to(ROOT)): page.read_text(encoding="utf-8") for page in PAGES}
     told = list(strangers(pages, yaml.safe_load(BY_HAND.read_text(encoding="utf-8"))))
     assert not told, "\n".join(told)
 
@@ -104,8 +104,8 @@ def test_a_table_by_hand_is_told_by_name():
     block = f"<!-- data b: draws -->\n{page}<!-- end -->\n{given}"
     assert list(strangers({"a.md": block}, {"a.md": ["| x |"]})) == []
     new, gone = strangers({"a.md": page + given}, {"a.md": ["| x |", "| y |"]})
-    assert new.startswith("docs/a.md: the table | mass | m | is by hand: make it a block")
-    assert gone.startswith("docs/a.md: | y | is not there any more")
+    assert new.startswith("a.md: the table | mass | m | is by hand: make it a block")
+    assert gone.startswith("a.md: | y | is not there any more")
 
 
 def test_nominal_runs_are_told_with_their_figures(monkeypatch, tmp_path):
@@ -190,7 +190,7 @@ def test_every_target_can_be_run():
             assert compose(given).study.axes, name
             assert all(word.split("=")[0] in GROUPS or "." in word for word in given), name
         else:
-            assert (ROOT / "docs" / target["script"][0]).exists(), name
+            assert (ROOT / "research" / target["script"][0]).exists(), name
         assert len(target["budget"]) in (1, 2), name
         assert {"title", "exhibit", "script", "picture"} & set(target), f"{name}: what its map is called"
 
@@ -248,9 +248,9 @@ def test_coarser_studies_leave_the_pages_alone_and_what_is_drawn_of_all_comes_la
     """Scripts in processes of their own, of which one takes no part in what is coarser."""
     here, out = 'from pathlib import Path; here = Path(__file__).with_name("{}.txt"); ', tmp_path / "out"
     (tmp_path / "bench").mkdir()
-    (tmp_path / "docs").mkdir()
+    (tmp_path / "research").mkdir()
     for name, said in {"first": "1", "all": "here.with_name('first.txt').read_text() + '2'", "long": "3"}.items():
-        (tmp_path / "docs" / f"{name}.py").write_text(f"{here.format(name)}here.write_text(str({said}))")
+        (tmp_path / "research" / f"{name}.py").write_text(f"{here.format(name)}here.write_text(str({said}))")
     table = {name: {"script": [f"{name}.py"], "budget": [9, 9]} for name in ("all", "first")}
     table["all"]["last"], table["long"] = True, {"script": ["long.py"], "budget": [9]}
     (tmp_path / "paper.yaml").write_text(yaml.safe_dump(table))
@@ -258,9 +258,9 @@ def test_coarser_studies_leave_the_pages_alone_and_what_is_drawn_of_all_comes_la
     monkeypatch.setattr(paper, "ROOT", tmp_path)
     monkeypatch.setattr(paper, "JOBS", tmp_path)
     assert paper.main(["--quick", "--jobs", "2", "--out", str(out)]) == 0
-    assert (out / "quick" / "docs" / "all.txt").read_text() == "12"
-    assert not list((tmp_path / "docs").glob("*.txt"))
-    assert not (out / "quick" / "docs" / "long.txt").exists()
+    assert (out / "quick" / "research" / "all.txt").read_text() == "12"
+    assert not list((tmp_path / "research").glob("*.txt"))
+    assert not (out / "quick" / "research" / "long.txt").exists()
 
 
 def test_shipped_rollouts_end_as_they_did():

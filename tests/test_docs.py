@@ -18,7 +18,9 @@ from sweep.study.config import compose
 from sweep.trace import replay
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "results/README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+GUIDE = [ROOT / "README.md", ROOT / "results/README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+EVIDENCE = sorted((ROOT / "research").rglob("*.md"))
+PAGES = [*GUIDE, *EVIDENCE]
 FOLLOWED = ("extending.md", "own_model.md")  # to the letter, by tests of their own
 BLOCK = re.compile(r"(?:^    .*\n|^\n(?=    ))+", re.MULTILINE)
 FENCE = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
@@ -59,7 +61,12 @@ def samples(page):
 
 @pytest.mark.parametrize("fake_engine", [AnyEngine], indirect=True)
 @pytest.mark.parametrize(
-    "page", [p for p in PAGES if p.name not in FOLLOWED], ids=lambda page: str(page.relative_to(ROOT))
+    "page",
+    [
+        *(page for page in GUIDE if page.name not in FOLLOWED),
+        *(pytest.param(page, marks=pytest.mark.slow) for page in EVIDENCE),  # minutes: hundreds of commands
+    ],
+    ids=lambda page: str(page.relative_to(ROOT)),
 )
 def test_every_command_of_a_page_works(page, fake_engine, monkeypatch, tmp_path, capsys):
     assert cli.main(["init", str(tmp_path / "lab")]) == 0
@@ -111,7 +118,7 @@ def test_every_link_and_file_of_a_page_is_there(page):
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text):
         assert target.startswith("https://") or (page.parent / target).exists(), target
-    for line in re.findall(r"^    (?:python |)((?:jobs|docs|bench)/\S+)", text, re.MULTILINE):
+    for line in re.findall(r"^    (?:python |)((?:jobs|docs|bench|research)/\S+)", text, re.MULTILINE):
         assert (ROOT / line).exists(), line
     for sentence in re.findall(r"^\s*(from sweep[\w.]* import [\w, ]+?)\s*(?:#.*)?$", text, re.MULTILINE):
         exec(sentence, {})

@@ -116,7 +116,7 @@ def test_another_processor_is_another_run_and_said(tmp_path, monkeypatch, capsys
 
 def test_a_commit_is_marked_where_what_makes_rows_differs(tmp_path, monkeypatch):
     """`make paper` draws pictures into the checkout that it runs in."""
-    for name in ("sweep/core.py", "conf/study.yaml", "docs/data.json"):
+    for name in ("sweep/core.py", "conf/study.yaml", "research/data.json"):
         (tmp_path / name).parent.mkdir()
         (tmp_path / name).write_text("1\n")
     git = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@example.org"]
@@ -125,7 +125,7 @@ def test_a_commit_is_marked_where_what_makes_rows_differs(tmp_path, monkeypatch)
     monkeypatch.setattr(provenance, "ROOT", tmp_path / "sweep")
     plain = provenance.commit.__wrapped__()
     assert len(plain) == 12
-    (tmp_path / "docs/data.json").write_text("2\n")
+    (tmp_path / "research/data.json").write_text("2\n")
     assert provenance.commit.__wrapped__() == plain
     (tmp_path / "conf/study.yaml").write_text("2\n")
     assert provenance.commit.__wrapped__() == f"{plain}-dirty"

@@ -1,5 +1,5 @@
-"""What docs/validity.md shows, measured: `python bench/validity PART ...` writes docs/data/validity_PART.json,
-or on a machine with a GPU docs/data/validity_PART_gpu.json.
+"""What research/validity.md shows, measured: `python bench/validity PART ...` writes research/data/validity_PART.json,
+or on a machine with a GPU research/data/validity_PART_gpu.json.
 
     python bench/validity                       # all parts, one after the other
     python bench/validity scenes                # scenes with known answers, by every engine
@@ -61,7 +61,7 @@ def main(argv: list[str] | None = None) -> None:
 def measure(part: str, pattern: str) -> None:
     """Measure what is missing of a part, and write its data after every job."""
     machine = "_gpu" if precision.on_gpu() else ""
-    path = ROOT / "docs" / "data" / f"validity_{part}{machine}.json"
+    path = ROOT / "research" / "data" / f"validity_{part}{machine}.json"
     engine, jobs = PARTS[part]
     every = dict(jobs())
     for name, work in every.items():

@@ -42,7 +42,7 @@ def test_success_is_apart_from_every_failure(eyes):
 def test_causes_that_a_study_shows_together_are_apart():
     """As cells of a map, whose glyphs are few; all studies of docs/, causes that 2 % of what failed there have."""
     pairs = set()
-    for path in (File(__file__).parents[2] / "docs" / "data").glob("*.json"):
+    for path in (File(__file__).parents[2] / "research" / "data").glob("*.json"):
         causes = json.loads(path.read_text(encoding="utf-8")).get("causes", {})
         frequent = {cause for cause, number in causes.items() if number >= 0.02 * sum(causes.values())}
         pairs |= set(combinations(sorted(frequent - set(DOUBTS)), 2))

@@ -18,7 +18,7 @@ from sweep.runs import results, store
 from sweep.study.config import compose
 from sweep.trace import motion
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "docs"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "research"))
 import example_pages  # pyright: ignore[reportMissingImports]
 
 
@@ -56,7 +56,7 @@ def test_a_shipped_example_has_the_script_and_style_of_today(example):
     text = example.read_text(encoding="utf-8")
     stale = text.replace(script.bundle(), "old").replace(script.style_sheet(), "older")
     assert len(stale) == len(text) - len(script.bundle() + script.style_sheet()) + len("old" + "older"), (
-        "python docs/example_pages.py renews them; jobs/paper_tables.sh makes them again"
+        "python research/example_pages.py renews them; jobs/paper_tables.sh makes them again"
     )
     assert example_pages.renewed(stale) == text  # with its policy, too, and nothing else of it is another
 

@@ -37,7 +37,7 @@ pytestmark = [
 
 AXE = "4.10.3"
 STEP = "manoeuvre.half_step_ratio"
-EXAMPLES = sorted((Path(__file__).parents[2] / "docs" / "examples").glob("*/report.html"))
+EXAMPLES = sorted((Path(__file__).parents[2] / "research" / "examples").glob("*/report.html"))
 
 
 @pytest.fixture(scope="module")

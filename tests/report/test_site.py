@@ -30,7 +30,9 @@ def test_the_site_has_its_pages(site):
 
 def test_every_page_can_be_navigated_to():
     named = set(re.findall(r": (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))
-    assert {str(page.relative_to(ROOT / "docs")) for page in (ROOT / "docs").rglob("*.md")} <= named
+    pages = {str(page.relative_to(ROOT / "docs")) for page in (ROOT / "docs").rglob("*.md")}
+    evidence = {str(page.relative_to(ROOT)) for page in (ROOT / "research").rglob("*.md")}
+    assert pages | evidence <= named
 
 
 @pytest.mark.browser
@@ -38,7 +40,7 @@ def test_every_page_can_be_navigated_to():
 def test_every_page_shows_its_pictures(site, tmp_path):
     browser, shown = Browser(tmp_path), 0
     for page in sorted(site.rglob("*.html")):
-        if page.is_relative_to(site / "examples") and page.name == "report.html":
+        if page.is_relative_to(site / "research" / "examples") and page.name == "report.html":
             continue  # an example of a report, with pictures of its own
         browser.open(page)
         pictures = browser.run("""Promise.all([...document.images].map(i => { i.loading = "eager";

@@ -1,0 +1,36 @@
+"""Draws research/figures/scenario_*.png: moments of each scenario's nominal rollout, with contact forces.
+
+MUJOCO_GL=egl python research/scenario_pictures.py SCENARIO [...] [engine=native]
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from sweep.core.evenly import evenly
+from sweep.runs.batches import Batch, make_engine
+from sweep.study.config import compose
+from sweep.trace.frames import write_strip
+from sweep.trace.sampling import finite_frames
+
+FIGURES = Path(__file__).parent / "figures"
+LONG = 45.0  # s
+
+
+def strip(scenario: str, *changes: str) -> Path:
+    """Frames of the scenario side by side."""
+    exp = compose([f"scenario={scenario}", *changes])
+    one = Batch(replace(exp.settings, width=1), exp.case, exp.case, np.zeros(1, int))
+    engine = make_engine(exp, one)
+    trace = engine.trace(exp.case, exp.case, one.streams, 0)
+    path = FIGURES / f"scenario_{scenario}.png"
+    write_strip(path, trace, evenly(finite_frames(trace), 4 if engine.duration < LONG else 8))
+    return path
+
+
+if __name__ == "__main__":
+    changes = [word for word in sys.argv[1:] if "=" in word]
+    for name in [word for word in sys.argv[1:] if "=" not in word]:
+        print(strip(name, *changes))
