@@ -1,7 +1,7 @@
-"""Plans as data: parts of moves, read from a file, become stages.
+"""Reads the moves of a plan file and turns them into stages.
 
-A move takes the base somewhere and feet to places, both in charts that the obstacle offers. Left and right feet of a
-pair are placed alike.
+A move takes the base to a pose and feet to places, given by coordinates in charts that the obstacle offers. The left
+and right foot of a pair get mirrored places.
 """
 
 import math
@@ -27,11 +27,12 @@ from sweep.models.obstacles.surface import free_start
 from sweep.models.plan_table import COMPONENTS, LONG, REPEAT, SINGLE, tabled
 
 CYCLES = {"a": CYCLE_A, "b": CYCLE_B, "b_smooth": CYCLE_B_SMOOTH, "half_ellipse": HALF_ELLIPSE}
-# how the base's way is spent: evenly, as a cubic from rest to rest, or by lambda_1
+# timing of the base along its path: even, a cubic from rest to rest, or trapezoidal
 PACES = {"even": (STEADY, (1.0, 1.0)), "eased": (STEADY, (0.0, 0.0)), "smooth": (SMOOTH, (1.0, 1.0))}
+# front legs for rear legs, and the other way round
 OPPOSITE = {group: group.replace("front", "rear") if "front" in group else group.replace("rear", "front")
             for group in GROUPS}  # fmt: skip
-NOT_A_NUMBER = str | bool | list | Mapping | None  # is no number
+NOT_A_NUMBER = str | bool | list | Mapping | None  # types in a plan file that are no numbers
 type Feet = dict[int, Float[Array, " 3"]]  # m, by leg
 type Numbers = list[Any]
 type Place = Mapping[str, Numbers]  # coordinates in one chart
@@ -39,43 +40,47 @@ type Place = Mapping[str, Numbers]  # coordinates in one chart
 
 @dataclass(frozen=True)
 class Move:
-    """A stage in a file's words; what a part says counts for all its moves. Lengths are in the manoeuvre's unit."""
+    """A move as a plan file has it, made by `read_moves`; keys of a part apply to all its moves.
 
-    path: str  # of the move in a file, for messages
-    # where groups of legs go; None: they stay where they are, and get another depth
+    Lengths are in the manoeuvre's unit unless said otherwise.
+    """
+
+    path: str  # path of the move in the file, for messages
+    # group of legs -> place of its feet; None: they stay in place and get another depth
     feet: Mapping[str, Place | None] = field(default_factory=dict)
     time: Number = 1.0  # t*
-    seconds: Number | None = None  # instead of `time`
-    base: Place = field(default_factory=dict)  # at the end, with its pitch (deg, nose up) after the coordinates
-    pace: str = "even"
-    rates: Numbers | None = None  # of an even pace at its ends, in units of its mean
-    pivot: Numbers | None = None  # of an arc of the base, in the same chart
+    seconds: Number | None = None  # in place of `time`
+    # base at the end; its pitch (deg, nose up) may follow the coordinates
+    base: Place = field(default_factory=dict)
+    pace: str = "even"  # timing of the base
+    rates: Numbers | None = None  # speed of an even pace at the start and end, over its mean speed
+    pivot: Numbers | None = None  # centre of the base's arc, in the same chart
     arc: Number = 0.0  # deg
     depth: Number | None = None  # m, of these feet in what they stand on
-    swing: str = "b"
-    lift: Number = 0.0  # d_y
-    carry: Number = 0.0  # share of the swing's way that is made evenly, as the base goes
-    plane: Numbers | None = None  # in which the swing is lifted; upwards if it does not say
-    leave: Numbers | None = None  # control points of the swing's curve, from the place that is left ...
-    land: Numbers | None = None  # ... and from the new one
-    press: Number = 1.0  # of feet on free bodies, over the manoeuvre's own
-    support: str = "free"  # of free bodies, as the manoeuvre names it; where they are seen if it does not say
-    law: str = ""  # of the manoeuvre's, that leads it or by which metrics know it
+    swing: str = "b"  # profile of the swing
+    lift: Number = 0.0  # height of the swing, in units of d_y
+    carry: Number = 0.0  # share of the swing that progresses evenly, as the base does
+    plane: Numbers | None = None  # direction in which the swing is lifted; None: upward
+    leave: Numbers | None = None  # offset of the swing curve's first control point from the old place
+    land: Numbers | None = None  # offset of its second control point from the new place
+    press: Number = 1.0  # factor on the manoeuvre's own pressure of feet on free bodies
+    support: str = "free"  # reference motion of free bodies, by a name of the manoeuvre; "free": as measured
+    law: str = ""  # law that guides the move, or by which metrics find it
 
 
-REVERSED = ("reverse", "from", "mirror", "law")  # what a part says that is another one backwards
+REVERSED = ("reverse", "from", "mirror", "law")  # keys of a part that is another part reversed
 WORDS = {"pace": PACES, "swing": CYCLES}
 NUMBERS = {f.name: f.default for f in fields(Move) if f.name in SINGLE}
-SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"}  # of lists
+SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"}  # lengths of lists
 
 
 class Footing(NamedTuple):
-    """Where a foot stands, and with what it goes."""
+    """Where a foot stands, and the frame that it moves with."""
 
-    point: Float[Array, " 3"]  # m, from where its next swing's curve is told
-    frame: int = WORLD  # of that
-    stance_frame: int = WORLD  # the frame with which it goes
-    place: Place | None = None  # where a chart says so
+    point: Float[Array, " 3"]  # m, in `frame`; the next swing's curve starts from it
+    frame: int = WORLD  # frame of `point`
+    stance_frame: int = WORLD  # frame that the foot moves with while it stands
+    place: Place | None = None  # place in a chart, if the file names one
 
 
 class Standing(NamedTuple):
@@ -87,26 +92,45 @@ class Standing(NamedTuple):
 
 
 def standing_on(feet: Feet, pitch: Number, frame: int = WORLD) -> Standing:
-    """On footholds (m) that no chart tells, feet and base in one frame."""
+    """Return where a robot stands on footholds without a place in a chart.
+
+    Args:
+        feet: leg number -> foothold (m).
+        pitch: of the base (rad), nose up.
+        frame: frame of all feet and the base.
+    """
     return Standing({leg: Footing(point, frame, frame) for leg, point in feet.items()}, pitch, frame)
 
 
 @dataclass(frozen=True)
 class MoveContext:
-    """What a file's words mean on an obstacle, for a manoeuvre."""
+    """What the words of a plan file mean for one manoeuvre on its obstacle; made by the manoeuvre."""
 
     belief: Case
-    unit: Number  # m
+    unit: Number  # m, unit of lengths
     time: Number  # s, t*
     lift: Number  # m, d_y
-    depths: Mapping[str, Number] = field(default_factory=dict)  # m, of feet in what they stand on, by chart; else 0
-    extra_charts: Mapping[str, Chart] = field(default_factory=dict)  # charts of the manoeuvre's
-    supports: Mapping[str, tuple[Support, ...]] = field(default_factory=lambda: {"free": ()})  # by name, of every body
-    laws: tuple[str, ...] = ()  # that moves may be under
-    stage: Mapping[str, Any] = field(default_factory=dict)  # what all stages have besides
+    # m, of feet in what they stand on, by chart; 0 for others
+    depths: Mapping[str, Number] = field(default_factory=dict)
+    # charts of the manoeuvre, besides those of the obstacle
+    extra_charts: Mapping[str, Chart] = field(default_factory=dict)
+    # by name, the reference motion of every free body
+    supports: Mapping[str, tuple[Support, ...]] = field(default_factory=lambda: {"free": ()})
+    laws: tuple[str, ...] = ()  # names of laws that moves may use
+    stage: Mapping[str, Any] = field(default_factory=dict)  # further fields of all stages
 
     def foot(self, leg: int, place: Place, where: str, depth: Number | None = None) -> Footing:
-        """Of a leg at a place, at the usual depth or another one (m). Raises `InputError` of what stands `where`."""
+        """Return the footing of a leg at a place.
+
+        Args:
+            leg: leg number.
+            place: coordinates in a chart.
+            where: path of the place in the file, for messages.
+            depth: depth of the foot in what it stands on (m); None: that of the chart.
+
+        Raises:
+            InputError: the chart is unknown, or has other coordinates.
+        """
         name, chart, numbers = self.chart(place, where)
         if not len(chart.names) - chart.optional <= len(numbers) <= len(chart.names):
             raise InputError(f"{where} = {_plain(numbers)} is not allowed: [{', '.join(chart.names)}]")
@@ -116,7 +140,15 @@ class MoveContext:
         return Footing(point, chart.frame, stands, place)
 
     def base(self, place: Place, where: str) -> tuple[Float[Array, " 3"], Number | None, Chart]:
-        """The base's centre (m), its pitch (rad) if that is said, and its chart. Raises `InputError`."""
+        """Return the base's centre (m) at a place, its pitch (rad) if the place gives one, and its chart.
+
+        Args:
+            place: coordinates in a chart, with the pitch (deg) after them if the chart does not determine it.
+            where: path of the place in the file, for messages.
+
+        Raises:
+            InputError: the chart is unknown, or has other coordinates.
+        """
         _, chart, numbers = self.chart(place, where)
         names, count = chart.based(), len(chart.names)
         if not (count - chart.optional <= len(numbers) <= len(names)):
@@ -128,7 +160,15 @@ class MoveContext:
         return point, jnp.radians(jnp.asarray(pitch[0], float)) if pitch else None, chart
 
     def chart(self, place: Place, where: str) -> tuple[str, Chart, Numbers]:
-        """Name and chart of a place, and its coordinates. Raises `InputError`."""
+        """Return name and chart of a place, and its coordinates.
+
+        Args:
+            place: coordinates in a chart.
+            where: path of the place in the file, for messages.
+
+        Raises:
+            InputError: the place names no chart, or an unknown one.
+        """
         if len(place) != 1:
             raise InputError(f"{where} = {_plain(place)} is not allowed: coordinates in one chart")
         name, numbers = next(iter(place.items()))
@@ -145,16 +185,24 @@ class MoveContext:
         return np.array([-y, x, 0.0])
 
     def vector(self, leg: int, numbers: Numbers) -> Float[Array, " 3"]:
-        """Out to the leg's side, ahead and up."""
+        """Return a vector (world axes) from its components outward from the leg's side, ahead and up."""
         out, ahead, up = (jnp.asarray(number, float) for number in numbers)
         level = float(SIDE[leg - 1]) * out * self.left + ahead * np.array([*self.belief.obstacle.forward, 0.0])
         return level + up * np.array([0.0, 0.0, 1.0])
 
 
 def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"], Float[Array, " 3"], Standing]:
-    """Where feet and base are (m, world axes) before anything moves, by a part that is `placing`.
+    """Return feet and base at the start, from a part of the file that places the robot.
 
-    Raises `InputError`.
+    Args:
+        part: name of the part.
+        context: meaning of the file's words.
+
+    Returns:
+        Feet (m), (6, 3), and base position (m), world axes; and where the robot stands.
+
+    Raises:
+        InputError: the part does not place the base and all feet.
     """
     _, move = placing_move(context.belief, part)
     feet = {leg: context.foot(leg, place or {}, f"{move.path}.{group}", move.depth)
@@ -168,9 +216,16 @@ def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"]
 def part_stages(
     part: str, context: MoveContext, standing: Standing, prefix: str | None = None
 ) -> tuple[list[Stage], Standing]:
-    """Stages of a part's moves from where the robot stands, and where it stands then; `PART.` is before their names.
+    """Return the stages of a part's moves, and where the robot stands after them.
 
-    Raises `InputError` for what the language has no words for.
+    Args:
+        part: name of the part.
+        context: meaning of the file's words.
+        standing: where the robot stands before.
+        prefix: put before the names of the stages; None: the part's name with a dot.
+
+    Raises:
+        InputError: a move is not understood.
     """
     return move_stages(read_moves(context.belief, part), context, standing, f"{part}." if prefix is None else prefix)
 
@@ -178,7 +233,17 @@ def part_stages(
 def move_stages(
     moves: Mapping[str, Move], context: MoveContext, standing: Standing, prefix: str
 ) -> tuple[list[Stage], Standing]:
-    """Stages of moves by name, as `stages_of` makes them."""
+    """Return the stages of moves, and where the robot stands after them.
+
+    Args:
+        moves: moves by name.
+        context: meaning of the file's words.
+        standing: where the robot stands before.
+        prefix: put before the names of the stages.
+
+    Raises:
+        InputError: a move is not understood.
+    """
     stages = []
     for name, move in moves.items():
         stage, standing = _move_stage(prefix + name, move, context, standing)
@@ -236,7 +301,13 @@ def _move_stage(name: str, move: Move, context: MoveContext, standing: Standing)
 
 
 def foot_in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]:
-    """Where a foot stands (m), in a frame, free bodies as they start."""
+    """Return where a foot stands (m) in another frame, with free bodies where they start.
+
+    Args:
+        belief: has the obstacle.
+        foot: the footing.
+        frame: number of the frame.
+    """
     if foot.frame == frame:
         return foot.point
     free = free_start(belief.obstacle)
@@ -244,11 +315,20 @@ def foot_in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]
 
 
 def read_moves(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> dict[str, Move]:
-    """The moves of a part of a case's plan, by name. Raises `InputError`.
+    """Return the moves of a part of a case's plan file, by name.
 
-    A part with `reverse` has those of another one backwards, which began as the only move of the part `from` places the
-    robot; with `mirror`, two charts, as seen in a mirror across its way, in which the charts change places; under a
-    `law` of its own, if it says one. One with `repeat` has its own again and again, with `1.`, `2.` before their names.
+    A part with `repeat` has its moves several times, with prefixes `1.`, `2.` and so on. A part with `reverse` has the
+    moves of another part backwards, which started where the only move of the part `from` places the robot. It may have
+    a `law` of its own, and a `mirror`: two charts that are exchanged while the moves are mirrored across the robot's
+    direction.
+
+    Args:
+        belief: the case.
+        part: name of the part.
+        enclosing: parts that are made of this one.
+
+    Raises:
+        InputError: the part is missing or not understood.
     """
     content = tabled(belief, part)
     if part not in content:
@@ -281,12 +361,12 @@ def read_moves(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> dict
 
 
 def _repetition(values: Any, k: int) -> Any:
-    """What a move says when it is made after `k` times: numbers that go by it are arrays."""
+    """Values of a move in its repetition number `k`; numbers that depend on it are arrays."""
     return jax.tree.map(lambda x: x[k] if np.ndim(x) else x, values)
 
 
 def reverse_moves(moves: Mapping[str, Move]) -> dict[str, Move]:
-    """Moves that go back to where the robot is placed by the first one: each to where the forward one came from."""
+    """Return moves that lead back to where the first move places the robot, by the places of the moves before them."""
     start, *others = moves.items()
     base, feet, reversed_moves = start[1].base, _by_leg(start[1]), {}
     for name, move in others:
@@ -299,7 +379,7 @@ def reverse_moves(moves: Mapping[str, Move]) -> dict[str, Move]:
 
 
 def _with_pitch(belief: Case, moves: Mapping[str, Move]) -> dict[str, Move]:
-    """Moves that say the pitch which the base keeps where it says none: its charts do not tell it."""
+    """Moves that state the pitch which the base keeps, where neither they nor their charts give one."""
     offered, pitch, result = belief.obstacle.charts, 0.0, {}
     for name, move in moves.items():
         for place, numbers in move.base.items():
@@ -315,12 +395,21 @@ def _with_pitch(belief: Case, moves: Mapping[str, Move]) -> dict[str, Move]:
 
 
 def _by_leg(move: Move) -> dict[str, Place | None]:
-    """Where each leg goes that a move names."""
+    """Place of each leg that a move names."""
     return {NAMES[leg]: place for group, place in move.feet.items() for leg in GROUPS[group]}
 
 
 def placing_move(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> tuple[str, Move]:
-    """A part's only move, which places base and feet, with its name. Raises `InputError`."""
+    """Return name and content of a part's only move, which has to place the base and all feet.
+
+    Args:
+        belief: the case.
+        part: name of the part.
+        enclosing: parts that are made of this one.
+
+    Raises:
+        InputError: the part has several moves, or does not place everything.
+    """
     (name, move), *others = read_moves(belief, part, enclosing).items()
     if others or not move.base or len({leg for leg, place in _by_leg(move).items() if place}) < len(LEGS):
         raise InputError(f"plan.{part} is not allowed: one move, which places the base and all feet")
@@ -328,7 +417,13 @@ def placing_move(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> tu
 
 
 def mirror_move(belief: Case, move: Move, charts: Sequence[str]) -> Move:
-    """A move in a mirror across the robot's way: what is ahead is behind, front legs are rear ones."""
+    """Return a move mirrored across the robot's direction: ahead becomes behind, front legs become rear legs.
+
+    Args:
+        belief: the case.
+        move: move to mirror.
+        charts: charts to exchange.
+    """
     offered, swapped_chart = belief.obstacle.charts, dict(zip(charts, reversed(charts), strict=True))
 
     def place(values: Place | None) -> Place | None:
@@ -345,7 +440,7 @@ def mirror_move(belief: Case, move: Move, charts: Sequence[str]) -> Move:
 
 
 def _base_with_chart(common: Mapping[str, Any], values: Mapping[str, Any]) -> Any:
-    """The base's place with its chart, which the part says if the move does not."""
+    """Place of the base with its chart, which the part names if the move does not."""
     place = values.get("base", {})
     return {common.get("base", ""): place} if isinstance(place, list) else place
 
@@ -376,7 +471,7 @@ def _parse_move(where: str, values: Mapping[str, Any]) -> Move:
 
 
 def _plain(value: Any) -> Any:
-    """What stands in a plan, for a message: numbers that have followed a size as others."""
+    """Values of a plan file for a message, with traced-size numbers as plain ones."""
 
     def plain(x: Any) -> Any:
         return float(f"{x:.6g}") if isinstance(x, jax.Array) and not isinstance(x, Tracer) else x
@@ -385,7 +480,7 @@ def _plain(value: Any) -> Any:
 
 
 def _leaves(value: Any) -> Iterator[Any]:
-    """What stands in a value of a move, but in it alone."""
+    """All leaves of nested lists and mappings, except None."""
     if isinstance(value, Mapping | list):
         for part in value.values() if isinstance(value, Mapping) else value:
             yield from _leaves(part)
@@ -394,7 +489,16 @@ def _leaves(value: Any) -> Iterator[Any]:
 
 
 def read_numbers[T](cls: type[T], belief: Case, part: str) -> T:
-    """A part of a case's plan that holds numbers, not moves, as a named tuple. Raises `InputError`."""
+    """Return a part of a case's plan that holds numbers rather than moves, as a named tuple.
+
+    Args:
+        cls: named tuple with the part's keys.
+        belief: the case.
+        part: name of the part.
+
+    Raises:
+        InputError: a number is missing, unknown or no number.
+    """
     values, names = tabled(belief).get(part, {}), cls.__annotations__
     if missing := [name for name in names if name not in values]:
         raise InputError(f"plan.{part}.{missing[0]} is missing")

@@ -1,4 +1,4 @@
-"""Manoeuvres: parameters and the plan that follows from them and from what is believed of the world."""
+"""Manoeuvres: parameter classes that turn a belief into a plan, by their kind in the configuration."""
 
 from sweep.controllers.manoeuvres.afloat.raft_cross import RaftCross
 from sweep.controllers.manoeuvres.afloat.raft_stand import RaftStand

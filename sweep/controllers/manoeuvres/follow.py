@@ -1,4 +1,4 @@
-"""What a plan's file says and nothing else: the moves of its parts, one after the other."""
+"""Manoeuvre that executes the moves of a plan file, one part after the other."""
 
 from typing import ClassVar
 
@@ -27,22 +27,24 @@ START = "start"  # part that places the robot
 
 @parameters
 class Follow(PlannedForces):
-    """The robot stands as the part `start` of the plan's file places it, and makes the moves of its other parts.
+    """Start where the part `start` of the plan file places the robot, then make the moves of its other parts.
 
-    On any obstacle that offers charts, lengths in `leg_unit`s. Free bodies may be meant to rest (`rests`), to stay
-    where they were (`stays`), or to roll together (`together`).
+    For any obstacle with charts; lengths are in `leg_unit`s. Free bodies may be planned to rest (`rests`), to stay in
+    place (`stays`) or to roll together (`together`).
     """
 
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("follow", "follow")
-    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, how high a swinging foot is lifted
-    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, of the swings, whose time t* it gives
-    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, footholds inside what they are on
-    press: float = quantity(1.6e-3, "m", at_least=0, at_most=0.05)  # feet on free bodies deeper than they are measured
-    squeeze: float = quantity(0.0, "m", at_least=0, at_most=0.05)  # the same to the middle
-    observer: float = quantity(0.1, "s", at_least=0)  # in which measured poses of free bodies are taken over
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, height of a swing
+    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, rate of the swings, which gives their time t*
+    # epsilon, depth of footholds inside what they stand on
+    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)
+    # depth of feet on free bodies below where they are measured
+    press: float = quantity(1.6e-3, "m", at_least=0, at_most=0.05)
+    squeeze: float = quantity(0.0, "m", at_least=0, at_most=0.05)  # the same towards the middle plane
+    observer: float = quantity(0.1, "s", at_least=0)  # time constant of the filter of measured poses of free bodies
     patience: float = quantity(0.5, "s", at_least=0)  # longest wait for a touchdown
-    # what presses feet on: footholds inside, or forces planned for every stance
+    # how feet press on: by footholds inside the surface, or by planned forces
     forces: str = choice("deepening", "deepening", "planned")
 
     needs = (Obstacle,)
@@ -50,9 +52,10 @@ class Follow(PlannedForces):
     own_plan = ""
 
     def plan(self, belief: Case) -> Plan:
-        """Stand, the moves, halt.
+        """Return the plan: stand, the moves, halt.
 
-        Raises `InputError` for what the file lacks, and where a foot is out of reach, by plain numbers.
+        Raises:
+            InputError: the file lacks something, or a foot is out of reach.
         """
         plan = self.route(belief)
         require_within_reach(
@@ -63,7 +66,7 @@ class Follow(PlannedForces):
         return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
 
     def route(self, belief: Case) -> Plan:
-        """The plan but for its forces."""
+        """Return the plan without its forces."""
         context, stages = self.move_context(belief), []
         feet, position, standing = initial_stance(START, context)
         for part in told(belief):
@@ -81,7 +84,7 @@ class Follow(PlannedForces):
         return apply_direction(belief, plan)
 
     def move_context(self, belief: Case) -> MoveContext:
-        """What the words of the file mean on the obstacle."""
+        """Return what the words of the plan file mean."""
         unit, obstacle = leg_unit(belief.robot), belief.obstacle
         supports = {"free": Support(), "rests": RESTS, "stays": STAYS, "together": Support(TOGETHER)}
         bodies = len(obstacle.free_bodies)

@@ -1,4 +1,4 @@
-"""What manoeuvres aim at, as thresholds of figures: a rollout that misses one of them has failed."""
+"""Goals of manoeuvres: thresholds of metrics that a successful rollout has to meet."""
 
 ARRIVED = {"progress_min": 0.9}
 ON_ITS_FEET = {**ARRIVED, "feet_on_target_min": 6.0}

@@ -1,8 +1,8 @@
 """Across water on a raft (monograph 4.3): board, push off, walk over the deck, pull the raft in, go ashore.
 
-World axes as in `Raft`. Feet on a bank and on the raft at once would let it go where it drifts, had the deck's feet to
-follow it as it is seen: while the robot touches a bank the raft is meant to go somewhere, and is moored, pushed and
-pulled there (`Stage.support`). In between base and feet live in the raft's own frame.
+World axes as in `Raft`. If feet stood on a bank and on the measured raft at once, the raft would drift anywhere.
+Therefore the raft has a reference motion while the robot touches a bank: it is moored, pushed and pulled
+(`Stage.support`). In between, base and feet are planned in the raft's own frame.
 """
 
 from dataclasses import replace
@@ -43,52 +43,54 @@ from sweep.models.obstacles.surface import FreeState
 from sweep.models.robot import total_mass
 
 HIPS = (-0.5, -0.5, 0.0, 0.0, 0.5, 0.5)  # a_r, ahead of the base's centre
-MARGIN = 0.1  # a_r, on both sides of an edge, that footholds leave out
-WAIT_FACTOR = 3.0  # times that of coasting, for which a raft that was pushed too little is waited for
-START_POSITION = -0.75  # a_r, of the base, before it boards
-# Laws: pushing off; coasting, until the raft is at the other bank; finding the place where it has come to; pulling it
-# in; and going on as planned from that place.
+MARGIN = 0.1  # a_r, on both sides of an edge, without footholds
+WAIT_FACTOR = 3.0  # over the coasting time, longest wait for a raft that was pushed too little
+START_POSITION = -0.75  # a_r, of the base before it boards
+# Laws: pushing off; coasting until the raft is at the other bank; standing where it has arrived; pulling it in; and
+# going on as planned from there.
 PUSH, WAIT, REACH, PULL, ASHORE = "push", "wait", "reach", "pull", "ashore"
 
 
 @parameters
 class RaftCross:
-    """From one bank to the other, and on. Ratios are to the body length a_r."""
+    """Cross from one bank to the other, and walk on. Ratios are to the body length a_r."""
 
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("raft_cross", "raft_cross")
-    approach: int = count(2, at_least=0, at_most=20)  # swings of a tripod to the near bank
-    steps: int = count(10, at_least=1, at_most=40)  # over the deck
-    leave: int = count(2, at_least=0, at_most=20)  # on the far bank
-    stride_ratio: float = quantity(0.2, "a_r", above=0, at_most=0.5)  # way of the base in a swing ashore
-    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, hips above the ground
+    approach: int = count(2, at_least=0, at_most=20)  # number of swings of a tripod to the near bank
+    steps: int = count(10, at_least=1, at_most=40)  # number of swings over the deck
+    leave: int = count(2, at_least=0, at_most=20)  # number of swings on the far bank
+    stride_ratio: float = quantity(0.2, "a_r", above=0, at_most=0.5)  # motion of the base in a swing ashore
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, height of the hips above the ground
     squat_ratio: float = quantity(0.4, "a_r", above=0, at_most=2)  # the same while the raft is pulled in
-    spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # feet out from the hips
-    lift_ratio: float = quantity(0.06, "a_r", above=0, at_most=0.5)  # of a swing, between bank and raft
-    swing: float = quantity(0.8, "s", above=0, at_most=10)  # a swing's time
-    landing: float = quantity(0.1, "m/s", above=0)  # v_eps, with which the raft is to meet the far bank
-    force: float = quantity(15.0, "N", above=0)  # of the push, at least
-    push_ratio: float = quantity(0.3, "a_r", above=0, at_most=1)  # way on which the raft gains its speed, at most
+    spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # distance of feet outward from their hips
+    lift_ratio: float = quantity(0.06, "a_r", above=0, at_most=0.5)  # height of a swing between bank and raft
+    swing: float = quantity(0.8, "s", above=0, at_most=10)  # time of a swing
+    landing: float = quantity(0.1, "m/s", above=0)  # v_eps, planned speed of the raft at the far bank
+    force: float = quantity(15.0, "N", above=0)  # least force of the push
+    push_ratio: float = quantity(0.3, "a_r", above=0, at_most=1)  # longest distance over which the raft gains its speed
     push: float = quantity(1.0, "-", above=0, at_most=3)  # speed after the push, over that of (4.3)
-    offset: float = quantity(0.0, "m")  # h, of the robot's way to the left of the raft's middle
-    near: float = quantity(0.01, "m", above=0)  # gap to the far bank at which the wait is over
+    offset: float = quantity(0.0, "m")  # h, distance of the robot's path to the left of the raft's middle
+    near: float = quantity(0.01, "m", above=0)  # gap to the far bank at which the wait ends
     close: float = quantity(0.02, "m", above=0)  # largest gap that the robot steps over
-    slow: float = quantity(0.02, "m/s", above=0)  # a raft that is slower is still
-    pulls: int = count(5, at_least=1, at_most=10)  # of the raft to the bank, at most
-    pull: float = quantity(7.0, "s", above=0)  # time of one; in 4 s one that lies turned by 15 degrees drags feet along
-    deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds below the surface
-    bracing: float = quantity(3e-3, "m", at_least=0, at_most=0.05)  # the same of the feet that push, beyond this
-    observer: float = quantity(0.0, "s", at_least=0)  # time constant in which the raft's measured pose is taken over
-    ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
+    slow: float = quantity(0.02, "m/s", above=0)  # speed below which the raft counts as still
+    pulls: int = count(5, at_least=1, at_most=10)  # largest number of pulls of the raft to the bank
+    # time of a pull; in 4 s, feet slip on a raft that lies turned by 15 degrees
+    pull: float = quantity(7.0, "s", above=0)
+    deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # depth of footholds below the surface
+    bracing: float = quantity(3e-3, "m", at_least=0, at_most=0.05)  # additional depth of the feet that push
+    observer: float = quantity(0.0, "s", at_least=0)  # time constant of the filter of the raft's measured pose
+    ease: float = quantity(0.15, "s", above=0)  # time in which feet move over to new footholds
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (Raft,)
     own_plan = "raft_cross"  # in a_r
 
     def plan(self, belief: Case) -> Plan:
-        """The whole way.
+        """Return the plan of the whole crossing.
 
-        Raises `InputError` where the raft would capsize or sink under the robot, by plain numbers.
+        Raises:
+            InputError: the raft would capsize or sink under the robot, all plain numbers.
         """
         raft, length, push = belief.on(Raft), belief.robot.body_length, self.push_motion(belief)
         require_floating(belief, (raft.length / 2 - MARGIN * length, self.offset))
@@ -135,7 +137,10 @@ class RaftCross:
         return compile_plan(start, stages, self.patience, ease=self.ease, free=raft.start(), afloat=True)
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Of moves between banks and raft, which stays once it is moored: a hold taken anew at every step gives way."""
+        """Return what the words of the plan file mean, for moves between banks and raft.
+
+        A moored raft stays at its reference: measured anew at every step, it would be let go step by step.
+        """
         raft, length = belief.on(Raft), belief.robot.body_length
         aside, deck = belief.robot.body_width / 2 + self.spread_ratio * length, raft.thickness / 2
         hips, squat = self.height_ratio * length, self.squat_ratio * length
@@ -160,9 +165,14 @@ class RaftCross:
                      (PUSH, WAIT, REACH, PULL, ASHORE), {"onset": REGRIP})  # fmt: skip
 
     def push_stage(self, belief: Case, stage: Stage, push: Crossing) -> Stage:
-        """Raft and robot gain speed at a constant force, with the turn that a push beside the middle gives.
+        """Return the stage in which raft and robot gain speed at constant force, and turn if pushed beside the middle.
 
-        Heavy or fast ones are pushed harder: the rear feet stay on the bank meanwhile.
+        Heavy or fast rafts are pushed harder, so that the rear feet can stay on the bank meanwhile.
+
+        Args:
+            belief: believed parameters.
+            stage: the stage of the push.
+            push: speed and turn to gain.
         """
         mass = belief.on(Raft).mass + total_mass(belief.robot)
         speed, turn = self.push * push.v0, self.push * push.w0
@@ -171,7 +181,7 @@ class RaftCross:
         return replace(stage, duration=mass * speed / force, support=(to,))
 
     def push_motion(self, belief: Case) -> Crossing:
-        """Speed, turn and time of the push by (4.3) and (4.3.1)."""
+        """Return speed, turn and time of the push by (4.3) and (4.3.1)."""
         raft, load = belief.on(Raft), total_mass(belief.robot)
         a, b, _ = raft.half
         mass, al2 = raft.mass + load, raft.drag * raft.width * raft.draught(load)
@@ -179,14 +189,15 @@ class RaftCross:
         return crossing(raft.water_width, raft.length, self.landing, mass, al2, inertia, inertia, self.offset)
 
     def init_memory(self, belief: Case, plan: Plan) -> Float[Array, " 3"]:
-        """Where the robot goes ashore, m from where it was to.
+        """Return zeros: the shift (m) of the landing place from the planned one.
 
-        Beside it, by how far the raft has come along the bank; and before it, where the raft met a bank before that.
+        Its y component is the drift of the raft along the bank, its x component the gap at which the raft stopped
+        early.
         """
         return jnp.zeros(3)
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """As planned, but ashore at the place where the raft has come to."""
+        """Follow the plan, but go ashore where the raft has arrived."""
         plan, stage, free = ctx.plan, ctx.stage, ctx.obs.free
         gap = jnp.min(far_gaps(belief.on(Raft), free))
         short = jnp.where((gap > self.near) & (gap < MARGIN * belief.robot.body_length), gap, 0.0)
@@ -200,15 +211,20 @@ class RaftCross:
         return Guidance(wanted, goal, memory)
 
     def drift_along_bank(self, plan: Plan, stage: Int[Array, ""], free: FreeState) -> Float[Array, ""]:
-        """How far (m) along the bank from where it was to go ashore the base is told to be.
+        """Return how far (m) along the bank the base's target is from its planned landing place.
 
-        On a raft that lies turned it is ahead of the middle, and so beside it.
+        On a raft that lies turned, a base ahead of its middle is also beside it.
+
+        Args:
+            plan: the plan.
+            stage: stage number.
+            free: measured state of the raft.
         """
         place = jnp.where(plan.base_frame[stage] == fixed(0), plan.position[stage], self.offset * jnp.eye(3)[1])
         return (free.position[0] + rotate(free.quat[0], place))[1] - self.offset
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """The wait, as soon as the raft is there, or still before the bank; a pull, when it lies along the bank."""
+        """End the wait when the raft is at the bank, or still and close to it; end a pull when it lies along it."""
         gaps = far_gaps(belief.on(Raft), obs.free) + state.memory[0]
         waits, pulls = is_under_law(plan, state.stage, WAIT), is_under_law(plan, state.stage, PULL)
         still = jnp.abs(obs.free.velocity[0, 0]) < self.slow
@@ -217,7 +233,7 @@ class RaftCross:
 
 
 def far_gaps(raft: Raft, free: FreeState) -> Float[Array, " 2"]:
-    """From the corners of the raft's far side to the far bank (m)."""
+    """Return the distances from the corners of the raft's far side to the far bank (m)."""
     corners = jnp.stack([raft.half * jnp.array([1.0, side, 0.0]) for side in (-1.0, 1.0)])
     return raft.water_width - (free.position[0] + rotate(free.quat[0], corners))[:, 0]
 
@@ -225,7 +241,15 @@ def far_gaps(raft: Raft, free: FreeState) -> Float[Array, " 2"]:
 def chart_beyond_edge(
     edge: Array | float, middle: Array | float, aside: Array | float, up: Array | float, frame: int
 ) -> Chart:
-    """Places ahead of an edge at x (m), `aside` (m) of a way that is to the left of the middle by so much, `up` (m)."""
+    """Return a chart of places ahead of an edge.
+
+    Args:
+        edge: x of the edge (m).
+        middle: y of the robot's path (m).
+        aside: distance of left and right feet from that path (m).
+        up: height of the surface (m).
+        frame: frame of the chart.
+    """
 
     def place(raft: Raft, side: float, unit: Number, depth: Number, ahead: Number) -> Float[Array, " 3"]:
         return point(edge + ahead * unit, middle + side * aside, up - depth)
@@ -234,9 +258,16 @@ def chart_beyond_edge(
 
 
 def tripod_moves(base: Number, count: int, stride: Number, chart: str, on: str) -> dict[str, Move]:
-    """Swings of tripods in turn, the base at `base` (a_r) at first; they begin and end with the feet under their hips.
+    """Return moves of tripods in turn, which begin and end with all feet under their hips.
 
-    It goes on by `stride` a swing; a foot lands half a stride ahead of its hip, the last ones under theirs.
+    A foot lands half a stride ahead of its hip, the last ones under theirs.
+
+    Args:
+        base: position of the base at first (a_r).
+        count: number of swings.
+        stride: motion of the base in a swing (a_r).
+        chart: chart of the base.
+        on: chart of the feet.
     """
     result = {}
     for k in range(count + (count > 0)):

@@ -22,29 +22,33 @@ DECK = (fixed(0),) * 6
 
 @parameters
 class RaftStand:
-    """From the raft's middle to a place beside it by tripods, and standing there. Ratios are to the body length a_r."""
+    """Walk by tripods from the raft's middle to a place beside it, and stand there.
+
+    Ratios are to the body length a_r.
+    """
 
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("raft_stand", "raft_stand")
-    ahead: float = quantity(0.5, "m")  # of the raft's middle, where the robot stands in the end
-    aside: float = quantity(0.0, "m")  # the same to the left
-    steps: int = count(6, at_least=2, at_most=40)  # swings of a tripod to there
-    rest: float = quantity(4.0, "s", above=0)  # standing there, in the end
-    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, hips above the deck
-    spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # feet out from the hips
-    lift_ratio: float = quantity(0.06, "a_r", above=0, at_most=0.5)  # of a swing
-    swing: float = quantity(1.3, "s", above=0, at_most=10)  # a swing's time
-    deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds below the deck
-    observer: float = quantity(0.0, "s", at_least=0)  # time constant in which the raft's measured pose is taken over
-    ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
+    ahead: float = quantity(0.5, "m")  # final place of the robot ahead of the raft's middle
+    aside: float = quantity(0.0, "m")  # final place to the left of it
+    steps: int = count(6, at_least=2, at_most=40)  # number of swings of a tripod to that place
+    rest: float = quantity(4.0, "s", above=0)  # time of standing there
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, height of the hips above the deck
+    spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # distance of feet outward from their hips
+    lift_ratio: float = quantity(0.06, "a_r", above=0, at_most=0.5)  # height of a swing
+    swing: float = quantity(1.3, "s", above=0, at_most=10)  # time of a swing
+    deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # depth of footholds below the deck
+    observer: float = quantity(0.0, "s", at_least=0)  # time constant of the filter of the raft's measured pose
+    ease: float = quantity(0.15, "s", above=0)  # time in which feet move over to new footholds
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (Raft,)
 
     def plan(self, belief: Case) -> Plan:
-        """Stand, walk, stand.
+        """Return the plan: stand, walk, stand.
 
-        Raises `InputError` where the raft would capsize or sink under the robot in the middle, by plain numbers.
+        Raises:
+            InputError: the raft would capsize or sink under the robot in its middle, all plain numbers.
         """
         raft, length = belief.on(Raft), belief.robot.body_length
         require_floating(belief, (0.0, 0.0))

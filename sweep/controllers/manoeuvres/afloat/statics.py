@@ -1,4 +1,4 @@
-"""Whether a raft carries its robot: monograph 4.1.1."""
+"""Whether a raft carries its robot (monograph 4.1.1)."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,9 +18,12 @@ from sweep.models.robot import total_mass
 def freeboard_and_draught(
     belief: Case, offset: tuple[Array | float, Array | float], height: Array | float
 ) -> tuple[Array, Array]:
-    """Least freeboard of the deck's corners, and least draught of the bottom's (m); nan where it capsizes.
+    """Return least freeboard of the deck's corners and least draught of the bottom's (m); nan if the raft capsizes.
 
-    With the robot's mass centre `offset` (m) from the raft's middle, `height` (m) over its deck.
+    Args:
+        belief: has raft and robot.
+        offset: robot's mass centre ahead and to the left of the raft's middle (m).
+        height: of the mass centre above the deck (m).
     """
     raft, load = belief.on(Raft), total_mass(belief.robot)
     a, b, d = raft.half
@@ -33,7 +36,15 @@ def freeboard_and_draught(
 
 
 def require_floating(belief: Case, offset: tuple[float, float]) -> None:
-    """Raise `InputError` where a raft of plain numbers capsizes or sinks, the robot `offset` (m) from its middle."""
+    """Check that the raft neither capsizes nor dips a corner under its robot, if parameters are plain numbers.
+
+    Args:
+        belief: has raft and robot.
+        offset: robot's mass centre ahead and to the left of the raft's middle (m).
+
+    Raises:
+        InputError: the raft capsizes, a corner is under water, or one is lifted out of it.
+    """
     if not are_plain_numbers(belief.robot, belief.obstacle, belief.manoeuvre):
         return
     freeboard, draught = map(

@@ -1,9 +1,9 @@
 """Standing on a free ball and driving it (monograph 3.1.1, 3.1.2).
 
-World axes: the robot faces x and the ball starts at the origin; the book's e is x. Feet stand in the ball's own axes,
-the base and swinging feet go in its Koenig frame, all from where the ball is observed at every control tick. The drives
-are stiff: feet that follow its measured attitude as it comes, 1 mrad off at every tick, shake the robot off the ball.
-Therefore the pose goes through an observer, which steady rolling passes without lag.
+World axes: the robot faces x and the ball starts at the origin; the book's e is x. Standing feet are planned in the
+ball's own axes, base and swinging feet in its Koenig frame, from the ball's measured pose at every tick. The drives are
+stiff: feet that followed the raw measured attitude, 1 mrad off at every tick, would shake the robot off the ball.
+Therefore the measured pose is filtered, without lag in steady rolling.
 """
 
 from collections.abc import Callable, Mapping
@@ -45,32 +45,34 @@ from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import Robot, total_mass
 
-CENTRING_ITERATIONS = 4  # Newton's iterations that put the mass centre over the ball's
-CHI_ITERATIONS = 3  # of (3.1.10)
-MAX_BASE_SPEED = 0.4  # m/s, of the base in the law of every tick
+CENTRING_ITERATIONS = 4  # Newton iterations that put the mass centre over the ball's centre
+CHI_ITERATIONS = 3  # iterations of (3.1.10)
+MAX_BASE_SPEED = 0.4  # m/s, of the base under the law `tick`
 
 
 class StandPose(NamedTuple):
-    """Where a robot stands on a ball, from the ball's centre (m)."""
+    """Where a robot stands on a ball, relative to the ball's centre; made by `stand_pose`."""
 
-    feet: Float[Array, "6 3"]
-    position: Float[Array, " 3"]  # of the base, with the mass centre over the ball's
+    feet: Float[Array, "6 3"]  # m
+    position: Float[Array, " 3"]  # m, base, with the mass centre over the ball's centre
 
 
 @parameters
 class OnBall:
-    """What manoeuvres on top of a ball have in common. Ratios are to the length a_r, if not said otherwise."""
+    """Base class of manoeuvres on top of a ball. Ratios are to the length a_r unless said otherwise."""
 
     circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1, radius of the circle of footholds on the ball
-    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)  # d_2, of the front and rear feet from its middle
-    height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # of the base over the ball's top
-    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, feet inside the ball
-    observer: float = quantity(0.1, "s", at_least=0)  # in which the ball's measured pose is taken over; 0: at once
+    # d_2, distance of the front and rear feet from the middle of that circle
+    chord_ratio: float = quantity(0.7, "d_1", above=0, at_most=1)
+    height_ratio: float = quantity(0.257, "a_r", above=0, at_most=2)  # height of the base over the ball's top
+    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # epsilon, depth of feet inside the ball
+    # time constant of the filter of the ball's measured pose; 0: no filter
+    observer: float = quantity(0.1, "s", at_least=0)
 
     needs = (Ball,)
 
     def make_drive(self, **options: Any) -> "BallDrive":
-        """Steps of `ball_drive` on the same footholds, with parameters of their own."""
+        """Return a `BallDrive` on the same footholds, with its other parameters as given."""
         return BallDrive(circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
                          height_ratio=self.height_ratio, deepening=self.deepening, **options)  # fmt: skip
 
@@ -83,20 +85,42 @@ def ball_move_context(
     supports: Mapping[str, tuple[Support, ...]],
     laws: tuple[str, ...] = (),
 ) -> MoveContext:
-    """Of moves on balls and beside them, lengths in `unit` (m), how feet stand in m: see `Terms` and `Stage.press`."""
+    """Return what the words of a plan file mean for moves on balls and beside them.
+
+    Args:
+        belief: has the obstacle.
+        unit: unit of lengths (m).
+        deepening: depth of feet in what they stand on (m).
+        press: pressure of feet on balls (m), see `Stage.press`.
+        supports: reference motions of balls by name.
+        laws: names of laws that moves may use.
+    """
     depths = dict.fromkeys(belief.obstacle.charts, deepening)
     return MoveContext(belief, unit, 1.0, unit, depths, supports=supports,
                  laws=laws, stage={"onset": GRIP, "press": press})  # fmt: skip
 
 
 def require_start_within_reach(belief: Case, start: Callable[[], Stance]) -> None:
-    """Raise `InputError` where a foot is out of reach at the start, by plain numbers."""
+    """Check that all feet are within reach at the start, if the belief is made of plain numbers.
+
+    Args:
+        belief: believed parameters.
+        start: makes the start stance, world axes.
+
+    Raises:
+        InputError: a foot is out of reach.
+    """
     require_within_reach(belief, lambda: {f"at the start of manoeuvre = {belief.manoeuvre.kind}": start()},
                  f"obstacle.radius = {belief.on(Ball).radius} is not allowed: ")  # fmt: skip
 
 
 def stand_pose(belief: Case, manoeuvre: OnBall) -> StandPose:
-    """Feet on their circle, the base level over the ball."""
+    """Return the pose of a robot with its feet on their circle and a level base over the ball.
+
+    Args:
+        belief: has robot and ball.
+        manoeuvre: has the circle of footholds.
+    """
     radius, length = belief.on(Ball).radius, belief.robot.body_length
     circle = manoeuvre.circle_ratio * radius
     feet = ball_footholds(radius, circle, manoeuvre.chord_ratio * circle) * (1 - manoeuvre.deepening / radius)
@@ -104,9 +128,9 @@ def stand_pose(belief: Case, manoeuvre: OnBall) -> StandPose:
     return StandPose(feet, _balanced_base(belief.robot, Stance(feet, above, jnp.array(IDENTITY))))
 
 
-@jax.jit  # for plans outside a compiled program
+@jax.jit
 def _balanced_base(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
-    """The base (m) that has the mass centre over the origin."""
+    """Position of the base (m) that puts the mass centre over the origin."""
     for _ in range(CENTRING_ITERATIONS):
         move = base_shift(robot, stance, -centre_of_mass(robot, stance)[:2])
         stance = stance._replace(position=stance.position.at[:2].add(move))
@@ -114,55 +138,65 @@ def _balanced_base(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
 
 
 def stance_on_ball(belief: Case, pose: StandPose) -> Stance:
-    """The perch in the world, before anything moves."""
+    """Return a pose on the ball as a stance in world axes, before anything moves.
+
+    Args:
+        belief: has the ball.
+        pose: pose relative to the ball's centre.
+    """
     centre = jnp.asarray(UP) * belief.on(Ball).radius
     return Stance(pose.feet + centre, pose.position + centre, jnp.array(IDENTITY))
 
 
 def standing_stages(pose: StandPose, times: Mapping[str, Array | float]) -> list[Stage]:
-    """Stages in which all feet stay, by their times (s)."""
+    """Return stages in which all feet stand on the ball.
+
+    Args:
+        pose: pose relative to the ball's centre.
+        times: durations (s) by the stages' names.
+    """
     return [Stage(name, time, position=pose.position, foot_frames=(fixed(0),) * 6, base_frame=koenig(0), onset=KEEP)
             for name, time in times.items()]  # fmt: skip
 
 
 class BalanceMemory(NamedTuple):
-    """Of the law in use: a move and a pulse planned at a stage's start, or the way and the momentum so far."""
+    """State of the law: a move and pulse planned at the start of a stage, or the current base and momentum."""
 
-    place: Float[Array, " 3"]  # m, of the base over the ball's centre, when the stage began or now
-    move: Float[Array, " 2"]  # m, wanted of the base by delta
-    pulse: Float[Array, " 2"]  # m, by delta'
-    momentum: Float[Array, " 3"]  # K_S, N m s, smoothed
+    place: Float[Array, " 3"]  # m, of the base over the ball's centre, at the start of the stage or now
+    move: Float[Array, " 2"]  # m, of the base, shaped by delta
+    pulse: Float[Array, " 2"]  # m, of the base, shaped by delta'
+    momentum: Float[Array, " 3"]  # N m s, K_S, smoothed
 
 
 @parameters
 class BallBalance(OnBall):
     """Stand on a ball, stop it and put the mass centre over it by moving the body. Ratios are to the length a_r.
 
-    Two laws. `manoeuvre` plans every `period` T from what is measured then: base = start + D^-1 (-x) delta(tau)
-    + D^-1 (K_S x g)/(m g^2 T) delta'(tau) with x = r_m - r_b, monograph (3.1.1)-(3.1.7). `tick` does it at every
-    control tick: the mass centre follows `momentum_gain` (K_S x g)/(m g^2) - `place_gain` r_b, which also brings the
-    ball back to where it started. `none` holds the body over the ball.
+    There are two laws. `manoeuvre` plans every `period` T from the measured state: base = start + D^-1 (-x) delta(tau)
+    + D^-1 (K_S x g)/(m g^2 T) delta'(tau) with x = r_m - r_b, monograph (3.1.1)-(3.1.7). `tick` acts at every control
+    tick: the mass centre follows `momentum_gain` (K_S x g)/(m g^2) - `place_gain` r_b, which also returns the ball to
+    its start. `none` holds the body over the ball.
 
-    The book leaves open how D and K_S are known: here from the believed robot's own links and the measured motion.
+    The book does not say how D and K_S are measured. Here they follow from the believed robot's links and the measured
+    motion.
     """
 
     goal: ClassVar = {**ON_ITS_FEET, "obstacle_speed_error_max_mps": 0.01}
     kind: str = choice("ball_balance", "ball_balance")
-    law: str = choice("manoeuvre", "manoeuvre", "tick", "none")  # how the body is moved to balance the ball: see above
-    stages: int = count(30, at_least=1, at_most=500)  # how many are planned, of T each
+    law: str = choice("manoeuvre", "manoeuvre", "tick", "none")  # law by which the body balances the ball, see above
+    stages: int = count(30, at_least=1, at_most=500)  # number of stages, of T each
     period: float = quantity(2.0, "s", above=0, at_most=20)  # T, time of a stage
-    rest: float = quantity(0.0, "s", at_least=0)  # Delta, at the end of T
+    rest: float = quantity(0.0, "s", at_least=0)  # Delta, rest at the end of T
     offset: float = quantity(0.03, "m")  # of the body ahead of its balanced place, at the start
-    offset_aside: float = quantity(0.0, "m")  # the same to the left
-    momentum_gain: float = quantity(1.5, "1/s", at_least=0)  # of the ball's angular momentum, in the law of every tick
-    # of the way back to where the ball started, in the law of every tick
-    place_gain: float = quantity(0.2, "-", at_least=0)
-    smoothing: float = quantity(0.05, "s", at_least=0)  # of K_S in the law of every tick
-    lag: float = quantity(0.1, "s", above=0)  # in which the mass centre goes to where that law wants it
-    reach: float = quantity(0.12, "m", above=0)  # at most so far does that law lean
+    offset_aside: float = quantity(0.0, "m")  # of the body to the left of it, at the start
+    momentum_gain: float = quantity(1.5, "1/s", at_least=0)  # gain on the ball's angular momentum, in the law `tick`
+    place_gain: float = quantity(0.2, "-", at_least=0)  # gain on the ball's distance from its start, in the law `tick`
+    smoothing: float = quantity(0.05, "s", at_least=0)  # time constant of K_S in the law `tick`
+    lag: float = quantity(0.1, "s", above=0)  # time constant with which the mass centre follows that law
+    reach: float = quantity(0.12, "m", above=0)  # largest lean of that law
 
     def plan(self, belief: Case) -> Plan:
-        """One stage each T; all feet stay."""
+        """Return a plan of stages of T in which all feet stand."""
         pose = stand_pose(belief, self)
         off = jnp.stack([jnp.asarray(self.offset, float), jnp.asarray(self.offset_aside, float)])
         pose = pose._replace(position=pose.position.at[:2].add(off))
@@ -170,11 +204,11 @@ class BallBalance(OnBall):
         return compile_plan(stance_on_ball(belief, pose), stages, 0.0)
 
     def init_memory(self, belief: Case, plan: Plan) -> BalanceMemory:
-        """The base where the plan starts."""
+        """Return the state with the base where the plan starts."""
         return BalanceMemory(plan.position[0], jnp.zeros(2), jnp.zeros(2), jnp.zeros(3))
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """The base's place by the chosen law."""
+        """Move the base by the chosen law."""
         memory: BalanceMemory = state.memory
         if self.law == "manoeuvre":
             memory = jax.tree.map(
@@ -189,7 +223,7 @@ class BallBalance(OnBall):
         return Guidance(Stance(state.feet, position, ctx.plan.quat[ctx.stage]), state.feet, memory)
 
     def _plan_move(self, belief: Case, memory: BalanceMemory, obs: Observation) -> BalanceMemory:
-        """(3.1.1) and the pulse after fig. 3.1.2, from what is measured now."""
+        """Move of (3.1.1) and pulse after fig. 3.1.2, from the measured state."""
         robot, stance = belief.robot, measured_stance(belief.robot, obs)
         momentum = angular_momentum(robot, belief.on(Ball), obs)
         off = (centre_of_mass(robot, stance) - obs.free.position[0])[:2]
@@ -200,7 +234,7 @@ class BallBalance(OnBall):
     def _lean_tick(
         self, belief: Case, memory: BalanceMemory, state: TrackerState, obs: Observation, period: float
     ) -> BalanceMemory:
-        """The base a tick on: the commanded stance's mass centre goes towards where the law of every tick wants it."""
+        """State after a tick of the law `tick`: the mass centre of the commanded stance moves towards its target."""
         robot, free = belief.robot, obs.free
         share = jnp.minimum(1.0, period / jnp.maximum(self.smoothing, period))
         momentum = memory.momentum + share * (angular_momentum(robot, belief.on(Ball), obs) - memory.momentum)
@@ -208,92 +242,97 @@ class BallBalance(OnBall):
         wanted = jnp.clip(wanted, -self.reach, self.reach)
         stance = Stance(rotate(free.quat, state.feet), memory.place, jnp.array(IDENTITY))
         off = wanted - centre_of_mass(robot, stance)[:2]
-        move = base_shift(robot, measured_stance(robot, obs), off)  # as commanded, legs may be out of reach
+        move = base_shift(robot, measured_stance(robot, obs), off)  # measured: commanded legs may be out of reach
         step = jnp.minimum(1.0, period / self.lag) * move
         place = memory.place.at[:2].add(jnp.clip(step, -MAX_BASE_SPEED * period, MAX_BASE_SPEED * period))
         return memory._replace(place=place, momentum=momentum)
 
 
 class TrackPoint(NamedTuple):
-    """The ball on the way that it is to roll, seen from above."""
+    """Position of the ball relative to its planned path, seen from above."""
 
-    along: Float[Array, " 2"]  # unit vector, where the way goes
-    progress: Float[Array, ""]  # m, how far it has come
-    left_offset: Float[Array, ""]  # m, by how much it is to the left of it
-    curvature: Float[Array, ""]  # 1/m, of the way, to the left
+    along: Float[Array, " 2"]  # unit vector along the path
+    progress: Float[Array, ""]  # m, along the path
+    left_offset: Float[Array, ""]  # m, to the left of the path
+    curvature: Float[Array, ""]  # 1/m, of the path, to the left
 
 
 class DriveMemory(NamedTuple):
-    """What a step was planned with, and the steps before it."""
+    """State of the drive: plan of the current step, and what later steps need of it."""
 
-    push: Float[Array, ""]  # m, k_v (v_d - v_e), and what was always missing
-    integral: Float[Array, ""]  # m, of that: the sum over the steps so far
-    along: Float[Array, " 2"]  # of the way, when the step began
-    progress: Float[Array, ""]  # m, of the ball on its way when the step began
+    push: Float[Array, ""]  # m, k_v (v_d - v_e) and the integral
+    integral: Float[Array, ""]  # m, sum over the steps so far of the integral term
+    along: Float[Array, " 2"]  # unit vector along the path, at the start of the step
+    progress: Float[Array, ""]  # m, of the ball along the path, at the start of the step
     aside: Float[Array, ""]  # m, delta r^(3) to the left
-    aside_before: Float[Array, ""]  # m, of the last step
-    left_offset: Float[Array, ""]  # m, of the ball to the left when the step began
+    aside_before: Float[Array, ""]  # m, the same in the last step
+    left_offset: Float[Array, ""]  # m, of the ball to the left of the path, at the start of the step
 
 
 @parameters
 class BallDrive(OnBall):
     """Walk on a ball by tripod so that it rolls along x at `speed`, and stop at `place`. Ratios are to the length a_r.
 
-    Each step, monograph 3.1.2: the mass centre is pushed ahead by k_v (v_d - v_e) delta'(tau) (3.1.8), every
-    `push_every` steps; kept over the ball's middle line by the fixed-point iteration (3.1.10); and moved aside by
-    -(k_1 y_n - k_2 y_(n-1)). Feet land on the circle that is turned back by alpha = T v_b/(2 R).
+    In each step, the mass centre is pushed ahead by k_v (v_d - v_e) delta'(tau) (3.1.8), every `push_every` steps; kept
+    over the ball's middle line by the fixed-point iteration (3.1.10); and moved sideways by -(k_1 y_n - k_2 y_(n-1)).
+    Feet land on the circle that is turned back by alpha = T v_b/(2 R). Monograph 3.1.2.
 
-    What the book leaves out, and what differs:
-    - At the start of every step all feet are taken where they are measured, at their commanded depth, also those about
-      to land. Otherwise a foot lands as far off its commanded place as the base is, hands that on to the base, and the
-      ball goes ever faster: at 0.7 m/s after 30 s.
-    - Commanded feet go over to there within `ease`: a jump would have the drives kick.
-    - (3.1.10) is used lengthwise too (`compensate`): swinging legs shift the mass centre by centimetres, which is as
-      much as the push itself.
+    Additions to the book, and differences:
+
+    - At the start of every step, all feet are taken where they are measured, at their commanded depth, even those about
+      to land. Otherwise a foot lands as far off its place as the base is and hands that error on to the base, and the
+      ball goes ever faster: 0.7 m/s after 30 s.
+    - Commanded feet move to their new places within `ease`, since a jump would make the drives jerk.
+    - (3.1.10) also acts lengthwise (`compensate`): swinging legs shift the mass centre by centimetres, as much as the
+      push.
     - T of alpha is the time of a stance, which is that of one step.
     - Changes of the lateral move are spread over half a step, and the push is limited.
-    - Rolling friction leaves the ball slower than v_d, a heavy one most: `speed_integral` adds up what is missing.
+    - Rolling friction keeps the ball slower than v_d, a heavy one most; `speed_integral` integrates the missing speed.
     - To stop, v_d is at most `brake` times the distance to `place`.
     """
 
     goal: ClassVar = {"obstacle_speed_error_max_mps": 0.0065, "obstacle_aside_max_m": 0.02}
     kind: str = choice("ball_drive", "ball_drive")
-    steps: int = count(50, at_least=1, at_most=500)  # how many are made, in turn by either tripod
+    steps: int = count(50, at_least=1, at_most=500)  # number of steps, by either tripod in turn
     step_time: float = quantity(1.2, "s", above=0, at_most=20)  # T, time of a step
-    speed: float = quantity(0.13, "m/s")  # v_d, at which the ball is to roll
-    # k_v, how far the mass centre is pushed ahead for each m/s that the ball is too slow
+    speed: float = quantity(0.13, "m/s")  # v_d, speed at which the ball is to roll
+    # k_v, push of the mass centre ahead for each m/s that the ball is too slow
     speed_gain: float = quantity(0.4, "s", at_least=0)
-    # how far more it is pushed at all later steps for each m/s that it is too slow at one: 0 in the book
+    # additional push at all later steps for each m/s that the ball is too slow at one step; 0 in the book
     speed_integral: float = quantity(0.0, "s", at_least=0)
     push_every: int = count(1, at_least=1)  # steps from one push ahead to the next
     push_max: float = quantity(0.06, "m", at_least=0)  # largest push of the mass centre ahead or back
-    aside_gain: float = quantity(0.2, "-", at_least=0)  # k_1, of how far the ball is aside now
-    aside_gain_before: float = quantity(0.15, "-", at_least=0)  # k_2, of how far it was aside a step before
-    compensate: str = choice("both", "both", "aside")  # ways in which the mass centre is kept in place while legs swing
+    aside_gain: float = quantity(0.2, "-", at_least=0)  # k_1, gain on the ball's distance from its path now
+    aside_gain_before: float = quantity(0.15, "-", at_least=0)  # k_2, gain on that distance a step before
+    # directions in which the mass centre is kept in place while legs swing
+    compensate: str = choice("both", "both", "aside")
     place: float = quantity(1e6, "m")  # x of the ball's centre at which it stops
-    brake: float = quantity(0.2, "1/s", above=0)  # wanted speed for each metre that is left to `place`, at most
-    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, how high a swinging foot is lifted
-    ease: float = quantity(0.1, "s", above=0)  # in which feet go over to where they are measured
+    brake: float = quantity(0.2, "1/s", above=0)  # largest speed for each metre of distance to `place`
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, height of a swing
+    ease: float = quantity(0.1, "s", above=0)  # time in which feet move over to new footholds
     patience: float = quantity(0.0, "s", at_least=0)  # longest wait for a touchdown, while the ball rolls on below
 
     def obstacle_speed(self, duration: Array) -> Array:
-        """What the ball is to do at the end of `duration` (s): stand, where it gets to its place (m/s)."""
+        """Return the planned speed (m/s) of the ball after `duration` (s): 0 if it gets to its place."""
         return jnp.where(self.speed * duration > self.place, 0.0, self.speed)
 
     def aside(self, way: Float[Array, " 3"]) -> Array:
-        """How far the ball is beside its way (m), see `Driving`."""
+        """Return how far (m) the ball is beside its path, see `Driving`."""
         return jnp.abs(self.track(way).left_offset)
 
     def plan(self, belief: Case) -> Plan:
-        """Steps of both tripods in turn."""
+        """Return the plan of steps by both tripods in turn."""
         pose = stand_pose(belief, self)
         return compile_plan(stance_on_ball(belief, pose), self.step_stages(pose, "step"), self.patience, ease=self.ease)
 
     def step_stages(self, pose: StandPose, law: str, first_share: float = 1.0) -> list[Stage]:
-        """Tripods in turn, named by their law; standing feet on the ball's axes, swinging ones in its Koenig frame.
+        """Return stages of tripods in turn: standing feet in the ball's axes, swinging ones in its Koenig frame.
 
-        The `first` takes a share of a step's time: half of it where the ball rolls already, and its feet start in the
-        middle of the way that they go with it.
+        Args:
+            pose: pose relative to the ball's centre.
+            law: law of the stages, and prefix of their names.
+            first_share: duration of the first step over that of the others. Half of it if the ball rolls already and
+                its feet start in the middle of their stance.
         """
         stages = []
         for k in range(self.steps):
@@ -306,16 +345,16 @@ class BallDrive(OnBall):
         return stages
 
     def track(self, place: Float[Array, " 3"]) -> TrackPoint:
-        """Where a ball at `place` (m) is on its way, which is along x."""
+        """Return where a ball at `place` (m) is relative to its path, which is along x."""
         return TrackPoint(jnp.array([1.0, 0.0]), place[0], place[1], jnp.zeros_like(place[0]))
 
     def init_memory(self, belief: Case, plan: Plan) -> DriveMemory:
-        """The memory before the first push."""
+        """Return the state before the first push."""
         zero = jnp.zeros(())
         return DriveMemory(zero, zero, jnp.array([1.0, 0.0]), zero, zero, zero, zero)
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """The step's own law, planned where it begins."""
+        """Run one tick of the step that was planned at its start."""
         plan, stage, phase, free = ctx.plan, ctx.stage, ctx.phase, ctx.obs.free
         planned, landing = self._plan_step(belief, ctx, state)
         memory = jax.tree.map(partial(jnp.where, ctx.is_first_tick), planned, state.memory)
@@ -328,7 +367,7 @@ class BallDrive(OnBall):
         feet = jnp.where(swings, on_way, rotate(free.quat, state.feet))
         blend = jnp.minimum(1.0, 2 * phase)
         aside = memory.aside_before + blend**2 * (3 - 2 * blend) * (memory.aside - memory.aside_before)
-        pulse = memory.push * time / self.step_time * stabilise_delta(time, 0.0, state.clock).pulse  # as fast in any
+        pulse = memory.push * time / self.step_time * stabilise_delta(time, 0.0, state.clock).pulse
         wanted = pulse * memory.along + aside * left_of_way(memory)
         lengthwise = self.compensate == "both"
         position = compensate_base(belief.robot, plan.position[stage], feet, wanted, lengthwise)
@@ -338,13 +377,13 @@ class BallDrive(OnBall):
     def _plan_step(
         self, belief: Case, ctx: TickContext, state: TrackerState
     ) -> tuple[DriveMemory, Float[Array, "6 3"]]:
-        """(3.1.8), delta r^(3) and the plan's footholds turned, from the ball's measured place and speed."""
+        """Push by (3.1.8), delta r^(3) and turned footholds, from the ball's measured place and speed."""
         ball, memory, obs = belief.on(Ball), state.memory, ctx.obs
         track = self.track(obs.free.position[0])
         speed = obs.free.velocity[0, :2] @ track.along
         wanted = jnp.minimum(self.speed, self.brake * (self.place - track.progress))
         pushes = state.stage % self.push_every == 0
-        mean = (track.progress - memory.progress) / self.step_time  # within a step it varies
+        mean = (track.progress - memory.progress) / self.step_time
         went = jnp.where(state.stage == 0, speed, mean)
         missing = memory.integral + jnp.where(pushes, self.speed_integral * (wanted - went), 0.0)
         missing = jnp.clip(missing, -self.push_max, self.push_max)
@@ -366,14 +405,16 @@ class BallDrive(OnBall):
 
 
 def left_of_way(memory: DriveMemory) -> Float[Array, " 2"]:
-    """Unit vector to the left of the ball's way."""
+    """Return the unit vector to the left of the ball's path."""
     return jnp.stack([-memory.along[1], memory.along[0]])
 
 
 def lean_on_curve(belief: Case, height: Array | float) -> Array | float:
-    """How far aside (m) the mass centre keeps a ball on a curve of 1/m at 1 m/s, by (3.1.33).
+    """Return the lateral lean (m) of the mass centre that keeps a ball on a curve of 1/m at 1 m/s: (3.1.33).
 
-    The mass centre is `height` (m) above the ball's centre.
+    Args:
+        belief: has robot and ball.
+        height: of the mass centre above the ball's centre (m).
     """
     ball, mass = belief.on(Ball), total_mass(belief.robot)
     return (ROLLING * ball.mass * ball.radius + mass * (ball.radius + height)) / (mass * GRAVITY)
@@ -382,9 +423,14 @@ def lean_on_curve(belief: Case, height: Array | float) -> Array | float:
 def compensate_base(
     robot: Robot, balanced: Float[Array, " 3"], feet: Float[Array, "6 3"], wanted: Float[Array, " 2"], lengthwise: bool
 ) -> Float[Array, " 3"]:
-    """The level base (m) that has the robot's mass centre over the plane at `wanted` (m), by (3.1.10).
+    """Return the position of the level base (m) that puts the mass centre at a place in the plane: (3.1.10).
 
-    From its balanced place `pose`; aside, and `lengthwise` too if told.
+    Args:
+        robot: the robot, as believed.
+        balanced: base with the mass centre over the ball (m).
+        feet: m, relative to the ball's centre, world axes.
+        wanted: place of the mass centre in the plane (m).
+        lengthwise: whether to correct its x component, too.
     """
     heavier = total_mass(robot) / robot.body_mass
     position = balanced.at[:2].add(wanted)

@@ -27,9 +27,9 @@ from sweep.models.obstacles.charts import Number
 
 
 class PushSpeed(NamedTuple):
-    """Of a plan's part `push`: what follows masses, as the least speed (3.1.15) does."""
+    """Part `push` of the plan file: the speed of the push, which depends on masses as (3.1.15) does."""
 
-    speed: Number  # of the ball, in units of the manoeuvre's
+    speed: Number  # of the ball, over the manoeuvre's `push_speed`
 
 
 @parameters
@@ -38,28 +38,33 @@ class BallClimb(BesideBall):
 
     goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01, "obstacle_aside_max_m": 0.05}
     kind: str = choice("ball_climb", "ball_climb")
-    calm_speed: float = quantity(0.0, "m/s", at_least=0)  # of a ball that needs no further step; 0: all are made
-    push_speed: float = quantity(0.324, "m/s", above=0)  # v_*, of the ball after the push, if the plan changes nothing
-    gain: float = quantity(0.918, "-", above=0, at_most=2)  # of the rate (3.1.16)
-    least_rate: float = quantity(0.2, "rad/s", at_least=0)  # of the ride, on a ball that stops before the top
-    most_rate: float = quantity(1.5, "rad/s", above=0)  # of the ride, at most
-    braking: float = quantity(0.8, "rad/s^2", above=0)  # of that rate, as the top is reached
-    centring: float = quantity(1.52, "s", above=0)  # in which the base goes on to the point of its tangent, in the ride
-    lean: float = quantity(2.5, "s", at_least=0)  # of the base against the ball's speed aside, in the ride
+    # speed below which the ball needs no further step; 0: all steps are made
+    calm_speed: float = quantity(0.0, "m/s", at_least=0)
+    # v_*, speed of the ball after the push, times the plan file's factor
+    push_speed: float = quantity(0.324, "m/s", above=0)
+    gain: float = quantity(0.918, "-", above=0, at_most=2)  # factor on the rate (3.1.16)
+    # least rate of the ride, on a ball that stops before the top
+    least_rate: float = quantity(0.2, "rad/s", at_least=0)
+    most_rate: float = quantity(1.5, "rad/s", above=0)  # largest rate of the ride
+    braking: float = quantity(0.8, "rad/s^2", above=0)  # deceleration of that rate towards the top
+    # time in which the base moves on to the point of tangency, in the ride
+    centring: float = quantity(1.52, "s", above=0)
+    lean: float = quantity(2.5, "s", at_least=0)  # lean of the base against the ball's lateral speed, in the ride
 
     own_plan = "ball_climb"  # in R
 
     def plan(self, belief: Case) -> Plan:
-        """Feet to the ball, base to its tangent, push, ride, stand on top, calm the ball.
+        """Return the plan: feet to the ball, base to its tangent, push, ride, stand on top, stop the ball.
 
-        Raises `InputError` where the ball is too large, or the feet do not reach the floor, by plain numbers.
+        Raises:
+            InputError: the ball is too large, or the feet do not reach the floor, all plain numbers.
         """
         start, up = self.climb_stages(belief)
         calm = self.calm_drive.step_stages(stand_pose(belief, self), CALM)
         return compile_plan(start, [*up, *calm], self.patience, ease=self.ease)
 
     def climb_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """Where the robot stands at the start, and the stages to where the ball is to be calmed; see `plan`."""
+        """Return the start stance, and the stages up to standing on top; see `plan`."""
         self.validate(belief)
         require_start_within_reach(belief, lambda: self.start_standing(belief)[0])
         start, standing = self.start_standing(belief)
@@ -71,14 +76,20 @@ class BallClimb(BesideBall):
         return start, stages
 
     def start_standing(self, belief: Case) -> tuple[Stance, Standing]:
-        """Where the robot stands at the start."""
+        """Return the start stance, and where the robot stands in it."""
         feet, position, standing = initial_stance("start", self.move_context(belief, self.deepening, (0.0, 0.0)))
         return Stance(feet, position, jnp.array(IDENTITY)), standing
 
     def move_context(
         self, belief: Case, deepening: Array | float, press: tuple[Array | float, Array | float]
     ) -> MoveContext:
-        """What the words of the moves to the ball and on it mean."""
+        """Return what the words of the plan file mean.
+
+        Args:
+            belief: believed parameters.
+            deepening: depth of feet in what they stand on (m).
+            press: pressure of feet on the ball (m), see `Stage.press`.
+        """
         radius = belief.on(Ball).radius
         speed = self.push_speed * read_numbers(PushSpeed, belief, "push").speed
         rolls = Support(TO_VELOCITY, jnp.zeros(3).at[0].set(speed), jnp.zeros(3).at[1].set(speed / radius))
@@ -86,9 +97,13 @@ class BallClimb(BesideBall):
         return ball_move_context(belief, radius, deepening, press, supports, (RIDE,))
 
     def validate(self, belief: Case) -> None:
-        """Raise `InputError` where the front feet do not reach so high that friction holds them: (3.1.18)-(3.1.22)."""
+        """Check that the front feet reach so high that friction holds them: (3.1.18)-(3.1.22).
+
+        Raises:
+            InputError: the ball is too large, all plain numbers.
+        """
         robot, radius = belief.robot, belief.on(Ball).radius
-        highest = 2 * (robot.thigh + robot.shin)  # of the front hips for which the ball may be largest
+        highest = 2 * (robot.thigh + robot.shin)  # m, height of the front hips that allows the largest ball
         numbers = (robot.thigh, robot.shin, highest, robot.body_width, belief.contact.friction)
         if not are_plain_numbers(numbers, radius):
             return
@@ -101,7 +116,7 @@ class BallClimb(BesideBall):
 
     @property
     def parts(self) -> Mapping[str, Guided]:
-        """The ride up, and the calming steps."""
+        """The ride up, and the steps that stop the ball."""
         return {
             RIDE: Ride(self.gain, self.least_rate, self.most_rate, self.braking, self.centring, self.lean),
             **super().parts,

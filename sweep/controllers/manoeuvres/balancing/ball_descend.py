@@ -1,10 +1,10 @@
 """From a free ball down to the floor ahead of it (monograph 3.4.2).
 
-Until the front feet stand on the floor, base and feet go with the ball as it is seen; then it is meant to come to rest,
-and feet on it push it there: from where it is seen when each stage begins, and while the robot leaves it from where it
-was meant to be, or the base would follow a ball that rolls away. Feet are planned where they will be when the ball has
-come to rest, and put down short of it by the way that a ball of the believed mass has yet to roll, at the speed that
-(3.1.13) tells.
+Until the front feet stand on the floor, base and feet go with the measured ball. Then the ball's reference comes to
+rest, and feet on the ball push it there: from the measured pose when each stage starts, and while the robot leaves it
+from the last reference, since the base would otherwise follow a ball that rolls away. Footholds are planned where they
+will be when the ball rests. They are put down short of that by the distance that a ball of the believed mass has yet to
+roll, at the speed of (3.1.13).
 """
 
 from collections.abc import Iterable
@@ -37,13 +37,19 @@ from sweep.models.robot import total_mass
 
 
 class StandCircle(NamedTuple):
-    """Of a plan's part `perch`: what follows the ball's radius, since the legs' reach does not."""
+    """Part `perch` of the plan file: the circle of footholds, which depends on the ball's radius."""
 
-    circle: Number  # radius of the circle of footholds on top, in units of the manoeuvre's
+    circle: Number  # radius of the circle of footholds on top, over the manoeuvre's
 
 
 def ball_speed_at_floor(belief: Case, last: Move, time: Array) -> Array:
-    """Of the ball (m/s) when the robot has come down to its `last` pose in `time` (s), by monograph (3.1.13)."""
+    """Return the speed of the ball (m/s) when the robot has come down: monograph (3.1.13).
+
+    Args:
+        belief: has robot and ball.
+        last: move to the last pose on the ball.
+        time: of the way down (s).
+    """
     ball, distance = belief.on(Ball), last.base["tangent"][1]
     rolls = ball_omega(total_mass(belief.robot), ball.mass, ball.radius, distance * ball.radius, jnp.pi / 2,
                        jnp.pi / 2 - angle_from_top(last), -angle_from_top(last) / time, 0.0)  # fmt: skip
@@ -51,19 +57,23 @@ def ball_speed_at_floor(belief: Case, last: Move, time: Array) -> Array:
 
 
 def angle_from_top(move: Move) -> Array:
-    """How far round the ball the base has come from its top (rad)."""
+    """Return how far round the ball from its top the base is after a move (rad)."""
     return jnp.radians(jnp.asarray(move.base["tangent"][0], float) - 90)
 
 
 def total_time(moves: Iterable[Move]) -> Array | float:
-    """How long moves take together (s)."""
+    """Return the total time of moves (s)."""
     return sum(0.0 if move.seconds is None else move.seconds for move in moves)
 
 
 def timed_moves(belief: Case, rate: Array | float) -> dict[str, Move]:
-    """The moves with feet where they are to be put down, and with their times, at a `rate` of the way down.
+    """Return the moves of the way down, with shifted footholds and their times.
 
-    At a constant rate down the ball is the faster the farther the mass centre has gone: as 1 - cos of the angle.
+    At a constant rate down, the speed of the ball grows with the angle as 1 - cos.
+
+    Args:
+        belief: believed parameters.
+        rate: of the way down, over that of the plan file.
     """
     ball, (top, down, off) = belief.on(Ball), (read_moves(belief, part) for part in ("top", "down", "off"))
     last = list(down.values())[-1]
@@ -90,27 +100,26 @@ def timed_moves(belief: Case, rate: Array | float) -> dict[str, Move]:
 
 @parameters
 class BallDescend(BesideBall):
-    """From standing on a free ball down to the floor ahead.
-
-    A ball that rolls is stopped first.
-    """
+    """From standing on a free ball down to the floor ahead; a rolling ball is stopped first."""
 
     goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01}
     kind: str = choice("ball_descend", "ball_descend")
-    rate: float = quantity(1.0, "-", above=0, at_most=10)  # of the way down to the floor, over that of the plan's file
-    rest: float = quantity(3.5, "s", above=0)  # on the floor, in the end
+    # rate of the way down to the floor, over that of the plan file
+    rate: float = quantity(1.0, "-", above=0, at_most=10)
+    rest: float = quantity(3.5, "s", above=0)  # final time on the floor
 
     own_plan = "ball_descend"  # in R
 
     def stand_pose(self, belief: Case) -> StandPose:
-        """Where the robot stands on top, on the plan's circle."""
+        """Return the pose on top of the ball, on the plan file's circle of footholds."""
         circle = self.circle_ratio * read_numbers(StandCircle, belief, "perch").circle
         return stand_pose(belief, replace(self, circle_ratio=circle))
 
     def plan(self, belief: Case) -> Plan:
-        """Calm the ball, come down, rest.
+        """Return the plan: stop the ball, come down, rest.
 
-        Raises `InputError` where the feet do not reach the ball, by plain numbers.
+        Raises:
+            InputError: the feet do not reach the ball, all plain numbers.
         """
         pose = self.stand_pose(belief)
         require_start_within_reach(belief, lambda: stance_on_ball(belief, self.stand_pose(belief)))
@@ -120,7 +129,10 @@ class BallDescend(BesideBall):
         )
 
     def descent_stages(self, belief: Case) -> list[Stage]:
-        """From the perch to a rest on the floor, in the end in the frame of a ball that is not to move."""
+        """Return the stages from the pose on top to a rest on the floor.
+
+        The last one is in the frame of a ball that is to stay in place.
+        """
         supports = {"free": (Support(),), "rests": (RESTS,), "stays": (STAYS,)}
         context = ball_move_context(
             belief, belief.on(Ball).radius, self.deepening, (self.press, self.squeeze), supports

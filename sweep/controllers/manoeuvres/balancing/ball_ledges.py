@@ -1,8 +1,8 @@
 """From a ledge on to a ball that leans on it, with the ball to the far ledge, and off (monograph 3.2).
 
-World axes as in `Ledges`: the robot faces x. The way off is the way on backwards in time, seen in a mirror. While a
-foot stands on a ledge the ball is meant to rest: feet that followed it as it is seen would let it go where it drifts.
-The mass centre stays between the ledge's edge and the ball's centre, so that the ball is pressed to the wall.
+World axes as in `Ledges`: the robot faces x. The way off is the way on backwards in time, mirrored. While a foot stands
+on a ledge, the ball's reference is at rest, since feet that followed the measured ball would let it drift. The mass
+centre stays between the ledge's edge and the ball's centre, so that the ball is pressed to the wall.
 """
 
 from collections.abc import Mapping
@@ -44,52 +44,54 @@ ROLLS, ON, OFF = "roll", "on", "off"
 
 @dataclass(frozen=True)
 class WallDocking(DriveUntil):
-    """Until the ball rests at the far wall."""
+    """Law that drives the ball until it rests at the far wall."""
 
     speed: Array | float  # m/s, at the wall
-    near: Array | float  # m, that may be left to the wall
-    calm: Array | float  # m/s, of a ball that rests there
+    near: Array | float  # m, largest remaining distance to the wall
+    calm: Array | float  # m/s, largest speed of a ball that rests there
 
     def drive_law(self, belief: Case, free: FreeState) -> Guided:
-        """To a place so far behind the wall that its speed is left there."""
+        """Return the drive to a place so far behind the wall that the docking speed remains at the wall."""
         return replace(self.drive, place=belief.on(Ledges).at_far_wall + self.speed / self.drive.brake)
 
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
-        """By what is left to the wall, and its speed."""
+        """Return whether the ball is at the wall, and calm."""
         left = belief.on(Ledges).at_far_wall - free.position[0, 0]
         return (left < self.near) & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 
 
 @parameters
 class BallLedges(OnBall, ByParts):
-    """Get on to the ball from one ledge, roll it to the other wall, get off on the ledge there."""
+    """Get on to the ball from one ledge, roll it to the other wall, and get off on to the ledge there."""
 
     goal: ClassVar = {
         **UPRIGHT, "docking_gap_max_m": 4e-3, "docking_speed_max_mps": 0.04, "past_centre_max_m": 0.02
     }  # fmt: skip
     kind: str = choice("ball_ledges", "ball_ledges")
-    steps: int = count(34, at_least=1, at_most=200)  # that roll the ball, at most
-    step_time: float = quantity(1.2, "s", above=0, at_most=20)  # of these steps
-    speed: float = quantity(0.1, "m/s", above=0)  # of the ball on its way
+    steps: int = count(34, at_least=1, at_most=200)  # largest number of steps that roll the ball
+    step_time: float = quantity(1.2, "s", above=0, at_most=20)  # time of these steps
+    speed: float = quantity(0.1, "m/s", above=0)  # speed of the ball on its way
     speed_gain: float = quantity(0.3, "s", at_least=0)  # k_v, of `ball_drive`
-    brake: float = quantity(0.1, "1/s", above=0)  # wanted speed for each metre that is left, at most
-    docking: float = quantity(0.015, "m/s", above=0)  # of the ball as it comes to the far wall
-    calm_speed: float = quantity(0.01, "m/s", above=0)  # of a ball that rests there
-    near: float = quantity(4e-3, "m", above=0)  # left to the wall by a ball that is there
-    height_ratio: float = quantity(0.34, "a_r", above=0, at_most=2)  # of the base over the ball's top
-    deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds inside ball and ledges
-    press: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # feet on the ball deeper than they are measured
-    squeeze: float = quantity(1.5e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
-    ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
+    brake: float = quantity(0.1, "1/s", above=0)  # largest speed for each metre of remaining distance
+    docking: float = quantity(0.015, "m/s", above=0)  # speed of the ball when it reaches the far wall
+    calm_speed: float = quantity(0.01, "m/s", above=0)  # largest speed of a ball that rests there
+    near: float = quantity(4e-3, "m", above=0)  # largest remaining distance of a ball that is there
+    height_ratio: float = quantity(0.34, "a_r", above=0, at_most=2)  # height of the base over the ball's top
+    deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # depth of footholds inside ball and ledges
+    # depth of feet on the ball below where they are measured
+    press: float = quantity(1e-3, "m", at_least=0, at_most=0.05)
+    squeeze: float = quantity(1.5e-3, "m", at_least=0, at_most=0.05)  # the same towards the middle plane
+    ease: float = quantity(0.15, "s", above=0)  # time in which feet move over to new footholds
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (Ledges,)
     own_plan = "ball_ledges"
 
     def plan(self, belief: Case) -> Plan:
-        """On to the ball, over to the other ledge, off.
+        """Return the plan: on to the ball, over to the other ledge, off.
 
-        Raises `InputError` where a foot is out of reach at the start, by plain numbers.
+        Raises:
+            InputError: a foot is out of reach at the start, all plain numbers.
         """
         require_start_within_reach(belief, lambda: self.start_standing(belief)[0])
         context, (stance, standing) = self.move_context(belief), self.start_standing(belief)
@@ -104,19 +106,19 @@ class BallLedges(OnBall, ByParts):
         return compile_plan(stance, [*stages, *on, *rolling, *off, *last], self.patience, ease=self.ease)
 
     def start_standing(self, belief: Case) -> tuple[Stance, Standing]:
-        """Where the robot stands at the start, as far aside as the ball."""
+        """Return the start stance, and where the robot stands in it, as far to the side as the ball."""
         feet, position, standing = initial_stance("start", self.move_context(belief))
         aside = belief.on(Ledges).start().position[0] * jnp.array([0.0, 1.0, 0.0])
         return Stance(feet + aside, position, jnp.asarray(LEVEL)), standing
 
     def move_context(self, belief: Case) -> MoveContext:
-        """What the words of the moves between ledges and ball mean."""
+        """Return what the words of the plan file mean."""
         press, supports = (self.press, self.squeeze), {"free": (Support(),), "rests": (RESTS,)}
         return ball_move_context(belief, belief.robot.body_length, self.deepening, press, supports, (ON, OFF))
 
     @property
     def roll_drive(self) -> BallDrive:
-        """The steps that roll the ball."""
+        """The drive whose steps roll the ball."""
         return self.make_drive(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain,
                            brake=self.brake)  # fmt: skip
 

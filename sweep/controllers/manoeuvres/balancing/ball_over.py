@@ -27,7 +27,7 @@ DRIVE = "drive"
 
 @parameters
 class BallOver(BesideBall):
-    """On to a free ball as by `BallClimb`, along with it as by `BallDrive`, down as by `BallDescend`; away by tripod.
+    """Climb a free ball as `BallClimb`, roll it as `BallDrive`, descend as `BallDescend`, and walk away by tripod.
 
     Ratios are to the body's length a_r.
     """
@@ -36,15 +36,16 @@ class BallOver(BesideBall):
     kind: str = choice("ball_over", "ball_over")
     speed: float = quantity(0.13, "m/s", above=0)  # v_d, of the ball on its way
     place: float = quantity(2.37, "m")  # x of the ball's centre where the robot comes down; it is on top near 0.37
-    brake: float = quantity(0.15, "1/s", above=0)  # wanted speed for each metre that is left to that place, at most
-    near: float = quantity(0.1, "m", above=0)  # to that place, of a ball that is calm
-    drive: int = count(50, at_least=1, at_most=500)  # steps on the ball on its way, at most
-    away: int = count(4, at_least=1, at_most=200)  # swings by tripod on the floor
-    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x, half of what a foot moves ahead in those
-    lift_ratio: float = quantity(0.05, "a_r", above=0, at_most=0.5)  # d_y, how high it is lifted
-    hips_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, hips above the floor then
-    spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # feet out from the hips then
-    turning: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, of those swings, whose time t* it gives
+    brake: float = quantity(0.15, "1/s", above=0)  # largest speed for each metre of distance to that place
+    near: float = quantity(0.1, "m", above=0)  # largest distance to that place of a ball that is calm
+    drive: int = count(50, at_least=1, at_most=500)  # largest number of steps that roll the ball
+    away: int = count(4, at_least=1, at_most=200)  # number of swings by tripod on the floor
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x, half the length of these swings
+    lift_ratio: float = quantity(0.05, "a_r", above=0, at_most=0.5)  # d_y, their height
+    hips_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, height of the hips above the floor then
+    spread_ratio: float = quantity(0.3, "a_r", at_least=0, at_most=2)  # distance of feet outward from their hips then
+    # varpi, rate of these swings, which gives their time t*
+    turning: float = quantity(3.0, "rad/s", above=0, at_most=20)
 
     own_plan = "ball_over"  # in R
 
@@ -64,18 +65,19 @@ class BallOver(BesideBall):
 
     @property
     def travel_drive(self) -> BallDrive:
-        """The steps that roll the ball to its place, with the gains of those that stop it."""
+        """The drive that rolls the ball to its place, with the gains of the steps that stop it."""
         return replace(self.calm_drive, steps=self.drive, speed=self.speed, place=self.place, brake=self.brake)
 
     @property
     def parts(self) -> Mapping[str, Guided]:
-        """The ride up, calming steps, and those along."""
+        """The ride up, the steps that stop the ball, and those that roll it."""
         return {**self.climb.parts, DRIVE: SettleBall(self.travel_drive, self.calm_speed, self.near)}
 
     def plan(self, belief: Case) -> Plan:
-        """Up, calm, along, down, away.
+        """Return the plan: up, stop the ball, along, down, away.
 
-        Raises `InputError` where the ball is too large, or the feet do not reach the floor, by plain numbers.
+        Raises:
+            InputError: the ball is too large, or the feet do not reach the floor, all plain numbers.
         """
         pose = self.descent.stand_pose(belief)
         start, up = self.climb.climb_stages(belief)
@@ -86,17 +88,17 @@ class BallOver(BesideBall):
         return compile_plan(start, [*up, *calm, *along, *down, *away], self.patience, ease=self.ease)
 
     def leave_stages(self, belief: Case) -> list[Stage]:
-        """By tripod, once the middle feet are under their hips; in the frame of a ball that is not to move."""
+        """Return the stages of walking away by tripod, in the frame of a ball that is to stay in place."""
         radius, length = belief.on(Ball).radius, belief.robot.body_length
         height, spread = self.hips_ratio * length, self.spread_ratio * length
         step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.turning)
         *_, last = read_moves(belief, "off").values()
         stood = tangent(belief.on(Ball), 1.0, radius, 0.0, *last.base["tangent"])
-        position = stood.at[0].add(step.half_length).at[2].set(height - radius)  # so far that no leg hits the ball
+        position = stood.at[0].add(step.half_length).at[2].set(height - radius)  # clear of the ball
         under = position + foot_centres_facing(belief, spread, height, AHEAD)
         first = Stage("away.3-4", 1.0, {leg: under[leg - 1] for leg in PAIRS["middle"]}, CYCLE_B, 2 * step.height,
                       position=position, rates=REST_TO_REST)  # fmt: skip
         ready, walk = departure_stages(belief, step, position, spread, height, self.away, AHEAD)
-        # regripped: footholds that go over within `ease` do not go with a base that is rezeroed at once, and it hops
+        # Regrip: with `REZERO` the base would jump at once while feet follow within `ease`, and the robot would hop.
         options = {"foot_frames": (koenig(0),) * 6, "base_frame": koenig(0), "support": (STAYS,), "onset": REGRIP}
         return [replace(stage, **options) for stage in (first, *ready, *walk, Stage("halt", 1.0))]

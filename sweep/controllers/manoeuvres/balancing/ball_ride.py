@@ -1,4 +1,4 @@
-"""The ride up on a ball that rolls towards the robot's way (monograph 3.1.4, 3.3.2)."""
+"""The ride up on a ball that rolls in the robot's direction (monograph 3.1.4, 3.3.2)."""
 
 from typing import NamedTuple
 
@@ -20,36 +20,36 @@ from sweep.models.obstacles.ball import Ball, nose_up, tangent
 from sweep.models.robot import total_mass
 
 RIDE = "ride"
-LEAN_LAG, LEAN_MAX = 0.3, 0.03  # s, in which the base leans aside, and how far at most (m)
+LEAN_LAG, LEAN_MAX = 0.3, 0.03  # s and m, time constant and largest value of the lateral lean
 
 
 class RideMemory(NamedTuple):
-    """How far the base has come."""
+    """State of the ride: how far the base has moved."""
 
-    elevation: Float[Array, ""]  # rad, of its tangent
-    distance: Float[Array, ""]  # m, of its axis
-    ahead: Float[Array, ""]  # m, of its centre along the tangent
-    aside: Float[Array, ""]  # m, of its centre to the left
-    time: Float[Array, ""]  # s
+    elevation: Float[Array, ""]  # rad, of the tangent along which the base lies
+    distance: Float[Array, ""]  # m, of the base's axis from the ball's centre
+    ahead: Float[Array, ""]  # m, of the base's centre along the tangent
+    aside: Float[Array, ""]  # m, of the base's centre to the left
+    time: Float[Array, ""]  # s, since the ride started
 
 
 class Ride(NamedTuple):
-    """Up on a ball that rolls, at the rate that has it stop as the top is reached: (3.1.13)-(3.1.16) at every tick.
+    """Law that rides up on a rolling ball, at the rate with which it stops when the top is reached: (3.1.13)-(3.1.16).
 
-    Feet that slip more on one side than on the other have the ball roll aside; leaning the other way slows it down. Not
-    while the first feet step, which pass close to the next legs.
-    The plan's places are those of a base on top: feet go where these are by then, as far round the ball as the base is.
+    If feet slip more on one side, the ball rolls sideways; the base leans the other way to slow that down, though not
+    while the first feet step, which pass close to the next legs. Footholds of the plan are those of a base on top; feet
+    go to where these are by then, as far round the ball as the base is.
     """
 
-    gain: Array | float  # of the rate
-    least: Array | float  # rad/s, of the rate, also if the ball has stopped
+    gain: Array | float  # factor on the rate
+    least: Array | float  # rad/s, of the rate, also after the ball has stopped
     most: Array | float  # rad/s, of the rate
-    braking: Array | float  # rad/s^2, of the rate as the top is reached
-    centring: Array | float  # s, over which the base goes to the tangent's point first
-    lean: Array | float  # s, of the base against the ball's speed aside
+    braking: Array | float  # rad/s^2, of the rate towards the top
+    centring: Array | float  # s, in which the base first moves to the point of tangency
+    lean: Array | float  # s, lateral lean over the ball's lateral speed
 
     def init_memory(self, belief: Case, plan: Plan) -> RideMemory:
-        """Where the base is when the ride begins."""
+        """Return the state with the base where the ride starts."""
         first = _first_stage(plan)
         x, _, z = plan.position[first - 1]
         elevation = 0.5 * np.pi + logarithm(plan.quat[first])[1]
@@ -57,7 +57,7 @@ class Ride(NamedTuple):
         return RideMemory(elevation, z * sin - x * cos, x * sin + z * cos, jnp.zeros(()), jnp.zeros(()))
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """The base goes up, and feet swing to places relative to it."""
+        """Move the base up, and swing feet to places relative to it."""
         ball, memory, plan, period = belief.on(Ball), state.memory, ctx.plan, ctx.period
         distance, rate = memory.distance, self.climb_rate(belief, ctx.obs)
         share = jnp.minimum(1.0, memory.time / self.centring)
@@ -74,15 +74,20 @@ class Ride(NamedTuple):
         turn = rotation_about_y(down + memory.ahead / distance)
         swing, phase = plan.swing[state.stage][:, None], state.clock / plan.duration[state.stage]
         goal = jnp.where(swing, rotate(turn[None], plan.foothold[state.stage]), state.feet)
-        goal = jnp.where(phase < 1, goal, state.goal)  # late feet stay, or they would meet those ahead of them
+        goal = jnp.where(phase < 1, goal, state.goal)  # late feet stay clear of those ahead
         feet = reference_stance(plan, state.stage, jnp.clip(phase, 0.0, 1.0), state.feet, state.position, goal).feet
         position = tangent(ball, 1.0, 1.0, 0.0, *pose).at[1].set(aside)
         return Guidance(Stance(feet, position, rotation_about_y(down)), goal, memory)
 
     def climb_rate(self, belief: Case, obs: Observation) -> Float[Array, ""]:
-        """(3.1.16), rad/s, of the mass centre where it is measured; none beyond the top.
+        """Return the rate (3.1.16) (rad/s) from the measured mass centre; 0 beyond the top.
 
-        That rate grows up to the top: a robot that stopped there at once would tip over its front feet.
+        The rate of (3.1.16) grows up to the top: a robot that stopped there at once would tip over its front feet. So
+        it is limited by `braking`.
+
+        Args:
+            belief: has robot and ball.
+            obs: measurement of this tick.
         """
         ball, robot = belief.on(Ball), belief.robot
         off = centre_of_mass(robot, measured_stance(robot, obs)) - obs.free.position[0]
@@ -98,7 +103,7 @@ class Ride(NamedTuple):
         return jnp.minimum(jnp.maximum(self.gain * jnp.where(enough, root, fastest), self.least), most)
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """The last stage is over where the robot has come to the top."""
+        """End the last stage when the robot is on top."""
         last = _first_stage(plan) + plan.laws.count(RIDE) - 1
         return (state.stage == last) & (state.memory.elevation >= 0.5 * np.pi - 1e-4)
 
@@ -109,5 +114,5 @@ def _first_stage(plan: Plan) -> int:
 
 
 def rotation_about_y(angle: Array) -> Float[Array, " 4"]:
-    """Rotation by `angle` (rad) about y: nose down."""
+    """Return the rotation by `angle` (rad) about y, nose down."""
     return exponential(jnp.zeros(3).at[1].set(angle))

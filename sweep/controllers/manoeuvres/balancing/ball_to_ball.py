@@ -1,7 +1,7 @@
 """From one free ball to another (monograph 3.5): roll the first to the second, go over, come to rest on it, go down.
 
-World axes as in `TwoBalls`: the robot faces x. While feet stand on both balls these are meant to roll together, as they
-do in the mean, and feet on the second press it to the first: (3.5.2).
+World axes as in `TwoBalls`: the robot faces x. While feet stand on both balls, their references roll together with the
+mean measured motion, and feet on the second ball press it to the first: (3.5.2).
 """
 
 from collections.abc import Mapping
@@ -41,47 +41,52 @@ ROLLS, OVER = "roll", "over"
 
 
 def ball_gap(balls: TwoBalls, free: FreeState) -> Float[Array, ""]:
-    """delta, how far the balls are from each other along x (m)."""
+    """Return delta, the gap between the balls along x (m).
+
+    Args:
+        balls: the obstacle.
+        free: state of the balls, world axes.
+    """
     return free.position[1, 0] - free.position[0, 0] - 2 * balls.radius
 
 
 @dataclass(frozen=True)
 class BallDocking(DriveUntil):
-    """Until the first ball touches the second."""
+    """Law that drives the first ball until it touches the second."""
 
-    speed: Array | float  # m/s, as it comes there
+    speed: Array | float  # m/s, on arrival
 
     def drive_law(self, belief: Case, free: FreeState) -> Guided:
-        """To a place so far behind the second ball that its speed is left there."""
+        """Return the drive to a place so far behind the second ball that the docking speed remains there."""
         place = free.position[0, 0] + ball_gap(belief.on(TwoBalls), free) + self.speed / self.drive.brake
         return SingleBallLaw(replace(self.drive, place=place), 0)
 
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
-        """By how far the balls are from each other."""
+        """Return whether the balls touch."""
         return ball_gap(belief.on(TwoBalls), free) < 4e-3
 
 
 class ClosingMemory(NamedTuple):
-    """What a stage has begun with."""
+    """State of `Closing`."""
 
-    gap: Float[Array, ""]  # m, delta as the stage began
+    gap: Float[Array, ""]  # m, delta at the start of the stage
 
 
 class Closing(NamedTuple):
-    """As planned, but feet on the second ball go on with it to the first, and press it there: after (3.5.2).
+    """Law that follows the plan, but feet on the second ball move it to the first and press it there: after (3.5.2).
 
-    The print turns them by the way over R_n; the ball rolls it over R.
+    The book turns the feet by the motion over R_n; the ball rolls it over R.
     """
 
-    press: Array | float  # epsilon, m
-    straight: Array | float  # share of its length, of a leg that is too straight
+    press: Array | float  # m, epsilon
+    straight: Array | float  # longest leg over thigh and shin before the base stops
 
     def init_memory(self, belief: Case, plan: Plan) -> ClosingMemory:
-        """The memory before the first stage."""
+        """Return the state before the first stage."""
         return ClosingMemory(jnp.zeros(()))
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """The stage's own stance, with the feet moved."""
+        """Return the planned stance with the feet on the second ball moved."""
         plan, stage, balls = ctx.plan, ctx.stage, belief.on(TwoBalls)
         gap = jnp.clip(ball_gap(balls, ctx.obs.free), 0.0, MAX_CLOSING)
         memory: ClosingMemory = state.memory
@@ -99,55 +104,58 @@ class Closing(NamedTuple):
                         ClosingMemory(gap))  # fmt: skip
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """The base goes no farther where a leg that stands gets too straight; the next pair is moved then."""
+        """End a motion of the base when a standing leg gets too straight; the next pair of feet moves then."""
         robot, is_moving = belief.robot, ~jnp.any(plan.swing[state.stage])
         points = leg_points(robot, obs.angles)
         stretch = jnp.linalg.norm(points[:, -1] - points[:, -3], axis=-1)
         return is_moving & jnp.any(obs.loaded & (stretch > self.straight * (robot.thigh + robot.shin)))
 
 
-MAX_CLOSING = 0.02  # m, that a stage closes
+MAX_CLOSING = 0.02  # m, gap that a stage closes at most
 
 
 def with_touching_balls(belief: Case) -> Case:
-    """`belief` with balls that touch, one right behind the other."""
+    """Return the belief with balls that touch, one right behind the other."""
     return replace(belief, obstacle=replace(belief.on(TwoBalls), gap=0.0, offset=0.0))
 
 
 @parameters
 class BallToBall(OnBall, ByParts):
-    """Roll the first ball to the second, go over from one to the other, and calm that or get off it."""
+    """Roll the first ball to the second, go over from one to the other, and stop that ball or get off it."""
 
     goal: ClassVar = {**UPRIGHT, "second_ball_speed_max_mps": 0.01}
     kind: str = choice("ball_to_ball", "ball_to_ball")
-    steps: int = count(40, at_least=1, at_most=200)  # that roll the first ball, at most
-    step_time: float = quantity(1.2, "s", above=0, at_most=20)  # of these steps
-    speed: float = quantity(0.1, "m/s", above=0)  # of the ball on its way
+    steps: int = count(40, at_least=1, at_most=200)  # largest number of steps that roll the first ball
+    step_time: float = quantity(1.2, "s", above=0, at_most=20)  # time of these steps
+    speed: float = quantity(0.1, "m/s", above=0)  # speed of the ball on its way
     speed_gain: float = quantity(0.6, "s", at_least=0)  # k_v, of `ball_drive`
-    docking: float = quantity(0.03, "m/s", above=0)  # of the ball as it comes to the other one
+    docking: float = quantity(0.03, "m/s", above=0)  # speed of the ball when it reaches the other one
     closing: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, by which the balls are pressed together
-    finish: str = choice("ball", "ball", "floor")  # where: at rest on the second ball, or down from it as `BallDescend`
-    calm: int = count(12, at_least=1, at_most=100)  # steps on the second ball, at most
-    calm_speed: float = quantity(0.0, "m/s", at_least=0)  # of a ball that needs no further step; 0: all are made
-    height_ratio: float = quantity(0.23, "a_r", above=0, at_most=2)  # of the base over the ball's top
-    deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # footholds inside the balls
-    press: float = quantity(1.3e-3, "m", at_least=0, at_most=0.05)  # feet deeper than they are measured
-    squeeze: float = quantity(1.7e-3, "m", at_least=0, at_most=0.05)  # the same to the middle
-    ease: float = quantity(0.15, "s", above=0)  # in which feet go over to where they are measured
-    spare: float = quantity(0.02, "m")  # of the mass centre between the feet that stand, at least, when it is planned
-    # of a leg's thigh and shin: straighter, the base goes no farther, and is planned lower or the foot nearer
+    # end of the manoeuvre: at rest on the second ball, or down from it as `BallDescend`
+    finish: str = choice("ball", "ball", "floor")
+    calm: int = count(12, at_least=1, at_most=100)  # largest number of steps on the second ball
+    # speed below which that ball needs no further step; 0: all steps are made
+    calm_speed: float = quantity(0.0, "m/s", at_least=0)
+    height_ratio: float = quantity(0.23, "a_r", above=0, at_most=2)  # height of the base over the ball's top
+    deepening: float = quantity(1e-3, "m", at_least=0, at_most=0.05)  # depth of footholds inside the balls
+    press: float = quantity(1.3e-3, "m", at_least=0, at_most=0.05)  # depth of feet below where they are measured
+    squeeze: float = quantity(1.7e-3, "m", at_least=0, at_most=0.05)  # the same towards the middle plane
+    ease: float = quantity(0.15, "s", above=0)  # time in which feet move over to new footholds
+    spare: float = quantity(0.02, "m")  # least planned distance of the mass centre from the ends of the support
+    # longest leg over thigh and shin; at that length the base stops, and is planned lower or the foot nearer
     straight: float = quantity(0.985, "-", above=0, at_most=1)
-    clear: float = quantity(0.05, "m", at_least=0)  # of the base's underside over the balls as it is planned lower
+    # least clearance of the base over the balls where it is planned lower
+    clear: float = quantity(0.05, "m", at_least=0)
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (TwoBalls,)
     own_plan = "ball_to_ball"
 
     def plan(self, belief: Case) -> Plan:
-        """Roll, go over, calm the second ball.
+        """Return the plan: roll, go over, stop the second ball, and get off it if asked for.
 
-        Raises `InputError` where a foot does not reach, or the mass centre is not between the feet that stand, by plain
-        numbers.
+        Raises:
+            InputError: a foot is out of reach, or the mass centre is not over the support, all plain numbers.
         """
         self.validate(belief)
         pose, down = stand_pose(belief, self), self.descent
@@ -161,7 +169,7 @@ class BallToBall(OnBall, ByParts):
         return compile_plan(stance_on_ball(belief, pose), stages, self.patience, ease=self.ease)
 
     def transfer_stages(self, belief: Case) -> list[Stage]:
-        """From ball to ball, as if they stood still, touching; as the checks of 3.5.3 leave it."""
+        """Return the stages from ball to ball, planned for balls at rest that touch, after the checks of 3.5.3."""
         pose = stand_pose(belief, self)
         feet = dict(zip(LEGS, pose.feet, strict=True))
         supports = {"free": (Support(),) * 2, "together": (Support(TOGETHER),) * 2}
@@ -173,9 +181,10 @@ class BallToBall(OnBall, ByParts):
                        CheckLimits(self.spare, self.straight, self.clear))  # fmt: skip
 
     def validate(self, belief: Case) -> None:
-        """Raise `InputError` where a foot is out of reach, or the mass centre not `spare` m between standing feet.
+        """Check reach and support at the ends of the stages from ball to ball, if parameters are plain numbers.
 
-        At the ends of the stages from ball to ball, by plain numbers; after what the checks of 3.5.3 do about it.
+        Raises:
+            InputError: a foot is out of reach, or the mass centre is less than `spare` m inside its support.
         """
         if not are_plain_numbers(belief.robot, belief.obstacle, self):
             return
@@ -197,17 +206,17 @@ class BallToBall(OnBall, ByParts):
 
     @property
     def roll_drive(self) -> BallDrive:
-        """The steps that roll the first ball."""
+        """The drive whose steps roll the first ball."""
         return self.make_drive(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain)
 
     @property
     def descent(self) -> BallDescend:
-        """The steps that stop the second ball, and the way down from it."""
+        """The manoeuvre that stops the second ball and gets down from it."""
         return BallDescend(calm=self.calm, calm_speed=self.calm_speed)
 
     @property
     def parts(self) -> Mapping[str, Guided]:
-        """Steps, the way over, steps."""
+        """The laws of all parts: rolling, the way over, and those of the second ball."""
         return {
             ROLLS: BallDocking(self.roll_drive, self.docking),
             OVER: Closing(self.closing, self.straight),

@@ -1,4 +1,4 @@
-"""Turning a free ball's way, the robot standing on it (monograph 3.1.6)."""
+"""Steering a free ball along a curve, the robot standing on it (monograph 3.1.6)."""
 
 from typing import ClassVar
 
@@ -11,19 +11,19 @@ from sweep.core.parameters import choice, parameters, quantity
 
 @parameters
 class BallTurn(BallDrive):
-    """Drive a ball straight on, then along a circle to the left, to the right where its radius is negative.
+    """Drive a ball straight on, then along a circle to the left, or to the right if its radius is negative.
 
-    By the law of `BallDrive` along that way. On the circle the mass centre leans to the inside as far as (3.1.33) asks
-    for at the ball's speed. The robot faces x throughout.
+    By the law of `BallDrive` along that path. On the circle, the mass centre leans inward as (3.1.33) requires at the
+    ball's speed. The robot faces x throughout.
     """
 
     goal: ClassVar = {"obstacle_speed_error_max_mps": 0.01, "obstacle_aside_max_m": 0.05}
     kind: str = choice("ball_turn", "ball_turn")
-    straight: float = quantity(1.5, "m", at_least=0)  # before the turn
-    radius: float = quantity(4.0, "m")  # rho, of the way of the ball's centre
+    straight: float = quantity(1.5, "m", at_least=0)  # length of the path before the turn
+    radius: float = quantity(4.0, "m")  # rho, of the path of the ball's centre
 
     def track(self, place: Float[Array, " 3"]) -> TrackPoint:
-        """Where a ball at `place` (m) is on its way, which is along x, then along the circle."""
+        """Return where a ball at `place` (m) is relative to its path, along x and then along the circle."""
         before = super().track(place)
         x, y = (place[0] - self.straight) / self.radius, 1 - place[1] / self.radius
         angle, out = jnp.arctan2(x, y), jnp.hypot(x, y)

@@ -1,4 +1,4 @@
-"""Across a narrow beam by diagonal gait, the straight middle legs balancing as a flywheel (monograph 2.6).
+"""Across a narrow beam by diagonal gait, with the straight middle legs balancing as a flywheel (monograph 2.6).
 
 World axes: the beam lies along y and the robot comes along -y. The book's xi, eta, zeta are x, y, z.
 """
@@ -30,78 +30,80 @@ from sweep.models.robot import Robot, mounts
 DIAGONALS = ((1, 6), (2, 5))
 MIDDLE = (3, 4)
 IS_MIDDLE = np.isin(np.array(LEGS), MIDDLE)
-LEVEL_LEGS = {3: (0.0, np.pi / 2, 0.0), 4: (0.0, np.pi / 2, np.pi)}  # straight out to the sides
+# joint angles of middle legs that are stretched out to the sides
+LEVEL_LEGS = {3: (0.0, np.pi / 2, 0.0), 4: (0.0, np.pi / 2, np.pi)}
 FORWARD = (0.0, -1.0, 0.0)
 
 
 class BeamSite(NamedTuple):
-    """What the stages are made of."""
+    """Geometry of robot and beam from which the stages are made; made by `BeamWalk.site`."""
 
     robot: Robot
-    ground: Array | float  # m, h_1, of the ledges and the beam's top
-    clearance: Array | float  # m, of the hips above them
-    track: Array | float  # m, xi_b, the narrow one
+    ground: Array | float  # m, h_1, height of the ledges and the beam's top
+    clearance: Array | float  # m, height of the hips above them
+    track: Array | float  # m, xi_b, the narrow track
     deepening: Array | float  # m, epsilon
     step: Step
 
     def base_at(self, y: Array | float) -> Float[Array, " 3"]:
-        """The base's centre (m) where it is at y."""
+        """Return the base's centre (m) at y."""
         return point(0.0, y, self.ground + self.clearance)
 
     def feet_at(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
-        """Feet abreast of their hips, each `track` (m) from the middle line, for a base at y."""
+        """Return feet beside their hips (m), each `track` (m) from the middle line, for a base at y."""
         depth = jnp.full(6, self.ground - self.deepening)
         return jnp.stack([SIDE * jnp.asarray(track, float), y - mounts(self.robot)[:, 0], depth], axis=-1)
 
     def swing_stage(self, name: str, legs: Sequence[int], feet: Float[Array, "6 3"], **more) -> Stage:
-        """Some legs step to where `feet` has theirs."""
+        """Return a stage in which some legs step to their places in `feet`."""
         return Stage(name, self.step.time, by_leg(feet, legs), CYCLE_B, self.step.height, **more)
 
     def joint_angles(self, y: Array | float, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-        """Joint angles (rad) that put the feet there, for a base at y."""
+        """Return the joint angles (rad) that put the feet there, for a base at y."""
         return joint_targets(self.robot, Stance(feet, self.base_at(y), jnp.array(FACING_MINUS_Y)))[0]
 
     def stretched_feet(self, y: Array | float) -> Float[Array, "6 3"]:
-        """Feet at the ends of straight legs, level and out to the sides, for a base at y."""
+        """Return the feet of straight legs (m), level and out to the sides, for a base at y."""
         robot = self.robot
         feet = self.feet_at(y, robot.body_width / 2 + robot.coxa + robot.thigh + robot.shin)
         return feet.at[:, 2].set(self.ground + self.clearance)
 
     def angles_beside_hips(self, out: Array | float, down: Array | float) -> Float[Array, "6 3"]:
-        """Joint angles (rad) that put every foot `out` (m) to the outside of its hip and `down` below it."""
+        """Return the joint angles (rad) with every foot `out` (m) outward from its hip and `down` (m) below it."""
         feet = self.feet_at(0.0, self.robot.body_width / 2 + out)
         return self.joint_angles(0.0, feet.at[:, 2].set(self.ground + self.clearance - down))
 
 
 @parameters
 class BeamWalk:
-    """Along the beam, on which the robot stands at the start with its middle legs out. Ratios are to a_r."""
+    """Walk along the beam, on which the robot starts with its middle legs out. Ratios are to a_r."""
 
     goal: ClassVar = ARRIVED
     kind: str = choice("beam_walk", "beam_walk")
     flywheel: str = choice("on", "on", "off")  # whether the middle legs balance the body; off: they stay as they are
-    steps: int = count(16, at_least=0, at_most=100)  # swings of a diagonal pair
-    inset: float = quantity(0.0125, "m", at_least=0)  # of the feet from the beam's edges: xi_b is its width less both
-    # d_x, half of what a foot moves ahead in a swing
-    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)
-    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, how high a swinging foot is lifted
-    height_ratio: float = quantity(0.58, "a_r", above=0, at_most=2)  # hips above the beam
-    rate: float = quantity(6.0, "rad/s", above=0, at_most=20)  # varpi, of the swings, whose time t* it gives
-    deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds below the beam's top
+    steps: int = count(16, at_least=0, at_most=100)  # number of swings of a diagonal pair
+    # distance of the feet from the beam's edges: xi_b is its width less twice that
+    inset: float = quantity(0.0125, "m", at_least=0)
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x, half the length of a swing
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, height of a swing
+    height_ratio: float = quantity(0.58, "a_r", above=0, at_most=2)  # height of the hips above the beam
+    rate: float = quantity(6.0, "rad/s", above=0, at_most=20)  # varpi, rate of the swings, which gives their time t*
+    deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, depth of footholds below the beam's top
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
-    c1: float = quantity(5000.0, "N/m")  # force for each metre that the mass centre is aside of its planned line
-    c2: float = quantity(400.0, "N*s/m")  # force against the mass centre's sideways speed
+    c1: float = quantity(5000.0, "N/m")  # force for each metre of the mass centre's distance from its planned line
+    c2: float = quantity(400.0, "N*s/m")  # force against the mass centre's lateral speed
     c3: float = quantity(-5e4, "N*m/rad", at_most=0)  # torque by which leg 4 follows leg 3, for each radian
-    c4: float = quantity(547.215, "N*m*s/rad", at_least=0)  # printed with a minus: no damping
+    c4: float = quantity(547.215, "N*m*s/rad", at_least=0)  # printed with a minus, which gives no damping
     c5: float = quantity(-6.25, "N*m/rad")  # torque on leg 3 towards its rest while four feet stand, for each radian
-    c6: float = quantity(10.067, "N*m*s/rad")  # printed with a minus: no damping
+    c6: float = quantity(10.067, "N*m*s/rad")  # printed with a minus, which gives no damping
 
     needs = (Beam,)
 
     def plan(self, belief: Case) -> Plan:
-        """Stand, `steps` swings with the body's way between them, a last swing that closes the stance, stand.
+        """Return the plan: stand, `steps` swings with base motions between them, a swing that closes the stance, stand.
 
-        At the end the middle legs are held where they are: the law that levels them takes c_6/-c_5, 1.6 s in print.
+        At the end the middle legs are held where they are, since the law that levels them takes c_6/-c_5, 1.6 s in
+        print.
         """
         site = self.site(belief)
         start = -belief.robot.body_length / 2 - 2 * site.step.landing
@@ -113,25 +115,30 @@ class BeamWalk:
         return compile_plan(stance, stages, self.patience, self.gains(belief), steered=True)
 
     def site(self, belief: Case) -> BeamSite:
-        """The beam and the robot as they are believed."""
+        """Return the geometry of robot and beam, as believed."""
         length = belief.robot.body_length
         step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
         track = belief.on(Beam).width - 2 * self.inset
         return BeamSite(belief.robot, belief.on(Beam).height, self.height_ratio * length, track, self.deepening, step)
 
     def gains(self, belief: Case) -> Gains:
-        """Feedback of the flywheel."""
+        """Return the gains of the flywheel."""
         return Gains(self.c1, self.c2, self.c3, self.c4, self.c5, self.c6, belief.drive.back_emf)
 
     def flywheel_mode(self, wanted: int) -> int:
-        """The mode `wanted` of the flywheel, or that of planned legs where the flywheel is off."""
+        """Return the mode `wanted` of the flywheel, or `LOCKED` if it is off."""
         return wanted if self.flywheel == "on" else LOCKED
 
     def diagonal_stages(self, site: BeamSite, start: Array | float, way: Array | float) -> list[Stage]:
-        """2.6.2: pairs swing in turn to stand `way` (m) ahead of their hips, and the body follows.
+        """Return the stages of 2.6.2: diagonal pairs swing in turn, and the base follows while four feet stand.
 
-        While a pair swings the centre of mass is over the line of the other two feet: these are abreast of their
-        hips. The body goes on while four feet stand, and the middle legs come to rest.
+        While a pair swings, the mass centre is over the line of the other two feet, which are beside their hips. While
+        the base moves, the middle legs come to rest.
+
+        Args:
+            site: geometry of robot and beam.
+            start: y of the base at the start (m).
+            way: motion of the base after each swing (m).
         """
         stages, y, rest = [], start, self.flywheel_mode(LEVELLING)
         for k in range(self.steps):
@@ -150,25 +157,24 @@ class BeamWalk:
 
 @parameters
 class BeamCross(BeamWalk):
-    """From one ledge to the other: to the edge by tripod, 2.6.1, the beam, 2.6.3, and on by tripod.
+    """Cross from one ledge to the other: by tripod to the edge, 2.6.1, the beam, 2.6.3, and on by tripod.
 
-    `steps` swings divide the way on the narrow track evenly, from `margin` before the first edge to `margin` behind
-    the second one.
+    `steps` swings divide the path on the narrow track evenly, from `margin` before the first edge to `margin` behind
+    the second.
     """
 
     goal: ClassVar = UPRIGHT
     kind: str = choice("beam_cross", "beam_cross")
-    steps: int = count(17, at_least=1, at_most=100)  # swings of a diagonal pair, on the beam
-    approach: int = count(2, at_least=0, at_most=50)  # swings by tripod to the edge
-    # d_x, half of what a foot moves ahead in these
-    walk_step_ratio: float = quantity(0.08, "a_r", above=0, at_most=0.5)
-    departure: int = count(4, at_least=0, at_most=50)  # and away from it
-    wide_track: float = quantity(0.7852, "m", above=0)  # 2 x_f, between the feet of both sides on the ledges
-    margin: float = quantity(0.12, "m", at_least=0)  # between the feet and the edge
-    transfer_lift: float = quantity(0.1, "m", above=0)  # of feet that change the track
+    steps: int = count(17, at_least=1, at_most=100)  # number of swings of a diagonal pair on the beam
+    approach: int = count(2, at_least=0, at_most=50)  # number of swings by tripod to the edge
+    walk_step_ratio: float = quantity(0.08, "a_r", above=0, at_most=0.5)  # d_x, half the length of these swings
+    departure: int = count(4, at_least=0, at_most=50)  # number of swings by tripod away from it
+    wide_track: float = quantity(0.7852, "m", above=0)  # 2 x_f, distance between left and right feet on the ledges
+    margin: float = quantity(0.12, "m", at_least=0)  # distance between feet and edge
+    transfer_lift: float = quantity(0.1, "m", above=0)  # lift of feet that change the track
 
     def plan(self, belief: Case) -> Plan:
-        """Stand, approach, narrow track, middle legs out, across, middle legs down, wide track, depart, halt."""
+        """Return the plan: stand, approach, narrow track, legs out, across, legs down, wide track, depart, halt."""
         site = self.site(belief)
         reach = belief.robot.body_length / 2 + self.margin
         far = -belief.on(Beam).length - reach
@@ -187,7 +193,7 @@ class BeamCross(BeamWalk):
         return compile_plan(start, [*stages, Stage("halt", STAND)], self.patience, self.gains(belief), steered=True)
 
     def walk_up(self, site: BeamSite, y: Array | float) -> tuple[Stance, list[Stage]]:
-        """By tripod to where the base is at y, the feet then abreast of the hips."""
+        """Return the start stance and the stages by tripod to a base at y, with the feet beside the hips in the end."""
         site, forward = self.walking_site(site), jnp.array(FORWARD)
         step = site.step
         first = y + 2 * step.landing * self.approach
@@ -198,21 +204,21 @@ class BeamCross(BeamWalk):
         return start, stages + [site.swing_stage(f"place.{'-'.join(map(str, legs))}", legs, goal) for legs in TRIPOD]
 
     def walking_site(self, site: BeamSite) -> BeamSite:
-        """The site with the step that tripods take."""
+        """Return the site with the step of the tripods."""
         return site._replace(step=site.step._replace(half_length=self.walk_step_ratio * site.robot.body_length))
 
     def tripod_stages(self, site: BeamSite, start: Stance, number: int) -> list[Stage]:
-        """Regular swings on the wide track."""
+        """Return regular swings on the wide track."""
         centres = site.feet_at(0.0, self.wide_track / 2) - site.base_at(0.0)
         return regular_steps(TRIPOD, site.step, start, centres, jnp.array(FORWARD), number, 0.0)
 
     def spread_stages(self, site: BeamSite, y: Array | float) -> list[Stage]:
-        """2.6.1: the middle legs are lifted, led outward and straightened."""
+        """Return the stages of 2.6.1 in which the middle legs are lifted, moved outward and stretched."""
         raised, out = self.intermediate_angles(site, y)
         return [*posture_stages(site, "out", (raised, out)), Stage("out.3", site.step.time, posture=LEVEL_LEGS)]
 
     def fold_stages(self, site: BeamSite, y: Array | float) -> list[Stage]:
-        """2.6.3: back on to the narrow track, the same way."""
+        """Return the stages of 2.6.3 in which the middle legs go back to the narrow track on the same path."""
         raised, out = self.intermediate_angles(site, y)
         feet = site.feet_at(y, site.track / 2)
         angles = by_leg(site.joint_angles(y, feet), MIDDLE)
@@ -220,7 +226,7 @@ class BeamCross(BeamWalk):
         return [*posture_stages(site, "down", (out, raised)), down]
 
     def intermediate_angles(self, site: BeamSite, y: Array | float) -> tuple[Array, Array]:
-        """Joint angles (6, 3) with the feet lifted from the narrow track, and half bent outside of the hips."""
+        """Return joint angles (6, 3) with feet lifted from the narrow track, and half bent outward of the hips."""
         lifted = site.feet_at(y, site.track / 2) + jnp.array([0.0, 0.0, 1.0]) * self.transfer_lift
         reach = site.robot.thigh + site.robot.shin
         return site.joint_angles(y, lifted), site.angles_beside_hips(0.5 * reach, 0.25 * reach)
@@ -229,9 +235,16 @@ class BeamCross(BeamWalk):
 def change_track_stages(
     site: BeamSite, y: Array | float, track: Array | float, lift: Array | float, name: str
 ) -> list[Stage]:
-    """2.6.1 and 2.6.3: one tripod after the other goes over to another track, in planes across the body.
+    """Return the stages of 2.6.1 and 2.6.3 in which the tripods in turn change their track, in planes across the body.
 
-    The foot passes below its hip, where alpha is not defined by its place: it goes there in joint space.
+    The foot passes below its hip, where its place does not determine alpha; it goes there in joint space.
+
+    Args:
+        site: geometry of robot and beam.
+        y: of the base (m).
+        track: distance between left and right feet (m).
+        lift: of the feet (m).
+        name: prefix of the stages' names.
     """
     over, goal = site.angles_beside_hips(0.02, site.clearance - lift), site.feet_at(y, track / 2)
     angles, stages = site.joint_angles(y, goal), []
@@ -243,10 +256,10 @@ def change_track_stages(
 
 
 def posture_stages(site: BeamSite, name: str, angles: Sequence[Array]) -> list[Stage]:
-    """The middle legs go through postures."""
+    """Return stages in which the middle legs go through postures."""
     return [Stage(f"{name}.{k}", site.step.time, posture=by_leg(a, MIDDLE)) for k, a in enumerate(angles, start=1)]
 
 
 def by_leg(values: Float[Array, "6 3"], legs: Sequence[int]) -> dict[int, Array]:
-    """Feet or joint angles of some legs by number."""
+    """Return feet or joint angles of some legs, by leg number."""
     return {leg: values[leg - 1] for leg in legs}

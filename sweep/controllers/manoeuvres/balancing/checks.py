@@ -1,6 +1,7 @@
-"""Checks of a way from ball to ball that act (monograph 3.5.3): feet farther or nearer, a base that goes on or squats.
+"""Checks that correct a path from ball to ball (monograph 3.5.3): footholds farther or nearer, base farther or lower.
 
-All is told at the ends of stages with the balls at rest, in world axes. What passes is left as it is, to the bit.
+All checks look at the ends of stages with the balls at rest, in world axes. A path that passes is left unchanged to the
+bit.
 """
 
 from collections.abc import Sequence
@@ -25,20 +26,20 @@ from sweep.models.legs import LEGS
 from sweep.models.obstacles.two_balls import TwoBalls
 from sweep.models.robot import Robot, mounts
 
-OVERSHOOT = 5e-4  # m, more than asked, by which what acts ends inside
-ROUNDS = 4  # the mass centre follows with 0.8 or more of a base's way, and a little of a foot's and of a squat
+OVERSHOOT = 5e-4  # m, by which corrections go beyond their limit
+ROUNDS = 4  # of corrections; the mass centre follows 0.8 or more of a base's motion, and a little of a foot's
 
 
 class CheckLimits(NamedTuple):
-    """Limits that the checks keep to."""
+    """Limits that the checks enforce, made by `BallToBall`."""
 
-    spare: Array | float  # m, of the mass centre between the feet that stand
-    straight: Array | float  # share of thigh and shin: the book's modified length of a leg
-    above: Array | float  # m, of the base over the balls
+    spare: Array | float  # m, least distance of the mass centre from the ends of the support
+    straight: Array | float  # longest leg over thigh and shin: the book's modified length of a leg
+    above: Array | float  # m, least clearance of the base over the balls
 
 
 class StageFeet(NamedTuple):
-    """S stages: which legs swing, since when feet are where they are (-1: the start), and their balls' centres."""
+    """Feet of S stages: which swing, the stage in which each took its place (-1: the start), and centres of balls."""
 
     swing: Bool[np.ndarray, "s 6"]
     since: Int[np.ndarray, "s 6"]
@@ -46,11 +47,18 @@ class StageFeet(NamedTuple):
 
 
 def apply_checks(belief: Case, start: Stance, stages: Sequence[Stage], limits: CheckLimits) -> list[Stage]:
-    """Stages from `start` (world axes) on that keep the limits wherever the book's remedies can have them do so.
+    """Return stages that keep the limits, wherever the corrections of the book can achieve that.
 
-    3: a foot that bounds where the mass centre may be is set farther, along the ball. 5: a base that moves on standing
-    feet goes on until the mass centre is between those that stand next. 2: the base is lowered, by L3859 for standing
-    legs, too; what then is still out of reach is set nearer, in its vertical plane along x.
+    Check 3: a foot that limits where the mass centre may be is set farther along the ball. Check 5: a base that moves
+    on standing feet goes on until the mass centre is between the feet of the next support. Check 2: the base is
+    lowered, by L3859 for standing legs, too; a foot that is still out of reach is set nearer, in its vertical plane
+    along x.
+
+    Args:
+        belief: believed parameters, with balls that touch.
+        start: stance before the first stage, world axes.
+        stages: the stages in order.
+        limits: limits to keep.
     """
     robot, free = belief.robot, belief.on(TwoBalls).start()
     plan = compile_plan(start, stages, 0.0)
@@ -74,7 +82,13 @@ def apply_checks(belief: Case, start: Stance, stages: Sequence[Stage], limits: C
 def mass_centre_margins(
     robot: Robot, stances: Stance, is_stance: Bool[Array, "s 6"] | np.ndarray
 ) -> Float[Array, "2 s"]:
-    """How far (m) along x the mass centre is behind the foremost of the feet that stand, and ahead of the rearmost."""
+    """Return how far (m) along x the mass centre is behind the foremost standing foot, and ahead of the rearmost one.
+
+    Args:
+        robot: the robot, as believed.
+        stances: S stances, world axes.
+        is_stance: which feet stand.
+    """
     centre = jax.vmap(lambda stance: centre_of_mass(robot, stance)[0])(stances)
     ahead = stances.feet[..., 0]
     return jnp.stack([jnp.max(jnp.where(is_stance, ahead, -jnp.inf), axis=1) - centre,
@@ -82,13 +96,19 @@ def mass_centre_margins(
 
 
 def next_support(swing: Bool[Array, "s 6"] | np.ndarray) -> Bool[Array, "s 6"]:
-    """Feet between which the mass centre is to be as a stage ends: those that stand, in this one and in the next."""
+    """Return the feet that support the robot as a stage ends.
+
+    These are the feet that stand in it or, if no foot swings in it, those that stand in the next stage.
+
+    Args:
+        swing: which feet swing in each of S stages.
+    """
     swings, following = jnp.any(swing, axis=1)[:, None], jnp.concatenate([swing[1:], jnp.zeros((1, 6), bool)])
     return jnp.where(swings, ~swing, ~following)
 
 
 def _set_feet_farther(robot: Robot, stances: Stance, steps: StageFeet, limits: CheckLimits) -> Stance:
-    """Check 3: where feet swing, those that stand at the end on which the mass centre has no room are set farther."""
+    """Check 3: in stages with a swing, move the outermost standing feet farther out if the margin is too small."""
     stands, ahead = ~steps.swing, stances.feet[..., 0]
     lacks = jnp.where(steps.swing.any(axis=1), limits.spare - mass_centre_margins(robot, stances, stands), 0.0)
     lacks = jnp.where(lacks > 0, lacks + OVERSHOOT, 0.0)[..., None]
@@ -96,7 +116,7 @@ def _set_feet_farther(robot: Robot, stances: Stance, steps: StageFeet, limits: C
     rearmost = ahead <= jnp.min(jnp.where(stands, ahead, jnp.inf), axis=1, keepdims=True) + OVERSHOOT
     forward, back = jnp.where(stands & foremost, lacks[0], 0.0), jnp.where(stands & rearmost, lacks[1], 0.0)
     shift = jnp.zeros_like(ahead)
-    for k in range(len(steps.swing)):  # what a foot is to do for all the stages in which it stands there
+    for k in range(len(steps.swing)):  # largest shift over all stages in which the foot stands there
         here = (steps.since == k) & (k >= 0)
         most = jnp.max(jnp.where(here, forward, 0.0), axis=0) - jnp.max(jnp.where(here, back, 0.0), axis=0)
         shift = jnp.where(here, most, shift)
@@ -111,7 +131,7 @@ def _set_feet_farther(robot: Robot, stances: Stance, steps: StageFeet, limits: C
 
 
 def _move_base_on(robot: Robot, stances: Stance, start: Stance, steps: StageFeet, limits: CheckLimits) -> Stance:
-    """Check 5: a base that moves on standing feet goes on, the way that it goes, until it may end."""
+    """Check 5: a base that moves on standing feet goes on in its direction until the margin suffices."""
     moves = ~steps.swing.any(axis=1)
     front, rear = limits.spare - mass_centre_margins(robot, stances, next_support(steps.swing))
     step = stances.position[:, 0] - jnp.concatenate([start.position[None], stances.position[:-1]])[:, 0]
@@ -122,7 +142,7 @@ def _move_base_on(robot: Robot, stances: Stance, start: Stance, steps: StageFeet
 
 
 def _lower_base(belief: Case, stances: Stance, limits: CheckLimits) -> Stance:
-    """Check 2: the base lower where a leg would be too long, if it stays over the balls."""
+    """Check 2: lower the base where a leg would be too long, as far as it stays over the balls."""
     robot, balls = belief.robot, belief.on(TwoBalls)
     level, down = _leg_extents(robot, stances)
     most = limits.straight * (robot.thigh + robot.shin)
@@ -136,14 +156,14 @@ def _lower_base(belief: Case, stances: Stance, limits: CheckLimits) -> Stance:
 
 
 def _set_feet_nearer(robot: Robot, stances: Stance, steps: StageFeet, limits: CheckLimits) -> Stance:
-    """Check 2: a foot still too far on the sphere that its leg can reach, its ball and the vertical plane along x."""
+    """Check 2: move a foot that is still too far to where its leg reaches the ball, in the vertical plane along x."""
     hips = stances.position[:, None] + rotate(stances.quat[:, None], mounts(robot))
     feet, to_hip = stances.feet - steps.centre, hips - steps.centre
     level, down = _leg_extents(robot, stances)
     most = limits.straight * (robot.thigh + robot.shin)
     far = steps.swing & (jnp.hypot(level, down) > most)
     outer = jnp.abs(feet[..., 1] - to_hip[..., 1])
-    # circles in that plane: of the ball about its centre, of the leg about its hip
+    # squared radii of circles in that plane: of the ball about its centre, of the leg about its hip
     ball2, leg2 = feet[..., 0] ** 2 + feet[..., 2] ** 2, most**2 - outer**2
     x, z = to_hip[..., 0], to_hip[..., 2]
     apart2 = x**2 + z**2
@@ -161,7 +181,7 @@ def _set_feet_nearer(robot: Robot, stances: Stance, steps: StageFeet, limits: Ch
 
 
 def _leg_extents(robot: Robot, stances: Stance) -> tuple[Float[Array, "s 6"], Float[Array, "s 6"]]:
-    """How far (m) feet are beside the joints from which thighs hang, and below."""
+    """Distances (m) of feet beside and below the joints from which the thighs hang."""
     feet = jax.vmap(lambda stance: feet_in_hip_axes(robot, stance))(stances)
     outer = jnp.where(SIDE * feet[..., 1] >= 0, 1.0, -1.0)
     return jnp.abs(outer * jnp.hypot(feet[..., 0], feet[..., 1]) - robot.coxa), -feet[..., 2]

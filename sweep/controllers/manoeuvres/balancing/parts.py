@@ -1,4 +1,4 @@
-"""Manoeuvres in parts: some stages follow laws of their own, the others the plan."""
+"""Manoeuvres in parts: stages under a law follow the feedback of that law, the others follow the plan."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -21,19 +21,19 @@ from sweep.models.obstacles.surface import FreeState
 
 
 class ByParts(ABC):
-    """Guided in the stages of its parts, and as planned in the others."""
+    """Base class of manoeuvres whose stages are guided by the law that each names, or by the plan."""
 
     @property
     @abstractmethod
     def parts(self) -> Mapping[str, Guided]:
-        """What guides the stages under each law, by the law's name."""
+        """The feedback of the stages under each law, by the law's name."""
 
     def init_memory(self, belief: Case, plan: Plan) -> dict[str, Any]:
-        """The memories of all parts, by law."""
+        """Return the states of all parts, by law."""
         return {name: part.init_memory(belief, plan) for name, part in self.parts.items()}
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """By the part whose stage it is."""
+        """Return the guidance of the part whose stage it is, or of the plan."""
         plan, stage = ctx.plan, ctx.stage
         wanted, goal = reference_stance(plan, stage, ctx.phase, state.feet, state.position), plan.foothold[stage]
         memory = dict(state.memory)
@@ -44,7 +44,7 @@ class ByParts(ABC):
         return Guidance(wanted, goal, memory)
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """Where the part says so whose stage it is."""
+        """Return whether the part whose stage it is ends it."""
         over = jnp.asarray(False)
         for name, part in self.parts.items():
             if isinstance(part, EndsStages):
@@ -57,65 +57,65 @@ class ByParts(ABC):
 
 @dataclass(frozen=True)
 class DriveUntil(ABC):
-    """Tripods that roll a ball by the law of a drive, as many as it needs."""
+    """Base class of laws that roll a ball by the steps of a drive until it has arrived."""
 
     drive: BallDrive
 
     def init_memory(self, belief: Case, plan: Plan) -> DriveMemory:
-        """The memory of the drive."""
+        """Return the state of the drive."""
         return self.drive.init_memory(belief, plan)
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """A tick of the drive's law."""
+        """Run one tick of the drive."""
         return self.drive_law(belief, ctx.obs.free).guide(belief, ctx, state)
 
     def drive_law(self, belief: Case, free: FreeState) -> Guided:
-        """The drive, with the place that it goes to."""
+        """Return the drive, with the place that it goes to."""
         return self.drive
 
     @abstractmethod
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
-        """Whether the ball needs no further step."""
+        """Return whether the ball needs no further step."""
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """No step is begun where the ball needs none."""
+        """End a step at its start if the ball needs none."""
         has_just_begun = state.clock < 0.05 * plan.duration[state.stage]
         return has_just_begun & self.has_arrived(belief, obs.free)
 
 
 @dataclass(frozen=True)
 class SettleBall(DriveUntil):
-    """Until it is calm, and where it is to be."""
+    """Law that drives a ball until it is calm at its place."""
 
-    calm: Array | float  # m/s
+    calm: Array | float  # m/s, largest speed of a calm ball
     within: Array | float  # m, of the drive's place
 
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
-        """By its place along x, and its speed."""
+        """Return whether the ball is near its place along x, and calm."""
         near = jnp.abs(free.position[0, 0] - self.drive.place) < self.within
         return near & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 
 
 class SingleBallLaw(NamedTuple):
-    """A law for the only ball, on one of several."""
+    """A law for an obstacle with a single ball, applied to one ball of several."""
 
-    law: Any  # Guided, and Eventful where it ends stages
-    ball: int
+    law: Any  # `Guided`, and `EndsStages` if it ends stages
+    ball: int  # index of the ball
 
     def init_memory(self, belief: Case, plan: Plan) -> Any:
-        """The law's memory, as if there were no other ball."""
+        """Return the state of the law."""
         return self.law.init_memory(belief, plan)
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """What the law says as if there were no other ball."""
+        """Run one tick of the law, as if there were no other ball."""
         return self.law.guide(belief, ctx._replace(obs=self._obs_of_ball(ctx.obs)), state)
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """What the law says as if there were no other ball."""
+        """Return whether the law ends the stage, as if there were no other ball."""
         return self.law.is_stage_over(belief, plan, state, self._obs_of_ball(obs))
 
     def stages_on_ball(self, single_ball_stages: Sequence[Stage]) -> list[Stage]:
-        """Stages on the only ball, on this one."""
+        """Return stages that were made for a single ball, for this ball."""
 
         def frame_on_ball(frame: int) -> int:
             return frame if frame == WORLD else frame + koenig(self.ball) - koenig(0)

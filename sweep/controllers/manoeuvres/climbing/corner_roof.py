@@ -2,8 +2,8 @@
 
 World axes as in `corner`. The roof is a wedge: at a distance d behind its tip it is 2 d tan psi wide.
 
-The printed sequence of events (table 2.1) is replaced by the part `roof` of the plan's file. Its lengths are
-`leg_unit`s: measured by the body, robots with legs 2 % short of what their body asks for would be out of reach.
+The part `roof` of the plan file replaces the printed sequence of events (table 2.1). Its lengths are in `leg_unit`s:
+measured by the body, they would be out of reach for robots with legs 2 % shorter than the body suggests.
 """
 
 import math
@@ -29,30 +29,32 @@ from sweep.models.obstacles.corner import Corner
 from sweep.models.plan_table import SIZES, tabled
 from sweep.models.robot import leg_unit
 
-MOST_RISE = 0.28  # a_r, of a cycle of the gallop; from 0.35 on front and middle legs cross
-# when walking on the roof (a_r)
-BRINK = 0.05  # of feet behind its edges, along y
-NARROWEST = 0.28  # half the distance between a pair's feet
+MOST_RISE = 0.28  # a_r, rise of one cycle of the gallop; from 0.35 on front and middle legs cross
+# a_r, least distance along y of feet on the roof behind its edges
+BRINK = 0.05
+NARROWEST = 0.28  # a_r, least half distance between a pair's feet on the roof
 
 
 @parameters
 class CornerRoof(OnCorner):
     """From the floor on to the corner, up it, and over the edge on to the roof.
 
-    For houses that reach above the front feet where the gallop begins, which goes the rest in `cycles`.
+    For houses that reach above the front feet at the start of the gallop, which covers the rest in `cycles`.
     """
 
     goal: ClassVar = UPRIGHT
     kind: str = choice("corner_roof", "corner_roof")
-    cycles: int = count(2, at_least=1, at_most=100)  # of the gallop, which goes as far as the house is high
+    cycles: int = count(2, at_least=1, at_most=100)  # cycles of the gallop, which rises to the height of the house
 
     own_plan = "corner_roof"
 
     def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """Climb until the front feet are below the edge, and get over it.
+        """Return the start stance and the stages: climb until the front feet are below the edge, and get over it.
 
-        Raises `InputError` where the house is too low, or too high for the cycles, by plain numbers; rows in which
-        it is too low are not a number, hence invalid.
+        If the height varies in a study, plans of rows in which the house is too low are not a number, hence invalid.
+
+        Raises:
+            InputError: the house is too low, or too high for the cycles, both plain numbers.
         """
         sizes = tabled(belief, SIZES).get(SIZES, {})
         if "rise" not in sizes:
@@ -67,7 +69,16 @@ class CornerRoof(OnCorner):
         return start, [*stages, *roof]
 
     def validate(self, belief: Case, rise: float, most: float) -> None:
-        """Raise `InputError` where the gallop cannot go up by `rise` (m), `most` (m) a cycle."""
+        """Check that the gallop can rise by `rise`.
+
+        Args:
+            belief: believed parameters.
+            rise: of the whole gallop (m).
+            most: largest rise of a cycle (m).
+
+        Raises:
+            InputError: the house is too low, or too high for the cycles.
+        """
         top, needed = belief.on(Corner).height, math.ceil(rise / most)
         if rise < 0:
             least = math.ceil(100 * (top - rise)) / 100
@@ -82,22 +93,23 @@ class CornerRoof(OnCorner):
 
 @parameters
 class CornerFull(CornerRoof):
-    """From the floor up a corner on to the roof, and some steps on."""
+    """From the floor up a corner on to the roof, and on by some steps."""
 
     kind: str = choice("corner_full", "corner_full")
-    steps: int = count(10, at_least=0, at_most=100)  # swings by tripod on the roof
-    roof_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.3)  # way of the base in each, from the third on
+    steps: int = count(10, at_least=0, at_most=100)  # number of swings by tripod on the roof
+    # motion of the base in each swing, from the third on
+    roof_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.3)
 
     def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """On to the roof, and some steps on."""
+        """Return the start stance and the stages: on to the roof, and some steps on."""
         start, stages = super().route(belief)
         return start, [*stages, *self.roof_stages(belief)]
 
     def roof_stages(self, belief: Case) -> list[Stage]:
-        """Swings by tripod, from where the base is over the edge.
+        """Return the swings by tripod, from where the base is over the edge.
 
-        Where the roof is narrow, so are the tracks. In the first two the feet go beside their hips and the base rests:
-        farther on middle feet would meet the front legs.
+        Tracks narrow with the roof. In the first two swings the feet go beside their hips and the base rests: farther
+        ahead, middle feet would meet the front legs.
         """
         context, stages, length = self.move_context(belief), [], belief.robot.body_length
         way, height = self.roof_step_ratio * length, belief.on(Corner).height + self.height_ratio * context.unit
@@ -116,7 +128,14 @@ class CornerFull(CornerRoof):
 
 
 def roof_foothold(belief: Case, leg: int, y: Array | float, aside: Array | float) -> Float[Array, " 3"]:
-    """A foothold beside a hip at `y`, so far `aside` (m), or as far back as the roof is wide enough."""
+    """Return a foothold beside a hip, moved back to where the roof is wide enough.
+
+    Args:
+        belief: believed parameters.
+        leg: leg number.
+        y: of the hip (m).
+        aside: distance from the middle of the roof (m), at most.
+    """
     slope, length = jnp.tan(belief.on(Corner).half_angle), belief.robot.body_length
     y = jnp.minimum(y, -BRINK * length - NARROWEST * length / slope)
     aside = jnp.minimum(aside, slope * (-y - BRINK * length))

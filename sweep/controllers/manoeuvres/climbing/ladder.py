@@ -1,8 +1,8 @@
 """From the floor up a leaning ladder on to the ledge behind it, and away by tripod (monograph 2.5).
 
-World axes and the ladder's own as in `sweep/models/obstacles/ladder.py`: the robot comes along -y, and the ladder's
-axes are turned against the world's about x. Feet on rungs, and the base while it is along the ladder, are planned in
-the ladder's own axes: a ladder that leans otherwise than believed is climbed where it is seen.
+World axes and the ladder's own axes as in `sweep/models/obstacles/ladder.py`: the robot comes along -y, and the
+ladder's axes are turned against the world's about x. Feet on rungs, and the base while it is along the ladder, are
+planned in the ladder's axes, so the robot climbs the ladder where it is measured, whatever lean was believed.
 """
 
 from typing import ClassVar
@@ -28,47 +28,51 @@ from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.ladder import Ladder
 from sweep.models.robot import leg_unit, total_mass
 
-GAP = 0.15  # leg units, that the base still has to go when the feet take their places before the ladder
-AWAY = 0.72  # leg units beyond the ledge's edge, of the base when it begins to walk away
+GAP = 0.15  # leg units, before arrival, that the base covers while the feet take their places at the ladder
+AWAY = 0.72  # leg units, position of the base behind the ledge's edge when it starts to walk away
 
 
 @parameters
 class LadderClimb(PlannedForces):
     """By tripod to a leaning ladder, up it and over its top on to the ledge, and away by tripod.
 
-    Feet hold on by planned forces. Ratios are to a_r."""
+    Feet hold on by planned forces. Ratios are to a_r.
+    """
 
     goal: ClassVar = {**UPRIGHT, "obstacle_shift_max_m": 1e-3, "obstacle_turn_max_rad": 1e-3}
     kind: str = choice("ladder_climb", "ladder_climb")
-    settle: float = quantity(1.5, "s", above=0, at_most=60)  # that the robot waits for the ladder to come to rest
-    steps: int = count(2, at_least=0, at_most=100)  # swings of the approach, 2 x* each
-    steps_away: int = count(3, at_least=0, at_most=100)  # swings on the ledge, 2 x* each
-    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x, half of what a foot moves ahead
-    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, how high a swinging foot is lifted
-    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, of the base above floor and ledge
-    spread_ratio: float = quantity(0.262, "a_r", above=0, at_most=1)  # of walking feet from their hips, sideways
-    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, of the swings, whose time t* it gives
-    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # of footholds, inside
+    settle: float = quantity(1.5, "s", above=0, at_most=60)  # time that the robot waits for the ladder to come to rest
+    steps: int = count(2, at_least=0, at_most=100)  # number of swings of the approach, 2 x* each
+    steps_away: int = count(3, at_least=0, at_most=100)  # number of swings on the ledge, 2 x* each
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x, half the length of a swing
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, height of a swing
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, height of the base above floor and ledge
+    # distance of walking feet from their hips, sideways
+    spread_ratio: float = quantity(0.262, "a_r", above=0, at_most=1)
+    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, rate of the swings, which gives their time t*
+    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)  # depth of footholds inside the surface
     patience: float = quantity(0.5, "s", at_least=0)  # longest wait for a touchdown
     slack: float = quantity(0.2, "-", at_least=MIN_SLACK, at_most=2)  # of planned forces, see `PlannedForces`
-    least_normal: float = quantity(12.0, "N", at_least=0)  # force of a standing foot
-    load_time: float = quantity(0.3, "s", above=0, at_most=10)  # for load to go from foot to foot before a swing
-    observer: float = quantity(0.1, "s", at_least=0, at_most=10)  # in which the measured ladder is taken over
+    least_normal: float = quantity(12.0, "N", at_least=0)  # least normal force of a standing foot
+    load_time: float = quantity(0.3, "s", above=0, at_most=10)  # time of the load transfer between feet before a swing
+    # time constant of the filter of the ladder's measured pose
+    observer: float = quantity(0.1, "s", at_least=0, at_most=10)
 
     needs = (Ladder,)
     two_way: ClassVar = True
     own_plan = "ladder_climb"  # in leg units
 
     def plan(self, belief: Case) -> Plan:
-        """Wait, walk up, climb, walk away, halt.
+        """Return the plan: wait, walk up, climb, walk away, halt.
 
-        Raises `InputError` where the ladder cannot be climbed, by plain numbers.
+        Raises:
+            InputError: the ladder cannot be climbed.
         """
         self.validate(belief)
         return self.with_feedforward(belief, self.route(belief))
 
     def route(self, belief: Case) -> Plan:
-        """The plan but for its forces."""
+        """Return the plan without its forces."""
         ladder, robot = belief.on(Ladder), belief.robot
         length, unit = robot.body_length, leg_unit(robot)
         step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
@@ -91,7 +95,11 @@ class LadderClimb(PlannedForces):
         return apply_direction(belief, compile_plan(start, stages, self.patience, free=ladder.start()))
 
     def validate(self, belief: Case) -> None:
-        """Raise `InputError`, by plain numbers, where the ladder slides, lacks rungs or is out of the legs' reach."""
+        """Check, if parameters are plain numbers, that the ladder stands, has enough rungs and is within reach.
+
+        Raises:
+            InputError: the ladder slides, lacks rungs or is out of reach.
+        """
         ladder, robot, contact = belief.on(Ladder), belief.robot, belief.contact
         if not are_plain_numbers(robot, ladder, contact, self):
             return

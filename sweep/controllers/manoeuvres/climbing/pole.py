@@ -1,7 +1,7 @@
 """From the floor on to a pole and up it (monograph 2.3.1 and 2.3.2 of section 2.3.2, "Construction of the motion").
 
 World axes: the pole stands along z at the origin and the robot comes along -y. The book's xi, eta, zeta are x, y, z.
-The way from where the pole is reached is in the plan's file: its parts `arrive`, `climb` and `gallop`.
+The plan file has the parts from the arrival on: `arrive`, `climb` and `gallop`.
 """
 
 from typing import ClassVar
@@ -24,58 +24,69 @@ from sweep.models.obstacles.charts import ahead_above, rearing
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.robot import leg_unit
 
-PRESS = "press"  # law of moves for feet that are pressed in, left out where planned forces hold them
+PRESS = "press"  # law of moves that press feet in, which are left out where planned forces hold them
 
 
 @parameters
 class OnPole(PlannedForces):
-    """What manoeuvres on a pole have in common: by tripod to it, on to it, and up it by gallop. Ratios are to a_r.
+    """Base class of manoeuvres on a pole: by tripod to it, on to it, and up it by gallop. Ratios are to a_r.
 
-    The feet are pressed on to the pole by footholds inside it, as printed, or by planned forces.
+    Feet press on the pole by footholds inside it, as printed, or by planned forces.
 
-    For robots with legs along their sides, and poles from 0.32 to 0.52 a_r. What differs from the printed plan, and
-    why: what the plan's file says, and `front_ahead`; d_c, printed 0.47 a_r, where the base touches poles thicker than
-    0.45 a_r; and feet on the floor stay as far from the hips whatever the pole, printed at its radius, where knees meet
-    before thin poles.
+    For robots with legs along their sides, and poles of radius 0.32 to 0.52 a_r. Differences from the printed plan,
+    besides those in the plan file:
+
+    - `front_ahead`, see there.
+    - d_c is printed as 0.47 a_r, with which the base touches poles thicker than 0.45 a_r.
+    - Feet on the floor keep their distance from the hips whatever the pole. Printed is the pole's radius, with which
+      knees meet in front of thin poles.
     """
 
-    steps: int = count(4, at_least=0, at_most=100)  # swings of the approach, 2 x* each
-    cycles: int = count(3, at_least=0, at_most=100)  # of the gallop, 3 x* each
-    # d_x, half of what a foot moves ahead in a swing
-    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)
-    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, how high a swinging foot is lifted
-    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, of the base above the floor
-    gap_ratio: float = quantity(0.07, "a_r", at_least=0, at_most=2)  # d_c - r
-    spread_ratio: float = quantity(0.175, "a_r", above=0, at_most=1)  # of feet on the floor from their hips, sideways
-    # How far in front of the pole's axis the front feet first touch it, and how much more for every a_r by which r
-    # passes 0.4 a_r. With the printed 0, and the printed pitch, their shins are 34 mm inside the pole. A foot that
-    # touches it at the angle psi in front of its side needs a friction of tan(psi) to stay there (2.1): farther ahead
-    # than shins need is no better.
+    steps: int = count(4, at_least=0, at_most=100)  # number of swings of the approach, 2 x* each
+    cycles: int = count(3, at_least=0, at_most=100)  # cycles of the gallop, 3 x* each
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x, half the length of a swing
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, height of a swing
+    height_ratio: float = quantity(0.5, "a_r", above=0, at_most=2)  # d, height of the base above the floor
+    # d_c - r, gap between the hanging base's centre and the pole
+    gap_ratio: float = quantity(0.07, "a_r", at_least=0, at_most=2)
+    # distance of feet on the floor from their hips, sideways
+    spread_ratio: float = quantity(0.175, "a_r", above=0, at_most=1)
+    # Distance in front of the pole's axis at which the front feet first touch it. With the printed 0 and the printed
+    # pitch, the shins are 34 mm inside the pole. A foot that touches it at the angle psi in front of its side needs a
+    # friction of tan(psi) to stay (2.1), so a larger distance than the shins need is no better.
     front_ahead: float = quantity(0.47, "r", at_least=0, at_most=1)
-    # by how much more for each a_r that the pole's radius is above 0.4 a_r
+    # increase of that distance for each a_r by which the pole's radius exceeds 0.4 a_r
     front_ahead_slope: float = quantity(1.5, "r/a_r", at_least=0, at_most=10)
-    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, of the swings, whose time t* it gives
-    deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds inside the pole
+    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, rate of the swings, which gives their time t*
+    deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, depth of footholds inside the pole
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
-    # what presses feet on: footholds inside the pole, or forces planned for every stance
+    # how feet press on: by footholds inside the pole, or by planned forces
     forces: str = choice("deepening", "deepening", "planned")
 
     needs = (PoleLedge,)
     own_plan = "pole"
 
     def regular_step(self, belief: Case) -> Step:
-        """Of the approach; swings on the pole are as long and as high."""
+        """Return the step of the approach; swings on the pole are as long and as high."""
         return Step.from_ratios(leg_unit(belief.robot), self.half_step_ratio, self.lift_ratio, self.rate)
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Of moves; charts `edges` and `hang` are for a base that pitches up before the pole, and upright beside it."""
+        """Return what the words of the plan file mean.
+
+        The chart `edges` is for a base that pitches up before the pole, `hang` for one that is upright beside it.
+        """
         unit, step = leg_unit(belief.robot), self.regular_step(belief)
         hang = ahead_above(lambda pole: (pole.radius + self.gap_ratio * unit, pole.height))
         own = {"edges": rearing(belief.robot.body_length), "hang": hang}
         return MoveContext(belief, unit, step.time, step.height, {"side": self.deepening}, own, laws=(PRESS,))
 
     def climb_stages(self, belief: Case, gap: Array | float = 0.0) -> tuple[Stance, list[Stage], Standing]:
-        """Stand, go to the pole, get on and gallop up; where it stands then. `gap` (m) is as in `walk_up`."""
+        """Return the start stance, the stages to the end of the gallop, and where the robot stands then.
+
+        Args:
+            belief: believed parameters.
+            gap: as in `approach_stages` (m).
+        """
         context, step = self.move_context(belief), self.regular_step(belief)
         places, arrival, standing = initial_stance("arrive", context)
         spread = self.spread_ratio * context.unit
@@ -87,7 +98,7 @@ class OnPole(PlannedForces):
         return start, [Stage("stand", STAND), *walk, *self.with_rests([*climb, *gallop])], standing
 
     def with_rests(self, stages: list[Stage]) -> list[Stage]:
-        """With planned forces, `stages` with a rest before each of them for the load to go over."""
+        """Return the stages, with a rest for load transfer before each of them if forces are planned."""
         return self.with_load_transfer(stages) if self.forces == "planned" else stages
 
 
@@ -100,11 +111,11 @@ class PoleClimb(OnPole):
     kind: str = choice("pole_climb", "pole_climb")
 
     def plan(self, belief: Case) -> Plan:
-        """The way and a halt, with its forces if they are planned."""
+        """Return the plan: the climb and a halt, with its forces if they are planned."""
         start, stages = self.route(belief)
         plan = apply_direction(belief, compile_plan(start, [*stages, Stage("halt", STAND)], self.patience))
         return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
 
     def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """The climb to the end of the gallop."""
+        """Return the start stance and the stages of the climb."""
         return self.climb_stages(belief)[:2]

@@ -25,7 +25,7 @@ from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.plan_table import SIZES
 from sweep.models.robot import leg_unit
 
-STEP = np.pi / 8  # sigma: how far round the pole the base goes in 3 t*; printed as pi/6 in 2 t*
+STEP = np.pi / 8  # sigma, angle round the pole that the base covers in 3 t*; printed as pi/6 in 2 t*
 HALF_TURN = (0.0, 0.0, np.pi)  # rotation vector of the half turn to the ledge's side
 
 
@@ -33,24 +33,24 @@ HALF_TURN = (0.0, 0.0, np.pi)  # rotation vector of the half turn to the ledge's
 class PoleRound(OnPole):
     """By tripod to the pole, up it, half-way round it by gallop, backwards down on to the ledge and away.
 
-    The way down is the climb backwards in time, from the other side and from the ledge's height on. It is printed as
-    the reverse of 2.3.3, the way on to the top; 2.3.2 is meant, since the ledge is where the robot goes.
+    The way down is the climb backwards in time, from the other side and above the ledge's height. The book calls it the
+    reverse of 2.3.3, the way on to the top, but means 2.3.2, since the robot goes to the ledge.
     """
 
     goal: ClassVar = UPRIGHT
     kind: str = choice("pole_round", "pole_round")
-    cycles: int = count(3, at_least=1, at_most=100)  # of the gallop, as long as it takes to get above the ledge
-    side: str = choice("left", "left", "right")  # on which it goes round, as it sees the pole when it comes
-    down_cycles: int = count(1, at_least=0, at_most=100)  # of the gallop, 3 x* each, backwards
+    cycles: int = count(3, at_least=1, at_most=100)  # cycles of the gallop, enough to get above the ledge
+    side: str = choice("left", "left", "right")  # side on which the robot goes round the pole, as seen on arrival
+    down_cycles: int = count(1, at_least=0, at_most=100)  # cycles of the gallop backwards, 3 x* each
 
     def plan(self, belief: Case) -> Plan:
-        """Climb, go round, and the climb from the ledge backwards."""
+        """Return the plan: climb, go round, and the climb from the ledge backwards."""
         step, ledge, away = (
             self.regular_step(belief),
             belief.on(PoleLedge).ledge_height,
             replace(self, cycles=self.down_cycles),
         )
-        # A gap of x*, since walking up to the pole the front feet would stand beside it, where the ledge has ended.
+        # The gap of x* keeps the front feet on the ledge: without it they would stand beside the pole, beyond its edge.
         start, stages, _ = away.climb_stages(replace(belief, manoeuvre=away), step.landing)
         from_ledge = compile_plan(start, stages, self.patience)
         rise = (ledge + 3 * self.down_cycles * step.landing) / (3 * self.cycles * leg_unit(belief.robot))
@@ -64,12 +64,16 @@ class PoleRound(OnPole):
 
 
 def half_turn_stages(step: Step, start: Stance) -> list[Stage]:
-    """2.3.6: pairs of feet go round the pole by `STEP` in their turns, while the base goes round it evenly.
+    """Return the stages of 2.3.6: pairs of feet go round the pole by `STEP` in turn, while the base goes round evenly.
 
-    Printed for tripods. The three feet that stay then press unevenly, since the base turns a little while only three
-    hold it: those that land 2 mm off carry nothing when they should hold it in their turn, and the robot falls. The
-    pairs of the gallop hold it as they do on the way up. A swing is lifted straight away from the pole; the printed
-    directions are those to the nearest quarter.
+    Printed for tripods. The three standing feet then press unevenly, since the base turns a little while only three
+    hold it: feet that land 2 mm off carry nothing when it is their turn to hold, and the robot falls. The pairs of the
+    gallop hold it as on the way up. A swing is lifted radially from the pole; the printed directions are those to the
+    nearest quarter.
+
+    Args:
+        step: the regular step.
+        start: stance on the pole, world axes.
     """
     feet, position = start.feet, start.position
     advance = STEP / len(GALLOP)
@@ -89,5 +93,5 @@ def half_turn_stages(step: Step, start: Stance) -> list[Stage]:
 
 
 def turn_about_pole(place: Array, angle: float) -> Array:
-    """A point (m) turned about the pole's axis by `angle` (rad)."""
+    """Return a point (m) turned about the pole's axis by an angle (rad)."""
     return rotate(exponential(point(0.0, 0.0, angle)), place)

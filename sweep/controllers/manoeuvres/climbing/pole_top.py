@@ -1,6 +1,6 @@
 """From the floor on to a pole, up it, and over its edge on to its top (monograph 2.3.3).
 
-World axes as in `pole`. The way from the gallop on is in the plan's file: its parts `edge`, `over` and `top`.
+World axes as in `pole`. After the gallop, the plan file has the parts `edge`, `over` and `top`.
 """
 
 from typing import ClassVar
@@ -20,12 +20,15 @@ class PoleTop(PoleClimb):
 
     goal: ClassVar = UPRIGHT
     kind: str = choice("pole_top", "pole_top")
-    cycles: int = count(2, at_least=1, at_most=100)  # of the gallop, all alike, of about 3 x* each
+    cycles: int = count(2, at_least=1, at_most=100)  # cycles of the gallop, all alike, of about 3 x* each
 
     own_plan = "pole_top"
 
     def top_stages(self, belief: Case) -> tuple[Stance, list[Stage], Standing]:
-        """Climb until the base's front edge is x* below the top, and go on to the top; where it stands then."""
+        """Return the start stance, the stages on to the top, and where the robot stands then.
+
+        The gallop ends with the front edge of the base x* below the top.
+        """
         start, climb, standing = self.climb_stages(belief)
         context, stages = self.move_context(belief), []
         for part in ("edge", "over", "top"):
@@ -34,5 +37,5 @@ class PoleTop(PoleClimb):
         return start, [*climb, *self.with_rests(stages)], standing
 
     def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """To where it stands on the top, at rest."""
+        """Return the start stance and the stages until the robot stands on the top."""
         return self.top_stages(belief)[:2]

@@ -1,4 +1,4 @@
-"""To an obstacle and away from it by tripod, along -y if not said otherwise."""
+"""Walking up to an obstacle and away from it by tripod, along -y unless said otherwise."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,22 +16,29 @@ from sweep.models.case import Case
 
 
 class Facing(NamedTuple):
-    """Which way a robot looks and walks."""
+    """Direction in which a robot looks and walks."""
 
     quat: tuple[float, float, float, float]  # base to world
     forward: tuple[float, float, float]
 
 
-FACING_MINUS_Y = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x_r along -y, z_r up
+FACING_MINUS_Y = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x axis of the base along -y, z axis up
 ALONG_Y = Facing(FACING_MINUS_Y, (0.0, -1.0, 0.0))
 AHEAD = Facing(IDENTITY, (1.0, 0.0, 0.0))
-REST_TO_REST = (0.0, 0.0)  # rates of a path of the base that starts and ends at rest, as swings do
+REST_TO_REST = (0.0, 0.0)  # rates of a base path that starts and ends at rest, as swings do
 
 
 def foot_centres_facing(
     belief: Case, spread: Array | float, height: Array | float, facing: Facing = ALONG_Y
 ) -> Float[Array, "6 3"]:
-    """Feet `spread` (m) out from the hips and `height` (m) below them, as seen from the base, world axes."""
+    """Return the feet relative to the base (m), world axes, at a fixed offset from their hips.
+
+    Args:
+        belief: has the robot.
+        spread: distance of feet outward from their hips (m).
+        height: distance of feet below their hips (m).
+        facing: direction in which the robot looks.
+    """
     return rotate(jnp.array(facing.quat)[None], foot_centres(belief.robot, spread, height))
 
 
@@ -44,9 +51,18 @@ def approach_stages(
     steps: int,
     gap: Array | float = 0.0,
 ) -> tuple[Stance, list[Stage]]:
-    """`steps` swings by tripod, then a swing of each tripod to `places` (m) by leg.
+    """Return the start stance and the stages of walking up by tripod, with a last swing of each tripod to given places.
 
-    The base walks up to `gap` (m) before where it arrives, and goes the rest while the feet go to their places.
+    The base walks to a point `gap` (m) before its arrival, and covers the rest while the feet go to their places.
+
+    Args:
+        belief: has the robot.
+        step: the regular step.
+        arrival: base position (m) on arrival.
+        spread: distance of feet outward from their hips (m).
+        places: leg number -> foothold on arrival (m).
+        steps: number of swings.
+        gap: m.
     """
     forward, home = jnp.array(ALONG_Y.forward), foot_centres_facing(belief, spread, arrival[2])
     position = arrival - (gap + 2 * step.landing * steps) * forward
@@ -70,7 +86,17 @@ def departure_stages(
     steps: int,
     facing: Facing = ALONG_Y,
 ) -> tuple[list[Stage], list[Stage]]:
-    """The feet to where a tripod gait may start, the base at `position` (m), and `steps` swings of it."""
+    """Return the stages that bring the feet to where a tripod gait may start, and those of walking away.
+
+    Args:
+        belief: has the robot.
+        step: the regular step.
+        position: base position (m) from which the robot walks.
+        spread: distance of feet outward from their hips (m).
+        clearance: of the hips above the ground (m).
+        steps: number of swings.
+        facing: direction in which the robot looks and walks.
+    """
     forward, home = jnp.array(facing.forward), foot_centres_facing(belief, spread, clearance, facing)
     feet = position + home + initial_foot_offsets(TRIPOD, step, forward)
     stages = []

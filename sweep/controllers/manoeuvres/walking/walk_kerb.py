@@ -1,4 +1,4 @@
-"""Walking on to a kerb by tripod: level ground's steps, lifted to where the ground is."""
+"""Walking on to a kerb by tripod: the steps of level ground, lifted to the ground's height."""
 
 from dataclasses import replace
 
@@ -15,18 +15,19 @@ from sweep.models.obstacles.kerb import Kerb
 
 @parameters
 class WalkKerb(Walk):
-    """Straight on to a kerb, the base level and rising as it passes the edge."""
+    """Walk straight on to a kerb, with a level base that rises as it passes the edge."""
 
     kind: str = choice("walk_kerb", "walk_kerb")
-    steps: int = count(11, at_least=0, at_most=200)  # swings of t* each
-    lift_ratio: float = quantity(0.12, "a_r", above=0, at_most=0.5)  # over the edge, too
-    distance: float = quantity(0.3, "m", above=0)  # from the front feet's cycle centres to the edge, at the start
-    margin: float = quantity(0.06, "m", at_least=0)  # of footholds to the edge, at least
+    steps: int = count(11, at_least=0, at_most=200)  # number of swings, t* each
+    lift_ratio: float = quantity(0.12, "a_r", above=0, at_most=0.5)  # d_y, height of a swing, also over the edge
+    # from the centres of the front feet's cycles to the edge, at the start
+    distance: float = quantity(0.3, "m", above=0)
+    margin: float = quantity(0.06, "m", at_least=0)  # least distance of footholds from the edge
 
     needs = (Kerb,)
 
     def plan(self, belief: Case) -> Plan:
-        """Stand, `steps` swings, stand."""
+        """Return the plan: stand, `steps` swings, stand."""
         length, height = belief.robot.body_length, belief.on(Kerb).height
 
         def foothold(foot: Float[Array, " 3"]) -> Float[Array, " 3"]:

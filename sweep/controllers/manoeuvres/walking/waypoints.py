@@ -1,4 +1,4 @@
-"""The hexagonal robot's walk through way points, by the largest step that its legs allow (thesis, chapters 2 and 3)."""
+"""Walking of the hexagonal robot through waypoints by the largest step within reach (thesis, chapters 2 and 3)."""
 
 from typing import ClassVar
 
@@ -21,43 +21,48 @@ from sweep.models.obstacles.plane import Plane
 from sweep.models.robot import Robot
 
 WAYPOINTS = ((0.0, 0.0), (3.0, 2.0), (3.0, 3.5), (8.0, 5.0))  # m, on the ground
-CIRCLE = (6, 4, 2, 1, 3, 5)  # our legs in the thesis' order: its leg 1 is 30 deg from x, the rest counter-clockwise
-TRIPODS = ((6, 2, 3), (4, 1, 5))  # its legs 1, 3, 5, which swing first, and 2, 4, 6
-IDLE = 0.02  # s, a phase of a cycle after arrival: no step, no lift
+# this robot's legs in the order of the thesis, whose leg 1 is 30 deg from x and which counts counter-clockwise
+CIRCLE = (6, 4, 2, 1, 3, 5)
+TRIPODS = ((6, 2, 3), (4, 1, 5))  # legs 1, 3, 5 of the thesis, which swing first, and 2, 4, 6
+IDLE = 0.02  # s, phase of a cycle after arrival, without step or lift
 
 
 @parameters
 class Waypoints:
-    """Straight from one of `WAYPOINTS` to the next, the body never turning: thesis, chapter 3.
+    """Walk straight from one of `WAYPOINTS` to the next without turning: thesis, chapter 3.
 
-    A cycle has two phases of one step each. In the first the first tripod swings from home to one step ahead in the
-    body's axes, while the second carries the body that step on; in the second phase they exchange. So every cycle
-    starts and ends with all feet at home. For robots with radial legs on a circle, the shin longer than the thigh.
+    A cycle has two phases of one step each. In the first, one tripod swings from home to one step ahead in body axes
+    while the other carries the body that step on; in the second, they exchange roles. So every cycle starts and ends
+    with all feet at home. For robots with radial legs on a circle and a shin longer than the thigh.
 
-    With lengths in metres and T = 1 s, the longest step accelerates the body by 9.24 l/T^2 = 10.7 m/s^2, which
-    needs friction above 1: the feet slide by 0.25 m. Slower, the same walk is a sound one: from T = 1.35 s on they
-    slide by less than 0.02 m at friction 0.7. `conf/manoeuvre/waypoints.yaml` takes 2 s.
+    With lengths in metres and T = 1 s, the longest step accelerates the body by 9.24 l/T^2 = 10.7 m/s^2. That needs
+    friction above 1; the feet slide by 0.25 m. From T = 1.35 s on they slide by less than 0.02 m at friction 0.7, so
+    `conf/manoeuvre/waypoints.yaml` sets 2 s.
     """
 
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("waypoints", "waypoints")
-    phase_time: float = quantity(1.0, "s", above=0, at_most=20)  # T, of a step of either tripod
-    psi: float = quantity(np.pi / 4, "rad", at_least=-np.pi / 2, at_most=np.pi / 2)  # at home, where phi is 0
-    gamma: float = quantity(-3 * np.pi / 4, "rad", at_least=-np.pi, at_most=0)  # angle of the knees at home
-    # Of the largest step. The thesis takes it where the leg is singular, not at phi_max; here it is always taken.
+    phase_time: float = quantity(1.0, "s", above=0, at_most=20)  # T, time of a step of either tripod
+    psi: float = quantity(np.pi / 4, "rad", at_least=-np.pi / 2, at_most=np.pi / 2)  # angle at home, where phi is 0
+    gamma: float = quantity(-3 * np.pi / 4, "rad", at_least=-np.pi, at_most=0)  # knee angle at home
+    # share of the largest step that is taken; the thesis takes it only where the leg is singular, not at phi_max
     share: float = quantity(0.95, "-", above=0, at_most=1)
-    cycles: int = count(9, at_least=1, at_most=100)  # 7 take the thesis' robot there, the rest are idle
-    deepening: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, footholds below the ground
+    # number of cycles; the robot of the thesis arrives after 7, the rest are idle
+    cycles: int = count(9, at_least=1, at_most=100)
+    deepening: float = quantity(2e-3, "m", at_least=0, at_most=0.05)  # epsilon, depth of footholds below the ground
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (Plane,)
 
     def plan(self, belief: Case) -> Plan:
-        """Stand, two stages a cycle, halt.
+        """Return the plan: stand, two stages a cycle, halt.
 
-        The body is called to the last way point at the end even if the steps fell short of it: `cycles` too few are
-        then seen as legs out of reach, not as a success. Raises `InputError` where plain numbers for thigh and shin
-        do not fit; rows in which they vary are then not a number, hence invalid.
+        At the end, the body goes to the last waypoint even if the steps fell short of it. So a plan with too few
+        `cycles` shows as legs out of reach rather than as a success. If thigh and shin vary in a study, plans of rows
+        in which they do not fit are not a number, hence invalid.
+
+        Raises:
+            InputError: the shin is not longer than the thigh, both plain numbers.
         """
         robot = belief.robot
         if all(isinstance(size, float) for size in (robot.thigh, robot.shin)) and robot.shin <= robot.thigh:
@@ -67,7 +72,7 @@ class Waypoints:
             )
         spread, height = self.home_position(robot)
         start, centres = level_stance(belief, spread, height)
-        lift = height - (robot.shin - robot.thigh)  # h: the foot stays below z = l2 - l3, where OA of (19) grows
+        lift = height - (robot.shin - robot.thigh)  # m, h: keeps the foot below z = l2 - l3, where OA of (19) grows
         stages = [Stage("stand", STAND)]
         position = start.position
         for k, step in enumerate(self.cycle_steps(robot)):
@@ -83,12 +88,12 @@ class Waypoints:
         return lay_on_ground(compile_plan(start, stages, self.patience), belief)
 
     def home_position(self, robot: Robot) -> tuple[Array, Array]:
-        """How far out from its hip and below it (m) a foot is at home, phi = 0: thesis (11). The latter is H."""
+        """Return how far (m) a foot at home is outward from its hip and below it (H), phi = 0: thesis (11)."""
         foot = thesis_fk(0.0, self.psi, self.gamma, robot.coxa, robot.thigh, robot.shin).foot
         return foot[0], -foot[2]
 
     def cycle_steps(self, robot: Robot) -> Float[Array, "cycles 3"]:
-        """The step of each cycle (m): the largest one, or half of what is left where two of them would be too much."""
+        """Return the step of each cycle (m): the largest one, or half of the remaining distance if that is shorter."""
         points = jnp.array(WAYPOINTS)
 
         def cycle(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
@@ -106,15 +111,20 @@ class Waypoints:
         return jax.lax.scan(cycle, (points[0], jnp.int32(1)), length=self.cycles)[1]
 
     def largest_steps(self, robot: Robot, direction: Float[Array, " 2"]) -> Float[Array, " 6"]:
-        """Each leg's largest step (m) with the body going along `direction`, by leg number: thesis (18)-(21).
+        """Return each leg's largest step (m) by leg number: thesis (18)-(21).
 
-        Feet of the first tripod go ahead of home and back, those of the second behind it and back. Both ways are
-        support once, so that the whole segment must be allowed, and the limit of the transfer never binds.
+        Feet of the first tripod step ahead of home and back, those of the second behind home and back. Either segment
+        is covered in support once, so the whole segment must be admissible, and the limit of the transfer is never the
+        active one.
+
+        Args:
+            robot: the robot, as believed.
+            direction: unit vector of the body's motion.
         """
         spread, height = self.home_position(robot)
         zone = thesis_workspace(-height, robot.coxa, robot.thigh, robot.shin, robot.mount_radius)
         out = leg_directions(robot)[:, :2]
-        across = jnp.stack([out[:, 1], -out[:, 0]], axis=-1)  # x of the leg's frame, whose y points outward
+        across = jnp.stack([out[:, 1], -out[:, 0]], axis=-1)  # x axis of the leg's frame, whose y axis points outward
         ahead = jnp.array([1.0 if leg in TRIPODS[0] else -1.0 for leg in LEGS])
         way = ahead[:, None] * jnp.stack([across @ direction, out @ direction], axis=-1)
         foot = jnp.stack([jnp.zeros_like(spread), spread])
