@@ -48,7 +48,7 @@ def begins(trace: Trace, word: str) -> float:
 
 def ledges(trace: Trace) -> Figure:
     """Feet and mass centre along the way, from ledge to ball and from ball to ledge; the speed of the ball."""
-    obstacle = trace.world.on(Ledges)
+    obstacle = trace.world.obstacle_as(Ledges)
     figure = sheet(4.6)
     axes = figure.subplot_mosaic("ab;cc", height_ratios=[3, 2])
     centre, ball, time = mass_centres(trace, slice(None)), trace.qpos[:, -7:-4], trace.time
@@ -99,7 +99,7 @@ def balls(trace: Trace) -> Figure:
 
 def moments(trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of feet about the lowest points of the two balls, forward (N m), while the robot goes over, and the times (s)."""
-    radius, found = trace.world.on(Ball).radius, []
+    radius, found = trace.world.obstacle_as(Ball).radius, []
     for k in (0, 1):
         ball = trace.qpos[:, [-14 + 7 * k, -12 + 7 * k]]
         arm = trace.foot_position[:, :, ::2] - ball[:, None]
@@ -121,7 +121,7 @@ def rolled(trace: Trace, grip: np.ndarray, mass: np.ndarray) -> np.ndarray:
     friction between them, mu (T_1 - T_2), and that of rolling.
     """
     first, second, time = moments(trace)
-    ball, load = trace.world.on(Ball), total_mass(trace.world.robot)
+    ball, load = trace.world.obstacle_as(Ball), total_mass(trace.world.robot)
     speed, way, far = np.zeros_like(grip), np.zeros_like(grip), np.zeros_like(grip)
     for one, two, step in zip(first, second, np.diff(time, prepend=time[0]), strict=True):
         resists = grip * max(one - two, 0.0) + ball.rolling_friction * (2 * mass + load) * GRAVITY
@@ -140,7 +140,7 @@ def grip_map(found: Results, trace: Trace) -> Figure:
         figure = maps.success_map(found.rows, found.stored, names, TITLE)
         axes = figure.axes[0]
     grip, mass = (np.sort(found.rows[name].unique()) for name in names)
-    far = rolled(trace, *np.meshgrid(grip, mass)) / trace.world.on(Ball).radius
+    far = rolled(trace, *np.meshgrid(grip, mass)) / trace.world.obstacle_as(Ball).radius
     axes.clabel(axes.contour(grip, mass, far, levels=WAYS, colors=INK, linewidths=1), fmt="{:g} R".format)
     axes.set(xlabel="friction between the balls, of that of the contact", ylabel="mass of each [kg]")
     return figure

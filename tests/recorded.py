@@ -26,7 +26,7 @@ from sweep.controllers.observation import Observation
 from sweep.core.errors import InputError
 from sweep.fused import eager
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import free_start
+from sweep.models.obstacles.surface import free_start_state
 from sweep.study.config import compose
 from sweep.systems.hexapod import assign
 
@@ -121,7 +121,7 @@ def tracked(name: str) -> np.ndarray:
     with jax.enable_x64(True):
         plan = _with_some_forces(case, without_forces(case), random)
         period = float(np.sum(plan.duration)) / TICKS
-        state, free = tracker.init(case, plan), free_start(case.obstacle)
+        state, free = tracker.init(case, plan), free_start_state(case.obstacle)
         zero, joints = jnp.zeros(3), state.joints
         seen = Observation(*plan.start[1:], zero, zero, joints, *(jnp.zeros_like(joints),) * 2, np.ones(6, bool), free)
         errors = jax.tree.map(lambda x: ERRORS * random.normal(size=(TICKS, *np.shape(x))), seen)

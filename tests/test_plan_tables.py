@@ -19,13 +19,13 @@ from sweep.models.plan_table import (
     GROUP,
     PlanTable,
     differences,
-    formulas,
-    mapped,
-    numbers,
-    shipped,
-    tabled,
-    told,
-    valued,
+    evaluate_plan,
+    formula_values,
+    load_shipped_plan,
+    map_numbers,
+    numbers_by_path,
+    plan_content,
+    plan_values,
 )
 from sweep.study.config import compose
 from sweep.study.study import points
@@ -67,7 +67,7 @@ def test_a_number_that_varies_moves_its_foothold_and_is_traced():
 
 def test_a_plan_of_a_project_changes_what_it_says_and_keeps_the_rest(lab):
     own, mine = (compose([*ROOF, *more]).case for more in ([], ["plan=mine"]))
-    was, now = (numbers(told(case), case.obstacle.charts) for case in (own, mine))
+    was, now = (numbers_by_path(plan_content(case), case.obstacle.charts) for case in (own, mine))
     changed = {path for path in was if was[path] != now[path]}
     assert changed == {f"roof.pitch.base.{name}" for name in ("ahead", "above", "pitch")}
     assert now["roof.pitch.base.pitch"] == 45
@@ -79,11 +79,11 @@ def test_numbers_follow_the_sizes_that_are_believed(lab):
     longer = replace(case, robot=replace(case.robot, thigh=0.52 * 1.04))
 
     def above(case):
-        return tabled(case)["roof"]["pitch"]["base"][1]
+        return evaluate_plan(case)["roof"]["pitch"]["base"][1]
 
     assert above(case) == np.float32(0.1)
     np.testing.assert_allclose(above(longer), 0.1 - 0.5 * 0.04, atol=1e-7)
-    changed = jax.jit(lambda at: above(replace(longer, plan=longer.plan.changed("roof.pitch.base.above", at))))
+    changed = jax.jit(lambda at: above(replace(longer, plan=longer.plan.with_value("roof.pitch.base.above", at))))
     np.testing.assert_allclose(changed(0.3), 0.3 - 0.5 * 0.04, atol=1e-7)
 
 
@@ -99,7 +99,10 @@ def test_feet_on_top_of_a_smaller_ball_stand_on_a_circle_that_is_larger_for_it()
 def test_a_plan_may_extend_one_that_extends_several(lab):
     lab.write_text("extends: ball_over\nstand: {rise: {seconds: 0.7}}\n")
     case = compose(["scenario=ball_over", "plan=mine"]).case
-    mine, own = (numbers(content, case.obstacle.charts) for content in (told(case), shipped("ball_over")))
+    mine, own = (
+        numbers_by_path(content, case.obstacle.charts)
+        for content in (plan_content(case), load_shipped_plan("ball_over"))
+    )
     assert {path for path in own if own[path] != mine[path]} == {"stand.rise.seconds"}
     lab.write_text("extends: [ball_climb, mine]\n")
     with pytest.raises(InputError, match="cannot start from itself"):
@@ -165,10 +168,10 @@ def same(one, other):
 @pytest.mark.parametrize("scenario", ["pole_climb", "corner_gallop"])
 def test_a_formula_is_the_number_that_it_stands_for(scenario):
     case = compose([f"scenario={scenario}", "manoeuvre.cycles=1"]).case
-    charts, values, content = case.obstacle.charts, valued(case), told(case)
-    plain = replace(case, plan=PlanTable(json.dumps(mapped(content, charts, lambda path, value: values[path]))))
-    assert len(formulas(case)) > 50
-    assert formulas(plain) == {}
+    charts, values, content = case.obstacle.charts, plan_values(case), plan_content(case)
+    plain = replace(case, plan=PlanTable(json.dumps(map_numbers(content, charts, lambda path, value: values[path]))))
+    assert len(formula_values(case)) > 50
+    assert formula_values(plain) == {}
     same(case, plain)
 
 
@@ -178,7 +181,7 @@ roof: {pitch: {base: [share - 1, -half / unit, deg(asin(0.5))], time: 2 * share}
 sizes: {share: "max(half, 0.1) / obstacle.height", half: obstacle.height / 2}
 """)
     case = compose([*ROOF, "plan=mine"]).case
-    move = jax.jit(lambda case: tabled(case, "roof")["roof"]["pitch"])
+    move = jax.jit(lambda case: evaluate_plan(case, "roof")["roof"]["pitch"])
     for height in (2.3, 2.4):
         found = move(assign(case, "obstacle.height", height))
         np.testing.assert_allclose(found["base"], [-0.5, -height / 2 / 1.05, 30], rtol=1e-6)
@@ -346,13 +349,13 @@ def test_numbers_are_described_by_the_paths_they_are_varied_by(scenario, capsys)
     case = compose([f"scenario={scenario}"]).case
     assert main(["describe", f"plan.{case.manoeuvre.own_plan}"]) == 0
     said = {word.removeprefix("plan.") for word in capsys.readouterr().out.split() if word.startswith("plan.")}
-    known = numbers(told(case), case.obstacle.charts)
+    known = numbers_by_path(plan_content(case), case.obstacle.charts)
     assert said == set(known)
     assert not [path for path in known if path[-1].isdigit() and not path.startswith("sizes.")]
 
 
 def test_differences_of_plans_are_a_file_that_extends_one():
-    own = shipped("pole_top")
+    own = load_shipped_plan("pole_top")
     other = {**own, "over": {**own["over"], "base": "brink"}, "new": {"move": {"lift": 1}}}
     assert differences(own, other) == {"over": {"base": "brink"}, "new": {"move": {"lift": 1}}}
     assert differences(own, own) == {}
@@ -363,4 +366,4 @@ def test_on_and_off_are_names_in_a_plan_that_is_chosen(tmp_path):
     (tmp_path / "mine.yaml").write_text("# é\nextends: ball_ledges\non: {front: {seconds: 0.9}}\n")
     for plan, seconds in (("ball_ledges", 0.8), (tmp_path / "mine.yaml", 0.9)):
         case = compose(["scenario=ball_ledges", f"plan={plan}"]).case
-        assert numbers(told(case), case.obstacle.charts)["on.front.seconds"] == seconds
+        assert numbers_by_path(plan_content(case), case.obstacle.charts)["on.front.seconds"] == seconds

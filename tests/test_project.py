@@ -200,14 +200,16 @@ def test_obstacles_and_manoeuvres_of_ones_own_are_simulated(home, capsys, monkey
 
 
 STEP = """from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.charts import Chart, facing
+from sweep.models.obstacles.charts import Chart, point_ahead
 from sweep.models.obstacles.plane import Plane
+
+AHEAD = (0.0, 1.0)
 
 
 @parameters
 class Step(Plane):
     kind: str = choice("step", "step")
-    charts = {"floor": Chart(("aside", "ahead"), lambda of, side, unit, depth, x, y: facing((0.0, 1.0), x, y, 0.0))}
+    charts = {"floor": Chart(("aside", "ahead"), lambda of, side, unit, depth, x, y: point_ahead(AHEAD, x, y, 0.0))}
 
     def surface(self, points, owner, bodies):
         found = super().surface(points, owner, bodies)
@@ -229,7 +231,7 @@ OBSTACLES = {"step": Step}
             "surface gives depth (2, 3) of 2 points: (2,) is wanted",
         ),
         ("depth, x, y: f", "depth, x: f", "chart floor fails: TypeError: "),
-        ("facing((0.0, 1.0), x, y, 0.0)", "x", "chart floor gives (): (3,) is wanted"),
+        ("point_ahead(AHEAD, x, y, 0.0)", "x", "chart floor gives (): (3,) is wanted"),
         (
             "return found",
             "return found\n    def solids(self, bodies): return [3]",
@@ -241,7 +243,7 @@ OBSTACLES = {"step": Step}
         (
             "return found",
             "return found\n    @property\n    def free_bodies(self): exit()",
-            "own.py, line 15, fails: SystemExit",
+            "own.py, line 17, fails: SystemExit",
         ),
     ],
 )

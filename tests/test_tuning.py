@@ -12,7 +12,7 @@ from sweep.cli.main import main
 from sweep.cli.tune import changed, drawn_sizes
 from sweep.core.errors import InputError
 from sweep.models import plan_table
-from sweep.models.plan_table import numbers, tabled
+from sweep.models.plan_table import evaluate_plan, numbers_by_path
 from sweep.runs import tuning
 from sweep.runs.tuning import fit, follow, free_numbers, search
 from sweep.study.config import compose
@@ -133,7 +133,7 @@ def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, c
         f"# 2 numbers searched for by CMA-ES: score {before:.4g} before, {after:.4g} after\n# sweep tune"
     )
     was, now = (compose(["scenario=pole_top", f"plan={file}"]).case for file in ("low.yaml", "plans/mine.yaml"))
-    was, now = (numbers(tabled(case), case.obstacle.charts) for case in (was, now))
+    was, now = (numbers_by_path(evaluate_plan(case), case.obstacle.charts) for case in (was, now))
     assert {path for path in was if was[path] != now[path]} == {"over.front.base.ahead", "over.front.base.above"}
     assert len((tmp_path / "plans" / "mine.yaml.log").read_text().splitlines()) == 1 + 3
     (tmp_path / "low.yaml").write_text("extends: pole_top\nover:\n  front: {base: [-0.018, 0.34, 22]}\n")
@@ -145,18 +145,18 @@ def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, c
 
 def test_a_formula_is_free_with_a_step_and_raised_to_what_is_found():
     case, path = compose(["scenario=pole_climb"]).case, "climb.up.rear.rear.above"
-    formulas = plan_table.formulas(case)
-    assert set(free_numbers(plan_table.valued(case), ["climb.up.rear.*"], formulas)) == {
+    formulas = plan_table.formula_values(case)
+    assert set(free_numbers(plan_table.plan_values(case), ["climb.up.rear.*"], formulas)) == {
         f"climb.up.rear.{name}" for name in ("rear.ahead", "lift", "plane.out", "plane.ahead", "plane.up")
     }
-    assert free_numbers(plan_table.valued(case), [f"{path}=0.1"], formulas) == {path: 0.1}
+    assert free_numbers(plan_table.plan_values(case), [f"{path}=0.1"], formulas) == {path: 0.1}
     found = {path: formulas[path] + 0.01, "climb.up.middle.base.above": formulas["climb.up.middle.base.above"] + 1e-5}
     content = changed(case, found)
     assert content["climb"]["up.rear"]["rear"]["side"] == [0, "upright - reach + 0.01"]
-    assert content["climb"]["up.middle"] == plan_table.told(case)["climb"]["up.middle"]
+    assert content["climb"]["up.middle"] == plan_table.plan_content(case)["climb"]["up.middle"]
     longer = replace(case, robot=replace(case.robot, body_length=1.06))  # which it goes on to follow
-    raised = numbers(tabled(moved(longer, path, found[path], formulas)), case.obstacle.charts)
-    np.testing.assert_allclose(raised[path], plan_table.valued(longer)[path] + 0.01, atol=1e-12)
+    raised = numbers_by_path(evaluate_plan(moved(longer, path, found[path], formulas)), case.obstacle.charts)
+    np.testing.assert_allclose(raised[path], plan_table.plan_values(longer)[path] + 0.01, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -180,7 +180,7 @@ def test_gradients_of_what_forces_lack_are_those_of_small_changes():
     exp, stages = compose(["scenario=pole_top"]), ["over.front"]
     draws = stacked(*tuning.draws(exp, 1))
     score = Score(exp.case, ["over.front.base.above"], [Aim("hold", "*", 0.5)], stages, [("*", 2)], True, 1)
-    above = numbers(tabled(exp.case), exp.case.obstacle.charts)["over.front.base.above"]
+    above = numbers_by_path(evaluate_plan(exp.case), exp.case.obstacle.charts)["over.front.base.above"]
     (less, _), (_, slope), (more, _) = (score.descent(np.array([above + by]), draws) for by in (-0.002, 0.0, 0.002))
     np.testing.assert_allclose(slope[:, 0], (more - less) / 0.004, rtol=0.05)
 
@@ -226,7 +226,7 @@ def test_only_what_touches_nothing_in_common_is_of_one_group():
 @pytest.mark.slow
 def test_slopes_of_numbers_that_move_together_are_those_of_each():
     exp, free = compose(["scenario=pole_top"]), ["over.front.base.ahead", "top.rear.base.ahead", "top.rear.base.above"]
-    draws, told = stacked(*tuning.draws(exp, 1)), numbers(tabled(exp.case), exp.case.obstacle.charts)
+    draws, told = stacked(*tuning.draws(exp, 1)), numbers_by_path(evaluate_plan(exp.case), exp.case.obstacle.charts)
     first, steps = np.array([[told[path] for path in free]]), np.array([0.01, 0.02, 0.03])
     score = Score(exp.case, free, [], ["over.front", "top.rear"], [("*", 3)], False, 1)
     lack, slopes = score.slopes(first, draws, steps)

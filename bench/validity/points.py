@@ -18,8 +18,8 @@ from sweep.controllers.manoeuvres.walking.walk import level_stance
 from sweep.controllers.posture import joint_targets
 from sweep.models.case import Case
 from sweep.models.contact import Contact
-from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface
-from sweep.models.obstacles.usual import Usual
+from sweep.models.obstacles.base import ObstacleDefaults
+from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface
 from sweep.study.config import compose
 from validity.scenes import BODIES, TOUCHES, UP, Body, History, Scene, Touch, rotated
 from validity.simulation import simulate
@@ -31,7 +31,7 @@ IDLE = Body(1.0, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Points(Usual):
+class Points(ObstacleDefaults):
     """The bodies and points of a scene: k bodies, m points of each."""
 
     mass: Array
@@ -65,7 +65,7 @@ class Points(Usual):
             "site_pos": {name: self.at[i] for i, (name, _) in enumerate(self.contact_sites)},
         }
 
-    def solids(self, bodies: Bodies) -> tuple:
+    def solids(self, bodies: BodyPoses) -> tuple:
         """Nothing that is drawn."""
         return ()
 
@@ -73,7 +73,7 @@ class Points(Usual):
         """The constant forces."""
         return jnp.concatenate([self.force, jnp.zeros_like(self.force)], axis=-1)
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """The plane of every point; the robot's feet, which come first, feel the floor."""
         feet = len(owner) - len(self.contact_sites)
         normal, origin = self.normal, jnp.zeros_like(self.normal)
@@ -94,7 +94,7 @@ class Points(Usual):
             face=jnp.zeros(len(owner), jnp.int32),
             body=with_feet(self.on, -1.0).astype(jnp.int32),
             friction_scale=with_feet(self.friction, 1.0),
-            rolling=Rolling(with_feet(self.radius, 0.0), none, none),
+            rolling=RollingResistance(with_feet(self.radius, 0.0), none, none),
         )
 
 

@@ -36,7 +36,7 @@ def rafts() -> tuple[Raft, Raft]:
 
 def formula(raft: Raft) -> Formula:
     """The same in chapter 4's words."""
-    a, b, d = (float(x) for x in np.asarray(raft.half))
+    a, b, d = (float(x) for x in np.asarray(raft.half_size))
     mass = float(raft.mass)
     inertia = mass / 3 * jnp.array([b * b + d * d, a * a + d * d, a * a + b * b])
     return Formula(a, b, d, GAMMA, float(raft.draught(0.0)) - d, float(raft.viscosity), 0.0, GRAVITY * mass, mass,
@@ -55,7 +55,7 @@ class Motion(NamedTuple):
 def figures() -> tuple[Figure, ...]:
     """What closed forms say of them."""
     heaves, rocks = rafts()
-    a, b, _ = np.asarray(heaves.half, float)
+    a, b, _ = np.asarray(heaves.half_size, float)
     heave = float(2 * np.pi * np.sqrt(float(heaves.mass) / (GAMMA * 4 * a * b)))
     words = formula(rocks)
     with jax.enable_x64(True):
@@ -118,7 +118,7 @@ def _start(raft: Raft, number: int) -> np.ndarray:
 def _motion(h: float, heaves: np.ndarray, rocks: np.ndarray) -> Motion:
     raft = rafts()[0]
     rest = float(raft.start().position[0, 2])
-    draught = float(raft.half[2]) - raft.bank_height - heaves[:, 2]
+    draught = float(raft.half_size[2]) - raft.bank_height - heaves[:, 2]
     return Motion(h * (1 + np.arange(len(heaves))), draught, heaves[:, 2] - rest, 2 * rocks[:, 5])
 
 
@@ -127,7 +127,7 @@ def by_mujoco(h: float) -> Motion:
     found = []
     with jax.enable_x64(True):
         for k, raft in enumerate(rafts()):
-            load = jax.jit(lambda q, v, raft=raft: raft.load(free_state(q, v, 1))[0])
+            load = jax.jit(lambda q, v, raft=raft: raft.external_wrench(free_state(q, v, 1))[0])
             model = _alone(raft, h)
             data = mujoco.MjData(model)
             data.qpos[:] = _start(raft, k)
@@ -154,7 +154,7 @@ def by_mjx(h: float, impl: str) -> Motion:
         there, begun = mjx.put_model(model, impl=impl), mjx.put_data(model, data, impl=impl)
 
         def ahead(now: Any, _: None, raft: Raft = raft, there: Any = there) -> Any:
-            load = raft.load(free_state(now.qpos, now.qvel, 1))[0]
+            load = raft.external_wrench(free_state(now.qpos, now.qvel, 1))[0]
             now = mjx.step(there, now.replace(xfrc_applied=now.xfrc_applied.at[1].set(load)))
             return now, now.qpos
 
@@ -166,7 +166,7 @@ def by_mjx(h: float, impl: str) -> Motion:
 def _alone(raft: Raft, h: float) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     spec.option.gravity, spec.option.timestep = [0, 0, -GRAVITY], h
-    inertia = np.asarray(raft.leaves()["body_inertia"]["raft"], float)
+    inertia = np.asarray(raft.batched_model_fields()["body_inertia"]["raft"], float)
     body = spec.worldbody.add_body(explicitinertial=True, mass=float(raft.mass), inertia=inertia, ipos=[0, 0, 0])
     body.add_freejoint()
     return spec.compile()

@@ -9,7 +9,7 @@ from sweep.cli.exits import DONE
 from sweep.core.arguments import Arguments, no_flag
 from sweep.core.errors import InputError
 from sweep.core.files import write_whole
-from sweep.models.binary import binary
+from sweep.models.binary import model_bytes
 from sweep.study.config import compose
 from sweep.systems import exported
 
@@ -66,7 +66,7 @@ def main(args: list[str]) -> int:
         if (folder / name).exists():
             raise InputError(f"out = {folder} is not allowed: {name} is there already")
     folder.mkdir(parents=True, exist_ok=True)
-    write_whole(folder / "robot.mjb", binary(model))  # the largest first: where it has no room nothing is left
+    write_whole(folder / "robot.mjb", model_bytes(model))  # the largest first: where it has no room nothing is left
     for name, text in texts.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_whole(folder / name, text.encode())

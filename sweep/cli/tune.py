@@ -59,14 +59,16 @@ def main(args: list[str]) -> int:
     if why := exp.system.lacks.get("tune"):
         raise InputError(f"tune is not allowed: {why}")
     case, where = exp.case, Path(exp.out or "")
-    if not isinstance(case.manoeuvre, plan_table.Tabled):
+    if not isinstance(case.manoeuvre, plan_table.TabulatedManoeuvre):
         raise InputError(f"manoeuvre.kind = {case.manoeuvre.kind} has its numbers in no file")
     if not given.check and where.suffix != ".yaml":
         raise InputError(f"out = {exp.out or ''} is not allowed: the file of the plan, such as plans/mine.yaml")
-    numbers, own = plan_table.valued(case), manoeuvre_numbers(case)
+    numbers, own = plan_table.plan_values(case), manoeuvre_numbers(case)
     patterns = given.free or ["*"]
     beside = [text for text in patterns if text.startswith(f"{MANOEUVRE}.")]
-    steps = tuning.free_numbers(numbers, [text for text in patterns if text not in beside], plan_table.formulas(case))
+    steps = tuning.free_numbers(
+        numbers, [text for text in patterns if text not in beside], plan_table.formula_values(case)
+    )
     steps |= tuning.free_numbers(own, beside)
     numbers |= own
     if given.follow and beside:
@@ -125,9 +127,9 @@ def drawn_sizes(exp: Experiment) -> dict[str, float]:
     Numbers follow shares of sizes, which one that is nought has none of. Raises `InputError` where there are none.
     """
     told = {side_and_path(column)[1] for column in parameter_columns(points(exp.study, exp.system, exp.settings))}
-    at = plan_table.told(exp.case).get(SLOPES, {}).get(plan_table.AT, {})
+    at = plan_table.plan_content(exp.case).get(SLOPES, {}).get(plan_table.AT, {})
     drawn = [path for path in sorted(told) if path.partition(".")[0] in plan_table.SIZED]
-    found = {path: size for path in drawn if (size := at.get(path, float(plan_table.size(exp.case, path))))}
+    found = {path: size for path in drawn if (size := at.get(path, float(plan_table.parameter_value(exp.case, path))))}
     if not found:
         groups = " or ".join(plan_table.SIZED)
         raise InputError(f"--follow is not allowed: study {exp.study.name} draws no number of {groups} beside nought")
@@ -272,11 +274,11 @@ def table(score: Score, found: Mapping[str, Mapping[str, np.ndarray]]) -> str:
 
 def changed(case: Case, changes: Mapping[str, float]) -> Content:
     """What the case says of its plan, with other numbers; formulas that have not moved stay as they are."""
-    formulas = plan_table.formulas(case)
+    formulas = plan_table.formula_values(case)
     for path, value in changes.items():
         if round(value - formulas.get(path, math.inf), DIGITS):
-            case = replace(case, plan=case.plan.changed(path, value, formulas))
-    return plan_table.told(case)
+            case = replace(case, plan=case.plan.with_value(path, value, formulas))
+    return plan_table.plan_content(case)
 
 
 def followed(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes: Mapping[str, float]) -> Content:
@@ -297,8 +299,8 @@ def followed(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes: 
 
 def file_of(case: Case, content: Content, head: list[str]) -> str:
     """A file of the group `plan` that says this, over the manoeuvre's own plan, with comments at its head."""
-    assert isinstance(case.manoeuvre, plan_table.Tabled)
-    said = plan_table.differences(plan_table.own(case), content)
+    assert isinstance(case.manoeuvre, plan_table.TabulatedManoeuvre)
+    said = plan_table.differences(plan_table.own_plan_content(case), content)
     own = case.manoeuvre.own_plan
     whole = {"extends": own, **said} if own else said
     text = yaml.safe_dump(whole, sort_keys=False, default_flow_style=None, width=1000)

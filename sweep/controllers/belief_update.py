@@ -16,8 +16,8 @@ from sweep.controllers.posture import joint_targets
 from sweep.controllers.touch import TouchState
 from sweep.controllers.tracker import TrackerState
 from sweep.models.case import Case
-from sweep.models.frames import fixed
-from sweep.models.obstacles.surface import Obstacle, free_start, landmarks
+from sweep.models.frames import body_frame
+from sweep.models.obstacles.surface import Obstacle, free_start_state, landmarks
 
 
 class LearnedState(NamedTuple):
@@ -126,7 +126,7 @@ def _shift_in_body_frames(plan: Plan, shift: Float[Array, "k 3"]) -> Plan:
     """Plan whose points in body-fixed frames are shifted by `shift` (m)."""
 
     def shift_in(frame: Array) -> Array:
-        return sum(((frame == fixed(k))[..., None] * shift[k] for k in range(shift.shape[0])), jnp.zeros(3))
+        return sum(((frame == body_frame(k))[..., None] * shift[k] for k in range(shift.shape[0])), jnp.zeros(3))
 
     feet, base = shift_in(plan.foot_frame), shift_in(plan.base_frame)
     curve = plan.curve._replace(guides=plan.curve.guides + feet[..., None, :])
@@ -136,7 +136,7 @@ def _shift_in_body_frames(plan: Plan, shift: Float[Array, "k 3"]) -> Plan:
 
 def _shortfall(belief: Case, plan: Plan) -> Float[Array, " s"]:
     """How far the worst foot is out of reach (m) at the end of each stage, with free bodies where they start."""
-    last = stage_end_stances(plan, free_start(belief.obstacle))
+    last = stage_end_stances(plan, free_start_state(belief.obstacle))
     out = jax.vmap(lambda stance: joint_targets(belief.robot, stance)[1])(last)
     legs = plan.layer(HeldLegs)
     return jnp.max(out if legs is None else jnp.where(legs.held, 0.0, out), axis=1)

@@ -21,7 +21,7 @@ from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import rotate
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import free_start
+from sweep.models.obstacles.surface import free_start_state
 from sweep.models.robot import Robot, total_mass
 
 Effort = Literal["friction", "torque", "normal"]
@@ -335,7 +335,7 @@ def planned_pose(belief: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array
         stage: stage number.
         u: phase of the stage, 0 to 1.
     """
-    free, frames = free_start(belief.obstacle), (plan.foot_frame[stage], plan.base_frame[stage])
+    free, frames = free_start_state(belief.obstacle), (plan.foot_frame[stage], plan.base_frame[stage])
     feet, position = stage_start(plan, stage, free)
     stance = stance_to_world(reference_stance(plan, stage, u, feet, position), *frames, free)
     normal = surface_under(belief.obstacle, feet, plan.foot_frame[stage]).normal
@@ -356,7 +356,7 @@ def plan_forces(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> Forc
     """
     stages = plan.duration.shape[0]
     number, phases = jnp.arange(stages), jnp.linspace(0.0, 1.0, KNOTS)
-    _, base = jax.vmap(lambda s: stage_start(plan, s, free_start(belief.obstacle)))(number)
+    _, base = jax.vmap(lambda s: stage_start(plan, s, free_start_state(belief.obstacle)))(number)
     poses = jax.vmap(lambda k: planned_pose(belief, plan, number[k // KNOTS], phases[k % KNOTS]))(
         jnp.arange(stages * KNOTS)
     )

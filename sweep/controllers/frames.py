@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from sweep.core.rotations import conjugate, multiply, rotate
-from sweep.models.frames import fixed, koenig
-from sweep.models.obstacles.surface import FreeState, Obstacle, Surface, free_start, poses, under
+from sweep.models.frames import body_frame, koenig_frame
+from sweep.models.obstacles.surface import FreeState, Obstacle, Surface, body_poses, free_start_state, surface_at
 
 
 class Stance(NamedTuple):
@@ -28,7 +28,7 @@ def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeSta
     """
     turned, shift = points, jnp.zeros_like(points)
     for k in range(free.position.shape[0]):
-        turned = jnp.where((frame == fixed(k))[:, None], rotate(free.quat[k : k + 1], points), turned)
+        turned = jnp.where((frame == body_frame(k))[:, None], rotate(free.quat[k : k + 1], points), turned)
         shift = shift + _goes_with(frame, k)[:, None] * free.position[k]
     return turned + shift if free.position.shape[0] else points
 
@@ -43,7 +43,7 @@ def to_frame(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeSta
     """
     for k in range(free.position.shape[0]):
         points = points - _goes_with(frame, k)[:, None] * free.position[k]
-        points = jnp.where((frame == fixed(k))[:, None], rotate(conjugate(free.quat[k : k + 1]), points), points)
+        points = jnp.where((frame == body_frame(k))[:, None], rotate(conjugate(free.quat[k : k + 1]), points), points)
     return points
 
 
@@ -55,8 +55,8 @@ def surface_under(obstacle: Obstacle, feet: Float[Array, "6 3"], frame: Int[Arra
         feet: footholds (m), each in its own frame.
         frame: number of each foot's frame.
     """
-    free = free_start(obstacle)
-    return under(obstacle, to_world(feet, frame, free), poses(free))
+    free = free_start_state(obstacle)
+    return surface_at(obstacle, to_world(feet, frame, free), body_poses(free))
 
 
 def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
@@ -70,7 +70,7 @@ def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""]
     """
     position, quat = to_world(stance.position[None], base[None], free)[0], stance.quat
     for k in range(free.position.shape[0]):
-        quat = jnp.where(base == fixed(k), multiply(free.quat[k], quat), quat)
+        quat = jnp.where(base == body_frame(k), multiply(free.quat[k], quat), quat)
     return Stance(to_world(stance.feet, feet, free), position, quat)
 
 
@@ -85,9 +85,9 @@ def stance_to_frame(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""]
     """
     position, quat = to_frame(stance.position[None], base[None], free)[0], stance.quat
     for k in range(free.position.shape[0]):
-        quat = jnp.where(base == fixed(k), multiply(conjugate(free.quat[k]), quat), quat)
+        quat = jnp.where(base == body_frame(k), multiply(conjugate(free.quat[k]), quat), quat)
     return Stance(to_frame(stance.feet, feet, free), position, quat)
 
 
 def _goes_with(frame: Int[Array, " n"], body: int) -> Array:
-    return (frame == koenig(body)) | (frame == fixed(body))
+    return (frame == koenig_frame(body)) | (frame == body_frame(body))

@@ -23,8 +23,8 @@ from sweep.models.case import Case
 from sweep.models.frames import WORLD
 from sweep.models.legs import GROUPS, LEGS, NAMES
 from sweep.models.obstacles.charts import Chart, Number
-from sweep.models.obstacles.surface import free_start
-from sweep.models.plan_table import COMPONENTS, LONG, REPEAT, SINGLE, tabled
+from sweep.models.obstacles.surface import free_start_state
+from sweep.models.plan_table import COMPONENTS, LONG, REPEAT, SINGLE, evaluate_plan
 
 CYCLES = {"a": CYCLE_A, "b": CYCLE_B, "b_smooth": CYCLE_B_SMOOTH, "half_ellipse": HALF_ELLIPSE}
 # timing of the base along its path: even, a cubic from rest to rest, or trapezoidal
@@ -135,7 +135,7 @@ class MoveContext:
         if not len(chart.names) - chart.optional <= len(numbers) <= len(chart.names):
             raise InputError(f"{where} = {_plain(numbers)} is not allowed: [{', '.join(chart.names)}]")
         deep = self.depths.get(name, 0.0) if depth is None else depth
-        stands = chart.frame if chart.stands is None else chart.stands
+        stands = chart.frame if chart.standing_frame is None else chart.standing_frame
         point = chart.at(self.belief.obstacle, float(SIDE[leg - 1]), self.unit, deep, *numbers)
         return Footing(point, chart.frame, stands, place)
 
@@ -150,7 +150,7 @@ class MoveContext:
             InputError: the chart is unknown, or has other coordinates.
         """
         _, chart, numbers = self.chart(place, where)
-        names, count = chart.based(), len(chart.names)
+        names, count = chart.base_names(), len(chart.names)
         if not (count - chart.optional <= len(numbers) <= len(names)):
             raise InputError(f"{where} = {_plain(numbers)} is not allowed: [{', '.join(names)}]")
         obstacle, numbers, pitch = self.belief.obstacle, numbers[:count], numbers[count:]
@@ -291,8 +291,8 @@ def _move_stage(name: str, move: Move, context: MoveContext, standing: Standing)
     pivot, arc = None, jnp.radians(jnp.asarray(move.arc, float))
     if move.pivot:
         pivot = context.base({next(iter(move.base)): move.pivot}, f"{move.path}.pivot")[0]
-    elif chart.about and turn is not None:
-        pivot, arc = chart.about(context.belief.obstacle, context.unit, *next(iter(move.base.values()))), jnp.abs(turn)
+    elif chart.pivot and turn is not None:
+        pivot, arc = chart.pivot(context.belief.obstacle, context.unit, *next(iter(move.base.values()))), jnp.abs(turn)
     stage = replace(
         stage, position=position, turn=None if turn is None else turn * context.left, pivot=pivot, arc=arc,
         base_frame=chart.frame,
@@ -310,7 +310,7 @@ def foot_in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]
     """
     if foot.frame == frame:
         return foot.point
-    free = free_start(belief.obstacle)
+    free = free_start_state(belief.obstacle)
     return to_frame(to_world(foot.point[None], jnp.array([foot.frame]), free), jnp.array([frame]), free)[0]
 
 
@@ -330,7 +330,7 @@ def read_moves(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> dict
     Raises:
         InputError: the part is missing or not understood.
     """
-    content = tabled(belief, part)
+    content = evaluate_plan(belief, part)
     if part not in content:
         raise InputError(f"plan.{part} is missing{suggest(part, content)}")
     common = {key: value for key, value in content[part].items() if not isinstance(value, Mapping)}
@@ -499,7 +499,7 @@ def read_numbers[T](cls: type[T], belief: Case, part: str) -> T:
     Raises:
         InputError: a number is missing, unknown or no number.
     """
-    values, names = tabled(belief).get(part, {}), cls.__annotations__
+    values, names = evaluate_plan(belief).get(part, {}), cls.__annotations__
     if missing := [name for name in names if name not in values]:
         raise InputError(f"plan.{part}.{missing[0]} is missing")
     for name, value in values.items():

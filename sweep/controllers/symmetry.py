@@ -15,7 +15,7 @@ from sweep.controllers.plan import Plan, stage_start
 from sweep.core.rotations import exponential, multiply
 from sweep.models import plan_table
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import FreeState, free_start, no_bodies
+from sweep.models.obstacles.surface import FreeState, free_start_state, no_free_bodies
 
 BACK = "back."  # prefix of the names of stages that run backwards in time
 OTHER_SIDE = np.array([1, 0, 3, 2, 5, 4])  # index of each leg's partner on the robot's other side
@@ -37,7 +37,7 @@ def reverse_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
         plan: plan to reverse.
         free: state of the free bodies, which stay there; None: there are none.
     """
-    free = no_bodies() if free is None else free
+    free = no_free_bodies() if free is None else free
     starts, position = jax.vmap(lambda stage: stage_start(plan, stage, free))(jnp.arange(len(plan.names)))
     frame = jnp.concatenate([plan.foot_frame[:1], plan.foot_frame[:-1]])  # frames to go back to
     feet, guides = (
@@ -76,10 +76,10 @@ def apply_direction(belief: Case, plan: Plan) -> Plan:
         belief: the case.
         plan: the forward plan, without planned forces.
     """
-    way = plan_table.way(belief)
+    way = plan_table.plan_direction(belief)
     if way == plan_table.FORTH:
         return plan
-    back = reverse_in_time(plan, free_start(belief.obstacle))
+    back = reverse_in_time(plan, free_start_state(belief.obstacle))
     return back if way == plan_table.BACK else join_plans(plan, back)
 
 

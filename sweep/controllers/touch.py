@@ -23,7 +23,16 @@ from sweep.controllers.tracker import TrackerState
 from sweep.models.control import Control
 from sweep.models.legs import N_LEGS
 from sweep.models.noise import Noise
-from sweep.models.obstacles.surface import Bodies, Obstacle, Surface, free_start, marked, placed, poses, under
+from sweep.models.obstacles.surface import (
+    BodyPoses,
+    Obstacle,
+    Surface,
+    body_poses,
+    free_start_state,
+    landmark_state,
+    state_from_landmarks,
+    surface_at,
+)
 from sweep.models.robot import Robot
 
 MAX_SEARCH = 0.04  # m, how far a foot moves on beyond its planned place in search of the surface
@@ -99,7 +108,7 @@ def update_from_stance(
         angles: measured joint angles (rad).
     """
     places = feet_in_world(robot, position, quat, angles)
-    ground = under(touch_state.obstacle, start.feet, _start_poses(touch_state.first_obstacle))
+    ground = surface_at(touch_state.obstacle, start.feet, _start_poses(touch_state.first_obstacle))
     outside = jnp.sum((places - start.feet) * ground.normal, axis=1)
     variance = _variance(control, noise, touch_state.obstacle)
     known, _ = _update_sizes(touch_state, places, outside, ground.normal, variance, jnp.ones(N_LEGS, bool))
@@ -191,7 +200,7 @@ def touch_tick(
         and from the last command for standing ones; and which feet search for the surface.
     """
     stage, normal = state.stage, ground.normal
-    frame, rest = plan.foot_frame[stage], free_start(touch_state.first_obstacle)
+    frame, rest = plan.foot_frame[stage], free_start_state(touch_state.first_obstacle)
     free = obs.free if state.observer is None else state.observer.second
 
     def feet(angles: Array) -> Array:
@@ -237,9 +246,9 @@ def _variance(control: Control, noise: Noise, obstacle: Obstacle) -> Array | flo
     return variance + noise.body_position_noise**2 + noise.body_position_bias**2 if obstacle.free_bodies else variance
 
 
-def _start_poses(obstacle: Obstacle) -> Bodies:
+def _start_poses(obstacle: Obstacle) -> BodyPoses:
     """Poses of the obstacle's free bodies where they start."""
-    return poses(free_start(obstacle))
+    return body_poses(free_start_state(obstacle))
 
 
 def _update_sizes(
@@ -255,12 +264,12 @@ def _update_sizes(
     `places` are `outside` (m) of their planned places along the normal. The measured landmarks of free bodies stay in
     place, whatever the sizes.
     """
-    marks = marked(touch_state.first_obstacle, free_start(touch_state.first_obstacle))
+    marks = landmark_state(touch_state.first_obstacle, free_start_state(touch_state.first_obstacle))
 
     def inside(x: Array) -> Array:
         """Depths (m) on the planned face: deep inside the believed obstacle, another face may be nearer."""
         planned, obstacle = places - outside[:, None] * normal, _with_sizes(touch_state.obstacle, x)
-        return under(obstacle, planned, poses(placed(obstacle, marks))).depth - outside
+        return surface_at(obstacle, planned, body_poses(state_from_landmarks(obstacle, marks))).depth - outside
 
     return _update_sizes_from_depths(touch_state, inside, variance, counts)
 

@@ -22,7 +22,7 @@ from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, nearest, rotate
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case, Riding
-from sweep.models.obstacles.surface import FreeState, Surface, free_start, poses, under
+from sweep.models.obstacles.surface import FreeState, Surface, body_poses, free_start_state, surface_at
 
 LEFT = np.array([0.0, 1.0, 0.0], np.float32)  # left of the base, base axes
 
@@ -99,7 +99,7 @@ def init(belief: Case, plan: Plan, exact: bool = True) -> TrackerState:
     zero = jnp.zeros((), plan.duration.dtype)
     zeros = jnp.zeros(3, zero.dtype)
     manoeuvre = belief.manoeuvre
-    free = free_start(belief.obstacle)
+    free = free_start_state(belief.obstacle)
     joints, _ = joint_targets(belief.robot, plan.start)
     memory = manoeuvre.init_memory(belief, plan) if isinstance(manoeuvre, Guided) else None
     start = stance_to_frame(plan.start, plan.foot_frame[0], plan.base_frame[0], free)
@@ -330,7 +330,7 @@ def _grip(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, ob
 def _measured_feet(belief: Case, obs: Observation) -> tuple[Float[Array, "6 3"], Surface]:
     """Measured feet (m, world axes) and the believed surface there."""
     feet = feet_in_world(belief.robot, obs.position, obs.quat, obs.angles)
-    return feet, under(belief.obstacle, feet, poses(obs.free))
+    return feet, surface_at(belief.obstacle, feet, body_poses(obs.free))
 
 
 def _rezero(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:

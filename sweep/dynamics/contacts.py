@@ -22,7 +22,7 @@ from sweep.dynamics.spatial import Spatial
 from sweep.models.case import Case
 from sweep.models.contact import Contact
 from sweep.models.legs import N_LEGS
-from sweep.models.obstacles.surface import Bodies, Rolling, Surface
+from sweep.models.obstacles.surface import BodyPoses, RollingResistance, Surface
 
 FACE = jnp.int32  # in double precision obstacles may tell wider ones
 CREEP = 1e-4  # rad/s, at which the resisting moment reaches its limit: rest is a creep slower than this
@@ -82,18 +82,18 @@ def _own(place: Vector, body: Array, frames: Frames) -> Vector:
     return place
 
 
-def _frames(bodies: Bodies) -> Frames:
+def _frames(bodies: BodyPoses) -> Frames:
     """Frames of free bodies by their components."""
     places = zip(bodies.position, bodies.rotation, strict=True)
     return [(Vector.of(position[None]), Matrix.of(rotation[None])) for position, rotation in places]
 
 
-def to_world(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: Bodies) -> Float[Array, "n 3"]:
+def to_world(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses) -> Float[Array, "n 3"]:
     """Points from the axes of the free body that each belongs to (-1: the world) to world axes."""
     return _world(Vector.of(place), body, _frames(bodies)).array()
 
 
-def to_body(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: Bodies) -> Float[Array, "n 3"]:
+def to_body(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses) -> Float[Array, "n 3"]:
     """The inverse of `to_world`."""
     return _own(Vector.of(place), body, _frames(bodies)).array()
 
@@ -186,7 +186,7 @@ class Moments(NamedTuple):
     slope: Matrix  # (m,) -d moment / d rate, N m s/rad
 
 
-def resisting_moments(rolling: Rolling, normal: Vector, load: Float[Array, "*m"], rate: Vector) -> Moments:
+def resisting_moments(rolling: RollingResistance, normal: Vector, load: Float[Array, "*m"], rate: Vector) -> Moments:
     """Moments (N m) against rolling and spinning at `rate` (rad/s) under the normal forces `load` (N)."""
     spin = rate.dot(normal)
     roll = rate - spin * normal
@@ -228,7 +228,7 @@ class Contacts(NamedTuple):
 
     geometry: Geometry
     arms: tuple[Arm, ...]
-    rolling: Rolling | None = None
+    rolling: RollingResistance | None = None
 
     def velocity(self, root: Sequence[Spatial]) -> Vector:
         """Of the points relative to their surfaces, as the root bodies move (m/s)."""

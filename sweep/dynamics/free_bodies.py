@@ -10,7 +10,7 @@ from sweep.core.vectors import Matrix, Vector
 from sweep.dynamics.spatial import Inertia, Motion, Pose, Spatial
 from sweep.models.case import Case
 from sweep.models.legs import N_LEGS
-from sweep.models.obstacles.surface import Bodies, FreeState, free_start
+from sweep.models.obstacles.surface import BodyPoses, FreeState, free_start_state
 
 Frames = Sequence[tuple[Vector, Matrix]]  # (1,) of each body: place of its origin, and its own axes to the world's
 
@@ -33,16 +33,18 @@ def kinematics(pose: Pose, to_base: Matrix) -> FreeBodies:
 
 def resting(case: Case) -> FreeState:
     """At the start: what lies on the floor has sunk in until the contact bears its weight, and does not bounce."""
-    free, obstacle = free_start(case.obstacle), case.obstacle
+    free, obstacle = free_start_state(case.obstacle), case.obstacle
     if not obstacle.lying:
         return free
-    masses = jnp.stack([jnp.asarray(obstacle.leaves()["body_mass"][name]) for name in obstacle.free_bodies])
+    masses = jnp.stack(
+        [jnp.asarray(obstacle.batched_model_fields()["body_mass"][name]) for name in obstacle.free_bodies]
+    )
     return free._replace(position=free.position.at[:, 2].add(-GRAVITY * masses / case.contact.stiffness))
 
 
 def inertias(case: Case, axes: list[Matrix]) -> list[Inertia]:
     """In the axes to which `axes` lead from their own."""
-    leaves = case.obstacle.leaves()
+    leaves = case.obstacle.batched_model_fields()
     out = []
     for name, turned in zip(case.obstacle.free_bodies, axes, strict=True):
         mass, own = (jnp.asarray(leaves[field][name], turned.x.x.dtype) for field in ("body_mass", "body_inertia"))
@@ -59,7 +61,7 @@ def bias(inertia: Inertia, motion: Spatial, up: Vector) -> Spatial:
 
 def sites(case: Case, bodies: FreeBodies) -> list[Vector]:
     """Contact sites (m,), if any; one that is not among the obstacle's leaves is at its body's origin."""
-    places, found = case.obstacle.leaves().get("site_pos", {}), []
+    places, found = case.obstacle.batched_model_fields().get("site_pos", {}), []
     for name, k in case.obstacle.contact_sites:
         origin = bodies.origins[k]
         if name in places:
@@ -78,7 +80,7 @@ def loads(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies) -> list[Sp
     if not bodies.frames:
         return []
     turned = [own.turned(rotation) for own, (_, rotation) in zip(motion.root[1:], bodies.frames, strict=True)]
-    load = case.obstacle.load(
+    load = case.obstacle.external_wrench(
         FreeState(
             jnp.concatenate([place.position.array() for place in pose.root[1:]]),
             jnp.stack([jnp.concatenate(place.quat) for place in pose.root[1:]]),
@@ -89,9 +91,9 @@ def loads(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies) -> list[Sp
     return [] if load is None else [Spatial(Vector.of(x[None, :3]), Vector.of(x[None, 3:])) for x in load]
 
 
-def as_bodies(bodies: FreeBodies, dtype: jnp.dtype) -> Bodies:
+def as_bodies(bodies: FreeBodies, dtype: jnp.dtype) -> BodyPoses:
     """The poses of free bodies as arrays."""
     if not bodies.frames:
-        return Bodies(jnp.zeros((0, 3), dtype), jnp.zeros((0, 3, 3), dtype))
+        return BodyPoses(jnp.zeros((0, 3), dtype), jnp.zeros((0, 3, 3), dtype))
     position, rotation = ([x.array() for x in parts] for parts in zip(*bodies.frames, strict=True))
-    return Bodies(jnp.concatenate(position), jnp.concatenate(rotation))
+    return BodyPoses(jnp.concatenate(position), jnp.concatenate(rotation))

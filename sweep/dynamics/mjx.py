@@ -30,7 +30,7 @@ def of(top: Topology) -> Callable[[Case], SmoothDynamics]:
 def varying(top: Topology, model: mjx.Model, case: Case) -> dict[str, Array]:
     """The arrays of the topology's `model` that follow from the parameters of `case`, by field. Pure JAX."""
     changed = {}
-    for field, values in scene.leaves(case).items():
+    for field, values in scene.batched_model_fields(case).items():
         table = top.names[{"body": "body", "site": "site", "dof": "joint"}[field.split("_")[0]]]
         index = np.array([table[name] for name in values], int)
         if field == "dof_armature":

@@ -36,7 +36,7 @@ from sweep.dynamics.spatial import Mass, Motion, Pose, Rates, Spatial, by_joint,
 from sweep.models.case import Case
 from sweep.models.drive import Servo
 from sweep.models.legs import N_LEGS
-from sweep.models.obstacles.surface import Bodies
+from sweep.models.obstacles.surface import BodyPoses
 
 STEP_LENGTHS = (1.0, 0.5, 0.2)
 # and with free bodies: at a limit a drive's stiffness is not in the slope, and longer steps go on past its other limit;
@@ -67,7 +67,7 @@ class Before(NamedTuple):
     energy: Array  # (1,) J
     centre_of_mass: Vector  # (1,) m, of the robot
     joints: tuple[Vector, ...]  # (l,) m, along a leg: hip, ..., foot
-    bodies: Bodies
+    bodies: BodyPoses
 
 
 class Report(NamedTuple):

@@ -16,7 +16,7 @@ from sweep.dynamics.interface import SmoothDynamics, Tree
 from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, Rates, Spatial
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
-from sweep.models.robot import Robot, links, mount_yaw, mounts
+from sweep.models.robot import Robot, link_names, mount_yaw, mounts
 
 
 class Link(NamedTuple):
@@ -52,7 +52,7 @@ def leg_links(robot: Robot, angle: Rates) -> tuple[Vector, list[Link]]:
         "shin": (-jnp.sin(bend) * out + jnp.cos(bend) * up, 2),
     }
     found = []
-    for name in links(robot):
+    for name in link_names(robot):
         length, mass, radius = getattr(robot, name), getattr(robot, f"{name}_mass"), robot.link_radius
         direction, joint = ways[name]
         inertia = mass * (3 * radius**2 + length**2) / 12, mass * radius**2 / 2

@@ -28,7 +28,15 @@ from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.noise import Noise
 from sweep.models.obstacles import surface
 from sweep.models.obstacles.charts import point
-from sweep.models.obstacles.surface import Bodies, FreeState, Obstacle, Surface, free_start, poses, under
+from sweep.models.obstacles.surface import (
+    BodyPoses,
+    FreeState,
+    Obstacle,
+    Surface,
+    body_poses,
+    free_start_state,
+    surface_at,
+)
 
 CHUNK = 1.0  # s of simulated time between two looks of the host, and from plan to plan of who plans again
 CLEAR = 0.1  # m, by which a foot inside is lifted to tell what it stands on: more than errors of sizes put it there
@@ -74,11 +82,11 @@ def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = 
     ground's normal (or raised) until its lowest foot touches; on free bodies it goes down upright, and rides along
     with them.
     """
-    free = free_start(world.obstacle) if free is None else free
+    free = free_start_state(world.obstacle) if free is None else free
     joints, _ = joint_targets(belief.robot, plan.start)
     start = displaced(world.execution, plan.start)
     feet = feet_in_world(world.robot, start.position, start.quat, joints)
-    ground = _beneath(world.obstacle, feet, rotate(start.quat, jnp.array([0.0, 0.0, 1.0])), poses(free))
+    ground = _beneath(world.obstacle, feet, rotate(start.quat, jnp.array([0.0, 0.0, 1.0])), body_poses(free))
     along = jnp.array([0.0, 0.0, 1.0]) if world.obstacle.free_bodies else ground.normal[jnp.argmax(ground.depth)]
     slant = ground.normal @ along
     below = jnp.where(slant > FLAT, ground.depth / jnp.maximum(slant, FLAT), -jnp.inf)  # no wall stops a foot's descent
@@ -99,9 +107,9 @@ def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = 
     return Start(jnp.concatenate(qpos), jnp.concatenate(qvel))
 
 
-def _beneath(obstacle: Obstacle, feet: Float[Array, "6 3"], up: Float[Array, " 3"], bodies: Bodies) -> Surface:
+def _beneath(obstacle: Obstacle, feet: Float[Array, "6 3"], up: Float[Array, " 3"], bodies: BodyPoses) -> Surface:
     """The surface under feet that may be inside; within an edge they came from above, however near the wall is."""
-    at, above = under(obstacle, feet, bodies), under(obstacle, feet + CLEAR * up, bodies)
+    at, above = surface_at(obstacle, feet, bodies), surface_at(obstacle, feet + CLEAR * up, bodies)
     rise = above.normal @ up
     inside = (at.depth > 0) & (at.normal @ up < FLAT) & (rise > FLAT)
     return at._replace(
@@ -147,7 +155,9 @@ def init(
     bias_key, key = jax.random.split(key)
     sensors = None
     if not quiet:
-        sensors = init_sensors(world.noise, bias_key, seen._replace(free=surface.marked(world.obstacle, seen.free)))
+        sensors = init_sensors(
+            world.noise, bias_key, seen._replace(free=surface.landmark_state(world.obstacle, seen.free))
+        )
     feet = feet_in_world(world.robot, seen.position, seen.quat, seen.angles)
     running = stream.begin(Begin(world, plan, seen.position, seen.quat, feet, seen.free, energy, learned))
     servo = position_mode(world.drive, seen.angles)
@@ -161,10 +171,10 @@ def act(
 
     Free bodies are seen by their landmarks, and taken to be where those that are believed have these.
     """
-    sensors, seen = loop.sensors, loop.seen._replace(free=surface.marked(world.obstacle, loop.seen.free))
+    sensors, seen = loop.sensors, loop.seen._replace(free=surface.landmark_state(world.obstacle, loop.seen.free))
     if sensors is not None:
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick))
-    free = surface.placed(initial_obstacle(belief, loop.learned), seen.free)
+    free = surface.state_from_landmarks(initial_obstacle(belief, loop.learned), seen.free)
     seen = with_contact_detection(world.control, belief.noise, seen._replace(free=free))
     state, followed, beside, learned = update_from_touch(world, belief, plan, loop.tracker, loop.learned, seen, period)
     exact = None if sensors is None else loop.seen

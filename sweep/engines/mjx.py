@@ -43,7 +43,7 @@ from sweep.fused import driver, kernel, launch
 from sweep.fused.eager import Eager
 from sweep.fused.kernel import Code, Kernel
 from sweep.metrics.outcome import Thresholds
-from sweep.models.binary import binary
+from sweep.models.binary import model_bytes
 from sweep.models.case import Case
 
 
@@ -200,7 +200,7 @@ class Mjx(Batched):
     def _made_of(self) -> tuple:
         """All that the programs depend on beside the form of their arguments; MJX's dynamics hold the nominal model."""
         top = self.topology
-        model = binary(top.model) if self.dynamics == "mjx" else None
+        model = model_bytes(top.model) if self.dynamics == "mjx" else None
         return self.settings, self.limits, self.width, self.dynamics, self.fused, top.names, top.owner, model
 
     @fused_loop.or_what_is_missing

@@ -52,10 +52,10 @@ from sweep.metrics.metric import Tick
 from sweep.metrics.outcome import Thresholds
 from sweep.models import scene
 from sweep.models.case import Case
-from sweep.models.drive import Servo, towards
+from sweep.models.drive import Servo, interpolate_target
 from sweep.models.legs import JOINT_V, N_JOINTS, N_LEGS
-from sweep.models.obstacles.surface import FreeState, poses, under
-from sweep.models.robot import links
+from sweep.models.obstacles.surface import FreeState, body_poses, surface_at
+from sweep.models.robot import link_names
 
 CONTROL = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
 RECORD = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "site_xpos", "subtree_com")
@@ -314,21 +314,21 @@ class Native(Batched):
         """The controller's part of a tick, and what follows for the physics."""
         n, period, old = self.substeps, self.settings.control_period, loop.servo
         loop, command = act(world, belief, plan, loop, tick, period)
-        told = towards(old, loop.servo, (1 + jnp.arange(n))[:, None, None] / n)
+        told = interpolate_target(old, loop.servo, (1 + jnp.arange(n))[:, None, None] / n)
         torques = (told.stiffness * told.target + told.torque).reshape(n, N_JOINTS)
         orders = Orders(torques, *self._outside(world, tick, loop.seen.free))
         return Between(loop, command, steps, orders, judged)
 
     def _nothing(self, start: Start) -> Recorded:
         """Before the first physics step."""
-        n, count = self.substeps, N_LEGS * len(links(self._nominal[0].robot))
+        n, count = self.substeps, N_LEGS * len(link_names(self._nominal[0].robot))
         qpos, qvel, forces = jnp.tile(start.qpos, (n, 1)), jnp.tile(start.qvel, (n, 1)), jnp.zeros((n, N_JOINTS))
         axes, feet, centre = jnp.zeros((count, 3)), jnp.zeros((N_LEGS, 3)), jnp.zeros(3)
         return Recorded(qpos, qvel, forces, forces, jnp.zeros(()), axes, feet, centre, jnp.zeros((), bool))
 
     def _steps(self, steps: dict[str, np.ndarray], broken: np.ndarray) -> tuple[np.ndarray, ...]:
         """`Recorded` of a batch, from its record."""
-        count = N_LEGS * len(links(self._nominal[0].robot))
+        count = N_LEGS * len(link_names(self._nominal[0].robot))
         return (
             steps["qpos"],
             steps["qvel"],
@@ -350,7 +350,10 @@ class Native(Batched):
         push = jax.vmap(lambda step: push_force(world.execution, step, h))(tick * self.substeps + numbers)
         ahead = h * numbers
         loads = jnp.zeros((self.substeps, 6 * len(world.obstacle.free_bodies)))
-        if loads.size and (load := jax.vmap(lambda t: world.obstacle.load(_ahead(free, t)))(ahead)) is not None:
+        if (
+            loads.size
+            and (load := jax.vmap(lambda t: world.obstacle.external_wrench(_ahead(free, t)))(ahead)) is not None
+        ):
             loads = load.reshape(loads.shape)
         return push, loads
 
@@ -365,8 +368,8 @@ class Native(Batched):
         push, loads = self._outside(world, number, before)
         count = len(world.obstacle.free_bodies)
         force = -jnp.mean(steps.foot_force.reshape(-1, N_LEGS, 3), axis=0)
-        bodies = poses(free_state(steps.qpos[-1], steps.qvel[-1], count))
-        normals = under(world.obstacle, steps.feet, bodies).normal
+        bodies = body_poses(free_state(steps.qpos[-1], steps.qvel[-1], count))
+        normals = surface_at(world.obstacle, steps.feet, bodies).normal
         normal = jnp.sum(force * normals, axis=-1)
         last = -jnp.sum(steps.foot_force[-1].reshape(N_LEGS, 3) * normals, axis=-1)
         seen = truth(steps.qpos[-1], steps.qvel[-1], count, last)

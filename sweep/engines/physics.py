@@ -23,10 +23,10 @@ from sweep.engines.settings import EngineSettings
 from sweep.metrics.metric import Tick
 from sweep.models.case import Case
 from sweep.models.disturbance import Execution
-from sweep.models.drive import Servo, towards
+from sweep.models.drive import Servo, interpolate_target
 from sweep.models.legs import N_JOINTS, N_LEGS
-from sweep.models.obstacles.surface import Bodies
-from sweep.models.robot import links
+from sweep.models.obstacles.surface import BodyPoses
+from sweep.models.robot import link_names
 
 
 def taken(settings: EngineSettings) -> str:
@@ -136,7 +136,7 @@ class Physics(NamedTuple):
 
         def substep(carry: tuple, k: Array) -> tuple[tuple, None]:
             moving, totals, *_ = carry
-            servo = towards(old, new, (k + 1) / n)
+            servo = interpolate_target(old, new, (k + 1) / n)
             limits = execution_limits(world, tick * n + k, h)
             moving, report = dynamics.step(smooth_dynamics, world, limits, moving, servo, h, self.settings.iterations)
             return (moving, totals.plus(report), report.normal, report.before), None
@@ -168,8 +168,8 @@ def _nothing(world: Case, dtype: jnp.dtype) -> tuple[Totals, Array, Before]:
     """Totals, loads and places before the first step."""
     leg, one, bodies = jnp.zeros(N_LEGS, dtype), jnp.zeros(1, dtype), len(world.obstacle.free_bodies)
     legs, base, three = Vector(leg, leg, leg), Vector(one, one, one), (leg, leg, leg)
-    joints = (legs,) * (len(links(world.robot)) + 1)
-    before = Before(legs, one, base, joints, Bodies(jnp.zeros((bodies, 3), dtype), jnp.zeros((bodies, 3, 3), dtype)))
+    joints = (legs,) * (len(link_names(world.robot)) + 1)
+    before = Before(legs, one, base, joints, BodyPoses(jnp.zeros((bodies, 3), dtype), jnp.zeros((bodies, 3, 3), dtype)))
     return Totals(three, three, legs, leg, one, three, leg, one), leg, before
 
 

@@ -21,7 +21,7 @@ from sweep.engines import planning
 from sweep.engines.closed_loop import Start, start_state
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, N_LEGS
-from sweep.models.obstacles.surface import Surface, free_start, poses, under
+from sweep.models.obstacles.surface import Surface, body_poses, free_start_state, surface_at
 
 LEVEL = 5e-3  # m, within which feet are on one plane: footholds may lie below it
 FLAT = 1e-5  # within which ground is the floor, z = 0
@@ -89,7 +89,7 @@ def _starts_level(belief: Case, start: Stance) -> Bool[Array, ""]:
 
 def _under(belief: Case, start: Stance) -> Surface:
     """What is believed to be under the feet at the start."""
-    return under(belief.obstacle, start.feet, poses(free_start(belief.obstacle)))
+    return surface_at(belief.obstacle, start.feet, body_poses(free_start_state(belief.obstacle)))
 
 
 def _ground(belief: Case, start: Stance) -> Ground:
@@ -101,7 +101,7 @@ def _ground(belief: Case, start: Stance) -> Ground:
 
 def places(world: Case, key: Array) -> Float[Array, "k 3"]:
     """Where the sensors of a rollout see the obstacle's free bodies (m) before it begins."""
-    noise, free = world.noise, free_start(world.obstacle)
+    noise, free = world.noise, free_start_state(world.obstacle)
     bias = draw_body_biases(noise, jax.random.split(key)[0], free)[:, 0]
     draws = jax.random.normal(jax.random.fold_in(key, PLACES), free.position.shape, float)
     return free.position + bias + noise.body_position_noise / jnp.sqrt(world.control.samples) * draws
@@ -115,7 +115,7 @@ def measured(world: Case, start: Start, key: Array) -> PoseMeasurements:
     """
     control, quat = world.control, start.qpos[3:7]
     feet = feet_in_world(world.robot, start.qpos[:3], quat, start.qpos[JOINT_Q].reshape(N_LEGS, 3))
-    ground = under(world.obstacle, feet, poses(free_start(world.obstacle)))
+    ground = surface_at(world.obstacle, feet, body_poses(free_start_state(world.obstacle)))
     feet = feet + ground.depth[:, None] * ground.normal
     slips = jax.random.normal(_drawn(key)[0], (len(MOVES), N_LEGS, 3), float)
     up = jnp.sum(slips * ground.normal, axis=-1, keepdims=True) * ground.normal

@@ -6,12 +6,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.metrics.metric import Cause, Moment, extremes
-from sweep.models.obstacles.surface import under
+from sweep.models.obstacles.surface import surface_at
 
 
 def deepest(now: Moment) -> Iterator[Float[Array, ""]]:
     """Largest depth of a foot, where it really is, in what is under it (m)."""
-    yield jnp.max(under(now.world.obstacle, now.tick.joints[:, -1], now.tick.bodies).depth)
+    yield jnp.max(surface_at(now.world.obstacle, now.tick.joints[:, -1], now.tick.bodies).depth)
 
 
 METRIC = extremes(

@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.frames import to_world
 from sweep.metrics.metric import Begin, Elapsed, Metric, Moment, Twin, missed
-from sweep.models.obstacles.surface import FreeState, poses, under
+from sweep.models.obstacles.surface import FreeState, body_poses, surface_at
 
 # m, within which a foot that may hover, since others carry, is at a face: what a base off by 2 degrees makes of the
 # feet beside it, and half the height of a swing
@@ -28,7 +28,7 @@ def figures(found: Last, at: Elapsed) -> dict[str, Array]:
     """Feet at their faces by where they were last."""
     feet, free = found
     target = to_world(at.plan.foothold[-1], at.plan.foot_frame[-1], free)
-    here, there = (under(at.world.obstacle, p, poses(free)) for p in (feet, target))
+    here, there = (surface_at(at.world.obstacle, p, body_poses(free)) for p in (feet, target))
     same = (here.face == there.face) & (here.body == there.body)
     hit = same & (here.depth > -AT_FACE)
     away = jnp.maximum(jnp.linalg.norm(feet - target, axis=-1), 1.001 * AT_FACE)

@@ -49,7 +49,7 @@ def update(so_far: BodiesMotion, now: Moment) -> BodiesMotion:
     upright = jnp.where(now.stage == 0, quat, so_far.quat)
     turn = jnp.linalg.norm(logarithm(multiply(quat, conjugate(upright))), axis=-1)
     here, manoeuvre = Tail(place, now.time), now.world.manoeuvre
-    aside = manoeuvre.aside if isinstance(manoeuvre, Driving) else lambda way: jnp.abs(way[1])
+    aside = manoeuvre.lateral_offset if isinstance(manoeuvre, Driving) else lambda way: jnp.abs(way[1])
     return BodiesMotion(
         start=so_far.start,
         settled=settled,

@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from sweep.models.obstacles.surface import Bodies, Obstacle, under
+from sweep.models.obstacles.surface import BodyPoses, Obstacle, surface_at
 from sweep.models.robot import FOOT_LENGTH, PIN_RADIUS, Robot, half_between_hips
-from sweep.models.solids import Solid, distance_to_segments, from_box
+from sweep.models.solids import Solid, distance_from_box, distance_to_segments
 
 HALVINGS = 8  # a segment of 0.4 m is searched to 1 mm
 AROUND = 0.05  # m, how far from a foot edges are looked for
@@ -40,13 +40,13 @@ def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point
     return jnp.min(jnp.where(border, left_of(point), jnp.inf))
 
 
-def edge_distance(obstacle: Obstacle, feet: Float[Array, "n 3"], bodies: Bodies) -> Float[Array, " n"]:
+def edge_distance(obstacle: Obstacle, feet: Float[Array, "n 3"], bodies: BodyPoses) -> Float[Array, " n"]:
     """How far (m) feet are from the edges of the faces that they stand on, no more than `AROUND`.
 
     Nor than half of how thick it is there: what is as deep as `AROUND` may be through it.
     """
-    normal = under(obstacle, feet, bodies).normal
-    probes = [under(obstacle, feet - share * AROUND * normal, bodies).depth for share in PROBES]
+    normal = surface_at(obstacle, feet, bodies).normal
+    probes = [surface_at(obstacle, feet - share * AROUND * normal, bodies).depth for share in PROBES]
     return reduce(jnp.maximum, probes)
 
 
@@ -80,7 +80,7 @@ def segment_box_distance(
     for _ in range(HALVINGS):
         slope = sum(_out(p + share * u, h) * u for p, u, h in zip(start, along, half, strict=True))
         share, step = share - step * jnp.sign(slope), step / 2
-    return from_box((start + share * along).T, half)
+    return distance_from_box((start + share * along).T, half)
 
 
 def _out(x: Array, half: Array) -> Array:

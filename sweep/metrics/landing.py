@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from sweep.metrics.footholds import AT_FACE
 from sweep.metrics.metric import Metric, Moment, still
-from sweep.models.obstacles.surface import under
+from sweep.models.obstacles.surface import surface_at
 
 
 class Landing(NamedTuple):
@@ -25,7 +25,7 @@ def update(so_far: Landing, now: Moment) -> Landing:
     plan, tick, new = now.plan, now.tick, now.stage != so_far.stage
     began = jnp.where(new, now.time - now.period, so_far.began)
     waited = jnp.maximum(now.time - began - plan.duration[now.stage], 0.0) / jnp.maximum(plan.patience, now.period)
-    depth = under(now.world.obstacle, tick.joints[:, -1], tick.bodies).depth
+    depth = surface_at(now.world.obstacle, tick.joints[:, -1], tick.bodies).depth
     hangs = jnp.max(jnp.where(plan.swing[now.stage] & ~tick.truth.loaded, -depth, 0.0))
     left = jnp.where(hangs > 0, -hangs / AT_FACE, 1 - jnp.minimum(waited, 1.0))
     over = new | now.finished

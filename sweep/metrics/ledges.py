@@ -30,7 +30,7 @@ def update(so_far: LedgeCrossing, now: Moment) -> LedgeCrossing:
     ahead = tick.centre_of_mass[0] - ball[0]
     leaves = is_under_law(now.plan, now.stage, OFF)
     past = jnp.where(is_under_law(now.plan, now.stage, ON), ahead, jnp.where(leaves, -ahead, -jnp.inf))
-    gap = jnp.minimum(so_far.gap, jnp.where(leaves, jnp.inf, ledges.at_far_wall - ball[0]))
+    gap = jnp.minimum(so_far.gap, jnp.where(leaves, jnp.inf, ledges.far_wall_x - ball[0]))
     return LedgeCrossing(
         past=jnp.maximum(so_far.past, past),
         gap=gap,

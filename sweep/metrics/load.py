@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from sweep.core.constants import GRAVITY, LOADED
 from sweep.metrics.metric import BRIEF, Elapsed, Metric, Moment, still
-from sweep.models.obstacles.surface import under
+from sweep.models.obstacles.surface import surface_at
 from sweep.models.robot import total_mass
 
 
@@ -31,7 +31,7 @@ def update(so_far: Load, now: Moment) -> Load:
     demand = jnp.where(tick.normal > LOADED, tick.tangential / jnp.maximum(tick.normal, LOADED), 0.0)
     use = jnp.sum(tick.tangential) / jnp.maximum(jnp.sum(tick.normal), LOADED)
     feet = tick.joints[:, -1]
-    friction = now.world.contact.friction * under(now.world.obstacle, feet, tick.bodies).friction_scale
+    friction = now.world.contact.friction * surface_at(now.world.obstacle, feet, tick.bodies).friction_scale
     lately = min(1.0, now.period / BRIEF)
     taken = so_far.taken + lately * (jnp.sum(tick.tangential) - so_far.taken)
     allowed = so_far.allowed + lately * (jnp.sum(friction * tick.normal) - so_far.allowed)

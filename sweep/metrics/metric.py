@@ -19,7 +19,7 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan
 from sweep.core.parameters import UNITS, quantity
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import Bodies, FreeState
+from sweep.models.obstacles.surface import BodyPoses, FreeState
 
 REST = 1.0  # s, that a rollout goes on after its plan has ended, in which nothing may change
 GRACE = 1.2  # a plan that is not finished at this multiple of its duration is given up
@@ -45,7 +45,7 @@ class Tick(NamedTuple):
     truth: Observation  # what exact sensors would see at the end
     centre_of_mass: Float[Array, " 3"]  # m, of the robot
     joints: Float[Array, "6 k 3"]  # m, along each leg: hip, ..., knee, foot
-    bodies: Bodies
+    bodies: BodyPoses
 
 
 class Begin(NamedTuple):

@@ -37,7 +37,7 @@ def update(so_far: Afloat, now: Moment) -> Afloat:
     raft, tick = now.world.obstacle, now.tick
     assert isinstance(raft, Raft)
     free = tick.truth.free
-    half = raft.half * jnp.array([[x, y, 1.0] for x, y in CORNERS])
+    half = raft.half_size * jnp.array([[x, y, 1.0] for x, y in CORNERS])
     quat = jnp.broadcast_to(free.quat[0], (4, 4))
     deck, bottom = (
         free.position[0, 2] + rotate(quat, half * jnp.array([1.0, 1.0, side]))[:, 2] + raft.bank_height

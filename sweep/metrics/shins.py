@@ -5,13 +5,13 @@ from jaxtyping import Array, Float
 
 from sweep.metrics.geometry import shin_slopes
 from sweep.metrics.metric import Cause, Metric, Moment, still
-from sweep.models.obstacles.surface import under
+from sweep.models.obstacles.surface import surface_at
 
 
 def update(so_far: Float[Array, ""], now: Moment) -> Float[Array, ""]:
     """Sine of the least angle, of feet that bear load but in the first half of their swing."""
     tick = now.tick
-    normal = under(now.world.obstacle, tick.joints[:, -1], tick.bodies).normal
+    normal = surface_at(now.world.obstacle, tick.joints[:, -1], tick.bodies).normal
     goes = now.plan.swing[now.stage] & ~now.finished & (now.phase <= 0.5)
     return jnp.minimum(so_far, jnp.min(jnp.where(tick.truth.loaded & ~goes, shin_slopes(tick.joints, normal), 1.0)))
 

@@ -10,7 +10,7 @@ from sweep.metrics.metric import Begin, Cause, Lead, Metric, Moment
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.raft import Raft
-from sweep.models.obstacles.surface import under
+from sweep.models.obstacles.surface import surface_at
 
 
 class Holding(NamedTuple):
@@ -40,7 +40,7 @@ class Holding(NamedTuple):
         swings = now.plan.swing[now.stage] & ~now.finished
         holds = jnp.where(swings, tick.truth.loaded & (now.phase > 0.5), self.holds | tick.truth.loaded)
         held = holds & self.holds
-        here = under(now.world.obstacle, feet, tick.bodies).body.astype(jnp.int32)
+        here = surface_at(now.world.obstacle, feet, tick.bodies).body.astype(jnp.int32)
         body = here if self.body is None else jnp.where(held, self.body, here)
         place = jnp.where(held[:, None], self.place, to_body(feet, body, tick.bodies))
         way = jnp.linalg.norm(feet - to_world(place, body, tick.bodies), axis=-1)

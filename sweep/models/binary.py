@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 
-def binary(model: mujoco.MjModel) -> bytes:
+def model_bytes(model: mujoco.MjModel) -> bytes:
     """All that is in a compiled model, as MuJoCo's MJB file has it."""
     content = np.zeros(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)

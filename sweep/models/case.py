@@ -63,7 +63,7 @@ class Driving(Protocol):
         """The speed (m/s) that the body is meant to have at the end of a plan of `duration` (s)."""
         ...
 
-    def aside(self, way: Array) -> Array:
+    def lateral_offset(self, way: Array) -> Array:
         """How far (m) the body is beside the way that it is meant to go, having gone by `way` (3,) (m)."""
         ...
 
@@ -82,7 +82,7 @@ class Case:
     control: Control = Control()
     plan: PlanTable = PlanTable()
 
-    def on[T: Obstacle](self, kind: type[T]) -> T:
+    def obstacle_as[T: Obstacle](self, kind: type[T]) -> T:
         """The obstacle, which is of the `kind` that the manoeuvre needs."""
         assert isinstance(self.obstacle, kind)
         return self.obstacle

@@ -11,19 +11,19 @@ import numpy as np
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.geoms import COLLIDING, STIFF
-from sweep.models.obstacles.surface import own_axes
+from sweep.models.obstacles.surface import identity_poses
 from sweep.models.robot import FOOT_LENGTH, PIN_RADIUS, half_between_hips
 
 OWN_BASE = "inner_base"  # what legs meet of their own base
 OBSTACLE, SHIN, LEG = 4, 8, 16  # what bodies collide with: contype and conaffinity, beside those of feet and balls
 
 
-def collide(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -> None:
+def enable_collisions(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -> None:
     """Let the bodies of a finished spec collide; `links` are a leg's, from the hip out."""
     friction, radius = float(case.contact.friction), float(case.robot.link_radius)
     fork, hip = (float(way + radius) for way in (case.robot.fork_ratio * case.robot.shin, case.robot.hip_clearance))
     touch = {**STIFF, "friction": [friction, 0.005, 1e-4]}
-    for solid in case.obstacle.solids(own_axes(len(case.obstacle.free_bodies))):
+    for solid in case.obstacle.solids(identity_poses(len(case.obstacle.free_bodies))):
         _set(spec.geom(solid.name), conaffinity=OBSTACLE, **touch)
     base = spec.body("base").first_geom()
     _set(base, name="base", contype=OBSTACLE, conaffinity=0, **touch)

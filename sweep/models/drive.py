@@ -49,6 +49,6 @@ def position_mode(drive: Drive, target: Float[Array, "6 3"]) -> Servo:
     return Servo(target, stiffness, damping, jnp.zeros_like(target))
 
 
-def towards(old: Servo, new: Servo, share: Array | float) -> Servo:
+def interpolate_target(old: Servo, new: Servo, share: Array | float) -> Servo:
     """The order at `share` of a control tick: the target goes over evenly, a held one ratchets the feet."""
     return new._replace(target=old.target + share * (new.target - old.target))

@@ -3,11 +3,11 @@
 WORLD = 0
 
 
-def koenig(body: int) -> int:
+def koenig_frame(body: int) -> int:
     """The Koenig frame of free body number `body`: its centre, with the world's axes."""
     return 1 + 2 * body
 
 
-def fixed(body: int) -> int:
+def body_frame(body: int) -> int:
     """The frame of free body number `body` itself: its centre, with its own axes."""
     return 2 + 2 * body

@@ -28,7 +28,7 @@ from sweep.core.parameters import checked, quantity
 from sweep.models.legs import GROUPS
 from sweep.models.obstacles.charts import Chart
 from sweep.models.robot import leg_unit
-from sweep.models.solids import maths
+from sweep.models.solids import array_module
 
 GROUP = "plan"
 SLOPES, AT = "slopes", "at"  # the part that says how numbers follow sizes; its line with the sizes where they hold
@@ -64,16 +64,16 @@ class PlanTable:
     paths: tuple[str, ...] = dataclasses.field(default=(), metadata={"static": True})  # of numbers that are changed
     values: tuple[Array | float, ...] = ()
 
-    def changed(self, path: str, value: Any, formulas: Mapping[str, float] | None = None) -> "PlanTable":
+    def with_value(self, path: str, value: Any, formulas: Mapping[str, float] | None = None) -> "PlanTable":
         """With the number at `path` (without `plan.`) changed; one of `formulas`, by what it comes to, raised to it."""
         if formulas and path in formulas:
             path, value = MORE + path, value - formulas[path]
         changes = self.changes | {path: value}
         return dataclasses.replace(self, paths=tuple(changes), values=tuple(changes.values()))
 
-    def raised(self, path: str, more: Any) -> "PlanTable":
+    def with_increment(self, path: str, more: Any) -> "PlanTable":
         """With the number at `path` so much more than what its formula says, and what it was raised by before."""
-        return self.changed(MORE + path, self.changes.get(MORE + path, 0.0) + more)
+        return self.with_value(MORE + path, self.changes.get(MORE + path, 0.0) + more)
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -82,7 +82,7 @@ class PlanTable:
 
 
 @runtime_checkable
-class Tabled(Protocol):
+class TabulatedManoeuvre(Protocol):
     """A manoeuvre whose plan's numbers are in a file has this member besides."""
 
     @property
@@ -92,7 +92,7 @@ class Tabled(Protocol):
 
 
 @runtime_checkable
-class TwoWay(Tabled, Protocol):
+class ReversibleManoeuvre(TabulatedManoeuvre, Protocol):
     """One whose whole plan may be gone backwards has this member besides."""
 
     @property
@@ -133,12 +133,12 @@ def refuse_malformed(content: Content) -> None:
                 raise InputError(f"{at} = {value} is not allowed: a number other than 0")
 
 
-def way(case: Any) -> str:
+def plan_direction(case: Any) -> str:
     """How a case's plan is gone, one of `DIRECTIONS`."""
     return str(_written(case).get(WAY, FORTH))
 
 
-def told(case: Any) -> Content:
+def plan_content(case: Any) -> Content:
     """What a case says of its plan, by part and move; nothing where its numbers are not in a file."""
     changes = case.plan.changes
 
@@ -146,10 +146,10 @@ def told(case: Any) -> Content:
         more = changes.get(MORE + path)
         return changes.get(path, value) if more is None else f"{value} + {more:.4g}"
 
-    return mapped(_written(case), case.obstacle.charts, now) if changes else _written(case)
+    return map_numbers(_written(case), case.obstacle.charts, now) if changes else _written(case)
 
 
-def tabled(case: Any, part: str = "") -> Content:
+def evaluate_plan(case: Any, part: str = "") -> Content:
     """The same, with formulas worked out and numbers that have followed the sizes of this case; or a part of it alone.
 
     What formulas make of `k` has an axis for it. Raises `InputError` for formulas of what has no name, and for slopes
@@ -159,26 +159,30 @@ def tabled(case: Any, part: str = "") -> Content:
     return _worked_out(case, content, _followed(case, content), part if part in content else "")
 
 
-def valued(case: Any) -> dict[str, float]:
+def plan_values(case: Any) -> dict[str, float]:
     """All numbers of a case's plan by path, formulas worked out, as they are before they follow sizes."""
-    found = numbers(_worked_out(case, _written(case), {}), case.obstacle.charts)
+    found = numbers_by_path(_worked_out(case, _written(case), {}), case.obstacle.charts)
     return {path: float(value) for path, value in found.items()}
 
 
-def formulas(case: Any) -> dict[str, float]:
+def formula_values(case: Any) -> dict[str, float]:
     """What formulas come to, by path."""
-    text = {path for path, value in numbers(told(case), case.obstacle.charts).items() if isinstance(value, str)}
-    return {path: value for path, value in valued(case).items() if path in text}
+    text = {
+        path
+        for path, value in numbers_by_path(plan_content(case), case.obstacle.charts).items()
+        if isinstance(value, str)
+    }
+    return {path: value for path, value in plan_values(case).items() if path in text}
 
 
 def _followed(case: Any, content: Content) -> dict[str, Array]:
     """What is added to numbers by path, as they follow the sizes of this case."""
     slopes = content.get(SLOPES, {})
     lines, sizes = {path: line for path, line in slopes.items() if path != AT}, slopes.get(AT, {})
-    off = [jnp.asarray(size(case, path) / at - 1.0, float) for path, at in sizes.items()]
+    off = [jnp.asarray(parameter_value(case, path) / at - 1.0, float) for path, at in sizes.items()]
     if not lines:
         return {}
-    found = numbers(content, case.obstacle.charts)
+    found = numbers_by_path(content, case.obstacle.charts)
     for path, line in lines.items():
         if path not in found:
             _refuse_lost(content, path, found)
@@ -200,7 +204,7 @@ def _worked_out(case: Any, content: Content, added: Mapping[str, Array], alone: 
             names[name] = now(f"{SIZES}.{name}", sizes[name])
         group = name.partition(".")[0]
         if group in NAMED:
-            return size(case, name, name, (group,))
+            return parameter_value(case, name, name, (group,))
         if name not in names:
             beside = f", or numbers of {', '.join(NAMED)}, such as obstacle.height"
             raise InputError(f"{name} is unknown{suggest(name, {*names, *sizes})}{beside}")
@@ -233,13 +237,13 @@ def _worked_out(case: Any, content: Content, added: Mapping[str, Array], alone: 
         return named(name) if part == SIZES else now(path, value)
 
     parts = {part: counted(part, given) for part, given in content.items() if part == alone or not alone}
-    return mapped(parts, case.obstacle.charts, change)
+    return map_numbers(parts, case.obstacle.charts, change)
 
 
 def _number(path: str, formula: str, named: Callable[[str], Any], times: np.ndarray | None = None) -> Any:
     """What a formula at a path comes to, an array where it goes by `k`. Raises `InputError`."""
     try:
-        value = evaluate(formula, lambda name: named(name) if times is None or name != TIMES else times, maths)
+        value = evaluate(formula, lambda name: named(name) if times is None or name != TIMES else times, array_module)
         if jnp.issubdtype(jnp.result_type(value), jnp.number):
             return value
         raise TypeError
@@ -257,47 +261,51 @@ def _refuse_lost(content: Content, path: str, found: Iterable[str]) -> NoReturn:
     if not names:
         raise InputError(f"plan.{path} = {stands} is not allowed: a number")
     if isinstance(stands, Mapping) and above.count(".") < 2:  # no move has it
-        raise InputError(f"plan.{SLOPES}.{path} is unknown{near(path, found, f'plan.{SLOPES}.')}")
+        raise InputError(f"plan.{SLOPES}.{path} is unknown{suggest_path(path, found, f'plan.{SLOPES}.')}")
     own = [one.removeprefix(f"{above}.") for one in found if one.startswith(f"{above}.")]
     alone = f", not {', '.join(own)} alone" if own else ""
     number = ".".join(names)
     raise InputError(f"plan.{above} = {stands} is not allowed: plan.{SLOPES} want its number {number}{alone}")
 
 
-def near(path: str, found: Iterable[str], before: str = "plan.") -> str:
+def suggest_path(path: str, paths: Iterable[str], prefix: str = "plan.") -> str:
     """The number whose path is the closest, as what may have been meant; empty without."""
-    return suggest(before + path, [before + one for one in found]).partition(" (allowed")[0]
+    return suggest(prefix + path, [prefix + one for one in paths]).partition(" (allowed")[0]
 
 
 def _written(case: Any) -> Content:
     """What the file of a case's plan says."""
-    return json.loads(case.plan.text) if case.plan.text else own(case)
+    return json.loads(case.plan.text) if case.plan.text else own_plan_content(case)
 
 
-def size(case: Any, path: str, told: str = "", groups: Names = SIZED) -> Any:
+def parameter_value(case: Any, path: str, label: str = "", groups: Names = SIZED) -> Any:
     """A number of one of these groups, as axes name it, such as `robot.thigh`. Raises `InputError` of it, as `told`."""
     group, _, name = path.partition(".")
     every = {f"{owner}.{f.name}" for owner in groups for f in dataclasses.fields(getattr(case, owner))
              if f.metadata.get("role") in ("quantity", "count")}  # fmt: skip
-    known(path, every, told or f"plan.{SLOPES}.{AT}.{path}")
+    known(path, every, label or f"plan.{SLOPES}.{AT}.{path}")
     return getattr(getattr(case, group), name)
 
 
-def own(case: Any) -> Content:
+def own_plan_content(case: Any) -> Content:
     """Those of the manoeuvre's own file."""
-    return shipped(case.manoeuvre.own_plan) if isinstance(case.manoeuvre, Tabled) and case.manoeuvre.own_plan else {}
+    return (
+        load_shipped_plan(case.manoeuvre.own_plan)
+        if isinstance(case.manoeuvre, TabulatedManoeuvre) and case.manoeuvre.own_plan
+        else {}
+    )
 
 
-def numbers(content: Content, places: Mapping[str, Chart]) -> dict[str, float | str]:
+def numbers_by_path(content: Content, charts: Mapping[str, Chart]) -> dict[str, float | str]:
     """All numbers of a plan by path, the first of those that are repeated; formulas as they are written."""
     found: dict[str, float | str] = {}
-    mapped(content, places, lambda path, value: found.setdefault(
+    map_numbers(content, charts, lambda path, value: found.setdefault(
         path, value if isinstance(value, str) else float(np.ravel(value)[0])))  # fmt: skip
     return found
 
 
-def mapped(
-    content: Any, places: Mapping[str, Chart], change: Callable[[str, Any], Any], path: str = "", names: Names = ()
+def map_numbers(
+    content: Any, charts: Mapping[str, Chart], change: Callable[[str, Any], Any], path: str = "", names: Names = ()
 ) -> Any:
     """`content` with every number and formula, but those of `slopes`, replaced by what `change` makes of its path and
     value.
@@ -306,11 +314,13 @@ def mapped(
     """
     if isinstance(content, Mapping):
         return {key: value if _is_word(key, value, path) else
-                mapped(value, places, change, *_below(key, value, content, places, path, names))
+                map_numbers(value, charts, change, *_below(key, value, content, charts, path, names))
                 for key, value in content.items()}  # fmt: skip
     if isinstance(content, list):
         named = (*names, *range(len(names), len(content)))
-        return [mapped(value, places, change, f"{path}.{name}") for name, value in zip(named, content, strict=False)]
+        return [
+            map_numbers(value, charts, change, f"{path}.{name}") for name, value in zip(named, content, strict=False)
+        ]
     return content if content is None or isinstance(content, bool) else change(path, content)
 
 
@@ -320,32 +330,34 @@ def _is_word(key: str, value: Any, path: str) -> bool:
 
 
 def _below(
-    key: str, value: Any, content: Content, places: Mapping[str, Chart], path: str, names: Names
+    key: str, value: Any, content: Content, charts: Mapping[str, Chart], path: str, names: Names
 ) -> tuple[str, Names]:
     """Path of what stands under a key, and names of the numbers in a list there; `names` are those of a base."""
     above = path.rpartition(".")[2]
     if above == "base":
-        return path, places[key].based() if key in places else COMPONENTS["base"]
+        return path, charts[key].base_names() if key in charts else COMPONENTS["base"]
     if above in GROUPS and isinstance(value, list) and key not in COMPONENTS:
-        told = places[key].names if key in places else ()
+        told = charts[key].names if key in charts else ()
         return path, told if len(told) == len(value) else PLACE[-len(value) :]
     if isinstance(chart := content.get("base"), str):
-        names = places[chart].based() if chart in places else COMPONENTS["base"]
+        names = charts[chart].base_names() if chart in charts else COMPONENTS["base"]
     below = f"{path}.{key}".removeprefix(".")
     if isinstance(value, list):
         return below, (names if key == "base" else ()) or COMPONENTS.get(key, ())
     return below, names
 
 
-def member(case: Any, path: str) -> "dataclasses.Field[Any]":
+def plan_parameter(case: Any, path: str) -> "dataclasses.Field[Any]":
     """The number at `path` (without `plan.`) as a parameter. Raises `InputError`."""
-    found = valued(case)
+    found = plan_values(case)
     if path not in found:
         if not found:
             raise InputError(
                 f"plan.{path} is unknown: manoeuvre.kind = {case.manoeuvre.kind} has its numbers in no file"
             )
-        raise InputError(f"plan.{path} is unknown{near(path, found)} (`sweep describe plan` tells what plans have)")
+        raise InputError(
+            f"plan.{path} is unknown{suggest_path(path, found)} (`sweep describe plan` tells what plans have)"
+        )
     name = path.rpartition(".")[2]
     field = quantity(found[path], "", above=0 if name in LONG else -math.inf)
     field.name = name
@@ -353,16 +365,16 @@ def member(case: Any, path: str) -> "dataclasses.Field[Any]":
 
 
 @functools.cache
-def shipped(name: str) -> Content:
+def load_shipped_plan(name: str) -> Content:
     """A plan that comes with the package."""
-    return merged(name, lambda other: project.shipped(GROUP)[other].read_text(encoding="utf-8"))
+    return merge_extended(name, lambda other: project.shipped(GROUP)[other].read_text(encoding="utf-8"))
 
 
-def merged(name: str, read: Callable[[str], str]) -> Content:
+def merge_extended(name: str, read: Callable[[str], str]) -> Content:
     """The plan `name` over those that it extends, the first one or a list; texts of files are `read` by name."""
     content = dict(yaml.load(project.words(read(name)), project.LOADER))
     bases = content.pop("extends", [])
-    below = [merged(base, read) for base in ([bases] if isinstance(bases, str) else bases)]
+    below = [merge_extended(base, read) for base in ([bases] if isinstance(bases, str) else bases)]
     return functools.reduce(_over, [*below, content])
 
 

@@ -83,6 +83,6 @@ def mount_yaw(robot: Robot) -> np.ndarray:
     return np.arctan2(-SIDE * hips[0], SIDE * hips[1])
 
 
-def links(robot: Robot) -> tuple[str, ...]:
+def link_names(robot: Robot) -> tuple[str, ...]:
     """Names of a leg's links, from the hip out."""
     return ("coxa", "thigh", "shin") if robot.legs == "three_link" else ("thigh", "shin")

@@ -14,11 +14,11 @@ from sweep.core.constants import GRAVITY
 from sweep.core.parameters import InputError
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
-from sweep.models.collisions import collide
+from sweep.models.collisions import enable_collisions
 from sweep.models.legs import JOINTS, LEGS
 from sweep.models.obstacles.geoms import COLLIDING, DRAWN, STIFF
 from sweep.models.obstacles.surface import FOOT_RADIUS
-from sweep.models.robot import links, mount_yaw, mounts
+from sweep.models.robot import link_names, mount_yaw, mounts
 
 _RIGHT, _LEFT = (0.85, 0.33, 0.20, 1.0), (0.20, 0.45, 0.75, 1.0)
 
@@ -28,7 +28,7 @@ def _rod(mass: Array | float, length: Array | float, radius: Array | float) -> t
     return jnp.asarray(mass * (3 * radius**2 + length**2) / 12), jnp.asarray(mass * radius**2 / 2)
 
 
-def leaves(case: Case) -> dict[str, dict[str, Array]]:
+def batched_model_fields(case: Case) -> dict[str, dict[str, Array]]:
     """Varying arrays by model field, then by body, site or (for `dof_armature`) joint name. Pure JAX, float leaves."""
     robot = case.robot
     zero = jnp.zeros(())
@@ -45,7 +45,7 @@ def leaves(case: Case) -> dict[str, dict[str, Array]]:
     for leg in LEGS:
         side = float(SIDE[leg - 1])
         start = hips[leg - 1]
-        for link in links(robot):
+        for link in link_names(robot):
             length, mass = getattr(robot, link), getattr(robot, f"{link}_mass")
             across, along = _rod(mass, length, robot.link_radius)
             body = f"{link}{leg}"
@@ -58,12 +58,12 @@ def leaves(case: Case) -> dict[str, dict[str, Array]]:
             out["body_inertia"][body] = jnp.stack([across, along, across] if y else [across, across, along])
             start = end
         out["site_pos"][f"foot{leg}"] = start
-    for field, values in case.obstacle.leaves().items():
+    for field, values in case.obstacle.batched_model_fields().items():
         out[field].update(values)
     return out
 
 
-_leaves = jax.jit(leaves)  # a row of a table of cases would take 50 times as long operation by operation
+_leaves = jax.jit(batched_model_fields)  # a row of a table of cases would take 50 times as long operation by operation
 
 
 def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
@@ -71,7 +71,7 @@ def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
 
     Raises `InputError` where a size cannot be built.
     """
-    spec = describe(case, geoms)
+    spec = build_spec(case, geoms)
     if not geoms:
         for element in [*spec.pairs, *spec.geoms]:
             spec.delete(element)
@@ -94,14 +94,14 @@ def too_small(case: Case) -> np.ndarray:
     axes = jax.tree.map(lambda x: 0 if np.ndim(x) else None, case)
 
     def least(one: Case) -> Array:
-        fields = leaves(one)
+        fields = batched_model_fields(one)
         parts = [*fields["body_mass"].values(), *fields["body_inertia"].values()]
         return jnp.min(jnp.concatenate([jnp.ravel(part) for part in parts]))
 
     return np.asarray(jax.jit(jax.vmap(least, in_axes=(axes,)))(case)) < mujoco.mjMINVAL
 
 
-def describe(case: Case, geoms: bool = True) -> mujoco.MjSpec:
+def build_spec(case: Case, geoms: bool = True) -> mujoco.MjSpec:
     """What `compile_model` compiles; without `geoms` the robot has none."""
     robot = case.robot
     spec = mujoco.MjSpec()
@@ -163,7 +163,7 @@ def _add_leg(
 ) -> None:
     """Bodies, hinges, drives and the foot of one leg."""
     robot, yaw = case.robot, float(mount_yaw(case.robot)[leg - 1])
-    names = links(robot)
+    names = link_names(robot)
     hinges = {"coxa": ["alpha"], "thigh": ["beta"], "shin": ["gamma"]}
     if "coxa" not in names:
         hinges["thigh"] = ["alpha", "beta"]
@@ -226,7 +226,7 @@ def native_spec(case: Case, time_step: float, solid: bool = False) -> mujoco.MjS
     The settings are those that hold a stiff robot still: elliptic cones, impratio 100, stiff contact. Where it is
     `solid`, not only feet touch.
     """
-    spec = describe(case)
+    spec = build_spec(case)
     spec.option.timestep = time_step
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -245,5 +245,5 @@ def native_spec(case: Case, time_step: float, solid: bool = False) -> mujoco.MjS
         motor.forcelimited, motor.forcerange = True, [-limit, limit]
         spec.joint(name).damping[0] = drive.back_emf
     if solid:
-        collide(spec, case, links(case.robot))
+        enable_collisions(spec, case, link_names(case.robot))
     return spec

@@ -43,11 +43,11 @@ class Solid(Protocol):
         """Index of the free body that it belongs to, -1 for the fixed world."""
         ...
 
-    def to_segments(self, a: Float[Array, "n 3"], b: Float[Array, "n 3"]) -> Float[Array, " n"]:
+    def segment_distance(self, a: Float[Array, "n 3"], b: Float[Array, "n 3"]) -> Float[Array, " n"]:
         """Signed distance to n segments."""
         ...
 
-    def to_box(
+    def box_distance(
         self, centre: Float[Array, " 3"], rotation: Float[Array, "3 3"], half: Float[Array, " 3"]
     ) -> Float[Array, ""]:
         """Signed distance to a box of half-sizes `half` along the columns of `rotation`."""
@@ -56,14 +56,14 @@ class Solid(Protocol):
 
 def distance_to_segments(solids: Sequence[Solid], a: Float[Array, "n 3"], b: Float[Array, "n 3"]) -> Float[Array, " n"]:
     """Signed distance from the nearest of the solids to each segment, the centre line of a capsule."""
-    return _nearest(solids, lambda solid: solid.to_segments(a, b))
+    return _nearest(solids, lambda solid: solid.segment_distance(a, b))
 
 
 def distance_to_box(
     solids: Sequence[Solid], centre: Float[Array, " 3"], rotation: Float[Array, "3 3"], half: Float[Array, " 3"]
 ) -> Float[Array, ""]:
     """Signed distance from the nearest of the solids to a box of half-sizes `half` along the columns of `rotation`."""
-    return _nearest(solids, lambda solid: solid.to_box(centre, rotation, half))
+    return _nearest(solids, lambda solid: solid.box_distance(centre, rotation, half))
 
 
 def _nearest(solids: Sequence[Solid], distance: Callable[[Solid], Array]) -> Array:
@@ -80,7 +80,7 @@ def _nearest(solids: Sequence[Solid], distance: Callable[[Solid], Array]) -> Arr
     return jnp.min(jnp.stack([*others, jnp.min(of_boxes(*places, rotations), axis=0)]), axis=0)
 
 
-def maths(x: Any) -> Any:
+def array_module(x: Any) -> Any:
     """The module whose functions keep what `x` is: `jax.numpy` of arrays and tracers, NumPy of plain numbers."""
     return jnp if isinstance(x, jax.Array) else np
 
@@ -100,12 +100,12 @@ class HalfSpace:
     normal: Sequence[Any] | Array
     body: int = -1
 
-    def to_segments(self, a: Array, b: Array) -> Array:
+    def segment_distance(self, a: Array, b: Array) -> Array:
         """By the lower end, see `Solid`."""
         normal = _vector(self.normal, a.dtype)
         return jnp.minimum(a @ normal, b @ normal)
 
-    def to_box(self, centre: Array, rotation: Array, half: Array) -> Array:
+    def box_distance(self, centre: Array, rotation: Array, half: Array) -> Array:
         """By the lowest corner, see `Solid`."""
         normal = _vector(self.normal, centre.dtype)
         return centre @ normal - jnp.abs(normal @ rotation) @ half
@@ -120,15 +120,15 @@ class Sphere:
     centre: Sequence[Any] | Array
     body: int = -1
 
-    def to_segments(self, a: Array, b: Array) -> Array:
+    def segment_distance(self, a: Array, b: Array) -> Array:
         """By the centre's distance to the nearest point, see `Solid`."""
         centre, along = _vector(self.centre, a.dtype), b - a
         share = jnp.clip(_dot(centre - a, along) / (_dot(along, along) + TINY), 0.0, 1.0)
         return _length(a + share[:, None] * along - centre) - self.radius
 
-    def to_box(self, centre: Array, rotation: Array, half: Array) -> Array:
+    def box_distance(self, centre: Array, rotation: Array, half: Array) -> Array:
         """By the centre's distance, see `Solid`."""
-        return from_box((_vector(self.centre, centre.dtype) - centre) @ rotation, half) - self.radius
+        return distance_from_box((_vector(self.centre, centre.dtype) - centre) @ rotation, half) - self.radius
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,63 +142,68 @@ class _Convex(ABC):
     colour: tuple[float, ...] = WOOD
 
     @abstractmethod
-    def signed(self, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
+    def signed_distance(self, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
         """Signed distance to points."""
 
     @abstractmethod
-    def reach(self, axes: Float[Array, "*n 3"]) -> tuple[Array, Array]:
+    def extent(self, axes: Float[Array, "*n 3"]) -> tuple[Array, Array]:
         """How far the solid extends along axes and against them."""
 
     @abstractmethod
-    def tips(self, axes: Float[Array, "3 3"]) -> Float[Array, "m 3"]:
+    def support_points(self, axes: Float[Array, "3 3"]) -> Float[Array, "m 3"]:
         """Points of which one is the outermost along each of the axes (rows), and one against it."""
 
     @abstractmethod
-    def planes(self, dtype: Any) -> Float[Array, "k 3"]:
+    def face_normals(self, dtype: Any) -> Float[Array, "k 3"]:
         """Normals of its flat faces, one of each parallel pair."""
 
-    def rays(self, points: Float[Array, "n 3"]) -> list[Array]:
+    def curved_normals(self, points: Float[Array, "n 3"]) -> list[Array]:
         """Normals (n, 3) of its curved face towards points."""
         return []
 
     @abstractmethod
-    def crosses(self, along: Float[Array, "n 3"], at: Float[Array, "n 3"]) -> list[Array]:
+    def edge_cross_axes(self, along: Float[Array, "n 3"], at: Float[Array, "n 3"]) -> list[Array]:
         """Axes (n, 3) across its edges and edges with the directions `along`, whose innermost points are `at`."""
 
-    def inward(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+    def to_solid_frame(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """Points from world axes to the solid's."""
         offset = points - _vector(self.position, points.dtype)
         return offset if self.rotation is None else offset @ self.rotation
 
-    def to_segments(self, a: Array, b: Array) -> Array:
+    def segment_distance(self, a: Array, b: Array) -> Array:
         """By points along the segment, or by parting planes, see `Solid`."""
-        a, b = self.inward(a), self.inward(b)
-        at, apart = least_along(self.signed, a, b)
+        a, b = self.to_solid_frame(a), self.to_solid_frame(b)
+        at, apart = minimize_along(self.signed_distance, a, b)
         along = (b - a) / _length(b - a)[:, None]
         axes = jnp.stack(
             [
-                *[jnp.broadcast_to(plane, a.shape) for plane in self.planes(a.dtype)],
-                *self.rays(a),
-                *self.rays(b),
-                *self.crosses(along, at),
+                *[jnp.broadcast_to(plane, a.shape) for plane in self.face_normals(a.dtype)],
+                *self.curved_normals(a),
+                *self.curved_normals(b),
+                *self.edge_cross_axes(along, at),
             ]
         )
         one, other = _dot(axes, a), _dot(axes, b)
         parted = self._separation(axes, jnp.minimum(one, other), jnp.maximum(one, other))
         return jnp.where(apart > 0, apart, jnp.max(parted, axis=0))
 
-    def to_box(self, centre: Array, rotation: Array, half: Array) -> Array:
+    def box_distance(self, centre: Array, rotation: Array, half: Array) -> Array:
         """By both solids' corners, or by parting planes, see `Solid`."""
-        centre = self.inward(centre)
+        centre = self.to_solid_frame(centre)
         rotation = rotation if self.rotation is None else self.rotation.T @ rotation
         corners = box_corners(centre, rotation, half)
         edges = (centre + (SIGNS[k].astype(half.dtype) * half) @ rotation.T for k in (STARTS, ENDS))
-        at, from_edges = jax.vmap(partial(least_along, self.signed))(*edges)
-        from_tips = from_box((self.tips(rotation.T) - centre) @ rotation, half)
+        at, from_edges = jax.vmap(partial(minimize_along, self.signed_distance))(*edges)
+        from_tips = distance_from_box((self.support_points(rotation.T) - centre) @ rotation, half)
         apart = jnp.minimum(jnp.min(from_edges), jnp.min(from_tips))
         nearest = jnp.argmin(from_edges.reshape(3, 4), axis=1)  # of the edges along each axis
         at = jnp.take_along_axis(at.reshape(3, 4, 3), nearest[:, None, None], axis=1)[:, 0]
-        axes = [rotation.T, self.planes(centre.dtype), *self.rays(corners), *self.crosses(rotation.T, at)]
+        axes = [
+            rotation.T,
+            self.face_normals(centre.dtype),
+            *self.curved_normals(corners),
+            *self.edge_cross_axes(rotation.T, at),
+        ]
         axes = jnp.concatenate(axes)
         middle, around = axes @ centre, jnp.abs(axes @ rotation) @ half
         parted = jnp.max(self._separation(axes, middle - around, middle + around))
@@ -207,7 +212,7 @@ class _Convex(ABC):
     def _separation(self, axes: Array, low: Array, high: Array) -> Array:
         """Gap along axes, or against them, between the solid and what extends from `low` to `high`."""
         size = _length(axes)
-        along, against = self.reach(axes)
+        along, against = self.extent(axes)
         return jnp.where(size > PARALLEL, jnp.maximum(low - along, -high - against) / size, -jnp.inf)
 
 
@@ -217,24 +222,24 @@ class Box(_Convex):
 
     half: Sequence[Any] | Array
 
-    def signed(self, points: Array) -> Array:
+    def signed_distance(self, points: Array) -> Array:
         """By its half-sizes, see `_Convex`."""
-        return from_box(points, _vector(self.half, points.dtype))
+        return distance_from_box(points, _vector(self.half, points.dtype))
 
-    def reach(self, axes: Array) -> tuple[Array, Array]:
+    def extent(self, axes: Array) -> tuple[Array, Array]:
         """The same both ways, see `_Convex`."""
         extent = jnp.abs(axes) @ _vector(self.half, axes.dtype)
         return extent, extent
 
-    def tips(self, axes: Array) -> Array:
+    def support_points(self, axes: Array) -> Array:
         """The eight corners, see `_Convex`."""
         return jnp.asarray(SIGNS, axes.dtype) * _vector(self.half, axes.dtype)
 
-    def planes(self, dtype: Any) -> Array:
+    def face_normals(self, dtype: Any) -> Array:
         """Those of its three axes, see `_Convex`."""
         return jnp.eye(3, dtype=dtype)
 
-    def crosses(self, along: Array, at: Array) -> list[Array]:
+    def edge_cross_axes(self, along: Array, at: Array) -> list[Array]:
         """By its three edges, see `_Convex`."""
         return [jnp.cross(edge, along) for edge in np.eye(3, dtype=along.dtype)]
 
@@ -246,29 +251,29 @@ class Cylinder(_Convex):
     radius: Any
     half: Any  # of its height
 
-    def signed(self, points: Array) -> Array:
+    def signed_distance(self, points: Array) -> Array:
         """By radius and height, see `_Convex`."""
         return _extruded(_length(points[..., :2]) - self.radius, jnp.abs(points[..., 2]) - self.half)
 
-    def reach(self, axes: Array) -> tuple[Array, Array]:
+    def extent(self, axes: Array) -> tuple[Array, Array]:
         """The same both ways, see `_Convex`."""
         extent = self.radius * _length(axes[..., :2]) + self.half * jnp.abs(axes[..., 2])
         return extent, extent
 
-    def tips(self, axes: Array) -> Array:
+    def support_points(self, axes: Array) -> Array:
         """Points of both rims, see `_Convex`."""
         rim = self._rim(axes[:, :2] / _length(axes[:, :2])[:, None], jnp.where(axes[:, 2] < 0, -1.0, 1.0))
         return jnp.concatenate([rim, -rim])
 
-    def planes(self, dtype: Any) -> Array:
+    def face_normals(self, dtype: Any) -> Array:
         """That of its ends, see `_Convex`."""
         return jnp.eye(3, dtype=dtype)[2:]
 
-    def rays(self, points: Array) -> list[Array]:
+    def curved_normals(self, points: Array) -> list[Array]:
         """From the axis outwards, see `_Convex`."""
         return [points * np.array([1, 1, 0], points.dtype)]
 
-    def crosses(self, along: Array, at: Array) -> list[Array]:
+    def edge_cross_axes(self, along: Array, at: Array) -> list[Array]:
         """See `_Convex`. The rim is followed to where its tangent is nearest to the edge."""
         side = jnp.where(at[:, 2] < 0, -1.0, 1.0)
         clamped = jnp.clip(at[:, 2], -self.half, self.half)
@@ -298,11 +303,11 @@ class Prism(_Convex):
     polygon: Sequence[tuple[Any, Any]]
     height: Any
 
-    def inward(self, points: Array) -> Array:
+    def to_solid_frame(self, points: Array) -> Array:
         """See `_Convex`: about half the height."""
-        return super().inward(points) - _vector((0.0, 0.0, self.height / 2), points.dtype)
+        return super().to_solid_frame(points) - _vector((0.0, 0.0, self.height / 2), points.dtype)
 
-    def signed(self, points: Array) -> Array:
+    def signed_distance(self, points: Array) -> Array:
         """By the sides of its base and by its height, see `_Convex`."""
         corners, along, length = self._sides(points.dtype)
         offset = points[:, None, :2] - corners
@@ -312,21 +317,21 @@ class Prism(_Convex):
         aside = jnp.where(deepest > 0, outside, deepest)
         return _extruded(aside, jnp.abs(points[:, 2]) - self.height / 2)
 
-    def reach(self, axes: Array) -> tuple[Array, Array]:
+    def extent(self, axes: Array) -> tuple[Array, Array]:
         """Farther one way than the other, see `_Convex`."""
         at = axes[..., :2] @ self._sides(axes.dtype)[0].T
         up = self.height / 2 * jnp.abs(axes[..., 2])
         return up + jnp.max(at, axis=-1), up - jnp.min(at, axis=-1)
 
-    def tips(self, axes: Array) -> Array:
+    def support_points(self, axes: Array) -> Array:
         """Corners of both ends, see `_Convex`."""
         return jnp.concatenate([_raised(self._sides(axes.dtype)[0], end * self.height / 2) for end in (-1, 1)])
 
-    def planes(self, dtype: Any) -> Array:
+    def face_normals(self, dtype: Any) -> Array:
         """Those of its sides and of its ends, see `_Convex`."""
         return jnp.concatenate([_raised(_left_of(self._sides(dtype)[1]), 0.0), jnp.eye(3, dtype=dtype)[2:]])
 
-    def crosses(self, along: Array, at: Array) -> list[Array]:
+    def edge_cross_axes(self, along: Array, at: Array) -> list[Array]:
         """By the edges of its base and its height, see `_Convex`."""
         edges = [*_raised(self._sides(along.dtype)[1], 0.0), jnp.eye(3, dtype=along.dtype)[2]]
         return [jnp.cross(edge, along) for edge in edges]
@@ -339,8 +344,8 @@ class Prism(_Convex):
         return corners, side / length[:, None], length
 
 
-def least_along(
-    signed: Callable[[Array], Array], a: Float[Array, "n 3"], b: Float[Array, "n 3"]
+def minimize_along(
+    signed_distance: Callable[[Array], Array], a: Float[Array, "n 3"], b: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, " n"]]:
     """Where on segments a signed distance is least, and how large it is; it is convex along each."""
     golden = (5**0.5 - 1) / 2
@@ -354,14 +359,14 @@ def least_along(
         left = early < late
         start = jnp.where(left, start, start + (1 - golden) * width)
         width = golden * width
-        fresh = signed(at(start + jnp.where(left, 1 - golden, golden) * width))
+        fresh = signed_distance(at(start + jnp.where(left, 1 - golden, golden) * width))
         return start, width, jnp.where(left, fresh, late), jnp.where(left, early, fresh)
 
     zero = jnp.zeros_like(a[:, 0])
-    first, last = (signed(at(zero + share)) for share in (1 - golden, golden))
+    first, last = (signed_distance(at(zero + share)) for share in (1 - golden, golden))
     start, width, early, late = lax.fori_loop(0, SEARCH, narrow, (zero, zero + 1, first, last))
     places = [zero, start + (1 - golden) * width, start + golden * width, zero + 1]
-    values = [signed(a), early, late, signed(b)]
+    values = [signed_distance(a), early, late, signed_distance(b)]
     place, value = places[0], values[0]
     for other, fresh in zip(places[1:], values[1:], strict=True):
         place, value = jnp.where(fresh < value, other, place), jnp.minimum(fresh, value)
@@ -374,7 +379,7 @@ def _extruded(aside: Array, above: Array) -> Array:
     return jnp.where(most > 0, jnp.sqrt(jnp.maximum(aside, 0.0) ** 2 + jnp.maximum(above, 0.0) ** 2 + TINY), most)
 
 
-def from_box(points: Float[Array, "*n 3"], half: Float[Array, " 3"]) -> Float[Array, "*n"]:
+def distance_from_box(points: Float[Array, "*n 3"], half: Float[Array, " 3"]) -> Float[Array, "*n"]:
     """Signed distance from a box about the origin."""
     out = jnp.abs(points) - half
     most = jnp.max(out, axis=-1)

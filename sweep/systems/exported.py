@@ -28,8 +28,8 @@ from sweep.metrics.metric import GOAL, REST, Tick
 from sweep.metrics.outcome import Thresholds, limit_of
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_V, JOINTS, N_JOINTS, N_LEGS
-from sweep.models.obstacles.surface import poses, under
-from sweep.models.robot import links
+from sweep.models.obstacles.surface import body_poses, surface_at
+from sweep.models.robot import link_names
 from sweep.models.scene import native_spec
 from sweep.systems.hexapod import assign, flat
 
@@ -88,7 +88,7 @@ def spec(case: Case, settings: EngineSettings) -> mujoco.MjSpec:
 
 
 def _links(case: Case) -> list[str]:
-    return [f"{link}{leg + 1}" for leg in range(N_LEGS) for link in links(case.robot)]
+    return [f"{link}{leg + 1}" for leg in range(N_LEGS) for link in link_names(case.robot)]
 
 
 def scenario(case: Case, settings: EngineSettings, limits: Thresholds, model: str, controller: str) -> Any:
@@ -161,8 +161,8 @@ def summary(case: Case, seen: Float[Array, " k"], period: float) -> Tick:
     feet, rates = feet.reshape(N_LEGS, 3), qvel[JOINT_V]
     torque = effort - drive.back_emf * rates
     exact = truth(qpos, qvel, 0, load)
-    bodies = poses(exact.free)
-    normals = under(case.obstacle, feet, bodies).normal
+    bodies = body_poses(exact.free)
+    normals = surface_at(case.obstacle, feet, bodies).normal
     return Tick(
         torque_peak=jnp.abs(torque).reshape(N_LEGS, 3),
         saturated=(jnp.abs(effort) >= 0.999 * drive.torque_limit).astype(seen.dtype).reshape(N_LEGS, 3),

@@ -27,9 +27,9 @@ from sweep.models.case import Case, Manoeuvre
 from sweep.models.control import Control
 from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
-from sweep.models.obstacles.own import refuse_odd
 from sweep.models.obstacles.surface import Obstacle
-from sweep.models.plan_table import DIRECTIONS, FORTH, WAY, Content, PlanTable, Tabled, TwoWay
+from sweep.models.obstacles.user_obstacle import check_user_obstacle
+from sweep.models.plan_table import DIRECTIONS, FORTH, WAY, Content, PlanTable, ReversibleManoeuvre, TabulatedManoeuvre
 from sweep.systems.base import SIDES, Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class Hexapod:
         if path.startswith("plan."):
             if side == "world":
                 raise InputError(f"axis {column} varies nothing: plans are made of what is believed")
-            return plan_table.member(self.case, path.removeprefix("plan."))
+            return plan_table.plan_parameter(self.case, path.removeprefix("plan."))
         owner, name = self._owner(column, settings)
         found = next(f for f in dataclasses.fields(owner) if f.name == name)
         if found.metadata.get("role") not in VARIED:
@@ -135,7 +135,7 @@ class Hexapod:
     def inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """All fields of the case, and what the plan says, see `System`."""
         yield from flat(self.case, "")
-        yield from _said(self.case, plan_table.told(self.case))
+        yield from _said(self.case, plan_table.plan_content(self.case))
 
     def unsaid(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Of `control`, of errors of the feet's load and of the plan's numbers what is as by default.
@@ -144,7 +144,7 @@ class Hexapod:
         """
         yield from flat(Control(), "control")
         yield from ((path, value) for path, value in flat(Noise(), "noise") if path.startswith(LATER))
-        yield from _said(self.case, plan_table.own(self.case))
+        yield from _said(self.case, plan_table.own_plan_content(self.case))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
         """Refuse sizes of a wrong unit, robots that cannot be built, and steps that are too long, see `System`."""
@@ -271,7 +271,7 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
         both = f"obstacle.kind = {case.obstacle.kind} is not allowed: manoeuvre.kind = {case.manoeuvre.kind}"
         raise InputError(f"{both} needs {needed}")
     if not type(case.obstacle).__module__.startswith("sweep."):
-        refuse_odd(case.obstacle)
+        check_user_obstacle(case.obstacle)
     for group in SIZED:
         part = getattr(case, group)
         for member in dataclasses.fields(part):
@@ -282,13 +282,13 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
 def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str]:
     """Numbers and formulas of a plan's file by path, whatever obstacle it is for; `read` gives the text of a name."""
     places = {key: chart for cls in OBSTACLES.values() for key, chart in cls.charts.items()}
-    return plan_table.numbers(plan_table.merged(file, read), places)
+    return plan_table.numbers_by_path(plan_table.merge_extended(file, read), places)
 
 
 def assign[T](owner: T, path: str, value: Any) -> T:
     """`owner` with the member at `path` replaced."""
     if isinstance(owner, PlanTable):
-        return owner.changed(path, value)  # pyright: ignore[reportReturnType]
+        return owner.with_value(path, value)  # pyright: ignore[reportReturnType]
     name, _, rest = path.partition(".")
     inner = assign(getattr(owner, name), rest, value) if rest else value
     return dataclasses.replace(owner, **{name: inner})  # pyright: ignore[reportArgumentType]
@@ -298,16 +298,16 @@ def _table(given: Any, manoeuvre: Any) -> PlanTable:
     """The numbers of a plan, if they are not the manoeuvre's own."""
     kind = manoeuvre.kind
     if not given:
-        if isinstance(manoeuvre, Tabled) and not manoeuvre.own_plan:
+        if isinstance(manoeuvre, TabulatedManoeuvre) and not manoeuvre.own_plan:
             raise InputError(f"plan is missing: manoeuvre.kind = {kind} has none of its own")
         return PlanTable()
     if not isinstance(given, Mapping):
         raise InputError(f"plan = {given} is not allowed: `sweep list` shows the choices")
-    if not isinstance(manoeuvre, Tabled):
+    if not isinstance(manoeuvre, TabulatedManoeuvre):
         raise InputError(f"plan is not allowed: manoeuvre.kind = {kind} has its numbers in no file")
     plan_table.refuse_malformed(given)
     known(way := given.get(WAY, FORTH), DIRECTIONS, f"plan.{WAY} = {way}")
-    if way != FORTH and not isinstance(manoeuvre, TwoWay):
+    if way != FORTH and not isinstance(manoeuvre, ReversibleManoeuvre):
         raise InputError(f"plan.{WAY} = {way} is not allowed: manoeuvre.kind = {kind} goes {FORTH} alone")
     return PlanTable(json.dumps(given))
 
@@ -346,9 +346,9 @@ def _check_size(column: str, member: Parameter, value: Any) -> None:
 def _said(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
     """A plan's numbers by path, and all its words and formulas as one."""
     places = case.obstacle.charts
-    found = plan_table.numbers(plan, places).items()
+    found = plan_table.numbers_by_path(plan, places).items()
     yield from ((f"plan.{path}", value) for path, value in found if not isinstance(value, str))
-    words = plan_table.mapped(plan, places, lambda path, value: value if isinstance(value, str) else 0)
+    words = plan_table.map_numbers(plan, places, lambda path, value: value if isinstance(value, str) else 0)
     yield "plan", json.dumps(words)
 
 

@@ -118,7 +118,7 @@ def model_xml(world: Case, settings: EngineSettings) -> str:
     if settings.name == "native":
         spec = scene.native_spec(world, settings.native_time_step, settings.solid)
     else:
-        spec = scene.describe(world)
+        spec = scene.build_spec(world)
         spec.option.timestep = settings.step
     spec.compile()
     return spec.to_xml()

@@ -25,7 +25,7 @@ from sweep.metrics.geometry import (
 )
 from sweep.models import solids
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import Bodies, free_start, poses, under
+from sweep.models.obstacles.surface import BodyPoses, body_poses, free_start_state, surface_at
 from sweep.models.robot import half_size
 from sweep.tune.hold import reserve
 
@@ -54,7 +54,7 @@ class Margins(NamedTuple):
 
 def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> Margins:
     """At phase `u` of a stage, feet and base where the stages before have planned them, free bodies as they start."""
-    free = free_start(case.obstacle)
+    free = free_start_state(case.obstacle)
     stance, joints, shortfall = posed(case, plan, stage, u)
     starts, goal = (
         to_world(feet, plan.foot_frame[stage], free)
@@ -63,7 +63,7 @@ def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) 
     _, later, _ = posed(case, plan, stage, u + jnp.where(u > 0.5, -JOINTS_AT, JOINTS_AT))
     rates = wrapped(later - joints) / (JOINTS_AT * plan.duration[stage])
     goes = Swing(plan.swing[stage], starts, goal)
-    return left(case, poses(free), stance, joints, rates, shortfall, goes)
+    return left(case, body_poses(free), stance, joints, rates, shortfall, goes)
 
 
 class Swing(NamedTuple):
@@ -76,7 +76,7 @@ class Swing(NamedTuple):
 
 def left(
     case: Case,
-    bodies: Bodies,
+    bodies: BodyPoses,
     stance: Stance,
     joints: Float[Array, "6 3"],
     rates: Float[Array, "6 3"],
@@ -94,7 +94,7 @@ def left(
     reach = jnp.minimum(robot.thigh + robot.shin - stretch, stretch - jnp.abs(robot.thigh - robot.shin)) - shortfall
 
     goes = jnp.minimum(*(jnp.linalg.norm(foot - at, axis=-1) for at in (swing.starts, swing.goal))) > MID_SWING
-    faces = under(obstacle, foot, bodies)
+    faces = surface_at(obstacle, foot, bodies)
     above = jnp.where(goes & swing.swings, -faces.depth, jnp.inf)
     inside = edge_distance(obstacle, swing.starts, bodies)
     level = jnp.all(swing.swings | (faces.normal[:, 2] > LEVEL))
@@ -136,7 +136,7 @@ _sound.defvjp(lambda x: (x, None), _backwards)
 
 def posed(case: Case, plan: Plan, stage: Array, u: Array) -> tuple[Stance, Float[Array, "6 3"], Float[Array, " 6"]]:
     """The stance at phase `u` of a stage (world axes), its joint angles (rad), each foot's lack of reach (m)."""
-    robot, free = case.robot, free_start(case.obstacle)
+    robot, free = case.robot, free_start_state(case.obstacle)
     stance = reference_stance(plan, stage, u, *stage_start(plan, stage, free))
     stance = stance_to_world(stance, plan.foot_frame[stage], plan.base_frame[stage], free)
     joints, shortfall = joint_targets(robot, stance)

@@ -24,9 +24,9 @@ from sweep.core.rotations import exponential, multiply, rotate, wrapped
 from sweep.formulas.ball import ROLLING
 from sweep.metrics.geometry import support_margin
 from sweep.models.case import Case
-from sweep.models.frames import WORLD, fixed
+from sweep.models.frames import WORLD, body_frame
 from sweep.models.obstacles.ball import Ball
-from sweep.models.obstacles.surface import FreeState, free_start, poses, under
+from sweep.models.obstacles.surface import FreeState, body_poses, free_start_state, surface_at
 from sweep.models.robot import total_mass
 from sweep.tune.planned import Margins, Swing, left
 
@@ -61,7 +61,7 @@ class Roll(NamedTuple):
 
 def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
     """Play the plan of `case`, its own world and belief, in `ticks` of `period` s, or less at the end of a stage."""
-    free = free_start(case.obstacle)
+    free = free_start_state(case.obstacle)
     state = tracker.init(case, plan)
     still, joints = jnp.zeros(3), state.joints
     stood = _standing(case, plan.start.feet, free)
@@ -94,7 +94,7 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
         starts, goal = (to_world(at, plan.foot_frame[stage], free) for at in (state.feet, goal))
         rates = wrapped(joints - seen.angles) / h
         swing = Swing(swings, starts, goal)
-        now = left(case, poses(free), command.target, joints, rates, command.shortfall, swing)
+        now = left(case, body_poses(free), command.target, joints, rates, command.shortfall, swing)
         on_floor = jnp.any(~swings & (stood.frame == WORLD))
         at = position + rotate(quat, mass_centre(case.robot, joints))
         roll, then = _rolled(case, plan, state, roll, free, at - free.position[0], on_floor, h)
@@ -109,8 +109,8 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
 
 def _standing(case: Case, feet: Float[Array, "6 3"], free: FreeState) -> Stood:
     """Feet (m, world) as they would stand on what is nearest."""
-    body = under(case.obstacle, feet, poses(free)).body
-    frame = jnp.array([WORLD, *map(fixed, range(len(case.obstacle.free_bodies)))])[body + 1]
+    body = surface_at(case.obstacle, feet, body_poses(free)).body
+    frame = jnp.array([WORLD, *map(body_frame, range(len(case.obstacle.free_bodies)))])[body + 1]
     return Stood(to_frame(feet, frame, free), frame)
 
 

@@ -91,7 +91,7 @@ class Score:
         self.stages = [names[k] for k in chosen]
         self.aims = [Aim(margin, "*", value) for margin, value in AIMS.items()] + list(aims)
         self.case, self._free, self._width = case, tuple(free), width
-        self._formulas = plan_table.formulas(case)
+        self._formulas = plan_table.formula_values(case)
         time = np.asarray(jax.jit(lambda: case.manoeuvre.plan(case).duration)(), float)
         self._ticks = math.ceil(TIMES * time.sum() / PERIOD) + len(names)
         counts = np.maximum(np.ceil(time[chosen] / APART).astype(int) + 1, MOMENTS)
@@ -237,11 +237,11 @@ def _in_parts(function: Callable[..., Any], numbers: np.ndarray, draws: Case) ->
 
 
 def changed(case: Case, path: str, value: Any, formulas: Mapping[str, float]) -> Case:
-    """With another number: of the plan's table, see `PlanTable.changed`, or of the manoeuvre where the path says so."""
+    """With another number: of the plan's table, see `PlanTable.with_value`, or of the manoeuvre, as the path says."""
     group, _, name = path.partition(".")
     if group == MANOEUVRE:
         return replace(case, manoeuvre=replace(case.manoeuvre, **{name: value}))  # pyright: ignore[reportArgumentType]
-    return replace(case, plan=case.plan.changed(path, value, formulas))
+    return replace(case, plan=case.plan.with_value(path, value, formulas))
 
 
 def stacked(belief: Case, count: int) -> Case:
@@ -251,7 +251,7 @@ def stacked(belief: Case, count: int) -> Case:
 
 def shares(believed: Case, sizes: Mapping[str, float]) -> np.ndarray:
     """By how much draws differ from `sizes`, as shares of them (draws, k)."""
-    off = [np.asarray(plan_table.size(believed, path), float) / at - 1 for path, at in sizes.items()]
+    off = [np.asarray(plan_table.parameter_value(believed, path), float) / at - 1 for path, at in sizes.items()]
     return np.stack(off, axis=1) if off else np.zeros((len(np.atleast_1d(believed.robot.body_length)), 0))
 
 

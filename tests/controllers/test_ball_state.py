@@ -24,7 +24,7 @@ from sweep.core.rotations import exponential, multiply, rotate
 from sweep.engines.closed_loop import free_state, start_state
 from sweep.formulas.mass_centre import ball_jacobian
 from sweep.models import scene
-from sweep.models.frames import WORLD, fixed, koenig
+from sweep.models.frames import WORLD, body_frame, koenig_frame
 from sweep.models.obstacles.surface import FreeState
 from sweep.study.config import compose
 
@@ -41,7 +41,10 @@ def test_frames_go_with_their_bodies():
     turn = exponential(jnp.array([[0.3, -0.2, 0.5], [0.1, 0.4, -0.3]]))
     still = jnp.zeros((2, 3))
     free = FreeState(jnp.array([[1.0, 2.0, 0.8], [-3.0, 0.0, 0.5]]), turn, still, still)
-    point, frames = jnp.array([0.1, -0.2, 0.7]), jnp.array([WORLD, koenig(0), fixed(0), koenig(1), fixed(1)])
+    point, frames = (
+        jnp.array([0.1, -0.2, 0.7]),
+        jnp.array([WORLD, koenig_frame(0), body_frame(0), koenig_frame(1), body_frame(1)]),
+    )
     seen = to_world(jnp.stack([point] * 5), frames, free)
     np.testing.assert_allclose(seen[0], point, atol=1e-6)
     for k in range(2):
@@ -49,7 +52,7 @@ def test_frames_go_with_their_bodies():
         np.testing.assert_allclose(seen[2 + 2 * k], rotate(turn[k], point) + free.position[k], atol=1e-6)
     np.testing.assert_allclose(to_frame(seen, frames, free), jnp.stack([point] * 5), atol=1e-6)
     quat = exponential(jnp.array([0.2, 0.1, 0.0]))
-    for frame, wanted in ((koenig(1), quat), (fixed(1), multiply(turn[1], quat))):
+    for frame, wanted in ((koenig_frame(1), quat), (body_frame(1), multiply(turn[1], quat))):
         frames = jnp.full(6, WORLD), jnp.asarray(frame)
         there = stance_to_world(Stance(jnp.zeros((6, 3)), point, quat), *frames, free)
         np.testing.assert_allclose(there.quat, wanted, atol=1e-6)

@@ -11,7 +11,7 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, LEVELLING, LOCKED
 from sweep.controllers.posture import foot_positions, joint_targets, mass_centre
 from sweep.core.rotations import rotate
-from sweep.models.obstacles.surface import no_bodies
+from sweep.models.obstacles.surface import no_free_bodies
 from sweep.study.config import compose
 
 PERIOD = 4e-3
@@ -37,7 +37,7 @@ def followed(plan):
             state, stance, joints = carry
             zero, nothing = jnp.zeros(3), jnp.zeros((6, 3))
             seen = Observation(
-                stance.position, stance.quat, zero, zero, joints, nothing, nothing, jnp.ones(6, bool), no_bodies()
+                stance.position, stance.quat, zero, zero, joints, nothing, nothing, jnp.ones(6, bool), no_free_bodies()
             )
             state, command = tracker.step(CASE, plan, state, seen, PERIOD)
             return (state, command.target, command.joints), (state.stage, command)
@@ -84,7 +84,9 @@ def order(mode: int, **seen):
     joints = jnp.zeros((6, 3)).at[:, 1].set(jnp.pi / 2).at[3, 2].set(jnp.pi)
     level = plan.position[stage] - rotate(plan.quat[stage], mass_centre(CASE.robot, joints)) * jnp.array([1.0, 0, 0])
     zero, nothing = jnp.zeros(3), jnp.zeros((6, 3))
-    truth = Observation(level, plan.quat[stage], zero, zero, joints, nothing, nothing, jnp.ones(6, bool), no_bodies())
+    truth = Observation(
+        level, plan.quat[stage], zero, zero, joints, nothing, nothing, jnp.ones(6, bool), no_free_bodies()
+    )
     truth = truth._replace(**seen)
     return jax.jit(plan.layer(Flywheel).servo_command, static_argnums=0)(
         CASE.robot, plan, jnp.int32(stage), truth

@@ -6,7 +6,7 @@ import pytest
 
 from sweep.controllers.plan import stage_end_stances
 from sweep.core.errors import InputError
-from sweep.models.obstacles.surface import free_start
+from sweep.models.obstacles.surface import free_start_state
 from sweep.study.config import compose
 
 SCENARIO = """
@@ -38,7 +38,7 @@ def test_a_scenario_alone_is_a_manoeuvre_there_and_back(touch):
     case = compose(["scenario=touch", "obstacle.half_angle=0.7"]).case
     with jax.enable_x64(True):
         plan = case.manoeuvre.plan(case)
-        stances = jax.tree.map(np.asarray, stage_end_stances(plan, free_start(case.obstacle)))
+        stances = jax.tree.map(np.asarray, stage_end_stances(plan, free_start_state(case.obstacle)))
     assert plan.names == ("stand", "up.back", "up.front", "down.front", "down.back", "halt")
     front, x, z = stances.feet[2, 4:], 0.3 * 1.05, 2.3 - 1.6 * 1.05
     np.testing.assert_allclose(front, [[-x, -x / np.tan(0.7), z], [x, -x / np.tan(0.7), z]], atol=1e-6)

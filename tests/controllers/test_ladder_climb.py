@@ -10,8 +10,8 @@ from sweep.controllers.plan import Plan, stage_start
 from sweep.controllers.symmetry import reverse_in_time
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, matrix, multiply
-from sweep.models.frames import WORLD, fixed
-from sweep.models.obstacles.surface import poses
+from sweep.models.frames import WORLD, body_frame
+from sweep.models.obstacles.surface import body_poses
 from sweep.study.config import compose
 from sweep.tune.planned import margins
 
@@ -45,7 +45,7 @@ def same(one: Stance, other: Stance):
 
 def test_stages_fit_together_where_frames_change(plan):
     """From the world's frame to the ladder's and back: what one stage ends with, the next begins with."""
-    assert {WORLD, fixed(0)} == set(np.unique(plan.foot_frame)) == set(np.unique(plan.base_frame))
+    assert {WORLD, body_frame(0)} == set(np.unique(plan.foot_frame)) == set(np.unique(plan.base_frame))
     first, last = ends(plan)
     same(Stance(*(x[1:] for x in first)), Stance(*(x[:-1] for x in last)))
     same(Stance(*(x[0] for x in first)), plan.start)
@@ -62,10 +62,12 @@ def test_up_and_down_feet_go_to_where_they_stand_in_its_frame(plan):
     """A foothold on a ladder that has come to rest elsewhere is where the ladder is; one beside it is not."""
     for way in (plan, reverse_in_time(plan, FREE)):
         feet = ends(way)[1].feet
-        body = CASE.obstacle.surface(feet.reshape(-1, 3), (-1,) * (feet.size // 3), poses(FREE)).body.reshape(-1, 6)
+        body = CASE.obstacle.surface(feet.reshape(-1, 3), (-1,) * (feet.size // 3), body_poses(FREE)).body.reshape(
+            -1, 6
+        )
         swing = np.asarray(way.swing)
         assert set(np.asarray(body[swing])) == {-1, 0}
-        np.testing.assert_array_equal(way.foot_frame[swing], np.where(body[swing] == 0, fixed(0), WORLD))
+        np.testing.assert_array_equal(way.foot_frame[swing], np.where(body[swing] == 0, body_frame(0), WORLD))
     twice = reverse_in_time(way, FREE)
     np.testing.assert_array_equal(twice.foot_frame, plan.foot_frame)
     np.testing.assert_allclose(twice.curve.guides[plan.curve.guided], plan.curve.guides[plan.curve.guided], atol=1e-5)

@@ -15,7 +15,7 @@ from sweep.core.rotations import exponential, matrix, rotate
 from sweep.formulas.leg import SIDE
 from sweep.formulas.stepping import LANDING
 from sweep.models.case import Case
-from sweep.models.plan_table import tabled
+from sweep.models.plan_table import evaluate_plan
 from sweep.models.robot import leg_unit
 from sweep.study.config import compose
 
@@ -96,7 +96,7 @@ def test_its_edges_run_on_two_rails_while_it_pitches_up(case):
     first = plan.names.index("on.front")
     quat, position = (x[first : first + 5].reshape(-1, x.shape[-1]) for x in (stances.quat, stances.position))
     front, rear = (rotate(quat, np.broadcast_to([x, 0.0, 0.0], position.shape)) + position for x in (HALF, -HALF))
-    sizes = tabled(case)["sizes"]
+    sizes = evaluate_plan(case)["sizes"]
     np.testing.assert_allclose(front[:, 1], D_C + 2 * HALF * sizes["away"], atol=1e-9)
     np.testing.assert_allclose(rear[:, 2], D - 2 * HALF * sizes["lower"], atol=1e-9)
     _, along, rise = (front - rear).T

@@ -16,8 +16,8 @@ from sweep.controllers.plan import GRIP, KEPT, MEASURED, RESTS, STAYS, TO_POSE, 
 from sweep.controllers.posture import joint_targets
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion, reference_motion
 from sweep.core.rotations import exponential, logarithm
-from sweep.models.frames import fixed, koenig
-from sweep.models.obstacles.surface import FreeState, free_start
+from sweep.models.frames import body_frame, koenig_frame
+from sweep.models.obstacles.surface import FreeState, free_start_state
 from sweep.study.config import compose
 
 CASE = compose(["scenario=ball_balance"]).case
@@ -87,7 +87,7 @@ def standing():
     stance = jax.jit(lambda: stance_on_ball(CASE, stand_pose(CASE, CASE.manoeuvre)))()
     still, joints = jnp.zeros(3), joint_targets(CASE.robot, stance)[0]
     return stance, Observation(stance.position, stance.quat, still, still, joints, 0 * joints, 0 * joints,
-                               jnp.ones(6, bool), free_start(CASE.obstacle))  # fmt: skip
+                               jnp.ones(6, bool), free_start_state(CASE.obstacle))  # fmt: skip
 
 
 def test_feet_that_grip_are_pressed_in_and_inward(standing):
@@ -117,7 +117,7 @@ class Waits:
 def test_an_event_ends_a_stage_and_the_next_goes_on_from_there(standing):
     """The ball goes along x at 0.1 m/s, the base over it and rising; one foot is in the air."""
     stance, seen = standing
-    frames = {"foot_frames": (koenig(0),) + (fixed(0),) * 5, "base_frame": koenig(0), "onset": GRIP}
+    frames = {"foot_frames": (koenig_frame(0),) + (body_frame(0),) * 5, "base_frame": koenig_frame(0), "onset": GRIP}
     centre = seen.free.position[0]
     up, foot = stance.position - centre + jnp.array([0.0, 0.0, 0.2]), stance.feet[0] - centre
     stages = [Stage("wait", 4.0, {1: foot + jnp.array([0.0, 0.0, 0.2])}, position=up, support=(), **frames),

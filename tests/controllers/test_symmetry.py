@@ -12,7 +12,7 @@ from sweep.controllers.plan import Plan
 from sweep.controllers.symmetry import OTHER_SIDE, join_plans, last_stance, mirror_plan, reverse_in_time
 from sweep.core.rotations import matrix
 from sweep.models.case import Case
-from sweep.models.plan_table import tabled
+from sweep.models.plan_table import evaluate_plan
 from sweep.study.config import compose
 
 SHORT = ["manoeuvre.steps=0", "manoeuvre.cycles=1", "manoeuvre.down_cycles=0", "obstacle.ledge_height=0.3"]
@@ -95,7 +95,9 @@ def test_round_the_pole_ends_behind_it_on_the_ledge(case, plan):
     end = last_stance(plan)
     np.testing.assert_allclose(end.feet[:, 2], ledge, atol=1e-9)
     assert np.all(end.feet[:, 1] < -case.obstacle.radius)
-    np.testing.assert_allclose(end.position[2], ledge + (0.5 - tabled(case)["sizes"]["lower"]) * length, atol=1e-9)
+    np.testing.assert_allclose(
+        end.position[2], ledge + (0.5 - evaluate_plan(case)["sizes"]["lower"]) * length, atol=1e-9
+    )
     np.testing.assert_allclose(matrix(end.quat)[:, 0], [0, 1, 0], atol=1e-9)  # it looks back at the pole
     # consecutive parts of the plan fit together: nothing jumps between stages
     for values in (stances.feet, stances.position):

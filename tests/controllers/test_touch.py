@@ -28,7 +28,13 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.ladder import Ladder
 from sweep.models.obstacles.pole_ledge import PoleLedge
-from sweep.models.obstacles.surface import free_start, landmarks, marked, no_bodies, placed
+from sweep.models.obstacles.surface import (
+    free_start_state,
+    landmark_state,
+    landmarks,
+    no_free_bodies,
+    state_from_landmarks,
+)
 from sweep.study.config import compose
 
 PERIOD, DEEPENING = 4e-3, 5e-3
@@ -45,14 +51,16 @@ def seen(stance: Stance, loaded=True) -> Observation:
     angles, _ = joint_targets(CASE.robot, stance)
     still = jnp.zeros(3)
     return Observation(stance.position, stance.quat, still, still, angles, 0 * angles, 0 * angles,
-                       jnp.full(6, loaded), no_bodies())  # fmt: skip
+                       jnp.full(6, loaded), no_free_bodies())  # fmt: skip
 
 
 def on_pole(radius: float) -> tuple[int, Stance]:
     """The first stage in which all legs are on the pole but those that swing, at its end; feet at its true surface."""
     plan = planned()
     stage = plan.names.index("up.middle")
-    stance = reference_stance(plan, jnp.int32(stage), jnp.ones(()), *stage_start(plan, jnp.int32(stage), no_bodies()))
+    stance = reference_stance(
+        plan, jnp.int32(stage), jnp.ones(()), *stage_start(plan, jnp.int32(stage), no_free_bodies())
+    )
     feet = stance.feet.at[:, :2].multiply(radius / jnp.linalg.norm(stance.feet[:, :2], axis=1)[:, None])
     return stage, stance._replace(feet=feet)
 
@@ -108,8 +116,10 @@ def test_a_foot_that_finds_a_height_lower_than_cautiously_planned_stands_as_deep
     stage = len(plan.names) - 1
     higher = np.asarray(plan.foothold[stage] - case.manoeuvre.plan(case).foothold[stage])[:, 2]
     assert np.all(higher > 2e-3)
-    stance = reference_stance(plan, jnp.int32(stage), jnp.ones(()), *stage_start(plan, jnp.int32(stage), no_bodies()))
-    now = seen(stance._replace(feet=stance.feet.at[:, 2].set(case.on(Kerb).height)))
+    stance = reference_stance(
+        plan, jnp.int32(stage), jnp.ones(()), *stage_start(plan, jnp.int32(stage), no_free_bodies())
+    )
+    now = seen(stance._replace(feet=stance.feet.at[:, 2].set(case.obstacle_as(Kerb).height)))
     assert learned.touch is not None
     learned = learned._replace(touch=learned.touch._replace(has_landed=jnp.zeros(6, bool)))
     state = init(case, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
@@ -153,7 +163,9 @@ def test_a_leg_that_is_held_by_its_joints_does_not_search():
     case = compose(["scenario=beam_cross", "control.touch=obstacle"]).case
     plan = case.manoeuvre.plan(case)
     stage = plan.names.index("narrow.1-4-5.down")
-    stance = reference_stance(plan, jnp.int32(stage), jnp.ones(()), *stage_start(plan, jnp.int32(stage), no_bodies()))
+    stance = reference_stance(
+        plan, jnp.int32(stage), jnp.ones(()), *stage_start(plan, jnp.int32(stage), no_free_bodies())
+    )
     state = init(case, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
     known = touch.init_touch(case.control, case.obstacle)._replace(has_landed=jnp.zeros(6, bool))
     ground = touch.planned_surface(known, plan, jnp.int32(stage))
@@ -190,7 +202,7 @@ def test_what_a_sensor_shows_in_the_air_makes_no_foot_stand():
 
 
 def test_heights_are_planned_for_as_larger_until_a_foot_stands_there():
-    nothing, pole = untouched(), CASE.on(PoleLedge)
+    nothing, pole = untouched(), CASE.obstacle_as(PoleLedge)
     more = CASE.control.caution * CASE.control.obstacle_error
     wary = touch.planning_obstacle(nothing)
     np.testing.assert_allclose(wary.height, pole.height * (1 + more), rtol=1e-6)
@@ -211,31 +223,33 @@ def test_heights_are_planned_for_as_larger_until_a_foot_stands_there():
 @pytest.mark.parametrize("scenario", ["ball_climb", "ball_to_ball", "ball_ledges"])
 def test_balls_tell_their_radius_by_how_high_they_lie(scenario):
     belief = compose([f"scenario={scenario}", "control.touch=obstacle"]).case
-    larger = 1.01 * belief.on(Ball).radius
-    world = dataclasses.replace(belief, obstacle=dataclasses.replace(belief.on(Ball), radius=larger))
+    larger = 1.01 * belief.obstacle_as(Ball).radius
+    world = dataclasses.replace(belief, obstacle=dataclasses.replace(belief.obstacle_as(Ball), radius=larger))
     for bias in (0.0, 0.01):
         key, noise = jax.random.key(3), Noise(body_position_bias=bias)
         seen = places(dataclasses.replace(world, noise=noise), key)
-        np.testing.assert_allclose(seen, free_start(world.obstacle).position, atol=4 * bias + 1e-6)
+        np.testing.assert_allclose(seen, free_start_state(world.obstacle).position, atol=4 * bias + 1e-6)
         nothing = touch.init_touch(belief.control, belief.obstacle)
         found = touch.update_from_resting_bodies(belief.control, noise, nothing, seen)
         deviation = float(np.sqrt(found.covariance[0, 0]))
         assert deviation > 0.5 * bias  # two balls tell as much twice
         np.testing.assert_allclose(sizes(found), [larger], atol=4 * deviation if bias else 1e-4)
-    before = dataclasses.replace(found.obstacle, radius=belief.on(Ball).radius)
+    before = dataclasses.replace(found.obstacle, radius=belief.obstacle_as(Ball).radius)
     assert before == belief.obstacle
 
 
 def test_feet_on_the_rungs_of_a_ladder_that_leans_otherwise_tell_their_step():
     belief = compose(["scenario=ladder_climb", "control.touch=obstacle", "control.replan=touched"]).case
-    ladder = belief.on(Ladder)
+    ladder = belief.obstacle_as(Ladder)
     other = dataclasses.replace(ladder, rung_step=1.01 * ladder.rung_step)
     plan, true = (case.manoeuvre.route(case)
                   for case in (belief, dataclasses.replace(belief, obstacle=other)))  # fmt: skip
     stage = plan.names.index("climb.front4.load")  # front feet on rung 3, middle ones on 2
     leans = dataclasses.replace(other, lean=ladder.lean - 0.02).start()
     stance = Stance(true.foothold[stage], true.position[stage], multiply(exponential(true.turn), true.quat)[stage])
-    told = placed(ladder, marked(other, leans))  # by its lower ends, as if its rungs were where they are believed
+    told = state_from_landmarks(
+        ladder, landmark_state(other, leans)
+    )  # by its lower ends, as if its rungs were where they are believed
     now = seen(stance_to_world(stance, true.foot_frame[stage], true.base_frame[stage], leans))._replace(free=told)
     known = touch.init_touch(belief.control, ladder)._replace(has_landed=jnp.zeros(6, bool))
     state = init(belief, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
@@ -254,7 +268,7 @@ def test_feet_on_the_rungs_of_a_ladder_that_leans_otherwise_tell_their_step():
 
 
 def test_what_is_left_of_the_way_is_planned_for_the_pole_that_was_found():
-    plan, found = planned(), dataclasses.replace(CASE.on(PoleLedge), radius=0.43)
+    plan, found = planned(), dataclasses.replace(CASE.obstacle_as(PoleLedge), radius=0.43)
     other = dataclasses.replace(CASE, obstacle=found)
     stage = plan.names.index("on.front")
     touched = untouched()._replace(obstacle=found)

@@ -15,7 +15,7 @@ from sweep.controllers.plan import REGRIP
 from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.rotations import exponential, logarithm, rotate
 from sweep.models.noise import Noise
-from sweep.models.obstacles.surface import no_bodies
+from sweep.models.obstacles.surface import no_free_bodies
 from sweep.study.config import compose
 
 PERIOD = 4e-3
@@ -39,7 +39,7 @@ def follow(plan):
             state, at = carry
             still, joints = jnp.zeros(3), jnp.zeros((6, 3))
             seen = Observation(at + offset, exponential(turn), still, still, joints, joints, joints, loaded,
-                               no_bodies())  # fmt: skip
+                               no_free_bodies())  # fmt: skip
             state, command = tracker.step(CASE, plan, state, seen, PERIOD)
             return (state, command.target.position), (state, command)
 
@@ -62,7 +62,7 @@ def pressed(plan, creep):
 def seen_at_start(plan, loaded):
     """A robot at rest, its base where the plan starts, all joints at 0."""
     still, joints = jnp.zeros(3), jnp.zeros((6, 3))
-    return Observation(*plan.start[1:], still, still, joints, joints, joints, loaded, no_bodies())
+    return Observation(*plan.start[1:], still, still, joints, joints, joints, loaded, no_free_bodies())
 
 
 def stage_starts(states) -> np.ndarray:
@@ -175,7 +175,7 @@ def test_regripped_feet_stand_where_they_are(plan):
         feet = plan.start.feet + ahead
         angles, _ = joint_targets(CASE.robot, Stance(feet, position, quat))
         still, joints = jnp.zeros(3), jnp.zeros((6, 3))
-        seen = Observation(position, quat, still, still, angles, joints, joints, jnp.zeros(6, bool), no_bodies())
+        seen = Observation(position, quat, still, still, angles, joints, joints, jnp.zeros(6, bool), no_free_bodies())
         late = tracker.init(CASE, plan)._replace(clock=plan.duration[0] + plan.patience)
         return tracker.step(CASE, gripping, late, seen, PERIOD)[0], feet
 

@@ -22,7 +22,7 @@ from sweep.metrics.geometry import (
 )
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.ladder import Ladder
-from sweep.models.obstacles.surface import Bodies, own_axes
+from sweep.models.obstacles.surface import BodyPoses, identity_poses
 from sweep.models.robot import FOOT_LENGTH, Robot
 from sweep.models.solids import Box, HalfSpace
 
@@ -127,7 +127,7 @@ def test_a_shin_goes_through_the_rung_that_its_foot_is_on_or_rises_over_it(angle
 def test_a_foot_on_a_kerb_is_as_far_from_the_edge_as_it_stands_from_it():
     """Along its top, and down its side; no farther than edges are looked for."""
     feet = jnp.array([[0.02, 0.0, 0.1], [0.3, 1.0, 0.1], [0.0, 0.0, 0.07]])
-    assert edge_distance(Kerb(), feet, own_axes(0)) == pytest.approx(np.array([0.02, AROUND, 0.03]), abs=1e-6)
+    assert edge_distance(Kerb(), feet, identity_poses(0)) == pytest.approx(np.array([0.02, AROUND, 0.03]), abs=1e-6)
 
 
 def test_a_foot_on_a_rung_is_as_far_from_its_edge_as_half_of_the_rung_is_high_at_most():
@@ -138,6 +138,6 @@ def test_a_foot_on_a_rung_is_as_far_from_its_edge_as_half_of_the_rung_is_high_at
     out = np.array([0.0, 0.012, 0.029])
     top = np.asarray(bars.centre)[rung] - [0.0, float(np.asarray(bars.half)[rung, 1]), 0.0]
     feet = jnp.asarray(top + out[:, None] * [0.0, 0.0, 1.0])
-    lies = Bodies(jnp.array([[0.0, 0.0, 1.0]]), jnp.eye(3)[None])
+    lies = BodyPoses(jnp.array([[0.0, 0.0, 1.0]]), jnp.eye(3)[None])
     left = edge_distance(ladder, feet + lies.position[0], lies)
     assert left == pytest.approx(np.array([0.02, 0.018, 0.001]), abs=1e-6)

@@ -12,7 +12,7 @@ from sweep.core.constants import GRAVITY
 from sweep.metrics import attitude, clearance, depth, drives, free_bodies, rest, shins, slip, solver
 from sweep.metrics.geometry import base_gap, fold_gap
 from sweep.metrics.outcome import GOAL, limit_of
-from sweep.models.obstacles.surface import FreeState, no_bodies, poses
+from sweep.models.obstacles.surface import FreeState, body_poses, no_free_bodies
 from sweep.models.robot import total_mass
 from sweep.study.config import compose
 
@@ -27,10 +27,10 @@ LEGS = np.stack([HIPS, HIPS + [[0, y * 0.4, 0.0] for y in np.sign(HIPS[:, 1])],
 
 def moment(time: float = 0.0, legs: np.ndarray = LEGS, free: FreeState | None = None, **changes: Any) -> Any:
     """A tick of a robot that stands as it is told to."""
-    free = no_bodies() if free is None else free
+    free = no_free_bodies() if free is None else free
     none = jnp.zeros((6, 3))
     tick = {
-        "joints": jnp.asarray(legs), "bodies": poses(free), "power": none, "torque_peak": none, "saturated": none,
+        "joints": jnp.asarray(legs), "bodies": body_poses(free), "power": none, "torque_peak": none, "saturated": none,
         "effort": jnp.zeros(()), "work": jnp.zeros(()), "energy": jnp.zeros(()), "residual": jnp.zeros(()),
     }  # fmt: skip
     truth = {"position": BASE, "quat": UPRIGHT, "free": free, "angles": none, "rates": none,

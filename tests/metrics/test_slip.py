@@ -10,19 +10,19 @@ from sweep.metrics import slip
 from sweep.metrics.metric import Begin
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.plane import Plane
-from sweep.models.obstacles.surface import no_bodies, poses, under
+from sweep.models.obstacles.surface import body_poses, no_free_bodies, surface_at
 
 WORLD = SimpleNamespace(obstacle=Plane())
 FEET = np.array([[0.3 * leg, 0.2, 0.0] for leg in range(6)])
 
 
-def rollout(ticks, world=WORLD, free=no_bodies):
+def rollout(ticks, world=WORLD, free=no_free_bodies):
     """Largest slip of ticks of (feet, loaded, legs that swing, phase), free bodies being as in `free()`."""
     start = Begin(world, None, jnp.zeros(3), jnp.array([1.0, 0, 0, 0]), jnp.asarray(FEET), free(), jnp.zeros(()))
     state = slip.begin(start)
     for feet, loaded, swing, phase in ticks:
         truth = SimpleNamespace(loaded=jnp.asarray(loaded))
-        tick = SimpleNamespace(joints=jnp.asarray(feet)[:, None], truth=truth, bodies=poses(free()))
+        tick = SimpleNamespace(joints=jnp.asarray(feet)[:, None], truth=truth, bodies=body_poses(free()))
         plan = SimpleNamespace(swing=jnp.asarray(swing)[None])
         now = SimpleNamespace(world=world, plan=plan, stage=0, finished=jnp.asarray(False), phase=phase, tick=tick)
         state = slip.update(state, now)
@@ -56,6 +56,6 @@ def test_a_foot_that_passes_from_a_ball_to_the_floor_has_gone_as_far_as_it_did()
     """In the wedge between both, which is nearer tells nothing of how far the foot went."""
     ball = Ball()
     feet = [np.where(FIRST[:, None], [0.2, 0.0, height], FEET + np.array([5.0, 0, 0])) for height in (0.023, 0.005)]
-    assert [int(under(ball, jnp.asarray(each), poses(ball.start())).body[0]) for each in feet] == [0, -1]
+    assert [int(surface_at(ball, jnp.asarray(each), body_poses(ball.start())).body[0]) for each in feet] == [0, -1]
     passes = [(each, FIRST, NONE, 0.5) for each in feet]
     assert rollout(passes, SimpleNamespace(obstacle=ball), ball.start) == pytest.approx(0.018, abs=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.surface import Bodies, FreeState, Surface
+from sweep.models.obstacles.surface import BodyPoses, FreeState, Surface
 from sweep.models.solids import Box, Solid
 
 CORNERS = np.array([[1, 1, -1], [1, -1, -1], [-1, 1, -1], [-1, -1, -1]])
@@ -31,14 +31,14 @@ class Slab:
 
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
         """The free body and its corners."""
-        values = self.leaves()
+        values = self.batched_model_fields()
         body = spec.worldbody.add_body(name="slab", pos=[0, 0, self.half_height], ipos=[0, 0, 0], explicitinertial=True,
                                        mass=self.mass, inertia=np.asarray(values["body_inertia"]["slab"]))  # fmt: skip
         body.add_freejoint(name="slab")
         for name, _ in self.contact_sites:
             body.add_site(name=name, pos=np.asarray(values["site_pos"][name]))
 
-    def leaves(self) -> dict[str, dict[str, Array]]:
+    def batched_model_fields(self) -> dict[str, dict[str, Array]]:
         """Mass, inertia and corners."""
         half = self._half()
         sites = {name: half * corner for (name, _), corner in zip(self.contact_sites, CORNERS, strict=True)}
@@ -48,15 +48,15 @@ class Slab:
             "site_pos": sites,
         }
 
-    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+    def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """The slab."""
         half = (self.half_length, self.half_width, self.half_height)
         return (Box(name="slab", position=bodies.position[0], rotation=bodies.rotation[0], half=half, body=0),)
 
-    def load(self, free: FreeState) -> None:
+    def external_wrench(self, free: FreeState) -> None:
         """Nothing beside weight and contact."""
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """The robot's feet stand on the slab, the slab's corners on the floor without friction."""
         own = np.array(owner) >= 0
         up, top = bodies.rotation[0, :, 2], bodies.position[0] + self.half_height * bodies.rotation[0, :, 2]

@@ -13,7 +13,7 @@ from sweep.controllers.plan import stage_end_stances
 from sweep.core.rotations import rotate
 from sweep.models.legs import PAIRS
 from sweep.models.obstacles import OBSTACLES
-from sweep.models.obstacles.surface import free_start, poses, under
+from sweep.models.obstacles.surface import body_poses, free_start_state, surface_at
 from sweep.study.config import compose
 
 CHARTED = {kind: cls.charts for kind, cls in OBSTACLES.items() if hasattr(cls, "charts")}
@@ -42,10 +42,10 @@ def test_a_plan_of_a_file_finds_its_places_on_the_obstacle(kind, tmp_path, monke
     (tmp_path / "scenarios/mine.yaml").write_text(head + yaml.safe_dump(body, sort_keys=False))
     case = compose(["scenario=mine"]).case
     with jax.enable_x64(True):
-        free = free_start(case.obstacle)
+        free = free_start_state(case.obstacle)
         plan = case.manoeuvre.plan(case)  # which refuses what is out of reach
         stances = stage_end_stances(plan, free)
-        below = jax.vmap(lambda feet: under(case.obstacle, feet, poses(free)))(stances.feet)
+        below = jax.vmap(lambda feet: surface_at(case.obstacle, feet, body_poses(free)))(stances.feet)
         noses = np.asarray(rotate(stances.quat, jnp.array([1.0, 0.0, 0.0])))
     begun, ended = np.asarray(plan.start.feet), np.asarray(stances.feet)[-1]
     forward = np.array([*case.obstacle.forward, 0.0])

@@ -24,11 +24,11 @@ from sweep.dynamics.newton import Blocks
 from sweep.models.contact import Contact
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.plane import Plane
-from sweep.models.obstacles.surface import Bodies, no_bodies, poses
+from sweep.models.obstacles.surface import BodyPoses, body_poses, no_free_bodies
 
 H = 2e-3
 CONTACT = Contact(friction=0.7)
-NOWHERE = poses(no_bodies())
+NOWHERE = body_poses(no_free_bodies())
 DAMPING = 300.0  # N s/m, of contact and surface
 
 
@@ -98,7 +98,7 @@ def test_dragged_anchor_holds_just_the_limit():
 
 def test_axes_of_free_bodies_round_trip():
     rng = np.random.default_rng(2)
-    bodies = Bodies(jnp.asarray(rng.normal(size=(2, 3))), matrix(exponential(jnp.asarray(rng.normal(size=(2, 3))))))
+    bodies = BodyPoses(jnp.asarray(rng.normal(size=(2, 3))), matrix(exponential(jnp.asarray(rng.normal(size=(2, 3))))))
     body, place = jnp.array([-1, 0, 1, 1]), jnp.asarray(rng.normal(size=(4, 3)))
     world = to_world(place, body, bodies)
     np.testing.assert_allclose(world[0], place[0])

@@ -12,7 +12,7 @@ from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
 from sweep.core.rotations import matrix
 from sweep.models.obstacles.ladder import BARS, FLOOR, LEDGE, WALL, Ladder
-from sweep.models.obstacles.surface import marked, placed
+from sweep.models.obstacles.surface import landmark_state, state_from_landmarks
 from sweep.models.scene import native_model
 from sweep.study.config import compose
 
@@ -70,7 +70,7 @@ def test_it_rests_still_after_it_has_fallen_on_its_edges(history):
 def test_its_energy_never_rises(history, nominal):
     """Of the ladder by itself, from its motion: the fall's is lost in the contacts, none is gained."""
     ladder = nominal.obstacle
-    inertia = np.asarray(ladder.leaves()["body_inertia"]["ladder"])
+    inertia = np.asarray(ladder.batched_model_fields()["body_inertia"]["ladder"])
     v = history.v[:, RESTS]
     energy = 0.5 * ladder.mass * np.sum(v[:, MOVES] ** 2, axis=-1) + 0.5 * np.sum(inertia * v[:, TURNS] ** 2, axis=-1)
     energy += ladder.mass * GRAVITY * (history.q[:, RESTS, 27] - float(ladder.start().position[0, 2]))
@@ -105,13 +105,14 @@ def test_mass_and_inertia_are_those_of_its_bars(nominal):
     other, scale = spec.compile(), nominal.obstacle.mass
     np.testing.assert_allclose(other.body_ipos[1], 0, atol=1e-6)
     inertia = np.sort(other.body_inertia[1]) * scale / other.body_mass[1]
-    np.testing.assert_allclose(inertia, np.sort(np.asarray(nominal.obstacle.leaves()["body_inertia"]["ladder"])), 1e-5)
+    expected = np.asarray(nominal.obstacle.batched_model_fields()["body_inertia"]["ladder"])
+    np.testing.assert_allclose(inertia, np.sort(expected), 1e-5)
 
 
 def test_feet_feel_rungs_rails_wall_and_ledge(nominal):
     """Each of them deeper than all else: normals are the faces' own, and the ladder's faces belong to it."""
     ladder = nominal.obstacle
-    bodies = ladder.leaning()
+    bodies = ladder.start_poses()
     own = np.array([[0.3, 0.0, 0.0], [ladder.width / 2 + 0.001, 0.5, 0.0]])
     own[0, 1] = float(ladder.centre) - 3 * ladder.rung_step + 1e-3  # 1 mm under the third rung's top
     others = [[0.0, -1e-3, 1.0], [0.0, -0.3, ladder.ledge_height - 1e-3], [0.0, 2.0, -1e-3]]
@@ -131,7 +132,7 @@ def test_believed_rungs_are_off_as_of_rails_that_are_seen_at_their_lower_ends():
     """Of rungs 1 % farther apart than believed: from rung to rung by as much more, the lower the higher they are."""
     believed, true = Ladder(), Ladder(rung_step=1.01 * Ladder().rung_step)
     free = true.start()._replace(turn=jnp.array([[0.3, -0.2, 0.1]]))
-    seen = placed(believed, marked(true, free))
+    seen = state_from_landmarks(believed, landmark_state(true, free))
     up = np.asarray(matrix(free.quat)[0]) @ [0, -1, 0]
 
     def rungs(ladder, at):

@@ -47,7 +47,7 @@ def coasting() -> dict[str, float]:
     """The push of 4.3.3, and the raft that is as heavy as raft and robot together."""
     raft = Raft()
     mass = float(raft.mass) + load()
-    a, b, _ = np.asarray(raft.half, float)
+    a, b, _ = np.asarray(raft.half_size, float)
     al2 = raft.drag * raft.width * float(raft.draught(load()))
     push = evaluate("crossing", {"S": raft.water_width, "sigma": raft.length, "v_eps": 0.1, "mt": mass, "al2": al2,
                                  "J": mass * (a * a + b * b) / 3, "h": 0.1})  # fmt: skip
@@ -100,7 +100,7 @@ def history(nominal):
 def formula(raft: Raft, load: float = 0.0) -> Formula:
     """The same raft in chapter 4's words."""
     mass = float(raft.mass) + load
-    a, b, d = np.asarray(raft.half, float)
+    a, b, d = np.asarray(raft.half_size, float)
     inertia = mass / 3 * np.array([b * b + d * d, a * a + d * d, a * a + b * b])
     values = {"a": a, "b": b, "d": d, "gamma": GAMMA, "zeta0": float(raft.draught(load)) - d, "k_lin": raft.viscosity,
               "k_quad": raft.drag, "P": GRAVITY * mass, "M": mass, "J": jnp.asarray(inertia)}  # fmt: skip
@@ -120,8 +120,8 @@ def test_buoyancy_is_that_of_four_columns():
         raft = Raft(drag=0.0, viscosity=0.0)
         quat = exponential(jnp.array([0.03, -0.05, 0.4]))
         place, still = jnp.array([[1.0, 0.2, -0.06]]), jnp.zeros((1, 3))
-        wrench = np.asarray(raft.load(FreeState(place, quat[None], still, still))[0])
-        turned, (a, b, d) = np.asarray(matrix(quat)), np.asarray(raft.half)
+        wrench = np.asarray(raft.external_wrench(FreeState(place, quat[None], still, still))[0])
+        turned, (a, b, d) = np.asarray(matrix(quat)), np.asarray(raft.half_size)
         a3, depth, total = turned[2], -raft.bank_height + 0.06, np.zeros(6)
         for x, y in CORNERS:
             at = np.array([x * a, y * b]) / np.sqrt(3)
@@ -202,7 +202,7 @@ def test_a_robot_tilts_it_as_statics_say(nominal, history):
     axes = np.asarray(matrix(jnp.asarray(deck[3:])))
     own = np.asarray(mass_centre(robot, jnp.asarray(joints.reshape(6, 3))))
     arm = axes.T @ (base[:3] + np.asarray(matrix(jnp.asarray(base[3:]))) @ own - deck[:3])
-    total, (a, b, d) = load() + float(raft.mass), (float(x) for x in raft.half)
+    total, (a, b, d) = load() + float(raft.mass), (float(x) for x in raft.half_size)
     rest = evaluate("raft_equilibrium", {"P": GRAVITY * total, "r_s": (arm * load() / total).tolist(), "a": a, "b": b,
                                          "d": d, "gamma": GAMMA})  # fmt: skip
     np.testing.assert_allclose(axes[2, :2], [rest["a31"], rest["a32"]], rtol=1e-3)

@@ -12,8 +12,8 @@ from slab import Slab
 
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.models.obstacles import Ball, Beam, Corner, Plane, PoleLedge
-from sweep.models.obstacles.geoms import shape
-from sweep.models.obstacles.surface import Bodies
+from sweep.models.obstacles.geoms import add_solid
+from sweep.models.obstacles.surface import BodyPoses
 from sweep.models.solids import box_corners, distance_to_box, distance_to_segments
 
 RADIUS, THIN, NEAR, TOLERANCE = 0.015, 1e-5, 0.05, 1e-3  # m
@@ -29,7 +29,7 @@ def bodies_of(obstacle, rng):
     """The obstacle's free body somewhere, turned anyhow."""
     n = len(obstacle.free_bodies)
     place = rng.uniform([-0.5, -0.5, 0.4], [0.5, 0.5, 1.2], (n, 3))
-    return Bodies(jnp.asarray(place), jnp.asarray(rotations(rng, n + 1)[1:]))
+    return BodyPoses(jnp.asarray(place), jnp.asarray(rotations(rng, n + 1)[1:]))
 
 
 def rotations(rng, n):
@@ -47,7 +47,9 @@ def near_contact(obstacle, bodies, rng, n):
     with jax.enable_x64(True):
         solids = obstacle.solids(bodies)
         pool = rng.uniform([-1.6, -3.4, -0.1], [1.6, 1.2, 2.6], (60 * max(n, 500), 3))
-        distance = np.stack([np.asarray(solid.to_segments(jnp.asarray(pool), jnp.asarray(pool))) for solid in solids])
+        distance = np.stack(
+            [np.asarray(solid.segment_distance(jnp.asarray(pool), jnp.asarray(pool))) for solid in solids]
+        )
     kind = rng.permuted(np.tile(np.arange(len(solids)), (len(pool), 1)), axis=1)[:, 0]  # of each solid as many
     close = np.abs(distance[kind, np.arange(len(pool))]) < NEAR
     each = -(-n // len(solids))
@@ -72,7 +74,7 @@ def mujocos(solids, capsules, boxes):
     spec = mujoco.MjSpec()
     for k, solid in enumerate(solids):
         if "Half" not in type(solid).__name__:
-            spec.worldbody.add_geom(**shape(spec, solid, f"solid{k}"))
+            spec.worldbody.add_geom(**add_solid(spec, solid, f"solid{k}"))
     count = len(spec.geoms)
     body = spec.worldbody.add_body(mocap=True)
     for _ in range(2):

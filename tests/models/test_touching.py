@@ -10,7 +10,7 @@ from validity.simulation import simulate
 
 from sweep.core.constants import GRAVITY
 from sweep.models.contact import Contact
-from sweep.models.obstacles.geoms import add_touching
+from sweep.models.obstacles.geoms import add_contact_pair
 from sweep.study.config import compose
 
 STEP, SECONDS = 2e-4, 0.8
@@ -123,7 +123,7 @@ def test_pairs_in_c_rebound_as_their_damping_says(ratio, wall):
         spec.worldbody.add_geom(
             name="other", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 1], pos=[0.55, 0, 0], quat=facing, **apart
         )
-    add_touching(spec, "one", "other", 0.5, ratio)
+    add_contact_pair(spec, "one", "other", 0.5, ratio)
     model = spec.compile()
     data = mujoco.MjData(model)
     data.qvel[0] = SPEED

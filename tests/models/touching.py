@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface
+from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface
 
 FLOOR, WALL, BALL = range(3)
 UP, OUT = np.array([0.0, 0.0, 1.0]), np.array([-1.0, 0.0, 0.0])
@@ -28,7 +28,7 @@ class TwoBalls:
 
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
         """The bodies, which C MuJoCo only weighs here."""
-        values = self.leaves()
+        values = self.batched_model_fields()
         for name in self.free_bodies:
             mass, inertia = (np.asarray(values[field][name], float) for field in ("body_mass", "body_inertia"))
             body = spec.worldbody.add_body(name=name, explicitinertial=True, mass=float(mass), inertia=inertia)
@@ -37,7 +37,7 @@ class TwoBalls:
         for name, body in self.contact_sites:
             spec.body(self.free_bodies[body]).add_site(name=name)
 
-    def leaves(self) -> dict[str, dict[str, Array]]:
+    def batched_model_fields(self) -> dict[str, dict[str, Array]]:
         """Mass and inertia."""
         masses = dict(zip(self.free_bodies, (0.5 * self.mass, 1.0 * self.mass), strict=True))
         return {
@@ -45,11 +45,11 @@ class TwoBalls:
             "body_inertia": {name: jnp.full(3, 0.4) * mass * self.radius**2 for name, mass in masses.items()},
         }
 
-    def load(self, free: FreeState) -> Float[Array, "2 6"]:
+    def external_wrench(self, free: FreeState) -> Float[Array, "2 6"]:
         """The spring."""
         return jnp.zeros((2, 6)).at[1, 0].set(-self.spring * free.position[1, 0])
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """Feet feel the floor only."""
         n = len(owner)
         touch, bump = (np.arange(n) == n - k for k in (2, 1)) if n > 6 else (np.zeros(n, bool),) * 2
@@ -62,8 +62,9 @@ class TwoBalls:
         normal = jnp.where(touch[:, None], off / away[:, None], jnp.where(bump[:, None], OUT, UP))
         none = jnp.zeros(n)
         face = np.where(touch, BALL, np.where(bump, WALL, FLOOR)).astype(np.int32)
+        rolling = RollingResistance(radius + none, none, none)
         return Surface(depth, normal, jnp.asarray(face), jnp.asarray(np.where(touch, 1, -1), jnp.int32), none,
-                       Rolling(radius + none, none, none), jnp.where(touch | bump, self.damping, 0.0))  # fmt: skip
+                       rolling, jnp.where(touch | bump, self.damping, 0.0))  # fmt: skip
 
 
 @parameters
@@ -79,14 +80,14 @@ class Rod:
 
     def add_to(self, spec: mujoco.MjSpec, friction: float) -> None:
         """The body and its ends."""
-        values = self.leaves()
+        values = self.batched_model_fields()
         body = spec.worldbody.add_body(name="rod", explicitinertial=True, mass=self.mass, ipos=[0, 0, 0],
                                        inertia=np.asarray(values["body_inertia"]["rod"]))  # fmt: skip
         body.add_freejoint(name="rod")
         for name, _ in self.contact_sites:
             body.add_site(name=name, pos=np.asarray(values["site_pos"][name]))
 
-    def leaves(self) -> dict[str, dict[str, Array]]:
+    def batched_model_fields(self) -> dict[str, dict[str, Array]]:
         """Along its own x axis."""
         across, half = self.mass * self.length**2 / 12, 0.5 * self.length * jnp.array([1.0, 0.0, 0.0])
         return {
@@ -95,10 +96,10 @@ class Rod:
             "site_pos": {"lower": -half, "upper": half},
         }
 
-    def load(self, free: FreeState) -> None:
+    def external_wrench(self, free: FreeState) -> None:
         """Nothing beside weight and contact."""
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """The floor z = 0, and the wall x = 0 for the upper end."""
         upper = np.arange(len(owner)) == len(owner) - 1
         depth = jnp.where(upper, points[:, 0], -points[:, 2])

@@ -21,7 +21,7 @@ from sweep.core.errors import InputError
 from sweep.engines import make
 from sweep.metrics.outcome import classify
 from sweep.models.frames import WORLD
-from sweep.models.obstacles.surface import poses
+from sweep.models.obstacles.surface import body_poses
 from sweep.models.obstacles.two_balls import TwoBalls
 from sweep.study.config import compose
 
@@ -32,7 +32,7 @@ def test_balls_and_feet_feel_floor_and_balls():
     radius, second = balls.radius, 2 * balls.radius + 0.01
     points = [(0, 0, 2 * radius - 1e-3), (second, 0, 2 * radius - 1e-3), (second / 2, 0, -1e-3)] + [(0, 0, 9.0)] * 3
     points += [(0, 0, radius)] + [(second, 0, radius)] * 2
-    surface = balls.surface(jnp.array(points), (-1,) * 6 + (0, 1, 1), poses(balls.start()))
+    surface = balls.surface(jnp.array(points), (-1,) * 6 + (0, 1, 1), body_poses(balls.start()))
     told = np.asarray(surface.depth)[[0, 1, 2, 6, 7, 8]]
     assert told == pytest.approx([1e-3, 1e-3, 1e-3, 0.0, 0.0, -0.01], abs=1e-6)
     assert np.asarray(surface.body)[[0, 1, 2, 6, 7, 8]].tolist() == [0, 1, -1, -1, -1, 0]
@@ -56,9 +56,9 @@ def planned(**numbers):
     """The way from ball to ball with numbers of its plan changed: where base and feet are at the ends of stages."""
     case = compose(["scenario=ball_to_ball"]).case
     for path, value in numbers.items():
-        case = replace(case, plan=case.plan.changed(f"over.{path.replace('_', '.')}", value))
+        case = replace(case, plan=case.plan.with_value(f"over.{path.replace('_', '.')}", value))
     plan = case.manoeuvre.plan(case)
-    last = stage_end_stances(plan, replace(case.on(TwoBalls), gap=0.0).start())
+    last = stage_end_stances(plan, replace(case.obstacle_as(TwoBalls), gap=0.0).start())
     at = {name: Stance(*(x[k] for x in last)) for k, name in enumerate(plan.names) if name.startswith("over.")}
     return case, at
 
@@ -120,7 +120,7 @@ def test_no_step_is_begun_where_the_balls_touch(gap, over):
     """Check 1."""
     case = compose(["scenario=ball_to_ball", f"obstacle.gap={gap}"]).case
     plan = case.manoeuvre.plan(case)
-    state, seen = tracker.init(case, plan), at_start(plan, case.on(TwoBalls).start())
+    state, seen = tracker.init(case, plan), at_start(plan, case.obstacle_as(TwoBalls).start())
     assert bool(BallDocking(BallDrive(), 0.03).is_stage_over(case, plan, state, seen)) is over
     late = state._replace(clock=0.5 * plan.duration[0])
     assert not bool(BallDocking(BallDrive(), 0.03).is_stage_over(case, plan, late, seen))
@@ -131,7 +131,7 @@ def test_the_base_goes_no_farther_on_a_straight_leg(knees, over):
     """Check 4."""
     case = compose(["scenario=ball_to_ball", "obstacle.gap=0"]).case
     plan = case.manoeuvre.plan(case)
-    seen, state = at_start(plan, case.on(TwoBalls).start(), knees), tracker.init(case, plan)
+    seen, state = at_start(plan, case.obstacle_as(TwoBalls).start(), knees), tracker.init(case, plan)
     ahead, front = (jnp.int32(plan.names.index(f"over.{name}")) for name in ("ahead", "front2"))
     assert bool(Closing(0.0, 0.985).is_stage_over(case, plan, state._replace(stage=ahead), seen)) is over
     assert not bool(Closing(0.0, 0.985).is_stage_over(case, plan, state._replace(stage=front), seen))
@@ -161,7 +161,7 @@ def test_feet_on_the_second_ball_close_the_gap():
     """(3.5.2), its eta against our x, with the angle by which a ball rolls."""
     gap, press = 0.004, 7e-4
     case = compose(["scenario=ball_to_ball", f"obstacle.gap={gap}"]).case
-    plan, free = case.manoeuvre.plan(case), case.on(TwoBalls).start()
+    plan, free = case.manoeuvre.plan(case), case.obstacle_as(TwoBalls).start()
     stage = plan.names.index("over.ahead")
     state = tracker.init(case, plan)
     feet = plan.foothold[stage]
@@ -175,7 +175,7 @@ def test_feet_on_the_second_ball_close_the_gap():
     now = TickContext(case.robot, plan, state.stage, state.stage, state.clock, jnp.ones(()), jnp.asarray(True), seen,
               tracker.reference_body_state(plan, state, free)[0], 0.004, state.joints)  # fmt: skip
     told = Closing(press, 1.0).guide(case, now, state)
-    radius, way = case.on(TwoBalls).radius, gap + press
+    radius, way = case.obstacle_as(TwoBalls).radius, gap + press
     eta, zeta = -np.asarray(feet)[4:, 0], np.asarray(feet)[4:, 2]
     round_, angle = np.hypot(eta, zeta), np.arctan2(zeta, eta)
     wanted = np.stack([-(way + round_ * np.cos(angle - way / radius)), round_ * np.sin(angle - way / radius)], axis=-1)
@@ -211,7 +211,7 @@ def test_the_plan_is_for_every_gap(gap):
 def test_what_the_checks_have_mended_succeeds(engine):
     """All three: the base goes on, a foot stands farther, another one nearer after a squat as low as may be."""
     trial = compose(["scenario=ball_to_ball", f"engine={engine}", "manoeuvre.spare=0.1"])
-    case = replace(trial.case, plan=trial.case.plan.changed("over.front2.front.ahead", -0.2))
+    case = replace(trial.case, plan=trial.case.plan.with_value("over.front2.front.ahead", -0.2))
     simulation = make(replace(trial.settings, width=1), case, case, trial.thresholds)
     figures = simulation.run(case, case, np.arange(1))
     rows = {**figures, **classify(figures, trial.thresholds, simulation.stages)}

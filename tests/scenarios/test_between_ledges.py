@@ -7,7 +7,7 @@ from test_on_ball import outcomes
 
 from sweep.core.errors import InputError
 from sweep.models.obstacles.ledges import Ledges
-from sweep.models.obstacles.surface import poses
+from sweep.models.obstacles.surface import body_poses
 from sweep.study.config import compose
 
 
@@ -17,7 +17,7 @@ def test_ball_and_feet_feel_floor_ball_and_ledges():
     centre, tops = ledges.radius + 0.01, ledges.height - 1e-3
     points = [(-0.5, 0, tops), (-1e-3, 0, 1.0), (4.0, 0, tops), (3.602, 0, 1.0), (centre, 0, 1.599), (2.5, 0, -1e-3)]
     points += [(centre, 0.0, ledges.radius)] * 2
-    surface = ledges.surface(jnp.array(points), (-1,) * 6 + (0, 0), poses(ledges.start()))
+    surface = ledges.surface(jnp.array(points), (-1,) * 6 + (0, 0), body_poses(ledges.start()))
     assert np.asarray(surface.depth) == pytest.approx([1e-3, 1e-3, 1e-3, 2e-3, 1e-3, 1e-3, 0.0, -0.01], abs=1e-6)
     wanted = [(0, 0, 1), (1, 0, 0), (0, 0, 1), (-1, 0, 0), (0, 0, 1), (0, 0, 1), (0, 0, 1), (1, 0, 0)]
     assert np.asarray(surface.normal) == pytest.approx(np.array(wanted), abs=1e-6)

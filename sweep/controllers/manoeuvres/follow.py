@@ -18,8 +18,8 @@ from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import about_vertical, exponential, multiply
 from sweep.formulas import stepping
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import Obstacle, free_start
-from sweep.models.plan_table import BESIDE, told
+from sweep.models.obstacles.surface import Obstacle, free_start_state
+from sweep.models.plan_table import BESIDE, plan_content
 from sweep.models.robot import leg_unit
 
 START = "start"  # part that places the robot
@@ -60,7 +60,7 @@ class Follow(PlannedForces):
         plan = self.route(belief)
         require_within_reach(
             belief,
-            lambda: stances_at_stage_ends(self.route(belief), free_start(belief.obstacle)),
+            lambda: stances_at_stage_ends(self.route(belief), free_start_state(belief.obstacle)),
             "plan is not allowed: ",
         )
         return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
@@ -69,7 +69,7 @@ class Follow(PlannedForces):
         """Return the plan without its forces."""
         context, stages = self.move_context(belief), []
         feet, position, standing = initial_stance(START, context)
-        for part in told(belief):
+        for part in plan_content(belief):
             if part not in (START, *BESIDE):
                 more, standing = part_stages(part, context, standing)
                 stages += more
@@ -80,7 +80,7 @@ class Follow(PlannedForces):
         start = Stance(feet, position, multiply(exponential(-jnp.asarray(standing.pitch) * context.left), level))
         stages = self.with_load_transfer(stages) if self.forces == "planned" else stages
         plan = compile_plan(start, [Stage("stand", STAND), *stages, Stage("halt", STAND)], self.patience,
-                        free=free_start(belief.obstacle))  # fmt: skip
+                        free=free_start_state(belief.obstacle))  # fmt: skip
         return apply_direction(belief, plan)
 
     def move_context(self, belief: Case) -> MoveContext:

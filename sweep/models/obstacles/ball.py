@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.frames import WORLD, fixed, koenig
+from sweep.models.frames import WORLD, body_frame, koenig_frame
+from sweep.models.obstacles.base import ObstacleDefaults
 from sweep.models.obstacles.charts import Chart, Number, point
-from sweep.models.obstacles.geoms import add_rolling, add_solids
-from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, own_axes
-from sweep.models.obstacles.usual import Usual
+from sweep.models.obstacles.geoms import add_rolling_contact, add_solids
+from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface, identity_poses
 from sweep.models.solids import HalfSpace, Solid, Sphere
 
 if TYPE_CHECKING:
@@ -20,28 +20,32 @@ if TYPE_CHECKING:
 FLOOR, BALL = range(2)
 
 
-def at_elevation(
-    of: "Ball", side: float, unit: Number, depth: Number, aside: Number, elevation: Number
+def point_at_elevation(
+    obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, elevation: Number
 ) -> Float[Array, " 3"]:
     """A point of the ball, `aside` of the middle plane (R), at an elevation (deg): 0 behind it, 90 on top."""
     angle, out = jnp.radians(jnp.asarray(elevation, float)), jnp.asarray(aside, float)
     round_ = jnp.sqrt(1 - out**2)
-    return (of.radius - depth) * point(-round_ * jnp.cos(angle), side * out, round_ * jnp.sin(angle))
+    return (obstacle.radius - depth) * point(-round_ * jnp.cos(angle), side * out, round_ * jnp.sin(angle))
 
 
-def on_cap(of: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number) -> Float[Array, " 3"]:
+def cap_point(
+    obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
+) -> Float[Array, " 3"]:
     """A point of the ball's upper half, `ahead` of its centre (R)."""
     x, y = (jnp.asarray(part, float) for part in (ahead, side * aside))
-    return (of.radius - depth) * point(x, y, jnp.sqrt(1 - x**2 - y**2))
+    return (obstacle.radius - depth) * point(x, y, jnp.sqrt(1 - x**2 - y**2))
 
 
-def on_ground(of: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number) -> Float[Array, " 3"]:
+def floor_point(
+    obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
+) -> Float[Array, " 3"]:
     """A point of the floor, `ahead` of the ball's centre (R)."""
-    return point(ahead * of.radius, side * aside * of.radius, -of.radius - depth)
+    return point(ahead * obstacle.radius, side * aside * obstacle.radius, -obstacle.radius - depth)
 
 
-def tangent(
-    of: "Ball", side: float, unit: Number, depth: Number, elevation: Number, distance: Number, ahead: Number = 0.0
+def tangent_base(
+    obstacle: "Ball", side: float, unit: Number, depth: Number, elevation: Number, distance: Number, ahead: Number = 0.0
 ) -> Float[Array, " 3"]:
     """A base along a tangent of a circle about the ball's centre: `ahead` (R) of its point at an elevation (deg).
 
@@ -49,21 +53,21 @@ def tangent(
     """
     angle = jnp.radians(jnp.asarray(elevation, float))
     sin, cos = jnp.sin(angle), jnp.cos(angle)
-    return of.radius * point(-distance * cos + ahead * sin, 0.0, distance * sin + ahead * cos)
+    return obstacle.radius * point(-distance * cos + ahead * sin, 0.0, distance * sin + ahead * cos)
 
 
-def nose_up(of: "Ball", unit: Number, elevation: Number, distance: Number, ahead: Number = 0.0) -> Array:
+def tangent_pitch(obstacle: "Ball", unit: Number, elevation: Number, distance: Number, ahead: Number = 0.0) -> Array:
     """The pitch of such a base, nose up (rad)."""
     return jnp.radians(90 - jnp.asarray(elevation, float))
 
 
-def centre(of: "Ball", unit: Number, *at: Number) -> Float[Array, " 3"]:
+def pitch_pivot(obstacle: "Ball", unit: Number, *at: Number) -> Float[Array, " 3"]:
     """About which such bases go."""
     return jnp.zeros(3)
 
 
 @parameters
-class Ball(Usual):
+class Ball(ObstacleDefaults):
     """A free ball, of radius 0.8 a_r and 100 kg by default, on the floor.
 
     At the start it rests on the world's origin, or rolls over it."""
@@ -79,11 +83,16 @@ class Ball(Usual):
 
     # of feet, then of bases, from the ball's centre
     charts: ClassVar = {
-        "ball": Chart(("aside", "elevation"), at_elevation, koenig(0), fixed(0)),
-        "cap": Chart(("aside", "ahead"), on_cap, koenig(0), fixed(0)),
-        "ground": Chart(("aside", "ahead"), on_ground, koenig(0), WORLD),
+        "ball": Chart(("aside", "elevation"), point_at_elevation, koenig_frame(0), body_frame(0)),
+        "cap": Chart(("aside", "ahead"), cap_point, koenig_frame(0), body_frame(0)),
+        "ground": Chart(("aside", "ahead"), floor_point, koenig_frame(0), WORLD),
         "tangent": Chart(
-            ("elevation", "distance", "ahead"), tangent, koenig(0), pitch=nose_up, about=centre, optional=1
+            ("elevation", "distance", "ahead"),
+            tangent_base,
+            koenig_frame(0),
+            pitch=tangent_pitch,
+            pivot=pitch_pivot,
+            optional=1,
         ),
     }
     lying = ("radius",)
@@ -93,7 +102,7 @@ class Ball(Usual):
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
         """Floor, and what is free: balls."""
-        leaves, bodies = self.leaves(), []
+        leaves, bodies = self.batched_model_fields(), []
         for name, place in zip(self.free_bodies, np.asarray(self.start().position, float), strict=True):
             mass, inertia = (np.asarray(leaves[field][name], float) for field in ("body_mass", "body_inertia"))
             body = spec.worldbody.add_body(
@@ -104,10 +113,10 @@ class Ball(Usual):
         for name, body in self.contact_sites:
             bodies[body].add_site(name=name)
         resistance = [friction * self.floor_grip, self.spinning_friction, self.rolling_friction]
-        add_solids(spec, self.solids(own_axes(len(bodies))), friction, self.free_bodies)
-        add_rolling(spec.worldbody, bodies, self.radius, resistance)
+        add_solids(spec, self.solids(identity_poses(len(bodies))), friction, self.free_bodies)
+        add_rolling_contact(spec.worldbody, bodies, self.radius, resistance)
 
-    def leaves(self) -> dict[str, dict[str, Array]]:
+    def batched_model_fields(self) -> dict[str, dict[str, Array]]:
         """Mass and inertia of the ball."""
         inertia = 2 / 5 * self.mass * self.radius**2
         return {
@@ -123,12 +132,12 @@ class Ball(Usual):
         position = jnp.array([0.0, 0.0, 1.0]) * self.radius
         return FreeState(position[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), velocity[None], turn[None])
 
-    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+    def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """The floor and the ball."""
         floor = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0))
         return floor, Sphere(name="ball", radius=self.radius, centre=bodies.position[0], body=0)
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """Floor or ball, whichever is deeper; the ball itself, given by its centre, feels the floor."""
         own = np.array(owner) >= 0
         dtype = points.dtype
@@ -145,5 +154,5 @@ class Ball(Usual):
             face=jnp.where(on_ball, BALL, FLOOR).astype(jnp.int32),
             body=jnp.where(on_ball, 0, -1).astype(jnp.int32),
             friction_scale=jnp.where(own, jnp.asarray(self.floor_grip, dtype), 1.0),
-            rolling=Rolling(rolls * radius, rolls * self.rolling_friction, rolls * self.spinning_friction),
+            rolling=RollingResistance(rolls * radius, rolls * self.rolling_friction, rolls * self.spinning_friction),
         )

@@ -6,19 +6,19 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.charts import ALONG_Y, level
-from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, Surface
-from sweep.models.obstacles.usual import Fixed
+from sweep.models.obstacles.base import StaticObstacle
+from sweep.models.obstacles.charts import ALONG_Y, level_ground_charts
+from sweep.models.obstacles.surface import FOOT_RADIUS, BodyPoses, Surface
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 
 FLOOR, LEDGE, NEAR_WALL, FAR_WALL, TOP, LEFT, RIGHT, BOTTOM = range(8)
 LEDGE_HALF = 2.0  # m, of a ledge's drawing and collision geometry; its surface has no end
-NEAR, BY_NEAR = level(lambda of: (0.0, of.height), ALONG_Y)
-FAR, BY_FAR = level(lambda of: (of.length, of.height), ALONG_Y)
+NEAR, BY_NEAR = level_ground_charts(lambda obstacle: (0.0, obstacle.height), ALONG_Y)
+FAR, BY_FAR = level_ground_charts(lambda obstacle: (obstacle.length, obstacle.height), ALONG_Y)
 
 
 @parameters
-class Beam(Fixed):
+class Beam(StaticObstacle):
     """A narrow beam between two ledges.
 
     It lies along the world's y axis, its top level with the ledges, which fill y > 0 and y < -length."""
@@ -32,7 +32,7 @@ class Beam(Fixed):
     height: float = quantity(1.0, "m", above=0)  # h_1, of the ledges and the beam's top above the floor
     thickness: float = quantity(0.1, "m", above=0)  # of the beam, from its top down
 
-    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+    def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """The ledges end where no robot comes; the beam reaches as far into them as feet's geometry is shrunk."""
         half, length, thickness = self.height / 2, self.length / 2, self.thickness / 2
         ledges = (("near_ledge", LEDGE_HALF), ("far_ledge", -self.length - LEDGE_HALF))
@@ -49,7 +49,7 @@ class Beam(Fixed):
             ),
         )
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """A solid's depth is the least over its faces; of four solids the deepest counts.
 
         The beam goes on inside the ledges, so that a foot crosses their edges on its top as if there were none.

@@ -21,20 +21,20 @@ class Chart(NamedTuple):
     # lengths (m); how deep below the surface (m); the coordinates
     at: Callable[..., Float[Array, " 3"]]
     frame: int = WORLD  # in which feet go there, and bases; see `sweep/models/frames.py`
-    stands: int | None = None  # in which feet stand there, if in another one
+    standing_frame: int | None = None  # in which feet stand there, if in another one
     # nose up (rad), of a base, by: what offers the chart; the unit; the coordinates. Without it the number after the
     # coordinates says it (deg), or it stays
     pitch: Callable[..., Number] | None = None
     # the point (m) that bases go round by as much as they pitch, by the same
-    about: Callable[..., Float[Array, " 3"]] | None = None
+    pivot: Callable[..., Float[Array, " 3"]] | None = None
     optional: int = 0  # of the last coordinates, which are 0 where they are not said
 
-    def based(self) -> tuple[str, ...]:
+    def base_names(self) -> tuple[str, ...]:
         """Names of a base's numbers."""
         return self.names if self.pitch else (*self.names, "pitch")
 
 
-def ahead_above(edge: Callable[[Any], tuple[Number, Number]]) -> Chart:
+def edge_chart(edge: Callable[[Any], tuple[Number, Number]]) -> Chart:
     """A chart for bases of robots that come along -y, from a point at (y, z) (m) in the plane x = 0."""
 
     def at(owner: Any, side: float, unit: Number, depth: Number, ahead: Number, above: Number) -> Float[Array, " 3"]:
@@ -44,38 +44,38 @@ def ahead_above(edge: Callable[[Any], tuple[Number, Number]]) -> Chart:
     return Chart(("ahead", "above"), at)
 
 
-def approached(foot: Callable[[Any], Number], forward: Forward = ALONG_Y) -> dict[str, Chart]:
+def approach_charts(foot: Callable[[Any], Number], forward: Forward = ALONG_Y) -> dict[str, Chart]:
     """Charts of the floor before what robots come to, whose foot is so far along their way (m).
 
     For feet, and for bases.
     """
 
     def on_floor(owner: Any, side: float, unit: Number, depth: Number, aside: Number, before: Number) -> Array:
-        return facing(forward, side * aside * unit, foot(owner) - before * unit, -depth)
+        return point_ahead(forward, side * aside * unit, foot(owner) - before * unit, -depth)
 
     def base(owner: Any, side: float, unit: Number, depth: Number, before: Number, above: Number) -> Array:
-        return facing(forward, 0.0, foot(owner) - before * unit, above * unit)
+        return point_ahead(forward, 0.0, foot(owner) - before * unit, above * unit)
 
     return {"floor": Chart(("aside", "before"), on_floor), "foot": Chart(("before", "above"), base)}
 
 
-def level(
+def level_ground_charts(
     edge: Callable[[Any], tuple[Number, Number]], forward: Forward = ALONG_X, frame: int = WORLD
 ) -> tuple[Chart, Chart]:
     """Charts of level ground from an edge on, so far along robots' way and so high (m): for feet, and for bases."""
 
     def on_ground(owner: Any, side: float, unit: Number, depth: Number, aside: Number, ahead: Number) -> Array:
         along, up = edge(owner)
-        return facing(forward, side * aside * unit, along + ahead * unit, up - depth)
+        return point_ahead(forward, side * aside * unit, along + ahead * unit, up - depth)
 
     def base(owner: Any, side: float, unit: Number, depth: Number, ahead: Number, above: Number) -> Array:
         along, up = edge(owner)
-        return facing(forward, 0.0, along + ahead * unit, up + above * unit)
+        return point_ahead(forward, 0.0, along + ahead * unit, up + above * unit)
 
     return Chart(("aside", "ahead"), on_ground, frame), Chart(("ahead", "above"), base, frame)
 
 
-def rearing(length: Number) -> Chart:
+def rearing_base_chart(length: Number) -> Chart:
     """A chart for bases of a `length` (m) that pitch up before what they come to along -y.
 
     Their front edge goes up a vertical line, their rear edge along a level one, and their centre goes round where these
@@ -92,10 +92,10 @@ def rearing(length: Number) -> Chart:
     def nose_up(owner: Any, unit: Number, ahead: Number, above: Number, pitch: Number) -> Array:
         return jnp.radians(jnp.asarray(pitch, float))
 
-    return Chart(("ahead", "above", "pitch"), at, pitch=nose_up, about=crossing)
+    return Chart(("ahead", "above", "pitch"), at, pitch=nose_up, pivot=crossing)
 
 
-def facing(forward: Forward, aside: Number, ahead: Number, up: Number) -> Float[Array, " 3"]:
+def point_ahead(forward: Forward, aside: Number, ahead: Number, up: Number) -> Float[Array, " 3"]:
     """A point to the left of where robots look that come through the origin, ahead, and up (m)."""
     x, y = forward
     return point(ahead * x - aside * y, ahead * y + aside * x, up)

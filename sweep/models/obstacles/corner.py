@@ -7,38 +7,42 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.charts import Chart, Number, ahead_above, approached, point
-from sweep.models.obstacles.surface import Bodies, Surface
-from sweep.models.obstacles.usual import Fixed
-from sweep.models.solids import HalfSpace, Prism, Solid, maths
+from sweep.models.obstacles.base import StaticObstacle
+from sweep.models.obstacles.charts import Chart, Number, approach_charts, edge_chart, point
+from sweep.models.obstacles.surface import BodyPoses, Surface
+from sweep.models.solids import HalfSpace, Prism, Solid, array_module
 
 FLOOR, RIGHT, LEFT, ROOF = range(4)  # faces; the walls as a robot sees them that comes along -y
 DEPTH = 3.0  # m, that the house reaches back in y
 
 
-def on_wall(of: "Corner", side: float, unit: Number, depth: Number, aside: Number, above: Number) -> Float[Array, " 3"]:
+def wall_point(
+    obstacle: "Corner", side: float, unit: Number, depth: Number, aside: Number, above: Number
+) -> Float[Array, " 3"]:
     """A point of a wall: `aside` of the corner's edge, `above` the roof."""
     x = aside * unit
-    return point(side * x, -x / jnp.tan(of.half_angle), of.height + above * unit)
+    return point(side * x, -x / jnp.tan(obstacle.half_angle), obstacle.height + above * unit)
 
 
-def on_roof(of: "Corner", side: float, unit: Number, depth: Number, aside: Number, ahead: Number) -> Float[Array, " 3"]:
+def roof_point(
+    obstacle: "Corner", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
+) -> Float[Array, " 3"]:
     """A point of the roof: `aside` of the middle, `ahead` of the corner's edge."""
-    return point(side * (aside * unit), -ahead * unit, of.height)
+    return point(side * (aside * unit), -ahead * unit, obstacle.height)
 
 
 @parameters
-class Corner(Fixed):
+class Corner(StaticObstacle):
     """The corner of a house.
 
     Two walls that meet in the world's z axis and open towards -y, symmetric about the plane x = 0."""
 
     # `edge`, for bases, begins where the corner's edge ends; `floor`, and `foot` for bases, where it begins
     charts: ClassVar = {
-        **approached(lambda of: 0.0),
-        "wall": Chart(("aside", "above"), on_wall),
-        "roof": Chart(("aside", "ahead"), on_roof),
-        "edge": ahead_above(lambda of: (0.0, of.height)),
+        **approach_charts(lambda obstacle: 0.0),
+        "wall": Chart(("aside", "above"), wall_point),
+        "roof": Chart(("aside", "ahead"), roof_point),
+        "edge": edge_chart(lambda obstacle: (0.0, obstacle.height)),
     }
     heights = ("height",)
     kind: str = choice("corner", "corner")
@@ -51,14 +55,14 @@ class Corner(Fixed):
         zero = jnp.zeros_like(cos)
         return jnp.stack([jnp.stack([-cos, sin, zero]), jnp.stack([cos, sin, zero])])
 
-    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+    def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """The house has a back wall, where no robot comes."""
-        half = DEPTH * maths(self.half_angle).tan(self.half_angle)
+        half = DEPTH * array_module(self.half_angle).tan(self.half_angle)
         polygon = ((0.0, 0.0), (half, -DEPTH), (-half, -DEPTH))
         floor = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0))
         return floor, Prism(name="house", polygon=polygon, height=self.height)
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """The house's depth is the least over its faces; of floor and house the deeper counts."""
         walls = self.walls().astype(points.dtype)
         up = jnp.array([0.0, 0.0, 1.0], points.dtype)

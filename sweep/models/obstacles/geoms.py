@@ -23,12 +23,12 @@ def add_solids(spec: "mujoco.MjSpec", solids: Sequence[Solid], friction: float, 
     for solid in solids:
         body = spec.worldbody if solid.body < 0 else spec.body(bodies[solid.body])
         drawn = {"group": DRAWN, "mass": 0.0, "contype": 0, "conaffinity": 0}
-        body.add_geom(name=solid.name, **shape(spec, solid, solid.name), **_look(solid), **drawn)
+        body.add_geom(name=solid.name, **add_solid(spec, solid, solid.name), **_look(solid), **drawn)
         name = f"{solid.name}_contact"
-        body.add_geom(name=name, **shape(spec, solid, name, FOOT_RADIUS), **_colliding(friction))
+        body.add_geom(name=name, **add_solid(spec, solid, name, FOOT_RADIUS), **_colliding(friction))
 
 
-def shape(spec: "mujoco.MjSpec", solid: Solid, name: str, margin: float = 0.0) -> dict[str, Any]:
+def add_solid(spec: "mujoco.MjSpec", solid: Solid, name: str, margin: float = 0.0) -> dict[str, Any]:
     """Options of a geom in the shape of a solid, in the axes of its description, shrunk by `margin` (m).
 
     A prism's is a mesh called `name`, which is put in the spec.
@@ -65,7 +65,7 @@ def shape(spec: "mujoco.MjSpec", solid: Solid, name: str, margin: float = 0.0) -
             raise TypeError(f"no geom has the shape of a {type(solid).__name__}")
 
 
-def add_rolling(
+def add_rolling_contact(
     world: "mujoco.MjsBody", balls: "Sequence[mujoco.MjsBody]", radius: float, resistance: Sequence[float]
 ) -> None:
     """How balls lie on the floor z = 0, with its own sliding, spinning, rolling friction.
@@ -90,7 +90,7 @@ def add_rolling(
     world.add_geom(name="floor_rolling", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], **rolling)
 
 
-def add_touching(spec: "mujoco.MjSpec", one: str, other: str, friction: float, damping_ratio: float) -> None:
+def add_contact_pair(spec: "mujoco.MjSpec", one: str, other: str, friction: float, damping_ratio: float) -> None:
     """How geoms of two bodies, or of a body and the world, meet whatever else they feel.
 
     With its own friction and damping: the impedance of the feet lets bodies rebound with most of their speed.
@@ -145,10 +145,10 @@ def _inset(polygon: np.ndarray, margin: float) -> np.ndarray:
     return np.linalg.solve(normals, offsets[..., None])[..., 0]
 
 
-def invisible() -> dict[str, Any]:
+def hidden_geom_options() -> dict[str, Any]:
     """Options of a geom that only collides."""
     return {"rgba": [0, 0, 0, 0], "group": COLLIDING, "mass": 0.0}
 
 
 def _colliding(friction: float) -> dict:
-    return {"contype": 0, "conaffinity": 1, "friction": [friction, 0.005, 1e-4], **STIFF, **invisible()}
+    return {"contype": 0, "conaffinity": 1, "friction": [friction, 0.005, 1e-4], **STIFF, **hidden_geom_options()}

@@ -6,33 +6,33 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.charts import ALONG_X, approached, level
-from sweep.models.obstacles.surface import Bodies, Surface
-from sweep.models.obstacles.usual import Fixed
+from sweep.models.obstacles.base import StaticObstacle
+from sweep.models.obstacles.charts import ALONG_X, approach_charts, level_ground_charts
+from sweep.models.obstacles.surface import BodyPoses, Surface
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 
 FLOOR, TOP, WALL = range(3)
 HALF = 5.0  # m, of the block that is drawn; its surface has no end
-BEYOND, OVER = level(lambda of: (0.0, of.height))
+BEYOND, OVER = level_ground_charts(lambda obstacle: (0.0, obstacle.height))
 
 
 @parameters
-class Kerb(Fixed):
+class Kerb(StaticObstacle):
     """A kerb, 0.1 m high by default: the ground is higher where x > 0."""
 
     # `floor` and `top` for feet before and beyond the edge, `foot` and `edge` for bases from there
-    charts: ClassVar = {**approached(lambda of: 0.0, ALONG_X), "top": BEYOND, "edge": OVER}
+    charts: ClassVar = {**approach_charts(lambda obstacle: 0.0, ALONG_X), "top": BEYOND, "edge": OVER}
     forward = ALONG_X
     heights = ("height",)
     kind: str = choice("kerb", "kerb")
     height: float = quantity(0.1, "m", above=0, at_most=1)  # of the ground beyond the edge, above that before it
 
-    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+    def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """The block ends where no robot comes."""
         floor, half = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0)), self.height / 2
         return floor, Box(name="kerb", position=(HALF, 0.0, half), half=(HALF, HALF, half), colour=SOIL)
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """Of the block's two faces the nearer one counts, of floor and block the deeper one."""
         x, _, z = points.T
         block = jnp.minimum(x, self.height - z)

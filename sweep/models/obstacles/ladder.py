@@ -14,11 +14,11 @@ from jaxtyping import Array, Float
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import matrix
-from sweep.models.frames import fixed
-from sweep.models.obstacles.charts import ALONG_Y, Chart, Number, approached, level, point
-from sweep.models.obstacles.geoms import add_solids, add_touching, invisible
-from sweep.models.obstacles.surface import FOOT_RADIUS, Bodies, FreeState, Surface, own_axes
-from sweep.models.obstacles.usual import Usual
+from sweep.models.frames import body_frame
+from sweep.models.obstacles.base import ObstacleDefaults
+from sweep.models.obstacles.charts import ALONG_Y, Chart, Number, approach_charts, level_ground_charts, point
+from sweep.models.obstacles.geoms import add_contact_pair, add_solids, hidden_geom_options
+from sweep.models.obstacles.surface import FOOT_RADIUS, BodyPoses, FreeState, Surface, identity_poses
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 
 if TYPE_CHECKING:
@@ -29,18 +29,18 @@ EXTENT = 1.5  # m, half of how far the ledge reaches back
 SIDES = (-1.0, 1.0)
 TOP = 6.47  # rungs, of the ledge along the nominal ladder
 MORE = ("more_ahead", "more_out", "more_pitch")
-ON_LEDGE, _ = level(lambda of: (0.0, of.ledge_height), ALONG_Y)
+ON_LEDGE, _ = level_ground_charts(lambda obstacle: (0.0, obstacle.ledge_height), ALONG_Y)
 
 
-def on_rung(
-    of: "Ladder", side: float, unit: Number, depth: Number, rung: Number, aside: Number, out: Number
+def rung_point(
+    obstacle: "Ladder", side: float, unit: Number, depth: Number, rung: Number, aside: Number, out: Number
 ) -> Float[Array, " 3"]:
     """A point on a rung's top, `out` of the ladder's plane (rung depths)."""
-    return point(side * aside * unit, of.up(rung) + depth, out * of.rung_depth)
+    return point(side * aside * unit, obstacle.y_at_rung(rung) + depth, out * obstacle.rung_depth)
 
 
-def along(
-    of: "Ladder", side: float, unit: Number, depth: Number, up: Number, out: Number, pitch: Number,
+def base_along_ladder(
+    obstacle: "Ladder", side: float, unit: Number, depth: Number, up: Number, out: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Float[Array, " 3"]:  # fmt: skip
     """A base `up` the ladder from its lower end (rungs) and `out` of its plane, nose up by `pitch` of its lean.
@@ -48,27 +48,29 @@ def along(
     It goes with a ledge that is higher over the rungs, by shares of what it is higher by: along the ladder, out of its
     plane, and nose up, of the ladder's lean for every unit.
     """
-    return point(0.0, of.up(up) - more_ahead * of.excess, out * unit + more_out * of.excess)
+    return point(
+        0.0, obstacle.y_at_rung(up) - more_ahead * obstacle.extra_height, out * unit + more_out * obstacle.extra_height
+    )
 
 
-def over(
-    of: "Ladder", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number,
+def base_over_ledge(
+    obstacle: "Ladder", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Float[Array, " 3"]:  # fmt: skip
     """A base beyond the ledge's edge and above it; it goes with the ledge as `along`, by shares along its own axes."""
-    out, back = more_out * of.excess, (1 - more_ahead) * of.excess
-    angle = jnp.asarray(pitched(of, unit, ahead, above, pitch, more_ahead, more_out, more_pitch))
+    out, back = more_out * obstacle.extra_height, (1 - more_ahead) * obstacle.extra_height
+    angle = jnp.asarray(base_pitch(obstacle, unit, ahead, above, pitch, more_ahead, more_out, more_pitch))
     sin, cos = jnp.sin(angle), jnp.cos(angle)
     y, z = back * cos + out * sin - ahead * unit, out * cos - back * sin + above * unit
-    return point(0.0, y, of.ledge_height + z)
+    return point(0.0, y, obstacle.ledge_height + z)
 
 
-def pitched(
-    of: "Ladder", unit: Number, one: Number, other: Number, pitch: Number,
+def base_pitch(
+    obstacle: "Ladder", unit: Number, one: Number, other: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Number:  # fmt: skip
     """Pitch of a base whose place is told by `along` (rad, nose up)."""
-    return (pitch + more_pitch * of.excess / unit) * of.lean
+    return (pitch + more_pitch * obstacle.extra_height / unit) * obstacle.lean
 
 
 class Bars(NamedTuple):
@@ -79,7 +81,7 @@ class Bars(NamedTuple):
 
 
 @parameters
-class Ladder(Usual):
+class Ladder(ObstacleDefaults):
     """A ladder of 25 kg with six rungs that leans at 75 degrees on a ledge 2.5 a_r high, free to slide and to turn.
 
     Its lower ends touch the floor and its upper ends the wall. At the start it hangs free of both and falls."""
@@ -103,11 +105,11 @@ class Ladder(Usual):
 
     # of feet, then of bases; feet on rungs, and the base along it, go with the ladder
     charts: ClassVar = {
-        "rung": Chart(("rung", "aside", "out"), on_rung, fixed(0)),
-        **approached(lambda of: -of.foot),
+        "rung": Chart(("rung", "aside", "out"), rung_point, body_frame(0)),
+        **approach_charts(lambda obstacle: -obstacle.foot_distance),
         "ledge": ON_LEDGE,
-        "along": Chart(("up", "out", "pitch", *MORE), along, fixed(0), pitch=pitched, optional=3),
-        "over": Chart(("ahead", "above", "pitch", *MORE), over, pitch=pitched, optional=3),
+        "along": Chart(("up", "out", "pitch", *MORE), base_along_ladder, body_frame(0), pitch=base_pitch, optional=3),
+        "over": Chart(("ahead", "above", "pitch", *MORE), base_over_ledge, pitch=base_pitch, optional=3),
     }
     free_bodies = ("ladder",)
     stood_on = ("rung_step", "length", "ledge_height")
@@ -121,16 +123,16 @@ class Ladder(Usual):
         return (rails * self.length / 2 + rungs * middle) / (rails + rungs)
 
     @property
-    def foot(self) -> Array:
+    def foot_distance(self) -> Array:
         """How far its lower end is from the wall (m), as it starts."""
         return self.start().position[0, 1] + self.centre * jnp.cos(jnp.asarray(self.lean))
 
     @property
-    def excess(self) -> Array | float:
+    def extra_height(self) -> Array | float:
         """By how much (m, along the ladder) the ledge is farther up than `TOP` rungs."""
         return self.ledge_height / jnp.sin(jnp.asarray(self.lean)) - TOP * self.rung_step
 
-    def up(self, rungs: Array | float) -> Array | float:
+    def y_at_rung(self, rungs: Array | float) -> Array | float:
         """Its own y (m) at a height along it, in rungs; whole ones at their tops."""
         return self.centre - rungs * self.rung_step
 
@@ -159,18 +161,18 @@ class Ladder(Usual):
         """Floor, ledge and ladder, whose corners meet them by geoms of their own."""
         import mujoco
 
-        values = self.leaves()
+        values = self.batched_model_fields()
         body = spec.worldbody.add_body(name="ladder", explicitinertial=True, mass=float(self.mass), ipos=[0, 0, 0],
                                        inertia=np.asarray(values["body_inertia"]["ladder"], float))  # fmt: skip
         body.add_freejoint(name="ladder")
-        add_solids(spec, self.solids(own_axes(1)), friction, self.free_bodies)
+        add_solids(spec, self.solids(identity_poses(1)), friction, self.free_bodies)
         for name, _ in self.contact_sites:
             place = np.asarray(values["site_pos"][name], float)
             body.add_site(name=name, pos=place)
             body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=place, size=[FOOT_RADIUS, 0, 0],
-                          contype=0, conaffinity=0, **invisible())  # fmt: skip
+                          contype=0, conaffinity=0, **hidden_geom_options())  # fmt: skip
             for other, grip in (("floor", self.floor_grip), ("ledge", self.wall_grip)):
-                add_touching(spec, name, f"{other}_contact", float(friction * grip), 1.0)
+                add_contact_pair(spec, name, f"{other}_contact", float(friction * grip), 1.0)
 
     def check(self) -> None:
         """Raise `InputError` where the upper ends do not meet the wall, or rungs have no room, by plain numbers."""
@@ -186,7 +188,7 @@ class Ladder(Usual):
                 f"{int(self.length / self.rung_step)}, which obstacle.length = {self.length:g} has room for"
             )
 
-    def leaves(self) -> dict[str, dict[str, Array]]:
+    def batched_model_fields(self) -> dict[str, dict[str, Array]]:
         """Mass, inertia of homogeneous bars, and the edges of the rails that touch."""
         bars = self.bars()
         volume = jnp.prod(bars.half, axis=-1)
@@ -212,12 +214,12 @@ class Ladder(Usual):
         quat = jnp.stack([jnp.cos(lean / 2), -jnp.sin(lean / 2), zero, zero])
         return FreeState(point(0.0, y, z)[None], quat[None], jnp.zeros((1, 3)), jnp.zeros((1, 3)))
 
-    def leaning(self) -> Bodies:
+    def start_poses(self) -> BodyPoses:
         """Where the ladder starts."""
         start = self.start()
-        return Bodies(start.position, matrix(start.quat))
+        return BodyPoses(start.position, matrix(start.quat))
 
-    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+    def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """The ledge ends where no robot comes."""
         bars, ledge = self.bars(), self.ledge_height / 2
         place = bodies.position[0] + bars.centre @ bodies.rotation[0].T
@@ -232,7 +234,7 @@ class Ladder(Usual):
             *boxes,
         )
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """A solid's depth is the least over its faces; of floor, ledge and bars the deepest counts.
 
         The ladder's own corners feel floor and wall.

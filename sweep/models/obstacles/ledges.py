@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.frames import koenig
+from sweep.models.frames import koenig_frame
 from sweep.models.obstacles.ball import Ball
-from sweep.models.obstacles.charts import Chart, Number, level, point
-from sweep.models.obstacles.geoms import add_touching
-from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, critical_damping
+from sweep.models.obstacles.charts import Chart, Number, level_ground_charts, point
+from sweep.models.obstacles.geoms import add_contact_pair
+from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface, critical_damping
 from sweep.models.solids import SOIL, Box, Solid
 
 if TYPE_CHECKING:
@@ -22,13 +22,15 @@ if TYPE_CHECKING:
 
 FLOOR, BALL, NEAR_TOP, NEAR_WALL, FAR_TOP, FAR_WALL = range(6)
 DEPTH, BREADTH = 4.0, 4.0  # m, of the ledges that are drawn; their surface has no end
-NEAR, _ = level(lambda of: (0.0, of.height))
-FAR, _ = level(lambda of: (of.width, of.height))
+NEAR, _ = level_ground_charts(lambda obstacle: (0.0, obstacle.height))
+FAR, _ = level_ground_charts(lambda obstacle: (obstacle.width, obstacle.height))
 
 
-def between(of: "Ledges", side: float, unit: Number, depth: Number, ahead: Number, above: Number) -> Float[Array, " 3"]:
+def base_between(
+    obstacle: "Ledges", side: float, unit: Number, depth: Number, ahead: Number, above: Number
+) -> Float[Array, " 3"]:
     """A base `ahead` of the ball's centre (R), above the mean of the ledges' height and that of the ball's top."""
-    return point(ahead * of.radius, 0.0, 0.5 * of.height + above * unit)
+    return point(ahead * obstacle.radius, 0.0, 0.5 * obstacle.height + above * unit)
 
 
 @parameters
@@ -39,7 +41,7 @@ class Ledges(Ball):
         **Ball.charts,
         "near": NEAR,
         "far": FAR,
-        "between": Chart(("ahead", "above"), between, koenig(0)),
+        "between": Chart(("ahead", "above"), base_between, koenig_frame(0)),
     }
     kind: str = choice("ledges", "ledges")
     radius: float = quantity(0.8, "m", above=0)  # R, of the ball
@@ -56,7 +58,7 @@ class Ledges(Ball):
         """Floor, ball and ledges."""
         super().add_to(spec, friction)
         for name in ("near_ledge", "far_ledge"):
-            add_touching(spec, name, "ball", friction * self.wall_grip, self.impact_damping)
+            add_contact_pair(spec, name, "ball", friction * self.wall_grip, self.impact_damping)
 
     def start(self) -> FreeState:
         """The ball at rest beside the near wall."""
@@ -65,28 +67,28 @@ class Ledges(Ball):
         return free._replace(position=free.position + place)
 
     @property
-    def at_far_wall(self) -> Array | float:
+    def far_wall_x(self) -> Array | float:
         """x (m) of the ball's centre there."""
         return self.width - self.radius
 
-    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+    def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """The ledges end where no robot comes."""
         half = (DEPTH / 2, BREADTH / 2, self.height / 2)
         near = Box(name="near_ledge", position=(-DEPTH / 2, 0.0, half[2]), half=half, colour=SOIL)
         far = Box(name="far_ledge", position=(self.width + DEPTH / 2, 0.0, half[2]), half=half, colour=SOIL)
         return *super().solids(bodies), near, far
 
-    def beyond(self, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+    def depth_behind_walls(self, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
         """How far points are behind the near wall and the far one (m)."""
         return jnp.stack([-points[:, 0], points[:, 0] - self.width], axis=-1)
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """Floor, ball or a ledge, whichever is deepest; the ball's centre feels the floor, and a second time a wall."""
         lies = super().surface(points, owner, bodies)
         assert lies.rolling is not None
         dtype, own = points.dtype, np.array(owner) >= 0
         beside = np.cumsum(own) == 2
-        beyond = self.beyond(points)
+        beyond = self.depth_behind_walls(points)
         far, wall = jnp.argmax(beyond, axis=-1), jnp.max(beyond, axis=-1)
         over = self.height - points[:, 2]
         sided = beside | (wall <= over)
@@ -102,6 +104,6 @@ class Ledges(Ball):
             face=jnp.where(ledge, face, lies.face),
             body=jnp.where(ledge, -1, lies.body),
             friction_scale=jnp.where(beside, jnp.asarray(self.wall_grip, dtype), lies.friction_scale),
-            rolling=Rolling(lies.rolling.radius, rolls * lies.rolling.roll, rolls * lies.rolling.spin),
+            rolling=RollingResistance(lies.rolling.radius, rolls * lies.rolling.roll, rolls * lies.rolling.spin),
             damping=jnp.asarray(beside, dtype) * self.impact_damping * critical_damping(self.mass),
         )

@@ -6,39 +6,39 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
+from sweep.models.obstacles.base import StaticObstacle
 from sweep.models.obstacles.charts import ALONG_X, Chart, Number, point
-from sweep.models.obstacles.surface import Bodies, Surface
-from sweep.models.obstacles.usual import Fixed
-from sweep.models.solids import HalfSpace, Solid, maths
+from sweep.models.obstacles.surface import BodyPoses, Surface
+from sweep.models.solids import HalfSpace, Solid, array_module
 
 
-def on_ground(
-    of: "Plane", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
+def ground_point(
+    obstacle: "Plane", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
     """A point of the ground, `ahead` of the world's origin."""
-    return of.rotation() @ point(ahead * unit, side * aside * unit, -depth)
+    return obstacle.rotation() @ point(ahead * unit, side * aside * unit, -depth)
 
 
-def over_ground(
-    of: "Plane", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number = 0.0
+def base_over_ground(
+    obstacle: "Plane", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number = 0.0
 ) -> Float[Array, " 3"]:
     """A base `above` the ground, pitched against it (deg, nose up)."""
-    return of.rotation() @ point(ahead * unit, 0.0, above * unit)
+    return obstacle.rotation() @ point(ahead * unit, 0.0, above * unit)
 
 
-def pitched(of: "Plane", unit: Number, ahead: Number, above: Number, pitch: Number = 0.0) -> Array:
+def base_pitch(obstacle: "Plane", unit: Number, ahead: Number, above: Number, pitch: Number = 0.0) -> Array:
     """Pitch of a base that is told by these numbers (rad, nose up)."""
-    return of.slope + jnp.radians(jnp.asarray(pitch, float))
+    return obstacle.slope + jnp.radians(jnp.asarray(pitch, float))
 
 
 @parameters
-class Plane(Fixed):
+class Plane(StaticObstacle):
     """Ground through the world's origin, rising towards +x by `slope`."""
 
     # of feet, then of bases
     charts: ClassVar = {
-        "ground": Chart(("aside", "ahead"), on_ground),
-        "over_ground": Chart(("ahead", "above", "pitch"), over_ground, pitch=pitched, optional=1),
+        "ground": Chart(("aside", "ahead"), ground_point),
+        "over_ground": Chart(("ahead", "above", "pitch"), base_over_ground, pitch=base_pitch, optional=1),
     }
     forward = ALONG_X
     kind: str = choice("plane", "plane")
@@ -51,12 +51,12 @@ class Plane(Fixed):
         rows = [jnp.stack([cos, zero, -sin]), jnp.stack([zero, one, zero]), jnp.stack([sin, zero, cos])]
         return jnp.stack(rows)
 
-    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+    def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """The half-space that the ground is."""
-        sin, cos = (getattr(maths(self.slope), name)(self.slope) for name in ("sin", "cos"))
+        sin, cos = (getattr(array_module(self.slope), name)(self.slope) for name in ("sin", "cos"))
         return (HalfSpace(name="ground", normal=(-sin, 0.0, cos)),)
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """The plane's depth and normal, the same everywhere."""
         normal = self.rotation()[:, 2].astype(points.dtype)
         n = points.shape[0]

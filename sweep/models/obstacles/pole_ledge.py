@@ -6,49 +6,49 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.charts import Chart, Number, ahead_above, approached, point
-from sweep.models.obstacles.surface import Bodies, Surface
-from sweep.models.obstacles.usual import Fixed
+from sweep.models.obstacles.base import StaticObstacle
+from sweep.models.obstacles.charts import Chart, Number, approach_charts, edge_chart, point
+from sweep.models.obstacles.surface import BodyPoses, Surface
 from sweep.models.solids import SOIL, Box, Cylinder, HalfSpace, Solid
 
 FLOOR, SIDE, TOP, LEDGE, WALL = range(5)
 
 
-def on_side(
-    of: "PoleLedge", side: float, unit: Number, depth: Number, ahead: Number, above: Number
+def side_point(
+    obstacle: "PoleLedge", side: float, unit: Number, depth: Number, ahead: Number, above: Number
 ) -> Float[Array, " 3"]:
     """A point of the pole's side: `ahead` of its axis (r), `above` its top."""
-    y = -ahead * of.radius
-    return point(side * jnp.sqrt(jnp.asarray(of.radius - depth) ** 2 - y**2), y, of.height + above * unit)
+    y = -ahead * obstacle.radius
+    return point(side * jnp.sqrt(jnp.asarray(obstacle.radius - depth) ** 2 - y**2), y, obstacle.height + above * unit)
 
 
-def on_top(
-    of: "PoleLedge", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
+def top_point(
+    obstacle: "PoleLedge", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
     """A point of the pole's top, from its axis (r)."""
-    return point(side * aside * of.radius, -ahead * of.radius, of.height - depth)
+    return point(side * aside * obstacle.radius, -ahead * obstacle.radius, obstacle.height - depth)
 
 
-def on_ledge(
-    of: "PoleLedge", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
+def ledge_point(
+    obstacle: "PoleLedge", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
     """A point of the ledge: `aside` of the middle (r), `ahead` of its edge."""
-    return point(side * aside * of.radius, -of.radius - ahead * unit, of.ledge_height - depth)
+    return point(side * aside * obstacle.radius, -obstacle.radius - ahead * unit, obstacle.ledge_height - depth)
 
 
 @parameters
-class PoleLedge(Fixed):
+class PoleLedge(StaticObstacle):
     """Pole along the world's z axis; the ledge fills y < -radius, z < ledge_height."""
 
     # `axis` and `brink`, for bases, begin at the height of the pole's top: on its axis, and over the ledge's edge;
     # `floor`, and `foot` for bases, at the foot of its axis
     charts: ClassVar = {
-        **approached(lambda of: 0.0),
-        "side": Chart(("ahead", "above"), on_side),
-        "top": Chart(("aside", "ahead"), on_top),
-        "ledge": Chart(("aside", "ahead"), on_ledge),
-        "axis": ahead_above(lambda of: (0.0, of.height)),
-        "brink": ahead_above(lambda of: (-of.radius, of.height)),
+        **approach_charts(lambda obstacle: 0.0),
+        "side": Chart(("ahead", "above"), side_point),
+        "top": Chart(("aside", "ahead"), top_point),
+        "ledge": Chart(("aside", "ahead"), ledge_point),
+        "axis": edge_chart(lambda obstacle: (0.0, obstacle.height)),
+        "brink": edge_chart(lambda obstacle: (-obstacle.radius, obstacle.height)),
     }
     heights = ("height", "ledge_height")
     kind: str = choice("pole_ledge", "pole_ledge")
@@ -56,7 +56,7 @@ class PoleLedge(Fixed):
     height: float = quantity(2.286660689865613, "m", above=0)  # h, of the pole above the floor
     ledge_height: float = quantity(2.076660689865613, "m", above=0)  # h1, of the ledge above the floor
 
-    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+    def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """The ledge ends where no robot comes."""
         half, ledge = self.height / 2, self.ledge_height / 2
         return (
@@ -65,7 +65,7 @@ class PoleLedge(Fixed):
             Box(name="ledge", position=(0.0, -self.radius - 1.5, ledge), half=(2.0, 1.5, ledge), colour=SOIL),
         )
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """A solid's depth is the least over its faces; of three solids the deepest counts."""
         x, y, z = points.T
         distance = jnp.sqrt(x**2 + y**2 + 1e-12)

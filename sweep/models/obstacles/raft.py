@@ -15,11 +15,11 @@ from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import logarithm, matrix
 from sweep.formulas.drag import raft_drag
 from sweep.formulas.raft_statics import buoyancy
-from sweep.models.frames import fixed
-from sweep.models.obstacles.charts import ALONG_X, level, point
-from sweep.models.obstacles.geoms import DRAWN, add_solids, add_touching
-from sweep.models.obstacles.surface import Bodies, FreeState, Surface, critical_damping, own_axes
-from sweep.models.obstacles.usual import Usual
+from sweep.models.frames import body_frame
+from sweep.models.obstacles.base import ObstacleDefaults
+from sweep.models.obstacles.charts import ALONG_X, level_ground_charts, point
+from sweep.models.obstacles.geoms import DRAWN, add_contact_pair, add_solids
+from sweep.models.obstacles.surface import BodyPoses, FreeState, Surface, critical_damping, identity_poses
 from sweep.models.solids import SOIL, Box, Solid
 
 if TYPE_CHECKING:
@@ -32,13 +32,15 @@ SHORE = 4.0  # m, of each bank that is drawn; its surface has no end
 CORNERS = tuple((x, y) for x in (-1, 1) for y in (-1, 1))
 WATER_DEPTH = 6.0  # m, that is drawn: what is translucent is drawn from far to near, by its middle
 WATER = (0.25, 0.5, 0.75, 0.45)
-BANK, BY_BANK = level(lambda of: (0.0, 0.0))
-DECK, ON_DECK = level(lambda of: (-of.length / 2, of.thickness / 2), frame=fixed(0))
-BEYOND, BY_FAR = level(lambda of: (of.water_width, 0.0))
+BANK, BY_BANK = level_ground_charts(lambda obstacle: (0.0, 0.0))
+DECK, ON_DECK = level_ground_charts(
+    lambda obstacle: (-obstacle.length / 2, obstacle.thickness / 2), frame=body_frame(0)
+)
+BEYOND, BY_FAR = level_ground_charts(lambda obstacle: (obstacle.water_width, 0.0))
 
 
 @parameters
-class Raft(Usual):
+class Raft(ObstacleDefaults):
     """A floating box, 3 by 2 by 0.2 of a_r in the proportions of 4.4, whose deck is level with the banks under a robot.
 
     At the start it rests, `gap` from the near bank.
@@ -70,7 +72,7 @@ class Raft(Usual):
     contact_sites = tuple((f"edge{k}", 0) for k in range(4))
 
     @property
-    def half(self) -> Float[Array, " 3"]:
+    def half_size(self) -> Float[Array, " 3"]:
         """Half of its length, width and thickness: a, b, d (m)."""
         return 0.5 * point(self.length, self.width, self.thickness)
 
@@ -82,7 +84,7 @@ class Raft(Usual):
     @property
     def landmarks(self) -> Float[Array, "1 3"]:
         """The middle of the deck's corners."""
-        return self.half[None] * jnp.array([0.0, 0.0, 1.0])
+        return self.half_size[None] * jnp.array([0.0, 0.0, 1.0])
 
     def draught(self, load: Array | float = 0.0) -> Array | float:
         """How deep the level raft is in the water (m) with a load (kg) on it."""
@@ -92,7 +94,7 @@ class Raft(Usual):
         """Banks, raft and a picture of the water."""
         import mujoco
 
-        leaves = self.leaves()
+        leaves = self.batched_model_fields()
         inertia = np.asarray(leaves["body_inertia"]["raft"], float)
         body = spec.worldbody.add_body(
             name="raft", pos=np.asarray(self.start().position[0]), ipos=[0, 0, 0], explicitinertial=True,
@@ -101,20 +103,20 @@ class Raft(Usual):
         body.add_freejoint(name="raft")
         for name, _ in self.contact_sites:
             body.add_site(name=name, pos=np.asarray(leaves["site_pos"][name], float))
-        *banks, deck = self.solids(own_axes(1))
+        *banks, deck = self.solids(identity_poses(1))
         add_solids(spec, banks, friction * self.bank_grip)
         add_solids(spec, [deck], friction, self.free_bodies)
         for bank in banks:
-            add_touching(spec, bank.name, deck.name, friction * self.side_grip, self.impact_damping)
+            add_contact_pair(spec, bank.name, deck.name, friction * self.side_grip, self.impact_damping)
         across, deep = self.water_width / 2, WATER_DEPTH / 2
         spec.worldbody.add_geom(
             name="water", type=mujoco.mjtGeom.mjGEOM_BOX, size=[across, SHORE / 2, deep], rgba=WATER,
             pos=[across, 0, -self.bank_height - deep], contype=0, conaffinity=0, group=DRAWN,
         )  # fmt: skip
 
-    def leaves(self) -> dict[str, dict[str, Array]]:
+    def batched_model_fields(self) -> dict[str, dict[str, Array]]:
         """Mass and inertia of a homogeneous box, and the middles of its upright edges."""
-        half, mass = self.half, jnp.asarray(self.mass)
+        half, mass = self.half_size, jnp.asarray(self.mass)
         sides = half * jnp.array([1.0, 1.0, 0.0])
         sites = zip(self.contact_sites, CORNERS, strict=True)
         return {
@@ -125,11 +127,11 @@ class Raft(Usual):
 
     def start(self) -> FreeState:
         """The raft afloat and at rest."""
-        half, still = self.half, jnp.zeros((1, 3))
+        half, still = self.half_size, jnp.zeros((1, 3))
         x, z = half[0] + self.gap, half[2] - self.draught(self.laden) - self.bank_height
         return FreeState(jnp.stack([x, jnp.zeros_like(x), z])[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), still, still)
 
-    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+    def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """The banks end where no robot comes."""
         bank = {"half": (SHORE / 2, SHORE / 2, 0.5), "colour": SOIL}
         return (
@@ -139,12 +141,12 @@ class Raft(Usual):
                 half=(self.length / 2, self.width / 2, self.thickness / 2)),
         )  # fmt: skip
 
-    def load(self, free: FreeState) -> Float[Array, "1 6"]:
+    def external_wrench(self, free: FreeState) -> Float[Array, "1 6"]:
         """Buoyancy, drag against the water as it flows, and the ropes.
 
         The bottom is taken to be wet all over, and the deck to be dry.
         """
-        a, b, d = self.half
+        a, b, d = self.half_size
         rotation, place = matrix(free.quat[0]), free.position[0]
         depth = -self.bank_height - place[2]
         lift = buoyancy(rotation[2], depth, a, b, d, WATER_DENSITY * GRAVITY)
@@ -157,7 +159,7 @@ class Raft(Usual):
 
     def _ropes(self, free: FreeState) -> Float[Array, " 6"]:
         """They hold the raft's place and heading, critically damped."""
-        a, b, _ = self.half
+        a, b, _ = self.half_size
         start, damping = self.start(), 2 * jnp.sqrt(self.mooring * self.mass)
         heading = jnp.array([0.0, 0.0, 1.0]) * (a**2 + b**2) / 3
         plane = jnp.array([1.0, 1.0, 0.0])
@@ -165,10 +167,10 @@ class Raft(Usual):
         torque = self.mooring * logarithm(free.quat[0]) + damping * free.turn[0]
         return -jnp.concatenate([plane * force, heading * torque])
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """Banks or raft, whichever is deeper, by the nearest face of each; the raft's edges feel the banks' walls."""
         dtype, own = points.dtype, np.array(owner) >= 0
-        half = self.half.astype(dtype)
+        half = self.half_size.astype(dtype)
         beyond = jnp.stack([-points[:, 0], points[:, 0] - self.water_width], axis=-1)  # of each wall
         bank = jnp.argmax(beyond, axis=-1)  # NEAR or FAR
         wall, over = jnp.max(beyond, axis=-1), -points[:, 2]

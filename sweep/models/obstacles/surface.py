@@ -27,29 +27,29 @@ class FreeState(NamedTuple):
     turn: Float[Array, "k 3"]  # rad/s
 
 
-class Bodies(NamedTuple):
+class BodyPoses(NamedTuple):
     """The poses of free bodies alone."""
 
     position: Float[Array, "k 3"]  # m, of the body frame
     rotation: Float[Array, "k 3 3"]  # body to world
 
 
-def poses(free: FreeState) -> Bodies:
+def body_poses(free: FreeState) -> BodyPoses:
     """The poses of free bodies in motion."""
-    return Bodies(free.position, matrix(free.quat))
+    return BodyPoses(free.position, matrix(free.quat))
 
 
-def no_bodies() -> FreeState:
+def no_free_bodies() -> FreeState:
     """The state of no free bodies at all."""
     return FreeState(jnp.zeros((0, 3)), jnp.zeros((0, 4)), jnp.zeros((0, 3)), jnp.zeros((0, 3)))
 
 
-def own_axes(count: int) -> Bodies:
+def identity_poses(count: int) -> BodyPoses:
     """Poses of free bodies seen from their own axes."""
-    return Bodies(jnp.zeros((count, 3)), jnp.asarray(np.tile(np.eye(3), (count, 1, 1))))
+    return BodyPoses(jnp.zeros((count, 3)), jnp.asarray(np.tile(np.eye(3), (count, 1, 1))))
 
 
-class Rolling(NamedTuple):
+class RollingResistance(NamedTuple):
     """How those of n contact points roll that are centres of spheres; zeros elsewhere."""
 
     radius: Float[Array, " n"]  # m, of the sphere
@@ -65,7 +65,7 @@ class Surface(NamedTuple):
     face: Int[Array, " n"]  # which face: a change of face drops the anchor
     body: Int[Array, " n"]  # index of the free body that owns the face, -1 for the fixed world
     friction_scale: Float[Array, " n"]  # multiplies the friction coefficient, 1 on ordinary ground
-    rolling: Rolling | None = None  # None where nothing rolls
+    rolling: RollingResistance | None = None  # None where nothing rolls
     damping: Float[Array, " n"] | None = None  # N s/m, added to that of the contact; None where there is no more
 
 
@@ -117,28 +117,28 @@ class Obstacle(Protocol):
         """Put its geoms, bodies and sites in the spec; contact geoms are shrunk by `FOOT_RADIUS`."""
         ...
 
-    def leaves(self) -> dict[str, dict[str, Array]]:
+    def batched_model_fields(self) -> dict[str, dict[str, Array]]:
         """Varying arrays of its free bodies by model field and body (or site) name."""
         ...
 
-    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+    def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """What it consists of, its free bodies where `bodies` says. Plain sizes stay plain numbers."""
         ...
 
-    def load(self, free: FreeState) -> Float[Array, "k 6"] | None:
+    def external_wrench(self, free: FreeState) -> Float[Array, "k 6"] | None:
         """Force (N) and torque (N m) on each free body beside weight and contact, world axes; None where there is none.
 
         Asked at every physics step, only where there are free bodies.
         """
         ...
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """Where `points` stand; `owner` is the free body that a point belongs to, -1 for the robot."""
         ...
 
 
 @runtime_checkable
-class Moving(Obstacle, Protocol):
+class MovingObstacle(Obstacle, Protocol):
     """An obstacle that has free bodies."""
 
     def start(self) -> FreeState:
@@ -147,7 +147,7 @@ class Moving(Obstacle, Protocol):
 
 
 @runtime_checkable
-class Marked(Moving, Protocol):
+class LandmarkedObstacle(MovingObstacle, Protocol):
     """One whose free bodies are seen by other points than their mass centres."""
 
     @property
@@ -158,17 +158,17 @@ class Marked(Moving, Protocol):
 
 def landmarks(obstacle: Obstacle) -> Float[Array, "k 3"]:
     """By which its free bodies are seen, as in `Marked`: mass centres, as of balls, where it says nothing else."""
-    return obstacle.landmarks if isinstance(obstacle, Marked) else jnp.zeros((len(obstacle.free_bodies), 3))
+    return obstacle.landmarks if isinstance(obstacle, LandmarkedObstacle) else jnp.zeros((len(obstacle.free_bodies), 3))
 
 
-def marked(obstacle: Obstacle, free: FreeState) -> FreeState:
+def landmark_state(obstacle: Obstacle, free: FreeState) -> FreeState:
     """Its landmarks, in the axes of free bodies that are as in `free`."""
-    return _shifted(free, obstacle.landmarks) if isinstance(obstacle, Marked) else free
+    return _shifted(free, obstacle.landmarks) if isinstance(obstacle, LandmarkedObstacle) else free
 
 
-def placed(obstacle: Obstacle, marks: FreeState) -> FreeState:
+def state_from_landmarks(obstacle: Obstacle, marks: FreeState) -> FreeState:
     """The inverse of `marked`: its free bodies where they have their landmarks as in `marks`."""
-    return _shifted(marks, -obstacle.landmarks) if isinstance(obstacle, Marked) else marks
+    return _shifted(marks, -obstacle.landmarks) if isinstance(obstacle, LandmarkedObstacle) else marks
 
 
 def _shifted(free: FreeState, by: Float[Array, "k 3"]) -> FreeState:
@@ -176,15 +176,15 @@ def _shifted(free: FreeState, by: Float[Array, "k 3"]) -> FreeState:
     return free._replace(position=free.position + arm, velocity=free.velocity + jnp.cross(free.turn, arm))
 
 
-def free_start(obstacle: Obstacle) -> FreeState:
+def free_start_state(obstacle: Obstacle) -> FreeState:
     """Its free bodies at the start, where it has any."""
     if not obstacle.free_bodies:
-        return no_bodies()
-    assert isinstance(obstacle, Moving), f"{obstacle.kind} lacks a member of Moving"
+        return no_free_bodies()
+    assert isinstance(obstacle, MovingObstacle), f"{obstacle.kind} lacks a member of MovingObstacle"
     return obstacle.start()
 
 
-def under(obstacle: Obstacle, points: Float[Array, "n 3"], bodies: Bodies) -> Surface:
+def surface_at(obstacle: Obstacle, points: Float[Array, "n 3"], bodies: BodyPoses) -> Surface:
     """The obstacle at points of the robot (m, world axes)."""
     return obstacle.surface(points, (-1,) * points.shape[0], bodies)
 

@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.frames import fixed, koenig
-from sweep.models.obstacles.ball import BALL, Ball, on_cap
+from sweep.models.frames import body_frame, koenig_frame
+from sweep.models.obstacles.ball import BALL, Ball, cap_point
 from sweep.models.obstacles.charts import Chart, Number, point
-from sweep.models.obstacles.geoms import add_touching
-from sweep.models.obstacles.surface import Bodies, FreeState, Rolling, Surface, critical_damping
+from sweep.models.obstacles.geoms import add_contact_pair
+from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface, critical_damping
 from sweep.models.solids import Solid, Sphere
 
 if TYPE_CHECKING:
@@ -23,9 +23,11 @@ if TYPE_CHECKING:
 SECOND = BALL + 1
 
 
-def above(of: "TwoBalls", side: float, unit: Number, depth: Number, ahead: Number, above: Number) -> Float[Array, " 3"]:
+def base_above_ball(
+    obstacle: "TwoBalls", side: float, unit: Number, depth: Number, ahead: Number, above: Number
+) -> Float[Array, " 3"]:
     """A base `ahead` of a ball's centre (R), above its top."""
-    return point(ahead * of.radius, 0.0, of.radius + above * unit)
+    return point(ahead * obstacle.radius, 0.0, obstacle.radius + above * unit)
 
 
 @parameters
@@ -34,9 +36,9 @@ class TwoBalls(Ball):
 
     charts: ClassVar = {
         **Ball.charts,
-        "second": Chart(("aside", "ahead"), on_cap, koenig(1), fixed(1)),
-        "above": Chart(("ahead", "above"), above, koenig(0)),
-        "above_second": Chart(("ahead", "above"), above, koenig(1)),
+        "second": Chart(("aside", "ahead"), cap_point, koenig_frame(1), body_frame(1)),
+        "above": Chart(("ahead", "above"), base_above_ball, koenig_frame(0)),
+        "above_second": Chart(("ahead", "above"), base_above_ball, koenig_frame(1)),
     }
     kind: str = choice("two_balls", "two_balls")
     mass: float = quantity(400.0, "kg", above=0)  # M, of each
@@ -52,11 +54,13 @@ class TwoBalls(Ball):
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
         """The floor and both balls."""
         super().add_to(spec, friction)
-        add_touching(spec, "ball", "second_ball", friction * self.ball_grip, self.impact_damping)
+        add_contact_pair(spec, "ball", "second_ball", friction * self.ball_grip, self.impact_damping)
 
-    def leaves(self) -> dict[str, dict[str, Array]]:
+    def batched_model_fields(self) -> dict[str, dict[str, Array]]:
         """Mass and inertia of both balls."""
-        return {field: dict.fromkeys(self.free_bodies, of["ball"]) for field, of in super().leaves().items()}
+        return {
+            field: dict.fromkeys(self.free_bodies, of["ball"]) for field, of in super().batched_model_fields().items()
+        }
 
     def start(self) -> FreeState:
         """Both at rest or rolling without slip."""
@@ -68,12 +72,12 @@ class TwoBalls(Ball):
         second = FreeState(place, first.quat, velocity, turn)
         return FreeState(*[jnp.concatenate(both) for both in zip(first, second, strict=True)])
 
-    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+    def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """The floor and both balls."""
         second = Sphere(name="second_ball", radius=self.radius, centre=bodies.position[1], body=1)
         return *super().solids(bodies), second
 
-    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: Bodies) -> Surface:
+    def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """Floor or a ball, whichever is deepest; the second ball's centre feels the floor, and then the first ball."""
         one = super().surface(points, owner, bodies)
         assert one.rolling is not None
@@ -91,6 +95,6 @@ class TwoBalls(Ball):
             face=jnp.where(other, jnp.where(between, BALL, SECOND), one.face).astype(jnp.int32),
             body=jnp.where(other, jnp.where(between, 0, 1), one.body).astype(jnp.int32),
             friction_scale=jnp.where(between, jnp.asarray(self.ball_grip, dtype), one.friction_scale),
-            rolling=Rolling(one.rolling.radius, rolls * one.rolling.roll, rolls * one.rolling.spin),
+            rolling=RollingResistance(one.rolling.radius, rolls * one.rolling.roll, rolls * one.rolling.spin),
             damping=jnp.asarray(between, dtype) * self.impact_damping * critical_damping(self.mass / 2),
         )

@@ -20,7 +20,7 @@ import numpy as np
 
 from sweep.core import project
 from sweep.core.errors import WRONG, InputError, raised, suggest
-from sweep.models.binary import binary
+from sweep.models.binary import model_bytes
 
 ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
 TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}  # of a network's numbers
@@ -126,7 +126,7 @@ def parts(mjcf: str) -> list[Path]:
 
 def digest(compiled: mujoco.MjModel) -> str:
     """Of all numbers of a model, its meshes among them."""
-    return hashlib.blake2b(binary(compiled), digest_size=8).hexdigest()
+    return hashlib.blake2b(model_bytes(compiled), digest_size=8).hexdigest()
 
 
 def controller(name: str) -> Policy:

@@ -35,7 +35,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, rotate
 from sweep.formulas.crossing import Crossing, crossing
 from sweep.models.case import Case
-from sweep.models.frames import WORLD, fixed
+from sweep.models.frames import WORLD, body_frame
 from sweep.models.legs import LEGS, NAMES
 from sweep.models.obstacles.charts import Chart, Number, point
 from sweep.models.obstacles.raft import Raft
@@ -92,7 +92,7 @@ class RaftCross:
         Raises:
             InputError: the raft would capsize or sink under the robot, all plain numbers.
         """
-        raft, length, push = belief.on(Raft), belief.robot.body_length, self.push_motion(belief)
+        raft, length, push = belief.obstacle_as(Raft), belief.robot.body_length, self.push_motion(belief)
         require_floating(belief, (raft.length / 2 - MARGIN * length, self.offset))
         context, first = self.move_context(belief), START_POSITION - self.approach * self.stride_ratio
         feet = {leg: context.foot(leg, {"near": [first + HIPS[leg - 1]]}, "", 0.0).point for leg in LEGS}
@@ -141,10 +141,10 @@ class RaftCross:
 
         A moored raft stays at its reference: measured anew at every step, it would be let go step by step.
         """
-        raft, length = belief.on(Raft), belief.robot.body_length
+        raft, length = belief.obstacle_as(Raft), belief.robot.body_length
         aside, deck = belief.robot.body_width / 2 + self.spread_ratio * length, raft.thickness / 2
         hips, squat = self.height_ratio * length, self.squat_ratio * length
-        half, width, own = raft.length / 2, raft.water_width, fixed(0)
+        half, width, own = raft.length / 2, raft.water_width, body_frame(0)
         feet = {"near": (0.0, 0.0, WORLD), "brace": (0.0, 0.0, WORLD), "deck": (-half, deck, own),
                 "deck_far": (half, deck, own), "far": (width, 0.0, WORLD)}  # fmt: skip
         bases = {"by_near": (0.0, hips, WORLD), "on_deck": (-half, hips + deck, own),
@@ -174,7 +174,7 @@ class RaftCross:
             stage: the stage of the push.
             push: speed and turn to gain.
         """
-        mass = belief.on(Raft).mass + total_mass(belief.robot)
+        mass = belief.obstacle_as(Raft).mass + total_mass(belief.robot)
         speed, turn = self.push * push.v0, self.push * push.w0
         force = jnp.maximum(self.force, mass * speed**2 / (2 * self.push_ratio * belief.robot.body_length))
         to = Support(TO_VELOCITY, jnp.array([1.0, 0.0, 0.0]) * speed, jnp.array([0.0, 0.0, -1.0]) * turn)
@@ -182,8 +182,8 @@ class RaftCross:
 
     def push_motion(self, belief: Case) -> Crossing:
         """Return speed, turn and time of the push by (4.3) and (4.3.1)."""
-        raft, load = belief.on(Raft), total_mass(belief.robot)
-        a, b, _ = raft.half
+        raft, load = belief.obstacle_as(Raft), total_mass(belief.robot)
+        a, b, _ = raft.half_size
         mass, al2 = raft.mass + load, raft.drag * raft.width * raft.draught(load)
         inertia = mass * (a**2 + b**2) / 3
         return crossing(raft.water_width, raft.length, self.landing, mass, al2, inertia, inertia, self.offset)
@@ -199,7 +199,7 @@ class RaftCross:
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """Follow the plan, but go ashore where the raft has arrived."""
         plan, stage, free = ctx.plan, ctx.stage, ctx.obs.free
-        gap = jnp.min(far_gaps(belief.on(Raft), free))
+        gap = jnp.min(far_gaps(belief.obstacle_as(Raft), free))
         short = jnp.where((gap > self.near) & (gap < MARGIN * belief.robot.body_length), gap, 0.0)
         drift = jnp.stack([-short, self.drift_along_bank(plan, stage, free), jnp.zeros_like(short)])
         memory = jnp.where(ctx.is_first_tick & is_under_law(plan, stage, REACH), drift, state.memory)
@@ -220,12 +220,12 @@ class RaftCross:
             stage: stage number.
             free: measured state of the raft.
         """
-        place = jnp.where(plan.base_frame[stage] == fixed(0), plan.position[stage], self.offset * jnp.eye(3)[1])
+        place = jnp.where(plan.base_frame[stage] == body_frame(0), plan.position[stage], self.offset * jnp.eye(3)[1])
         return (free.position[0] + rotate(free.quat[0], place))[1] - self.offset
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
         """End the wait when the raft is at the bank, or still and close to it; end a pull when it lies along it."""
-        gaps = far_gaps(belief.on(Raft), obs.free) + state.memory[0]
+        gaps = far_gaps(belief.obstacle_as(Raft), obs.free) + state.memory[0]
         waits, pulls = is_under_law(plan, state.stage, WAIT), is_under_law(plan, state.stage, PULL)
         still = jnp.abs(obs.free.velocity[0, 0]) < self.slow
         met = (jnp.min(gaps) < self.near) | (still & (jnp.min(gaps) < MARGIN * belief.robot.body_length))
@@ -234,7 +234,7 @@ class RaftCross:
 
 def far_gaps(raft: Raft, free: FreeState) -> Float[Array, " 2"]:
     """Return the distances from the corners of the raft's far side to the far bank (m)."""
-    corners = jnp.stack([raft.half * jnp.array([1.0, side, 0.0]) for side in (-1.0, 1.0)])
+    corners = jnp.stack([raft.half_size * jnp.array([1.0, side, 0.0]) for side in (-1.0, 1.0)])
     return raft.water_width - (free.position[0] + rotate(free.quat[0], corners))[:, 0]
 
 

@@ -13,11 +13,11 @@ from sweep.controllers.manoeuvres.walking.walk import level_stance
 from sweep.controllers.plan import CYCLE_B_SMOOTH, REGRIP, Plan, Stage
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
-from sweep.models.frames import fixed
+from sweep.models.frames import body_frame
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.raft import Raft
 
-DECK = (fixed(0),) * 6
+DECK = (body_frame(0),) * 6
 
 
 @parameters
@@ -50,23 +50,23 @@ class RaftStand:
         Raises:
             InputError: the raft would capsize or sink under the robot in its middle, all plain numbers.
         """
-        raft, length = belief.on(Raft), belief.robot.body_length
+        raft, length = belief.obstacle_as(Raft), belief.robot.body_length
         require_floating(belief, (0.0, 0.0))
         free = raft.start()
         stance, centres = level_stance(belief, self.spread_ratio * length, self.height_ratio * length)
-        deck = free.position[0] + jnp.array([0.0, 0.0, 1.0]) * raft.half[2]
+        deck = free.position[0] + jnp.array([0.0, 0.0, 1.0]) * raft.half_size[2]
         start = Stance(deck + stance.feet, deck + stance.position, stance.quat)
         way = point(self.ahead, self.aside, 0.0)
         over, down = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 0.0, -1.0]) * self.deepening
-        base = stance.position + raft.half[2] * over
-        stages = [Stage("stand", 1.0, position=base, onset=REGRIP, foot_frames=DECK, base_frame=fixed(0))]
+        base = stance.position + raft.half_size[2] * over
+        stages = [Stage("stand", 1.0, position=base, onset=REGRIP, foot_frames=DECK, base_frame=body_frame(0))]
         for k in range(self.steps + 1):
             base = base + way / self.steps if k < self.steps else base
             ahead = way / self.steps / 2 if k < self.steps - 1 else jnp.zeros(3)
             swing = {leg: base + centres[leg - 1] + ahead + down for leg in TRIPOD[k % 2]}
             stages.append(
                 Stage(f"walk.{k + 1}", self.swing, swing, CYCLE_B_SMOOTH, self.lift_ratio * length, position=base,
-                      rates=(0.0, 0.0), onset=REGRIP, foot_frames=DECK, base_frame=fixed(0))
+                      rates=(0.0, 0.0), onset=REGRIP, foot_frames=DECK, base_frame=body_frame(0))
             )  # fmt: skip
-        stages.append(Stage("rest", self.rest, onset=REGRIP, foot_frames=DECK, base_frame=fixed(0)))
+        stages.append(Stage("rest", self.rest, onset=REGRIP, foot_frames=DECK, base_frame=body_frame(0)))
         return compile_plan(start, stages, self.patience, ease=self.ease, free=free, afloat=True)

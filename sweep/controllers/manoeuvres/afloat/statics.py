@@ -25,8 +25,8 @@ def freeboard_and_draught(
         offset: robot's mass centre ahead and to the left of the raft's middle (m).
         height: of the mass centre above the deck (m).
     """
-    raft, load = belief.on(Raft), total_mass(belief.robot)
-    a, b, d = raft.half
+    raft, load = belief.obstacle_as(Raft), total_mass(belief.robot)
+    a, b, d = raft.half_size
     mass = raft.mass + load
     place = load / mass * point(*offset, d + height)
     rest = raft_equilibrium(GRAVITY * mass, place, a, b, d, WATER_DENSITY * GRAVITY)
@@ -56,6 +56,6 @@ def require_floating(belief: Case, offset: tuple[float, float]) -> None:
     if freeboard > 0:
         ends = f"lifts a corner {-1e3 * draught:.0f} mm out of the water"
     raise InputError(
-        f"obstacle.density = {belief.on(Raft).density:g} is not allowed: the raft {ends} under the robot of "
+        f"obstacle.density = {belief.obstacle_as(Raft).density:g} is not allowed: the raft {ends} under the robot of "
         f"{total_mass(belief.robot):g} kg, {offset[0]:.2f} m ahead and {offset[1]:.2f} m aside of its middle"
     )

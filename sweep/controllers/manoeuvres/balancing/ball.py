@@ -40,7 +40,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, conjugate, rotate
 from sweep.formulas.ball import ROLLING, stabilise_delta
 from sweep.models.case import Case
-from sweep.models.frames import fixed, koenig
+from sweep.models.frames import body_frame, koenig_frame
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import Robot, total_mass
@@ -111,7 +111,7 @@ def require_start_within_reach(belief: Case, start: Callable[[], Stance]) -> Non
         InputError: a foot is out of reach.
     """
     require_within_reach(belief, lambda: {f"at the start of manoeuvre = {belief.manoeuvre.kind}": start()},
-                 f"obstacle.radius = {belief.on(Ball).radius} is not allowed: ")  # fmt: skip
+                 f"obstacle.radius = {belief.obstacle_as(Ball).radius} is not allowed: ")  # fmt: skip
 
 
 def stand_pose(belief: Case, manoeuvre: OnBall) -> StandPose:
@@ -121,7 +121,7 @@ def stand_pose(belief: Case, manoeuvre: OnBall) -> StandPose:
         belief: has robot and ball.
         manoeuvre: has the circle of footholds.
     """
-    radius, length = belief.on(Ball).radius, belief.robot.body_length
+    radius, length = belief.obstacle_as(Ball).radius, belief.robot.body_length
     circle = manoeuvre.circle_ratio * radius
     feet = ball_footholds(radius, circle, manoeuvre.chord_ratio * circle) * (1 - manoeuvre.deepening / radius)
     above = jnp.asarray(UP) * (radius + manoeuvre.height_ratio * length)
@@ -144,7 +144,7 @@ def stance_on_ball(belief: Case, pose: StandPose) -> Stance:
         belief: has the ball.
         pose: pose relative to the ball's centre.
     """
-    centre = jnp.asarray(UP) * belief.on(Ball).radius
+    centre = jnp.asarray(UP) * belief.obstacle_as(Ball).radius
     return Stance(pose.feet + centre, pose.position + centre, jnp.array(IDENTITY))
 
 
@@ -155,8 +155,8 @@ def standing_stages(pose: StandPose, times: Mapping[str, Array | float]) -> list
         pose: pose relative to the ball's centre.
         times: durations (s) by the stages' names.
     """
-    return [Stage(name, time, position=pose.position, foot_frames=(fixed(0),) * 6, base_frame=koenig(0), onset=KEEP)
-            for name, time in times.items()]  # fmt: skip
+    frames = {"foot_frames": (body_frame(0),) * 6, "base_frame": koenig_frame(0)}
+    return [Stage(name, time, position=pose.position, onset=KEEP, **frames) for name, time in times.items()]
 
 
 class BalanceMemory(NamedTuple):
@@ -225,7 +225,7 @@ class BallBalance(OnBall):
     def _plan_move(self, belief: Case, memory: BalanceMemory, obs: Observation) -> BalanceMemory:
         """Move of (3.1.1) and pulse after fig. 3.1.2, from the measured state."""
         robot, stance = belief.robot, measured_stance(belief.robot, obs)
-        momentum = angular_momentum(robot, belief.on(Ball), obs)
+        momentum = angular_momentum(robot, belief.obstacle_as(Ball), obs)
         off = (centre_of_mass(robot, stance) - obs.free.position[0])[:2]
         pulse = lean_impulse(momentum, total_mass(robot)) / self.period
         place = memory.place.at[:2].add(memory.move)
@@ -237,7 +237,7 @@ class BallBalance(OnBall):
         """State after a tick of the law `tick`: the mass centre of the commanded stance moves towards its target."""
         robot, free = belief.robot, obs.free
         share = jnp.minimum(1.0, period / jnp.maximum(self.smoothing, period))
-        momentum = memory.momentum + share * (angular_momentum(robot, belief.on(Ball), obs) - memory.momentum)
+        momentum = memory.momentum + share * (angular_momentum(robot, belief.obstacle_as(Ball), obs) - memory.momentum)
         wanted = self.momentum_gain * lean_impulse(momentum, total_mass(robot)) - self.place_gain * free.position[0, :2]
         wanted = jnp.clip(wanted, -self.reach, self.reach)
         stance = Stance(rotate(free.quat, state.feet), memory.place, jnp.array(IDENTITY))
@@ -316,7 +316,7 @@ class BallDrive(OnBall):
         """Return the planned speed (m/s) of the ball after `duration` (s): 0 if it gets to its place."""
         return jnp.where(self.speed * duration > self.place, 0.0, self.speed)
 
-    def aside(self, way: Float[Array, " 3"]) -> Array:
+    def lateral_offset(self, way: Float[Array, " 3"]) -> Array:
         """Return how far (m) the ball is beside its path, see `Driving`."""
         return jnp.abs(self.track(way).left_offset)
 
@@ -338,10 +338,10 @@ class BallDrive(OnBall):
         for k in range(self.steps):
             legs = TRIPOD[k % 2]
             swing = {leg: pose.feet[leg - 1] for leg in legs}
-            frames = tuple(koenig(0) if leg in legs else fixed(0) for leg in LEGS)
+            frames = tuple(koenig_frame(0) if leg in legs else body_frame(0) for leg in LEGS)
             time = self.step_time * (1.0 if k else first_share)
             stages.append(Stage(f"{law}{k + 1}", time, swing, CYCLE_A, position=pose.position,
-                                foot_frames=frames, base_frame=koenig(0), law=law, onset=REGRIP))  # fmt: skip
+                                foot_frames=frames, base_frame=koenig_frame(0), law=law, onset=REGRIP))  # fmt: skip
         return stages
 
     def track(self, place: Float[Array, " 3"]) -> TrackPoint:
@@ -378,7 +378,7 @@ class BallDrive(OnBall):
         self, belief: Case, ctx: TickContext, state: TrackerState
     ) -> tuple[DriveMemory, Float[Array, "6 3"]]:
         """Push by (3.1.8), delta r^(3) and turned footholds, from the ball's measured place and speed."""
-        ball, memory, obs = belief.on(Ball), state.memory, ctx.obs
+        ball, memory, obs = belief.obstacle_as(Ball), state.memory, ctx.obs
         track = self.track(obs.free.position[0])
         speed = obs.free.velocity[0, :2] @ track.along
         wanted = jnp.minimum(self.speed, self.brake * (self.place - track.progress))
@@ -416,7 +416,7 @@ def lean_on_curve(belief: Case, height: Array | float) -> Array | float:
         belief: has robot and ball.
         height: of the mass centre above the ball's centre (m).
     """
-    ball, mass = belief.on(Ball), total_mass(belief.robot)
+    ball, mass = belief.obstacle_as(Ball), total_mass(belief.robot)
     return (ROLLING * ball.mass * ball.radius + mass * (ball.radius + height)) / (mass * GRAVITY)
 
 

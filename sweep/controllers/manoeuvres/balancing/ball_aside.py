@@ -63,7 +63,7 @@ class BallAside(OnBall):
         """d_1 (R) at which front and rear feet have their distance from the hips."""
         robot = belief.robot
         aside = robot.body_width / 2 + self.room_ratio * robot.body_length
-        wanted = aside / (belief.on(Ball).radius * jnp.sqrt(1 - self.chord_ratio**2))
+        wanted = aside / (belief.obstacle_as(Ball).radius * jnp.sqrt(1 - self.chord_ratio**2))
         return jnp.clip(wanted, self.circle_ratio, 1.0)
 
     def init_memory(self, belief: Case, plan: Plan) -> Float[Array, ""]:
@@ -94,6 +94,6 @@ def lateral_gain(belief: Case, plan: Plan, period: Array | float) -> Array:
         plan: has the height of the base.
         period: T (s).
     """
-    ball, mass = belief.on(Ball), total_mass(belief.robot)
+    ball, mass = belief.obstacle_as(Ball), total_mass(belief.robot)
     inertia = ROLLING * ball.mass * ball.radius + mass * (ball.radius + plan.position[0, 2])
     return inertia / (MU_INTEGRAL * mass * GRAVITY * period)

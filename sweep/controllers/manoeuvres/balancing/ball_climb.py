@@ -90,7 +90,7 @@ class BallClimb(BesideBall):
             deepening: depth of feet in what they stand on (m).
             press: pressure of feet on the ball (m), see `Stage.press`.
         """
-        radius = belief.on(Ball).radius
+        radius = belief.obstacle_as(Ball).radius
         speed = self.push_speed * read_numbers(PushSpeed, belief, "push").speed
         rolls = Support(TO_VELOCITY, jnp.zeros(3).at[0].set(speed), jnp.zeros(3).at[1].set(speed / radius))
         supports = {"free": (Support(),), "rests": (RESTS,), "rolls": (rolls,)}
@@ -102,7 +102,7 @@ class BallClimb(BesideBall):
         Raises:
             InputError: the ball is too large, all plain numbers.
         """
-        robot, radius = belief.robot, belief.on(Ball).radius
+        robot, radius = belief.robot, belief.obstacle_as(Ball).radius
         highest = 2 * (robot.thigh + robot.shin)  # m, height of the front hips that allows the largest ball
         numbers = (robot.thigh, robot.shin, highest, robot.body_width, belief.contact.friction)
         if not are_plain_numbers(numbers, radius):

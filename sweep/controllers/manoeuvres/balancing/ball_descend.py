@@ -29,7 +29,7 @@ from sweep.controllers.plan import RESTS, STAYS, Plan, Stage, Support
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.formulas.ball import ball_omega
 from sweep.models.case import Case
-from sweep.models.frames import fixed, koenig
+from sweep.models.frames import body_frame, koenig_frame
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.charts import Number
@@ -50,7 +50,7 @@ def ball_speed_at_floor(belief: Case, last: Move, time: Array) -> Array:
         last: move to the last pose on the ball.
         time: of the way down (s).
     """
-    ball, distance = belief.on(Ball), last.base["tangent"][1]
+    ball, distance = belief.obstacle_as(Ball), last.base["tangent"][1]
     rolls = ball_omega(total_mass(belief.robot), ball.mass, ball.radius, distance * ball.radius, jnp.pi / 2,
                        jnp.pi / 2 - angle_from_top(last), -angle_from_top(last) / time, 0.0)  # fmt: skip
     return jnp.abs(rolls.omega) * ball.radius
@@ -75,7 +75,7 @@ def timed_moves(belief: Case, rate: Array | float) -> dict[str, Move]:
         belief: believed parameters.
         rate: of the way down, over that of the plan file.
     """
-    ball, (top, down, off) = belief.on(Ball), (read_moves(belief, part) for part in ("top", "down", "off"))
+    ball, (top, down, off) = belief.obstacle_as(Ball), (read_moves(belief, part) for part in ("top", "down", "off"))
     last = list(down.values())[-1]
     time = total_time(down.values()) / jnp.asarray(rate, float)
     fastest = ball_speed_at_floor(belief, last, time)
@@ -135,11 +135,11 @@ class BallDescend(BesideBall):
         """
         supports = {"free": (Support(),), "rests": (RESTS,), "stays": (STAYS,)}
         context = ball_move_context(
-            belief, belief.on(Ball).radius, self.deepening, (self.press, self.squeeze), supports
+            belief, belief.obstacle_as(Ball).radius, self.deepening, (self.press, self.squeeze), supports
         )
         feet = dict(zip(LEGS, self.stand_pose(belief).feet, strict=True))
-        down, _ = move_stages(timed_moves(belief, self.rate), context, standing_on(feet, 0.0, fixed(0)), "")
+        down, _ = move_stages(timed_moves(belief, self.rate), context, standing_on(feet, 0.0, body_frame(0)), "")
         last = down[-1]
-        halt = Stage("rest", self.rest, foot_frames=(koenig(0),) * 6, base_frame=koenig(0), support=(STAYS,),
-                     onset=last.onset, press=last.press)  # fmt: skip
+        halt = Stage("rest", self.rest, foot_frames=(koenig_frame(0),) * 6, base_frame=koenig_frame(0),
+                     support=(STAYS,), onset=last.onset, press=last.press)  # fmt: skip
         return [*down, halt]

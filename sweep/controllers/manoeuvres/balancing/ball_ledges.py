@@ -52,11 +52,11 @@ class WallDocking(DriveUntil):
 
     def drive_law(self, belief: Case, free: FreeState) -> Guided:
         """Return the drive to a place so far behind the wall that the docking speed remains at the wall."""
-        return replace(self.drive, place=belief.on(Ledges).at_far_wall + self.speed / self.drive.brake)
+        return replace(self.drive, place=belief.obstacle_as(Ledges).far_wall_x + self.speed / self.drive.brake)
 
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
         """Return whether the ball is at the wall, and calm."""
-        left = belief.on(Ledges).at_far_wall - free.position[0, 0]
+        left = belief.obstacle_as(Ledges).far_wall_x - free.position[0, 0]
         return (left < self.near) & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 
 
@@ -108,7 +108,7 @@ class BallLedges(OnBall, ByParts):
     def start_standing(self, belief: Case) -> tuple[Stance, Standing]:
         """Return the start stance, and where the robot stands in it, as far to the side as the ball."""
         feet, position, standing = initial_stance("start", self.move_context(belief))
-        aside = belief.on(Ledges).start().position[0] * jnp.array([0.0, 1.0, 0.0])
+        aside = belief.obstacle_as(Ledges).start().position[0] * jnp.array([0.0, 1.0, 0.0])
         return Stance(feet + aside, position, jnp.asarray(LEVEL)), standing
 
     def move_context(self, belief: Case) -> MoveContext:

@@ -18,9 +18,9 @@ from sweep.controllers.plan import CYCLE_B, REGRIP, STAYS, Plan, Stage
 from sweep.controllers.tracker import Guided
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
-from sweep.models.frames import koenig
+from sweep.models.frames import koenig_frame
 from sweep.models.legs import PAIRS
-from sweep.models.obstacles.ball import Ball, tangent
+from sweep.models.obstacles.ball import Ball, tangent_base
 
 DRIVE = "drive"
 
@@ -89,16 +89,21 @@ class BallOver(BesideBall):
 
     def leave_stages(self, belief: Case) -> list[Stage]:
         """Return the stages of walking away by tripod, in the frame of a ball that is to stay in place."""
-        radius, length = belief.on(Ball).radius, belief.robot.body_length
+        radius, length = belief.obstacle_as(Ball).radius, belief.robot.body_length
         height, spread = self.hips_ratio * length, self.spread_ratio * length
         step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.turning)
         *_, last = read_moves(belief, "off").values()
-        stood = tangent(belief.on(Ball), 1.0, radius, 0.0, *last.base["tangent"])
+        stood = tangent_base(belief.obstacle_as(Ball), 1.0, radius, 0.0, *last.base["tangent"])
         position = stood.at[0].add(step.half_length).at[2].set(height - radius)  # clear of the ball
         under = position + foot_centres_facing(belief, spread, height, AHEAD)
         first = Stage("away.3-4", 1.0, {leg: under[leg - 1] for leg in PAIRS["middle"]}, CYCLE_B, 2 * step.height,
                       position=position, rates=REST_TO_REST)  # fmt: skip
         ready, walk = departure_stages(belief, step, position, spread, height, self.away, AHEAD)
         # Regrip: with `REZERO` the base would jump at once while feet follow within `ease`, and the robot would hop.
-        options = {"foot_frames": (koenig(0),) * 6, "base_frame": koenig(0), "support": (STAYS,), "onset": REGRIP}
+        options = {
+            "foot_frames": (koenig_frame(0),) * 6,
+            "base_frame": koenig_frame(0),
+            "support": (STAYS,),
+            "onset": REGRIP,
+        }
         return [replace(stage, **options) for stage in (first, *ready, *walk, Stage("halt", 1.0))]

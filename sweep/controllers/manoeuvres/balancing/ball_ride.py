@@ -16,7 +16,7 @@ from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, logarithm, rotate
 from sweep.formulas.ball import ROLLING, climbing_rate
 from sweep.models.case import Case
-from sweep.models.obstacles.ball import Ball, nose_up, tangent
+from sweep.models.obstacles.ball import Ball, tangent_base, tangent_pitch
 from sweep.models.robot import total_mass
 
 RIDE = "ride"
@@ -58,7 +58,7 @@ class Ride(NamedTuple):
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """Move the base up, and swing feet to places relative to it."""
-        ball, memory, plan, period = belief.on(Ball), state.memory, ctx.plan, ctx.period
+        ball, memory, plan, period = belief.obstacle_as(Ball), state.memory, ctx.plan, ctx.period
         distance, rate = memory.distance, self.climb_rate(belief, ctx.obs)
         share = jnp.minimum(1.0, memory.time / self.centring)
         share = share**2 * (3 - 2 * share)
@@ -70,13 +70,13 @@ class Ride(NamedTuple):
         aside = memory.aside + jnp.minimum(1.0, period / LEAN_LAG) * (lean - memory.aside)
         memory = RideMemory(elevation, distance, memory.ahead + forward * period, aside, memory.time + period)
         pose = jnp.degrees(elevation), distance / ball.radius, memory.ahead / ball.radius
-        down = -nose_up(ball, 1.0, *pose)
+        down = -tangent_pitch(ball, 1.0, *pose)
         turn = rotation_about_y(down + memory.ahead / distance)
         swing, phase = plan.swing[state.stage][:, None], state.clock / plan.duration[state.stage]
         goal = jnp.where(swing, rotate(turn[None], plan.foothold[state.stage]), state.feet)
         goal = jnp.where(phase < 1, goal, state.goal)  # late feet stay clear of those ahead
         feet = reference_stance(plan, state.stage, jnp.clip(phase, 0.0, 1.0), state.feet, state.position, goal).feet
-        position = tangent(ball, 1.0, 1.0, 0.0, *pose).at[1].set(aside)
+        position = tangent_base(ball, 1.0, 1.0, 0.0, *pose).at[1].set(aside)
         return Guidance(Stance(feet, position, rotation_about_y(down)), goal, memory)
 
     def climb_rate(self, belief: Case, obs: Observation) -> Float[Array, ""]:
@@ -89,7 +89,7 @@ class Ride(NamedTuple):
             belief: has robot and ball.
             obs: measurement of this tick.
         """
-        ball, robot = belief.on(Ball), belief.robot
+        ball, robot = belief.obstacle_as(Ball), belief.robot
         off = centre_of_mass(robot, measured_stance(robot, obs)) - obs.free.position[0]
         elevation = jnp.arctan2(off[2], -off[0])
         omega = jnp.maximum(obs.free.turn[0, 1], 0.0)

@@ -32,7 +32,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
 from sweep.fused.numbers import worked_out
 from sweep.models.case import Case
-from sweep.models.frames import fixed
+from sweep.models.frames import body_frame
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.obstacles.two_balls import TwoBalls
@@ -58,12 +58,12 @@ class BallDocking(DriveUntil):
 
     def drive_law(self, belief: Case, free: FreeState) -> Guided:
         """Return the drive to a place so far behind the second ball that the docking speed remains there."""
-        place = free.position[0, 0] + ball_gap(belief.on(TwoBalls), free) + self.speed / self.drive.brake
+        place = free.position[0, 0] + ball_gap(belief.obstacle_as(TwoBalls), free) + self.speed / self.drive.brake
         return SingleBallLaw(replace(self.drive, place=place), 0)
 
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
         """Return whether the balls touch."""
-        return ball_gap(belief.on(TwoBalls), free) < 4e-3
+        return ball_gap(belief.obstacle_as(TwoBalls), free) < 4e-3
 
 
 class ClosingMemory(NamedTuple):
@@ -87,7 +87,7 @@ class Closing(NamedTuple):
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """Return the planned stance with the feet on the second ball moved."""
-        plan, stage, balls = ctx.plan, ctx.stage, belief.on(TwoBalls)
+        plan, stage, balls = ctx.plan, ctx.stage, belief.obstacle_as(TwoBalls)
         gap = jnp.clip(ball_gap(balls, ctx.obs.free), 0.0, MAX_CLOSING)
         memory: ClosingMemory = state.memory
         gap = jnp.where(ctx.is_first_tick, gap, memory.gap)
@@ -99,7 +99,7 @@ class Closing(NamedTuple):
         quat = ctx.free.quat[1:]
         turned = rotate(rotation_about_y(-way / balls.radius)[None], rotate(quat, wanted.feet))
         moved = rotate(conjugate(quat), turned - way * jnp.array([1.0, 0.0, 0.0]))
-        stands = (plan.foot_frame[stage] == fixed(1))[:, None]
+        stands = (plan.foot_frame[stage] == body_frame(1))[:, None]
         return Guidance(wanted._replace(feet=jnp.where(stands, moved, wanted.feet)), plan.foothold[stage],
                         ClosingMemory(gap))  # fmt: skip
 
@@ -116,7 +116,7 @@ MAX_CLOSING = 0.02  # m, gap that a stage closes at most
 
 def with_touching_balls(belief: Case) -> Case:
     """Return the belief with balls that touch, one right behind the other."""
-    return replace(belief, obstacle=replace(belief.on(TwoBalls), gap=0.0, offset=0.0))
+    return replace(belief, obstacle=replace(belief.obstacle_as(TwoBalls), gap=0.0, offset=0.0))
 
 
 @parameters
@@ -176,7 +176,7 @@ class BallToBall(OnBall, ByParts):
         context = ball_move_context(
             belief, belief.robot.body_length, self.deepening, (self.press, self.squeeze), supports, (OVER,)
         )
-        stages = part_stages("over", context, standing_on(feet, 0.0, fixed(0)))[0]
+        stages = part_stages("over", context, standing_on(feet, 0.0, body_frame(0)))[0]
         return apply_checks(with_touching_balls(belief), stance_on_ball(belief, pose), stages,
                        CheckLimits(self.spare, self.straight, self.clear))  # fmt: skip
 
@@ -189,7 +189,7 @@ class BallToBall(OnBall, ByParts):
         if not are_plain_numbers(belief.robot, belief.obstacle, self):
             return
 
-        start = with_touching_balls(belief).on(TwoBalls).start
+        start = with_touching_balls(belief).obstacle_as(TwoBalls).start
 
         def plan_and_margins() -> tuple[Plan, Array]:
             plan = compile_plan(stance_on_ball(belief, stand_pose(belief, self)), self.transfer_stages(belief), 0.0)

@@ -118,8 +118,10 @@ class BeamWalk:
         """Return the geometry of robot and beam, as believed."""
         length = belief.robot.body_length
         step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
-        track = belief.on(Beam).width - 2 * self.inset
-        return BeamSite(belief.robot, belief.on(Beam).height, self.height_ratio * length, track, self.deepening, step)
+        track = belief.obstacle_as(Beam).width - 2 * self.inset
+        return BeamSite(
+            belief.robot, belief.obstacle_as(Beam).height, self.height_ratio * length, track, self.deepening, step
+        )
 
     def gains(self, belief: Case) -> Gains:
         """Return the gains of the flywheel."""
@@ -177,7 +179,7 @@ class BeamCross(BeamWalk):
         """Return the plan: stand, approach, narrow track, legs out, across, legs down, wide track, depart, halt."""
         site = self.site(belief)
         reach = belief.robot.body_length / 2 + self.margin
-        far = -belief.on(Beam).length - reach
+        far = -belief.obstacle_as(Beam).length - reach
         start, stages = self.walk_up(site, reach)
         stages += [
             *change_track_stages(site, reach, site.track, self.transfer_lift, "narrow"),

@@ -21,7 +21,7 @@ from sweep.controllers.posture import feet_in_hip_axes
 from sweep.core.rotations import rotate
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
-from sweep.models.frames import fixed, koenig
+from sweep.models.frames import body_frame, koenig_frame
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.two_balls import TwoBalls
 from sweep.models.robot import Robot, mounts
@@ -60,11 +60,11 @@ def apply_checks(belief: Case, start: Stance, stages: Sequence[Stage], limits: C
         stages: the stages in order.
         limits: limits to keep.
     """
-    robot, free = belief.robot, belief.on(TwoBalls).start()
+    robot, free = belief.robot, belief.obstacle_as(TwoBalls).start()
     plan = compile_plan(start, stages, 0.0)
     swing = np.array([[leg in stage.swing for leg in LEGS] for stage in stages])
     since = np.maximum.accumulate(np.where(swing, np.arange(len(stages))[:, None], -1))
-    second = np.isin([stage.foot_frames for stage in stages], (koenig(1), fixed(1)))
+    second = np.isin([stage.foot_frames for stage in stages], (koenig_frame(1), body_frame(1)))
     steps = StageFeet(swing, since, jnp.where(second[..., None], free.position[1], free.position[0]))
     planned = stances = stage_end_stances(plan, free)
     for _ in range(ROUNDS):
@@ -143,7 +143,7 @@ def _move_base_on(robot: Robot, stances: Stance, start: Stance, steps: StageFeet
 
 def _lower_base(belief: Case, stances: Stance, limits: CheckLimits) -> Stance:
     """Check 2: lower the base where a leg would be too long, as far as it stays over the balls."""
-    robot, balls = belief.robot, belief.on(TwoBalls)
+    robot, balls = belief.robot, belief.obstacle_as(TwoBalls)
     level, down = _leg_extents(robot, stances)
     most = limits.straight * (robot.thigh + robot.shin)
     shift = jnp.max(down - jnp.sqrt(jnp.maximum(most**2 - level**2, 0.0)), axis=1)

@@ -16,7 +16,7 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stage, Support, is_under_law, reference_stance
 from sweep.controllers.tracker import EndsStages, Guidance, Guided, TrackerState
 from sweep.models.case import Case
-from sweep.models.frames import WORLD, koenig
+from sweep.models.frames import WORLD, koenig_frame
 from sweep.models.obstacles.surface import FreeState
 
 
@@ -118,7 +118,7 @@ class SingleBallLaw(NamedTuple):
         """Return stages that were made for a single ball, for this ball."""
 
         def frame_on_ball(frame: int) -> int:
-            return frame if frame == WORLD else frame + koenig(self.ball) - koenig(0)
+            return frame if frame == WORLD else frame + koenig_frame(self.ball) - koenig_frame(0)
 
         return [
             replace(

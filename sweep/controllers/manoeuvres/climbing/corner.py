@@ -21,7 +21,7 @@ from sweep.controllers.plan import STAND, Plan, Stage
 from sweep.controllers.symmetry import apply_direction
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
-from sweep.models.obstacles.charts import rearing
+from sweep.models.obstacles.charts import rearing_base_chart
 from sweep.models.obstacles.corner import Corner
 from sweep.models.robot import leg_unit
 
@@ -65,7 +65,7 @@ class OnCorner(PlannedForces):
         unit = leg_unit(belief.robot)
         step = Step.from_ratios(unit, self.half_step_ratio, self.lift_ratio, self.rate)
         return MoveContext(
-            belief, unit, step.time, step.height, extra_charts={"edges": rearing(belief.robot.body_length)}
+            belief, unit, step.time, step.height, extra_charts={"edges": rearing_base_chart(belief.robot.body_length)}
         )
 
     def climb_stages(self, belief: Case) -> tuple[Stance, list[Stage], Standing]:

@@ -26,7 +26,7 @@ from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.corner import Corner
-from sweep.models.plan_table import SIZES, tabled
+from sweep.models.plan_table import SIZES, evaluate_plan
 from sweep.models.robot import leg_unit
 
 MOST_RISE = 0.28  # a_r, rise of one cycle of the gallop; from 0.35 on front and middle legs cross
@@ -56,14 +56,14 @@ class CornerRoof(OnCorner):
         Raises:
             InputError: the house is too low, or too high for the cycles, both plain numbers.
         """
-        sizes = tabled(belief, SIZES).get(SIZES, {})
+        sizes = evaluate_plan(belief, SIZES).get(SIZES, {})
         if "rise" not in sizes:
             raise InputError(f"plan.{SIZES}.rise is missing")
         rise = sizes["rise"]
         if not isinstance(rise, Tracer):
             unit = leg_unit(belief.robot)
             self.validate(belief, float(rise * unit), float(MOST_RISE * belief.robot.body_length))
-        known = belief.plan.raised(f"{SIZES}.rise", jnp.where(rise >= 0, 0.0, jnp.nan))
+        known = belief.plan.with_increment(f"{SIZES}.rise", jnp.where(rise >= 0, 0.0, jnp.nan))
         start, stages, standing = self.climb_stages(replace(belief, plan=known))
         roof, _ = part_stages("roof", self.move_context(belief), standing)
         return start, [*stages, *roof]
@@ -79,7 +79,7 @@ class CornerRoof(OnCorner):
         Raises:
             InputError: the house is too low, or too high for the cycles.
         """
-        top, needed = belief.on(Corner).height, math.ceil(rise / most)
+        top, needed = belief.obstacle_as(Corner).height, math.ceil(rise / most)
         if rise < 0:
             least = math.ceil(100 * (top - rise)) / 100
             raise InputError(
@@ -112,7 +112,10 @@ class CornerFull(CornerRoof):
         ahead, middle feet would meet the front legs.
         """
         context, stages, length = self.move_context(belief), [], belief.robot.body_length
-        way, height = self.roof_step_ratio * length, belief.on(Corner).height + self.height_ratio * context.unit
+        way, height = (
+            self.roof_step_ratio * length,
+            belief.obstacle_as(Corner).height + self.height_ratio * context.unit,
+        )
         *_, last = read_moves(belief, "roof").values()
         base = context.base(last.base, last.path)[0][1]
         for k in range(self.steps):
@@ -136,7 +139,7 @@ def roof_foothold(belief: Case, leg: int, y: Array | float, aside: Array | float
         y: of the hip (m).
         aside: distance from the middle of the roof (m), at most.
     """
-    slope, length = jnp.tan(belief.on(Corner).half_angle), belief.robot.body_length
+    slope, length = jnp.tan(belief.obstacle_as(Corner).half_angle), belief.robot.body_length
     y = jnp.minimum(y, -BRINK * length - NARROWEST * length / slope)
     aside = jnp.minimum(aside, slope * (-y - BRINK * length))
-    return point(float(SIDE[leg - 1]) * aside, y, belief.on(Corner).height)
+    return point(float(SIDE[leg - 1]) * aside, y, belief.obstacle_as(Corner).height)

@@ -73,7 +73,7 @@ class LadderClimb(PlannedForces):
 
     def route(self, belief: Case) -> Plan:
         """Return the plan without its forces."""
-        ladder, robot = belief.on(Ladder), belief.robot
+        ladder, robot = belief.obstacle_as(Ladder), belief.robot
         length, unit = robot.body_length, leg_unit(robot)
         step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
         context = MoveContext(belief, unit, step.time, 0.0, dict.fromkeys(ladder.charts, self.deepening))
@@ -100,7 +100,7 @@ class LadderClimb(PlannedForces):
         Raises:
             InputError: the ladder slides, lacks rungs or is out of reach.
         """
-        ladder, robot, contact = belief.on(Ladder), belief.robot, belief.contact
+        ladder, robot, contact = belief.obstacle_as(Ladder), belief.robot, belief.contact
         if not are_plain_numbers(robot, ladder, contact, self):
             return
         ladder.check()

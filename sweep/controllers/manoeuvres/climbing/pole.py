@@ -20,7 +20,7 @@ from sweep.controllers.symmetry import apply_direction
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
-from sweep.models.obstacles.charts import ahead_above, rearing
+from sweep.models.obstacles.charts import edge_chart, rearing_base_chart
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.robot import leg_unit
 
@@ -76,8 +76,8 @@ class OnPole(PlannedForces):
         The chart `edges` is for a base that pitches up before the pole, `hang` for one that is upright beside it.
         """
         unit, step = leg_unit(belief.robot), self.regular_step(belief)
-        hang = ahead_above(lambda pole: (pole.radius + self.gap_ratio * unit, pole.height))
-        own = {"edges": rearing(belief.robot.body_length), "hang": hang}
+        hang = edge_chart(lambda pole: (pole.radius + self.gap_ratio * unit, pole.height))
+        own = {"edges": rearing_base_chart(belief.robot.body_length), "hang": hang}
         return MoveContext(belief, unit, step.time, step.height, {"side": self.deepening}, own, laws=(PRESS,))
 
     def climb_stages(self, belief: Case, gap: Array | float = 0.0) -> tuple[Stance, list[Stage], Standing]:

@@ -53,7 +53,7 @@ class PoleToLedge(PoleTop):
     def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the stages: on to the top, across to the ledge, away."""
         start, stages, standing = self.top_stages(belief)
-        context, pole = self.move_context(belief), belief.on(PoleLedge)
+        context, pole = self.move_context(belief), belief.obstacle_as(PoleLedge)
         cross, _ = part_stages("ledge", context, standing)
         height, spread = self.height_ratio * context.unit, self.spread_ratio * context.unit
         last = point(0.0, -pole.radius - 0.75 * context.unit, pole.ledge_height + height)

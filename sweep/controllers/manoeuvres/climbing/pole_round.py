@@ -47,14 +47,14 @@ class PoleRound(OnPole):
         """Return the plan: climb, go round, and the climb from the ledge backwards."""
         step, ledge, away = (
             self.regular_step(belief),
-            belief.on(PoleLedge).ledge_height,
+            belief.obstacle_as(PoleLedge).ledge_height,
             replace(self, cycles=self.down_cycles),
         )
         # The gap of x* keeps the front feet on the ledge: without it they would stand beside the pole, beyond its edge.
         start, stages, _ = away.climb_stages(replace(belief, manoeuvre=away), step.landing)
         from_ledge = compile_plan(start, stages, self.patience)
         rise = (ledge + 3 * self.down_cycles * step.landing) / (3 * self.cycles * leg_unit(belief.robot))
-        start, stages, _ = self.climb_stages(replace(belief, plan=belief.plan.changed(f"{SIZES}.rise", rise)))
+        start, stages, _ = self.climb_stages(replace(belief, plan=belief.plan.with_value(f"{SIZES}.rise", rise)))
         up = compile_plan(start, stages, self.patience)
         top = last_stance(up)
         across = compile_plan(top, [Stage("hang", STAND), *half_turn_stages(step, top)], self.patience)

@@ -92,4 +92,6 @@ def level_stance(belief: Case, spread: Array | float, height: Array | float) -> 
 
 def lay_on_ground(plan: Plan, belief: Case) -> Plan:
     """Return a plan for level ground, turned by the believed slope."""
-    return transform_plan(plan, exponential(jnp.array([0.0, -1.0, 0.0]) * belief.on(Plane).slope), jnp.zeros(3))
+    return transform_plan(
+        plan, exponential(jnp.array([0.0, -1.0, 0.0]) * belief.obstacle_as(Plane).slope), jnp.zeros(3)
+    )

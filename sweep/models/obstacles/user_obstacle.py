@@ -8,15 +8,15 @@ import jax.numpy as jnp
 
 from sweep.core.errors import WRONG, InputError, raised
 from sweep.models.obstacles.charts import Chart
-from sweep.models.obstacles.surface import Obstacle, Surface, own_axes
+from sweep.models.obstacles.surface import Obstacle, Surface, identity_poses
 
 POINTS = 2
 FORMS = {"depth": (POINTS,), "normal": (POINTS, 3), "face": (POINTS,), "body": (POINTS,), "friction_scale": (POINTS,)}
 
 
-def refuse_odd(obstacle: Obstacle) -> None:
+def check_user_obstacle(obstacle: Obstacle) -> None:
     """Raise `InputError` where its solids, its surface or a chart fail, or give something of another form."""
-    bodies = own_axes(len(obstacle.free_bodies))
+    bodies = identity_poses(len(obstacle.free_bodies))
 
     def tried(what: str, function: Callable[..., Any], *given: Any) -> Any:
         try:
@@ -25,7 +25,7 @@ def refuse_odd(obstacle: Obstacle) -> None:
             raise _refused(obstacle, f"{what} fails: {raised(error)}") from None
 
     solids = tried("solids", obstacle.solids, bodies)
-    if not isinstance(solids, tuple | list) or not all(hasattr(one, "to_segments") for one in solids):
+    if not isinstance(solids, tuple | list) or not all(hasattr(one, "segment_distance") for one in solids):
         raise _refused(obstacle, f"solids gives {solids!r}: a tuple of solids is wanted")
     points, owner = jnp.zeros((POINTS, 3)), (-1,) * POINTS
     found = tried("surface", jax.eval_shape, lambda at: obstacle.surface(at, owner, bodies), points)

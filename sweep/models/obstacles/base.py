@@ -7,14 +7,14 @@ from jaxtyping import Array, Float
 
 from sweep.models.obstacles.charts import Chart
 from sweep.models.obstacles.geoms import add_solids
-from sweep.models.obstacles.surface import Bodies, FreeState, own_axes
+from sweep.models.obstacles.surface import BodyPoses, FreeState, identity_poses
 from sweep.models.solids import Solid
 
 if TYPE_CHECKING:
     import mujoco
 
 
-class Usual:
+class ObstacleDefaults:
     """It offers no charts, nothing is learned of it by touch, and nothing loads its bodies."""
 
     charts: ClassVar[dict[str, Chart]] = {}
@@ -23,25 +23,25 @@ class Usual:
     lying: tuple[str, ...] = ()
     stood_on: tuple[str, ...] = ()
 
-    def load(self, free: FreeState) -> Float[Array, "k 6"] | None:
+    def external_wrench(self, free: FreeState) -> Float[Array, "k 6"] | None:
         """Nothing beside weight and contact."""
         return None
 
 
-class Fixed(Usual, ABC):
+class StaticObstacle(ObstacleDefaults, ABC):
     """An obstacle without free bodies: a kind, sizes, solids and a surface are all that it needs to say."""
 
     free_bodies: tuple[str, ...] = ()
     contact_sites: tuple[tuple[str, int], ...] = ()
 
     @abstractmethod
-    def solids(self, bodies: Bodies) -> tuple[Solid, ...]:
+    def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """The solids that it consists of."""
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
         """Put its solids in the spec, as geoms."""
-        add_solids(spec, self.solids(own_axes(0)), friction)
+        add_solids(spec, self.solids(identity_poses(0)), friction)
 
-    def leaves(self) -> dict[str, dict[str, Array]]:
+    def batched_model_fields(self) -> dict[str, dict[str, Array]]:
         """No masses: nothing moves."""
         return {}
