@@ -65,7 +65,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """
     source = page.file.src_uri
     if note := cited.outdated(markdown):
-        title, _, rest = markdown.partition("\n")
+        title, _newline, rest = markdown.partition("\n")
         markdown = f"{title}\n\n*{note}*\n{rest}" if source.startswith("research/") else f"{markdown}\n\n{note}\n"
     if source.startswith("research/"):
         up = "../" * source.count("/")  # to the root of the repository, and to that of the site

@@ -9,6 +9,7 @@ import numpy as np
 
 from sweep.engines import make
 from sweep.engines.base import Trace
+from sweep.engines.batching import require_trace
 from sweep.metrics.outcome import classify
 from sweep.study.config import compose
 from validity.tables import short
@@ -31,7 +32,8 @@ def _row(name: str, engine: str) -> dict[str, Any]:
     draws = np.concatenate([[0.0], np.random.default_rng(0).uniform(-1, 1, ROWS - 1)])
     robot = replace(exp.case.robot, body_mass=exp.case.robot.body_mass * (1 + PART * draws))
     made = make(exp.settings, exp.case, exp.case, exp.thresholds)
-    traces = made.traces(replace(exp.case, robot=robot), exp.case, np.zeros(ROWS, int), EVERY)
+    found = made.traces(replace(exp.case, robot=robot), exp.case, np.zeros(ROWS, int), EVERY)
+    traces = [require_trace(trace) for trace in found]
     figures = {key: np.asarray([trace.figures[key] for trace in traces]) for key in traces[0].figures}
     outcomes = classify(figures, exp.thresholds, made.stages)["outcome"]
     return {

@@ -8,6 +8,7 @@ import numpy as np
 
 from sweep.core.constants import GRAVITY
 from sweep.engines.base import Trace
+from sweep.engines.batching import require_trace
 from sweep.engines.mjx import Mjx
 from sweep.metrics.outcome import classify
 from sweep.models.robot import total_mass
@@ -43,7 +44,7 @@ def _run(name: str, h: float, iterations: int) -> tuple[Trace, str]:
     exp = compose([f"scenario={name}"])
     settings = replace(exp.settings, width=1, time_step=h, iterations=iterations)
     engine = Mjx(settings, exp.case, exp.case, exp.thresholds)
-    (trace,) = engine.traces(exp.case, exp.case, np.zeros(1, int), EVERY)
+    trace = require_trace(engine.traces(exp.case, exp.case, np.zeros(1, int), EVERY)[0])
     figures = {key: np.asarray([value]) for key, value in trace.figures.items()}
     told = classify(figures, exp.thresholds, engine.stages)
     return trace, str(told["outcome"][0]) + (f" ({told['cause'][0]})" if told["cause"][0] else "")

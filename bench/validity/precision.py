@@ -21,6 +21,7 @@ import numpy as np
 from mujoco import rollout
 
 from sweep.core.constants import GRAVITY
+from sweep.engines.batching import require_trace
 from sweep.engines.closed_loop import start_state
 from sweep.engines.mjx import Mjx
 from sweep.models.case import Case
@@ -107,7 +108,7 @@ def standing() -> Task:
 def _walking() -> Task:
     exp = compose(["scenario=walk_tripod"])
     engine = Mjx(dataclasses.replace(exp.settings, width=1), exp.case, exp.case, exp.thresholds)
-    (trace,) = engine.traces(exp.case, exp.case, np.zeros(1, int), 1)
+    trace = require_trace(engine.traces(exp.case, exp.case, np.zeros(1, int), 1)[0])
     first = np.asarray(start_state(exp.case, exp.case, exp.case.manoeuvre.plan(exp.case)).qpos, float)
     targets = np.vstack([first[JOINT_Q], trace.joint_target[: round(WALKED / TICK)]]).reshape(-1, N_LEGS, 3)
 

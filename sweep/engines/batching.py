@@ -114,7 +114,7 @@ class Batched:
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
         """One rollout of a batch recorded, see `Engine`."""
-        return drawn(self.traces(world, belief, streams, 1, np.array([slot]))[0])
+        return require_trace(self.traces(world, belief, streams, 1, np.array([slot]))[0])
 
     def traces(
         self, world: Case, belief: Case, streams: np.ndarray, every: int, slots: np.ndarray | None = None
@@ -127,8 +127,8 @@ class Batched:
         return to_traces((world, belief), slots, figures, records, self.stages, self.limits, tick, every)
 
 
-def drawn(trace: Trace | NoTrace) -> Trace:
-    """A trace. Raises `InputError` where its model cannot be drawn."""
+def require_trace(trace: Trace | NoTrace) -> Trace:
+    """Return `trace`; raise `InputError` if its model could not be drawn."""
     if isinstance(trace, NoTrace):
         raise InputError(trace.reason)
     return trace

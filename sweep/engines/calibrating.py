@@ -17,7 +17,7 @@ from sweep.core.errors import InputError
 from sweep.core.outcomes import FAILURE, INVALID
 from sweep.engines import batching, devices, prelude
 from sweep.engines.base import Engine, Figures, NoTrace, Trace, Watch
-from sweep.engines.batching import drawn
+from sweep.engines.batching import require_trace
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import calibration, outcome
 from sweep.metrics.outcome import Thresholds
@@ -83,7 +83,7 @@ class Calibrating:
         both = enumerate(zip(firsts, thens, strict=True))
         return [
             next((one for one in (first, then) if isinstance(one, NoTrace)), None)
-            or self._chained(before, slot, drawn(first), drawn(then))
+            or self._chained(before, slot, require_trace(first), require_trace(then))
             for slot, (first, then) in both
         ]
 
