@@ -65,7 +65,7 @@ def test_a_rollout_that_cannot_be_drawn_has_no_trace_and_the_others_have(monkeyp
     world = replace(exp.case, robot=replace(exp.case.robot, thigh_mass=np.array([0.5, 1e-20])))
     engine = Native(replace(exp.settings, width=2), exp.case, exp.case, exp.thresholds)
     first, second = engine.traces(world, exp.case, np.zeros(2, int), 1)
-    assert len(batching.drawn(first).time)
+    assert len(batching.require_trace(first).time)
     assert isinstance(second, NoTrace)
     assert "mass and inertia" in second.reason
 
