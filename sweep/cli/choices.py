@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from sweep.core import project
-from sweep.core.errors import known
+from sweep.core.errors import InputError, known
 from sweep.core.groups import GROUPS
 
 PACKAGE = Path(__file__).parents[1]
@@ -23,6 +23,7 @@ def refuse_unknown(overrides: list[str]) -> None:
 
     Names that only they know, such as those of a project's modules, are left to them.
     """
+    _refuse_bare_words(overrides)
     if any(one.startswith("-") for one in overrides):  # such as a folder of configurations beside ours
         return
     for group, _, name in (one.partition("=") for one in overrides):
@@ -30,7 +31,33 @@ def refuse_unknown(overrides: list[str]) -> None:
             continue
         if name.endswith(".yaml") or project.modules_named():
             continue
-        known(name, {**choices(group), **project.own(group)}, f"{group} = {name}")
+        try:
+            known(name, {**choices(group), **project.own(group)}, f"{group} = {name}")
+        except InputError as error:
+            raise InputError(f"{error}{no_project()}") from None
+
+
+def no_project() -> str:
+    """The end of a message about an unknown choice outside of a project; empty in one."""
+    return "" if project.root() else "; this folder is in no project: there is no sweep.yaml in it or above it"
+
+
+def _refuse_bare_words(overrides: list[str]) -> None:
+    """Raise `InputError` where a choice is given without its group, or as a flag: `first`, `--study first`."""
+    for place, word in enumerate(overrides):
+        flag, _, value = word.partition("=")
+        if flag.startswith("--") and (group := flag.removeprefix("--")) in GROUPS:
+            value = value or next(iter(overrides[place + 1 :]), "NAME")
+            raise InputError(f"{word} is not allowed: did you mean {group}={value}?")
+    if any(one.startswith("-") for one in overrides):  # whose values are words, too
+        return
+    for word in overrides:
+        if not re.fullmatch(r"\w[\w-]*", word):
+            continue
+        fits = [group for group in GROUPS if word in {**choices(group), **project.own(group)}]
+        if fits:
+            raise InputError(f"{word} is not allowed: did you mean {' or '.join(f'{group}={word}' for group in fits)}?")
+        raise InputError(f"{word} cannot be read: group=choice or group.name=value{no_project()}")
 
 
 def _classes(module: Path) -> dict[str, str]:

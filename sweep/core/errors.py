@@ -40,6 +40,28 @@ def suggest(word: str, allowed: Iterable[str], short: Iterable[str] = ()) -> str
     return f"{hint} (allowed: {', '.join(sorted(allowed))})" if allowed else hint
 
 
+def nearest(word: str, names: Iterable[str], count: int = 5) -> str:
+    """Name the few names most like `word`, as the end of a message; a dotted name counts by its last part, too.
+
+    Args:
+        word: what the user wrote.
+        names: all names that would be right.
+        count: how many of them to list.
+    """
+    import difflib
+
+    def likeness(name: str) -> tuple[float, str]:
+        parts = (name.rpartition(".")[2], name)
+        return max((difflib.SequenceMatcher(None, word.lower(), part.lower()).ratio(), part) for part in parts)
+
+    found = sorted(dict.fromkeys(names), key=likeness, reverse=True)[:count]
+    if not found:
+        return ""
+    share, part = likeness(found[0])
+    hint = f": did you mean {part}?" if share >= 0.6 else ""
+    return f"{hint} (nearest: {', '.join(found)})"
+
+
 def known(word: object, allowed: Iterable[str], told: str) -> None:
     """Raise `InputError` where `word`, which a message names as `told`, is none of those that are allowed."""
     if word not in (allowed := list(allowed)):

@@ -2,16 +2,18 @@
 
 import ast
 import operator
+import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, nearest
 
 if TYPE_CHECKING:
     import pandas as pd
 
+AXES = "axes"  # key of `DataFrame.attrs`: columns by the names that the study gives to its axes
 LONGEST = 5000  # characters of an expression
 QUOTED = ' (a word is written in quotes: "{}")'
 _COMPARE: dict[type, Callable[[Any, Any], Any]] = {
@@ -64,7 +66,8 @@ def held(condition: str, look_up: Callable[[str], Any], told: str, such: str) ->
             raise SyntaxError
         return found
     except SyntaxError:
-        raise InputError(f"{told} is not a condition, such as {such}") from None
+        equals = " (equality is written ==)" if re.search(r"(?<![=<>!])=(?!=)", condition) else ""
+        raise InputError(f"{told} is not a condition{equals}, such as {such}") from None
     except InputError as error:
         raise InputError(f"{told.partition(' = ')[0]}: {error}") from None
     except (TypeError, ValueError):
@@ -91,18 +94,29 @@ def evaluate(expression: str, look_up: Callable[[str], Any], maths: Callable[[An
 
 
 def column(frame: "pd.DataFrame", name: str, hint: str = "") -> str:
-    """The column that `name` means: itself, or the only one that ends in `.name`.
+    """Find the column that a user means by `name`.
 
-    Raises `InputError`, with a `hint` where there is none.
+    Args:
+        frame: rows of a study; `frame.attrs[AXES]` maps names of its axes to columns, where they are known.
+        name: a column, the name of an axis, or the last part of a dotted column.
+        hint: words for the message where no column is found.
+
+    Raises:
+        InputError: no column, or several columns fit.
     """
     if name in frame.columns:
         return name
     found = [c for c in frame.columns if c.endswith(f".{name}")]
+    if (axis := frame.attrs.get(AXES, {}).get(name)) in frame.columns:
+        if axis in found or not found:  # such as `axis.radius` beside the `robot.radius` that is made from it
+            return axis
+        found.append(axis)
     if len(found) > 1:
         raise InputError(f"column {name} is ambiguous (allowed: {', '.join(found)})")
     if not found:
-        short = [c.rpartition(".")[2] for c in frame.columns]
-        raise InputError(f"column {name} is unknown{hint}{suggest(name, frame.columns, short)}")
+        axes = frame.attrs.get(AXES, {})
+        names = [*axes, *(c for c in frame.columns if c not in axes.values())]
+        raise InputError(f"column {name} is unknown{hint}{nearest(name, names)}")
     return found[0]
 
 

@@ -8,6 +8,19 @@ if TYPE_CHECKING:
 PLAN = ("replicate", "stream", "point_id", "group", "batch", "slot", "width", "run_id")
 LABELS = ("outcome", "cause", "stage", "t_cause_s", "limit", "margin", "margin_of")
 TIMING = ("wall_s",)  # differs between runs
+MEANINGS = {  # of labels and of what places a row in its study
+    "outcome": "success, failure, or invalid where the simulation cannot vouch for the rollout",
+    "cause": "what ended a rollout that did not succeed; empty for a success",
+    "stage": "stage of the plan in which the cause occurred",
+    "t_cause_s": "when the cause occurred; empty where it is known at the end only",
+    "limit": "threshold that was crossed, a key of `outcome`",
+    "margin": "distance to the nearest threshold of a failure, in units of that threshold; negative beyond it",
+    "margin_of": "threshold that `margin` is the distance to",
+    "replicate": "number of the draw or repetition at a point",
+    "point_id": "hash of all physical inputs of the rollout",
+    "run_id": "hash of how the row was simulated: rows are equal bit for bit only at an equal one",
+    "wall_s": "wall time of the row's batch, divided by its rollouts",
+}
 
 
 def figure_columns(rows: "pd.DataFrame") -> list[str]:

@@ -18,8 +18,10 @@ import pandas as pd
 from sweep.core import project
 from sweep.core.errors import InputError, known, suggest
 from sweep.core.groups import GROUPS
-from sweep.core.parameters import bounds_text, written
+from sweep.core.parameters import UNITS, bounds_text, written
+from sweep.metrics import outcome
 from sweep.study import config
+from sweep.study.columns import MEANINGS
 
 
 def classes() -> dict[str, list[type]]:
@@ -30,8 +32,25 @@ def classes() -> dict[str, list[type]]:
 
 
 def text(name: str) -> str:
-    """A group, a kind such as `obstacle=ball`, or a parameter such as `drive.torque_limit`. Raises `InputError`."""
+    """Describe what a user names.
+
+    Args:
+        name: a group, a choice such as `obstacle=ball` or `robot=mine`, a parameter such as `drive.torque_limit`, or a
+            column of rows such as `energy_j`.
+
+    Raises:
+        InputError: nothing has this name.
+    """
     every = classes()
+    if name not in every and (meaning := column_meanings().get(name)):
+        words = written(UNITS.get(name.rpartition("_")[2], "-"))
+        return f"{name}: {meaning}" + (f"\n  unit: {words}" if words else "")
+    group, _, choice = name.partition("=")
+    of_file = (
+        choice and group in GROUPS and not GROUPS[group].numbers and choice not in map(kind_of, every.get(group, []))
+    )
+    if of_file and (file := project.find(group, choice)):
+        return f"{name}: {project.described(file)}\n\n{file.read_text(encoding='utf-8').rstrip()}"
     head = name.partition(".")[0].partition("=")[0]
     if head in GROUPS and GROUPS[head].numbers:
         return numbered(head, name.removeprefix(head)[1:])
@@ -39,18 +58,30 @@ def text(name: str) -> str:
     if group in every:
         kinds = [kind_of(cls) for cls in every[group]]
         if kind and not any(kinds):
-            raise InputError(f"{name} is unknown: {group} has no kinds, `sweep describe {group}` tells its parameters")
+            raise InputError(f"{name} is unknown{suggest(kind, choices_of(group))}")
         if kind:
-            known(kind, kinds, f"{group} = {kind}")
+            known(kind, [*kinds, *choices_of(group)], f"{group} = {kind}")
         return "\n\n".join(section(group, cls) for cls in every[group] if kind in ("", kind_of(cls)))
     group, _, key = name.partition(".")
     if group not in every:
-        raise InputError(f"{name} is unknown{config.hint_whole(name, every) or suggest(group, every)}")
+        hint = config.hint_whole(name, every)
+        close = suggest(name if "." not in name else group, every, column_meanings())
+        raise InputError(f"{name} is unknown{hint or close}")
     found = [(cls, line) for cls in every[group] for line in parameters(cls) if line["parameter"] == key]
     if not found:
         names = {line["parameter"] for cls in every[group] for line in parameters(cls)}
         raise InputError(f"{name} is unknown{suggest(key, names)}")
     return "\n\n".join(entry(group, cls, line) for cls, line in found)
+
+
+def column_meanings() -> dict[str, str]:
+    """What the columns of rows mean: labels, and what is measured of the six-legged robot and of any model."""
+    return {**MEANINGS, **outcome.COLUMNS}
+
+
+def choices_of(group: str) -> list[str]:
+    """The names of a group's files, of those that ship and of the project's own."""
+    return [*project.shipped(group), *project.own(group)]
 
 
 def numbered(group: str, name: str) -> str:
@@ -87,7 +118,12 @@ def section(group: str, cls: type) -> str:
     kind = kind_of(cls)
     lines = pd.DataFrame(list(parameters(cls)))
     table = lines.to_markdown(index=False, disable_numparse=True) if len(lines) else "No parameters."
-    return f"### {group}{'=' + kind if kind else ''}\n\n{about(cls)}\n\n{table}"
+    names = [
+        f"- `{name}`: {meaning}" for field in dataclasses.fields(cls) for name, meaning in meanings_of(field).items()
+    ]
+    return "\n\n".join(
+        [f"### {group}{'=' + kind if kind else ''}", about(cls), table, *(["\n".join(names)] if names else [])]
+    )
 
 
 def entry(group: str, cls: type, line: dict[str, str]) -> str:
@@ -96,6 +132,8 @@ def entry(group: str, cls: type, line: dict[str, str]) -> str:
     beside = f" (of {group}={kind})" if kind else ""
     rows = [f"{group}.{line['parameter']}{beside}: {line['meaning'] or about(cls).splitlines()[0]}"]
     rows += [f"  {key}: {line[key]}" for key in ("default", "unit", "allowed") if line[key]]
+    (field,) = [one for one in dataclasses.fields(cls) if one.name == line["parameter"]]
+    rows += [f"    {name}: {meaning}" for name, meaning in meanings_of(field).items()]
     return "\n".join([*rows, f"  defined in: {cls.__module__}.{cls.__name__}, {source(cls)}"])
 
 
@@ -119,6 +157,11 @@ def parameters(cls: type) -> Iterator[dict[str, str]]:
             "allowed": allowed[role](field) if role else "",
             "meaning": meanings.get(field.name, ""),
         }
+
+
+def meanings_of(field: "dataclasses.Field[Any]") -> dict[str, str]:
+    """What each of the names means that a parameter may have, where that is said."""
+    return field.metadata.get("meanings", {})
 
 
 def default(field: "dataclasses.Field[Any]") -> str:

@@ -7,7 +7,7 @@ one of the two is varied, or `axis.NAME` for a number that values are made from 
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.core.errors import InputError, known
-from sweep.core.expressions import mask
+from sweep.core.expressions import AXES, mask
 from sweep.core.parameters import WHOLE, checked, count, within
 from sweep.engines.settings import EngineSettings
 from sweep.study import designs, searches
@@ -180,6 +180,21 @@ def is_static(column: str, system: System, settings: EngineSettings) -> bool:
     return column.startswith("engine.") or system.parameter(column, settings).metadata["role"] != "quantity"
 
 
+def name_axes(rows: "pd.DataFrame", axes: Iterable[Axis]) -> "pd.DataFrame":
+    """Let conditions and lists of columns name a study's axes as the study does.
+
+    Args:
+        rows: rows or points of the study; their columns stay as they are.
+        axes: axes of the study.
+
+    Returns:
+        The same rows, with the columns of the axes by name in `attrs`: see `expressions.column`.
+    """
+    named = rows.copy(deep=False)
+    named.attrs[AXES] = {axis.name: axis.column for axis in axes if axis.column in rows}
+    return named
+
+
 def parameter_columns(table: "pd.DataFrame") -> list[str]:
     """The columns of `table` that vary a parameter."""
     return [c for c in table.columns if "." in c and not c.startswith("axis.")]
@@ -204,7 +219,7 @@ def check_expect(study: Study, system: System, points: "pd.DataFrame | None" = N
     for i, one in enumerate(study.expect):
         for key, condition in (("where", one.where), ("that", one.that)):
             try:
-                mask(rows, condition)
+                mask(name_axes(rows, study.axes), condition)
             except InputError as error:
                 source = "scenario" if study.single else "study"
                 raise InputError(f"{source}.expect.{i}.{key}: {error}") from None
@@ -242,7 +257,15 @@ def points(
     drawn = [str(axis.target) for axis in study.axes if axis.distribution and axis.path and not study.points]
     listed = design.columns.difference(drawn) if grid is None else ()  # not those between listed ones
     for column, member in fields.items():
-        _check(member, design[column], column, exact=column in listed)
+        try:
+            _check(member, design[column], column, exact=column in listed)
+        except InputError as error:
+            axis = next((axis for axis in study.axes if axis.target == column and axis.distribution), None)
+            if axis is None or study.points:
+                raise
+            raise InputError(
+                f"{error}; axis {axis.name} draws it: give its distribution `from` and `to` to truncate it"
+            ) from None
     whole = [column for column in drawn if fields[column].metadata.get("unit") in WHOLE]
     design[whole] = np.rint(design[whole])  # rows say what is simulated
     # copied, as pandas is slow with hundreds of columns that were made one by one
@@ -251,7 +274,7 @@ def points(
     # static axes outermost: every compiled engine runs its rows in one go
     static = [column for column in fields if is_static(column, system, settings)]
     order = design.groupby(static, sort=False).ngroup().argsort(kind="stable") if static else slice(None)
-    design = design.assign(draw=draw).iloc[order].loc[lambda d: mask(d, study.where)]
+    design = design.assign(draw=draw).iloc[order].loc[lambda d: mask(name_axes(d, study.axes), study.where)]
     table = design.loc[design.index.repeat(study.replicates)].reset_index(drop=True)
     again = np.tile(np.arange(study.replicates), len(design))
     table["replicate"] = table.pop("draw").to_numpy() * study.replicates + again
@@ -313,9 +336,13 @@ def _from_csv(file: str) -> "pd.DataFrame":
             f"study.points = {file} is not a table: {str(error).splitlines()[0].rpartition('C error: ')[2]}"
         ) from None
     if not isinstance(table.index, pd.RangeIndex):  # as of numbers with a decimal comma: pandas shifts them
+        if ";" in Path(file).read_text(encoding="utf-8", errors="replace").partition("\n")[0]:
+            raise InputError(f"study.points = {file} has semicolons between its values: commas are needed")
         raise InputError(f"study.points = {file} is not a table: more values in a line than there are names")
     if table.empty:
         raise InputError(f"study.points = {file} holds no points")
+    if len(table.columns) == 1 and ";" in table.columns[0]:
+        raise InputError(f"study.points = {file} has semicolons between its values: commas are needed")
     return table
 
 
