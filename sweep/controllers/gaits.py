@@ -19,6 +19,12 @@ GALLOP = FRONT, MIDDLE, REAR = (5, 6), (3, 4), (1, 2)  # order as in the text of
 LEVEL_GALLOP = ((5, 6), (1, 2), (3, 4))
 MODIFIED_GALLOP = ((5, 6), (3, 4), (1, 2), (3, 4))  # middle legs twice as often, near the pair that swings next
 GAITS = {"tripod": TRIPOD, "gallop": GALLOP, "level_gallop": LEVEL_GALLOP, "modified_gallop": MODIFIED_GALLOP}
+MEANINGS = {  # of gaits, in a line each
+    "tripod": "legs 1, 4, 5 swing together, then 2, 3, 6",
+    "gallop": "pairs swing in the order front, middle, rear, as on poles; on level ground the robot tips and slips",
+    "level_gallop": "pairs swing in the order front, rear, middle: the gallop that is stable on level ground",
+    "modified_gallop": "pairs swing in the order front, middle, rear, middle; it slips on level ground, too",
+}
 
 
 class Step(NamedTuple):

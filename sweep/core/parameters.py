@@ -34,9 +34,16 @@ def quantity(
     return dataclasses.field(default=default, metadata={"role": "quantity", **bounds})
 
 
-def choice(default: str, *options: str) -> Any:
-    """A parameter that is one of a few names."""
-    return dataclasses.field(default=default, metadata={"role": "choice", "options": options})
+def choice(default: str, *options: str, **meanings: str) -> Any:
+    """A parameter that is one of a few names.
+
+    Args:
+        default: the name where nothing else is said.
+        options: the names that are allowed.
+        meanings: further names, each with what it means, for `sweep describe`.
+    """
+    about = {"role": "choice", "options": (*options, *meanings), "meanings": meanings}
+    return dataclasses.field(default=default, metadata=about)
 
 
 def count(default: int, *, at_least: int = 0, at_most: float = math.inf) -> Any:

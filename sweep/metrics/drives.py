@@ -88,7 +88,7 @@ METRIC = Metric(
             known="end",
         ),
         *(
-            Cause(name, f"{what} {figure}_max of drive.{size}", figure, 1.0)
+            Cause(name, f"{what} {figure}_max times drive.{size}", figure, 1.0)
             for figure, size, name, what in (
                 ("turn_over_limit", "turn_limit", "overturned_leg", "a leg turned to beyond"),
                 ("joint_speed_over_limit", "speed_limit", "overspeed", "a joint was faster than"),

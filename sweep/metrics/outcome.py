@@ -1,6 +1,7 @@
 """From a row's figures to its outcome: success, failure with a cause, or invalid."""
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from sweep.core.errors import InputError
 from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
-from sweep.core.parameters import parameters
+from sweep.core.parameters import UNITS, parameters, written
 from sweep.metrics import CAUSES, METRICS, of
 from sweep.metrics.metric import GOAL, Cause
 from sweep.models.case import Case
@@ -57,6 +58,29 @@ def thresholds(values: Mapping[str, float | None], case: Case) -> Thresholds:
             value = case.manoeuvre.goal.get(field.name, cause.otherwise(case))
         chosen[field.name] = value
     return Thresholds(**chosen)
+
+
+def cause_meanings(limits: Thresholds) -> dict[str, str]:
+    """Say what each cause of failure or invalidity means, with the value of its threshold.
+
+    Args:
+        limits: thresholds of the study. A threshold that its manoeuvre does not have is named only.
+
+    Returns:
+        Sentence by name of the cause: `a standing foot slipped by more than 0.02 m (slip_max_m)`.
+    """
+    return MEANING | {cause.name: f"{sentence} ({cause.threshold})" if sentence != cause.sentence else sentence
+                      for cause in CAUSES if cause.name != GOAL
+                      for sentence in [sentence_with_limit(cause, limits)]}  # fmt: skip
+
+
+def sentence_with_limit(cause: Cause, limits: Thresholds) -> str:
+    """The sentence of a cause with the value and unit of its threshold, where it has one, in place of its key."""
+    if not cause.threshold or not np.isfinite(limit := limit_of(cause, limits)):
+        return cause.sentence
+    unit = written(UNITS.get(cause.threshold.rpartition("_")[2], "-"))
+    value = f"{limit:.4g} {unit}".strip().replace(" deg", "°")
+    return re.sub(rf"\b{cause.threshold}\b", value, cause.sentence)
 
 
 def limit_of(cause: Cause, limits: Thresholds) -> float:
@@ -125,7 +149,7 @@ def why(row: Mapping[str, Any], limits: Thresholds) -> str:
         if cause.name == row["cause"] and cause.threshold == row["limit"] and cause.figure in row:
             value = f" ({cause.figure} {float(row[cause.figure]):.4g}, " if cause.threshold else ""
             side = "at least" if cause.below else "at most"
-            return cause.sentence + (value and f"{value}{side} {limit_of(cause, limits):.4g})")
+            return sentence_with_limit(cause, limits) + (value and f"{value}{side} {limit_of(cause, limits):.4g})")
     return MEANING.get(str(row["cause"]), "")
 
 

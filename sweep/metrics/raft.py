@@ -102,7 +102,9 @@ METRIC = Metric(
             below=True,
             scale=0.02,
         ),
-        Cause("slipped_on_deck", "a foot on the raft's deck slipped beyond deck_slip_max_m", "deck_slip_max_m", 0.05),
+        Cause(
+            "slipped_on_deck", "a foot slipped on the raft's deck by more than deck_slip_max_m", "deck_slip_max_m", 0.05
+        ),
     ),
     applies=lambda case: isinstance(case.obstacle, Raft),
 )

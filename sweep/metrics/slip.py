@@ -84,7 +84,7 @@ METRIC = Metric(
     (
         Cause(
             "slipped",
-            "a standing foot slipped beyond slip_max_m",
+            "a standing foot slipped by more than slip_max_m",
             "slip_max_m",
             None,
             lead=Lead("edge_reserve_min_m", 0.02),

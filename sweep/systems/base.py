@@ -55,6 +55,10 @@ class System(Protocol):
         """What each cause means, in the order of their definition."""
         ...
 
+    def cause_meanings(self, limits: Limits) -> Mapping[str, str]:
+        """What each cause means, as in `causes`, with the values of its thresholds."""
+        ...
+
     @property
     def doubts(self) -> Collection[str]:
         """The causes for which a rollout is invalid rather than failed."""

@@ -69,6 +69,7 @@ class Hexapod:
 
     groups = tuple(f.name for f in dataclasses.fields(Case))
     causes = outcome.MEANING
+    cause_meanings = staticmethod(outcome.cause_meanings)
     doubts = tuple(outcome.DOUBTS)
     figures = frozenset({*outcome.COLUMNS, *outcome.BOOKKEEPING})
     silent = frozenset(outcome.BOOKKEEPING | {"finite", "finished", "end_stage"})

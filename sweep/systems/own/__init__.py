@@ -65,6 +65,10 @@ class Own(Subject):
         """Its scenario's conditions, and what makes a rollout doubtful, see `System`."""
         return {one.cause: one.sentence for one in self.conditions} | outcome.DOUBTS
 
+    def cause_meanings(self, limits: tuple[Condition, ...]) -> dict[str, str]:
+        """The conditions of the scenario, which have their thresholds in them, see `System`."""
+        return {one.cause: one.sentence for one in limits} | outcome.DOUBTS
+
     @property
     def figures(self) -> tuple[str, ...]:
         """Those of any model, and its controller's own, see `System`."""

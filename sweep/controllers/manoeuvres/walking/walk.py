@@ -8,7 +8,7 @@ from jaxtyping import Array
 
 from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.frames import Stance
-from sweep.controllers.gaits import GAITS, Step, initial_foot_offsets, regular_steps
+from sweep.controllers.gaits import GAITS, MEANINGS, Step, initial_foot_offsets, regular_steps
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
 from sweep.controllers.plan import STAND, Plan, Stage, transform_plan
 from sweep.controllers.posture import foot_centres
@@ -24,7 +24,7 @@ class Walk:
 
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("walk", "walk")
-    gait: str = choice("tripod", *GAITS)  # which legs swing together, and in which order
+    gait: str = choice("tripod", **MEANINGS)  # which legs swing together, and in which order
     steps: int = count(7, at_least=1, at_most=200)  # number of swings, t* each
     half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x, half the length of a swing
     lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, height of a swing
