@@ -11,12 +11,13 @@ from matplotlib.figure import Figure
 
 from sweep.analysis.sample import distinct
 from sweep.core.errors import InputError
-from sweep.core.expressions import mask
+from sweep.core.expressions import AXES, mask
 from sweep.core.letters import lettering
 from sweep.report import draws, maps, overlay, page
 from sweep.report.labels import unit_of
 from sweep.runs import results, store
 from sweep.study.config import Experiment, compose
+from sweep.study.study import name_axes
 
 if TYPE_CHECKING:
     import xarray
@@ -39,10 +40,13 @@ def run(overrides: list[str]) -> pd.DataFrame:
 def load(folder: str | PathLike[str], where: str | None = None) -> pd.DataFrame:
     """Rows of a folder, see `sweep.load`."""
     folder = Path(folder)
-    rows = store.read_rows(folder)
+    exp = results.kept(folder)
+    rows = name_axes(store.read_rows(folder), exp.study.axes)
     if where:
         rows = rows[mask(rows, where)].reset_index(drop=True)
-    rows = _tidy(rows, results.kept(folder))
+    aliases = {name: rows[column] for name, column in rows.attrs[AXES].items() if name not in rows}
+    rows = _tidy(rows.assign(**aliases), exp)
+    rows.attrs["axes"] = [*aliases]
     rows.attrs["folder"] = str(folder)
     return rows
 
@@ -67,7 +71,8 @@ class Accessor:
     def __init__(self, rows: pd.DataFrame):
         if "folder" not in rows.attrs:
             raise AttributeError("only rows of a study's folder have pictures: see sweep.load")
-        self._rows, self._folder = rows, Path(rows.attrs["folder"])
+        names = [name for name in rows.attrs["axes"] if name in rows]
+        self._rows, self._folder = rows.drop(columns=names), Path(rows.attrs["folder"])
 
     def map(self, x: str = "", y: str = "") -> Figure:
         """The map of success over two parameters, the first two that vary unless named. Raises `InputError`."""
@@ -129,7 +134,7 @@ class Accessor:
             raise InputError(f"no row of {self._folder} is chosen: nothing to show")
         stored = store.read_study(self._folder)
         exp = results.kept(self._folder)
-        rows, copies = distinct(self._rows, exp)
+        rows, copies = distinct(name_axes(self._rows, exp.study.axes), exp)
         return results.Results(self._folder, stored, exp, rows, None, len(self._rows), copies)
 
 

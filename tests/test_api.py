@@ -29,7 +29,9 @@ def test_rows_come_with_units_and_are_those_on_disk():
     assert (units["slip_max_m"], units["t_cause_s"], units["tilt_max_deg"]) == ("m", "s", "°")
     assert "world.contact.friction" not in units
     pd.testing.assert_frame_equal(sweep.load("results/walk_map"), rows)
-    pd.testing.assert_frame_equal(store.read_rows(Path("results/walk_map")), rows)
+    assert rows.groupby("step").size().tolist() == [4, 4, 4]
+    stored = rows.drop(columns=["friction", "step"])  # names of axes, beside the columns on disk
+    pd.testing.assert_frame_equal(store.read_rows(Path("results/walk_map")), stored)
     assert sweep.load("results/walk_map", "friction > 1")["world.contact.friction"].min() > 1
 
 

@@ -2,12 +2,16 @@
 
 import argparse
 
+import pandas as pd
+
 from sweep.analysis import compare, sequential
 from sweep.analysis.intervals import CONFIDENCE
 from sweep.cli.run import reporting
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
 from sweep.runs import growth, results, store
+from sweep.study.config import Experiment
+from sweep.study.study import name_axes
 
 
 def run(given: argparse.Namespace, by: list[str] | None) -> sequential.Verdict:
@@ -34,7 +38,7 @@ def run(given: argparse.Namespace, by: list[str] | None) -> sequential.Verdict:
     rows = [store.read_rows(folder) for folder in folders]
     exps = [results.kept(folder) for folder in folders]
     while True:
-        a, b = (one[mask(one, where)] for one, where in zip(rows, conditions, strict=True))
+        a, b = (named_rows(*one) for one in zip(rows, exps, conditions, strict=True))
         found = sequential.verdict(compare.pair(a, b, by), level)
         now = max(map(growth.draws, exps))
         if found.decided or given.most is None or now >= given.most:
@@ -48,3 +52,9 @@ def run(given: argparse.Namespace, by: list[str] | None) -> sequential.Verdict:
             with reporting(folder.name, asked, f"{exps[k].scenario} for {folder.name}") as report:
                 exps[k] = growth.grow(exps[k], folder, number, report)
             rows[k] = store.read_rows(folder)
+
+
+def named_rows(rows: pd.DataFrame, exp: Experiment, condition: str | None) -> pd.DataFrame:
+    """The rows of a study that meet a condition, which may name its axes."""
+    rows = name_axes(rows, exp.study.axes)
+    return rows[mask(rows, condition)]

@@ -23,13 +23,17 @@ LICENSE = "https://spdx.org/licenses/CC-BY-4.0"
 def status(given: argparse.Namespace) -> int:
     """Planned, done, and how it went so far."""
     from sweep.analysis.stats import causes
+    from sweep.report.headline import headline
     from sweep.runs import results, store
 
     stored, planned = store.read_study(given.dir), store.read_points(given.dir)
     done = planned["batch"].isin(store.finished(given.dir)).sum() if len(planned) else 0
     print(f"{given.dir}: {done} of {stored['rollouts']} rollouts done, code {stored['commit'] or stored['code']}")
     if done:
-        rows, meanings = store.read_rows(given.dir), results.kept(given.dir).system.causes
+        rows, exp = store.read_rows(given.dir), results.kept(given.dir)
+        meanings = exp.system.cause_meanings(exp.thresholds)
+        if exp.study.sought:
+            print(headline(rows, exp))
         print(", ".join(f"{number} {outcome}" for outcome, number in rows["outcome"].value_counts().items()))
         for line in causes(rows["cause"], meanings):
             print(f"  {line}")
@@ -56,9 +60,10 @@ def verify(given: argparse.Namespace) -> int:
 def matching(folder: Path, condition: str | None) -> "pd.DataFrame":
     """Rows of a study that match `condition`."""
     from sweep.core.expressions import mask
-    from sweep.runs import store
+    from sweep.runs import results, store
+    from sweep.study.study import name_axes
 
-    rows = store.read_rows(folder)
+    rows = name_axes(store.read_rows(folder), results.kept(folder).study.axes)
     found = rows[mask(rows, condition)].reset_index(drop=True) if condition else rows
     if len(found) < len(rows) and found.empty:
         print(f"sweep: none of {len(rows)} rows of {folder} matches {condition!r}", file=sys.stderr)
@@ -286,7 +291,7 @@ def audit_results(given: argparse.Namespace) -> int:
 
 def relabel(given: argparse.Namespace) -> int:
     """New thresholds, or conditions, for stored figures."""
-    from sweep.analysis.sample import pooled
+    from sweep.report.headline import headline
     from sweep.runs import results, runner, store
 
     exp = results.kept(given.dir)
@@ -295,5 +300,5 @@ def relabel(given: argparse.Namespace) -> int:
         raise InputError(f"a threshold is given twice: {' '.join(given.thresholds)}")
     with store.locked(given.dir):
         runner.relabel(given.dir, {**exp.values["outcome"], **changes})
-    print(pooled(store.read_rows(given.dir), exp))
+    print(headline(store.read_rows(given.dir), exp))
     return DONE

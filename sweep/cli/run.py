@@ -18,13 +18,15 @@ from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.core.errors import InputError
 from sweep.core.waiting import counting, last_time, parts, remember, waiting
 from sweep.report import tables
+from sweep.report.headline import headline
 from sweep.runs import histories, probe, refine, runner, sought, store
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import nominal as nominal_batch
+from sweep.runs.nominal_levels import FailingLevel, find_failing_levels
 from sweep.study import designs
 from sweep.study.clusters import Watched, connected
 from sweep.study.config import Experiment, composed, experiment
-from sweep.study.study import check_expect, parameter_columns, unit
+from sweep.study.study import check_expect, name_axes, parameter_columns, unit
 from sweep.systems import kind_of
 
 JITTER = ["study=any_jitter"]  # sixteen rollouts that differ by 1e-6
@@ -66,7 +68,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         job = runner.lay_out(exp, folder, first)
         for line in runner.regridded(exp, folder):
             print(f"sweep: {line}", file=sys.stderr)
-        print(forecast(job))
+        print("\n".join([forecast(job), *map(str, failing_levels(exp))]))
         return DONE
     if flags.check:
         return checked(exp, first)
@@ -82,25 +84,34 @@ def execute(exp: Experiment, flags: Flags) -> int:
         done, start, to_do = 0, time.perf_counter(), jobs(exp, folder, first, whole)
         for line in runner.regridded(exp, folder):
             say(line)
+        failing = None
         for job in to_do:
             todo = len(job.rows(job.missing()))
+            if todo and failing is None:
+                failing = failing_levels(exp)
             with reporting(exp.study.name, todo, program(exp), watched) as report:
                 job = runner.run(job, report, dispatch)
             done += todo
         seconds = time.perf_counter() - start
         print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)
-        rows, stored = store.read_rows(folder), store.read_study(folder)
+        rows, stored = name_axes(store.read_rows(folder), exp.study.axes), store.read_study(folder)
         size, used = stored["rollouts"], stored["devices"]
         complete = len(rows) == size and (whole or not exp.study.in_rounds)
     if len(used) > 1:
         print(f"sweep: equal rollouts need not be equal to the last bit on {' and on '.join(used)}", file=sys.stderr)
-    print(summary(exp, rows))
+    print("\n".join([summary(exp, rows), *(f"  {level}" for level in failing or ())]))
     if exp.study.refined:
         print("\n".join(f"refined: {one}" for one in refine.refined(exp, rows)))
     if exp.study.sought and complete:
         print(rare.rare(rows, exp))
     print(f"{len(rows)} of {size} planned rollouts are in {folder}")
     return verdict(exp, rows, complete)
+
+
+def failing_levels(exp: Experiment) -> list[FailingLevel]:
+    """Listed names that fail at the nominal point, with a progress line while they are simulated."""
+    with waiting(f"simulating the nominal rollout of each name that {exp.study.name} lists"):
+        return find_failing_levels(exp)
 
 
 def checked(exp: Experiment, points: pd.DataFrame) -> int:
@@ -181,11 +192,11 @@ def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
 def summary(exp: Experiment, rows: pd.DataFrame) -> str:
     """The rate of success, overall and for each named alternative such as an engine; copies are counted once."""
     rows, copies = distinct(rows, exp)
-    lines = [f"{exp.study.name}: {pooled(rows, exp)}"]
-    lines += [f"  {line}" for line in causes(rows["cause"], exp.system.causes)]
+    lines = [f"{exp.study.name}: {headline(rows, exp)}"]
+    lines += [f"  {line}" for line in causes(rows["cause"], exp.system.cause_meanings(exp.thresholds))]
     lines += [f"  {copies}"] if copies else []
     for column in parameter_columns(rows):
-        if rows[column].dtype.kind != "f" and rows[column].nunique() > 1:
+        if rows[column].dtype.kind != "f" and rows[column].nunique() > 1 and not exp.study.sought:
             lines += [f"  {column} = {value}: {pooled(part, exp)}" for value, part in rows.groupby(column)]
     return "\n".join(lines)
 

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 
 from sweep.core.evenly import evenly
@@ -11,10 +12,35 @@ NAMED, SIDE_BY_SIDE = 12, 6  # values of an uneven axis that have a label; that 
 
 
 class Cells(NamedTuple):
-    """The values of both parameters, in order."""
+    """The values of both parameters, in order; of one that has names the numbers 1, 2, ... in their place."""
 
     x: np.ndarray
     y: np.ndarray
+    x_names: tuple[str, ...] = ()
+    y_names: tuple[str, ...] = ()
+
+
+def place_cells(rows: pd.DataFrame, x: str, y: str) -> tuple[pd.DataFrame, Cells]:
+    """Lay rows out over two parameters, of numbers or of names.
+
+    Args:
+        rows: rows of a study.
+        x: column of the parameter across.
+        y: column of the parameter upwards.
+
+    Returns:
+        The rows with columns `x` and `y`, the number of each row's cell, and all the cells.
+    """
+    placed, cells = {}, {}
+    for axis, name in (("x", x), ("y", y)):
+        values = rows[name]
+        if values.dtype.kind in "fi":
+            placed[axis], cells[axis] = values, np.sort(values.unique())
+            continue
+        codes, names = pd.factorize(values)
+        placed[axis], cells[axis] = codes + 1.0, np.arange(1.0, len(names) + 1)
+        cells[f"{axis}_names"] = tuple(map(str, names))
+    return rows.assign(**placed), Cells(**cells)
 
 
 def evenly_spaced(values: np.ndarray) -> bool:
@@ -45,12 +71,14 @@ def not_below_zero(ax: Axes) -> None:
 
 
 def mark_values(ax: Axes, cells: Cells) -> None:
-    """Name the values of uneven axes, cell by cell."""
-    for axis, values in ((ax.xaxis, cells.x), (ax.yaxis, cells.y)):
-        if not evenly_spaced(values):
+    """Name the values of uneven axes, and those that are names, cell by cell."""
+    for axis, values, names in ((ax.xaxis, cells.x, cells.x_names), (ax.yaxis, cells.y, cells.y_names)):
+        if names:
+            axis.set_ticks(values, [name.replace("_", " ") for name in names])
+        elif not evenly_spaced(values):
             named = evenly(len(values), NAMED)
             axis.set_ticks(named, [number(float(values[k])) for k in named])
-    if not evenly_spaced(cells.x) and len(cells.x) > SIDE_BY_SIDE:
+    if len(cells.x) > SIDE_BY_SIDE and (cells.x_names or not evenly_spaced(cells.x)):
         ax.tick_params(axis="x", labelrotation=60)
 
 

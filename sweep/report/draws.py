@@ -14,11 +14,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from sweep.analysis import sensitivity
-from sweep.analysis.sample import pooled
 from sweep.core.errors import InputError
 from sweep.core.letters import PAGE, folded, legend_below, sheet, spaced
 from sweep.report.cells import not_below_zero
 from sweep.report.exhibit import Exhibit
+from sweep.report.headline import headline
 from sweep.report.labels import axis_words, beside_axis, kind_of
 from sweep.report.looks import handle, kinds_by_number, look_of, marker
 from sweep.runs.results import Results
@@ -91,7 +91,7 @@ def draw(results: Results) -> Figure:
         spaced(axes[name], len(panels))
     handles = [handle(kind, f"{kind.replace('_', ' ')} ({len(part):,})") for kind, part in kinds(rows)]
     legend_below(figure, handles)
-    figure.suptitle(folded(f"{results.name}: {pooled(rows, results.exp)}", 72 * PAGE - 20))
+    figure.suptitle(folded(f"{results.name}: {headline(rows, results.exp)}", 72 * PAGE - 20))
     return figure
 
 

@@ -89,8 +89,8 @@ def audited(results: Results) -> str:
 
 
 def effects(results: Results) -> Iterator[Exhibit]:
-    """Rate of success along each parameter; of a refined study it would say where rollouts were placed."""
-    if results.exp.study.refined:
+    """Rate of success along each parameter; of rollouts that were placed by earlier ones it would be misleading."""
+    if results.exp.study.in_rounds:
         return
     by = [c for c in results.named if results.rows[c].nunique() <= LINES][:1]
     if results.one_at_a_time:
@@ -103,10 +103,11 @@ def effects(results: Results) -> Iterator[Exhibit]:
             else "Whether a rollout succeeds at each value of one parameter, the others nominal."
         )
     else:
-        tables = []
+        tables, in_bins = [], False
         for axis in results.numeric:
             value = results.rows[axis]
-            value = value if value.nunique() <= EFFECT_VALUES else binned(value, EFFECT_BINS)
+            if value.nunique() > EFFECT_VALUES:
+                value, in_bins = binned(value, EFFECT_BINS), True
             found = rates(results.rows.assign(value=value), [*by, "value"]).assign(axis=axis)
             if not is_sample(results.rows, results.exp, (axis, *by)):
                 found[["low", "high"]] = np.nan
@@ -117,7 +118,10 @@ def effects(results: Results) -> Iterator[Exhibit]:
         table = pd.concat(tables, ignore_index=True)
         sure = table.groupby("axis")["low"].agg(lambda low: low.notna().any())
         interval = ", with its 95 % Wilson interval" + ("" if sure.all() else " where these are drawn")
-        caption = f"Rate of success at each value of one parameter, over all others{interval if sure.any() else ''}."
+        where = f"in {EFFECT_BINS} bins of equal width" if in_bins else "at each value"
+        if in_bins and len(tables) > 1:
+            where += f", or at each value where there are at most {EFFECT_VALUES},"
+        caption = f"Rate of success {where} of one parameter, over all others{interval if sure.any() else ''}."
     table = table[["axis", *by, *table.columns.drop(["axis", *by])]]
     caption += invalid(results.rows, "left out")
     yield Exhibit("effects", "Each parameter alone", caption, table, lambda: _draw_effects(results, table, by))

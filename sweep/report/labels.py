@@ -1,6 +1,8 @@
 """Words and units for columns."""
 
 import re
+from collections import Counter
+from collections.abc import Iterable
 
 import pandas as pd
 
@@ -9,6 +11,7 @@ from sweep.core.parameters import UNITS, written
 from sweep.study.config import Experiment
 from sweep.study.designs import Axis
 from sweep.study.study import unit
+from sweep.systems.base import side_and_path
 
 READ = {end: written(unit) for end, unit in UNITS.items()} | {"deg": "°"}  # units of figures as they are read
 
@@ -20,7 +23,8 @@ def kind_of(rows: pd.DataFrame) -> pd.Series:
 
 def meaning(kind: str, exp: Experiment) -> str:
     """A cause, or success, in a sentence."""
-    return exp.system.causes.get(kind, "no cause of failure or distrust was met")
+    nothing = "no cause of failure occurred, and nothing that makes a rollout invalid"
+    return exp.system.cause_meanings(exp.thresholds).get(kind, nothing)
 
 
 def name_and_unit(column: str) -> tuple[str, str]:
@@ -30,28 +34,73 @@ def name_and_unit(column: str) -> tuple[str, str]:
 
 
 def axis_words(column: str, exp: Experiment | None = None) -> str:
-    """`world.contact.friction` -> `friction (world)`, `engine.name` -> `engine`.
+    """Label of a parameter's column, without its unit.
 
-    Of numbers that parameters are made from `exp` tells how: `radius / body length`, `relative error of radius`.
+    Args:
+        column: such as `world.contact.friction`.
+        exp: experiment of the study that has the column, if it is known.
+
+    Returns:
+        The name that the study gives to the axis, and its side: `grip (world)`. A ratio or a relative error says so:
+        `radius / body length`. Without `exp`, or for a column of no axis, the last part of the path.
     """
-    if exp and column.startswith("axis."):
-        return made_from(next((axis for axis in exp.study.axes if axis.column == column), None), column)
-    side = column.partition(".")[0]
-    words = column.removesuffix(".name").rpartition(".")[2].replace("_", " ")
-    return f"{words} ({side})" if side in ("world", "belief") else words
+    axis = next((axis for axis in exp.study.axes if axis.column == column), None) if exp else None
+    return path_words(column) if axis is None else named_words(axis)
 
 
-def made_from(axis: Axis | None, column: str) -> str:
-    """What the number of an axis is, in words."""
-    if axis is None or axis.path is None:
-        return axis_words(column)
-    words = axis_words(axis.path)
-    if axis.times:
-        words = f"{words} / {axis_words(axis.times)}"
-    elif axis.relative is not None:
+def path_words(column: str, parts: int = 1) -> str:
+    """The last `parts` of a path in words: `world.contact.friction` -> `friction (world)`; `.name` does not count."""
+    side, path = side_and_path(column)
+    words = " ".join(path.removesuffix(".name").split(".")[-parts:]).replace("_", " ")
+    return words if side == "both" else f"{words} ({side})"
+
+
+def named_words(axis: Axis) -> str:
+    """The name of an axis in words, with what its numbers are where they are no values of its path, and its side."""
+    words = axis.name.replace("_", " ")
+    if axis.path and axis.times:
+        words = f"{words} / {path_words(axis.times)}"
+    elif axis.path and axis.relative is not None and axis.column.startswith("axis."):
         scale = axis.relative if isinstance(axis.relative, str) else f"{axis.relative:g}"
         words = f"{words}, relative error" + ("" if axis.relative == 1 else f" in units of {scale}")
-    return words if axis.side == "both" else f"{words} ({axis.side})"
+    return words if axis.side == "both" or not axis.path or axis.side in words.split() else f"{words} ({axis.side})"
+
+
+def unique_words(columns: Iterable[str], exp: Experiment | None = None) -> dict[str, str]:
+    """Labels of the columns of one table, without units: no two are the same.
+
+    Args:
+        columns: parameters, figures and labels, as rows have them.
+        exp: experiment of their study, if it is known: it names the axes.
+
+    Returns:
+        Label by column. Where several columns have the same words, those of parameters go back along their paths
+        until they differ: `trunk mass (world)` beside `hip mass (world)`.
+    """
+    columns = list(columns)
+    found = {column: words_and_unit(column, exp)[0] for column in columns}
+    for parts in range(2, 2 + max((column.count(".") for column in columns), default=0)):
+        counts = Counter(found.values())
+        for column in columns:
+            if "." in column and counts[found[column]] > 1:
+                found[column] = path_words(column, parts)
+    counts = Counter(found.values())
+    return {c: words if counts[words] < 2 or "." not in c else f"{words}: {c}" for c, words in found.items()}
+
+
+def unique_headings(columns: Iterable[str], exp: Experiment | None = None) -> dict[str, str]:
+    """Headings of the columns of one table, with units: no two are the same, see `unique_words`."""
+    words = unique_words(columns, exp)
+    units = {column: words_and_unit(column, exp)[1] for column in words}
+    return {column: f"{text} [{units[column]}]" if units[column] else text for column, text in words.items()}
+
+
+def column_meaning(column: str, exp: Experiment) -> str:
+    """A parameter's column and its unit, for what is shown on hover; empty for other columns."""
+    if "." not in column:
+        return ""
+    unit = unit_of(column, exp)
+    return f"{column} [{unit}]" if unit else column
 
 
 def with_value(column: str, value: object, exp: Experiment | None = None) -> str:

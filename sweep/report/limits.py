@@ -32,11 +32,11 @@ def draw(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, cells: C
     """Draw the limits of either parameter of a map of `rows`, each with its label."""
     for theory, style in zip(exp.study.theory, STYLES, strict=False):
         for across, along in ((x, y), (y, x)):
-            if side_and_path(across)[1] != theory.of:
+            if side_and_path(across)[1] != theory.of or rows[along].dtype.kind not in "fi":
                 continue
             found = curve(theory, exp, rows, along)
             pairs = (found["limit"], found["along"]) if across == x else (found["along"], found["limit"])
-            at = [places(part.to_numpy(), values) for part, values in zip(pairs, cells, strict=True)]
+            at = [places(part.to_numpy(), values) for part, values in zip(pairs, cells[:2], strict=True)]
             box = ax.axis()
             ax.plot(*at, style, color="black", linewidth=1.8, label=theory.label)
             ax.axis(box)  # the map's, however far the limit goes

@@ -24,7 +24,8 @@ from sweep.core.letters import LETTERS, PAGE, folded, legend_below
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError
 from sweep.report import limits
-from sweep.report.cells import Cells, edges, mark_values, places
+from sweep.report.cells import Cells, edges, mark_values, place_cells, places
+from sweep.report.headline import count_placed
 from sweep.report.labels import beside_axis, with_value
 from sweep.report.looks import INVALID, ink_on, look_of, marker
 from sweep.runs import refine
@@ -47,6 +48,7 @@ def success_map(
     exp = experiment(stored["config"])
     guessed = exp.study.resolution > 0 and {x, y} == {a.column for a in refine.lattice(exp.study).axes}
     rows = refine.painted(exp, rows) if guessed else rows.assign(known=True)
+    rows, cells = place_cells(rows, x, y)
     panels = list(split(rows, x, y, exp=exp))
     counts = [panel.groupby([x, y]).size() for _, panel in panels]
     most = max(int(count.max()) for count in counts)
@@ -56,15 +58,13 @@ def success_map(
         1, columns, figsize=(max(PAGE, 0.6 + 3 * columns), 3.6), squeeze=False, sharey=True, layout="constrained"
     )
     plt.close(figure)  # else a notebook shows it once more at the end of the cell
-    cells = Cells(np.sort(rows[x].unique()), np.sort(rows[y].unique()))
     room = 72 * (figure.get_size_inches()[0] - 1) / columns
     for ax, (measure, (title, panel)) in zip(axes[0], product([None, *measured], panels), strict=True):
-        placed = panel.assign(x=panel[x], y=panel[y])
         if measure:
-            beside(ax, placed, cells, measure)
+            beside(ax, panel, cells, measure)
         else:
-            (categories if most == 1 else shares)(ax, placed, cells)
-            text = str(pooled(panel, exp)).replace(" (", "\n(", 1)
+            (categories if most == 1 else shares)(ax, panel, cells)
+            text = count_placed(panel) if exp.study.sought else str(pooled(panel, exp)).replace(" (", "\n(", 1)
             if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
                 outlines(ax, exp, panel, x, y, cells)
                 text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"
@@ -90,19 +90,19 @@ def map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
     found = independent(rows, chosen)
     if len(set(found)) < 2:
         raise InputError(f"a map needs two varied parameters, here: {', '.join(found) or 'none'}")
-    if words := [one for one in found if rows[one].dtype.kind not in "fi"]:
-        raise InputError(f"a map over {words[0]} is not allowed: its axes are numbers")
+    if words := [one for one in found if rows[one].dtype.kind not in "fi" and "." not in one]:
+        raise InputError(f"a map over {words[0]} is not allowed: its axes are numbers or parameters")
     return found[0], found[1]
 
 
 def independent(rows: pd.DataFrame, chosen: tuple[str, ...] = ()) -> list[str]:
-    """At most two parameters, the chosen ones first, that do not follow from one another.
+    """At most two parameters that do not follow from one another: the chosen ones, then numbers, then names.
 
     Of points of a table that are all alone, each parameter follows from any.
     """
-    numeric = [c for c in rows.columns if "." in c and rows[c].dtype.kind in "fi" and rows[c].nunique() > 1]
+    varied = [c for c in rows.columns if "." in c and rows[c].nunique() > 1]
     found = [column(rows, name) for name in chosen]
-    for one in numeric:
+    for one in sorted(varied, key=lambda c: rows[c].dtype.kind not in "fi"):  # numbers first, then names
         if len(found) < 2 and not any((rows.groupby(known)[one].nunique() == 1).all() for known in found):
             found.append(one)
     return found[:2]
@@ -150,7 +150,7 @@ def glyphed(cells: Cells) -> bool:
 
 def glyphs(ax: Axes, failed: pd.DataFrame, cells: Cells) -> None:
     """The shape of its cause in each cell, for those who cannot tell the colours."""
-    middles = [(edges(values)[1:] + edges(values)[:-1]) / 2 for values in cells]
+    middles = [(edges(values)[1:] + edges(values)[:-1]) / 2 for values in cells[:2]]
     for cause, part in failed.groupby("cause"):
         up, across = places_in(part, cells)
         stamp(ax, str(cause), middles[0][across], middles[1][up])
@@ -232,11 +232,11 @@ def outlines(ax: Axes, exp: Experiment, painted: pd.DataFrame, x: str, y: str, c
         for power, corners in enumerate(panel.cells if panel.rollouts else ()):
             (left, right), (low, high) = (
                 [places(panel.grid.values[k][corners[:, k] + step], values) for step in (0, 2**power)]
-                for k, values in zip(map(columns.index, (x, y)), cells, strict=True)
+                for k, values in zip(map(columns.index, (x, y)), cells[:2], strict=True)
             )
             boxes = np.stack([[left, low], [right, low], [right, high], [left, high]]).transpose(2, 0, 1)
             ax.add_collection(PolyCollection(list(boxes), facecolor="none", edgecolor="0.35", linewidth=0.3))
-    dots = [places(rows[c].to_numpy(), values) for c, values in zip((x, y), cells, strict=True)]
+    dots = [places(rows[c].to_numpy(), values) for c, values in zip((x, y), cells[:2], strict=True)]
     ax.plot(*dots, ".", markersize=1.5, color="black")
 
 

@@ -8,7 +8,10 @@ import pandas as pd
 from sweep.analysis.stats import percent, rate
 from sweep.core.errors import InputError
 from sweep.core.files import legible, path_in
+from sweep.report.headline import probability_of_failure
 from sweep.runs import store
+from sweep.runs.results import kept
+from sweep.study.sought import KINDS
 
 
 def text(folders: list[Path]) -> str:
@@ -26,7 +29,7 @@ def within(folder: Path) -> list[Path]:
 
 
 def line(folder: Path) -> dict[str, str]:
-    """Study, rollouts done and planned, rate of success, invalid ones, code, and when it was last worked on."""
+    """Study, rollouts done and planned, rate of success or P(failure), invalid ones, code, and when it last changed."""
     name = legible(folder)
     empty = dict.fromkeys(("study", "rollouts", "succeed", "invalid", "commit", "date"), "")
     try:
@@ -35,11 +38,14 @@ def line(folder: Path) -> dict[str, str]:
     except InputError as error:
         return {"folder": name, **empty, "study": legible(str(error).split(":")[0].removeprefix(f"{folder}/"))}
     found, config = rate(outcome), stored["config"]
+    succeed = percent(found.share) if found.valid else ""
+    if config["study"]["design"]["kind"] in KINDS and config["study"]["design"]["num"]:
+        succeed = probability_of_failure(store.read_rows(folder), kept(folder)) if found.total else ""
     return {
         "folder": name,
         "study": config["study"]["name"] or config["scenario"]["name"],
         "rollouts": f"{found.total:,} of {stored['rollouts']:,}",
-        "succeed": percent(found.share) if found.valid else "",
+        "succeed": succeed,
         "invalid": percent(found.invalid_share),
         "commit": stored["commit"] or stored["code"],
         "date": f"{datetime.fromtimestamp(path_in(folder, store.STUDY).stat().st_mtime):%Y-%m-%d %H:%M}",

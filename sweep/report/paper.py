@@ -101,6 +101,7 @@ def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
         tables=captions,
         sample=is_sample(results.rows, results.exp),
         beside=beside(results, found),
+        adaptive=found is not None,
     )
     for name, text in texts.items():
         write_whole(out / name, text.encode())
@@ -140,14 +141,16 @@ def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         yield "parameters", "What was varied.", pd.DataFrame(varied)[columns].rename(columns={"words": "varied"})
     parts = [("all", rows)]
     for column in results.named:
-        parts += [(f"{heading(column)} {value}", part) for value, part in rows.groupby(column)]
+        parts += [(f"{heading(column, results.exp)} {value}", part) for value, part in rows.groupby(column)]
     lines = []
     for name, part in parts:
         one = pooled(part, results.exp)
         shares = ("" if np.isnan(v) else f"{100 * v:.1f}" for v in (one.share, one.low, one.high))
         lines.append((name, one.total, one.invalid, one.success, *shares))
     success = pd.DataFrame(lines, columns=["rollouts", "number", "invalid", "succeed", "%", "from", "to"])
-    if (success["from"] == "").all():
+    if results.exp.study.sought:
+        yield "success", "Rollouts that the search placed; their shares are no rates.", success.iloc[:, :4]
+    elif (success["from"] == "").all():
         yield "success", "How often rollouts succeed.", success.drop(columns=["from", "to"])
     else:
         yield "success", r"How often rollouts succeed, with 95\,\% Wilson intervals of what is a sample.", success
@@ -179,7 +182,8 @@ def quoted(results: Results, found: rare.Weighted | rare.Repeated | None) -> Ite
     ):
         yield Number(start + name, count, str(count), "number of rows", where)
     share = 'share of outcome == "success"'
-    yield _percent(start + "Rate", one.share, share, valid)
+    if not found:
+        yield _percent(start + "Rate", one.share, share, valid)
     if not np.isnan(one.low):
         yield _percent(start + "RateLow", one.low, f"lower end of the 95 % Wilson interval of the {share}", valid)
         yield _percent(start + "RateHigh", one.high, f"upper end of the 95 % Wilson interval of the {share}", valid)
@@ -215,8 +219,7 @@ def beside(results: Results, found: rare.Weighted | rare.Repeated | None) -> str
     if not found:
         return ""
     macro = f"\\{prefix(results)}Failing"
-    text = "They were drawn where failures are, so that this is not the study's rate: "
-    text += f"it fails with a probability of {macro}{{}}, {macro}Low{{}} to {macro}High{{}} at 95\\,\\%"
+    text = f"P(failure) is {macro}{{}}, with a 95\\,\\% interval from {macro}Low{{}} to {macro}High{{}}"
     return text + ("." if found.trusted else ", which is not to be trusted: \\texttt{sweep stats} says why.")
 
 

@@ -11,12 +11,13 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from sweep.analysis import sensitivity
 from sweep.analysis.intervals import anytime, wilson
 from sweep.analysis.stats import binned, rates
 from sweep.core.evenly import evenly
 from sweep.core.letters import COLUMN, PAGE, folded, sheet
 from sweep.report import limits
-from sweep.report.cells import Cells, mark_values
+from sweep.report.cells import mark_values, place_cells
 from sweep.report.labels import axis_words, beside_axis, with_value
 from sweep.report.maps import categories, glyphed, kinds_in, legend, outlines, paint, split
 from sweep.runs import refine
@@ -47,12 +48,17 @@ def slices(results: Results) -> Iterator[Slice]:
     ones. Where such a section would be mostly empty, as among drawn points, all rows are counted in bins over the two
     parameters. Where two conditions or more were listed, the maps are over those.
     """
-    few = len(results.rows) < BINNED and len(results.listed) < 2 and not results.exp.study.points
-    if results.one_at_a_time or few:
+    conditions = [axis.column for axis in sensitivity.listed(results.rows, results.exp)]
+    few = len(results.rows) < BINNED and len(conditions) < 2 and not results.exp.study.points
+    if results.one_at_a_time or few or results.exp.study.sought:  # whose rows are no sample that has a rate
         return
-    numeric = results.listed if len(results.listed) > 1 else results.numeric
-    for x, y in list(combinations(numeric, 2))[:MAPS]:
-        others = [c for c in numeric if c not in (x, y)]
+    axes = results.listed
+    if len(axes) < 2:  # numbers before names, which are read more easily as panels
+        axes = sorted(conditions, key=results.named.__contains__) if len(conditions) > 1 else results.numeric
+    if len(axes) < 2:
+        axes = [*results.numeric, *results.named][:2]
+    for x, y in list(combinations(axes, 2))[:MAPS]:
+        others = [c for c in axes if c not in (x, y) and c in results.numeric]
         if results.exp.study.resolution and not others:
             note = f"each cell as its corners; {len(results.rows)} were run (dots), most of them next to the boundary"
             yield Slice(x, y, None, refine.painted(results.exp, results.rows), note, refined=True)
@@ -109,9 +115,9 @@ def usual(results: Results, column: str) -> float:
 def draw(results: Results, chosen: Slice) -> Figure:
     """Outcomes of single rollouts; of several in a cell the rate of success between the ends of its interval."""
     x, y = chosen.x, chosen.y
-    panels = list(split(chosen.rows, x, y, (chosen.beside,) if chosen.beside else (), exp=results.exp))
-    cells = Cells(np.sort(chosen.rows[x].unique()), np.sort(chosen.rows[y].unique()))
-    tables = [cells_of(results, panel, [x, y]).rename(columns={x: "x", y: "y"}) for _, panel in panels]
+    rows, cells = place_cells(chosen.rows, x, y)
+    panels = list(split(rows, x, y, (chosen.beside,) if chosen.beside else (), exp=results.exp))
+    tables = [cells_of(results, panel, ["x", "y"]) for _, panel in panels]
     single = max(table["total"].max() for table in tables) == 1
     shown = [""] if single else ["low", "share", "high"]
     columns = min(len(panels), 2) if single else 3
@@ -123,7 +129,7 @@ def draw(results: Results, chosen: Slice) -> Figure:
         for kind in shown:
             ax = next(spots)
             if single:
-                categories(ax, panel.assign(x=panel[x], y=panel[y]), cells)
+                categories(ax, panel, cells)
             else:
                 broken = table[table["invalid"] > 0].assign(outcome="invalid")
                 whole = table[table["valid"] > 0].assign(outcome="")
@@ -164,6 +170,7 @@ def data(results: Results, chosen: Slice) -> pd.DataFrame:
     """The numbers behind the map, a row for each cell."""
     rows = chosen.rows
     named = [c for c in rows if "." in str(c) and rows[c].dtype.kind not in "fi" and rows[c].nunique() > 1]
+    named = [c for c in named if c not in (chosen.x, chosen.y)]
     by = [*named, *([chosen.beside] if chosen.beside else []), chosen.x, chosen.y]
     table = cells_of(results, rows, by)
     if (table["total"] > 1).any():

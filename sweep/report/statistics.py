@@ -10,6 +10,7 @@ from sweep.analysis import failing, rare, screening, sensitivity
 from sweep.analysis.sample import distinct, pooled
 from sweep.analysis.stats import percent, rates
 from sweep.core.errors import InputError
+from sweep.report.headline import headline
 from sweep.report.labels import heading
 from sweep.report.tables import page_table
 from sweep.runs import refine
@@ -29,13 +30,14 @@ def sections(
     several = len(rows) > len(rows.drop_duplicates([a.column for a in listed])) if listed else bool(drawn)
     note = "; most were run next to the boundary, so this is not the region's share" if exp.study.refined else ""
     every = pooled(rows, exp)
-    yield "Rate of success", f"{every}{note}{'; ' if copies else ''}{copies}"
     if exp.study.sought:  # its rows are no sample of what is asked about
+        yield "Probability of failure", headline(rows, exp)
         yield "How rarely it fails", str(rare.rare(rows, exp))
         if len(modes := rare.modes(rows, exp)):
             yield "What fails, by its share of that probability", modes
         yield from _shares(rows, exp)
         return
+    yield "Rate of success", f"{every}{note}{'; ' if copies else ''}{copies}"
     one_at_a_time = bool(numbers) and exp.study.design.grid == "one_at_a_time"
     if one_at_a_time:
         sure = " (Wilson, 95 %)" if exp.study.noisy else ""

@@ -3,7 +3,6 @@
 import io
 from collections.abc import Iterator
 from csv import writer
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from pyarrow.csv import WriteOptions, write_csv
 
 from sweep.analysis.stats import causes, percent
 from sweep.core.expressions import column
-from sweep.report.labels import axis_words, heading, name_and_unit, unit_of
+from sweep.report.labels import name_and_unit, path_words, unique_headings, unique_words, unit_of
 from sweep.runs.results import Results
 from sweep.study.columns import LABELS, figure_columns
 from sweep.study.config import Experiment
@@ -43,7 +42,8 @@ def render(rows: pd.DataFrame, form: str, names: list[str] | None = None, exp: E
             return latex(rows, exp).encode()
         case _:
             page = page_table(rows, exp) + "\n"
-            lines = causes(rows["cause"], exp.system.causes) if exp and "cause" in rows else []
+            lines = axis_lines(rows, exp) if exp else []
+            lines += causes(rows["cause"], exp.system.cause_meanings(exp.thresholds)) if exp and "cause" in rows else []
             legend = "".join(f"- {line}\n" for line in lines)
             return f"{page}\n{legend}".encode() if legend else page.encode()
 
@@ -56,6 +56,13 @@ def csv(rows: pd.DataFrame) -> bytes:
     content.write(header.getvalue().encode())
     write_csv(pa.Table.from_pandas(rows, preserve_index=False), content, WriteOptions(include_header=False))
     return content.getvalue()
+
+
+def axis_lines(rows: pd.DataFrame, exp: Experiment) -> list[str]:
+    """A line for each axis whose label in a table does not tell its path: `grip (world): world.contact.friction`."""
+    words = unique_words(rows.columns, exp)
+    return [f"{words[a.column]}: {a.target}" for a in exp.study.axes
+            if a.target and a.column in rows and words[a.column] != path_words(a.target)]  # fmt: skip
 
 
 def page_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
@@ -73,7 +80,7 @@ def shown(rows: pd.DataFrame, exp: Experiment | None = None) -> pd.DataFrame:
     """`rows` with readable headings and numbers; shares and their ends in per cent, as in every sentence."""
     shares = [c for c in SHARES if c in rows and "share" in rows]
     rows = rows.assign(**{c: [percent(v) if pd.notna(v) else "" for v in rows[c]] for c in shares})
-    return rows.map(text).rename(columns=partial(heading, exp=exp))
+    return rows.map(text).rename(columns=unique_headings(rows.columns, exp))
 
 
 def text(value: object) -> str:
@@ -117,12 +124,15 @@ def one_rollout(exp: Experiment, row: pd.Series) -> str:
 
 def parameters(results: Results) -> Iterator[dict[str, Any]]:
     """The table of what was varied."""
+    words = unique_words(results.axes, results.exp)
+    paths = {axis.column: axis.path or "" for axis in results.exp.study.axes}
     for name in results.axes:
         values = results.rows[name]
         side, path = side_and_path(name)
+        path = paths.get(name, path)
         listed = [text(v) for v in sorted(values.unique())]
         extent = ", ".join(listed) if len(listed) <= 6 else f"{listed[0]} to {listed[-1]}"
         own = not name.startswith("axis.")  # else a number that parameters are made from
         usual = text(results.exp.system.nominal(name, results.exp.settings)) if own else ""
-        about = {"words": axis_words(name), "path": path, "side": side, "unit": unit_of(name, results.exp)}
+        about = {"words": words[name], "path": path, "side": side, "unit": unit_of(name, results.exp)}
         yield {**about, "values": extent, "number": len(listed), "nominal": usual}

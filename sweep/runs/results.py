@@ -13,7 +13,7 @@ from sweep.core.errors import InputError
 from sweep.core.expressions import mask
 from sweep.runs import store
 from sweep.study.config import Experiment, experiment
-from sweep.study.study import parameter_columns
+from sweep.study.study import name_axes, parameter_columns
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,8 @@ class Results:
     def causes_seen(self) -> dict[str, str]:
         """Causes that occur and what they mean, in the order of their definition."""
         found = set(self.rows["cause"].unique())
-        return {cause: words for cause, words in self.exp.system.causes.items() if cause in found}
+        meanings = self.exp.system.cause_meanings(self.exp.thresholds)
+        return {cause: words for cause, words in meanings.items() if cause in found}
 
 
 def kept(folder: Path) -> Experiment:
@@ -86,12 +87,12 @@ def kept(folder: Path) -> Experiment:
 
 def read(folder: Path, where: str | None = None) -> Results:
     """Finished rows of `folder` that match `where`, copies of noise-free ones left out. Raises `InputError`."""
-    stored, rows = store.read_study(folder), store.read_rows(folder)
+    stored, exp = store.read_study(folder), kept(folder)
+    rows = name_axes(store.read_rows(folder), exp.study.axes)
     done = len(rows)
     if where:
         rows = rows[mask(rows, where)].reset_index(drop=True)
         if rows.empty:
             raise InputError(f"no row of {folder} matches where = {where!r}")
-    exp = kept(folder)
     chosen, copies = distinct(rows, exp)
     return Results(folder, stored, exp, chosen, where, done, copies)

@@ -24,7 +24,7 @@ from sweep.runs.manifest import Entry
 from sweep.study.clusters import Dispatch
 from sweep.study.columns import figure_columns
 from sweep.study.config import Experiment, experiment, flat
-from sweep.study.study import Say, points
+from sweep.study.study import Say, name_axes, points
 
 # what may change between runs into one folder: which points, and how they are judged; but draws go by one distribution
 FREE = ("study.axes.", "study.design.num", "study.design.runs", "study.points", "study.where", "study.replicates",
@@ -82,7 +82,7 @@ def wanted_points(
 ) -> pd.DataFrame:
     """The study's points that match `where`, at most `limit` of them. Raises `InputError` where none is left."""
     table = points(exp.study, exp.system, exp.settings, say=say)
-    table = table[mask(table, where)].head(limit) if limit is not None else table[mask(table, where)]
+    table = table[mask(name_axes(table, exp.study.axes), where)].head(limit)
     if table.empty:
         raise InputError(f"no point of {exp.study.name} is left to run")
     return table.reset_index(drop=True)

@@ -15,11 +15,11 @@ from typing import Any
 
 import pandas as pd
 
+from sweep import systems
 from sweep.core import project
 from sweep.core.errors import InputError, known, suggest
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import UNITS, bounds_text, written
-from sweep.metrics import outcome
 from sweep.study import config
 from sweep.study.columns import MEANINGS
 
@@ -76,7 +76,7 @@ def text(name: str) -> str:
 
 def column_meanings() -> dict[str, str]:
     """What the columns of rows mean: labels, and what is measured of the six-legged robot and of any model."""
-    return {**MEANINGS, **outcome.COLUMNS}
+    return {**MEANINGS, **systems.describe_columns()}
 
 
 def choices_of(group: str) -> list[str]:

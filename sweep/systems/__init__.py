@@ -50,3 +50,10 @@ SYSTEMS = {
 def kind_of(values: Mapping[str, Any]) -> Kind:
     """The kind of system that plain configuration `values` speak of: the one whose first key is among them."""
     return next((kind for kind in SYSTEMS.values() if kind.keys[0] in values), SYSTEMS[USUAL])
+
+
+def describe_columns() -> dict[str, str]:
+    """What the columns mean that the six-legged robot's rows have: its metrics, by name of the column."""
+    from sweep.metrics import outcome
+
+    return dict(outcome.COLUMNS)

@@ -31,7 +31,7 @@ def test_a_scenario_shows_its_outcome_and_leaves_no_files(capsys, tmp_path):
     assert main(["run", "contact.friction=0.3"]) == 4
     out, err = capsys.readouterr()
     assert "in stage walk" in out
-    assert "the base tilted beyond tilt_max_deg (tilt_max_deg 40, at most 20)" in out
+    assert "the base tilted beyond 20° (tilt_max_deg 40, at most 20)" in out
     assert "expected share" in err
     assert main(["run", "contact.friction=7"]) == 3
     assert not list(tmp_path.iterdir())
@@ -49,7 +49,7 @@ def test_a_study_from_run_to_table_and_map(capsys, tmp_path):
     assert main(["status", "results/walk_map"]) == 0
     told = capsys.readouterr().out
     assert "12 of 12 rollouts done" in told
-    assert "fell: the base tilted beyond tilt_max_deg" in told
+    assert "fell: the base tilted beyond 20° (tilt_max_deg)" in told
     assert main(["table", "results/walk_map", "--format", "csv", "--where", "friction > 1"]) == 0
     assert capsys.readouterr().out.count("\n") == 4
     assert main(["table", "results/walk_map", "--format", "parquet", "-o", "rows.parquet"]) == 0

@@ -10,7 +10,7 @@ from faultless import faultless
 
 from sweep.core.errors import InputError
 from sweep.metrics import CAUSES, METRICS
-from sweep.metrics.outcome import COLUMNS, GOAL, MEANING, Thresholds, classify, limit_of, why
+from sweep.metrics.outcome import COLUMNS, GOAL, MEANING, Thresholds, classify, limit_of, sentence_with_limit, why
 from sweep.study.columns import LABELS
 from sweep.study.config import compose
 
@@ -47,7 +47,8 @@ def test_every_threshold_has_its_cause(cause):
         "invalid" if cause.doubt else "failure", cause.name, cause.threshold
     )  # fmt: skip
     assert cause.name in MEANING
-    assert why({**got, **beyond(cause)}, STRICT).startswith(cause.sentence)
+    said = sentence_with_limit(cause, STRICT)
+    assert why({**got, **beyond(cause)}, STRICT).startswith(said)
 
 
 def test_every_figure_that_is_judged_is_a_column_and_causes_are_told_apart():

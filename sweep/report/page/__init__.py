@@ -27,7 +27,8 @@ from sweep.core.letters import lettering
 from sweep.report import tables
 from sweep.report.exhibit import Exhibit
 from sweep.report.exhibits import exhibits
-from sweep.report.labels import heading, kind_of
+from sweep.report.headline import headline
+from sweep.report.labels import column_meaning, heading, kind_of
 from sweep.report.page import data
 from sweep.report.page.script import bundle, policy, style_sheet
 from sweep.report.page.stage import Shown, replays_of, stage_directions
@@ -104,7 +105,7 @@ def render(
     plates = [plate(one) for one in (pairs.exhibits if pairs else exhibits(results))]
     typicals = [(one, image(one), list(telling(one, results.exp))) for one in (() if pairs else typical(results))]
     rate = pooled(rows, results.exp)
-    about = data.data(results, chosen) | {"sure": rate.sure}
+    about = data.data(results, chosen) | {"sure": rate.sure, "adaptive": results.exp.study.sought and not pairs}
     others = [
         style,
         script,
@@ -125,6 +126,8 @@ def render(
         data=Markup(data.as_json(about | ({"name": pairs.name} if pairs else {}))),
         streams=Markup("\n".join(replays.streams)),
         rate=rate,
+        adaptive=results.exp.study.sought and not pairs,
+        headline=headline(rows, results.exp) if results.exp.study.sought else "",
         sure=rate.sure,
         came=str(kind_of(rows).iloc[0]).replace("_", " ") if len(rows) else "",
         watched=[
@@ -187,12 +190,25 @@ def image(one: Typical) -> str:
 def table(rows: pd.DataFrame, exp: Experiment) -> Markup:
     """The first rows: what identifies them, what came of them, then their axes, which paper may be too narrow for."""
     axes = [c for c in tables.reading(rows) if c not in LABELS]
-    return as_html(tables.shown(rows[["point_id", *LABELS, *axes]], exp), index=True)
+    columns = ["point_id", *LABELS, *axes]
+    return as_html(tables.shown(rows[columns], exp), index=True, hints=[column_meaning(c, exp) for c in columns])
 
 
-def as_html(shown: pd.DataFrame, index: bool) -> Markup:
-    """A table of words as HTML."""
-    return Markup(shown.to_html(index=index, border=0, escape=True, classes="rows"))
+def as_html(shown: pd.DataFrame, index: bool, hints: Iterable[str] = ()) -> Markup:
+    """A table as HTML.
+
+    Args:
+        shown: words, see `tables.shown`.
+        index: whether the index is a column of its own.
+        hints: what the head of each column shows on hover; empty for nothing.
+    """
+    text = shown.to_html(index=index, border=0, escape=True, classes="rows")
+    head, end, body = text.partition("</thead>")
+    hints = iter([*[""] * index, *hints])
+    head = re.sub(
+        "<th>", lambda _: Markup('<th title="{}">').format(hint) if (hint := next(hints, "")) else "<th>", head
+    )
+    return Markup(head + end + body)
 
 
 def dates(folder: Path) -> tuple[str, str]:

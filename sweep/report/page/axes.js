@@ -31,7 +31,8 @@ export function scaleOf(column, cells, room) {
     const values = Float64Array.from({ length: count }, (_, k) => k);
     const every = Math.max(1, Math.ceil(count / room));
     const marks = column.names.map((text, value) => ({ value, text })).filter(({ value }) => value % every === 0);
-    return even(-0.5, count - 0.5, marks, values);
+    const edges = Float64Array.from({ length: count + 1 }, (_, k) => k / count); // also below the first name, whose code is 0
+    return { ...even(-0.5, count - 0.5, marks, null), edges, cells: values };
   }
   if (!cells && column.diverges) return bentScale(column, room);
   if (!cells) {

@@ -1,6 +1,6 @@
 // Smaller charts of what passes the filters: causes, what matters, distributions, rates, all pairs.
 import { alongOf, drawFrame, scaleOf, uneven, whole } from "./axes.js";
-import { binsOf, clipped, gridOf, smirnov } from "./data.js";
+import { binsOf, clipped, distanceOf, gridOf, smirnov } from "./data.js";
 import { byId, cssOf, element, offer, optionsOf, pointerOn, sheetOf, straight } from "./dom.js";
 import { clamp, grouped, packRgb, rgbOf, shortly, wilson } from "./numbers.js";
 import { glyphOf, paintKind, pixelsOf, stampAt, stampOf } from "./paint.js";
@@ -121,13 +121,13 @@ export function keyMark(sheet, look, paper) {
 export function importanceView(app) {
   const { table } = app;
   const canvas = /** @type {HTMLCanvasElement} */ (byId("importance"));
-  const columns = table.columns.filter((column) => column.axis && !column.names);
+  const columns = table.columns.filter((column) => column.axis);
   canvas.style.height = `${44 + 24 * Math.min(16, Math.max(1, columns.length))}px`;
   const draw = () => {
     const { pen, width } = sheetOf(canvas);
     const { ink, soft, line, accent } = app.theme();
     const side = sideOf(app);
-    const found = columns.map((column) => ({ column, ...smirnov(app.order(column), column.values, side) }));
+    const found = columns.map((column) => ({ column, ...distanceOf(column, app.order, side) }));
     found.sort((a, b) => b.distance - a.distance);
     const left = Math.min(190, 0.42 * width);
     const room = width - left - 48;
@@ -149,7 +149,7 @@ export function importanceView(app) {
     byId("importance-note").textContent =
       one?.counts[0] && one.counts[1]
         ? `Among ${grouped(one.counts[0])} successes and ${grouped(one.counts[1])} failures.`
-        : "Among what passes the filters not both succeed and fail.";
+        : "Needs both successes and failures among the rollouts shown.";
   };
   return { root: canvas, draw };
 }
@@ -163,7 +163,11 @@ export function rateView(app) {
   const canvas = /** @type {HTMLCanvasElement} */ (byId("rates"));
   const select = /** @type {HTMLSelectElement} */ (byId("rates-by"));
   const numbers = table.columns.filter((column) => !column.names);
-  offer(select, [["", "number of rollouts"], ...optionsOf(numbers)], "");
+  // a grid is run point by point in the order of its axes, so that its first rollouts are no sample of it
+  const grid = table.columns.some((column) => column.axis && !column.drawn);
+  const sorted = app.ranked.map(({ column }) => column).find(({ names }) => !names) ?? numbers[0];
+  const planned = /** @type {[string, string][]} */ (grid && sorted ? [] : [["", "number of rollouts"]]);
+  offer(select, [...planned, ...optionsOf(numbers)], planned.length ? "" : sorted.key);
   select.addEventListener("change", () => app.redraw());
   const counting = Float64Array.from({ length: table.rows }, (_, row) => row);
   const draw = () => {
@@ -205,7 +209,7 @@ export function rateView(app) {
     pen.beginPath();
     curve.forEach(({ at, rate }) => pen.lineTo(...spot(at, rate)));
     pen.stroke();
-    const title = column ? `${column.title}, up to` : "rollouts, as they were planned";
+    const title = column ? `${column.title}, up to` : "rollouts, in the order of the draws";
     drawFrame(sheet, app.theme(), box, { scale: x, title }, { scale: y, title: "rate of success" });
   };
   return { root: canvas, draw };
@@ -358,7 +362,7 @@ export function pairsView(app) {
   const details = /** @type {HTMLDetailsElement} */ (byId("pairs-box"));
   details.addEventListener("toggle", () => app.redraw());
   const columns = [
-    ...app.ranked.map(({ column }) => column),
+    ...app.ranked.map(({ column }) => column).filter(({ names }) => !names),
     ...table.columns.filter(({ key }) => key === "margin"),
   ].slice(0, PAIRED);
   const draw = () => {
@@ -412,7 +416,7 @@ export function pairsView(app) {
 export function rankedOf(table, order) {
   const side = ofAll(table);
   return table.columns
-    .filter((column) => column.axis && !column.names)
-    .map((column) => ({ column, distance: smirnov(order(column), column.values, side).distance }))
+    .filter((column) => column.axis)
+    .map((column) => ({ column, distance: distanceOf(column, order, side).distance }))
     .sort((a, b) => b.distance - a.distance);
 }

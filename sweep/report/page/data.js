@@ -19,6 +19,7 @@ import { clamp } from "./numbers.js";
  * @property {string} key
  * @property {string} label
  * @property {string} unit
+ * @property {string} path of a parameter, with its unit; empty for a figure
  * @property {boolean} axis
  * @property {boolean} drawn
  * @property {boolean} diverges whether it is good above zero and bad below it
@@ -98,6 +99,7 @@ import { clamp } from "./numbers.js";
  * @property {string} block
  * @property {boolean} one_at_a_time whether each parameter was varied alone
  * @property {boolean} sure whether all rows together have an interval
+ * @property {boolean} adaptive whether rollouts were placed by a search for failures: their shares are no rates
  * @property {string[]} start
  * @property {Theory[]} theory
  * @property {Mesh | null} refined_cells
@@ -117,6 +119,7 @@ import { clamp } from "./numbers.js";
  * @property {string} label
  * @property {string} unit
  * @property {string} title label and unit
+ * @property {string} path of a parameter, with its unit; empty for a figure
  * @property {boolean} axis
  * @property {boolean} drawn
  * @property {boolean} diverges
@@ -291,6 +294,49 @@ export function smirnov(order, values, side) {
   const root = Math.sqrt((counts[0] * counts[1]) / (counts[0] + counts[1]));
   const rare = 1.358 / (root + 0.12 + 0.11 / root); // of few rows, too (Stephens 1970)
   return { distance, told: distance > rare, counts };
+}
+
+/**
+ * How differently a column's names are distributed in two sets of rows: the largest difference of the shares of any
+ * choice of names (total variation; what Kolmogorov and Smirnov's distance is for numbers), and whether that would be
+ * seldom by chance (5 %, chi-squared test of homogeneity).
+ * @param {Column} column
+ * @param {(row: number) => number} side 0 or 1 for the sets, anything else for neither
+ * @returns {{ distance: number, told: boolean, counts: [number, number] }}
+ */
+export function nameDistance({ names, values }, side) {
+  const seen = (names ?? []).map(() => [0, 0]);
+  /** @type {[number, number]} */
+  const counts = [0, 0];
+  for (let row = 0; row < values.length; row++) {
+    const of = side(row);
+    if ((of !== 0 && of !== 1) || !seen[values[row]]) continue;
+    seen[values[row]][of]++;
+    counts[of]++;
+  }
+  if (!counts[0] || !counts[1]) return { distance: 0, told: false, counts };
+  let distance = 0;
+  let square = 0;
+  let degrees = -1;
+  for (const [good, bad] of seen) {
+    if (!good && !bad) continue;
+    degrees++;
+    const apart = good / counts[0] - bad / counts[1];
+    distance += Math.abs(apart) / 2;
+    square += (apart * apart * counts[0] * counts[1]) / (good + bad);
+  }
+  // 95 % quantile of chi-squared (Wilson and Hilferty 1931)
+  const limit = degrees > 0 ? degrees * (1 - 2 / (9 * degrees) + 1.6449 * Math.sqrt(2 / (9 * degrees))) ** 3 : Infinity;
+  return { distance, told: square > limit, counts };
+}
+
+/**
+ * How differently a parameter is distributed in two sets of rows, whether it has numbers or names.
+ * @type {(column: Column, order: (column: Column) => Uint32Array, side: (row: number) => number)
+ *   => { distance: number, told: boolean, counts: [number, number] }}
+ */
+export function distanceOf(column, order, side) {
+  return column.names ? nameDistance(column, side) : smirnov(order(column), column.values, side);
 }
 
 /**

@@ -14,7 +14,7 @@ from sweep.analysis.sample import some
 from sweep.core.files import as_text
 from sweep.report import limits
 from sweep.report.exhibits import judged_first, thresholds
-from sweep.report.labels import kind_of, meaning, words_and_unit
+from sweep.report.labels import column_meaning, kind_of, meaning, unique_words, words_and_unit
 from sweep.report.looks import FAILURE, GOOD, look_of
 from sweep.runs import refine
 from sweep.runs.results import Results
@@ -39,11 +39,13 @@ def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
     figures = [c for c in figures if rows[c].nunique() > 1] + judged_first(results)[:FIGURES]
     bits = COARSE if len(rows) * len(figures) * 2 > ROOM else 15
     coded = [code(rows[c], bits) for c in (*axes, *figures)]
-    judged = thresholds(results)
+    judged, words = thresholds(results), unique_words((*axes, *figures), results.exp)
     columns = [
         {
             "key": c,
-            **dict(zip(("label", "unit"), words_and_unit(c, results.exp), strict=True)),
+            "label": words[c],
+            "unit": words_and_unit(c, results.exp)[1],
+            "path": column_meaning(c, results.exp),
             "axis": c in axes,
             "drawn": c not in (*results.listed, *results.named),
             "diverges": c == "margin",

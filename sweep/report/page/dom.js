@@ -42,18 +42,18 @@ export function buttonOf(attributes, pressed, ...children) {
 
 /**
  * Columns as options of a selection list.
- * @type {(columns: Column[]) => [string, string][]}
+ * @type {(columns: Column[]) => [string, string, string][]}
  */
 export function optionsOf(columns) {
-  return columns.map(({ key, title }) => [key, title]);
+  return columns.map(({ key, title, path }) => [key, title, path]);
 }
 
 /**
- * Fill a selection list; options are values and words.
- * @type {(select: HTMLSelectElement, options: [string, string][], chosen: string) => void}
+ * Fill a selection list; options are values, words, and what is shown on hover.
+ * @type {(select: HTMLSelectElement, options: [string, string, string?][], chosen: string) => void}
  */
 export function offer(select, options, chosen) {
-  select.replaceChildren(...options.map(([value, text]) => element("option", { value }, text)));
+  select.replaceChildren(...options.map(([value, text, title = ""]) => element("option", { value, title }, text)));
   select.value = chosen;
 }
 

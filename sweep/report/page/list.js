@@ -30,7 +30,8 @@ export function listView(app) {
       first = 0;
       app.redraw();
     };
-    return element("th", { scope: "col", "aria-sort": "none" }, buttonOf({ class: "sort" }, sort, column.title));
+    const button = buttonOf({ class: "sort", title: column.path }, sort, column.title);
+    return element("th", { scope: "col", "aria-sort": "none" }, button);
   });
   const body = element("tbody");
   const words = ["replay", "outcome", "stage"].map((text) => element("th", { scope: "col" }, text));

@@ -178,7 +178,7 @@ async function begin() {
       parallelView(app),
       stageView(app),
       importanceView(app),
-      rateView(app),
+      ...(about.adaptive ? [] : [rateView(app)]),
       distributionsView(app),
       pairsView(app),
       listView(app),

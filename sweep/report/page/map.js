@@ -32,8 +32,10 @@ export function mapView(app) {
   offer(selects[0], names, start[0]);
   offer(selects[1], names, start[1]);
   const numbers = optionsOf(table.columns.filter((column) => !column.names));
-  offer(selects[2], [[KIND, "outcome and cause"], [RATE, "rate of success"], ...numbers], KIND);
-  if (wanted.colour === RATE || table.named.has(wanted.colour)) selects[2].value = wanted.colour;
+  /** @type {[string, string][]} */
+  const rates = table.about.adaptive ? [] : [[RATE, "rate of success"]];
+  offer(selects[2], [[KIND, "outcome and cause"], ...rates, ...numbers], KIND);
+  if ((wanted.colour === RATE && rates.length) || table.named.has(wanted.colour)) selects[2].value = wanted.colour;
 
   /** @type {Places | null} */
   let places = null;
@@ -389,7 +391,9 @@ function startOf({ table, ranked }) {
     ...(table.about.one_at_a_time ? ["margin", second] : [second, "margin"]),
     ...numbers.map(({ key }) => key),
   ].find(free);
-  return [first, beside ?? first];
+  const upwards = beside ?? first;
+  const named = (/** @type {string} */ key) => !!table.named.get(key)?.names;
+  return named(first) && !named(upwards) ? [upwards, first] : [first, upwards]; // names have room beside the map
 }
 
 /**

@@ -430,7 +430,7 @@ function titleOf({ table, ranked }, number) {
     table.about.kinds.find(({ key }) => key === shown.kind)?.label ?? clipped(shown.kind.replaceAll("_", " "));
   if (shown.title) return `${clipped(shown.title)}: ${kind}`;
   if (shown.row < 0) return `${kind}, ${shown.point.slice(0, 6)}`;
-  const columns = [...table.columns.filter(({ axis, names }) => axis && names), ...ranked.map(({ column }) => column)];
+  const columns = ranked.map(({ column }) => column).sort((a, b) => Number(!!b.names) - Number(!!a.names));
   const told = columns.slice(0, 3).map((column) => `${column.label} ${worded(column, column.values[shown.row])}`);
   return `${kind}${told.length ? `: ${told.join(", ")}` : ""}`;
 }

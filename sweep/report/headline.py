@@ -1,0 +1,47 @@
+"""The result of a study in one sentence: its rate of success, or the probability of failure that it searched for."""
+
+import numpy as np
+import pandas as pd
+
+from sweep.analysis import rare
+from sweep.analysis.sample import pooled
+from sweep.core.errors import InputError
+from sweep.study.config import Experiment
+
+
+def headline(rows: pd.DataFrame, exp: Experiment) -> str:
+    """State the result of a study.
+
+    Args:
+        rows: finished rows of the study, all of them or some.
+        exp: its experiment.
+
+    Returns:
+        How many of the rows succeed, with an interval where they are a sample. Of a study that searches for failures
+        P(failure) with its interval: its rows are no sample, so that their share of successes is no rate.
+    """
+    if not exp.study.sought:
+        return str(pooled(rows, exp))
+    return f"{probability_of_failure(rows, exp)}; {count_placed(rows)}"
+
+
+def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:
+    """P(failure) of a study that searches for failures, with its 95 % interval, or why it is not known."""
+    try:
+        found = rare.rare(rows, exp)
+    except InputError as error:
+        return f"P(failure) is not known yet: {error}"
+    low, high = found.interval
+    if not found.probability:
+        return (
+            f"P(failure) <= {high:.2g} (95 %)" if np.isfinite(high) else "P(failure) is not known: no failure was found"
+        )
+    interval = f"95 % interval {low:.2g} to {high:.2g}" if np.isfinite(low) else "no interval from a single run"
+    caution = "" if found.trusted else ", NOT to be trusted: `sweep stats` says why"
+    return f"P(failure) = {found.probability:.3g} ({interval}){caution}"
+
+
+def count_placed(rows: pd.DataFrame) -> str:
+    """How many rollouts a search for failures has placed, and how many of them failed: counts, and no rate."""
+    failed, invalid = (int((rows["outcome"] == kind).sum()) for kind in ("failure", "invalid"))
+    return f"{len(rows):,} rollouts placed where failures are expected, of which {failed:,} failed, {invalid:,} invalid"

@@ -1,0 +1,63 @@
+"""Find listed alternatives, such as gaits, that fail before anything else is varied."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+from sweep.runs.batches import make_engine, nominal, with_room
+from sweep.runs.runner import simulate
+from sweep.study.config import Experiment
+from sweep.study.designs import Axis, Design
+from sweep.study.study import points
+
+MOST = 12  # levels of an axis that are tried, as each compiles its own program
+
+
+class FailingLevel(NamedTuple):
+    """A listed name with which the nominal rollout does not succeed."""
+
+    axis: str
+    value: str
+    outcome: str
+    meaning: str  # of the cause
+
+    def __str__(self) -> str:
+        became = "fails" if self.outcome == "failure" else f"is {self.outcome}"
+        return (
+            f"{self.axis} = {self.value} {became} at the nominal point, before anything else is varied: {self.meaning}"
+        )
+
+
+def find_failing_levels(exp: Experiment) -> list[FailingLevel]:
+    """Simulate the nominal rollout with each listed name of each axis, all other parameters nominal.
+
+    Args:
+        exp: experiment of a study. Axes of the engine, of numbers, and of a table of points are left out, and so is
+            everything where batches run on other machines.
+
+    Returns:
+        The names whose rollout does not succeed, in the order of the axes.
+    """
+    if exp.study.points or exp.cluster.elsewhere:
+        return []
+    return [level for axis in exp.study.axes if _lists_names(axis) for level in _failing(exp, axis)]
+
+
+def _lists_names(axis: Axis) -> bool:
+    names = axis.values is not None and all(isinstance(value, str) for value in axis.values)
+    return names and axis.along is None and axis.path is not None and not axis.path.startswith("engine.")
+
+
+def _failing(exp: Experiment, axis: Axis) -> Iterator[FailingLevel]:
+    axis = replace(axis, values=(axis.values or ())[:MOST])
+    alone = {"axes": (axis,), "design": Design(), "replicates": 1, "where": None, "resolution": 0.0, "budget": 0}
+    exp = replace(exp, study=replace(exp.study, **alone, keep=()))
+    table = points(exp.study, exp.system, exp.settings).assign(width=1)
+    exp = with_room(exp, table)
+    meanings = exp.system.cause_meanings(exp.thresholds)
+    for place, value in enumerate(table[axis.column]):
+        row = table.iloc[[place]]
+        rows, _ = simulate(exp, make_engine(exp, nominal(exp, row, 1)), row)
+        outcome, cause = str(rows["outcome"].iloc[0]), str(rows["cause"].iloc[0])
+        if outcome != "success":
+            yield FailingLevel(axis.name, str(value), outcome, meanings.get(cause, cause))
