@@ -132,8 +132,8 @@ def turn_footholds_back(
         alpha: angle (rad).
         along: unit vector of the ball's motion, in the plane.
     """
-    left = jnp.stack([-along[1], along[0], jnp.zeros_like(along[0])])
-    return rotate(exponential(-alpha * left)[None], feet)
+    leftward = jnp.stack([-along[1], along[0], jnp.zeros_like(along[0])])
+    return rotate(exponential(-alpha * leftward)[None], feet)
 
 
 def swing_over_ball(start: Array, goal: Array, share: Array, phase: Array, height: Array) -> Float[Array, "6 3"]:

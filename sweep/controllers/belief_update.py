@@ -81,8 +81,8 @@ def update_from_touch(
         return state, current, None, learned
     ground = touch.planned_surface(learned.touch, plan, state.stage)
     robot = updated_belief(belief, learned).robot
-    known = world.control, belief.noise, robot, current, ground
-    touched, moves, searches = touch.touch_tick(*known, state, learned.touch, obs, period)
+    arguments = world.control, belief.noise, robot, current, ground
+    touched, moves, searches = touch.touch_tick(*arguments, state, learned.touch, obs, period)
     swings = current.swing[state.stage]
     foothold_offset = jnp.where(swings[:, None], moves, 0.0)
     patience = jnp.where(jnp.any(searches & swings), jnp.inf, current.patience)
@@ -104,20 +104,20 @@ def replan_rest(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learne
         learned: what the robot has learned so far.
     """
     current = learned.plan or plan
-    known = updated_belief(belief, learned)
-    fresh = replace(known.manoeuvre.plan(known), start=current.start)
+    latest = updated_belief(belief, learned)
+    fresh = replace(latest.manoeuvre.plan(latest), start=current.start)
     if (forces := current.layer(Feedforward)) is not None:
         fresh = fresh.with_layer(forces)
     is_finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(fresh)]))
     remaining = jnp.arange(plan.duration.shape[0]) > stage
-    shortfall = jnp.where(is_finite, jnp.max(jnp.where(remaining, _shortfall(known, fresh), 0.0)), jnp.inf)
+    shortfall = jnp.where(is_finite, jnp.max(jnp.where(remaining, _shortfall(latest, fresh), 0.0)), jnp.inf)
     later = is_finite & remaining
 
     def select(a: Array, b: Array) -> Array:
         staged = a.ndim and a.shape[0] == later.shape[0]
         return jnp.where(later.reshape(-1, *[1] * (a.ndim - 1)), a, b) if staged else b
 
-    fresh = _shift_in_body_frames(fresh, landmarks(initial_obstacle(belief, learned)) - landmarks(known.obstacle))
+    fresh = _shift_in_body_frames(fresh, landmarks(initial_obstacle(belief, learned)) - landmarks(latest.obstacle))
     newer = replace(jax.tree.map(select, fresh, current), start=current.start)
     return learned._replace(plan=newer, shortfall=shortfall)
 

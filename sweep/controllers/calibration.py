@@ -118,11 +118,13 @@ def estimate_sizes(
 
     def normal_equations(x: Array) -> tuple[Array, Array]:
         def add(sums: tuple[Array, Array], pose: tuple[PoseMeasurements, Array]) -> tuple[tuple[Array, Array], None]:
-            here = pose[0][:3]
-            both = jnp.concatenate([jax.jacfwd(foot_errors)(x, *here), foot_errors(x, *here)[:, None]], axis=1)
+            measured_pose = pose[0][:3]
+            both = jnp.concatenate(
+                [jax.jacfwd(foot_errors)(x, *measured_pose), foot_errors(x, *measured_pose)[:, None]], axis=1
+            )
             both = jax.scipy.linalg.solve_triangular(pose[1], both, lower=True)
-            slope, left = both[:, :-1], both[:, -1]
-            return (sums[0] + slope.T @ slope, sums[1] + slope.T @ left), None
+            slope, residual = both[:, :-1], both[:, -1]
+            return (sums[0] + slope.T @ slope, sums[1] + slope.T @ residual), None
 
         return jax.lax.scan(add, (identity, x), (measurements, factors))[0]
 
@@ -131,9 +133,11 @@ def estimate_sizes(
         return x - jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(matrix), True), slope), None
 
     x, _ = jax.lax.scan(step, jnp.zeros_like(scale), None, length=ROUNDS)
-    known = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(normal_equations(x)[0]), True), identity[:, : len(sizes)])
-    found = {name: getattr(robot, name) * (1 + control.size_error * x[k]) for k, name in enumerate(sizes)}
-    return CalibrationResult(replace(robot, **found), control.size_error**2 * known[: len(sizes)])
+    covariance = jax.scipy.linalg.cho_solve(
+        (jnp.linalg.cholesky(normal_equations(x)[0]), True), identity[:, : len(sizes)]
+    )
+    estimates = {name: getattr(robot, name) * (1 + control.size_error * x[k]) for k, name in enumerate(sizes)}
+    return CalibrationResult(replace(robot, **estimates), control.size_error**2 * covariance[: len(sizes)])
 
 
 def _tangents(normal: Float[Array, " 3"]) -> Float[Array, "2 3"]:

@@ -34,8 +34,8 @@ class CalibrationPoses:
         for k in range(len(position)):
             stages.append(Stage(f"calibrate.hold{k}", HOLD, onset=KEEP))
             following = (k + 1) % len(position)
-            way = {"position": position[following], "turn": turn[k], "pace": SMOOTH}
-            stages.append(Stage(f"calibrate.to{following}", MOVE, onset=KEEP, **way))
+            path = {"position": position[following], "turn": turn[k], "pace": SMOOTH}
+            stages.append(Stage(f"calibrate.to{following}", MOVE, onset=KEEP, **path))
         stages.append(Stage("calibrate.rest", HOLD, onset=KEEP))
         return compile_plan(start, stages, 0.0)
 

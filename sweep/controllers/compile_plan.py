@@ -37,9 +37,11 @@ def compile_plan(
     before = Stage("start", 0.0)
     for stage in stages:
         if free is not None and _moves_frames(before, stage):
-            was, now = ((jnp.array(s.foot_frames, jnp.int32), jnp.int32(s.base_frame)) for s in (before, stage))
-            world = stance_to_world(Stance(feet, position, quat), *was, free)
-            feet, position, quat = stance_to_frame(world, *now, free)
+            old_frames, new_frames = (
+                (jnp.array(s.foot_frames, jnp.int32), jnp.int32(s.base_frame)) for s in (before, stage)
+            )
+            world = stance_to_world(Stance(feet, position, quat), *old_frames, free)
+            feet, position, quat = stance_to_frame(world, *new_frames, free)
         before = stage
         swing = jnp.array([leg in stage.swing for leg in LEGS])
         guides, guided = jnp.zeros((6, 2, 3)), jnp.array([leg in stage.guides for leg in LEGS])
@@ -103,12 +105,12 @@ def _held_legs(stages: Sequence[Stage]) -> HeldLegs | None:
     """Layer of the legs that hold joint angles; None if no stage has a posture."""
     if not any(stage.posture for stage in stages):
         return None
-    kept, angles, held, joints = set(), jnp.zeros((6, 3)), [], []
+    holding, angles, held, joints = set(), jnp.zeros((6, 3)), [], []
     for stage in stages:
-        kept = (kept - set(stage.swing)) | set(stage.posture)
+        holding = (holding - set(stage.swing)) | set(stage.posture)
         for leg, goal in stage.posture.items():
             angles = angles.at[leg - 1].set(jnp.asarray(goal, float))
-        held.append([leg in kept for leg in LEGS])
+        held.append([leg in holding for leg in LEGS])
         joints.append(angles)
-        kept = kept - set(stage.swing)
+        holding = holding - set(stage.swing)
     return HeldLegs(jnp.array(held), jnp.stack(joints))

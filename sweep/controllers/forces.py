@@ -272,8 +272,8 @@ class _ScaledPose(NamedTuple):
 
         def fits(length: Array) -> Array:
             after = self.margins(force + length * direction, bounds)
-            kept = [jnp.all(after[k] > MARGIN_KEPT * margins[k]) for k in margins]
-            return jnp.stack(kept).all()
+            is_inside = [jnp.all(after[k] > MARGIN_KEPT * margins[k]) for k in margins]
+            return jnp.stack(is_inside).all()
 
         lengths = jnp.asarray(STEP_LENGTHS, force.dtype)
         length = jnp.max(jnp.where(jax.vmap(fits)(lengths), lengths, 0.0))

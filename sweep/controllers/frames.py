@@ -26,11 +26,11 @@ def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeSta
         frame: number of each point's frame.
         free: state of the free bodies that the frames move with.
     """
-    turned, shift = points, jnp.zeros_like(points)
+    rotated, shift = points, jnp.zeros_like(points)
     for k in range(free.position.shape[0]):
-        turned = jnp.where((frame == body_frame(k))[:, None], rotate(free.quat[k : k + 1], points), turned)
+        rotated = jnp.where((frame == body_frame(k))[:, None], rotate(free.quat[k : k + 1], points), rotated)
         shift = shift + _goes_with(frame, k)[:, None] * free.position[k]
-    return turned + shift if free.position.shape[0] else points
+    return rotated + shift if free.position.shape[0] else points
 
 
 def to_frame(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeState) -> Float[Array, "n 3"]:

@@ -75,8 +75,8 @@ def initial_foot_offsets(gait: Sequence[Sequence[int]], step: Step, forward: Flo
         step: the regular step.
         forward: unit vector of the walking direction.
     """
-    way = body_advance(gait, step)
-    return jnp.stack([(_turns(gait, leg)[0] * way - _half_stance(gait, leg) * way) * forward for leg in LEGS])
+    advance = body_advance(gait, step)
+    return jnp.stack([(_turns(gait, leg)[0] * advance - _half_stance(gait, leg) * advance) * forward for leg in LEGS])
 
 
 def _turns(gait: Sequence[Sequence[int]], leg: int) -> list[int]:
@@ -109,16 +109,16 @@ def regular_steps(
         count: number of swings.
         deepening: depth (m) of footholds below the ground.
     """
-    way = body_advance(gait, step)
+    advance = body_advance(gait, step)
     position = start.position
     down = jnp.array([0.0, 0.0, -1.0]) * deepening
     stages = []
     for k in range(count):
         legs = gait[k % len(gait)]
-        position = position + way * forward
+        position = position + advance * forward
         landing = {}
         for leg in legs:
-            landing[leg] = position + centres[leg - 1] + _half_stance(gait, leg) * way * forward + down
+            landing[leg] = position + centres[leg - 1] + _half_stance(gait, leg) * advance * forward + down
         stance = _half_stance(gait, legs[0]) * 2
         carry = 1 / (1 + stance)
         name = f"{k // len(gait) + 1}.{'-'.join(map(str, legs))}"

@@ -263,14 +263,16 @@ def _move_stage(name: str, move: Move, context: MoveContext, standing: Standing)
         for leg in GROUPS[group]:
             old_footing = standing.feet[leg]
             if (place := place_said or old_footing.place) is None:
-                raise InputError(f"{where} is not allowed without a place: nothing says where it stands")
+                raise InputError(
+                    f"{where} is not allowed without a place: no chart gives the place where this foot stands"
+                )
             feet[leg] = context.foot(leg, place, where)
             frames[leg] = feet[leg].frame
             swing[leg] = feet[leg].point if move.depth is None else context.foot(leg, place, where, move.depth).point
             if move.leave and move.land:
-                ways = (context.unit * context.vector(leg, numbers) for numbers in (move.leave, move.land))
+                offsets = (context.unit * context.vector(leg, numbers) for numbers in (move.leave, move.land))
                 starts = foot_in_frame(context.belief, old_footing, frames[leg]), feet[leg].point
-                guides[leg] = jnp.stack([start + way for start, way in zip(starts, ways, strict=True)])
+                guides[leg] = jnp.stack([start + offset for start, offset in zip(starts, offsets, strict=True)])
     known(move.support, context.supports, f"{move.path}.support = {move.support}")
     if move.law:
         known(move.law, context.laws, f"{move.path}.law = {move.law}")

@@ -238,8 +238,8 @@ def _filter_step(estimate: FreeState, measured: FreeState, time_constant: Array 
     share = period / jnp.maximum(time_constant, period)
     position = estimate.position + period * measured.velocity
     quat = multiply(exponential(period * measured.turn), estimate.quat)
-    off = logarithm(multiply(measured.quat, conjugate(quat)))
-    quat = multiply(exponential(share * off), quat)
+    error = logarithm(multiply(measured.quat, conjugate(quat)))
+    quat = multiply(exponential(share * error), quat)
     # Normalise: rounding over thousands of ticks would change the length, and shift feet that stand on the body.
     quat = quat / jnp.linalg.norm(quat, axis=-1, keepdims=True)
     return measured._replace(position=position + share * (measured.position - position), quat=quat)

@@ -147,7 +147,7 @@ class Plan:
 
     def with_layer(self, layer: Any) -> "Plan":
         """Return the plan with this layer added, or in place of the layer of the same class."""
-        return replace(self, layers=(*(one for one in self.layers if not isinstance(one, type(layer))), layer))
+        return replace(self, layers=(*(other for other in self.layers if not isinstance(other, type(layer))), layer))
 
 
 def transform_plan(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:
@@ -166,10 +166,10 @@ def transform_plan(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"])
         return rotate(jnp.broadcast_to(quat, (*v.shape[:-1], 4)), v)
 
     start = Stance(point(plan.start.feet), point(plan.start.position), multiply(quat, plan.start.quat))
-    turned = multiply(jnp.broadcast_to(quat, plan.quat.shape), plan.quat)
+    quats = multiply(jnp.broadcast_to(quat, plan.quat.shape), plan.quat)
     curve = plan.curve._replace(plane=vector(plan.curve.plane), guides=point(plan.curve.guides))
     path = plan.path._replace(pivot=point(plan.path.pivot))
-    return replace(plan, start=start, foothold=point(plan.foothold), curve=curve, quat=turned,
+    return replace(plan, start=start, foothold=point(plan.foothold), curve=curve, quat=quats,
                    position=point(plan.position), path=path, turn=vector(plan.turn))  # fmt: skip
 
 
@@ -297,10 +297,10 @@ def reference_stance(
         position: base position (m) with which the stage started, (3,).
         goal: where swinging feet go (m), (6, 3); None: to their planned footholds.
     """
-    way, curve, goal = plan.path, plan.curve, plan.foothold[stage] if goal is None else goal
-    done = pace_progress(way.pace[stage], way.rates[stage], u)
+    path, curve, goal = plan.path, plan.curve, plan.foothold[stage] if goal is None else goal
+    done = pace_progress(path.pace[stage], path.rates[stage], u)
     quat = multiply(exponential(done * plan.turn[stage]), plan.quat[stage])
-    centre = arc_point(position, plan.position[stage], way.pivot[stage], way.arc[stage], done)
+    centre = arc_point(position, plan.position[stage], path.pivot[stage], path.arc[stage], done)
     share, height = swing_progress(curve.cycle[stage], curve.carry[stage], u)
     lift = stepping.lift_direction(goal - feet, curve.plane[stage])
     lifted = feet + share * (goal - feet) + curve.height[stage] * height * lift

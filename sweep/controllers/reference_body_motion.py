@@ -70,7 +70,7 @@ def reference_motion(
     time = jnp.minimum(clock, duration)
     share = time / duration
     first = jnp.maximum(start.velocity, jnp.asarray(LOWEST))
-    goes, turns = (then - now for then, now in ((support.velocity, first), (support.turn, start.turn)))
+    goes, turns = (end - begin for end, begin in ((support.velocity, first), (support.turn, start.turn)))
     to_velocity = FreeState(
         start.position + time * (first + 0.5 * share * goes),
         multiply(exponential(time * (start.turn + 0.5 * share * turns)), start.quat),
@@ -78,11 +78,14 @@ def reference_motion(
         start.turn + share * turns,
     )
     done, rate = stepping.trapezoidal_transfer(share, 0.0, 1.0)
-    way, turn = support.position - start.position, logarithm(multiply(jnp.asarray(support.quat), conjugate(start.quat)))
+    shift, turn = (
+        support.position - start.position,
+        logarithm(multiply(jnp.asarray(support.quat), conjugate(start.quat))),
+    )
     to_pose = FreeState(
-        start.position + done * way,
+        start.position + done * shift,
         multiply(exponential(done * turn), start.quat),
-        rate / duration * way,
+        rate / duration * shift,
         rate / duration * turn,
     )
     moved, turned = measured.position - start.position, logarithm(multiply(measured.quat, conjugate(start.quat)))

@@ -43,7 +43,7 @@ def reverse_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
     feet, guides = (
         _in_frames(points, plan.foot_frame, frame, free) for points in (starts[:, :, None], plan.curve.guides)
     )
-    turned = multiply(exponential(plan.turn), plan.quat)  # the base's attitude at the end of each stage
+    end_quats = multiply(exponential(plan.turn), plan.quat)  # the base's attitude at the end of each stage
 
     def back(array: Array) -> Array:
         return jnp.flip(array, axis=0)
@@ -57,7 +57,7 @@ def reverse_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
         foothold=back(feet[:, :, 0]),
         foot_frame=back(frame),
         position=back(position),
-        quat=back(turned),
+        quat=back(end_quats),
         turn=back(-plan.turn),
         duration=back(plan.duration),
         swing=back(plan.swing),
@@ -76,11 +76,11 @@ def apply_direction(belief: Case, plan: Plan) -> Plan:
         belief: the case.
         plan: the forward plan, without planned forces.
     """
-    way = plan_table.plan_direction(belief)
-    if way == plan_table.FORTH:
+    direction = plan_table.plan_direction(belief)
+    if direction == plan_table.FORTH:
         return plan
     back = reverse_in_time(plan, free_start_state(belief.obstacle))
-    return back if way == plan_table.BACK else join_plans(plan, back)
+    return back if direction == plan_table.BACK else join_plans(plan, back)
 
 
 def _in_frames(

@@ -49,9 +49,9 @@ def require_within_reach(belief: Case, stances: Callable[[], Mapping[str, Stance
     words = []
 
     def shortfalls() -> Float[Array, "n 6"]:
-        found = stances()
-        words[:] = found
-        many = jax.tree.map(lambda *leaves: jnp.stack(leaves), *found.values())
+        named = stances()
+        words[:] = named
+        many = jax.tree.map(lambda *leaves: jnp.stack(leaves), *named.values())
         return jax.vmap(lambda stance: joint_targets(belief.robot, stance)[1])(many)
 
     lacks = worked_out(shortfalls)

@@ -93,7 +93,7 @@ def test_it_keeps_clear_of_ladder_ledge_and_its_own_legs(plan):
             r"ledge_height = 2.625 .* reach at the end of stage climb",
         ),
         (["obstacle.ledge_height=3.0"], r"ledge_height = 3 .* reach at the end of stage climb"),
-        (["obstacle.rungs=4"], "obstacle.rungs = 4 is not allowed: the way up needs 5"),
+        (["obstacle.rungs=4"], "obstacle.rungs = 4 is not allowed: at least 5 for the moves of part climb"),
         (["obstacle.floor_grip=0.1"], r"obstacle.lean = 1.309 .* the ladder slides under the robot at its top"),
         (["obstacle.length=2.8"], "obstacle.length = 2.8 is not allowed"),
     ],

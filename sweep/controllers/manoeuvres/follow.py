@@ -71,8 +71,8 @@ class Follow(PlannedForces):
         feet, position, standing = initial_stance(START, context)
         for part in plan_content(belief):
             if part not in (START, *BESIDE):
-                more, standing = part_stages(part, context, standing)
-                stages += more
+                stages_of_part, standing = part_stages(part, context, standing)
+                stages += stages_of_part
         if not stages:
             raise InputError(f"plan is not allowed: manoeuvre.kind = {self.kind} needs a part with moves")
         x, y = belief.obstacle.forward

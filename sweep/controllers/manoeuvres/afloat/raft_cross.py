@@ -99,9 +99,9 @@ class RaftCross:
         position, _, _ = context.base({"by_near": [first]}, "")
         start = Stance(jnp.stack([feet[leg] for leg in LEGS]), position, jnp.array(IDENTITY))
         aboard, reached, landed = (list(read_moves(belief, part).values()) for part in ("aboard", "reach", "land"))
-        ashore, there, end = (move.base[chart][0] for move, chart in (
+        ashore, reached_at, end = (move.base[chart][0] for move, chart in (
             (aboard[-1], "on_deck"), (reached[0], "on_deck_far"), (landed[-1], "by_far")))  # fmt: skip
-        over = (raft.length / length + there - ashore) / self.steps
+        stride = (raft.length / length + reached_at - ashore) / self.steps
         pull = replace(reached[-1], feet={}, seconds=self.pull, support="pulled", law=PULL)
         standing = standing_on(feet, 0.0)
         approach, standing = move_stages(
@@ -109,15 +109,15 @@ class RaftCross:
         )
         board, standing = part_stages("board", context, standing)
         push_off, standing = part_stages("push", context, standing, "")
-        on, standing = part_stages("aboard", context, standing)
+        walk_on, standing = part_stages("aboard", context, standing)
         walk, standing = move_stages(
-            tripod_moves(ashore, self.steps, over, "on_deck", "deck"), context, standing, "walk."
+            tripod_moves(ashore, self.steps, stride, "on_deck", "deck"), context, standing, "walk."
         )
         (wait, *reach), standing = part_stages("reach", context, standing, "")
         pulls, standing = move_stages({f"pull{k + 1}": pull for k in range(self.pulls)}, context, standing, "")
         land, standing = part_stages("land", context, standing)
         leave = tripod_moves(end, self.leave, self.stride_ratio, "by_far", "far")
-        off, _ = move_stages(
+        walk_off, _ = move_stages(
             {name: replace(move, law=ASHORE) for name, move in leave.items()}, context, standing, "leave."
         )
         stages = [
@@ -125,13 +125,13 @@ class RaftCross:
             *approach,
             *board,
             *(self.push_stage(belief, stage, push) for stage in push_off),
-            *on,
+            *walk_on,
             *walk,
             replace(wait, duration=WAIT_FACTOR * push.time),
             *reach,
             *pulls,
             *land,
-            *off,
+            *walk_off,
             Stage("halt", 1.0, law=ASHORE, onset=REGRIP),
         ]
         return compile_plan(start, stages, self.patience, ease=self.ease, free=raft.start(), afloat=True)
@@ -144,11 +144,11 @@ class RaftCross:
         raft, length = belief.obstacle_as(Raft), belief.robot.body_length
         aside, deck = belief.robot.body_width / 2 + self.spread_ratio * length, raft.thickness / 2
         hips, squat = self.height_ratio * length, self.squat_ratio * length
-        half, width, own = raft.length / 2, raft.water_width, body_frame(0)
-        feet = {"near": (0.0, 0.0, WORLD), "brace": (0.0, 0.0, WORLD), "deck": (-half, deck, own),
-                "deck_far": (half, deck, own), "far": (width, 0.0, WORLD)}  # fmt: skip
-        bases = {"by_near": (0.0, hips, WORLD), "on_deck": (-half, hips + deck, own),
-                 "on_deck_far": (half, hips + deck, own), "squat": (half, squat + deck, own),
+        half, width, raft_frame = raft.length / 2, raft.water_width, body_frame(0)
+        feet = {"near": (0.0, 0.0, WORLD), "brace": (0.0, 0.0, WORLD), "deck": (-half, deck, raft_frame),
+                "deck_far": (half, deck, raft_frame), "far": (width, 0.0, WORLD)}  # fmt: skip
+        bases = {"by_near": (0.0, hips, WORLD), "on_deck": (-half, hips + deck, raft_frame),
+                 "on_deck_far": (half, hips + deck, raft_frame), "squat": (half, squat + deck, raft_frame),
                  "by_far": (width, hips, WORLD)}  # fmt: skip
         charts = {
             name: chart_beyond_edge(edge, self.offset, aside, up, frame) for name, (edge, up, frame) in feet.items()
@@ -207,8 +207,8 @@ class RaftCross:
         ashore = is_under_law(plan, stage, REACH, PULL, ASHORE) & (frames == WORLD)
         shifts = jnp.where(ashore[:, None], memory, 0.0)
         goal, position = plan.foothold[stage] + shifts[:6], plan.position.at[stage].add(shifts[6])
-        wanted = reference_stance(replace(plan, position=position), stage, ctx.phase, state.feet, state.position, goal)
-        return Guidance(wanted, goal, memory)
+        stance = reference_stance(replace(plan, position=position), stage, ctx.phase, state.feet, state.position, goal)
+        return Guidance(stance, goal, memory)
 
     def drift_along_bank(self, plan: Plan, stage: Int[Array, ""], free: FreeState) -> Float[Array, ""]:
         """Return how far (m) along the bank the base's target is from its planned landing place.

@@ -56,13 +56,13 @@ class RaftStand:
         stance, centres = level_stance(belief, self.spread_ratio * length, self.height_ratio * length)
         deck = free.position[0] + jnp.array([0.0, 0.0, 1.0]) * raft.half_size[2]
         start = Stance(deck + stance.feet, deck + stance.position, stance.quat)
-        way = point(self.ahead, self.aside, 0.0)
-        over, down = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 0.0, -1.0]) * self.deepening
-        base = stance.position + raft.half_size[2] * over
+        displacement = point(self.ahead, self.aside, 0.0)
+        up, down = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 0.0, -1.0]) * self.deepening
+        base = stance.position + raft.half_size[2] * up
         stages = [Stage("stand", 1.0, position=base, onset=REGRIP, foot_frames=DECK, base_frame=body_frame(0))]
         for k in range(self.steps + 1):
-            base = base + way / self.steps if k < self.steps else base
-            ahead = way / self.steps / 2 if k < self.steps - 1 else jnp.zeros(3)
+            base = base + displacement / self.steps if k < self.steps else base
+            ahead = displacement / self.steps / 2 if k < self.steps - 1 else jnp.zeros(3)
             swing = {leg: base + centres[leg - 1] + ahead + down for leg in TRIPOD[k % 2]}
             stages.append(
                 Stage(f"walk.{k + 1}", self.swing, swing, CYCLE_B_SMOOTH, self.lift_ratio * length, position=base,

@@ -31,8 +31,8 @@ def freeboard_and_draught(
     place = load / mass * point(*offset, d + height)
     rest = raft_equilibrium(GRAVITY * mass, place, a, b, d, WATER_DENSITY * GRAVITY)
     corners = jnp.stack([x * a * rest.a31 + y * b * rest.a32 for x, y in CORNERS])
-    over = d * rest.a33 - rest.depth
-    return over + jnp.min(corners), 2 * d * rest.a33 - over - jnp.max(corners)
+    freeboard = d * rest.a33 - rest.depth
+    return freeboard + jnp.min(corners), 2 * d * rest.a33 - freeboard - jnp.max(corners)
 
 
 def require_floating(belief: Case, offset: tuple[float, float]) -> None:
@@ -57,5 +57,5 @@ def require_floating(belief: Case, offset: tuple[float, float]) -> None:
         ends = f"lifts a corner {-1e3 * draught:.0f} mm out of the water"
     raise InputError(
         f"obstacle.density = {belief.obstacle_as(Raft).density:g} is not allowed: the raft {ends} under the robot of "
-        f"{total_mass(belief.robot):g} kg, {offset[0]:.2f} m ahead and {offset[1]:.2f} m aside of its middle"
+        f"{total_mass(belief.robot):g} kg, {offset[0]:.2f} m ahead and {offset[1]:.2f} m to the left of its middle"
     )

@@ -215,8 +215,8 @@ class BallBalance(OnBall):
                 partial(jnp.where, ctx.is_first_tick), self._plan_move(belief, memory, ctx.obs), memory
             )
             shape = stabilise_delta(self.period, self.rest, state.clock)
-            way = memory.move * shape.delta + memory.pulse * shape.pulse_integral_T
-            position = memory.place.at[:2].add(way)
+            shift = memory.move * shape.delta + memory.pulse * shape.pulse_integral_T
+            position = memory.place.at[:2].add(shift)
         else:
             memory = self._lean_tick(belief, memory, state, ctx.obs, ctx.period) if self.law == "tick" else memory
             position = memory.place

@@ -73,14 +73,14 @@ class BallAside(OnBall):
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """Keep the mass centre over the ball, plus the lateral motion planned at the start of the stage."""
         plan, stage, free = ctx.plan, ctx.stage, ctx.obs.free
-        wanted = jnp.where(stage == 0, self.speed, free.velocity[0, 1])  # while coasting, the measured speed
-        wanted = jnp.where(stage > 1, 0.0, wanted)
-        push = self.gain * lateral_gain(belief, plan, self.period) * (wanted - free.velocity[0, 1])
+        wanted_speed = jnp.where(stage == 0, self.speed, free.velocity[0, 1])  # while coasting, the measured speed
+        wanted_speed = jnp.where(stage > 1, 0.0, wanted_speed)
+        push = self.gain * lateral_gain(belief, plan, self.period) * (wanted_speed - free.velocity[0, 1])
         push = jnp.where(ctx.is_first_tick, push, state.memory)
         aside = push * lateral_mu(self.period, jnp.minimum(state.clock, self.period)).mu
         feet = rotate(free.quat, state.feet)
-        over = jnp.stack([jnp.zeros_like(aside), aside])
-        position = compensate_base(belief.robot, plan.position[stage], feet, over, lengthwise=True)
+        centre = jnp.stack([jnp.zeros_like(aside), aside])
+        position = compensate_base(belief.robot, plan.position[stage], feet, centre, lengthwise=True)
         return Guidance(Stance(state.feet, position, plan.quat[stage]), state.feet, push)
 
 

@@ -71,8 +71,8 @@ class BallClimb(BesideBall):
         stages, standing = part_stages("approach", self.move_context(belief, self.deepening, (0.0, 0.0)), standing, "")
         on_ball = self.move_context(belief, self.deepening + self.press, (self.press, self.squeeze))
         for part, prefix in (("hold", ""), ("ride", "ride."), ("stand", "")):
-            more, standing = part_stages(part, on_ball, standing, prefix)
-            stages += more
+            stages_of_part, standing = part_stages(part, on_ball, standing, prefix)
+            stages += stages_of_part
         return start, stages
 
     def start_standing(self, belief: Case) -> tuple[Stance, Standing]:

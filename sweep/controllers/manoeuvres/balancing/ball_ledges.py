@@ -56,8 +56,8 @@ class WallDocking(DriveUntil):
 
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
         """Return whether the ball is at the wall, and calm."""
-        left = belief.obstacle_as(Ledges).far_wall_x - free.position[0, 0]
-        return (left < self.near) & (jnp.linalg.norm(free.velocity[0]) < self.calm)
+        remaining = belief.obstacle_as(Ledges).far_wall_x - free.position[0, 0]
+        return (remaining < self.near) & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 
 
 @parameters
@@ -99,11 +99,11 @@ class BallLedges(OnBall, ByParts):
         stand = replace(stands, feet={})
         halt = replace(mirror_move(belief, stand, ()), seconds=1.0)
         stages, _ = move_stages({name: stand}, context, standing, "")
-        on, standing = part_stages("on", context, standing)
-        off, standing = part_stages("off", context, standing)
+        get_on, standing = part_stages("on", context, standing)
+        get_off, standing = part_stages("off", context, standing)
         last, _ = move_stages({"halt": halt}, context, standing, "")
         rolling = self.roll_drive.step_stages(stand_pose(belief, self), ROLLS)
-        return compile_plan(stance, [*stages, *on, *rolling, *off, *last], self.patience, ease=self.ease)
+        return compile_plan(stance, [*stages, *get_on, *rolling, *get_off, *last], self.patience, ease=self.ease)
 
     def start_standing(self, belief: Case) -> tuple[Stance, Standing]:
         """Return the start stance, and where the robot stands in it, as far to the side as the ball."""

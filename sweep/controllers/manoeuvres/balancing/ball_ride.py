@@ -94,12 +94,12 @@ class Ride(NamedTuple):
         elevation = jnp.arctan2(off[2], -off[0])
         omega = jnp.maximum(obs.free.turn[0, 1], 0.0)
         p = total_mass(robot) * jnp.hypot(off[0], off[2]) / (ball.radius * (ROLLING * ball.mass + total_mass(robot)))
-        left = jnp.maximum(0.5 * np.pi - elevation, 0.0)
-        effort = jnp.log((1 + p) / (1 + p * jnp.cos(left)))
+        remaining = jnp.maximum(0.5 * np.pi - elevation, 0.0)
+        effort = jnp.log((1 + p) / (1 + p * jnp.cos(remaining)))
         enough = (omega * ball.radius) ** 2 > 4 * effort**2 * ball.radius * GRAVITY
         root = climbing_rate(jnp.where(enough, omega, 10.0), effort, ball.radius)
         fastest = omega / (2 * jnp.maximum(effort, 1e-6))
-        most = jnp.minimum(self.most, jnp.sqrt(2 * self.braking * left))
+        most = jnp.minimum(self.most, jnp.sqrt(2 * self.braking * remaining))
         return jnp.minimum(jnp.maximum(self.gain * jnp.where(enough, root, fastest), self.least), most)
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:

@@ -91,16 +91,16 @@ class Closing(NamedTuple):
         gap = jnp.clip(ball_gap(balls, ctx.obs.free), 0.0, MAX_CLOSING)
         memory: ClosingMemory = state.memory
         gap = jnp.where(ctx.is_first_tick, gap, memory.gap)
-        wanted = reference_stance(plan, stage, ctx.phase, state.feet, state.position)
+        stance = reference_stance(plan, stage, ctx.phase, state.feet, state.position)
         programme = plan.layer(ReferenceBodyMotion)
         assert programme is not None  # since it is how balls are brought together
         both = jnp.asarray(programme.support.mode)[stage, 0] == TOGETHER
-        way = jnp.where(both, ctx.phase * (gap + self.press), 0.0)
+        shift = jnp.where(both, ctx.phase * (gap + self.press), 0.0)
         quat = ctx.free.quat[1:]
-        turned = rotate(rotation_about_y(-way / balls.radius)[None], rotate(quat, wanted.feet))
-        moved = rotate(conjugate(quat), turned - way * jnp.array([1.0, 0.0, 0.0]))
+        turned = rotate(rotation_about_y(-shift / balls.radius)[None], rotate(quat, stance.feet))
+        moved = rotate(conjugate(quat), turned - shift * jnp.array([1.0, 0.0, 0.0]))
         stands = (plan.foot_frame[stage] == body_frame(1))[:, None]
-        return Guidance(wanted._replace(feet=jnp.where(stands, moved, wanted.feet)), plan.foothold[stage],
+        return Guidance(stance._replace(feet=jnp.where(stands, moved, stance.feet)), plan.foothold[stage],
                         ClosingMemory(gap))  # fmt: skip
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
@@ -200,7 +200,7 @@ class BallToBall(OnBall, ByParts):
         inside = inside.min(axis=0)
         if not inside.min() >= self.spare:
             raise InputError(
-                f"{self.kind}: the mass centre is {inside.min():.3f} m between the feet that stand after stage "
+                f"{self.kind}: the mass centre is {inside.min():.3f} m inside the standing feet at the end of stage "
                 f"{plan.names[inside.argmin()]}: at least manoeuvre.spare = {self.spare:g}"
             )
 

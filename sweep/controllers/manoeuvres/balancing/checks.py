@@ -74,7 +74,7 @@ def apply_checks(belief: Case, start: Stance, stages: Sequence[Stage], limits: C
     base, feet = stances.position - planned.position, stances.feet - planned.feet
     return [
         replace(stage, position=plan.position[k] + base[k],
-                swing={leg: at + feet[k, leg - 1] for leg, at in stage.swing.items()})
+                swing={leg: place + feet[k, leg - 1] for leg, place in stage.swing.items()})
         for k, stage in enumerate(stages)
     ]  # fmt: skip
 
@@ -117,9 +117,11 @@ def _set_feet_farther(robot: Robot, stances: Stance, steps: StageFeet, limits: C
     forward, back = jnp.where(stands & foremost, lacks[0], 0.0), jnp.where(stands & rearmost, lacks[1], 0.0)
     shift = jnp.zeros_like(ahead)
     for k in range(len(steps.swing)):  # largest shift over all stages in which the foot stands there
-        here = (steps.since == k) & (k >= 0)
-        most = jnp.max(jnp.where(here, forward, 0.0), axis=0) - jnp.max(jnp.where(here, back, 0.0), axis=0)
-        shift = jnp.where(here, most, shift)
+        stands_here = (steps.since == k) & (k >= 0)
+        most = jnp.max(jnp.where(stands_here, forward, 0.0), axis=0) - jnp.max(
+            jnp.where(stands_here, back, 0.0), axis=0
+        )
+        shift = jnp.where(stands_here, most, shift)
     x, y, z = (
         (stances.feet - steps.centre)[..., 0],
         (stances.feet - steps.centre)[..., 1],
@@ -176,8 +178,8 @@ def _set_feet_nearer(robot: Robot, stances: Stance, steps: StageFeet, limits: Ch
     nearest = steps.centre + jnp.where((one < other)[..., None], *both)
     moved = jnp.where((far & (height2 > 0))[..., None], nearest, stances.feet)
     legs = np.arange(len(LEGS))
-    kept = jnp.where((steps.since >= 0)[..., None], moved[np.maximum(steps.since, 0), legs], stances.feet)
-    return stances._replace(feet=kept)
+    feet_at_stages = jnp.where((steps.since >= 0)[..., None], moved[np.maximum(steps.since, 0), legs], stances.feet)
+    return stances._replace(feet=feet_at_stages)
 
 
 def _leg_extents(robot: Robot, stances: Stance) -> tuple[Float[Array, "s 6"], Float[Array, "s 6"]]:

@@ -35,24 +35,24 @@ class ByParts(ABC):
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """Return the guidance of the part whose stage it is, or of the plan."""
         plan, stage = ctx.plan, ctx.stage
-        wanted, goal = reference_stance(plan, stage, ctx.phase, state.feet, state.position), plan.foothold[stage]
+        stance, goal = reference_stance(plan, stage, ctx.phase, state.feet, state.position), plan.foothold[stage]
         memory = dict(state.memory)
         for name, part in self.parts.items():
             guidance = part.guide(belief, ctx, state._replace(memory=state.memory[name]))
-            leads, unchanged = is_under_law(plan, stage, name), (wanted, goal, state.memory[name])
-            wanted, goal, memory[name] = jax.tree.map(partial(jnp.where, leads), tuple(guidance), unchanged)
-        return Guidance(wanted, goal, memory)
+            leads, unchanged = is_under_law(plan, stage, name), (stance, goal, state.memory[name])
+            stance, goal, memory[name] = jax.tree.map(partial(jnp.where, leads), tuple(guidance), unchanged)
+        return Guidance(stance, goal, memory)
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
         """Return whether the part whose stage it is ends it."""
-        over = jnp.asarray(False)
+        is_over = jnp.asarray(False)
         for name, part in self.parts.items():
             if isinstance(part, EndsStages):
                 part_state = state._replace(memory=state.memory[name])
-                over = over | (
+                is_over = is_over | (
                     is_under_law(plan, state.stage, name) & part.is_stage_over(belief, plan, part_state, obs)
                 )
-        return over
+        return is_over
 
 
 @dataclass(frozen=True)

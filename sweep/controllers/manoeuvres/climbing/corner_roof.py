@@ -63,8 +63,8 @@ class CornerRoof(OnCorner):
         if not isinstance(rise, Tracer):
             unit = leg_unit(belief.robot)
             self.validate(belief, float(rise * unit), float(MOST_RISE * belief.robot.body_length))
-        known = belief.plan.with_increment(f"{SIZES}.rise", jnp.where(rise >= 0, 0.0, jnp.nan))
-        start, stages, standing = self.climb_stages(replace(belief, plan=known))
+        changed_plan = belief.plan.with_increment(f"{SIZES}.rise", jnp.where(rise >= 0, 0.0, jnp.nan))
+        start, stages, standing = self.climb_stages(replace(belief, plan=changed_plan))
         roof, _ = part_stages("roof", self.move_context(belief), standing)
         return start, [*stages, *roof]
 
@@ -112,14 +112,14 @@ class CornerFull(CornerRoof):
         ahead, middle feet would meet the front legs.
         """
         context, stages, length = self.move_context(belief), [], belief.robot.body_length
-        way, height = (
+        stride, height = (
             self.roof_step_ratio * length,
             belief.obstacle_as(Corner).height + self.height_ratio * context.unit,
         )
         *_, last = read_moves(belief, "roof").values()
         base = context.base(last.base, last.path)[0][1]
         for k in range(self.steps):
-            advance = way if k >= len(TRIPOD) else 0.0
+            advance = stride if k >= len(TRIPOD) else 0.0
             base = base - advance
             swing = {}
             for leg in TRIPOD[k % 2]:

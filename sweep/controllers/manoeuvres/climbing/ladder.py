@@ -84,12 +84,12 @@ class LadderClimb(PlannedForces):
         )
         climb, _ = part_stages("climb", context, standing)
         last = point(0.0, -AWAY * unit, ladder.ledge_height + height)
-        settle, off = departure_stages(belief, step, last, spread, height, self.steps_away)
+        settle, depart = departure_stages(belief, step, last, spread, height, self.steps_away)
         stages = [
             Stage("settle", self.settle),
             *walk,
             *self.with_load_transfer([*climb, *settle]),
-            *off,
+            *depart,
             Stage("halt", self.settle),
         ]
         return apply_direction(belief, compile_plan(start, stages, self.patience, free=ladder.start()))
@@ -107,7 +107,9 @@ class LadderClimb(PlannedForces):
         places = [place for move in read_moves(belief, "climb").values() for place in move.feet.values() if place]
         needs = max(int(place["rung"][0]) for place in places if "rung" in place)
         if ladder.rungs < needs:
-            raise InputError(f"obstacle.rungs = {ladder.rungs} is not allowed: the way up needs {needs}")
+            raise InputError(
+                f"obstacle.rungs = {ladder.rungs} is not allowed: at least {needs} for the moves of part climb"
+            )
         grips = [contact.friction * grip for grip in (ladder.floor_grip, ladder.wall_grip)]
         bears = worked_out(lambda: statics(jnp.asarray(ladder.lean), *map(jnp.asarray, grips)).chi_max)
         mass = float(total_mass(robot))

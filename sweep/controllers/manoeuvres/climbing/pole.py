@@ -77,8 +77,8 @@ class OnPole(PlannedForces):
         """
         unit, step = leg_unit(belief.robot), self.regular_step(belief)
         hang = edge_chart(lambda pole: (pole.radius + self.gap_ratio * unit, pole.height))
-        own = {"edges": rearing_base_chart(belief.robot.body_length), "hang": hang}
-        return MoveContext(belief, unit, step.time, step.height, {"side": self.deepening}, own, laws=(PRESS,))
+        charts = {"edges": rearing_base_chart(belief.robot.body_length), "hang": hang}
+        return MoveContext(belief, unit, step.time, step.height, {"side": self.deepening}, charts, laws=(PRESS,))
 
     def climb_stages(self, belief: Case, gap: Array | float = 0.0) -> tuple[Stance, list[Stage], Standing]:
         """Return the start stance, the stages to the end of the gallop, and where the robot stands then.

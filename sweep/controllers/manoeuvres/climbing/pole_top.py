@@ -32,8 +32,8 @@ class PoleTop(PoleClimb):
         start, climb, standing = self.climb_stages(belief)
         context, stages = self.move_context(belief), []
         for part in ("edge", "over", "top"):
-            more, standing = part_stages(part, context, standing)
-            stages += [stage for stage in more if stage.law != PRESS or self.forces != "planned"]
+            stages_of_part, standing = part_stages(part, context, standing)
+            stages += [stage for stage in stages_of_part if stage.law != PRESS or self.forces != "planned"]
         return start, [*climb, *self.with_rests(stages)], standing
 
     def route(self, belief: Case) -> tuple[Stance, list[Stage]]:

@@ -98,12 +98,12 @@ class Waypoints:
 
         def cycle(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
             position, next_point = state
-            left = points[next_point] - position
-            length = jnp.linalg.norm(left)
-            direction = jnp.where(length > 0, left / jnp.where(length > 0, length, 1.0), jnp.array([1.0, 0.0]))
+            remaining = points[next_point] - position
+            length = jnp.linalg.norm(remaining)
+            direction = jnp.where(length > 0, remaining / jnp.where(length > 0, length, 1.0), jnp.array([1.0, 0.0]))
             largest = self.share * jnp.min(self.largest_steps(robot, direction))
             arrives = 2 * largest >= length
-            step = jnp.where(arrives, left / 2, largest * direction)
+            step = jnp.where(arrives, remaining / 2, largest * direction)
             position = jnp.where(arrives, points[next_point], position + 2 * step)
             following = jnp.minimum(next_point + arrives, len(WAYPOINTS) - 1)
             return (position, following), jnp.append(step, 0.0)
@@ -126,6 +126,6 @@ class Waypoints:
         out = leg_directions(robot)[:, :2]
         across = jnp.stack([out[:, 1], -out[:, 0]], axis=-1)  # x axis of the leg's frame, whose y axis points outward
         ahead = jnp.array([1.0 if leg in TRIPODS[0] else -1.0 for leg in LEGS])
-        way = ahead[:, None] * jnp.stack([across @ direction, out @ direction], axis=-1)
+        direction_in_leg = ahead[:, None] * jnp.stack([across @ direction, out @ direction], axis=-1)
         foot = jnp.stack([jnp.zeros_like(spread), spread])
-        return thesis_step(foot, way, zone.OA, zone.OB, zone.phimax).support
+        return thesis_step(foot, direction_in_leg, zone.OA, zone.OB, zone.phimax).support
