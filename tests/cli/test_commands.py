@@ -211,7 +211,7 @@ def test_list_describes_every_choice_and_needs_no_simulation():
     slow = "{'mujoco', 'hydra', 'jax'}"
     code = f"import sys; from sweep.cli.main import main; main(['list']); print(sys.modules.keys() & {slow})"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert "walk_map             Where walking works" in out
+    assert "walk_map             Walking by tripod: friction" in out
     assert out.endswith("set()\n")
 
 
