@@ -63,6 +63,12 @@ def flag(default: bool) -> Any:
     return dataclasses.field(default=default, metadata={"role": "flag"})
 
 
+def unhashed(member: Any) -> Any:
+    """A parameter that is left out of the settings' `repr`, and so of `run_id`: it changes no row."""
+    member.repr = False
+    return member
+
+
 @dataclass_transform(frozen_default=True)
 def parameters[T: type](cls: T) -> T:
     """Frozen dataclass whose quantities (and nested parameter groups) are pytree leaves."""

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 _note = functools.cache(lambda line: print(f"sweep: note: {line}", file=sys.stderr))  # once
 AXES = ("name", "width", "precision")  # what an own model's engine has of the settings, beside the period of a tick
+ALLOWED = (*AXES, "control_period", "cross_check")
 OTHER = {"elliptic": "pyramidal", "pyramidal": "elliptic"}
 WAYS = {
     "again": Way("as before, in batches of another width"),
@@ -131,8 +132,11 @@ class Own(Subject):
         yield from ((path, self.usual(path)) for path in paths if path.startswith("model."))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
-        """See `System`: whether the controller is one, and the engine one for the model, too."""
+        """Refuse axes that vary nothing, a controller that is none, and an engine that is none for the model."""
         columns = [c for c in map(str, table.columns) if "." in c and not c.startswith("axis.")]
+        for column in columns:
+            if column.startswith("world.controller."):
+                raise InputError(f"axis {column} varies nothing: the belief alone has the controller's own numbers")
         shaping = [c for c in columns if self.parameter(c, settings).metadata["role"] != "quantity"]
         distinct: list[Any] = table[shaping].drop_duplicates().to_dict("records") if shaping else [{}]
         varied = {path for side, path in map(side_and_path, columns) if side != "belief" and path.startswith("model.")}
@@ -196,7 +200,7 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     about = _about(values["model"])
     settings, usual = build(Settings, values["engine"], "engine"), Settings()
     for field in dataclasses.fields(usual):
-        if field.name not in (*AXES, "control_period") and getattr(settings, field.name) != getattr(usual, field.name):
+        if field.name not in ALLOWED and getattr(settings, field.name) != getattr(usual, field.name):
             raise InputError(f"engine.{field.name} is not allowed: the model's file says how it is simulated")
     own, groups = Own(about, ()), {group: values.get(group) or {} for group in ("noise", "controller")}
     asked = {f"{group}.{name}": value for group, given in groups.items() for name, value in given.items()}

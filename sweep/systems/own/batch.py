@@ -43,9 +43,13 @@ class AtStart(NamedTuple):
 
 
 def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, streams: np.ndarray) -> AtStart:
-    """Rollouts of a batch of two sides."""
+    """Rollouts of a batch of two sides. Raises `InputError` where MuJoCo makes no batch of such a model."""
     n, number = len(streams), np.dtype(settings.precision).type
-    batch = Batch(own.model, n, devices.cores())
+    try:
+        batch = Batch(own.model, n, devices.cores())
+    except ValueError as error:  # as of bodies that sleep
+        reason = " ".join(str(error).split())
+        raise InputError(f"model.mjcf = {own.about.mjcf} cannot be simulated in batches: {reason}") from None
     qpos, qvel, sensors = (batch.bind(name) for name in ("qpos", "qvel", "sensordata"))
     # bound before the reset: what is bound after it is zero until the next call
     varied = fields.by_rollout(own.model, world.of("model"))

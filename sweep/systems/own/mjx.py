@@ -21,15 +21,19 @@ from jaxtyping import Array
 
 from sweep.core.errors import InputError
 from sweep.engines import devices
+from sweep.engines.base import Figures, Watch
 from sweep.engines.settings import EngineSettings
 from sweep.systems.own import batch, fields, figures
-from sweep.systems.own.engine import Found, Frame, OwnEngine
+from sweep.systems.own.engine import RECORDED, Found, Frame, OwnEngine, unsolved
 from sweep.systems.own.subject import Side, Subject
 
 with redirect_stdout(io.StringIO()):  # it prints which of its parts are not installed
     from mujoco import mjx
 
 CARRIED = "qpos", "qvel", "act", "qacc_warmstart", "time"  # of its data, from step to step
+COMPARED = 3  # ticks that are compared with C MuJoCo's
+UNLIKE = 0.1  # difference of an acceleration, over the largest of all joints, from which the engines disagree
+LITTLE = 1e-3  # acceleration (m/s^2, rad/s^2) below which rounding is all there is
 CHUNK = 50  # ticks of a call, so that a command can be ended
 RUBBING = "dof_frictionloss", "tendon_frictionloss"
 # by whether they are 0
@@ -40,7 +44,6 @@ SILENT = {f"{kind}.{name}": one.field for kind, words in fields.VARIED.items() f
     "option.noslip_iterations": "opt.noslip_iterations",
     "actuator.delay": "actuator_delay",
     "sensor.delay": "sensor_delay",
-    "plugin": "plugin",
 }
 # of this what it has a field for and makes no use of: of delays the history is not carried on
 UNUSED = {
@@ -72,6 +75,7 @@ class OwnMjx(OwnEngine):
             raise InputError(f"engine.precision = {settings.precision} is not allowed: warp reckons in float32")
         super().__init__(own, settings)
         self._limited = [] if warp else limited(self._model)
+        self._compared = False  # with C MuJoCo
         self._placed: dict[Any, tuple[Any, Any]] = {}  # MJX's model and data of a batch's shape
         if own.controller.batched:
             raise self._refused("a controller of NumPy's or a network is no part of its program", "one of JAX's, ")
@@ -85,6 +89,8 @@ class OwnMjx(OwnEngine):
     def cautions(self) -> Iterator[str]:
         """Where MJX is known to part from C MuJoCo, each a line."""
         model = self._model
+        if model.nplugin:
+            yield f"{self._settings.name} leaves out the model's plugins, C MuJoCo has them"
         damped = model.actuator_biasprm[:, 2] != 0
         bounded = (model.actuator_forcelimited | model.actuator_ctrllimited).astype(bool)
         fast = self._impl == "jax" and model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
@@ -133,32 +139,81 @@ class OwnMjx(OwnEngine):
                 raise self._refused(f"MJX has no {name.removeprefix('opt.')}, which {path} varies", "other axes, ")
         return self.cautions()
 
+    def run(self, world: Side, belief: Side, streams: np.ndarray) -> Figures:
+        """Metrics of a batch; the engine's first one is compared with C MuJoCo before, see `_cross_check`."""
+        self._cross_check(world, belief, streams)
+        return super().run(world, belief, streams)
+
+    def histories(
+        self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray, watch: Watch
+    ) -> tuple[Figures, np.ndarray]:
+        """Metrics, and columns over time; the engine's first batch is compared with C MuJoCo before."""
+        self._cross_check(world, belief, streams)
+        return super().histories(world, belief, streams, slots, watch)
+
+    @devices.memory()
+    def _cross_check(self, world: Side, belief: Side, streams: np.ndarray) -> None:
+        """Compare the first control ticks of three rollouts with C MuJoCo; raise `InputError` where they differ.
+
+        The rollouts are the nominal one, in the first row's place, and two of the batch. Both engines go through
+        every tick from the same state with the same controls. The batch's compiled program is used, so that nothing
+        more is compiled. Ticks in which C MuJoCo leaves a step unsolved do not count. `engine.cross_check=off` leaves
+        it out.
+        """
+        if self._compared or not self._settings.cross_check:
+            return
+        own, rows = self._own, sorted({0, len(streams) // 2, len(streams) - 1})
+        world, belief = (Side(tuple((path, self._nominal_first(path, x)) for path, x in one.values))
+                         for one in (world, belief))  # fmt: skip
+        few = [Side(tuple((path, x[rows] if np.ndim(x) else x) for path, x in one.values)) for one in (world, belief)]
+        with self._within():
+            reference = batch.begin(own, self._settings, few[0], few[1], streams[rows])
+            activation = reference.batch.bind("act")
+            _, fixed, carry, _, _ = self._begun(world, belief, streams)
+            before = None
+            for tick in range(COMPARED):
+                qpos, qvel, act = (np.asarray(carry["now"][name], float)[rows] for name in ("qpos", "qvel", "act"))
+                reference.qpos[:], reference.qvel[:], activation[:] = qpos, qvel, act
+                carry = self._ticks(fixed, 1, carry)
+                ctrl = np.asarray(carry["ctrl"], float)[rows]
+                before = ctrl if before is None else before
+                controls = before[:, None] + self._shares[:, None] * (ctrl - before)[:, None]
+                before = ctrl
+                steps = reference.batch.rollout(self._substeps, controls, record=RECORDED)
+                ends = np.asarray(carry["now"]["qvel"], float)[rows], np.asarray(steps["qvel"][:, -1], float)
+                solved = ~unsolved(self._model, steps).any(axis=1)  # else the solver's error is what differs
+                self._compare(tick, *(((end - qvel) / own.about.period)[solved] for end in ends))
+        self._compared = True
+
+    def _nominal_first(self, path: str, values: Any) -> Any:
+        """Values of a parameter over a batch, with the nominal one for the first rollout."""
+        if not np.ndim(values):
+            return values
+        values = np.array(values)
+        values[0] = self._own.usual(path)
+        return values
+
+    def _compare(self, tick: int, here: np.ndarray, there: np.ndarray) -> None:
+        """Raise `InputError` where mean accelerations (r, nv) of a tick differ from those of C MuJoCo, `there`."""
+        size = np.maximum(np.abs(here), np.abs(there)).max(axis=1, initial=0.0, keepdims=True)
+        off = np.where(np.isfinite(there), np.abs(here - there), 0.0) / np.maximum(size, LITTLE)
+        if not off.size or (np.nanmax(off) <= UNLIKE and not np.isnan(off).any()):
+            return
+        row, dof = np.unravel_index(np.argmax(np.nan_to_num(off, nan=np.inf)), off.shape)
+        joint = int(self._model.dof_jntid[dof])
+        name = self._model.joint(joint).name or f"number {joint}"
+        raise InputError(
+            f"engine.name = {self._settings.name} is not allowed: joint {name} accelerates by {here[row, dof]:.4g} in "
+            f"tick {tick + 1} and by {there[row, dof]:.4g} on C MuJoCo, from the same state with the same controls "
+            "(engine=native, or engine.cross_check=off if that is meant)"
+        )
+
     @devices.memory()
     def _simulate(self, world: Side, belief: Side, streams: np.ndarray, slots: Any = (), every: int = 1) -> Found:
-        own, n, frames = self._own, len(streams), []
+        own, frames = self._own, []
         with self._within():
-            begun = batch.begin(own, self._settings, world, belief, streams)
-            given = jax.device_put(begun.given)
-            start, state, duration = self._first(given)
-            at_first = begun.energy(start)
-            seen = jnp.asarray(own.state(begun.qpos, begun.qvel, begun.sensors), float)
-            ticks = batch.ticks(own, duration)
-            template, data, leaves = self._put(begun)
-            now = {name: jnp.broadcast_to(getattr(data, name), (n, *getattr(data, name).shape)) for name in CARRIED}
-            now |= {"qpos": jnp.asarray(begun.qpos, float), "qvel": jnp.asarray(begun.qvel, float)}
-            carry = {
-                "now": now,
-                "sofar": self._meter.start(now["qpos"], now["qvel"]),
-                "carried": self._enter(given, state, seen, ticks.astype(np.int32)),
-                "seen": seen,
-                "wrong": jnp.zeros(n, bool),
-                "full": jnp.zeros(n, bool),
-                "ctrl": jnp.full((n, self._model.nu), jnp.nan),  # of the tick before, none at first
-                "force": jnp.zeros((n, self._model.nu)),
-            }
-            carry = jax.tree.map(jnp.copy, carry)  # its buffers are given away, and some are there twice
-            limits = {name: jnp.asarray(rows, float) for name, rows in begun.limits.items()}
-            fixed = template, data, leaves, given, limits
+            begun, fixed, carry, ticks, at_first = self._begun(world, belief, streams)
+            given = fixed[3]
             longest, chunk = int(ticks.max(initial=0)), every if len(slots) else CHUNK
             for k in range(0, longest, chunk):
                 carry = self._ticks(fixed, min(chunk, longest - k), carry)
@@ -171,6 +226,37 @@ class OwnMjx(OwnEngine):
         gained = begun.energy(last["last"], last["speed"]) - at_first
         found = self._meter.figures(last, begun.mass, gained, wrong, full) | measured
         return found, frames, [begun.batch.get_model(int(slot)) for slot in slots]
+
+    def _begun(
+        self, world: Side, belief: Side, streams: np.ndarray
+    ) -> tuple[batch.AtStart, tuple[Any, ...], dict[str, Any], np.ndarray, np.ndarray]:
+        """A batch before its first tick: rollouts, what `_ticked` has fixed and carries, ticks (n,), energy (n,) in J.
+
+        To be called in the engine's precision.
+        """
+        own, n = self._own, len(streams)
+        begun = batch.begin(own, self._settings, world, belief, streams)
+        given = jax.device_put(begun.given)
+        start, state, duration = self._first(given)
+        at_first = begun.energy(start)
+        seen = jnp.asarray(own.state(begun.qpos, begun.qvel, begun.sensors), float)
+        ticks = batch.ticks(own, duration)
+        template, data, leaves = self._put(begun)
+        now = {name: jnp.broadcast_to(getattr(data, name), (n, *getattr(data, name).shape)) for name in CARRIED}
+        now |= {"qpos": jnp.asarray(begun.qpos, float), "qvel": jnp.asarray(begun.qvel, float)}
+        carry = {
+            "now": now,
+            "sofar": self._meter.start(now["qpos"], now["qvel"]),
+            "carried": self._enter(given, state, seen, ticks.astype(np.int32)),
+            "seen": seen,
+            "wrong": jnp.zeros(n, bool),
+            "full": jnp.zeros(n, bool),
+            "ctrl": jnp.full((n, self._model.nu), jnp.nan),  # of the tick before, none at first
+            "force": jnp.zeros((n, self._model.nu)),
+        }
+        carry = jax.tree.map(jnp.copy, carry)  # its buffers are given away, and some are there twice
+        limits = {name: jnp.asarray(rows, float) for name, rows in begun.limits.items()}
+        return begun, (template, data, leaves, given, limits), carry, ticks, at_first
 
     def _put(self, begun: batch.AtStart) -> tuple[Any, Any, dict[str, Array]]:
         """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""

@@ -5,6 +5,7 @@ it. A tile never changes, and goes through its rollouts by the same instructions
 NumPy's is called with a whole tile, whose width never changes.
 """
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -86,7 +87,10 @@ class ControllerPrograms:
         return _until(within, new, carried["sofar"])
 
     def check_start(self, begun: AtStart) -> None:
-        """Raise `InputError` where the first rollout's first controls are not finite."""
+        """Raise `InputError` where the first controls are not finite, or a second call gives others.
+
+        The calls are for the nominal start; one of a batched controller lies between the two that must agree.
+        """
 
         def found(function: Callable[..., Any], *more: Any) -> Any:  # without compiling it
             return self._tried(worked_out, lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
@@ -99,8 +103,22 @@ class ControllerPrograms:
         begun.energy(start)
         now = self._own.state(begun.qpos, begun.qvel, begun.sensors)[0]
         ctrl, _ = found(self.tick_one, found(self.enter_one, state, now, np.int32(1)), now)
-        if not np.isfinite(self.controlled(np.tile(ctrl, (TILE, 1)))).all():
+        told = np.tile(ctrl, (TILE, 1))
+        controls = np.array(self.controlled(told))
+        if not np.isfinite(controls).all():
             raise self._wrong("gives controls that are not finite at the nominal start")
+        if not self._own.controller.batched:
+            return
+        with contextlib.suppress(InputError):  # it may have no answer to what no rollout observes
+            self.controlled(told + 1)
+        again = np.asarray(self.controlled(told))
+        if not np.array_equal(controls, again):
+            row, one = np.argwhere(controls != again)[0]
+            raise self._wrong(
+                f"gives {controls[row, one]:.4g}, then {again[row, one]:.4g} for the same observations: a global that "
+                "keeps a state, or draws, mixes rollouts. A controller of JAX keeps a state of each rollout: "
+                "policy(belief, observation, state, key) -> (controls, state)"
+            )
 
     def _wrong(self, what: str) -> InputError:
         """One line that says what a controller does wrong."""
