@@ -72,7 +72,7 @@ def lines(system):
         "report --replays": ["report", "a", "--replays", "1"],
         "export --paper": ["export", "a", "--paper", "paper"],
         "export --crate": ["export", "a", "--crate", "crate"],
-        "reproduce": ["reproduce", "crate", "--rows", "2"],
+        "reproduce": ["reproduce", "crate", "--rows", "2", "--trust"],
         "replay": ["replay", "a", "1"],
         "replay --png": ["replay", "a", "1", "--png", "pictures"],
         "replay --video": ["replay", "a", "1", "--video", "film.mp4"],

@@ -1,5 +1,6 @@
 """Figures of own models against mechanics on both engines, what is not to be trusted, and fields that are compiled."""
 
+import hashlib
 import re
 import struct
 from fnmatch import fnmatch
@@ -248,7 +249,12 @@ def test_a_crate_has_all_that_an_own_model_is_read_from(here, tmp_path_factory, 
         Path(file).unlink()
     monkeypatch.chdir(away)
     capsys.readouterr()
-    assert main(["reproduce", "crate", "--rows", "2"]) == 0
+    assert main(["reproduce", "crate", "--rows", "2"]) == 2
+    told = capsys.readouterr()
+    digest = hashlib.sha256(Path("crate/project/still.py").read_bytes()).hexdigest()
+    assert told.out.splitlines() == ["controller still:policy", f"project/still.py, SHA-256 {digest}"]
+    assert "then give --trust" in told.err
+    assert main(["reproduce", "crate", "--rows", "2", "--trust"]) == 0
     assert "2 rollouts simulated again: 2 equal to the last bit" in capsys.readouterr().out
     assert Path.cwd() == away
     Path("crate/project/sky/ground.xml").write_text("<mujoco/>")

@@ -91,7 +91,15 @@ def parser() -> Arguments:
     words.add_argument("--line", help=argparse.SUPPRESS)
     words.set_defaults(flags=lambda: flags_of(commands))
     of_results("status", folders.status, "how far a study is")
-    of_results("verify", folders.verify, "which files of a study are damaged, missing or no part of it")
+    verify = of_results(
+        "verify",
+        folders.verify,
+        "check the files of a study, and its rows against its plan",
+        "sweep verify results/walk_map --simulate 20",
+    )
+    verify.add_argument(
+        "--simulate", type=int, metavar="N", help="simulate N stored rows again; exit code 4 if a metric changed"
+    )
     table = of_results("table", folders.show_table, "the rows of a study as a table")
     table.add_argument("--format", choices=("csv", "markdown", "latex", "parquet"), default="markdown")
     table.add_argument("--where", help="only rows that match, such as 'friction > 0.8 and outcome == \"failure\"'")
@@ -133,10 +141,11 @@ def parser() -> Arguments:
     again = command(
         "reproduce",
         later("reproduce", "run"),
-        "simulate rows of a crate again, here: what is equal, what ends otherwise",
+        "simulate rows of a crate again: which metrics and outcomes are equal here",
         "sweep reproduce walk_map.zip --rows 50",
     )
     again.add_argument("crate", type=Path, help="what `sweep export DIR --crate` wrote: a folder or an archive")
+    again.add_argument("--trust", action="store_true", help="run the code that the crate has, such as its controller")
     again.add_argument("--rows", type=int, default=20, help="how many, drawn at random (20)")
     again.add_argument("--seed", type=int, default=0, help="of their draw (0)")
     again.add_argument("--tolerance", type=float, default=1e-3, help="relative, within which figures are alike (0.001)")

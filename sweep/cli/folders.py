@@ -40,21 +40,28 @@ def status(given: argparse.Namespace) -> int:
     return DONE
 
 
-def verify(given: argparse.Namespace) -> int:
-    """Which files of a folder are not as they were written."""
+def verify(args: argparse.Namespace) -> int:
+    """Name what is damaged in a folder; with `--simulate`, simulate rows again and compare them."""
+    if args.simulate is not None and args.simulate < 1:
+        raise InputError(f"--simulate = {args.simulate} is not allowed: at least 1")
     from sweep.runs import repair, store
 
-    problems, others, sound = repair.verify(given.dir)
+    problems, others, sound = repair.verify(args.dir)
     for line in (*problems, *others):
         print(line)
     remedy = f", {len(problems)} damaged: `sweep run` as before mends it" if problems else ""
-    print(f"{given.dir}: {sound} part{' is' if sound == 1 else 's are'} sound{remedy}")
+    print(f"{args.dir}: {sound} part{' is' if sound == 1 else 's are'} sound{remedy}")
     if problems:
         return UNEXPECTED
-    planned, done = store.read_points(given.dir), store.finished(given.dir)
+    planned, done = store.read_points(args.dir), store.finished(args.dir)
     if len(planned) and (there := int(planned["batch"].isin(done).sum())) < len(planned):
-        print(f"{given.dir}: {there} of {len(planned)} planned rollouts are there")
-    return DONE
+        print(f"{args.dir}: {there} of {len(planned)} planned rollouts are there")
+    if args.simulate is None:
+        return DONE
+    from sweep.cli.reproduce import report_simulated_again
+    from sweep.runs import results
+
+    return report_simulated_again(results.read(args.dir), args.simulate)
 
 
 def matching(folder: Path, condition: str | None) -> "pd.DataFrame":

@@ -1,4 +1,4 @@
-"""`sweep reproduce CRATE`: rows of a published study simulated again, here."""
+"""`sweep reproduce CRATE` and `sweep verify --simulate N`: simulate stored rows again and compare them."""
 
 import argparse
 from collections.abc import Mapping
@@ -13,55 +13,102 @@ from sweep.core.waiting import waiting
 from sweep.engines.base import same_bits
 from sweep.report import crate, replays
 from sweep.runs import place, repair, results, store
+from sweep.runs.results import Results
+from sweep.study.columns import figure_columns
+
+TOLERANCE = 1e-3  # relative, within which metrics count as reproduced
+SHOWN = 3  # metrics of a row that are named
 
 
-def run(given: argparse.Namespace) -> int:
-    """Simulate some rows again and say what is equal; exit code 4 where an outcome flips. Raises `InputError`."""
-    if given.rows < 1:
-        raise InputError(f"--rows = {given.rows} is not allowed: at least 1")
-    if not given.tolerance >= 0:
-        raise InputError(f"--tolerance = {given.tolerance:g} is not allowed: at least 0")
-    if not 0 <= given.seed < 2**32:
-        raise InputError(f"--seed = {given.seed} is not allowed: at least 0 and below 2^32")
-    with crate.opened(given.crate) as folder:
-        if problems := repair.verify(folder)[0]:
-            raise InputError(problems[0])
-        found = results.read(folder)
-        place.like_rows_of(folder)
-        number = min(given.rows, len(found.rows))
-        rows = found.rows.sample(number, random_state=given.seed)
-        lines: list[dict[str, Any]] = []
-        with waiting(lambda: f"{len(lines)} of {number} rollouts simulated again"):
-            for row, trace, labels in replays.again(found.exp, rows, store.read_points(folder)):
-                lines.append(compared(row, trace.figures, labels, given.tolerance))
+def run(args: argparse.Namespace) -> int:
+    """Simulate rows of a crate again; exit code 4 where an outcome or a metric changed. Raises `InputError`.
+
+    A crate that has code runs only with `--trust`; without it the code is listed.
+    """
+    if args.rows < 1:
+        raise InputError(f"--rows = {args.rows} is not allowed: at least 1")
+    if not args.tolerance >= 0:
+        raise InputError(f"--tolerance = {args.tolerance:g} is not allowed: at least 0")
+    if not 0 <= args.seed < 2**32:
+        raise InputError(f"--seed = {args.seed} is not allowed: at least 0 and below 2^32")
+    with crate.opened(args.crate) as folder:
+        if (code := crate.code_in(folder)) and not args.trust:
+            print("\n".join(code))
+            raise InputError(f"{args.crate} has code of its own, listed above: read it, then give --trust to run it")
+        with crate.working_project(folder):
+            if problems := repair.verify(folder / crate.STUDY)[0]:
+                raise InputError(problems[0])
+            found = results.read(folder / crate.STUDY)
+            return report_simulated_again(found, args.rows, args.seed, args.tolerance)
+
+
+def report_simulated_again(results: Results, number: int, seed: int = 0, tolerance: float = TOLERANCE) -> int:
+    """Simulate stored rows again, print what is equal and what differs, and return the exit code.
+
+    Args:
+        results: The stored rows.
+        number: How many rows are drawn, without replacement; all where there are fewer.
+        seed: Seed of the draw.
+        tolerance: Relative difference within which a metric counts as reproduced.
+
+    Returns:
+        4 where an outcome or a metric changed, else 0.
+    """
+    place.like_rows_of(results.folder)
+    number = min(number, len(results.rows))
+    rows = results.rows.sample(number, random_state=seed)
+    lines: list[dict[str, Any]] = []
+    with waiting(lambda: f"{len(lines)} of {number} rollouts simulated again"):
+        for row, trace, labels in replays.again(results.exp, rows, store.read_points(results.folder)):
+            lines.append(compare_row(row, trace.figures, labels, tolerance))
     table = pd.DataFrame(lines)
-    print(told(table, given.tolerance))
-    for one in table[table["flips"]].to_dict("records"):
-        print(f"  {one['point_id']}: {one['was']} there, {one['now']} here")
-    return UNEXPECTED if table["flips"].any() else DONE
+    print(format_summary(table, tolerance))
+    for one in table.to_dict("records"):
+        if one["flips"]:
+            print(f"  {one['point_id']}: {one['was']} there, {one['now']} here")
+        if one["changed"]:
+            print(f"  {one['point_id']}: {one['changed']}")
+    return UNEXPECTED if (table["flips"] | (table["changed"] != "")).any() else DONE
 
 
-def compared(row: pd.Series, figures: Mapping[str, Any], labels: Mapping[str, Any], tolerance: float) -> dict[str, Any]:
-    """What became of a row: its outcome and cause before and now, whether its figures are equal, or nearly."""
-    common = {name: (row[name], value) for name, value in figures.items() if name in row}
+def compare_row(
+    row: pd.Series, metrics: Mapping[str, Any], labels: Mapping[str, Any], tolerance: float
+) -> dict[str, Any]:
+    """Compare a stored row with its rollout simulated again.
+
+    Args:
+        row: The stored row.
+        metrics: Metrics of the new rollout, by column.
+        labels: Outcome and cause of the new rollout.
+        tolerance: Relative difference within which a metric counts as reproduced.
+
+    Returns:
+        `point_id`; outcome and cause before (`was`) and `now`; whether the outcome `flips`; whether all metrics are
+        `equal` to the last bit; which of them `changed` beyond the tolerance, in words.
+    """
+    names = [name for name in figure_columns(pd.DataFrame([row])) if isinstance(row[name], float)]
+    both = {name: (row[name], float(metrics.get(name, np.nan))) for name in names}
+    changed = [
+        f"{name} {a:g} there, {b:g} here"
+        for name, (a, b) in both.items()
+        if not np.isclose(a, b, rtol=tolerance, atol=tolerance * 1e-3, equal_nan=True)
+    ]
+    more = f"; and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
     was, now = (" ".join(filter(None, (one["outcome"], one["cause"]))) for one in (row, labels))
     return {
         "point_id": row["point_id"],
         "was": was,
         "now": now,
         "flips": row["outcome"] != labels["outcome"],
-        "equal": all(same_bits(a, b) for a, b in common.values()),
-        "near": all(
-            np.isclose(a, b, rtol=tolerance, atol=tolerance * 1e-3, equal_nan=True) for a, b in common.values()
-        ),
+        "equal": all(same_bits(a, b) for a, b in both.values()),
+        "changed": "; ".join(changed[:SHOWN]) + more,
     }
 
 
-def told(table: pd.DataFrame, tolerance: float) -> str:
-    """The sums in a sentence."""
-    equal, near = int(table["equal"].sum()), int((table["near"] & ~table["equal"]).sum())
-    other = len(table) - equal - near
+def format_summary(table: pd.DataFrame, tolerance: float) -> str:
+    """Count rows of `compare_row` in a sentence."""
+    equal, changed = int(table["equal"].sum()), int((table["changed"] != "").sum())
     return (
-        f"{len(table)} rollouts simulated again: {equal} equal to the last bit, {near} within {tolerance:g} in every "
-        f"figure, {other} not; {int(table['flips'].sum())} end otherwise"
+        f"{len(table)} rollouts simulated again: {equal} equal to the last bit, {len(table) - equal - changed} within "
+        f"{tolerance:g} in every metric, {changed} not; {int(table['flips'].sum())} end otherwise"
     )

@@ -3,16 +3,19 @@
 import contextlib
 import io
 import mimetypes
+import struct
 import tempfile
-from collections.abc import Iterator
+import zlib
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
+from importlib.machinery import all_suffixes
 from pathlib import Path
 from shutil import rmtree
 from typing import TYPE_CHECKING, Any
 
 from sweep.core import project
 from sweep.core.errors import InputError
-from sweep.core.files import path_in, write_whole
+from sweep.core.files import digest, path_in, write_whole
 from sweep.core.start import VERSION
 from sweep.report.page import dates
 from sweep.runs import manifest, store
@@ -25,6 +28,10 @@ PYPI = "https://pypi.org/project"
 PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
 STUDY, PROJECT = "study", "project"  # folders of the crate: a study's again, and what its system is read from
 PICTURES = ("report.html", "map.png", "map.svg", "draws.png", "draws.svg")  # where the study's folder has them
+CODE = (*all_suffixes(), ".onnx")  # ends of files that can be imported, or are executed by a runtime
+ENCRYPTED = 1  # bit of a ZIP entry's flags
+# an archive may unpack to SMALL bytes; to more only up to DENSEST times its size, and never beyond LARGEST
+SMALL, LARGEST, DENSEST, MOST_FILES = 100 * 2**20, 64 * 2**30, 100, 100_000
 MEANINGS = {
     store.STUDY: "the resolved configuration, versions of the libraries, commit, devices",
     store.POINTS: "the plan: one row for each rollout",
@@ -133,23 +140,89 @@ def about(name: str, meaning: str = "") -> dict[str, Any]:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Path]:
-    """The study's folder within a crate, a folder or an archive; in its project, if it has one, until it is closed.
+    """Unpack a crate where it is an archive; nothing of it is imported.
 
-    Raises `InputError` where there is none.
+    Args:
+        path: A crate, a folder or a ZIP archive, which may come from a stranger.
+
+    Yields:
+        The folder of the crate, until the context ends.
+
+    Raises:
+        InputError: It is no crate of a study, or an archive that cannot or should not be unpacked.
     """
-    import zipfile
-
     with tempfile.TemporaryDirectory() as room:
         folder = path
         if path.is_file():
-            try:
-                with zipfile.ZipFile(path) as packed:
-                    packed.extractall(room)
-            except zipfile.BadZipFile:
-                raise InputError(f"{path} is not an archive") from None
-            folder = Path(room)
-        if not (folder / "ro-crate-metadata.json").exists() or not (folder / STUDY / store.STUDY).exists():
+            unpack(path, folder := Path(room))
+        if not all(path_in(folder, name).exists() for name in ("ro-crate-metadata.json", f"{STUDY}/{store.STUDY}")):
             raise InputError(f"{path} is not a crate of a study: `sweep export DIR --crate FOLDER` writes one")
-        study, place = (folder.resolve() / name for name in (STUDY, PROJECT))
-        with contextlib.chdir(place) if place.is_dir() else contextlib.nullcontext():
-            yield study
+        yield folder.resolve()
+
+
+def unpack(path: Path, to: Path) -> None:
+    """Unpack a ZIP archive that may come from a stranger.
+
+    Args:
+        path: The archive.
+        to: An empty folder.
+
+    Raises:
+        InputError: It is damaged, encrypted, compressed by a method other than deflate, or unpacks to too much. The
+            sizes that it declares are checked before anything is unpacked, and no file is read beyond them.
+    """
+    import zipfile
+
+    try:
+        with zipfile.ZipFile(path) as packed:
+            files, size = packed.infolist(), path.stat().st_size
+            total = sum(one.file_size for one in files)
+            if any(one.flag_bits & ENCRYPTED for one in files):
+                raise InputError(f"{path} is encrypted: unpack it, and give the folder")
+            if others := [one for one in files if one.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)]:
+                raise InputError(
+                    f"{path}: {others[0].filename} is not compressed by deflate: unpack it, and give the folder"
+                )
+            if len(files) > MOST_FILES or total > max(SMALL, min(LARGEST, DENSEST * size)):
+                raise InputError(
+                    f"{path} is not allowed: its {size:,} bytes unpack to {total:,} in {len(files):,} files, more than "
+                    f"{DENSEST} times its size, {LARGEST:,} bytes or {MOST_FILES:,} files"
+                )
+            packed.extractall(to)
+    except InputError:
+        raise
+    except (zipfile.BadZipFile, zlib.error, struct.error, EOFError, ValueError, RuntimeError, OSError) as error:
+        raise InputError(f"{path} cannot be unpacked: {(str(error) or type(error).__name__).splitlines()[0]}") from None
+
+
+def code_in(crate: Path) -> list[str]:
+    """List what a crate would have Python import or a runtime execute, without importing anything.
+
+    Args:
+        crate: Folder of the crate.
+
+    Returns:
+        A line for each module and controller that is named, and for each file of code, with its SHA-256. Empty for a
+        study of the built-in robots, which is simulated by this package alone.
+
+    Raises:
+        InputError: `study.yaml` or the project's `sweep.yaml` cannot be read.
+    """
+    place, lines = path_in(crate, PROJECT), []
+    model = store.read_study(path_in(crate, STUDY))["config"].get("model")
+    if controller := model.get("controller") if isinstance(model, Mapping) else None:
+        lines.append(f"controller {controller}")
+    if place.is_dir():
+        with contextlib.chdir(place):
+            lines += [f"module {name}, by {project.FILE}" for name in project.settings().get("modules", ())]
+        for file in sorted(place.rglob("*")):
+            if file.name.endswith(CODE):
+                content = path_in(crate, file.relative_to(crate)).read_bytes()
+                lines.append(f"{file.relative_to(crate)}, SHA-256 {digest(content)}")
+    return lines
+
+
+def working_project(crate: Path) -> contextlib.AbstractContextManager[None]:
+    """Work in the project of a crate, whose modules are imported from then on; in the present one where it has none."""
+    place = path_in(crate, PROJECT)
+    return contextlib.chdir(place) if place.is_dir() else contextlib.nullcontext()

@@ -1,5 +1,6 @@
 """A study as a crate that others can read, and rows of it simulated again."""
 
+import hashlib
 import json
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ import pandas as pd
 import pytest
 from conftest import simulated
 from fake_engine import FakeEngine
+from small_study import one_line
 
 from sweep.cli.main import main
 from sweep.runs import store
@@ -121,6 +123,16 @@ def test_rows_of_a_crate_are_simulated_again(study, fake_engine, tmp_path, capsy
         return figures | {"slip_max_m": figures["slip_max_m"] * (1 + 1e-6),
                           "tilt_max_deg": figures["tilt_max_deg"] + 50 * (figures["slip_max_m"] > 0.01)}  # fmt: skip
 
+    monkeypatch.setattr(FakeEngine, "run", lambda *args: run(*args) | {"energy_j": run(*args)["energy_j"] + 5})
+    for command in (["reproduce", "crate.zip", "--rows", "3"], ["verify", str(study), "--simulate", "3"]):
+        assert main(command) == 4
+        told = capsys.readouterr().out
+        assert "3 not; 0 end otherwise" in told
+        assert "energy_j" in told
+    monkeypatch.setattr(FakeEngine, "run", run)
+    assert main(["verify", str(study), "--simulate", "3"]) == 0
+    assert "3 equal to the last bit" in capsys.readouterr().out
+    assert main(["verify", str(study), "--simulate", "0"]) == 2
     monkeypatch.setattr(FakeEngine, "run", elsewhere)
     assert main(["reproduce", "crate.zip", "--rows", "12"]) == 4
     told = capsys.readouterr().out
@@ -133,3 +145,71 @@ def test_rows_of_a_crate_are_simulated_again(study, fake_engine, tmp_path, capsy
     for crate, error in (("crate", "is damaged"), (str(study), "is not a crate of a study"), ("none", "none is not")):
         assert main(["reproduce", crate]) == 2
         assert error in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def crate_zip(study, tmp_path_factory):
+    pytest.importorskip("rocrate")
+    out = tmp_path_factory.mktemp("zip") / "crate"
+    assert main(["export", str(study), "--crate", str(out), "--zip"]) == 0
+    return out.with_suffix(".zip")
+
+
+@pytest.mark.parametrize("how", ["modules", "module file", "network"])
+def test_code_of_a_crate_runs_only_where_it_is_trusted(crate_zip, fake_engine, tmp_path, monkeypatch, capsys, how):
+    monkeypatch.chdir(tmp_path)
+    with zipfile.ZipFile(crate_zip) as packed:
+        packed.extractall("crate")
+    project = tmp_path / "crate/project"
+    project.mkdir()
+    code = f"open({str(tmp_path / 'ran')!r}, 'w').close()\n"
+    name = "walk.onnx" if how == "network" else "stranger_of_a_crate.py"
+    (project / name).write_text(code)
+    (project / "sweep.yaml").write_text(f"modules: [{'stranger_of_a_crate' if how == 'modules' else ''}]\n")
+    assert main(["reproduce", "crate", "--rows", "1"]) == 2
+    told = capsys.readouterr()
+    assert f"project/{name}, SHA-256 {hashlib.sha256(code.encode()).hexdigest()}" in told.out
+    assert ("module stranger_of_a_crate, by sweep.yaml" in told.out) == (how == "modules")
+    assert "--trust" in told.err
+    assert not (tmp_path / "ran").exists()
+    assert main(["reproduce", "crate", "--rows", "1", "--trust"]) == 0
+    assert (tmp_path / "ran").exists() == (how == "modules")
+
+
+def flagged(content, flag):
+    """An archive whose entries say that they are encrypted."""
+    for mark, at in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        parts = content.split(mark)
+        content = mark.join(
+            [parts[0], *(one[: at - 4] + bytes([one[at - 4] | flag]) + one[at - 3 :] for one in parts[1:])]
+        )
+    return content
+
+
+@pytest.mark.parametrize("damage", ["encrypted", "method", "checksum", "cut", "text"])
+def test_an_archive_that_cannot_be_unpacked_is_one_line(crate_zip, tmp_path, capsys, damage):
+    file = tmp_path / "crate.zip"
+    content = crate_zip.read_bytes()
+    if damage == "encrypted":
+        content = flagged(content, 1)
+    elif damage == "method":
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_LZMA) as packed:
+            packed.writestr("ro-crate-metadata.json", "{}")
+        content = file.read_bytes()
+    elif damage == "checksum":
+        start = content.index(b"PK\x03\x04") + 300
+        content = content[:start] + bytes([content[start] ^ 255]) + content[start + 1 :]
+    content = {"cut": content[:-100], "text": b"no archive"}.get(damage, content)
+    file.write_bytes(content)
+    assert main(["reproduce", str(file)]) == 2
+    one_line(capsys.readouterr().err, "crate.zip")
+
+
+def test_an_archive_that_unpacks_to_a_thousand_times_its_size_is_not_unpacked(tmp_path, capsys, monkeypatch):
+    file = tmp_path / "bomb.zip"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as packed, packed.open("study/points.parquet", "w") as entry:
+        for _ in range(200):
+            entry.write(bytes(2**20))
+    monkeypatch.setattr(zipfile.ZipFile, "extractall", lambda *_: pytest.fail("it was unpacked"))
+    assert main(["reproduce", str(file)]) == 2
+    one_line(capsys.readouterr().err, "bomb.zip is not allowed", "unpack to 209,715,200")
