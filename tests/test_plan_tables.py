@@ -300,7 +300,7 @@ def test_mistakes_in_a_file_are_told_in_one_line(lab, text, told):
         ("roof: {pitch: {base: [.inf, 1]}}", "plan.roof.pitch.base = inf is not allowed: a finite number"),
         ("roof: {pitch: {base: [[1], 1]}}", r"plan.roof.pitch.base = \[1\] is not allowed: numbers or words"),
         ("roof: {pitch: {time: !!binary aGk=}}", "plan.roof.pitch.time = b'hi' is not allowed: a number"),
-        ("roof: &a {pitch: *a}", r"mine.yaml cannot be read: an anchor in it \(&\) holds itself"),
+        ("roof: &a {pitch: *a}", r"mine.yaml, line 2: the anchor &a contains itself"),
         ("sizes: {a: [1]}", r"plan.sizes.a = \[1\] is not allowed: a number or a formula"),
         ("slopes: far", "plan.slopes = far is not allowed: keys and values"),
         ("slopes: {at: 3}", "plan.slopes.at = 3 is not allowed: sizes and numbers"),

@@ -56,7 +56,7 @@ def launch(overrides: list[str], work: Callable[[Experiment], int], own: list[st
     try:
         config.check_choices(overrides)
         job()
-    except (HydraException, OmegaConfBaseException, OverflowError) as error:
+    except (HydraException, OmegaConfBaseException, OverflowError, RecursionError) as error:
         raise InputError(config.one_line(error, overrides)) from None
     finally:
         sys.argv = before

@@ -17,11 +17,12 @@ import yaml
 
 from sweep.core.errors import WRONG, Fault, InputError, raised
 from sweep.core.groups import GROUPS
+from sweep.core.yaml_check import PARSER, check_yaml
 
 SHIPPED, FILE, ENTRY_POINTS = "sweep.conf", "sweep.yaml", "sweep.modules"
 FOLDERS = {group: "studies" if group == "study" else f"{group}s" for group in GROUPS}  # of a project
 KEYS = ("modules",)
-LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # where there is one, the fast one
+LOADER = PARSER
 TRUTHS = ("on", "off", "yes", "no", "true", "false")  # that YAML takes for truths
 
 
@@ -62,7 +63,9 @@ def settings() -> dict[str, Any]:
     if folder is None:
         return {}
     try:
-        content = yaml.safe_load((folder / FILE).read_text(encoding="utf-8")) or {}
+        text = (folder / FILE).read_text(encoding="utf-8")
+        check_yaml(text, str(folder / FILE))
+        content = yaml.load(text, LOADER) or {}
     except UnicodeDecodeError:
         raise InputError(f"{folder / FILE} cannot be read: it is no text in UTF-8") from None
     except yaml.YAMLError as error:
@@ -96,7 +99,7 @@ def modules() -> tuple[ModuleType, ...]:
     A module's `OBSTACLES` and `MANOEUVRES` name its classes by their `kind`. An installed package announces one as an
     entry point of the group `sweep.modules`. Raises `InputError` where one cannot be imported.
     """
-    return _imported(root(), modules_named())
+    return _imported(root() if settings().get("modules") else None, modules_named())
 
 
 def modules_named() -> tuple[str, ...]:

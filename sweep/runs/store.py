@@ -18,6 +18,7 @@ import yaml
 from sweep.core import files, project
 from sweep.core.errors import Fault, InputError
 from sweep.core.files import path_in
+from sweep.core.yaml_check import check_yaml
 from sweep.runs import manifest
 from sweep.runs.manifest import PARTS, PLACES, POINTS, Entry
 from sweep.runs.plan_check import plan_differences
@@ -84,9 +85,13 @@ def read_study(folder: Path) -> dict[str, Any]:
         text, check, given = path.read_bytes().rpartition(CHECK.encode())
         if check and given != f"{files.digest(text)}\n".encode():
             raise damaged
-        content = yaml.load(text if check else given, project.LOADER)
+        body = (text if check else given).decode()
+        check_yaml(body, str(path), numbers=False)  # what was dumped has none that are ambiguous
+        content = yaml.load(body, project.LOADER)
     except (FileNotFoundError, NotADirectoryError):
         raise Damaged(f"{folder} is not a folder of results: it has no {STUDY}") from None
+    except InputError:
+        raise
     except (OSError, ValueError, RecursionError, yaml.YAMLError):
         raise damaged from None
     if isinstance(content, dict) and not check and "labelled" in content:

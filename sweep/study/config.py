@@ -35,6 +35,7 @@ from sweep.core import project
 from sweep.core.errors import InputError, known, suggest
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import checked, of_kind
+from sweep.core.yaml_check import ambiguous_number
 from sweep.engines.settings import EngineSettings
 from sweep.study import designs, sources
 from sweep.study.clusters import Cluster
@@ -44,6 +45,8 @@ from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep
 from sweep.systems.base import Limits, System
 
 NOT_FINITE = re.compile(r"(?<=[=\[:, ])[-+]?\.(nan|inf)(?=[\]}, ]|$)", re.IGNORECASE)  # of YAML, to Hydra a word
+# whole numbers without quotes in the value of an override
+WHOLE_NUMBER = re.compile(r"(?:^|(?<=[\[{, ])|(?<=[A-Za-z_]:))[-+]?[0-9][0-9_]*(?=[\]}, ]|$)")
 WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a word",
          list: "a list", tuple: "a list", dict: "keys and values"}  # what values of a type are  # fmt: skip
 CONFIG_MODULE, HYDRA_VERSION = "sweep.conf", "1.3"
@@ -144,7 +147,7 @@ def composed(overrides: list[str]) -> dict[str, Any]:
         check_choices(overrides)
         with hydra.initialize_config_module(CONFIG_MODULE, version_base=HYDRA_VERSION):
             return resolve(hydra.compose(primary(overrides), overrides))
-    except (HydraException, OmegaConfBaseException, OverflowError) as error:
+    except (HydraException, OmegaConfBaseException, OverflowError, RecursionError) as error:
         raise InputError(one_line(error, overrides)) from None
 
 
@@ -162,6 +165,9 @@ def check_choices(overrides: list[str]) -> None:
     for text in overrides:
         if found := NOT_FINITE.search(text):
             raise InputError(f"{text.lstrip('+~').partition('=')[0]} = {found[0]} is not allowed: a finite number")
+        for word in WHOLE_NUMBER.findall(text.partition("=")[2]):
+            if why := ambiguous_number(word):
+                raise InputError(f"{text.lstrip('+~').partition('=')[0]} = {word} is not allowed: {why}")
     chosen = [text for text in overrides if text.partition("=")[0].lstrip("+") in GROUPS]
     for one in OverridesParser.create().parse_overrides(chosen):
         if one.is_sweep_override() or isinstance(one.value(), dict):
@@ -242,6 +248,8 @@ def _names(cls: type) -> tuple[str, ...]:
 
 def one_line(error: Exception, overrides: list[str]) -> str:
     """Hydra's or OmegaConf's error as one line naming the key, the value and what is allowed."""
+    if isinstance(error, RecursionError):
+        return f"{' '.join(overrides)} is not allowed: the files chosen start from each other in a ring"
     group, _, name = ((isinstance(error, MissingConfigException) and error.missing_cfg_file) or "").partition("/")
     if group in GROUPS:
         if name.endswith(".yaml"):

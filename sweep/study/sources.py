@@ -26,6 +26,7 @@ from sweep.core import project
 from sweep.core.errors import InputError, suggest
 from sweep.core.files import reason
 from sweep.core.groups import GROUPS
+from sweep.core.yaml_check import check_yaml
 from sweep.systems import USUAL
 
 SCHEME, SYSTEM = "sweep", "system"
@@ -74,6 +75,8 @@ class Files(ConfigSource):
         refuse_code(config_path, content, str(header.get("package")))
         if GROUPS[group].whole:
             header["package"] = header.get("package") or "_global_"
+        for other, choice in started_from(group, content):
+            refuse_ring(other, file, choice, (file,))
         if "defaults" not in content:
             content = whole(group, file, content) if GROUPS[group].whole else part(group, file, content)
         return ConfigResult(self.provider, self.full_path(), OmegaConf.create(content), header)
@@ -89,7 +92,11 @@ class Unexecuted(FileConfigSource):
     """Files of a user, such as studies in a `--config-dir`: they choose and set values, and have nothing run."""
 
     def load_config(self, config_path: str) -> ConfigResult:
-        """Raises `InputError` where Hydra would be told what to run."""
+        """Raises `InputError` where Hydra would be told what to run, or the file is not what it looks like."""
+        file = os.path.join(self.path, self._normalize_file_name(config_path))
+        if os.path.isfile(file):
+            with open(file, encoding="utf-8") as opened:
+                check_yaml(opened.read(), file)
         result = super().load_config(config_path)
         values = OmegaConf.to_container(result.config, resolve=False)
         refuse_code(config_path, values, str(result.header.get("package")))
@@ -140,11 +147,10 @@ def read(file: Any, words: bool = False) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"{file} cannot be read: {reason(error)}") from None
     try:
+        check_yaml(text, str(file))
         content = OmegaConf.load(io.StringIO(project.words(text) if words else text))
     except yaml.YAMLError as error:
         raise InputError(f"{file} cannot be read: {project.one_line(error)}") from None
-    except RecursionError:
-        raise InputError(f"{file} cannot be read: an anchor in it (&) holds itself") from None
     except OSError:  # as OmegaConf tells of a word
         content = None
     if not isinstance(content, DictConfig):
@@ -199,8 +205,6 @@ def part(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
 def extended(group: str, file: Any, content: Mapping[str, Any]) -> list[Any]:
     """The file that this one starts from, or the list of them, as a list of defaults."""
     names = [chosen(file, group, name) for name in listed(group, content)]
-    for name in names:
-        refuse_ring(group, file, name, (file,))
     return [f"/{group}/{name}@{'_global_' if GROUPS[group].whole else '_here_'}" for name in names]
 
 
@@ -212,6 +216,21 @@ def listed(group: str, content: Mapping[str, Any]) -> list[Any]:
     return found if GROUPS[group].free and isinstance(found, list) else [found]
 
 
+def started_from(group: str, content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield group and name of each file that a file starts from, by `extends` or by a list of Hydra's `defaults`."""
+    yield from ((group, name) for name in listed(group, content))
+    defaults = content.get("defaults")
+    for entry in defaults if isinstance(defaults, list) else ():
+        pairs = entry.items() if isinstance(entry, Mapping) else [str(entry).rpartition("/")[::2]]
+        for key, said in pairs:
+            *_, place = str(key).split() or [""]  # after `optional` or `override`
+            place = place.partition("@")[0]
+            other = place.removeprefix("/") if place.startswith("/") else f"{group}/{place}".removesuffix("/")
+            for name in said if isinstance(said, list) else [said]:
+                if other in GROUPS and isinstance(name, str):
+                    yield other, name.partition("@")[0]
+
+
 def refuse_ring(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None:
     """Raise `InputError` where a file that extends `name` starts, through it, from itself."""
     above = project.find(group, name) if isinstance(name, str) else None
@@ -221,8 +240,8 @@ def refuse_ring(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None
         raise InputError(f"{' extends '.join(map(str, (*ring, above)))}: a file cannot start from itself")
     if above in ring:  # a ring beyond this file, which is refused where it is read
         return
-    for more in listed(group, read(above)):
-        refuse_ring(group, file, more, (*ring, above))
+    for other, more in started_from(group, read(above, words=GROUPS[group].free)):
+        refuse_ring(other, file, more, (*ring, above))
 
 
 def chosen(file: Any, group: str, name: Any) -> str:

@@ -1,0 +1,94 @@
+"""Checks of YAML text before it is loaded: ambiguous numbers, and aliases that contain themselves or expand too far."""
+
+import re
+
+import yaml
+
+from sweep.core.errors import InputError
+
+PARSER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the fast one where it is built
+# numbers that YAML 1.1 reads otherwise than people do: octal ones, and sexagesimal ones such as 1:30
+LEADING_ZERO = re.compile(r"[-+]?0[0-9_]+")
+SEXAGESIMAL = re.compile(r"[-+]?[0-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?")
+MOST_ALIASED, DEEPEST = 100_000, 100  # items that aliases may stand for, in all, and levels of nesting
+
+
+def ambiguous_number(text: str) -> str:
+    """Say why an unquoted word is no number to rely on, such as `010` or `1:30`; empty where it is another word."""
+    if not LEADING_ZERO.fullmatch(text) and not SEXAGESIMAL.fullmatch(text):
+        return ""
+    value = yaml.load(text, PARSER)
+    said = f"YAML reads it as {value}" if not isinstance(value, str) else "it begins with 0"
+    return f"{said}: write a decimal number, or quotes around a name"
+
+
+def check_yaml(text: str, name: str, numbers: bool = True) -> None:
+    """Refuse YAML that is read otherwise than it looks, or that takes too much memory once it is loaded.
+
+    Args:
+        text: The content of a file.
+        name: The file, for messages.
+        numbers: Whether to refuse ambiguous numbers, such as `010` and `1:30`; not in files that this package wrote.
+
+    Raises:
+        InputError: Names key, value and line of an ambiguous number, or the anchor that contains itself or expands too
+            far.
+        yaml.YAMLError: The text is no YAML.
+    """
+    sizes: dict[str, int] = {}  # items of finished anchors
+    levels: list[_Level] = []
+    aliased = 0
+    for event in yaml.parse(text, PARSER):
+        size = 1
+        match event:
+            case yaml.MappingStartEvent() | yaml.SequenceStartEvent():
+                levels.append(_Level(event.anchor, isinstance(event, yaml.MappingStartEvent)))
+                if len(levels) > DEEPEST:
+                    raise InputError(f"{name}, line {_line(event)} is nested too deeply: at most {DEEPEST} levels")
+                continue
+            case yaml.MappingEndEvent() | yaml.SequenceEndEvent():
+                ended = levels.pop()
+                size = ended.size
+                if ended.anchor:
+                    sizes[ended.anchor] = size
+            case yaml.ScalarEvent():
+                if event.anchor:
+                    sizes[event.anchor] = 1
+                why = ambiguous_number(event.value) if numbers and event.implicit[0] else ""
+                if why:
+                    key = ".".join(one.key for one in levels if one.key)
+                    what = f"{key} = {event.value}" if key else event.value
+                    raise InputError(f"{name}, line {_line(event)}: {what} is not allowed: {why}")
+            case yaml.AliasEvent():
+                if any(one.anchor == event.anchor for one in levels):
+                    raise InputError(f"{name}, line {_line(event)}: the anchor &{event.anchor} contains itself")
+                size = sizes.get(event.anchor, 1)  # an unknown one is refused where it is loaded
+                aliased += size
+                if aliased > MOST_ALIASED:
+                    raise InputError(
+                        f"{name}, line {_line(event)}: *{event.anchor} is not allowed: aliases stand for at most "
+                        f"{MOST_ALIASED:,} items"
+                    )
+            case _:
+                continue
+        if levels:
+            levels[-1].add(size, event.value if isinstance(event, yaml.ScalarEvent) else "")
+
+
+class _Level:
+    """A mapping or sequence that has begun and not ended yet."""
+
+    def __init__(self, anchor: str | None, is_mapping: bool):
+        self.anchor, self.is_mapping = anchor, is_mapping
+        self.size, self.key, self._at_key = 1, "", True
+
+    def add(self, size: int, text: str) -> None:
+        """Count an item, which is a key or a value in turns in a mapping."""
+        self.size += size
+        if self.is_mapping:
+            self.key = text if self._at_key else ""
+            self._at_key = not self._at_key
+
+
+def _line(event: yaml.Event) -> int:
+    return event.start_mark.line + 1
