@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from subprocess import PIPE
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,16 @@ WARPS = 8  # of a block: as many as registers allow
 EVERY = "i32 -1"  # lane
 NATIVE = {"sqrt", "floor", "ceil", "round"}
 ZERO, HALF, ONE = "0.0", "0.5", "1.0"
+
+
+class Kept(NamedTuple):
+    """Where in a rollout's state a value lies that one part works out and later ones ask for."""
+
+    word: int
+    step: int  # words from leg to leg
+    node: Node
+    leg: bool  # one for each leg
+    apart: bool  # in room of its own, not where the state has it
 
 
 class GpuPrinter(Text):
@@ -67,12 +77,12 @@ class GpuPrinter(Text):
         for region in self.inner:
             self.scratch[region] = self.words
             self.words += region.size
-        self.kept: dict[int | Place, tuple[int, Node, bool]] = {}  # values of one part for the next ones, where
+        self.kept: dict[int | Place, Kept] = {}  # values of one part for the next ones
         self.home: dict[int | Place, Part] = {}
         (loop,) = (item for item in top.items if isinstance(item, Loop))
         before = [item for item in lanes.depth_first(top, needed) if item is not loop]
         flag = next((s.region for s in loop.body.stores if s.region.place == over and not s.region.record), None)
-        parts = [Part(before, top.stores, False), *lanes.parts(loop.body, needed, flag, group, few)]
+        parts = [Part(before, top.stores, False), *lanes.parts(loop.body, needed, flag, group, few, self.rows)]
         self._keep(parts)
         self._head()
         self._ticks(*parts)
@@ -131,6 +141,29 @@ class GpuPrinter(Text):
             else:
                 self._branch(item)
 
+    def _thread_items(self, alone: lanes.Alone, part: Part) -> None:
+        """A part of one rollout in each thread, which puts values away as soon as it can: few are alive at a time."""
+        ready = {}  # by the number of a node, words for the next parts
+        for key, (word, step, node, _, apart) in self.kept.items():
+            if self.home[key] is part and apart and isinstance(key, int):
+                for k, x in enumerate(alone.of(node)):
+                    ready.setdefault(x.number, []).append((word + k * step, x))
+        done: set[int] = set()
+        for k, item in enumerate(alone.items):
+            self._items([item])
+            if isinstance(item, Node):
+                for word, node in ready.pop(item.number, ()):
+                    self._put_word(word, 0, node.dtype, self.value(node))
+            for store in alone.early.get(k, ()):
+                self._put_word(
+                    self._start_of(store.region) + store.index, 0, store.region.dtype, self.value(store.value)
+                )
+                done.add(id(store))
+        for pairs in ready.values():
+            for word, node in pairs:
+                self._put_word(word, 0, node.dtype, self.value(node))
+        self._stores([store for store in alone.stores if id(store) not in done], part)
+
     def _block(self, block: Block) -> None:
         self._items(block.items if self.alone else lanes.depth_first(block, self.needed))
         self._stores(block.stores)
@@ -140,7 +173,8 @@ class GpuPrinter(Text):
         self.found = {}
 
     def _keep(self, parts: Sequence[Part]) -> None:
-        """Find room for what a part has to hand on."""
+        """Find room for what a part has to hand on and does not put into the state anyway."""
+        stored: dict[int | Place, Kept] = {}
         for part in parts:
             for node in lanes.operands(part, self.needed):
                 if node.op == "load" and not self._is_outer(node.told(At).region):
@@ -150,10 +184,23 @@ class GpuPrinter(Text):
                 else:
                     continue
                 if self.home.get(key, part) is not part and key not in self.kept:
-                    self.kept[key] = self.words, node, leg
-                    self.words += self.group if leg else 1
+                    self.kept[key] = stored.get(key) or Kept(self.words, 1 if leg else 0, node, leg, True)
+                    self.words += (self.group if leg else 1) * self.kept[key].apart
             self.home |= {item.number: part for item in part.items if isinstance(item, Node)}
             self.home |= dict.fromkeys(self._changed(part.items), part)
+            if part is not parts[0]:
+                stored |= dict(self._in_state(part))
+
+    def _in_state(self, part: Part) -> Iterator[tuple[int | Place, "Kept"]]:
+        """What a part puts into the state anyway, from where the next parts can read it."""
+        for store in part.stores:
+            node, region = store.value, store.region
+            key, leg = node.number, node.leg
+            if node.op == "load":
+                key = self._row(*node.told(At)[:2])[0]
+                leg = key in self.rows
+            if self.home.get(key) is part and leg == node.leg and self._is_outer(region) and not region.record:
+                yield key, Kept(self._start_of(region) + store.index, store.step if leg else 0, node, leg, False)
 
     def _ticks(self, before: Part, *parts: Part) -> None:
         """All ticks, part by part: a block's rollouts go through one before they go through the next."""
@@ -199,8 +246,11 @@ class GpuPrinter(Text):
         self.lines.append(f"br i1 {idle}, label %{name}_d, label %{name}_g")
         self._start(f"{name}_g")
         self.alone = None if part.together else lanes.Alone(part, self.needed, self.group)
-        self._items((self.alone or part).items)
-        self._stores((self.alone or part).stores, part)
+        if self.alone:
+            self._thread_items(self.alone, part)
+        else:
+            self._items(part.items)
+            self._stores(part.stores, part)
         self.lines.append(f"br label %{name}_d")
         self._start(f"{name}_d")
         following = self.emit(f"add i32 %{name}_t, 1")
@@ -297,26 +347,26 @@ class GpuPrinter(Text):
 
     def _handing(self, part: Part) -> Iterator[tuple[int, int, str, str]]:
         """What this part hands on: where, the step from leg to leg, its type and value."""
-        for key, (word, node, leg) in self.kept.items():
-            if self.home[key] is not part:
+        for key, (word, step, node, leg, apart) in self.kept.items():
+            if self.home[key] is not part or not apart or (self.alone and isinstance(key, int)):
                 continue
             if isinstance(key, int):
-                values = [self.value(x) for x in (self.alone.of(node) if self.alone else [node])]
+                values = [self.value(node)]
             else:
                 region, first = key
-                step = self.rows[key][1] if leg else 0
+                apart_by = self.rows[key][1] if leg else 0
                 values = [
-                    self.here[region, first + k * step] for k in (range(self.group) if leg and self.alone else (0,))
+                    self.here[region, first + k * apart_by] for k in (range(self.group) if leg and self.alone else (0,))
                 ]
             for k, value in enumerate(values):
-                yield word + k, 1 if leg and not self.alone else 0, node.dtype, value
+                yield word + k * step, 0 if self.alone else step, node.dtype, value
 
     def _handed_on(self, key: int | Place, leg: int | None = None) -> str:
         """What an earlier part has worked out, for this lane or for a leg."""
         if (key, leg) not in self.found:
-            word, node, legs = self.kept[key]
-            base = self._leg(self.state, 1) if legs and leg is None else self.state
-            self.found[key, leg] = self._read(node.dtype, base, (word + (leg or 0)) * self.row)
+            word, step, node, legs, _ = self.kept[key]
+            base = self._leg(self.state, step) if legs and leg is None else self.state
+            self.found[key, leg] = self._read(node.dtype, base, (word + (leg or 0) * step) * self.row)
         return self.found[key, leg]
 
     def _set(self, store: Store, value: str) -> None:

@@ -22,6 +22,7 @@ from sweep.fused.program import (
 ANEW = frozenset(("const", "load", "tick"))  # worked out again wherever it is needed
 LARGE = 1 << 30  # operations of a value, those of a shared operand counted for each use
 Place = tuple[Region, int]  # a number, or six that are a number of each leg's
+Rows = dict[Place, tuple[int, int, int]]  # see `rows`
 
 
 class Part(NamedTuple):
@@ -67,7 +68,7 @@ def _ordered(nodes: dict[int, Node]) -> Iterator[Node]:
             yield pending.pop()
 
 
-def rows(top: Block, needed: set[int], group: int) -> tuple[dict[Place, tuple[int, int, int]], list[Region]]:
+def rows(top: Block, needed: set[int], group: int) -> tuple[Rows, list[Region]]:
     """Of inner memory, the numbers that are always read and written as six of the legs: (first, step, which).
 
     And the regions that have to be memory, since they are looked up by place or read in other rows than written.
@@ -91,41 +92,132 @@ def rows(top: Block, needed: set[int], group: int) -> tuple[dict[Place, tuple[in
     return {place: row for place, row in rows.items() if place[0] not in memory}, list(memory)
 
 
-def parts(block: Block, needed: set[int], last: Region | None, group: int, few: bool) -> list[Part]:
+def parts(block: Block, needed: set[int], last: Region | None, group: int, few: bool, rows: Rows) -> list[Part]:
     """A block in parts: its loops, and what is between them, which has a thread for each rollout but for `few`.
 
     A result is put into memory as soon as it is there and nothing asks any more for what was there; `last` at the end.
     """
     made = [part._replace(together=few or part.together) for part in _cut(block, needed)]
-    home = {item.number: k for k, part in enumerate(made) for item in part.items if isinstance(item, Node)}
+    home: dict[int | Region, int] = {}
+    for k, part in enumerate(made):
+        home |= {item.number: k for item in part.items if isinstance(item, Node)}
+        home |= {x.region: k for item in part.items for x in (item, *within(item)) if isinstance(x, Store)}
     asked: dict[Any, int] = {}  # the last part that reads a place, or by place somewhere in a region
     for k, part in enumerate(made):
         for node in operands(part, needed):
             asked |= dict.fromkeys(_places(node, group), k)
-    late = [store for store in block.stores if store.region is last or store.value.op == "load"]
+    stores = _by_legs(block.stores, rows, group)
+    late = [store for store in stores if store.region is last or _is_outer_load(store.value)]
     for store in late:
         asked |= dict.fromkeys(_places(store.value, group), len(made) - 1)
-    for store in block.stores:
+    for store in stores:
         places = [(store.region, store.index + k * store.step) for k in (range(group) if store.value.leg else (0,))]
         free = max(asked.get(place, 0) for place in (*places, store.region))
-        k = len(made) - 1 if store in late else max(free, home.get(store.value.number, 0))
+        of = store.value.told(At).region if store.value.op == "load" else store.value.number
+        k = len(made) - 1 if store in late else max(free, home.get(of, 0))
         made[k].stores.append(store)
     return [part for part in made if part.items or part.stores]
 
 
+def _by_legs(stores: Sequence[Store], rows: Rows, group: int) -> list[Store]:
+    """These stores, with one for all legs in place of those that each put away one leg's number of a row."""
+    found: dict[tuple[Region, Place], list[Store | None]] = {}
+    for store in stores:
+        if store.value.op == "load" and not store.value.leg:
+            region, index, _, _ = store.value.told(At)
+            if row := rows.get((region, index)):
+                found.setdefault((store.region, (region, row[0])), [None] * group)[row[2]] = store
+    made, done = [], set()
+    for (_, (region, first)), each in found.items():
+        whole = [store for store in each if store]
+        step = whole[1].index - whole[0].index if len(whole) == group else 0
+        if step > 0 and [store.index - whole[0].index for store in whole] == [k * step for k in range(group)]:
+            like = whole[0].value
+            at = At(region, first, like.told(At).depth, rows[region, first][1])
+            value = Node("load", (), at, like.dtype, True, (like.number, "legs"), like.block)
+            made.append(Store(whole[0].region, whole[0].index, value, step))
+            done |= {id(store) for store in whole}
+    return [store for store in stores if id(store) not in done] + made
+
+
 def _cut(block: Block, needed: set[int]) -> list[Part]:
     made, begun = [Part([], [], False)], []
-    for item in depth_first(block, needed):
+    for item in depth_first(Block(block.depth, _around_branches(block, needed)), needed):
         if isinstance(item, Store):  # of what a loop begins with: there may be operations between it and the loop
             begun.append(item)
         elif isinstance(item, Loop):
             made += [Part([*begun, item], [], True), Part([], [], False)]
             begun = []
         elif isinstance(item, Branch) and _of_legs(item, needed):
-            made += [Part([item], [], True), Part([], [], False)]
+            if not made[-1].items and len(made) > 1 and isinstance(made[-2].items[-1], Branch):
+                made[-2].items.append(item)
+            else:
+                made += [Part([item], [], True), Part([], [], False)]
         else:
             made[-1].items.append(item)
     return made
+
+
+def _around_branches(block: Block, needed: set[int]) -> list[Any]:
+    """Items of a block in an order in which the branches of the legs after its last loop cut it into few parts.
+
+    All that does not depend on these branches goes before them, and the rest after them, so that one part has to hand
+    little on to the next. Only operations on inputs alone wait until something needs them.
+    """
+    start = max((k + 1 for k, item in enumerate(block.items) if isinstance(item, Loop)), default=0)
+    head, tail = block.items[:start], block.items[start:]
+    branches = [x for x in tail if isinstance(x, Branch) and _of_legs(x, needed)]
+    late: set[Any] = set()  # what depends on such a branch: items, and regions that they write to
+    plain: set[Any] = set()  # nodes worked out from inputs alone
+    early: list[Any] = []
+    for item in tail:
+        operands = _operands(item, needed) or [item]
+        if item in branches or any(x in late or (x.op == "load" and x.told(At).region in late) for x in operands):
+            late |= {item, *_written(item)}
+        elif isinstance(item, Node) and all(_is_input(x, block) or x in plain for x in operands):
+            plain.add(item)
+        else:
+            early.append(item)
+    between = _with_operands(branches, tail, needed, late)
+    before = _with_operands([*early, *between], tail, needed, plain) - between
+    return [
+        *head,
+        *(x for x in tail if x in before),
+        *(x for x in tail if x in between),
+        *(x for x in tail if x not in before | between),
+    ]
+
+
+def _written(item: Any) -> set[Region]:
+    """The regions that a branch or loop writes to."""
+    return {x.region for x in within(item) if isinstance(x, Store)}
+
+
+def _operands(item: Any, needed: set[int] | None = None) -> list[Node]:
+    """All that an item of a block is worked out from, what is in a branch with it; all operations by default."""
+    nodes = [x for x in (item, *within(item)) if isinstance(x, Node) and (needed is None or x.number in needed)]
+    stored = [x.value for x in within(item) if isinstance(x, Store)]
+    return [*(arg for x in nodes for arg in x.args), *stored, *([item.index] if isinstance(item, Branch) else [])]
+
+
+def _is_input(node: Node, block: Block) -> bool:
+    """Whether it can be read anywhere in `block`: it lies in outer memory, or was worked out before."""
+    return _is_outer_load(node) or (node.op in ANEW and node.op != "load") or node.block is not block
+
+
+def _is_outer_load(node: Node) -> bool:
+    return node.op == "load" and node.told(At).region.place >= 0
+
+
+def _with_operands(items: list[Any], tail: list[Any], needed: set[int], among: set[Any]) -> set[Any]:
+    """These items, and those of `tail` from which they are worked out, directly or not, as far as they are `among`."""
+    found = {*items}
+    for item in reversed(tail):
+        if item in found or not found.isdisjoint(_written(item)):
+            operands = _operands(item, needed)
+            read = {x.told(At).region for x in operands if x.op == "load"}
+            found |= {item} | among.intersection(operands) | among.intersection(read)
+    return found
 
 
 def _of_legs(branch: Branch, needed: set[int]) -> bool:
@@ -167,6 +259,29 @@ class Alone:
         self.made: dict[int, list[Node]] = {}
         self.items = [x for item in part.items for x in self._item(item, needed)]
         self.stores = [x for store in part.stores for x in self._store(store)]
+        self.early = self._early()
+
+    def _early(self) -> dict[int, list[Store]]:
+        """By the place among the items after which they can be made, stores that need not wait for the part's end.
+
+        These are of values that are worked out by then, at places that nothing in the part reads any more.
+        """
+        made = {item.number: k for k, item in enumerate(self.items) if isinstance(item, Node)}
+        read: dict[Any, int] = {}  # the last item that reads a place, or by place somewhere in a region
+        for k, item in enumerate(self.items):
+            for node in _operands(item):
+                read |= dict.fromkeys(_places(node, self.group), k)
+            for node in (item, *within(item)):
+                if isinstance(node, Node) and node.op == "gather":
+                    read |= dict.fromkeys(_places(node, self.group), k)
+        for store in self.stores:
+            read |= dict.fromkeys(_places(store.value, self.group), len(self.items))
+        early: dict[int, list[Store]] = {}
+        for store in self.stores:
+            k = max(read.get((store.region, store.index), 0), read.get(store.region, 0))
+            if store.value.number in made and not store.region.record and k < len(self.items):
+                early.setdefault(max(k, made[store.value.number]), []).append(store)
+        return early
 
     def of(self, node: Node) -> list[Node]:
         """What a node has become: one for each leg, or one."""

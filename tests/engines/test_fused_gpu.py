@@ -190,6 +190,29 @@ def test_parts_hand_on_what_they_have_worked_out_however_many_rollouts_a_block_h
         np.testing.assert_allclose(parts[1][name][1], values[:WIDTH], rtol=1e-3, atol=1e-3, err_msg=name)
 
 
+@HOW
+def test_branches_of_the_legs_that_depend_on_one_another_go_in_their_order(few):
+    def ticked(given, carried, k):
+        feet, least, over = carried
+        feet, _ = jax.lax.scan(lambda x, i: (0.5 * x + jnp.sin(x) + 0.1 * i, None), feet, jnp.arange(30.0))
+        often = k % 2 == 0
+        first = jax.lax.cond(often, lambda: jnp.sin(feet) * jnp.cos(feet + given), lambda: feet)
+        scale = jnp.exp(given) + 1  # of what is given alone, asked for only behind a branch
+        then = jnp.max(first) * scale
+        second = jax.lax.cond(often, lambda: jnp.sin(first * then) + jnp.cos(feet), lambda: first)
+        return (second, jnp.minimum(least, jnp.sum(second)) + jnp.sum(feet), over), {}
+
+    given = jnp.linspace(0.1, 0.4, WIDTH)
+    carried = 0.1 * some(6, 3), jnp.zeros(WIDTH), jnp.zeros(WIDTH, bool)
+    one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), (given, carried))
+    code = launch.compiled(ticked, *one, lambda carried: carried[2], 3, 0, WIDTH, few=few)
+    kernel, _ = launch.run(code, given, carried, jnp.int32(0), None)
+    for k in range(3):
+        carried, _ = jax.vmap(ticked, (0, 0, None))(given, carried, jnp.int32(k))
+    for a, b in zip(kernel, carried, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-3)
+
+
 def test_what_a_gpu_has_no_rule_for_is_named():
     with jax.enable_x64(True), pytest.raises(Unsupported, match="float64 on a GPU"):
         both(lambda x: {"x": 2 * x}, some(3).astype(jnp.float64))
