@@ -1,10 +1,10 @@
 """What a first start of scenarios takes, with nothing kept, and another one: CPU seconds of all threads, and wall time.
 
 To run: `python bench/cold_start.py [NAME...] [--parts]`, from a checkout; the code is the one in the current folder.
-Overrides follow a name's comma: `ladder_climb,control=learn`. CPU seconds tell of a busy machine as well, to some
-tenths. A start is what comes before the batch: imports, configuration, programs made or found. The rollout has its plan
-and the first launch with it. What a start consists of is told by when calls of `PARTS` begin and end, threads side by
-side.
+Overrides follow a name's comma: `ladder_climb,control=learn`. The names of `DELAYS` are delays and batches. CPU
+seconds tell of a busy machine as well, to some tenths. A start is what comes before the batch: imports,
+configuration, programs made or found. The rollout has its plan and the first launch with it. What a start consists of
+is told by when calls of `PARTS` begin and end, threads side by side.
 """
 
 import argparse
@@ -40,6 +40,15 @@ PARTS = {  # by file and name
     ("sweep/engines/mjx.py", "Mjx._prepare"): "programs",
     ("sweep/engines/planning.py", "Planning.__call__"): "plan",
     ("sweep/engines/mjx.py", "Mjx._simulate"): "batch",
+}
+MASSES = "mass:{path:robot.body_mass,side:world,from:10,to:18,num:24}"
+DELAYS = {  # scenario and overrides by name: late observations, loads and free bodies, and batches of 48 rows
+    "delay_5": ("walk_tripod", "noise.delay=5"),
+    "delay_50": ("walk_tripod", "noise.delay=50"),
+    "load_delay_50": ("walk_tripod", "noise.load_delay=50"),
+    "body_delay_50": ("ball_balance", "noise.body_delay=50"),
+    "no_delay_48": ("walk_tripod", f"+study.axes={{{MASSES},friction:{{path:contact.friction,values:[0.7,0.8]}}}}"),
+    "delay_axis_48": ("walk_tripod", f"+study.axes={{{MASSES},delay:{{path:noise.delay,values:[0,20]}}}}"),
 }
 Spans = list[tuple[str, float, float]]  # of a part, s after the process was begun
 
@@ -82,7 +91,7 @@ def command(began: str, told: str, *given: str) -> int:
 
 def start(name: str, cache: str) -> dict[str, Any]:
     """CPU and wall time (s) of `sweep run` of one rollout, and its parts; programs are kept in the folder `cache`."""
-    scenario, *overrides = name.split(",")
+    scenario, *overrides = DELAYS.get(name) or name.split(",")
     told = Path(cache, "parts.json")
     kept = {"XDG_CACHE_HOME": cache, "JAX_COMPILATION_CACHE_DIR": f"{cache}/programs"}
     kept |= {"CUDA_CACHE_DISABLE": "1", "PYTHONDONTWRITEBYTECODE": ""}  # an installed package has its bytecode
@@ -90,6 +99,8 @@ def start(name: str, cache: str) -> dict[str, Any]:
     Path(cache, "programs").mkdir(mode=0o700, exist_ok=True)
     began, before = time.monotonic(), os.times()
     asked = [sys.executable, __file__, WATCHED, str(began), str(told), "run", f"scenario={scenario}", *overrides]
+    if any("study.axes" in one for one in overrides):
+        asked += [f"study.name={name}", f"out={tempfile.mkdtemp(dir=cache)}/rows"]
     done = subprocess.run(asked, env={**os.environ, **kept}, capture_output=True, text=True, check=False)
     wall, after = time.monotonic() - began, os.times()
     if done.returncode not in (0, 4):  # a rollout that fails has started too
@@ -114,7 +125,7 @@ def consists_of(took: dict[str, Any]) -> str:
 def main(*given: str) -> None:
     """Two lines for each scenario, and below them the parts of its starts."""
     asked = argparse.ArgumentParser()
-    asked.add_argument("names", nargs="*", default=sorted(path.stem for path in SCENARIOS.glob("*.yaml")))
+    asked.add_argument("names", nargs="*", default=[*sorted(path.stem for path in SCENARIOS.glob("*.yaml")), *DELAYS])
     asked.add_argument("--parts", action="store_true", help="tell as well what a start consists of")
     options = asked.parse_args(given)
     print("| scenario | | CPU s | wall s | start s | rollout s | after it s |\n|---|---|---|---|---|---|---|")

@@ -3,11 +3,13 @@
 Also holds the filter that smooths the measured poses of an obstacle's free bodies (balls, rafts, ladders).
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from sweep.core.rotations import conjugate, exponential, logarithm, multiply
@@ -50,14 +52,16 @@ class Biases(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """State of the sensors in a rollout: its biases and the true observations of past ticks, newest first.
+    """State of the sensors in a rollout: its biases, and the true observations of past ticks in a ring buffer.
 
     Made by `init_sensors`.
     """
 
-    bias: Biases
-    free_bias: Float[Array, "k 4 3"]  # bias of each free body's position, orientation, velocity and angular velocity
-    history: Observation  # leaves (delay_buffer, ...), at least one
+    bias: Biases | None  # None where sensors are late, but without errors
+    free_bias: (
+        Float[Array, "k 4 3"] | None
+    )  # bias of each free body's position, orientation, velocity, angular velocity
+    history: Observation | None  # leaves (delay_buffer, ...): tick k is at k % delay_buffer; None without a delay
 
 
 def draw_biases(noise: Noise, key: Array) -> Biases:
@@ -97,19 +101,29 @@ def draw_body_biases(noise: Noise, key: Array, free: FreeState) -> Float[Array, 
     return _draw_body_errors(jax.random.fold_in(key, FREE), sizes, free)
 
 
-def init_sensors(noise: Noise, key: Array, truth: Observation) -> Sensors:
+def init_sensors(noise: Noise, key: Array, truth: Observation, has_errors: bool = True) -> Sensors:
     """Draw a rollout's biases and fill the history with the state at the start.
 
     Args:
-        noise: sensor errors and the length of the delay buffer.
+        noise: sensor errors and the length of the delay buffer, which is at least the longest delay in ticks.
         key: random key of the rollout.
         truth: true state at the start; the state before the start is taken to be the same.
+        has_errors: whether any error is drawn or given; else the sensors only have delays.
+
+    Returns:
+        The sensors for the first tick.
     """
-    history = jax.tree.map(lambda x: jnp.broadcast_to(x, (max(noise.delay_buffer, 1), *x.shape)), truth)
+    history = None
+    if noise.delay_buffer:
+        history = jax.tree.map(lambda x: jnp.broadcast_to(x, (noise.delay_buffer, *x.shape)), truth)
+    if not has_errors:
+        return Sensors(None, None, history)
     return Sensors(draw_biases(noise, key), draw_body_biases(noise, key, truth.free), history)
 
 
-def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> tuple[Sensors, Observation]:
+def observe(
+    noise: Noise, sensors: Sensors, truth: Observation, key: Array, tick: Array | int
+) -> tuple[Sensors, Observation]:
     """Return the delayed, biased and noisy measurement of a true state.
 
     Joint errors act on the feedback of the drives in the same tick, hence they are not delayed.
@@ -119,22 +133,33 @@ def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> t
         sensors: biases and history of the rollout.
         truth: true state in this tick.
         key: random key of the tick.
+        tick: number of the tick, from 0 on; the same for all rollouts of a batch.
 
     Returns:
         The sensors with `truth` added to the history, and the measurement. Its `loaded` is the delayed true contact;
         see `with_contact_detection` for contact by measured load.
     """
-    history = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old[:-1]]), truth, sensors.history)
+    history, number, size = sensors.history, jnp.asarray(tick, jnp.int32), jnp.int32(noise.delay_buffer)
 
-    def delayed(delay: Array | float, new: Any, old: Any) -> Any:
-        late = jnp.clip(jnp.round(delay).astype(jnp.int32), 0, noise.delay_buffer)
+    def delayed(delay: Array | float, select: Callable[[Observation], Any]) -> Any:
+        if history is None:
+            return select(truth)
+        late = jnp.clip(jnp.round(delay).astype(jnp.int32), 0, size)
+        slot = lax.rem(number + size - late, size)
         return jax.tree.map(
-            lambda newest, earlier: jnp.where(late == 0, newest, earlier[jnp.maximum(late - 1, 0)]), new, old
+            lambda newest, earlier: jnp.where(late == 0, newest, earlier[slot]), select(truth), select(history)
         )
 
-    obs = delayed(noise.delay, truth, sensors.history)
-    free = delayed(noise.body_delay, truth.free, sensors.history.free)
-    load = delayed(noise.delay + noise.load_delay, truth.load, sensors.history.load) + sensors.bias.load
+    obs = delayed(noise.delay, lambda observation: observation)
+    free = delayed(noise.body_delay, lambda observation: observation.free)
+    load = delayed(noise.delay + noise.load_delay, lambda observation: observation.load)
+    if history is not None:
+        slot = lax.rem(number, size)
+        history = jax.tree.map(lambda new, old: lax.dynamic_update_index_in_dim(old, new, slot, 0), truth, history)
+    sensors = sensors._replace(history=history)
+    if sensors.bias is None or sensors.free_bias is None:
+        return sensors, obs._replace(joint_error=jnp.zeros_like(obs.joint_error), load=load, free=free)
+    load = load + sensors.bias.load
     sizes = (noise.body_position_noise, noise.body_orientation_noise, noise.body_velocity_noise, noise.body_turn_noise)
     error = sensors.free_bias + _draw_body_errors(jax.random.fold_in(key, FREE), sizes, free)
     dtype = truth.position.dtype
@@ -158,7 +183,7 @@ def observe(noise: Noise, sensors: Sensors, truth: Observation, key: Array) -> t
             free.turn + error[:, 3],
         ),
     )
-    return sensors._replace(history=history), obs
+    return sensors, obs
 
 
 def with_contact_detection(control: Control, noise: Noise, obs: Observation) -> Observation:

@@ -273,8 +273,17 @@ def _scatter(put: Callable, args: list[Operand], size: int, dimension_numbers: A
     return put(_spread(operand, size), indices.value, _spread(updates, size), numbers, **rest)
 
 
+def _dynamic_update_slice(args: list[Operand], size: int) -> Array:
+    operand, update, *starts = args
+    if any(start.batched for start in starts):
+        return NotImplemented
+    places = [jnp.asarray(start.value) for start in starts]
+    return lax.dynamic_update_slice(_spread(operand, size), _spread(update, size), (*places, jnp.zeros_like(places[0])))
+
+
 RULES: dict[str, Callable] = {
     "broadcast_in_dim": _broadcast_in_dim, "reshape": _reshape, "transpose": _transpose, "slice": _slice, "pad": _pad,
     "concatenate": _concatenate, "dot_general": _dot_general, "gather": _gather,
+    "dynamic_update_slice": _dynamic_update_slice,
     "scatter": partial(_scatter, lax.scatter), "scatter-add": partial(_scatter, lax.scatter_add),
 }  # fmt: skip

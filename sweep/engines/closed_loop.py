@@ -1,6 +1,7 @@
 """What both engines do once a control tick: observe, command, measure. Pure functions of one rollout."""
 
-from typing import NamedTuple
+import dataclasses
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -63,9 +64,23 @@ class Start(NamedTuple):
     qvel: Float[Array, " nv"]
 
 
-def is_quiet(noise: Noise) -> bool:
-    """Whether measurement is exact, so that no random number need be drawn. Plain or batched parameters."""
-    return noise.delay_buffer == 0 and all(isinstance(x, float) and x == 0 for x in jax.tree.leaves(noise))
+Sensing = Literal["exact", "late", "noisy"]
+DELAYS = {"delay": 0.0, "load_delay": 0.0, "body_delay": 0.0}
+
+
+def sensing(noise: Noise) -> Sensing:
+    """Classify what sensors need to be simulated: nothing, a delay, or random errors as well.
+
+    Random numbers take a third of the compile time of a walk, so they are left out where all errors are zero. Fields of
+    `noise` are numbers or arrays over a batch.
+    """
+
+    def is_zero(some: Noise) -> bool:
+        return all(isinstance(x, float) and x == 0 for x in jax.tree.leaves(some))
+
+    if noise.delay_buffer == 0 and is_zero(noise):
+        return "exact"
+    return "late" if is_zero(dataclasses.replace(noise, **DELAYS)) else "noisy"
 
 
 def most_ticks(plans: Plan, period: float) -> int:
@@ -148,20 +163,21 @@ def init(
     energy: Array,
     key: Array,
     learned: LearnedState,
-    quiet: bool,
+    sensors_are: Sensing,
 ) -> ClosedLoop:
-    """Before the first tick; `belief` holds what was learned already. `quiet`: see `is_quiet`."""
+    """Before the first tick; `belief` holds what was learned already. `sensors_are`: see `sensing`."""
     seen = truth(start.qpos, start.qvel, len(world.obstacle.free_bodies), jnp.full(N_LEGS, jnp.inf))
     bias_key, key = jax.random.split(key)
     sensors = None
-    if not quiet:
-        sensors = init_sensors(
-            world.noise, bias_key, seen._replace(free=surface.landmark_state(world.obstacle, seen.free))
-        )
+    if sensors_are != "exact":
+        marked = seen._replace(free=surface.landmark_state(world.obstacle, seen.free))
+        sensors = init_sensors(world.noise, bias_key, marked, has_errors=sensors_are == "noisy")
     feet = feet_in_world(world.robot, seen.position, seen.quat, seen.angles)
     running = stream.begin(Begin(world, plan, seen.position, seen.quat, feet, seen.free, energy, learned))
     servo = position_mode(world.drive, seen.angles)
-    return ClosedLoop(tracker.init(belief, plan, exact=quiet), sensors, running, seen, servo, key, learned)
+    return ClosedLoop(
+        tracker.init(belief, plan, exact=sensors_are == "exact"), sensors, running, seen, servo, key, learned
+    )
 
 
 def act(
@@ -173,7 +189,7 @@ def act(
     """
     sensors, seen = loop.sensors, loop.seen._replace(free=surface.landmark_state(world.obstacle, loop.seen.free))
     if sensors is not None:
-        sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick))
+        sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick), tick)
     free = surface.state_from_landmarks(initial_obstacle(belief, loop.learned), seen.free)
     seen = with_contact_detection(world.control, belief.noise, seen._replace(free=free))
     state, followed, beside, learned = update_from_touch(world, belief, plan, loop.tracker, loop.learned, seen, period)

@@ -26,12 +26,13 @@ from sweep.engines.batching import Batched
 from sweep.engines.closed_loop import (
     CHUNK,
     ClosedLoop,
+    Sensing,
     act,
     figures_of,
     init,
-    is_quiet,
     measure,
     most_ticks,
+    sensing,
     start_state,
 )
 from sweep.engines.fused_loop import Fused, of_one
@@ -84,7 +85,7 @@ class Mjx(Batched):
     def rollout_bytes(self) -> int:
         """See `Engine`; nothing is compiled for it."""
         with devices.precision(self.settings):
-            start = partial(self._start, is_quiet(self._nominal[0].noise))
+            start = partial(self._start, sensing(self._nominal[0].noise))
             held = jax.eval_shape(start, *devices.as_arrays(self._nominal), jax.random.key(0))
         return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(held))
 
@@ -161,12 +162,12 @@ class Mjx(Batched):
         """Arguments as arrays of the right type, and the programs for their batch axes; what is recorded, and where."""
         batching.check(streams, self.width)
         kept, places = self._kept(slots, min(self._local, most))
-        quiet = is_quiet(world.noise)
+        sensors_are = sensing(world.noise)
         recorded = None if kept is None or self._by_host else (kept.shape, watch and watch.columns)
-        form = devices.form((world, belief)), quiet, recorded
+        form = devices.form((world, belief)), sensors_are, recorded
         arrays = devices.spread((*devices.as_arrays((world, belief)), devices.keys(streams)), self._mesh)
         if form not in self._programs:
-            compiled = partial(self._compile, arrays, quiet, kept, watch)
+            compiled = partial(self._compile, arrays, sensors_are, kept, watch)
             made_of, on = (form, *self._made_of), list(self._mesh.devices.flat)
             parts = program_cache.programs(made_of, on, compiled)
             if isinstance(parts[0], str):
@@ -205,7 +206,7 @@ class Mjx(Batched):
 
     @fused_loop.or_what_is_missing
     def _compile(
-        self, arrays: tuple[Case, Case, Array], quiet: bool, kept: Array | None, watch: Watch | None
+        self, arrays: tuple[Case, Case, Array], sensors_are: Sensing, kept: Array | None, watch: Watch | None
     ) -> tuple[Any, ...]:
         """The programs over batches like `arrays`, split over the devices.
 
@@ -225,7 +226,9 @@ class Mjx(Batched):
 
         recorded = (split, PartitionSpec(None, devices.BATCH))
         with ThreadPoolExecutor() as pool:
-            batch, started = planning.begun(pool, partial(self._start, quiet), arrays, many, self._searches, self._few)
+            batch, started = planning.begun(
+                pool, partial(self._start, sensors_are), arrays, many, self._searches, self._few
+            )
             plans, carry = devices.split(batch, self._mesh)
             if self._by_host:
                 with part("closed loop"):
@@ -322,12 +325,12 @@ class Mjx(Batched):
 
         return chunk, None
 
-    def _start(self, quiet: bool, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
+    def _start(self, sensors_are: Sensing, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
         known, plan, learned = prepared(world, belief, key)
         start = start_state(world, known, plan, resting(world))
         state = rest(self.topology, start.qpos)._replace(v=start.qvel)
         energy = self.physics.energy(world, state)
-        return plan, Carry(state, init(world, known, plan, start, energy, key, learned, quiet))
+        return plan, Carry(state, init(world, known, plan, start, energy, key, learned, sensors_are))
 
     def _finish(self, world: Case, plan: Plan, carry: Carry) -> dict[str, Array]:
         return figures_of(world, plan, carry.loop)

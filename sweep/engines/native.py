@@ -28,14 +28,15 @@ from sweep.engines.batching import Batched
 from sweep.engines.closed_loop import (
     CHUNK,
     ClosedLoop,
+    Sensing,
     Start,
     act,
     figures_of,
     free_state,
     init,
-    is_quiet,
     measure,
     most_ticks,
+    sensing,
     start_state,
     truth,
 )
@@ -165,9 +166,9 @@ class Native(Batched):
         batching.check(streams, self.width)
         with devices.precision(self.settings):
             models, unbuilt = self._models(world)
-            quiet = is_quiet(world.noise)
+            sensors_are = sensing(world.noise)
             (world, belief), keys = devices.as_arrays((world, belief)), devices.keys(streams)
-            programs = self._prepare((world, belief, keys), quiet)
+            programs = self._prepare((world, belief, keys), sensors_are)
             batch = Batch(models[0], self.width, devices.cores())
             batch.set_models(models)
             plans, (between, state) = programs.start(world, belief, keys)
@@ -234,16 +235,16 @@ class Native(Batched):
     def _model(self, world: Case) -> mujoco.MjModel:
         return scene.native_model(world, self.settings.native_time_step, self.settings.solid)
 
-    def _prepare(self, arrays: tuple[Case, Case, Array], quiet: bool) -> NativePrograms:
+    def _prepare(self, arrays: tuple[Case, Case, Array], sensors_are: Sensing) -> NativePrograms:
         """The programs for the batch axes of `arrays`."""
-        form = devices.form(arrays[:2]), quiet
+        form = devices.form(arrays[:2]), sensors_are
         if form not in self._programs:
             made_of = "native", form, self.settings, self.limits, self.width, self.fused
-            parts = program_cache.programs(made_of, jax.devices()[:1], lambda: self._compile(arrays, quiet))
+            parts = program_cache.programs(made_of, jax.devices()[:1], lambda: self._compile(arrays, sensors_are))
             if isinstance(parts[0], str):
                 fused_loop.give_up(self.settings, parts[0])
                 self.fused = False
-                return self._prepare(arrays, quiet)
+                return self._prepare(arrays, sensors_are)
             start, searches, tick, *rest = parts
             finish, again = (one and fused_loop.ready(one, self.width) for one in rest)
             tick = Kernel(tick) if isinstance(tick, Code) else tick
@@ -251,14 +252,14 @@ class Native(Batched):
         return self._programs[form]
 
     @fused_loop.or_what_is_missing
-    def _compile(self, arrays: tuple[Case, Case, Array], quiet: bool) -> tuple[Any, ...]:
+    def _compile(self, arrays: tuple[Case, Case, Array], sensors_are: Sensing) -> tuple[Any, ...]:
         world, belief, _ = arrays
         axes, period = devices.axes((world, belief)), self.settings.control_period
 
         def start(world: Case, belief: Case, key: Array) -> tuple[Plan, tuple[Between, Start]]:
             known, plan, learned = prepared(world, belief, key)
             state = start_state(world, known, plan)
-            loop = init(world, known, plan, state, jnp.zeros(()), key, learned, quiet)
+            loop = init(world, known, plan, state, jnp.zeros(()), key, learned, sensors_are)
             nothing = jnp.zeros(len(stream.watched(world)), plan.duration.dtype)
             return plan, (self._acted(world, belief, plan, loop, self._nothing(state), nothing, jnp.int32(0)), state)
 

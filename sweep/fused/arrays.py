@@ -6,7 +6,8 @@ for the legs too.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import pairwise, product
 from typing import Any
@@ -14,12 +15,21 @@ from typing import Any
 import numpy as np
 
 from sweep.fused.operations import fold, simplified
-from sweep.fused.program import At, Node, OneOf, Over, Program, Region, Store, value_of
+from sweep.fused.program import At, Node, OneOf, Over, Program, Region, Store, is_uniform, value_of
 
 EMPTY = {"add": 0, "mul": 1, "or": False, "and": True, "max": -np.inf, "min": np.inf}  # of no numbers at all
 CHAIN = 64  # places that a number may be chosen from, where it is not in memory
 
 Array = Any  # of NumPy, of nodes
+
+
+@dataclass(frozen=True, eq=False)
+class RowUpdate:
+    """An array in memory of which one row is replaced. Saved to that memory, it is a store at a computed address."""
+
+    array: Array  # (rows, ...), as it lies in memory
+    row: Node  # number of the row, within the array, the same for all rollouts
+    new: Array  # (1, ...)
 
 
 class Unsupported(Exception):
@@ -177,10 +187,20 @@ class Arrays:
         at = np.arange(math.prod(shape)).reshape(shape)
         return filled(shape, lambda i: self.load(region, int(at[i]), depth))
 
-    def save(self, region: Region | None, x: Array, items: list[Any]) -> None:
+    def save(self, region: Region | None, x: Array | RowUpdate, items: list[Any]) -> None:
         """Have an array put into memory; what is there already is left."""
         if region is None:
             return
+        if isinstance(x, RowUpdate) and (memory := self._memory(x.array)) and memory[:2] == (region, 0):
+            stores = self._stores(region, x.new[0, ...])
+            items.extend(replace(store, row=x.row, stride=x.new.size) for store in stores)
+            return
+        for store in self._stores(region, self.whole(x)):
+            unchanged = store.value.op == "load" and store.value.told(At)[:2] == (region, store.index)
+            if not unchanged:
+                items.append(store)
+
+    def _stores(self, region: Region, x: Array) -> Iterator[Store]:
         rows = (
             np.moveaxis(np.arange(x.size).reshape(x.shape), 0, -1).reshape(-1, self.group)
             if x.ndim and x.shape[0] == self.group
@@ -189,12 +209,11 @@ class Arrays:
         done = set()
         for row in rows:
             if (leg := self._leg(x.ravel()[row])) is not None and leg.leg and leg.op not in ("load", "gather"):
-                items.append(Store(region, int(row[0]), leg, int(row[1] - row[0])))
+                yield Store(region, int(row[0]), leg, int(row[1] - row[0]))
                 done.update(row.tolist())
         for k, node in enumerate(x.flat):
-            unchanged = node.op == "load" and node.told(At)[:2] == (region, k)
-            if k not in done and not unchanged:
-                items.append(Store(region, k, node))
+            if k not in done:
+                yield Store(region, k, node)
 
     def _memory(self, x: Array) -> tuple[Region, int, int] | None:
         """Region, first place and depth of an array that lies in memory as it is."""
@@ -235,6 +254,26 @@ class Arrays:
                 raise Unsupported("a choice among many numbers that are not in memory")
             x = self.choose(np.full(windows[0].shape, starts[d], object), windows)
         return x
+
+    def whole(self, x: Array | RowUpdate) -> Array:
+        """The array itself: every number that a row may replace is chosen by the row's number."""
+        if not isinstance(x, RowUpdate):
+            return x
+        result = x.array.copy()
+        self.put(result, x.new, {0: x.row}, None)
+        return result
+
+    def update(self, x: Array, new: Array, starts: dict[int, Node]) -> Array | RowUpdate:
+        """Replace the part of `x` that begins at `starts` by `new`; a row of an array in memory stays a `RowUpdate`."""
+        if not new.size:
+            return x
+        moving = [axis for axis, start in starts.items() if start.op != "const"]
+        row = moving == [0] and new.shape == (1, *x.shape[1:]) and is_uniform(starts[0])
+        if row and self._memory(x):
+            return RowUpdate(x, starts[0], new)
+        result = x.copy()
+        self.put(result, new, starts, None)
+        return result
 
     def put(self, x: Array, update: Array, starts: dict[int, Node], combine: str | None) -> None:
         """Put `update` into `x` where it begins at `starts`, on other axes at 0; nothing where it would not fit."""

@@ -337,10 +337,13 @@ class GpuPrinter(Text):
             if not self._is_outer(store.region):
                 self._set(store, value)
         for store, value in outer:
-            word = self._start_of(store.region) + store.index
-            self._put_word(word, store.step if store.value.leg else 0, store.region.dtype, value)
+            word, base = self._start_of(store.region) + store.index, self.state
+            if store.row:
+                moved = self.emit(f"mul i32 {self._uniform(store.row)}, {store.stride * self.row}")
+                base = self.emit(f"getelementptr i8, ptr {base}, i32 {moved}")
+            self._put_word(word, store.step if store.value.leg else 0, store.region.dtype, value, base)
         for word, step, dtype, value in handed:
-            self._put_word(word, step, dtype, value)
+            self._put_word(word, step, dtype, value, self.state)
         if outer or handed:
             self._nvvm("bar.warp.sync", "void", EVERY)
             self.found = {key: x for key, x in self.found.items() if not isinstance(key, tuple)}
@@ -426,9 +429,9 @@ class GpuPrinter(Text):
             kind, value = "i32", self.emit(f"zext i1 {value} to i32")
         self.lines.append(f"store {kind} {value}, ptr {at}, align 4")
 
-    def _put_word(self, word: int, step: int, dtype: str, value: str) -> None:
+    def _put_word(self, word: int, step: int, dtype: str, value: str, base: str) -> None:
         """A number of this rollout's state, or with a step this leg's."""
-        self._put(self._leg(self.state, step) if step else self.state, word * self.row, dtype, value)
+        self._put(self._leg(base, step) if step else base, word * self.row, dtype, value)
 
     def _read(self, dtype: str, base: str, offset: int | str) -> str:
         kind = TYPES[dtype]

@@ -12,9 +12,9 @@ import numpy as np
 from jax.extend import core
 
 from sweep.fused import maths
-from sweep.fused.arrays import Array, Arrays, Unsupported, filled, stacked
+from sweep.fused.arrays import Array, Arrays, RowUpdate, Unsupported, filled, stacked
 from sweep.fused.operations import REDUCTIONS
-from sweep.fused.program import At, Branch, Count, Node, Region, value_of
+from sweep.fused.program import At, Branch, Count, Node, Region, is_uniform, value_of
 from sweep.fused.rules import MANY, RULES
 
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "checkpoint": "jaxpr",
@@ -30,11 +30,11 @@ UNROLLED = 1000  # operations up to which a loop is written out
 class Interpreter(Arrays):
     """Rules for JAX's primitives, writing a `Program`."""
 
-    def evaluate(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Array]) -> list[Array]:
+    def evaluate(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Array | RowUpdate]) -> list[Array | RowUpdate]:
         """Results of `jaxpr` on arrays of nodes."""
-        known: dict[Any, Array] = {}
+        known: dict[Any, Array | RowUpdate] = {}
 
-        def read(atom: Any) -> Array:
+        def read(atom: Any) -> Array | RowUpdate:
             if isinstance(atom, core.Literal):
                 aval: Any = atom.aval
                 return self.constant(np.asarray(atom.val, aval.dtype))
@@ -46,7 +46,7 @@ class Interpreter(Arrays):
             known |= zip(eqn.outvars, self.apply(eqn, [read(atom) for atom in eqn.invars]), strict=True)
         return [read(atom) for atom in jaxpr.outvars]
 
-    def apply(self, eqn: Any, args: list[Array]) -> list[Array]:
+    def apply(self, eqn: Any, args: list[Array | RowUpdate]) -> list[Array | RowUpdate]:
         """Results of one operation of JAX."""
         name, params = eqn.primitive.name, eqn.params
         if name in CALLS:
@@ -57,6 +57,7 @@ class Interpreter(Arrays):
         out = eqn.outvars[0].aval
         if name in ALIAS and ALIAS[name] is None:
             return args
+        args = [self.whole(x) for x in args]
         if name in ("scan", "cond"):
             return getattr(self, name)(args, eqn)
         if rule := MANY.get(name):
@@ -78,7 +79,7 @@ class Interpreter(Arrays):
         """What `function` gives, which is written in other primitives."""
         shapes = [jax.ShapeDtypeStruct(x.shape, dtype) for x, dtype in zip(args, dtypes, strict=True)]
         traced = jax.make_jaxpr(function)(*shapes)
-        return self.evaluate(traced.jaxpr, traced.consts, args)[0]
+        return self.whole(self.evaluate(traced.jaxpr, traced.consts, args)[0])
 
     def scan(self, args: list[Array], eqn: Any) -> list[Array]:
         """A loop, written out where it is short."""
@@ -95,7 +96,7 @@ class Interpreter(Arrays):
             for k in reversed(steps) if eqn.params["reverse"] else steps:
                 results = self.evaluate(inner, closed.consts, [*consts, *carry, *(x[k, ...] for x in xs)])
                 carry = results[:n_carry]
-                ys.append(results[n_carry:])
+                ys.append([self.whole(y) for y in results[n_carry:]])
             ys = ys[::-1] if eqn.params["reverse"] else ys
             return [*carry, *(stacked(each) for each in zip(*ys, strict=True))]
         outside = len(self.program.blocks) - 1
@@ -134,8 +135,8 @@ class Interpreter(Arrays):
         if which.op == "const":
             branch = branches[int(value_of(which))]
             return self.evaluate(branch.jaxpr, branch.consts, operands)
-        if not uniform(which):
-            each = [self.evaluate(b.jaxpr, b.consts, operands) for b in branches]
+        if not is_uniform(which):
+            each = [map(self.whole, self.evaluate(b.jaxpr, b.consts, operands)) for b in branches]
             return [self.choose(index, list(values)) for values in zip(*each, strict=True)]
         depth = len(self.program.blocks) - 1
         shapes = [v.aval for v in eqn.outvars]
@@ -149,13 +150,6 @@ class Interpreter(Arrays):
             blocks.append(block)
         self.program.add(Branch(which, blocks))
         return [self.loaded(r, s.shape, depth) for r, s in zip(regions, shapes, strict=True)]
-
-
-def uniform(node: Node) -> bool:
-    """Whether it is the same for all rollouts: worked out from constants and counters alone."""
-    if node.op in ("gather", "pack", "part", "over_legs"):
-        return False
-    return node.op in ("const", "count", "tick") or (bool(node.args) and all(uniform(x) for x in node.args))
 
 
 def _operations(jaxpr: Any) -> int:

@@ -1,6 +1,7 @@
 """Before a GPU's text is printed: an order in which few values are alive, parts, and which numbers are legs'."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from sweep.fused.program import (
@@ -84,6 +85,8 @@ def rows(top: Block, needed: set[int], group: int) -> tuple[Rows, list[Region]]:
             uses.append((region, index, step))
         elif isinstance(x, Node) and x.number in needed and x.op == "gather" and x.told(At).region.place < 0:
             memory[x.told(At).region] = None
+        if isinstance(x, Store) and x.row and x.region.place < 0:
+            memory[x.region] = None
     for region, index, step in uses:
         if region.place < 0:
             for k in range(group):
@@ -112,6 +115,8 @@ def parts(block: Block, needed: set[int], last: Region | None, group: int, few: 
         asked |= dict.fromkeys(_places(store.value, group), len(made) - 1)
     for store in stores:
         places = [(store.region, store.index + k * store.step) for k in (range(group) if store.value.leg else (0,))]
+        if store.row:  # it may be any row of the region
+            places += [place for place in asked if isinstance(place, tuple) and place[0] is store.region]
         free = max(asked.get(place, 0) for place in (*places, store.region))
         of = store.value.told(At).region if store.value.op == "load" else store.value.number
         k = len(made) - 1 if store in late else max(free, home.get(of, 0))
@@ -344,4 +349,5 @@ class Alone:
         return made
 
     def _store(self, store: Store) -> list[Store]:
-        return [Store(store.region, store.index + k * store.step, x) for k, x in enumerate(self.of(store.value))]
+        each = enumerate(self.of(store.value))
+        return [replace(store, index=store.index + k * store.step, value=x, step=0) for k, x in each]

@@ -166,6 +166,10 @@ class CpuPrinter(Text):
             count = self.counts[1]
             moved = self.emit(f"mul i64 {count}, %stride")
             base = self.emit(f"getelementptr i8, ptr %record, i64 {moved}")
+        if store.row:
+            row = self.emit(f"extractelement {self.vector('int32')} {self.value(store.row)}, i32 0")
+            moved = self.emit(f"mul i64 {self.emit(f'sext i32 {row} to i64')}, {store.stride * size}")
+            base = self.emit(f"getelementptr i8, ptr {base}, i64 {moved}")
         if not value.leg:
             self._put(self.value(value), region.dtype, base, str(place + store.index * size))
             return

@@ -90,12 +90,18 @@ class Region:
 
 @dataclass(eq=False)
 class Store:
-    """Put a value into memory, when all of its block is worked out; at a loop's counter times `step` where that is."""
+    """Put a value into memory once the whole block is computed.
+
+    With a `row`, the address is counted from the start of that row of the region, whose rows have `stride` numbers. The
+    row's number is the same for all rollouts.
+    """
 
     region: Region
     index: int
     value: Node
-    step: int = 0
+    step: int = 0  # from leg to leg
+    row: Node | None = None  # int32
+    stride: int = 0
 
 
 @dataclass(eq=False)
@@ -201,6 +207,13 @@ class Program:
     def add(self, item: Any) -> None:
         """A loop, branch or store in the block that grows."""
         self.blocks[-1].items.append(item)
+
+
+def is_uniform(node: Node) -> bool:
+    """Whether a number is the same for all rollouts, since it follows from constants and loop counters alone."""
+    if node.op in ("gather", "pack", "part", "over_legs"):
+        return False
+    return node.op in ("const", "count", "tick") or (bool(node.args) and all(is_uniform(x) for x in node.args))
 
 
 def _bits(value: Any, dtype: str) -> bytes:

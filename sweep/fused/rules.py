@@ -120,10 +120,8 @@ def _dynamic_slice(self: Arrays, x: Array, *starts: Array, out: Any, slice_sizes
 
 
 def _dynamic_update_slice(self: Arrays, x: Array, update: Array, *starts: Array, out: Any) -> Array:
-    result = x.copy()
     within = [self.within(s[()], n - m) for s, n, m in zip(starts, x.shape, update.shape, strict=True)]
-    self.put(result, update, dict(enumerate(within)), None)
-    return result
+    return self.update(x, update, dict(enumerate(within)))
 
 
 def _gather(

@@ -104,6 +104,8 @@ def _roots(block: Block) -> Iterator[Node]:
     for item in inside(block):
         if isinstance(item, Store):
             yield item.value
+            if item.row:
+                yield item.row
         elif isinstance(item, Branch):
             yield item.index
 

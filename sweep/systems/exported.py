@@ -21,7 +21,7 @@ from sweep.controllers.layers import Feedforward
 from sweep.core.errors import InputError
 from sweep.core.parameters import LARGEST
 from sweep.engines.batching import nominal_plan
-from sweep.engines.closed_loop import GRACE, act, figures_of, init, is_quiet, measure, start_state, truth
+from sweep.engines.closed_loop import GRACE, act, figures_of, init, measure, sensing, start_state, truth
 from sweep.engines.prelude import prepared
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.metric import GOAL, REST, Tick
@@ -54,7 +54,7 @@ def check(case: Case) -> None:
         f"obstacle.kind = {case.obstacle.kind} is not allowed: it may move": bool(case.obstacle.free_bodies),
         f"{kind} is not allowed: it changes its servos' gains": plan.layer(Flywheel) is not None,
         f"{kind} is not allowed: it searches forces before it starts": plan.layer(Feedforward) is not None,
-        "noise is not allowed: an own model has its own": not is_quiet(case.noise),
+        "noise is not allowed: an own model has its own": sensing(case.noise) != "exact",
         "execution.push_impulse is not allowed: controllers of own models do not push": case.execution.push_impulse
         != 0,
         "control is not allowed: nothing is learned": (case.control.calibrate, case.control.touch) != ("none", "none"),
@@ -133,7 +133,7 @@ def controller(case: Case, settings: EngineSettings, limits: Thresholds) -> Cont
         own = believed(belief)
         _, plan, _ = prepared(own, own, key)
         start = start_state(own, own, plan)
-        loop = init(own, own, plan, start, jnp.zeros(()), key, LearnedState(), quiet=True)
+        loop = init(own, own, plan, start, jnp.zeros(()), key, LearnedState(), sensors_are="exact")
         _, command = act(own, own, plan, loop, jnp.int32(0), period)
         state = {"plan": plan, "loop": loop, "command": command, "tick": jnp.int32(0)}
         return start.qpos, state, GRACE * jnp.sum(plan.duration) + REST

@@ -9,7 +9,7 @@ import pytest
 
 from sweep.controllers.observation import Observation, init_sensors, observe
 from sweep.core.rotations import exponential, multiply
-from sweep.engines.closed_loop import is_quiet
+from sweep.engines.closed_loop import sensing
 from sweep.fused.trace import Leaf, traced
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
@@ -28,13 +28,13 @@ def watch(noise: Noise, key=KEY, ticks: int = 8) -> list[Observation]:
     """What is seen of a truth that counts the ticks, from 1 on."""
     sensors, seen = init_sensors(noise, key, truth(0)), []
     for k in range(1, ticks + 1):
-        sensors, one = observe(noise, sensors, truth(k), jax.random.fold_in(key, k))
+        sensors, one = observe(noise, sensors, truth(k), jax.random.fold_in(key, k), k - 1)
         seen.append(one)
     return seen
 
 
 def test_off_means_exact():
-    assert is_quiet(Noise())
+    assert sensing(Noise()) == "exact"
     for k, seen in enumerate(watch(Noise()), start=1):
         for a, b in zip(jax.tree.leaves(seen), jax.tree.leaves(truth(k)), strict=True):
             np.testing.assert_allclose(a, b, atol=1e-9)
@@ -44,16 +44,28 @@ def test_off_means_exact():
 def test_delay_counts_ticks(delay):
     """Before anything else was seen, the start was; joint errors act in the drives and are not delayed."""
     noise = Noise(delay=float(delay), delay_buffer=4, joint_bias=0.1)
-    assert not is_quiet(noise)
+    assert sensing(noise) == "noisy"
     seen = watch(noise)
     np.testing.assert_allclose([float(s.position[0]) for s in seen], np.maximum(np.arange(1, 9) - delay, 0))
     assert [int(s.loaded.sum()) for s in seen] == list(np.clip(np.arange(1, 9) - delay, 0, 6))
     assert np.all(np.asarray(seen[0].joint_error) != 0)
 
 
+def test_late_sensors_without_errors_need_no_random_numbers():
+    """What is measured is the same as by sensors whose errors are zero."""
+    noise = Noise(delay=2.0, load_delay=1.0, body_delay=3.0, delay_buffer=3)
+    assert sensing(noise) == "late"
+    assert sensing(dataclasses.replace(noise, load_bias=np.zeros(3))) == "noisy"
+    late, zero = (init_sensors(noise, KEY, truth(0), has_errors) for has_errors in (False, True))
+    for k in range(1, 9):
+        late, one = observe(noise, late, truth(k), KEY, k - 1)
+        zero, other = observe(noise, zero, truth(k), KEY, k - 1)
+        jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
 def test_an_offset_is_a_constant_error_that_is_given():
     noise = Noise(position_offset_y=0.02, orientation_offset_z=0.1, position_bias=0.0)
-    assert not is_quiet(noise)
+    assert sensing(noise) == "noisy"
     for k, seen in enumerate(watch(noise), start=1):
         np.testing.assert_allclose(seen.position - truth(k).position, [0, 0.02, 0], atol=1e-6)
         turned = multiply(exponential(jnp.array([0.0, 0.0, 0.1])), truth(k).quat)
@@ -69,8 +81,8 @@ def test_a_longer_buffer_changes_nothing():
 def test_the_longest_delay_that_may_be_asked_for_can_be_fused():
     noise = Noise(delay=50.0, load_delay=50.0, delay_buffer=100)
 
-    def tick(given, sensors, _):
-        sensors, seen = observe(dataclasses.replace(noise, delay=given[0]), sensors, truth(2), given[1])
+    def tick(given, sensors, number):
+        sensors, seen = observe(dataclasses.replace(noise, delay=given[0]), sensors, truth(2), given[1], number)
         return sensors, {"load": jnp.asarray(seen.load)}
 
     one, sensors = jax.eval_shape(lambda: ((jnp.zeros(()), KEY), init_sensors(noise, KEY, truth(0))))
@@ -112,7 +124,7 @@ def test_noise_has_the_given_deviation(field, of):
     """400 ticks: the deviation of 1200 normal numbers, or more, is within 8 % of the true one, 4 standard errors."""
     noise = dataclasses.replace(Noise(), **{f"{field}_noise": 0.02})
     sensors = init_sensors(noise, KEY, truth(0))
-    draw = jax.jit(jax.vmap(lambda k: of(observe(noise, sensors, truth(0), jax.random.fold_in(KEY, k))[1])))
+    draw = jax.jit(jax.vmap(lambda k: of(observe(noise, sensors, truth(0), jax.random.fold_in(KEY, k), k)[1])))
     assert np.std(draw(jnp.arange(400))) == pytest.approx(0.02, rel=0.08)
 
 
@@ -130,7 +142,7 @@ def test_the_robot_its_feet_and_the_bodies_have_delays_of_their_own():
     noise = Noise(delay=1.0, load_delay=2.0, body_delay=4.0, delay_buffer=4)
     sensors = init_sensors(noise, KEY, late(0))
     for k in range(1, 9):
-        sensors, seen = observe(noise, sensors, late(k), KEY)
+        sensors, seen = observe(noise, sensors, late(k), KEY, k - 1)
         assert float(seen.position[0]) == pytest.approx(max(k - 1, 0))
         assert float(seen.free.position[0, 0]) == pytest.approx(max(k - 4, 0))
         np.testing.assert_allclose(seen.load, max(k - 3, 0))

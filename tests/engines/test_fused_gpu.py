@@ -66,6 +66,30 @@ def test_legs_in_lanes_are_moved_about_and_summed_as_jax_does(few):
 
 
 @HOW
+@pytest.mark.parametrize("shape", [(6, 3), (4,)])
+def test_a_row_is_stored_at_a_computed_address(few, shape):
+    size, ticks = 5, 12
+
+    def tick(delay, carried, number):
+        past, feet, over = carried
+        late = past[(number + size - delay) % size]
+        past = jax.lax.dynamic_update_index_in_dim(past, feet, number % size, 0)  # carried, and changed below
+        feet = 0.9 * feet + 0.1 * late + number
+        return (past, feet, over), {"late": late}
+
+    delays = jnp.arange(WIDTH) % size
+    start = some(size, *shape), some(*shape, seed=1), jnp.zeros(WIDTH, bool)
+    one = jax.tree.map(lambda x: x[0], (delays, start))
+    code = launch.compiled(tick, *one, lambda x: x[2], ticks, WIDTH, WIDTH, few=few)
+    after, record = launch.run(code, delays, start, jnp.int32(0), jnp.arange(WIDTH))
+    carried = start
+    for number in range(ticks):
+        carried, expected = jax.vmap(tick, (0, 0, None))(delays, carried, number)
+        np.testing.assert_allclose(record["late"][number], expected["late"], rtol=1e-5, atol=1e-5)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5), after, carried)
+
+
+@HOW
 def test_loops_branches_and_places_that_depend_on_the_rollout(few):
     def walked(table, index):
         k = index.astype(jnp.int32)

@@ -119,6 +119,58 @@ def test_zero_times_what_is_no_number_is_none_as_by_xla():
         np.testing.assert_array_equal(values, xla[name], err_msg=name)
 
 
+def ring(size: int):
+    """A tick that reads a ring buffer by each rollout's own delay, then puts this tick's numbers into it."""
+
+    def tick(delay, carried, number):
+        past, feet = carried
+        late = past[(number + size - delay) % size]
+        feet = 0.9 * feet + 0.1 * late + number
+        past = jax.lax.dynamic_update_index_in_dim(past, feet, number % size, 0)
+        return (past, feet), {"feet": feet, "late": late}
+
+    return tick
+
+
+@pytest.mark.parametrize("shape", [(6, 3), (4,)])
+def test_a_row_is_stored_at_a_computed_address(shape):
+    size, ticks, tick = 5, 12, ring(5)
+    delays, start = jnp.arange(WIDTH) % size, (some(size, *shape), some(*shape, seed=1))
+    code = kernel.compiled(tick, delays[0], jax.tree.map(lambda x: x[0], start))
+    record = kernel.Kernel(code).enter(delays, start, WIDTH).advance(0, ticks, np.arange(WIDTH))
+    assert record is not None
+    for k in range(WIDTH):
+        carried = jax.tree.map(lambda x, k=k: x[k], start)
+        for number in range(ticks):
+            carried, expected = tick(delays[k], carried, number)
+            for name, value in expected.items():
+                np.testing.assert_allclose(record[name][number, k], value, rtol=1e-6, atol=1e-5)
+
+
+def test_a_longer_ring_buffer_takes_no_more_instructions():
+    def instructions(size: int) -> int:
+        _, printer = kernel.printed(ring(size), jnp.int32(0), (jnp.zeros((size, 6, 3)), jnp.zeros((6, 3))))
+        return len(printer.lines)
+
+    assert instructions(100) == instructions(4)
+
+
+def test_a_replaced_row_that_is_used_at_once_is_looked_up():
+    def tick(x, table, number):
+        new = jax.lax.dynamic_update_index_in_dim(table, table[2] + x, number % 3, 0)
+        return table, {"new": new, "doubled": 2 * new}
+
+    start = some(3, 2)
+    code = kernel.compiled(tick, jnp.float32(0), start[0])
+    tiles = kernel.Kernel(code).enter(jnp.ones(WIDTH), start, WIDTH)
+    record = tiles.advance(0, 4, np.arange(WIDTH))
+    assert record is not None
+    for number in range(4):
+        expected = start.at[:, number % 3].set(start[:, 2] + 1)
+        np.testing.assert_array_equal(record["new"][number], expected)
+        np.testing.assert_array_equal(record["doubled"][number], 2 * expected)
+
+
 def test_a_batch_keeps_the_program_that_it_goes_through():
     """In a process of its own, which ended in a segmentation fault."""
     code = """if True:
