@@ -43,7 +43,7 @@ def main() -> None:
     nominal = compose(["robot=base"]).case
     top, batch = dynamics.topology(nominal), variants(nominal, BATCH)
     model = mjx.put_model(top.model)
-    make = jax.jit(jax.vmap(partial(mjx_dynamics.varying, top, model), in_axes=(devices.axes(batch),)))
+    make = jax.jit(jax.vmap(partial(mjx_dynamics.varying_fields, top, model), in_axes=(devices.axes(batch),)))
     arrays = devices.as_arrays(batch)
     rate = BATCH / seconds(lambda: make(arrays))
     several = [batching.pick(batch, k) for k in range(ONE_BY_ONE)]

@@ -17,7 +17,7 @@ from jaxtyping import Array
 from sweep.core.parameters import parameters, quantity
 from sweep.core.vectors import Vector
 from sweep.dynamics import contacts, free_bodies, step, tree
-from sweep.dynamics.spatial import Motion, Spatial
+from sweep.dynamics.spatial import Motion, SpatialVector
 from sweep.models.case import Case
 from sweep.models.contact import Contact
 from sweep.models.obstacles.kerb import Kerb
@@ -104,8 +104,9 @@ def _patches() -> Iterator[Any]:
     right = {
         name: getattr(owner, name)
         for owner, name in (
-            (simulation, "step"), (step, "contact_forces"), (contacts, "update_anchors"), (contacts.Contacts, "onto"),
-            (tree, "tree_terms"), (free_bodies, "bias"), (step._Problem, "trial"), (step._Problem, "improve"),
+            (simulation, "step"), (step, "contact_forces"), (contacts, "update_anchors"),
+            (contacts.ContactSet, "root_wrenches"), (tree, "tree_terms"), (free_bodies, "bias_wrench"),
+            (step._Problem, "trial"), (step._Problem, "improve"),
         )
     }  # fmt: skip
 
@@ -121,7 +122,7 @@ def _patches() -> Iterator[Any]:
         now["fault"] = case.obstacle.fault  # pyright: ignore[reportAttributeAccessIssue]
         return right["step"](smooth, case, *of)
 
-    def forces(law: Contact, geometry: contacts.Geometry, velocity: Vector) -> contacts.Forces:
+    def forces(law: Contact, geometry: contacts.ContactGeometry, velocity: Vector) -> contacts.ContactForces:
         along = velocity - velocity.dot(geometry.normal) * geometry.normal
         velocity = velocity - (1 - unless("tangential damping with the wrong sign", -1.0)) * along
         geometry = geometry._replace(
@@ -132,9 +133,9 @@ def _patches() -> Iterator[Any]:
         other = _pyramid(right["contact_forces"], law, geometry, velocity)
         return jax.tree.map(lambda a, b: jnp.where(has(FAULTS[1]), a, b), other, found)
 
-    def onto(self: contacts.Contacts, force: Vector, moment: Vector | None = None) -> list[tuple[int, Spatial]]:
+    def onto(self: contacts.ContactSet, force: Vector, moment: Vector | None = None) -> list[tuple[int, SpatialVector]]:
         twice = unless("an impulse applied twice", 2.0)
-        return right["onto"](self, twice * force, None if moment is None else twice * moment)
+        return right["root_wrenches"](self, twice * force, None if moment is None else twice * moment)
 
     def terms(*of: Any) -> Any:
         found = right["tree_terms"](*of)
@@ -148,8 +149,8 @@ def _patches() -> Iterator[Any]:
         )
         return found._replace(loaded=found.loaded & ~has("anchors forgotten at every step"))
 
-    def bias(*of: Any) -> Spatial:
-        found = right["bias"](*of)
+    def bias(*of: Any) -> SpatialVector:
+        found = right["bias_wrench"](*of)
         return found._replace(angular=unless("no Coriolis force of free bodies", 0.0) * found.angular)
 
     def trial(self: Any, w: Motion) -> Any:
@@ -164,14 +165,14 @@ def _patches() -> Iterator[Any]:
 
     wrong = (
         (simulation, "step", told), (step, "contact_forces", forces), (contacts, "update_anchors", anchors),
-        (contacts.Contacts, "onto", onto), (tree, "tree_terms", terms), (free_bodies, "bias", bias),
+        (contacts.ContactSet, "root_wrenches", onto), (tree, "tree_terms", terms), (free_bodies, "bias_wrench", bias),
         (step._Problem, "trial", trial), (step._Problem, "improve", improve),
     )  # fmt: skip
     for owner, name, function in wrong:
         yield mock.patch.object(owner, name, function)
 
 
-def _pyramid(right: Callable[..., contacts.Forces], law, geometry, velocity) -> contacts.Forces:
+def _pyramid(right: Callable[..., contacts.ContactForces], law, geometry, velocity) -> contacts.ContactForces:
     """Friction is limited along two axes each, not in size."""
     forces = right(law, geometry, velocity)
     free = right(law, geometry._replace(limit=1e6 * jnp.ones_like(geometry.limit)), velocity)

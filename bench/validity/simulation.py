@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sweep.dynamics import interface, tree
-from sweep.dynamics.step import State, from_state, rest, step, to_state
+from sweep.dynamics.step import PhysicsState, from_components, state_at_rest, step, to_components
 from sweep.engines import devices, physics
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.fused import launch
@@ -18,7 +18,9 @@ from sweep.models.case import Case
 from sweep.models.drive import position_mode
 
 Record = dict[str, Any]
-Step = Callable[[Case, State, jax.Array], tuple[State, Record]]  # of one world, under targets; and what is kept of it
+Step = Callable[
+    [Case, PhysicsState, jax.Array], tuple[PhysicsState, Record]
+]  # of one world, under targets; and what is kept of it
 
 
 class History(NamedTuple):
@@ -55,17 +57,19 @@ def simulate(
     return History(**{name: np.asarray(x, float) for name, x in record.items()})
 
 
-def _stepping(nominal: Case, q: np.ndarray, h: float, v: np.ndarray | None, iterations: int) -> tuple[Step, State]:
+def _stepping(
+    nominal: Case, q: np.ndarray, h: float, v: np.ndarray | None, iterations: int
+) -> tuple[Step, PhysicsState]:
     """A step of one world, and the batch at its start."""
     devices.configure()
     top = interface.topology(nominal)
 
-    def one(case: Case, state: State, reference: jax.Array) -> tuple[State, Record]:
+    def one(case: Case, state: PhysicsState, reference: jax.Array) -> tuple[PhysicsState, Record]:
         limits = physics.execution_limits(case, jnp.int32(0), h)
         servo = position_mode(case.drive, reference)
-        moving, report = step(tree.of(case), case, limits, from_state(state), servo, h, iterations)
-        work = h * (jnp.sum(sum(report.power)) + report.outside[0])  # pyright: ignore[reportArgumentType]
-        state, before = to_state(moving), report.before
+        moving, report = step(tree.tree_dynamics(case), case, limits, to_components(state), servo, h, iterations)
+        work = h * (jnp.sum(sum(report.power)) + report.external_power[0])  # pyright: ignore[reportArgumentType]
+        state, before = from_components(moving), report.start
         return state, {
             "q": state.q,
             "v": state.v,
@@ -79,10 +83,10 @@ def _stepping(nominal: Case, q: np.ndarray, h: float, v: np.ndarray | None, iter
 
     start = jnp.asarray(q)  # of the precision in use
     v = np.zeros((len(q), top.model.nv)) if v is None else v
-    return one, jax.vmap(lambda q, v: rest(top, q)._replace(v=v))(start, jnp.asarray(v, start.dtype))
+    return one, jax.vmap(lambda q, v: state_at_rest(top, q)._replace(v=v))(start, jnp.asarray(v, start.dtype))
 
 
-def _by_xla(one: Step, case: Case, states: State, references: jax.Array) -> Record:
+def _by_xla(one: Step, case: Case, states: PhysicsState, references: jax.Array) -> Record:
     axes, own = jax.tree.map(lambda x: -1 if np.ndim(x) else None, case), references.ndim == 4
     references = jnp.moveaxis(references, 1, -1) if own else references
     batch = batch_last_vmap(one, (axes, -1, -1 if own else None), devices.reuse_from())
@@ -103,7 +107,7 @@ class Running(NamedTuple):
     compile_s: float
 
 
-def _by_kernel(one: Step, case: Case, states: State, references: jax.Array) -> Record:
+def _by_kernel(one: Step, case: Case, states: PhysicsState, references: jax.Array) -> Record:
     table = jnp.concatenate([references[:1], references])
     return _begun(one, case, states, table, len(references), 1, np.arange(len(states.q))).advance()
 
@@ -124,7 +128,7 @@ def begun(
     forces of the first rollout (t, 1, ...), and the largest residual of those steps.
     """
 
-    def told(case: Case, state: State, reference: jax.Array) -> tuple[State, Record]:
+    def told(case: Case, state: PhysicsState, reference: jax.Array) -> tuple[PhysicsState, Record]:
         state, record = one(case, state, reference)
         return state, {name: record[name] for name in ("q", "v", "normal", "residual")}
 
@@ -133,18 +137,20 @@ def begun(
     return _begun(told, *of, len(table) - 1, every, np.zeros(1, int))
 
 
-def _begun(one: Step, case: Case, states: State, table: jax.Array, ticks: int, every: int, kept: np.ndarray) -> Running:
+def _begun(
+    one: Step, case: Case, states: PhysicsState, table: jax.Array, ticks: int, every: int, kept: np.ndarray
+) -> Running:
     """`ticks` of `every` steps each, of which the last is told."""
     still = bool(np.all(table == table[0]))  # targets that stay take no memory
     table = table[:1] if still else table
     table = jnp.moveaxis(table, 1, 0) if table.ndim == 4 else table
     last = table.shape[-3] - 1
 
-    def tick(given: tuple[Case, jax.Array], state: State, k: jax.Array) -> tuple[State, Record]:
+    def tick(given: tuple[Case, jax.Array], state: PhysicsState, k: jax.Array) -> tuple[PhysicsState, Record]:
         case, targets = given
         old, new = targets[jnp.minimum(k, last)], targets[jnp.minimum(k + 1, last)]
 
-        def ahead(carry: tuple[State, Record], j: jax.Array) -> tuple[tuple[State, Record], None]:
+        def ahead(carry: tuple[PhysicsState, Record], j: jax.Array) -> tuple[tuple[PhysicsState, Record], None]:
             share = (j + 1).astype(old.dtype) / every
             state, record = one(case, carry[0], (1 - share) * old + share * new)
             return (state, record | {"residual": jnp.maximum(record["residual"], carry[1]["residual"])}), None
@@ -161,10 +167,12 @@ def _begun(one: Step, case: Case, states: State, table: jax.Array, ticks: int, e
     return make(tick, (shapes, jax.tree.map(lambda x: of_one(x, 1), states)), (case, table), states, ticks, kept)
 
 
-Tick = Callable[[Any, State, jax.Array], tuple[State, Record]]
+Tick = Callable[[Any, PhysicsState, jax.Array], tuple[PhysicsState, Record]]
 
 
-def _on_cpu(tick: Tick, shapes: tuple[Any, Any], given: Any, states: State, ticks: int, kept: np.ndarray) -> Running:
+def _on_cpu(
+    tick: Tick, shapes: tuple[Any, Any], given: Any, states: PhysicsState, ticks: int, kept: np.ndarray
+) -> Running:
     start = time.perf_counter()
     kernel = Kernel(compiled(tick, *shapes))
     seconds = time.perf_counter() - start
@@ -177,10 +185,12 @@ def _on_cpu(tick: Tick, shapes: tuple[Any, Any], given: Any, states: State, tick
     return Running(advance, seconds)
 
 
-def on_gpu(tick: Tick, shapes: tuple[Any, Any], given: Any, states: State, ticks: int, kept: np.ndarray) -> Running:
+def on_gpu(
+    tick: Tick, shapes: tuple[Any, Any], given: Any, states: PhysicsState, ticks: int, kept: np.ndarray
+) -> Running:
     """A batch on a GPU: all its ticks in one kernel, which ends no rollout early."""
 
-    def endless(given: Any, carried: tuple[State, jax.Array], k: jax.Array) -> tuple[Any, Record]:
+    def endless(given: Any, carried: tuple[PhysicsState, jax.Array], k: jax.Array) -> tuple[Any, Record]:
         state, record = tick(given, carried[0], k)
         return (state, carried[1]), record
 
@@ -188,7 +198,7 @@ def on_gpu(tick: Tick, shapes: tuple[Any, Any], given: Any, states: State, ticks
     flag = jax.ShapeDtypeStruct((), bool)
     code = launch.compiled(endless, shapes[0], (shapes[1], flag), lambda carried: carried[1], ticks, len(kept), width)
 
-    def all_ticks(given: Any, states: State) -> Any:
+    def all_ticks(given: Any, states: PhysicsState) -> Any:
         return launch.run(code, given, (states, jnp.zeros(width, bool)), jnp.int32(0), jnp.asarray(kept))[1]
 
     program = jax.jit(all_ticks, compiler_options=launch.OPTIONS).lower(given, states).compile()

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sweep.core.vectors import Matrix, Vector, along, where
 from sweep.dynamics import free_bodies
 from sweep.dynamics.free_bodies import Frames, FreeBodies
-from sweep.dynamics.spatial import Spatial
+from sweep.dynamics.spatial import SpatialVector
 from sweep.models.case import Case
 from sweep.models.contact import Contact
 from sweep.models.legs import N_LEGS
@@ -37,7 +37,7 @@ class Anchors(NamedTuple):
     face: Int[Array, " n"]
 
 
-class Geometry(NamedTuple):
+class ContactGeometry(NamedTuple):
     """Everything of n contacts that stays fixed while a step's velocity is solved for. Axes are those of its maker."""
 
     depth: Float[Array, " n"]
@@ -46,12 +46,12 @@ class Geometry(NamedTuple):
     limit: Float[Array, " n"]  # friction coefficient
     damping: Float[Array, " n"] | float  # N s/m, d_n and the surface's own
 
-    def turned(self, by: Matrix) -> "Geometry":
+    def rotate(self, rotation: Matrix) -> "ContactGeometry":
         """The geometry in other axes."""
-        return self._replace(normal=by @ self.normal, stretch=by @ self.stretch)
+        return self._replace(normal=rotation @ self.normal, stretch=rotation @ self.stretch)
 
 
-class Forces(NamedTuple):
+class ContactForces(NamedTuple):
     """Contact forces at a velocity."""
 
     force: Vector  # N, on the point
@@ -63,7 +63,7 @@ class Forces(NamedTuple):
     loaded: Bool[Array, " n"]
 
 
-def nowhere(n: int, dtype: jnp.dtype) -> Anchors:
+def no_anchors(n: int, dtype: jnp.dtype) -> Anchors:
     """Anchors of n points that have not touched anything."""
     return Anchors(Vector.of(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, FACE))
 
@@ -100,7 +100,7 @@ def to_body(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPose
 
 def contact_geometry(
     contact: Contact, surface: Surface, anchors: Anchors, point: Vector, frames: Frames
-) -> tuple[Geometry, Vector]:
+) -> tuple[ContactGeometry, Vector]:
     """Contact geometry at the start of a step, and the anchors; world axes.
 
     A point keeps its anchor while it stays loaded on the same face; otherwise it takes hold where it is now.
@@ -115,10 +115,10 @@ def contact_geometry(
     gap = place - point
     stretch = gap - gap.dot(normal) * normal
     damping = contact.damping if surface.damping is None else contact.damping + surface.damping
-    return Geometry(surface.depth, normal, stretch, contact.friction * surface.friction_scale, damping), place
+    return ContactGeometry(surface.depth, normal, stretch, contact.friction * surface.friction_scale, damping), place
 
 
-def contact_forces(contact: Contact, geometry: Geometry, velocity: Vector) -> Forces:
+def contact_forces(contact: Contact, geometry: ContactGeometry, velocity: Vector) -> ContactForces:
     """Forces in a step that is passed at `velocity` (m/s, relative to the surface).
 
     N = c_n depth - d_n v_n where positive; the tangential force is elastic up to the Coulomb limit. The depth is that
@@ -135,10 +135,10 @@ def contact_forces(contact: Contact, geometry: Geometry, velocity: Vector) -> Fo
     slipping = loaded & ~(size <= most)  # a limit that is not a number must show, not hold
     share = jnp.where(loaded, jnp.where(slipping, most / size, 1.0), 0.0)
     tangential = share * elastic
-    return Forces(normal * n + tangential, normal, tangential, (1 / size) * elastic, share, slipping, loaded)
+    return ContactForces(normal * n + tangential, normal, tangential, (1 / size) * elastic, share, slipping, loaded)
 
 
-def contact_slope(geometry: Geometry, forces: Forces, h: float) -> Matrix:
+def contact_slope(geometry: ContactGeometry, forces: ContactForces, h: float) -> Matrix:
     """-h d force / d velocity (N s^2/m), where `forces` are.
 
     It keeps the coupling of the limit to the normal force, which makes it unsymmetric: without it the two iterations of
@@ -160,7 +160,7 @@ def update_anchors(
     point: Vector,
     frames: Frames,
     place: Vector,
-    forces: Forces,
+    forces: ContactForces,
     velocity: Vector,
     h: float,
 ) -> Anchors:
@@ -179,14 +179,16 @@ def update_anchors(
     return Anchors(kept, forces.loaded, surface.face.astype(FACE))
 
 
-class Moments(NamedTuple):
+class ResistingMoments(NamedTuple):
     """Moments on the spheres at a rate of turning, and how they fall with it."""
 
     moment: Vector  # (m,) N m
     slope: Matrix  # (m,) -d moment / d rate, N m s/rad
 
 
-def resisting_moments(rolling: RollingResistance, normal: Vector, load: Float[Array, "*m"], rate: Vector) -> Moments:
+def resisting_moments(
+    rolling: RollingResistance, normal: Vector, load: Float[Array, "*m"], rate: Vector
+) -> ResistingMoments:
     """Moments (N m) against rolling and spinning at `rate` (rad/s) under the normal forces `load` (N)."""
     spin = rate.dot(normal)
     roll = rate - spin * normal
@@ -198,90 +200,94 @@ def resisting_moments(rolling: RollingResistance, normal: Vector, load: Float[Ar
     along_n = (rests * of_spin - of_roll) * normal
     along_t = ((size > CREEP).astype(spin.dtype) * of_roll / size**2) * roll
     rows = zip(along_n, along_t, strict=True)
-    return Moments(moment, Matrix(*(a * normal - b * roll + along(k, of_roll) for k, (a, b) in enumerate(rows))))
+    return ResistingMoments(
+        moment, Matrix(*(a * normal - b * roll + along(k, of_roll) for k, (a, b) in enumerate(rows)))
+    )
 
 
-class Arm(NamedTuple):
+class ContactArm(NamedTuple):
     """What a root body does to n contact points: it carries some, and others stand on it."""
 
     body: int
     share: Float[Array, " n"] | None  # 1 carries, -1 is stood on, 0 neither; None: it carries all
     at: Vector  # m, of the points from the body's origin
 
-    def shared(self, v: Vector) -> Vector:
+    def apply_share(self, v: Vector) -> Vector:
         """The body's share of what belongs to the points."""
         return v if self.share is None else self.share * v
 
-    def rows(self, m: Matrix) -> tuple[Matrix, Matrix]:
+    def wrench_rows(self, m: Matrix) -> tuple[Matrix, Matrix]:
         """Of a matrix that gives forces on the points: those that give force and torque on the body."""
         m = m if self.share is None else m.scaled(self.share)
         return m, m.transposed.crossed(-self.at).transposed
 
-    def columns(self, m: Matrix) -> tuple[Matrix, Matrix]:
+    def twist_columns(self, m: Matrix) -> tuple[Matrix, Matrix]:
         """Of a matrix that takes velocities of the points: those that take the body's velocity and rate of turning."""
         m = m if self.share is None else m.scaled(self.share)
         return m, m.crossed(-self.at)
 
 
-class Contacts(NamedTuple):
+class ContactSet(NamedTuple):
     """Points with the law of contact in common: the feet, or the sites of free bodies."""
 
-    geometry: Geometry
-    arms: tuple[Arm, ...]
+    geometry: ContactGeometry
+    arms: tuple[ContactArm, ...]
     rolling: RollingResistance | None = None
 
-    def velocity(self, root: Sequence[Spatial]) -> Vector:
+    def velocity(self, root: Sequence[SpatialVector]) -> Vector:
         """Of the points relative to their surfaces, as the root bodies move (m/s)."""
         return reduce(
-            add, [arm.shared(root[arm.body].linear + root[arm.body].angular.cross(arm.at)) for arm in self.arms]
+            add, [arm.apply_share(root[arm.body].linear + root[arm.body].angular.cross(arm.at)) for arm in self.arms]
         )
 
-    def turning(self, root: Sequence[Spatial]) -> Vector:
+    def relative_spin(self, root: Sequence[SpatialVector]) -> Vector:
         """Rates at which the bodies that carry the points turn relative to those under them (rad/s)."""
-        return reduce(add, [arm.shared(root[arm.body].angular) for arm in self.arms])
+        return reduce(add, [arm.apply_share(root[arm.body].angular) for arm in self.arms])
 
-    def onto(self, force: Vector, moment: Vector | None = None) -> list[tuple[int, Spatial]]:
+    def root_wrenches(self, force: Vector, moment: Vector | None = None) -> list[tuple[int, SpatialVector]]:
         """Force and torque on root bodies, of forces and moments at the points."""
         out = []
         for arm in self.arms:
-            own = arm.shared(force)
-            torque = arm.at.cross(own) if moment is None else arm.at.cross(own) + arm.shared(moment)
-            out.append((arm.body, Spatial(own.total(), torque.total())))
+            own = arm.apply_share(force)
+            torque = arm.at.cross(own) if moment is None else arm.at.cross(own) + arm.apply_share(moment)
+            out.append((arm.body, SpatialVector(own.total(), torque.total())))
         return out
 
 
-def arms(at: Vector, body: Array, owner: Sequence[int], origins: Sequence[Vector]) -> tuple[Arm, ...]:
+def body_arms(at: Vector, body: Array, owner: Sequence[int], origins: Sequence[Vector]) -> tuple[ContactArm, ...]:
     """Arms of free bodies to points `at` that `owner` carries and that stand on `body`; their origins, base axes."""
     shares = [jnp.equal(np.array(owner), k) - (body == k).astype(at.x.dtype) for k in range(len(origins))]
-    return tuple(Arm(k + 1, share, at - origin) for k, (share, origin) in enumerate(zip(shares, origins, strict=True)))
+    return tuple(
+        ContactArm(k + 1, share, at - origin) for k, (share, origin) in enumerate(zip(shares, origins, strict=True))
+    )
 
 
-class Touch(NamedTuple):
+class ContactStart(NamedTuple):
     """The feet, or the sites of free bodies, at the start of a step. World axes, but for `contacts`, in base axes."""
 
-    contacts: Contacts
+    contacts: ContactSet
     surface: Surface
     point: Vector  # m
     place: Vector  # m, the anchors
 
-    def after(
-        self, law: Contact, forces: Forces, velocity: Vector, turned: Matrix, frames: Frames, h: float
+    def next_anchors(
+        self, law: Contact, forces: ContactForces, velocity: Vector, rotation: Matrix, frames: Frames, h: float
     ) -> Anchors:
         """The anchors after the step; forces and velocities in base axes, from which `turned` leads to the world's."""
-        world = forces._replace(tangential=turned @ forces.tangential)
-        return update_anchors(law, self.surface, self.point, frames, self.place, world, turned @ velocity, h)
+        world = forces._replace(tangential=rotation @ forces.tangential)
+        return update_anchors(law, self.surface, self.point, frames, self.place, world, rotation @ velocity, h)
 
 
-def touched(
-    case: Case, anchors: Sequence[Anchors], base: Vector, turned: Matrix, feet: Vector, free: FreeBodies
-) -> list[Touch]:
+def find_contacts(
+    case: Case, anchors: Sequence[Anchors], base: Vector, rotation: Matrix, feet: Vector, free: FreeBodies
+) -> list[ContactStart]:
     """Those of the feet (m, base axes), and of the sites of free bodies where there are some.
 
     The base is at `base` (m), `turned` from its axes to the world's.
     """
-    to_base, at = turned.transposed, [feet, *free_bodies.sites(case, free)]
-    points = [base + turned @ each for each in at]
-    owner, bodies = free_bodies.owners(case), free_bodies.as_bodies(free, feet.x.dtype)
+    to_base, at = rotation.transposed, [feet, *free_bodies.contact_sites(case, free)]
+    points = [base + rotation @ each for each in at]
+    owner, bodies = free_bodies.contact_owners(case), free_bodies.to_body_poses(free, feet.x.dtype)
     surface = case.obstacle.surface(jnp.concatenate([each.array() for each in points]), owner, bodies)
     touches = []
     for k, (held, span) in enumerate(zip(anchors, (slice(N_LEGS), slice(N_LEGS, None)), strict=False)):
@@ -291,8 +297,8 @@ def touched(
             offset = -own.rolling.radius * Vector.of(own.normal)
             point, place = point + offset, place + to_base @ offset
         geometry, anchor = contact_geometry(case.contact, own, held, point, free.frames)
-        carried = arms(place, own.body, owner[span], free.origins)
+        carried = body_arms(place, own.body, owner[span], free.origins)
         if k == 0:
-            carried = (Arm(0, None, place), *carried)
-        touches.append(Touch(Contacts(geometry.turned(to_base), carried, own.rolling), own, point, anchor))
+            carried = (ContactArm(0, None, place), *carried)
+        touches.append(ContactStart(ContactSet(geometry.rotate(to_base), carried, own.rolling), own, point, anchor))
     return touches

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from sweep.core.constants import GRAVITY
 from sweep.core.vectors import Matrix, Vector
-from sweep.dynamics.spatial import Inertia, Motion, Pose, Spatial
+from sweep.dynamics.spatial import Inertia, Motion, Pose, SpatialVector
 from sweep.models.case import Case
 from sweep.models.legs import N_LEGS
 from sweep.models.obstacles.surface import BodyPoses, FreeState, free_start_state
@@ -31,7 +31,7 @@ def kinematics(pose: Pose, to_base: Matrix) -> FreeBodies:
     return FreeBodies(origins, [to_base.times(rotation) for _, rotation in frames], frames)
 
 
-def resting(case: Case) -> FreeState:
+def start_at_rest(case: Case) -> FreeState:
     """At the start: what lies on the floor has sunk in until the contact bears its weight, and does not bounce."""
     free, obstacle = free_start_state(case.obstacle), case.obstacle
     if not obstacle.lying:
@@ -53,13 +53,13 @@ def inertias(case: Case, axes: list[Matrix]) -> list[Inertia]:
     return out
 
 
-def bias(inertia: Inertia, motion: Spatial, up: Vector) -> Spatial:
+def bias_wrench(inertia: Inertia, motion: SpatialVector, up: Vector) -> SpatialVector:
     """Of a body: Coriolis and gravity force that keep its acceleration zero; `up` is the world's z axis."""
     spin = motion.angular
-    return Spatial((GRAVITY * inertia.mass) * up, spin.cross(inertia.inertia @ spin))
+    return SpatialVector((GRAVITY * inertia.mass) * up, spin.cross(inertia.inertia @ spin))
 
 
-def sites(case: Case, bodies: FreeBodies) -> list[Vector]:
+def contact_sites(case: Case, bodies: FreeBodies) -> list[Vector]:
     """Contact sites (m,), if any; one that is not among the obstacle's leaves is at its body's origin."""
     places, found = case.obstacle.batched_model_fields().get("site_pos", {}), []
     for name, k in case.obstacle.contact_sites:
@@ -70,16 +70,16 @@ def sites(case: Case, bodies: FreeBodies) -> list[Vector]:
     return [Vector(*(jnp.concatenate(parts) for parts in zip(*found, strict=True)))] if found else []
 
 
-def owners(case: Case) -> tuple[int, ...]:
+def contact_owners(case: Case) -> tuple[int, ...]:
     """The free body that carries each contact point, -1 for the robot's feet, which come first."""
     return (-1,) * N_LEGS + tuple(body for _, body in case.obstacle.contact_sites)
 
 
-def loads(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies) -> list[Spatial]:
+def external_wrenches(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies) -> list[SpatialVector]:
     """What the obstacle puts on its bodies beside weight and contact, world axes, if anything."""
     if not bodies.frames:
         return []
-    turned = [own.turned(rotation) for own, (_, rotation) in zip(motion.root[1:], bodies.frames, strict=True)]
+    turned = [own.rotate(rotation) for own, (_, rotation) in zip(motion.root[1:], bodies.frames, strict=True)]
     load = case.obstacle.external_wrench(
         FreeState(
             jnp.concatenate([place.position.array() for place in pose.root[1:]]),
@@ -88,10 +88,10 @@ def loads(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies) -> list[Sp
             jnp.concatenate([own.angular.array() for own in turned]),
         )
     )
-    return [] if load is None else [Spatial(Vector.of(x[None, :3]), Vector.of(x[None, 3:])) for x in load]
+    return [] if load is None else [SpatialVector(Vector.of(x[None, :3]), Vector.of(x[None, 3:])) for x in load]
 
 
-def as_bodies(bodies: FreeBodies, dtype: jnp.dtype) -> BodyPoses:
+def to_body_poses(bodies: FreeBodies, dtype: jnp.dtype) -> BodyPoses:
     """The poses of free bodies as arrays."""
     if not bodies.frames:
         return BodyPoses(jnp.zeros((0, 3), dtype), jnp.zeros((0, 3, 3), dtype))

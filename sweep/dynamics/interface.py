@@ -13,7 +13,7 @@ import numpy as np
 
 from sweep.core.errors import InputError
 from sweep.core.vectors import Vector
-from sweep.dynamics.free_bodies import owners
+from sweep.dynamics.free_bodies import contact_owners
 from sweep.dynamics.spatial import Mass, Motion, Pose
 from sweep.models import scene
 from sweep.models.case import Case
@@ -59,4 +59,4 @@ def topology(case: Case) -> Topology:
             raise InputError(f"free body {name} is not allowed: its frame is at its mass centre, on principal axes")
     leg = np.array([model.jnt_dofadr[names["joint"][joint]] for joint in JOINTS], np.int32).reshape(N_LEGS, 3)
     feet = np.array([names["site"][f"foot{leg}"] for leg in LEGS], np.int32)
-    return Topology(model, names, leg, feet, free, owners(case))
+    return Topology(model, names, leg, feet, free, contact_owners(case))

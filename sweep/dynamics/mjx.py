@@ -12,7 +12,7 @@ from mujoco.mjx._src import smooth
 
 from sweep.core.vectors import Matrix, Vector
 from sweep.dynamics.interface import SmoothDynamics, Topology, Tree
-from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, Spatial, pack
+from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, SpatialVector, pack
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import N_LEGS
@@ -20,14 +20,14 @@ from sweep.models.legs import N_LEGS
 BASE = 1  # body id
 
 
-def of(top: Topology) -> Callable[[Case], SmoothDynamics]:
+def mjx_dynamics(top: Topology) -> Callable[[Case], SmoothDynamics]:
     """The smooth dynamics of a world, for every world of the topology."""
     model = mjx.put_model(top.model, impl="jax")
     data = mjx.make_data(model, impl="jax")
-    return lambda world: partial(smooth_dynamics, top, model.replace(**varying(top, model, world)), data)
+    return lambda world: partial(smooth_dynamics, top, model.replace(**varying_fields(top, model, world)), data)
 
 
-def varying(top: Topology, model: mjx.Model, case: Case) -> dict[str, Array]:
+def varying_fields(top: Topology, model: mjx.Model, case: Case) -> dict[str, Array]:
     """The arrays of the topology's `model` that follow from the parameters of `case`, by field. Pure JAX."""
     changed = {}
     for field, values in scene.batched_model_fields(case).items():
@@ -56,13 +56,13 @@ def smooth_dynamics(top: Topology, model: mjx.Model, data: mjx.Data, pose: Pose,
     m_leg = m_leg + model.dof_armature[top.leg][:, :, None] * jnp.eye(3, dtype=q.dtype)
     turned = d.xmat[BASE]
     cross = jnp.einsum("ic,ljc->jli", base, wrench[top.leg])  # (3, 6, 6), linear parts in world axes
-    columns = tuple(Spatial(Vector.of(c[:, :3] @ turned), Vector.of(c[:, 3:])) for c in cross)
+    columns = tuple(SpatialVector(Vector.of(c[:, :3] @ turned), Vector.of(c[:, 3:])) for c in cross)
     whole = base @ wrench[:6].T
     arm = turned.T @ whole[:3, 3:]  # minus the matrix of the first moment cross
     moment = Vector(arm[1:2, 2], arm[2:3, 0], arm[0:1, 1])
     inertia = Inertia(whole[0:1, 0], moment, Matrix.of(whole[None, 3:, 3:]))
     bias = d.qfrc_bias
-    forces = Spatial(Vector.of((bias[:3] @ turned)[None]), Vector.of(bias[None, 3:6]))
+    forces = SpatialVector(Vector.of((bias[:3] @ turned)[None]), Vector.of(bias[None, 3:6]))
     foot, per_leg = d.site_xpos[top.feet], (top.model.nbody - 2 - len(top.free)) // N_LEGS
     swept = leg[:, :, 3:] + jnp.cross(leg[:, :, :3], (foot - d.subtree_com[BASE])[:, None, :])
     links = d.xpos[2 : 2 + N_LEGS * per_leg].reshape(N_LEGS, per_leg, 3)

@@ -5,8 +5,8 @@ from operator import add
 from typing import NamedTuple
 
 from sweep.core.vectors import Matrix, Vector, cross_matrix, diagonal
-from sweep.dynamics.contacts import Arm, Contacts
-from sweep.dynamics.spatial import Mass, Motion, Rates, Spatial
+from sweep.dynamics.contacts import ContactArm, ContactSet
+from sweep.dynamics.spatial import Mass, Motion, Rates, SpatialVector
 
 
 class Legs(NamedTuple):
@@ -22,11 +22,11 @@ class Legs(NamedTuple):
     rest: list[list[Matrix]]  # what remains between the columns
 
 
-def direction(
+def newton_direction(
     mass: Mass,
     j_leg: tuple[Vector, Vector, Vector],
     stiff: Rates,
-    contacts: tuple[Contacts, ...],
+    contacts: tuple[ContactSet, ...],
     slopes: list[Matrix],
     rolling: Matrix | None,
     right: Motion,
@@ -39,7 +39,7 @@ def direction(
     feet, *sites = contacts
     base, *others = feet.arms
     legs = _eliminate_legs(mass, j_leg, stiff, base, slopes[0], len(others) > 0)
-    blocks = Blocks()
+    blocks = BlockMatrix()
     for i in range(2):
         for j in range(2):
             blocks.add(i, j, legs.rest[i][j].total())
@@ -61,11 +61,11 @@ def direction(
             known[i] = known[i] - (rate * column[i]).total()
         for arm in others:
             linear, angular = (2 * arm.body + i for i in range(2))
-            own = arm.shared(rate * column[2])
+            own = arm.apply_share(rate * column[2])
             known[linear] = known[linear] - own.total()
             known[angular] = known[angular] - arm.at.cross(own).total()
     x = blocks.solve(known)
-    root = tuple(Spatial(x[2 * k], x[2 * k + 1]) for k in range(len(mass.root)))
+    root = tuple(SpatialVector(x[2 * k], x[2 * k + 1]) for k in range(len(mass.root)))
     felt = [*root[0]]
     if others:
         felt.append(feet._replace(arms=tuple(others)).velocity(root))
@@ -77,7 +77,7 @@ def direction(
 
 
 def _eliminate_legs(
-    mass: Mass, j_leg: tuple[Vector, Vector, Vector], stiff: Rates, arm: Arm, slope: Matrix, moving: bool
+    mass: Mass, j_leg: tuple[Vector, Vector, Vector], stiff: Rates, arm: ContactArm, slope: Matrix, moving: bool
 ) -> Legs:
     """`arm` is that of the base to the feet; `moving` where they stand on free bodies."""
     down = slope.transposed
@@ -93,8 +93,8 @@ def _eliminate_legs(
     inverse = leg.plus(diagonal(*stiff)).inverse()
     a, b, c = lower
     solved = [[row.x * a[i] + row.y * b[i] + row.z * c[i] for i in range(2 + moving)] for row in inverse]
-    moved, turned = arm.columns(slope)[1], arm.rows(slope)[1]
-    direct = [[slope, moved, slope], [turned, arm.rows(moved)[1], turned], [slope, moved, slope]]
+    moved, turned = arm.twist_columns(slope)[1], arm.wrench_rows(slope)[1]
+    direct = [[slope, moved, slope], [turned, arm.wrench_rows(moved)[1], turned], [slope, moved, slope]]
 
     def rest(i: int, j: int) -> Matrix:
         rows = []
@@ -107,18 +107,18 @@ def _eliminate_legs(
     return Legs(upper, solved, inverse, [[rest(i, j) for j in range(2 + moving)] for i in range(2 + moving)])
 
 
-def _stand_on(blocks: "Blocks", arm: Arm, rest: list[list[Matrix]]) -> None:
+def _stand_on(blocks: "BlockMatrix", arm: ContactArm, rest: list[list[Matrix]]) -> None:
     """A free body feels what legs that stand on it feel of the motion under their feet."""
     ground = 2
     for i in range(2):
-        for j, column in enumerate(arm.columns(rest[i][ground])):
+        for j, column in enumerate(arm.twist_columns(rest[i][ground])):
             blocks.add(i, 2 * arm.body + j, column.total())
-        for j, row in enumerate(arm.rows(rest[ground][i])):
+        for j, row in enumerate(arm.wrench_rows(rest[ground][i])):
             blocks.add(2 * arm.body + j, i, row.total())
     _couple(blocks, arm, arm, rest[ground][ground])
 
 
-def _touch(blocks: "Blocks", touching: tuple[Arm, ...], slope: Matrix, turning: Matrix | None) -> None:
+def _touch(blocks: "BlockMatrix", touching: tuple[ContactArm, ...], slope: Matrix, turning: Matrix | None) -> None:
     """Free bodies touch the world and each other; `turning` is the resistance to rolling."""
     for one in touching:
         for other in touching:
@@ -128,25 +128,25 @@ def _touch(blocks: "Blocks", touching: tuple[Arm, ...], slope: Matrix, turning: 
                 blocks.add(2 * one.body + 1, 2 * other.body + 1, shared.total())
 
 
-def _couple(blocks: "Blocks", one: Arm, other: Arm, slope: Matrix) -> None:
-    for i, row in enumerate(one.rows(slope)):
-        for j, block in enumerate(other.columns(row)):
+def _couple(blocks: "BlockMatrix", one: ContactArm, other: ContactArm, slope: Matrix) -> None:
+    for i, row in enumerate(one.wrench_rows(slope)):
+        for j, block in enumerate(other.twist_columns(row)):
             blocks.add(2 * one.body + i, 2 * other.body + j, block.total())
 
 
-class Blocks:
+class BlockMatrix:
     """A square matrix of 3x3 blocks, those that are missing being zero."""
 
     def __init__(self) -> None:
-        self.of: dict[tuple[int, int], Matrix] = {}
+        self.blocks: dict[tuple[int, int], Matrix] = {}
 
     def add(self, i: int, j: int, block: Matrix) -> None:
         """Add a block to what is there."""
-        self.of[i, j] = self.of[i, j].plus(block) if (i, j) in self.of else block
+        self.blocks[i, j] = self.blocks[i, j].plus(block) if (i, j) in self.blocks else block
 
     def solve(self, right: list[Vector]) -> list[Vector]:
         """Gauss without pivoting: the diagonal prevails."""
-        n, a, right = len(right), dict(self.of), list(right)
+        n, a, right = len(right), dict(self.blocks), list(right)
         inverses: list[Matrix] = []
         for i in range(n):
             inverses.append(a[i, i].inverse())

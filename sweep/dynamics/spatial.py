@@ -18,30 +18,30 @@ from sweep.models.legs import N_LEGS
 Rates = tuple[Array, Array, Array]  # (l,) of alpha, beta, gamma
 
 
-def by_joint(values: Float[Array, "l 3"]) -> Rates:
+def split_joints(values: Float[Array, "l 3"]) -> Rates:
     """A table of the legs' joints (l, 3) by columns."""
     return values[:, 0], values[:, 1], values[:, 2]
 
 
-def each(f: Callable[..., Array], *values: tuple[Any, Any, Any]) -> Rates:
+def map_joints(f: Callable[..., Array], *values: tuple[Any, Any, Any]) -> Rates:
     """`f` for each joint of the legs."""
     alpha, beta, gamma = (f(*parts) for parts in zip(*values, strict=True))
     return alpha, beta, gamma
 
 
-class Spatial(NamedTuple):
+class SpatialVector(NamedTuple):
     """Motion, momentum or force of a body: its linear part, and its angular part about the body's origin."""
 
     linear: Vector
     angular: Vector
 
-    def dot(self, other: "Spatial") -> Array:
+    def dot(self, other: "SpatialVector") -> Array:
         """Power, where one is a motion and the other a force."""
         return self.linear.dot(other.linear) + self.angular.dot(other.angular)
 
-    def turned(self, by: Matrix) -> "Spatial":
+    def rotate(self, rotation: Matrix) -> "SpatialVector":
         """The same vector in other axes."""
-        return Spatial(by @ self.linear, by @ self.angular)
+        return SpatialVector(rotation @ self.linear, rotation @ self.angular)
 
 
 class RootPose(NamedTuple):
@@ -54,7 +54,7 @@ class RootPose(NamedTuple):
         """Its rotation, body to world."""
         return rotation(*self.quat)
 
-    def after(self, velocity: Vector, spin: Vector, h: float) -> "RootPose":
+    def integrate(self, velocity: Vector, spin: Vector, h: float) -> "RootPose":
         """Moved on for h seconds at `velocity` (m/s, world axes) and `spin` (rad/s, own axes)."""
         rate = jnp.sqrt(spin.dot(spin) + 1e-24)
         half = 0.5 * h * rate
@@ -81,7 +81,7 @@ class Pose(NamedTuple):
 class Motion(NamedTuple):
     """How they move, or a momentum or force that goes with it. Axes are those of its maker."""
 
-    root: tuple[Spatial, ...]
+    root: tuple[SpatialVector, ...]
     leg: Rates
 
     def dot(self, other: "Motion") -> Array:
@@ -97,33 +97,33 @@ class Inertia(NamedTuple):
     moment: Vector | None  # (1,) kg m, mass times mass centre; None where that is the origin
     inertia: Matrix  # (1,) kg m^2
 
-    def times(self, v: Spatial) -> Spatial:
+    def momentum(self, v: SpatialVector) -> SpatialVector:
         """The momentum at these velocities."""
         linear, angular = self.mass * v.linear, self.inertia @ v.angular
         if self.moment is None:
-            return Spatial(linear, angular)
-        return Spatial(linear - self.moment.cross(v.angular), self.moment.cross(v.linear) + angular)
+            return SpatialVector(linear, angular)
+        return SpatialVector(linear - self.moment.cross(v.angular), self.moment.cross(v.linear) + angular)
 
 
 class Mass(NamedTuple):
     """The mass matrix of robot and free bodies."""
 
     root: tuple[Inertia, ...]  # the robot's as if its joints were locked, then the free bodies'
-    cross: tuple[Spatial, Spatial, Spatial]  # (l,) momentum of the leg per rate of a joint
+    cross: tuple[SpatialVector, SpatialVector, SpatialVector]  # (l,) momentum of the leg per rate of a joint
     leg: Matrix  # (l,)
 
-    def times(self, v: Motion) -> Motion:
+    def momentum(self, v: Motion) -> Motion:
         """The momentum at these velocities."""
-        base, *free = [inertia.times(motion) for inertia, motion in zip(self.root, v.root, strict=True)]
+        base, *free = [inertia.momentum(motion) for inertia, motion in zip(self.root, v.root, strict=True)]
         linear, angular = base
         own = self.leg @ Vector(*v.leg)
         legs = tuple(c.dot(v.root[0]) + p for c, p in zip(self.cross, own, strict=True))
         for column, rate in zip(self.cross, v.leg, strict=True):
             linear, angular = linear + (rate * column.linear).total(), angular + (rate * column.angular).total()
-        return Motion((Spatial(linear, angular), *free), legs)  # pyright: ignore
+        return Motion((SpatialVector(linear, angular), *free), legs)  # pyright: ignore
 
 
-def shifted(a, share: Array | float, b):
+def add_scaled(a, share: Array | float, b):
     """a + share * b, part by part of two trees of the same form."""
     return jax.tree.map(lambda x, y: x + share * y, a, b)
 
@@ -139,8 +139,8 @@ def unpack(q: Array, v: Array) -> tuple[Pose, Motion]:
         moving = [v[of + i : of + i + 1] for i in range(6)]
         place = RootPose(Vector(x, y, z), tuple(quat))  # pyright: ignore
         places.append(place)
-        motions.append(Spatial(place.rotation().transposed @ Vector(*moving[:3]), Vector(*moving[3:])))
-    return Pose(tuple(places), by_joint(angle)), Motion(tuple(motions), by_joint(rate))
+        motions.append(SpatialVector(place.rotation().transposed @ Vector(*moving[:3]), Vector(*moving[3:])))
+    return Pose(tuple(places), split_joints(angle)), Motion(tuple(motions), split_joints(rate))
 
 
 def pack(pose: Pose, v: Motion) -> tuple[Array, Array]:

@@ -21,18 +21,29 @@ from sweep.core.vectors import Matrix, Vector, total
 from sweep.dynamics import free_bodies, newton
 from sweep.dynamics.contacts import (
     Anchors,
-    Contacts,
-    Forces,
-    Moments,
+    ContactForces,
+    ContactSet,
+    ResistingMoments,
     contact_forces,
     contact_slope,
-    nowhere,
+    find_contacts,
+    no_anchors,
     resisting_moments,
-    touched,
 )
 from sweep.dynamics.free_bodies import FreeBodies
 from sweep.dynamics.interface import SmoothDynamics, Topology, Tree
-from sweep.dynamics.spatial import Mass, Motion, Pose, Rates, Spatial, by_joint, each, pack, shifted, unpack
+from sweep.dynamics.spatial import (
+    Mass,
+    Motion,
+    Pose,
+    Rates,
+    SpatialVector,
+    add_scaled,
+    map_joints,
+    pack,
+    split_joints,
+    unpack,
+)
 from sweep.models.case import Case
 from sweep.models.drive import Servo
 from sweep.models.legs import N_LEGS
@@ -44,7 +55,7 @@ STEP_LENGTHS = (1.0, 0.5, 0.2)
 SHORTER = (0.1,)
 
 
-class State(NamedTuple):
+class PhysicsState(NamedTuple):
     """Physical state: MuJoCo's qpos and qvel, and the anchors of the feet and of the obstacle's sites, if any."""
 
     q: Float[Array, " nq"]
@@ -52,7 +63,7 @@ class State(NamedTuple):
     anchors: tuple[Anchors, ...]
 
 
-class MovingState(NamedTuple):
+class ComponentState(NamedTuple):
     """A `State` by the components of its bodies and joints."""
 
     pose: Pose
@@ -60,7 +71,7 @@ class MovingState(NamedTuple):
     anchors: tuple[Anchors, ...]
 
 
-class Before(NamedTuple):
+class StepStart(NamedTuple):
     """Where things were at the start of a step. World axes."""
 
     normal: Vector  # (l,) of the surfaces under the feet
@@ -70,7 +81,7 @@ class Before(NamedTuple):
     bodies: BodyPoses
 
 
-class Report(NamedTuple):
+class StepReport(NamedTuple):
     """What happened in one step; forces in world axes."""
 
     force: Vector  # (l,) N, on the feet
@@ -79,11 +90,11 @@ class Report(NamedTuple):
     saturated: Rates
     residual: Array  # (1,) N, of the bodies' momentum balance and the legs' over a metre
     power: Rates  # (l,) W, of the drives
-    outside: Array  # (1,) W, of the push and the obstacle's loads
-    before: Before
+    external_power: Array  # (1,) W, of the push and the obstacle's loads
+    start: StepStart
 
 
-class Limits(NamedTuple):
+class DriveLimits(NamedTuple):
     """What execution leaves of the drives: gain and limit of each joint, and an outside force."""
 
     gain: Float[Array, "6 3"]  # 0 for a dead joint
@@ -91,37 +102,37 @@ class Limits(NamedTuple):
     push: Float[Array, " 3"]  # N, at the base's centre, world axes
 
 
-def rest(top: Topology, q: Float[Array, " nq"]) -> State:
+def state_at_rest(top: Topology, q: Float[Array, " nq"]) -> PhysicsState:
     """A state at rest with no foothold yet."""
     counts = (N_LEGS, len(top.owner) - N_LEGS)
-    return State(q, jnp.zeros(top.model.nv, q.dtype), tuple(nowhere(n, q.dtype) for n in counts if n))
+    return PhysicsState(q, jnp.zeros(top.model.nv, q.dtype), tuple(no_anchors(n, q.dtype) for n in counts if n))
 
 
-def from_state(state: State) -> MovingState:
+def to_components(state: PhysicsState) -> ComponentState:
     """The state by its components."""
-    return MovingState(*unpack(state.q, state.v), state.anchors)
+    return ComponentState(*unpack(state.q, state.v), state.anchors)
 
 
-def to_state(moving: MovingState) -> State:
+def from_components(moving: ComponentState) -> PhysicsState:
     """The state as arrays of MuJoCo's order."""
-    return State(*pack(moving.pose, moving.motion), moving.anchors)
+    return PhysicsState(*pack(moving.pose, moving.motion), moving.anchors)
 
 
 def step(
     smooth_dynamics: SmoothDynamics,
     case: Case,
-    limits: Limits,
-    state: MovingState,
+    limits: DriveLimits,
+    state: ComponentState,
     servo: Servo,
     h: float,
     iterations: int,
-) -> tuple[MovingState, Report]:
+) -> tuple[ComponentState, StepReport]:
     """Advance `state` by h seconds while the drives do as `servo` tells them."""
     here = _here(smooth_dynamics, case, state)
     mass, turned, v = here.mass, here.turned, here.motion
-    momentum, outside = mass.times(v), _outside(case, limits, state, here)
-    touches = touched(case, state.anchors, here.pose.root[0].position, turned, here.robot.joints[-1], here.free)
-    error = each(sub, by_joint(servo.target), state.pose.angle)
+    momentum, outside = mass.momentum(v), _outside(case, limits, state, here)
+    touches = find_contacts(case, state.anchors, here.pose.root[0].position, turned, here.robot.joints[-1], here.free)
+    error = map_joints(sub, split_joints(servo.target), state.pose.angle)
     problem = _Problem(
         case,
         servo,
@@ -136,30 +147,30 @@ def step(
     # a loop, not written out: every operation more takes time to compile
     trial, _ = jax.lax.scan(lambda s, _: (problem.improve(s), None), problem.trial(v), length=iterations)
     w, acting = trial.motion, problem.acting(trial)
-    world = tuple(motion.turned(turned) for motion in w.root)  # of the root bodies
-    torque = each(lambda u, rate: u - case.drive.back_emf * rate, acting.effort, w.leg)
+    world = tuple(motion.rotate(turned) for motion in w.root)  # of the root bodies
+    torque = map_joints(lambda u, rate: u - case.drive.back_emf * rate, acting.effort, w.leg)
     feet, normal = acting.forces[0], Vector.of(touches[0].surface.normal)
-    report = Report(
+    report = StepReport(
         force=feet.normal * normal + turned @ feet.tangential,
         normal=feet.normal,
         torque=torque,
-        saturated=each(lambda f: 1.0 - f, acting.free),
+        saturated=map_joints(lambda f: 1.0 - f, acting.free),
         residual=_largest(problem.residual(trial, acting), here) / h,
-        power=each(mul, torque, w.leg),
-        outside=reduce(add, (motion.dot(force) for motion, force in zip(world, outside, strict=False))),
-        before=_before(here, normal, 0.5 * momentum.dot(v)),
+        power=map_joints(mul, torque, w.leg),
+        external_power=reduce(add, (motion.dot(force) for motion, force in zip(world, outside, strict=False))),
+        start=_before(here, normal, 0.5 * momentum.dot(v)),
     )
     anchors = tuple(
-        touch.after(case.contact, forces, velocity, turned, here.free.frames, h)
+        touch.next_anchors(case.contact, forces, velocity, turned, here.free.frames, h)
         for touch, forces, velocity in zip(touches, acting.forces, trial.velocity, strict=True)
     )
-    return MovingState(*_integrate(state.pose, w, world, here, h), anchors), report
+    return ComponentState(*_integrate(state.pose, w, world, here, h), anchors), report
 
 
-def energy(smooth_dynamics: SmoothDynamics, case: Case, state: MovingState) -> Array:
+def mechanical_energy(smooth_dynamics: SmoothDynamics, case: Case, state: ComponentState) -> Array:
     """Kinetic and potential energy (J), (1,)."""
     here = _here(smooth_dynamics, case, state)
-    return 0.5 * here.mass.times(here.motion).dot(here.motion) + _potential(here)
+    return 0.5 * here.mass.momentum(here.motion).dot(here.motion) + _potential(here)
 
 
 class _Here(NamedTuple):
@@ -173,32 +184,32 @@ class _Here(NamedTuple):
     motion: Motion
 
 
-def _here(smooth_dynamics: SmoothDynamics, case: Case, state: MovingState) -> _Here:
+def _here(smooth_dynamics: SmoothDynamics, case: Case, state: ComponentState) -> _Here:
     pose, robot = state.pose, smooth_dynamics(state.pose, state.motion)
     turned = pose.root[0].rotation()
     free = free_bodies.kinematics(pose, turned.transposed)
     mass = robot.mass._replace(root=(*robot.mass.root, *free_bodies.inertias(case, free.axes)))
     base, *others = state.motion.root
-    motions = (base, *(own.turned(axes) for own, axes in zip(others, free.axes, strict=True)))
+    motions = (base, *(own.rotate(axes) for own, axes in zip(others, free.axes, strict=True)))
     return _Here(pose, turned, robot, free, mass, Motion(motions, state.motion.leg))
 
 
-def _outside(case: Case, limits: Limits, state: MovingState, here: _Here) -> list[Spatial]:
+def _outside(case: Case, limits: DriveLimits, state: ComponentState, here: _Here) -> list[SpatialVector]:
     """Forces on the root bodies beside weight, contact and drives; world axes. Those left out are zero."""
     push = Vector(*(limits.push[k : k + 1] for k in range(3)))
     no_torque = Vector.of(jnp.zeros((1, 3), push.x.dtype))
-    return [Spatial(push, no_torque), *free_bodies.loads(case, state.pose, state.motion, here.free)]
+    return [SpatialVector(push, no_torque), *free_bodies.external_wrenches(case, state.pose, state.motion, here.free)]
 
 
-def _start(momentum: Motion, here: _Here, outside: list[Spatial], h: float) -> Motion:
+def _start(momentum: Motion, here: _Here, outside: list[SpatialVector], h: float) -> Motion:
     """M v - h (bias - outside forces)."""
     up, to_base = here.turned.z, here.turned.transposed
     biases = [here.robot.bias.root[0]]
-    biases += [free_bodies.bias(m, v, up) for m, v in zip(here.mass.root[1:], here.motion.root[1:], strict=True)]
-    start = shifted(momentum, -h, Motion(tuple(biases), here.robot.bias.leg))
+    biases += [free_bodies.bias_wrench(m, v, up) for m, v in zip(here.mass.root[1:], here.motion.root[1:], strict=True)]
+    start = add_scaled(momentum, -h, Motion(tuple(biases), here.robot.bias.leg))
     root = list(start.root)
     for k, force in enumerate(outside):
-        root[k] = shifted(root[k], h, force.turned(to_base))
+        root[k] = add_scaled(root[k], h, force.rotate(to_base))
     return start._replace(root=tuple(root))
 
 
@@ -211,11 +222,13 @@ def _potential(here: _Here) -> Array:
     return GRAVITY * reduce(add, energies)
 
 
-def _before(here: _Here, normal: Vector, kinetic: Array) -> Before:
+def _before(here: _Here, normal: Vector, kinetic: Array) -> StepStart:
     turned, at, robot = here.turned, here.pose.root[0].position, here.robot.mass.root[0]
     centre = at if robot.moment is None else at + turned @ ((1 / robot.mass) * robot.moment)
     joints = tuple(at + turned @ joint for joint in here.robot.joints)
-    return Before(normal, kinetic + _potential(here), centre, joints, free_bodies.as_bodies(here.free, normal.x.dtype))
+    return StepStart(
+        normal, kinetic + _potential(here), centre, joints, free_bodies.to_body_poses(here.free, normal.x.dtype)
+    )
 
 
 def _largest(left: Motion, here: _Here) -> Array:
@@ -229,16 +242,18 @@ def _largest(left: Motion, here: _Here) -> Array:
     return reduce(jnp.maximum, [*(jnp.abs(part) for part in parts), *legs])
 
 
-def _integrate(pose: Pose, w: Motion, world: tuple[Spatial, ...], here: _Here, h: float) -> tuple[Pose, Motion]:
+def _integrate(pose: Pose, w: Motion, world: tuple[SpatialVector, ...], here: _Here, h: float) -> tuple[Pose, Motion]:
     """After h seconds at velocity w, the linear parts in world axes; motions in own axes then."""
     base, *others = w.root
     spins = [base.angular, *(b.transposed @ own.angular for own, b in zip(others, here.free.axes, strict=True))]
-    places = [place.after(motion.linear, spin, h) for place, motion, spin in zip(pose.root, world, spins, strict=True)]
+    places = [
+        place.integrate(motion.linear, spin, h) for place, motion, spin in zip(pose.root, world, spins, strict=True)
+    ]
     root = [
-        Spatial(place.rotation().transposed @ motion.linear, spin)
+        SpatialVector(place.rotation().transposed @ motion.linear, spin)
         for place, motion, spin in zip(places, world, spins, strict=True)
     ]
-    angle = each(lambda a, rate: a + h * rate, pose.angle, w.leg)
+    angle = map_joints(lambda a, rate: a + h * rate, pose.angle, w.leg)
     return Pose(tuple(places), angle), Motion(tuple(root), w.leg)
 
 
@@ -254,8 +269,8 @@ class _Trial(NamedTuple):
 class _Acting(NamedTuple):
     """What acts at an end velocity."""
 
-    forces: tuple[Forces, ...]  # on feet and sites
-    moments: Moments | None  # against rolling
+    forces: tuple[ContactForces, ...]  # on feet and sites
+    moments: ResistingMoments | None  # against rolling
     effort: Rates  # N m, of the drives
     free: Rates  # 1 where a drive is not at its limit
 
@@ -265,8 +280,8 @@ class _Problem(NamedTuple):
 
     case: Case
     servo: Servo
-    limits: Limits
-    contacts: tuple[Contacts, ...]  # feet, and sites if any
+    limits: DriveLimits
+    contacts: tuple[ContactSet, ...]  # feet, and sites if any
     mass: Mass
     j_leg: tuple[Vector, Vector, Vector]
     start: Motion  # M v - h (bias - outside forces)
@@ -275,12 +290,12 @@ class _Problem(NamedTuple):
 
     def trial(self, w: Motion) -> _Trial:
         """What an end velocity makes of momentum and contacts."""
-        done, damping = self.mass.times(w), self.h * self.case.drive.back_emf
+        done, damping = self.mass.momentum(w), self.h * self.case.drive.back_emf
         done = done._replace(leg=tuple(p + damping * rate for p, rate in zip(done.leg, w.leg, strict=True)))
         feet, *sites = (contacts.velocity(w.root) for contacts in self.contacts)
         feet = reduce(add, (rate * j for rate, j in zip(w.leg, self.j_leg, strict=True)), feet)
         rolls = sites and self.contacts[1].rolling is not None
-        return _Trial(w, done, (feet, *sites), self.contacts[1].turning(w.root) if rolls else None)
+        return _Trial(w, done, (feet, *sites), self.contacts[1].relative_spin(w.root) if rolls else None)
 
     def acting(self, trial: _Trial) -> _Acting:
         """Contact (1.2.2), rolling and clamped drives (1.2.1)."""
@@ -293,15 +308,17 @@ class _Problem(NamedTuple):
         return _Acting(forces, moments, *self._drive(trial.motion))
 
     def _drive(self, w: Motion) -> tuple[Rates, Rates]:
-        stiffness, torque, limit = (by_joint(x) for x in (self.servo.stiffness, self.servo.torque, self.limits.torque))
+        stiffness, torque, limit = (
+            split_joints(x) for x in (self.servo.stiffness, self.servo.torque, self.limits.torque)
+        )
         terms = stiffness, self.error, torque, self._damping(), w.leg
-        pull = each(lambda k, error, u, damping, rate: k * error + u - damping * rate, *terms)
-        wanted = each(mul, by_joint(self.limits.gain), pull)
-        free = each(lambda u, most: (jnp.abs(u) < most).astype(u.dtype), wanted, limit)
-        return each(lambda u, most: jnp.clip(u, -most, most), wanted, limit), free
+        pull = map_joints(lambda k, error, u, damping, rate: k * error + u - damping * rate, *terms)
+        wanted = map_joints(mul, split_joints(self.limits.gain), pull)
+        free = map_joints(lambda u, most: (jnp.abs(u) < most).astype(u.dtype), wanted, limit)
+        return map_joints(lambda u, most: jnp.clip(u, -most, most), wanted, limit), free
 
     def _damping(self) -> Rates:
-        return by_joint(self.h * self.servo.stiffness + self.servo.damping)
+        return split_joints(self.h * self.servo.stiffness + self.servo.damping)
 
     def residual(self, trial: _Trial, acting: _Acting) -> Motion:
         """Momentum that the step leaves unexplained (N s)."""
@@ -309,9 +326,11 @@ class _Problem(NamedTuple):
         root, feet = list(left.root), acting.forces[0].force
         for k, (contacts, forces) in enumerate(zip(self.contacts, acting.forces, strict=True)):
             moments = acting.moments.moment if k and acting.moments is not None else None
-            for body, force in contacts.onto(forces.force, moments):
-                root[body] = shifted(root[body], self.h, force)
-        legs = each(lambda own, j, effort: own + self.h * (j.dot(feet) + effort), left.leg, self.j_leg, acting.effort)
+            for body, force in contacts.root_wrenches(forces.force, moments):
+                root[body] = add_scaled(root[body], self.h, force)
+        legs = map_joints(
+            lambda own, j, effort: own + self.h * (j.dot(feet) + effort), left.leg, self.j_leg, acting.effort
+        )
         return Motion(tuple(root), legs)
 
     def improve(self, trial: _Trial) -> _Trial:
@@ -319,12 +338,12 @@ class _Problem(NamedTuple):
         acting = self.acting(trial)
         way = self.trial(self._newton(acting, self.residual(trial, acting)))
         lengths = STEP_LENGTHS + SHORTER * (len(trial.motion.root) > 1)
-        tried = shifted(trial, jnp.asarray(lengths, trial.motion.leg[0].dtype)[:, None], way)
+        tried = add_scaled(trial, jnp.asarray(lengths, trial.motion.leg[0].dtype)[:, None], way)
         costs = self._cost(self.residual(tried, self.acting(tried)))
         best, length = costs[0], jnp.full_like(costs[0], lengths[0])
         for cost, shorter in zip(costs[1:], lengths[1:], strict=True):
             best, length = jnp.where(cost < best, cost, best), jnp.where(cost < best, shorter, length)
-        return shifted(trial, length, way)
+        return add_scaled(trial, length, way)
 
     def _cost(self, left: Motion) -> Array:
         """Residual, weighted with the inverse masses."""
@@ -343,8 +362,11 @@ class _Problem(NamedTuple):
             for own, forces in zip(self.contacts, acting.forces, strict=True)
         ]
         rolling = None if acting.moments is None else acting.moments.slope.scaled(self.h)
-        held = each(
-            lambda damping, free, gain: damping * free * gain, self._damping(), acting.free, by_joint(self.limits.gain)
+        held = map_joints(
+            lambda damping, free, gain: damping * free * gain,
+            self._damping(),
+            acting.free,
+            split_joints(self.limits.gain),
         )
-        stiff = each(lambda d: self.h * (self.case.drive.back_emf + d), held)
-        return newton.direction(self.mass, self.j_leg, stiff, self.contacts, slopes, rolling, right)
+        stiff = map_joints(lambda d: self.h * (self.case.drive.back_emf + d), held)
+        return newton.newton_direction(self.mass, self.j_leg, stiff, self.contacts, slopes, rolling, right)

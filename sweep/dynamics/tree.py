@@ -13,7 +13,7 @@ from jaxtyping import Array
 from sweep.core.constants import GRAVITY
 from sweep.core.vectors import Matrix, Number, Vector, symmetric
 from sweep.dynamics.interface import SmoothDynamics, Tree
-from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, Rates, Spatial
+from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, Rates, SpatialVector
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.robot import Robot, link_names, mount_yaw, mounts
@@ -25,7 +25,7 @@ class Link(NamedTuple):
     mass: Number
     across: Number  # kg m^2, about its centre
     along: Number
-    way: Vector  # m, from its start to its end
+    vector: Vector  # m, from its start to its end
     direction: Vector
     joint: int  # the last joint before it
 
@@ -34,7 +34,7 @@ class Link(NamedTuple):
         return self.across * u + ((self.along - self.across) * self.direction.dot(u)) * self.direction
 
 
-def of(world: Case) -> SmoothDynamics:
+def tree_dynamics(world: Case) -> SmoothDynamics:
     """The smooth dynamics of a world."""
     return partial(tree_terms, world.robot, world.drive.armature)
 
@@ -82,13 +82,13 @@ def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> Tree:
             turning = turning + v.leg[k] * spin.cross(axes[k])
             spin = spin + v.leg[k] * axes[k]
         reached = link.joint
-        half = 0.5 * link.way
+        half = 0.5 * link.vector
         at_centre = acceleration + turning.cross(half) + spin.cross(spin.cross(half))
-        acceleration = acceleration + turning.cross(link.way) + spin.cross(spin.cross(link.way))
+        acceleration = acceleration + turning.cross(link.vector) + spin.cross(spin.cross(link.vector))
         centres.append(start + half)
         forces.append(link.mass * at_centre)
         moments.append(link.inertia_times(turning) + spin.cross(link.inertia_times(spin)))
-        start = start + link.way
+        start = start + link.vector
         joints.append(start)
     leg_bias, columns = [], []
     for k in range(3):
@@ -99,7 +99,7 @@ def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> Tree:
         angular = reduce(
             add, (links[i].inertia_times(axes[k]) + centres[i].cross(p) for i, p in zip(moved, momenta, strict=True))
         )
-        columns.append(Spatial(reduce(add, momenta), angular))
+        columns.append(SpatialVector(reduce(add, momenta), angular))
     box = _box(robot)
     spin_base = v.root[0].angular
     wrench = reduce(add, forces).total() - robot.body_mass * gravity
@@ -107,7 +107,7 @@ def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> Tree:
     twist = twist + spin_base.cross(Vector(box[0] * spin_base.x, box[1] * spin_base.y, box[2] * spin_base.z))
     feet = tuple(a.cross(start - o) for a, o in zip(axes, origins, strict=True))
     mass = Mass((_composite(robot, links, centres),), tuple(columns), _leg_block(axes, origins, columns, armature))  # pyright: ignore
-    return Tree(mass, Motion((Spatial(wrench, twist),), tuple(leg_bias)), tuple(joints), feet)  # pyright: ignore
+    return Tree(mass, Motion((SpatialVector(wrench, twist),), tuple(leg_bias)), tuple(joints), feet)  # pyright: ignore
 
 
 def _box(robot: Robot) -> tuple[Number, Number, Number]:
@@ -142,7 +142,7 @@ def _composite(robot: Robot, links: list[Link], centres: list[Vector]) -> Inerti
     return Inertia(mass * jnp.ones_like(totals[0]), moment.total(), inertia)
 
 
-def _leg_block(axes: tuple, origins: list[Vector], columns: list[Spatial], armature: Number) -> Matrix:
+def _leg_block(axes: tuple, origins: list[Vector], columns: list[SpatialVector], armature: Number) -> Matrix:
     """The legs' 3x3 blocks: momentum about joint i of what joint j >= i moves."""
 
     def entry(i: int, j: int) -> Array:

@@ -16,7 +16,7 @@ from sweep.core.waiting import part
 from sweep.engines import base, devices, planning, prelude, program_cache
 from sweep.engines.base import Figures, NoTrace, Trace
 from sweep.engines.settings import EngineSettings
-from sweep.metrics import outcome, stream
+from sweep.metrics import accumulator, outcome
 from sweep.metrics.metric import GRACE, Tick
 from sweep.metrics.outcome import Thresholds
 from sweep.models import scene
@@ -154,9 +154,9 @@ def to_traces(
         row = {name: values[slot] for name, values in figures.items()}
         samples = round(float(row["duration_s"]) / tick) // every  # the sum of many ticks is rough
         kept = {name: values[:samples, place] for name, values in records.items()}
-        causes, judged = stream.timed(world), kept.pop("judged").T
-        watched = dict(zip(stream.watched(world), judged, strict=True))
-        margin, margin_of = outcome.margins_of(causes, watched, limits)
+        causes, judged = accumulator.tick_causes(world), kept.pop("judged").T
+        watched = dict(zip(accumulator.tick_metrics(world), judged, strict=True))
+        margin, margin_of = outcome.least_margins(causes, watched, limits)
         time = every * tick * (1 + np.arange(len(kept["stage"])))
         try:
             model = scene.compile_model(world)

@@ -154,7 +154,9 @@ def _learner(given: tuple[Case, Case, PoseMeasurements]) -> Callable[..., Any]:
 
     def learned(world: Case, belief: Case, true: PoseMeasurements, key: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         found = prelude.calibrated(world, belief, true, key)
-        return {name: getattr(found.robot, name) for name in learnable_sizes(found.robot)}, calibration.told(found)
+        return {name: getattr(found.robot, name) for name in learnable_sizes(found.robot)}, calibration.learned_sizes(
+            found
+        )
 
     return jax.jit(jax.vmap(learned, in_axes=(*devices.axes(given), 0)))
 

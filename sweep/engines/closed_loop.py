@@ -18,10 +18,10 @@ from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.controllers.tracker import TrackerState
 from sweep.core.constants import LOADED
 from sweep.core.rotations import about_vertical, conjugate, multiply, rotate
-from sweep.metrics import stream
-from sweep.metrics.metric import GRACE, REST, Begin, Moment, Tick
+from sweep.metrics import accumulator
+from sweep.metrics.accumulator import RunningMetrics
+from sweep.metrics.metric import GRACE, REST, MetricTick, RolloutStart, Tick
 from sweep.metrics.outcome import Thresholds
-from sweep.metrics.stream import Running
 from sweep.models.case import Case, Driving
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Servo, position_mode
@@ -50,7 +50,7 @@ class ClosedLoop(NamedTuple):
 
     tracker: TrackerState
     sensors: Sensors | None  # where measurement is not exact
-    running: Running
+    running: RunningMetrics
     seen: Observation  # the truth at the end of the last tick
     servo: Servo  # what the drives were told last
     key: Array
@@ -173,7 +173,7 @@ def init(
         marked = seen._replace(free=surface.landmark_state(world.obstacle, seen.free))
         sensors = init_sensors(world.noise, bias_key, marked, has_errors=sensors_are == "noisy")
     feet = feet_in_world(world.robot, seen.position, seen.quat, seen.angles)
-    running = stream.begin(Begin(world, plan, seen.position, seen.quat, feet, seen.free, energy, learned))
+    running = accumulator.begin(RolloutStart(world, plan, seen.position, seen.quat, feet, seen.free, energy, learned))
     servo = position_mode(world.drive, seen.angles)
     return ClosedLoop(
         tracker.init(belief, plan, exact=sensors_are == "exact"), sensors, running, seen, servo, key, learned
@@ -220,7 +220,7 @@ def measure(
     """
     plan = loop.learned.plan or plan
     state, time = loop.tracker, loop.running.time + period
-    now = Moment(
+    now = MetricTick(
         world,
         plan,
         state.stage,
@@ -235,7 +235,7 @@ def measure(
         time,
         loop.learned,
     )
-    running, judged = stream.update(loop.running, now, limits, number)
+    running, judged = accumulator.update(loop.running, now, limits, number)
     late = running.time - running.rested >= GRACE * jnp.sum(plan.duration)
     rest = 0.0 if isinstance(world.manoeuvre, Driving) else REST
     rested = state.finished & (running.rested > rest - period / 2)
@@ -245,4 +245,4 @@ def measure(
 
 def figures_of(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
     """The row's figures of a rollout as far as it has come, see `stream.figures`; it began with `plan`."""
-    return stream.figures(world, loop.learned.plan or plan, loop.running, loop.tracker.stage)
+    return accumulator.compute(world, loop.learned.plan or plan, loop.running, loop.tracker.stage)

@@ -17,8 +17,8 @@ from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.waiting import part
 from sweep.dynamics import interface as dynamics
-from sweep.dynamics.free_bodies import resting
-from sweep.dynamics.step import State, rest
+from sweep.dynamics.free_bodies import start_at_rest
+from sweep.dynamics.step import PhysicsState, state_at_rest
 from sweep.engines import batching, devices, fused_loop, physics, planning, program_cache
 from sweep.engines.base import Figures, Watch
 from sweep.engines.batch_last import batch_last_vmap
@@ -51,7 +51,7 @@ from sweep.models.case import Case
 class Carry(NamedTuple):
     """One rollout between two control ticks."""
 
-    state: State
+    state: PhysicsState
     loop: ClosedLoop
 
     @property
@@ -327,8 +327,8 @@ class Mjx(Batched):
 
     def _start(self, sensors_are: Sensing, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
         known, plan, learned = prepared(world, belief, key)
-        start = start_state(world, known, plan, resting(world))
-        state = rest(self.topology, start.qpos)._replace(v=start.qvel)
+        start = start_state(world, known, plan, start_at_rest(world))
+        state = state_at_rest(self.topology, start.qpos)._replace(v=start.qvel)
         energy = self.physics.energy(world, state)
         return plan, Carry(state, init(world, known, plan, start, energy, key, learned, sensors_are))
 

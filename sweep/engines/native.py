@@ -48,7 +48,7 @@ from sweep.engines.states import watched
 from sweep.fused import kernel
 from sweep.fused.eager import Eager
 from sweep.fused.kernel import Code, Kernel, Tiles
-from sweep.metrics import stream
+from sweep.metrics import accumulator
 from sweep.metrics.metric import Tick
 from sweep.metrics.outcome import Thresholds
 from sweep.models import scene
@@ -260,7 +260,7 @@ class Native(Batched):
             known, plan, learned = prepared(world, belief, key)
             state = start_state(world, known, plan)
             loop = init(world, known, plan, state, jnp.zeros(()), key, learned, sensors_are)
-            nothing = jnp.zeros(len(stream.watched(world)), plan.duration.dtype)
+            nothing = jnp.zeros(len(accumulator.tick_metrics(world)), plan.duration.dtype)
             return plan, (self._acted(world, belief, plan, loop, self._nothing(state), nothing, jnp.int32(0)), state)
 
         def tick(given: tuple[Case, Case, Plan], now: Between, k: Array) -> tuple[Between, dict[str, Array]]:
@@ -431,7 +431,7 @@ def _retune(batch: Batch, models: list[mujoco.MjModel], old: np.ndarray, new: np
 def _with_energy(world: Case, loops: ClosedLoop, start: np.ndarray) -> ClosedLoop:
     """Energy is counted from that of the start."""
     energy = jnp.asarray(start, loops.running.time.dtype)
-    return loops._replace(running=stream.with_energy(world, loops.running, energy))
+    return loops._replace(running=accumulator.with_start_energy(world, loops.running, energy))
 
 
 def _torque[A: (Array, np.ndarray)](effort: A, rate: A, back_emf: Any) -> A:

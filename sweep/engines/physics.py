@@ -15,8 +15,8 @@ from sweep.core.vectors import Vector
 from sweep.dynamics import step as dynamics
 from sweep.dynamics import tree
 from sweep.dynamics.interface import SmoothDynamics, Topology
-from sweep.dynamics.spatial import Rates, each
-from sweep.dynamics.step import Before, Limits, Report, State, from_state, to_state
+from sweep.dynamics.spatial import Rates, map_joints
+from sweep.dynamics.step import DriveLimits, PhysicsState, StepReport, StepStart, from_components, to_components
 from sweep.engines import batching
 from sweep.engines.closed_loop import truth
 from sweep.engines.settings import EngineSettings
@@ -37,14 +37,14 @@ def taken(settings: EngineSettings) -> str:
 def make(settings: EngineSettings, top: Topology) -> "Physics":
     """The physics of a scenario."""
     if taken(settings) == "arrowhead":
-        return Physics(settings, batching.substeps(settings), tree.of)
+        return Physics(settings, batching.substeps(settings), tree.tree_dynamics)
     with redirect_stdout(io.StringIO()):  # MJX is slow to import, and prints that
         from sweep.dynamics import mjx
 
-    return Physics(settings, batching.substeps(settings), mjx.of(top))
+    return Physics(settings, batching.substeps(settings), mjx.mjx_dynamics(top))
 
 
-def execution_limits(world: Case, step: Array, h: float) -> Limits:
+def execution_limits(world: Case, step: Array, h: float) -> DriveLimits:
     """Limits of the drives, and the force of the push, during one physics step.
 
     Args:
@@ -58,7 +58,7 @@ def execution_limits(world: Case, step: Array, h: float) -> Limits:
     execution = world.execution
     alive = jnp.arange(N_JOINTS).reshape(N_LEGS, 3) != jnp.round(execution.dead_joint)
     torque = jnp.full((6, 3), execution.torque_scale * world.drive.torque_limit)
-    return Limits(alive.astype(torque.dtype), torque, push_force(execution, step, h))
+    return DriveLimits(alive.astype(torque.dtype), torque, push_force(execution, step, h))
 
 
 def push_force(execution: Execution, step: Array, h: float) -> Float[Array, " 3"]:
@@ -101,17 +101,17 @@ class Totals(NamedTuple):
     effort: Array  # (l,), of drives that drive
     outside: Array
 
-    def plus(self, report: Report) -> "Totals":
+    def plus(self, report: StepReport) -> "Totals":
         """These with what one more step reports."""
         return Totals(
-            each(lambda peak, u: jnp.maximum(peak, jnp.abs(u)), self.torque_peak, report.torque),
-            each(add, self.saturated, report.saturated),
+            map_joints(lambda peak, u: jnp.maximum(peak, jnp.abs(u)), self.torque_peak, report.torque),
+            map_joints(add, self.saturated, report.saturated),
             self.force + report.force,
             self.normal + report.normal,
             jnp.maximum(self.residual, report.residual),
-            each(add, self.power, report.power),
+            map_joints(add, self.power, report.power),
             reduce(add, (jnp.maximum(p, 0.0) for p in report.power), self.effort),
-            self.outside + report.outside,
+            self.outside + report.external_power,
         )
 
 
@@ -122,11 +122,13 @@ class Physics(NamedTuple):
     substeps: int
     smooth_dynamics: Callable[[Case], SmoothDynamics]
 
-    def energy(self, world: Case, state: State) -> Array:
+    def energy(self, world: Case, state: PhysicsState) -> Array:
         """Kinetic and potential energy (J)."""
-        return dynamics.energy(self.smooth_dynamics(world), world, from_state(state))[0]
+        return dynamics.mechanical_energy(self.smooth_dynamics(world), world, to_components(state))[0]
 
-    def advance(self, world: Case, state: State, old: Servo, new: Servo, tick: Array) -> tuple[State, Tick]:
+    def advance(
+        self, world: Case, state: PhysicsState, old: Servo, new: Servo, tick: Array
+    ) -> tuple[PhysicsState, Tick]:
         """The state and the summary after tick number `tick`, what the drives are told going from `old` to `new`.
 
         Positions and energy in the summary are those at the start of the last step: no kinematics twice.
@@ -139,11 +141,11 @@ class Physics(NamedTuple):
             servo = interpolate_target(old, new, (k + 1) / n)
             limits = execution_limits(world, tick * n + k, h)
             moving, report = dynamics.step(smooth_dynamics, world, limits, moving, servo, h, self.settings.iterations)
-            return (moving, totals.plus(report), report.normal, report.before), None
+            return (moving, totals.plus(report), report.normal, report.start), None
 
         nothing = _nothing(world, state.q.dtype)
-        (moving, totals, load, before), _ = jax.lax.scan(substep, (from_state(state), *nothing), jnp.arange(n))
-        state = to_state(moving)
+        (moving, totals, load, before), _ = jax.lax.scan(substep, (to_components(state), *nothing), jnp.arange(n))
+        state = from_components(moving)
         force, normal = (1 / n) * totals.force, totals.normal / n
         along = force - normal * before.normal
         return state, Tick(
@@ -164,12 +166,14 @@ class Physics(NamedTuple):
         )
 
 
-def _nothing(world: Case, dtype: jnp.dtype) -> tuple[Totals, Array, Before]:
+def _nothing(world: Case, dtype: jnp.dtype) -> tuple[Totals, Array, StepStart]:
     """Totals, loads and places before the first step."""
     leg, one, bodies = jnp.zeros(N_LEGS, dtype), jnp.zeros(1, dtype), len(world.obstacle.free_bodies)
     legs, base, three = Vector(leg, leg, leg), Vector(one, one, one), (leg, leg, leg)
     joints = (legs,) * (len(link_names(world.robot)) + 1)
-    before = Before(legs, one, base, joints, BodyPoses(jnp.zeros((bodies, 3), dtype), jnp.zeros((bodies, 3, 3), dtype)))
+    before = StepStart(
+        legs, one, base, joints, BodyPoses(jnp.zeros((bodies, 3), dtype), jnp.zeros((bodies, 3, 3), dtype))
+    )
     return Totals(three, three, legs, leg, one, three, leg, one), leg, before
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.metrics.attitude import from_level
+from sweep.metrics.attitude import tilt_deg
 from sweep.models.case import Case
 from sweep.models.legs import JOINTS, LEGS, N_JOINTS
 
@@ -19,7 +19,7 @@ def offered(world: Case) -> dict[str, Column]:
     """All columns of a kind of world. `qpos_k` and `qvel_k` are MuJoCo's; forces are on the robot, in world axes."""
     bodies = len(world.obstacle.free_bodies)
     columns: dict[str, Column] = {f"base_{axis}_m": partial(_number, "qpos", (k,)) for k, axis in enumerate("xyz")}
-    columns["tilt_deg"] = lambda record: from_level(record["qpos"][3:7])
+    columns["tilt_deg"] = lambda record: tilt_deg(record["qpos"][3:7])
     columns |= {f"qpos_{k}": partial(_number, "qpos", (k,)) for k in range(7 + N_JOINTS + 7 * bodies)}
     columns |= {f"qvel_{k}": partial(_number, "qvel", (k,)) for k in range(6 + N_JOINTS + 6 * bodies)}
     columns |= {f"torque_peak_{name}_nm": partial(_number, "joint_torque", (k,)) for k, name in enumerate(JOINTS)}

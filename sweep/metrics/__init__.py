@@ -3,6 +3,7 @@
 from sweep.metrics import (
     attitude,
     calibration,
+    calibration_poses,
     clearance,
     depth,
     drives,
@@ -13,11 +14,10 @@ from sweep.metrics import (
     ledges,
     load,
     planned_forces,
-    poses,
     progress,
     raft,
     reach,
-    replanned,
+    replanning,
     rest,
     shins,
     slip,
@@ -38,7 +38,7 @@ METRICS: tuple[Metric, ...] = tuple(
         slip,
         depth,
         reach,
-        replanned,
+        replanning,
         shins,
         clearance,
         planned_forces,
@@ -53,7 +53,7 @@ METRICS: tuple[Metric, ...] = tuple(
         support,
         load,
         calibration,
-        poses,
+        calibration_poses,
         touch,
         solver,
     )
@@ -61,6 +61,6 @@ METRICS: tuple[Metric, ...] = tuple(
 CAUSES: tuple[Cause, ...] = tuple(cause for metric in METRICS for cause in metric.causes)
 
 
-def of(case: Case) -> tuple[Metric, ...]:
+def applicable_metrics(case: Case) -> tuple[Metric, ...]:
     """The metrics that apply to a kind of world."""
     return tuple(metric for metric in METRICS if metric.applies(case))

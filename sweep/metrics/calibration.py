@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from sweep.controllers.calibration import CalibrationResult, learnable_sizes
-from sweep.metrics.metric import Begin, Metric
+from sweep.metrics.metric import Metric, RolloutStart
 
 SIZES = {
     "body_length": "the body's length",
@@ -16,24 +16,24 @@ SIZES = {
 }
 
 
-def begin(start: Begin) -> CalibrationResult:
+def begin(start: RolloutStart) -> CalibrationResult:
     """What was learned does not change."""
     assert start.learned.calibration is not None  # since it applies
     return start.learned.calibration
 
 
-def told(found: CalibrationResult) -> dict[str, Array]:
+def learned_sizes(state: CalibrationResult) -> dict[str, Array]:
     """Sizes that were found, and their deviations."""
-    sizes = learnable_sizes(found.robot)
-    own = {f"learned_{name}_m": jnp.asarray(getattr(found.robot, name)) for name in sizes}
-    deviations = {name: jnp.sqrt(found.covariance[k, k]) for k, name in enumerate(sizes)}
+    sizes = learnable_sizes(state.robot)
+    own = {f"learned_{name}_m": jnp.asarray(getattr(state.robot, name)) for name in sizes}
+    deviations = {name: jnp.sqrt(state.covariance[k, k]) for k, name in enumerate(sizes)}
     return own | {f"learned_{name}_sd_m": own[f"learned_{name}_m"] * deviations[name] for name in sizes}
 
 
 METRIC = Metric(
     begin,
-    lambda so_far, now: so_far,
-    lambda found, at: told(found),
+    lambda state, ctx: state,
+    lambda state, rollout: learned_sizes(state),
     {f"learned_{name}_m": f"{what}, as calibration has found" for name, what in SIZES.items()}
     | {f"learned_{name}_sd_m": f"standard deviation of that for {what}" for name, what in SIZES.items()},
     applies=lambda case: case.control.calibrate == "sizes",

@@ -6,21 +6,21 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.rotations import matrix
-from sweep.metrics.geometry import base_gap, capsules, fold_gap, leg_gap
-from sweep.metrics.metric import Cause, Moment, extremes
+from sweep.metrics.geometry import base_gap, fold_gap, leg_gap, link_capsules
+from sweep.metrics.metric import Cause, MetricTick, extremes
 from sweep.models.robot import half_size
 from sweep.models.solids import distance_to_box
 
 
-def distances(now: Moment) -> Iterator[Float[Array, ""]]:
+def distances(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
     """In the order of the columns (m).
 
     Links are `capsules`; near joints, towards base and thigh, they begin, round, beyond.
     """
-    tick, robot = now.tick, now.world.robot
+    tick, robot = ctx.tick, ctx.world.robot
     base = tick.truth.position, matrix(tick.truth.quat)
-    solids = now.world.obstacle.solids(tick.bodies)
-    links = capsules(tick.joints, robot).to(solids)
+    solids = ctx.world.obstacle.solids(tick.bodies)
+    links = link_capsules(tick.joints, robot).distance_to(solids)
     yield jnp.minimum(jnp.min(links), distance_to_box(solids, *base, half_size(robot)))
     yield leg_gap(tick.joints[:, -3:]) - 2 * robot.link_radius
     yield base_gap(tick.joints, *base, robot)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.metrics.metric import BRIEF, Cause, Elapsed, Metric, Moment, still
+from sweep.metrics.metric import BRIEF, Cause, Metric, MetricTick, Rollout, initial_state
 from sweep.models.legs import KINDS
 
 
@@ -27,45 +27,45 @@ class Drives(NamedTuple):
     reserve: Float[Array, ""]
 
 
-def update(so_far: Drives, now: Moment) -> Drives:
+def update(state: Drives, ctx: MetricTick) -> Drives:
     """Peaks over the legs, shares averaged over them. Power is a tick's mean, angles and rates are those at its end."""
-    tick, world = now.tick, now.world
+    tick, world = ctx.tick, ctx.world
     limit = world.execution.torque_scale * world.drive.torque_limit
     use = jnp.mean(tick.torque_peak, axis=0) / jnp.maximum(limit, 1e-9)
-    use = so_far.use + min(1.0, now.period / BRIEF) * (use - so_far.use)
+    use = state.use + min(1.0, ctx.period / BRIEF) * (use - state.use)
     return Drives(
-        jnp.maximum(so_far.torque, jnp.max(tick.torque_peak, axis=0)),
-        so_far.saturated + now.period * jnp.mean(tick.saturated, axis=0),
-        so_far.effort + tick.effort,
-        jnp.maximum(so_far.turn, jnp.max(jnp.abs(tick.truth.angles[:, 0]))),
-        jnp.maximum(so_far.rate, jnp.max(jnp.abs(tick.truth.rates))),
-        jnp.maximum(so_far.power, jnp.max(jnp.abs(tick.power))),
+        jnp.maximum(state.torque, jnp.max(tick.torque_peak, axis=0)),
+        state.saturated + ctx.period * jnp.mean(tick.saturated, axis=0),
+        state.effort + tick.effort,
+        jnp.maximum(state.turn, jnp.max(jnp.abs(tick.truth.angles[:, 0]))),
+        jnp.maximum(state.rate, jnp.max(jnp.abs(tick.truth.rates))),
+        jnp.maximum(state.power, jnp.max(jnp.abs(tick.power))),
         use,
-        jnp.minimum(so_far.reserve, 1 - jnp.max(use)),
+        jnp.minimum(state.reserve, 1 - jnp.max(use)),
     )
 
 
-def figures(found: Drives, at: Elapsed) -> dict[str, Array]:
+def compute(state: Drives, rollout: Rollout) -> dict[str, Array]:
     """Peaks, shares of the time, and what they are over the drives' limits."""
-    share = found.saturated / jnp.maximum(at.time, 1e-9)
-    torques = {f"torque_peak_{joint}_nm": found.torque[k] for k, joint in enumerate(KINDS)}
+    share = state.saturated / jnp.maximum(rollout.time, 1e-9)
+    torques = {f"torque_peak_{joint}_nm": state.torque[k] for k, joint in enumerate(KINDS)}
     shares = {f"saturation_share_{joint}": share[k] for k, joint in enumerate(KINDS)}
-    drive = at.world.drive
+    drive = rollout.world.drive
     limits = {
-        "turn_over_limit": found.turn / drive.turn_limit,
-        "joint_speed_max_radps": found.rate,
-        "joint_speed_over_limit": found.rate / drive.speed_limit,
-        "joint_power_max_w": found.power,
-        "joint_power_over_limit": found.power / drive.power_limit,
+        "turn_over_limit": state.turn / drive.turn_limit,
+        "joint_speed_max_radps": state.rate,
+        "joint_speed_over_limit": state.rate / drive.speed_limit,
+        "joint_power_max_w": state.power,
+        "joint_power_over_limit": state.power / drive.power_limit,
     }
-    return {"energy_j": found.effort, **torques, **shares, "saturation_share_max": jnp.max(share),
-            "torque_reserve_min": found.reserve, **limits}  # fmt: skip
+    return {"energy_j": state.effort, **torques, **shares, "saturation_share_max": jnp.max(share),
+            "torque_reserve_min": state.reserve, **limits}  # fmt: skip
 
 
 METRIC = Metric(
-    still(Drives, np.zeros(3), np.zeros(3), 0.0, 0.0, 0.0, 0.0, np.zeros(3), 1.0),
+    initial_state(Drives, np.zeros(3), np.zeros(3), 0.0, 0.0, 0.0, 0.0, np.zeros(3), 1.0),
     update,
-    figures,
+    compute,
     {
         "energy_j": "positive work of the drives",
         **{f"torque_peak_{joint}_nm": f"largest torque of a {joint} joint" for joint in KINDS},
@@ -85,7 +85,7 @@ METRIC = Metric(
             "a kind of joint was saturated for more than saturation_share_max of the time",
             "saturation_share_max",
             0.5,
-            known="end",
+            known_at="end",
         ),
         *(
             Cause(name, f"{what} {figure}_max times drive.{size}", figure, 1.0)

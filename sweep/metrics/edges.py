@@ -6,19 +6,19 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.metrics.geometry import AROUND, edge_distance
-from sweep.metrics.metric import Moment, extremes
+from sweep.metrics.metric import MetricTick, extremes
 from sweep.models.obstacles.plane import Plane
 
 
-def nearest(now: Moment) -> Iterator[Float[Array, ""]]:
+def least_edge_distance(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
     """Least distance of a foot that carries load to an edge of its face (m)."""
-    tick = now.tick
-    left = edge_distance(now.world.obstacle, tick.joints[:, -1], tick.bodies)
+    tick = ctx.tick
+    left = edge_distance(ctx.world.obstacle, tick.joints[:, -1], tick.bodies)
     yield jnp.min(left, where=tick.truth.loaded, initial=AROUND)
 
 
 METRIC = extremes(
-    nearest,
+    least_edge_distance,
     {
         "edge_reserve_min_m": "least distance of a loaded foot to an edge of its face, at most "
         f"{AROUND:g} m or half of how thick it is there"

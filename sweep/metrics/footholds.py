@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.frames import to_world
-from sweep.metrics.metric import Begin, Elapsed, Metric, Moment, Twin, missed
+from sweep.metrics.metric import ContinuousTwin, Metric, MetricTick, Rollout, RolloutStart, goal_cause
 from sweep.models.obstacles.surface import FreeState, body_poses, surface_at
 
 # m, within which a foot that may hover, since others carry, is at a face: what a base off by 2 degrees makes of the
@@ -14,21 +14,21 @@ AT_FACE = 0.02
 Last = tuple[Float[Array, "6 3"], FreeState]  # feet (m) and free bodies
 
 
-def begin(start: Begin) -> Last:
+def begin(start: RolloutStart) -> Last:
     """Feet and free bodies at the start."""
     return start.feet, start.free
 
 
-def update(so_far: Last, now: Moment) -> Last:
+def update(state: Last, ctx: MetricTick) -> Last:
     """Feet and free bodies in this tick."""
-    return now.tick.joints[:, -1], now.tick.truth.free
+    return ctx.tick.joints[:, -1], ctx.tick.truth.free
 
 
-def figures(found: Last, at: Elapsed) -> dict[str, Array]:
+def compute(state: Last, rollout: Rollout) -> dict[str, Array]:
     """Feet at their faces by where they were last."""
-    feet, free = found
-    target = to_world(at.plan.foothold[-1], at.plan.foot_frame[-1], free)
-    here, there = (surface_at(at.world.obstacle, p, body_poses(free)) for p in (feet, target))
+    feet, free = state
+    target = to_world(rollout.plan.foothold[-1], rollout.plan.foot_frame[-1], free)
+    here, there = (surface_at(rollout.world.obstacle, p, body_poses(free)) for p in (feet, target))
     same = (here.face == there.face) & (here.body == there.body)
     hit = same & (here.depth > -AT_FACE)
     away = jnp.maximum(jnp.linalg.norm(feet - target, axis=-1), 1.001 * AT_FACE)
@@ -39,7 +39,7 @@ def figures(found: Last, at: Elapsed) -> dict[str, Array]:
 METRIC = Metric(
     begin,
     update,
-    figures,
+    compute,
     {
         "feet_on_target": "feet that are at the end at the obstacle's face, of the body, where the plan has them, "
         "or within 20 mm of it",
@@ -47,12 +47,12 @@ METRIC = Metric(
         "its foothold, but more than 20 mm",
     },
     (
-        missed(
+        goal_cause(
             "fewer feet than feet_on_target_min ended at their faces",
             "feet_on_target",
             below=True,
-            whole=True,
-            twin=Twin("foot_gap_max_m", AT_FACE, AT_FACE),
+            is_count=True,
+            twin=ContinuousTwin("foot_gap_max_m", AT_FACE, AT_FACE),
         ),
     ),
 )

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.rotations import conjugate, logarithm, multiply
-from sweep.metrics.metric import REST, Begin, Cause, Elapsed, Metric, Moment, Tail, missed
+from sweep.metrics.metric import REST, Cause, Metric, MetricTick, PlanTail, Rollout, RolloutStart, goal_cause
 from sweep.models.case import Driving
 
 TAIL = 12.0  # s of the plan, its last, over which the speed of a body that is left in motion is taken
@@ -24,8 +24,8 @@ class BodiesMotion(NamedTuple):
     settled: Float[Array, "k 3"]
     place: Float[Array, "k 3"]
     quat: Float[Array, "k 4"]
-    tail: Tail
-    ended: Tail
+    tail: PlanTail
+    ended: PlanTail
     moved: Float[Array, ""]
     shifted: Float[Array, ""]
     turned: Float[Array, ""]
@@ -33,54 +33,54 @@ class BodiesMotion(NamedTuple):
     ride_height: Float[Array, ""]
 
 
-def begin(start: Begin) -> BodiesMotion:
+def begin(start: RolloutStart) -> BodiesMotion:
     """The metric before anything has moved."""
     place = start.free.position
     zero = jnp.zeros((), place.dtype)
-    here, far = Tail(place, zero), jnp.full((), jnp.inf, place.dtype)
+    here, far = PlanTail(place, zero), jnp.full((), jnp.inf, place.dtype)
     return BodiesMotion(place, place, place, start.free.quat, here, here, zero, zero, zero, zero, far)
 
 
-def update(so_far: BodiesMotion, now: Moment) -> BodiesMotion:
+def update(state: BodiesMotion, ctx: MetricTick) -> BodiesMotion:
     """Their ways from the start."""
-    place, quat = now.tick.truth.free.position, now.tick.truth.free.quat
-    way = place - so_far.start
-    settled = jnp.where(now.stage == 0, place, so_far.settled)
-    upright = jnp.where(now.stage == 0, quat, so_far.quat)
+    place, quat = ctx.tick.truth.free.position, ctx.tick.truth.free.quat
+    way = place - state.start
+    settled = jnp.where(ctx.stage == 0, place, state.settled)
+    upright = jnp.where(ctx.stage == 0, quat, state.quat)
     turn = jnp.linalg.norm(logarithm(multiply(quat, conjugate(upright))), axis=-1)
-    here, manoeuvre = Tail(place, now.time), now.world.manoeuvre
+    here, manoeuvre = PlanTail(place, ctx.time), ctx.world.manoeuvre
     aside = manoeuvre.lateral_offset if isinstance(manoeuvre, Driving) else lambda way: jnp.abs(way[1])
     return BodiesMotion(
-        start=so_far.start,
+        start=state.start,
         settled=settled,
         place=place,
         quat=upright,
-        tail=so_far.tail.later(now, place, TAIL),
-        ended=jax.tree.map(lambda a, b: jnp.where(now.finished, a, b), so_far.ended, here),
-        moved=jnp.maximum(so_far.moved, jnp.max(jnp.linalg.norm(way, axis=-1))),
-        shifted=jnp.maximum(so_far.shifted, jnp.max(jnp.linalg.norm(place - settled, axis=-1))),
-        turned=jnp.maximum(so_far.turned, jnp.max(turn)),
-        aside=jnp.maximum(so_far.aside, aside(way[0])),
-        ride_height=jnp.minimum(so_far.ride_height, now.tick.truth.position[2] - place[0, 2]),
+        tail=state.tail.update(ctx, place, TAIL),
+        ended=jax.tree.map(lambda a, b: jnp.where(ctx.finished, a, b), state.ended, here),
+        moved=jnp.maximum(state.moved, jnp.max(jnp.linalg.norm(way, axis=-1))),
+        shifted=jnp.maximum(state.shifted, jnp.max(jnp.linalg.norm(place - settled, axis=-1))),
+        turned=jnp.maximum(state.turned, jnp.max(turn)),
+        aside=jnp.maximum(state.aside, aside(way[0])),
+        ride_height=jnp.minimum(state.ride_height, ctx.tick.truth.position[2] - place[0, 2]),
     )
 
 
-def figures(found: BodiesMotion, at: Elapsed) -> dict[str, Array]:
+def compute(state: BodiesMotion, rollout: Rollout) -> dict[str, Array]:
     """Ways so far, and speeds over the last part of the plan."""
-    manoeuvre = at.world.manoeuvre
+    manoeuvre = rollout.world.manoeuvre
     if isinstance(manoeuvre, Driving):
-        aim, velocity = manoeuvre.obstacle_speed(jnp.sum(at.plan.duration)), found.tail.velocity(*found.ended)
+        aim, velocity = manoeuvre.obstacle_speed(jnp.sum(rollout.plan.duration)), state.tail.mean_velocity(*state.ended)
     else:
-        aim, velocity = 0.0, found.ended.velocity(found.place, at.time)
+        aim, velocity = 0.0, state.ended.mean_velocity(state.place, rollout.time)
     speed = jnp.linalg.norm(velocity[0, :2])
     return {
-        "obstacle_moved_m": found.moved,
-        "obstacle_shift_m": found.shifted,
-        "obstacle_turn_max_rad": found.turned,
-        "ride_height_min_m": found.ride_height,
-        "obstacle_x_m": found.place[0, 0],
-        "obstacle_y_m": found.place[0, 1],
-        "obstacle_aside_max_m": found.aside,
+        "obstacle_moved_m": state.moved,
+        "obstacle_shift_m": state.shifted,
+        "obstacle_turn_max_rad": state.turned,
+        "ride_height_min_m": state.ride_height,
+        "obstacle_x_m": state.place[0, 0],
+        "obstacle_y_m": state.place[0, 1],
+        "obstacle_aside_max_m": state.aside,
         "obstacle_speed_mps": speed,
         "obstacle_speed_error_mps": jnp.abs(speed - aim),
     }
@@ -89,7 +89,7 @@ def figures(found: BodiesMotion, at: Elapsed) -> dict[str, Array]:
 METRIC = Metric(
     begin,
     update,
-    figures,
+    compute,
     {
         "obstacle_moved_m": "farthest that a free body of the obstacle was from its start",
         "obstacle_shift_m": "the same from where it was when the plan's first stage ended",
@@ -123,11 +123,13 @@ METRIC = Metric(
             "obstacle_turn_max_rad",
             None,
         ),
-        missed(
+        goal_cause(
             "the body that the robot rides on ended off its speed by more than obstacle_speed_error_max_mps",
             "obstacle_speed_error_mps",
         ),
-        missed("the body that the robot rides on went aside by more than obstacle_aside_max_m", "obstacle_aside_max_m"),
+        goal_cause(
+            "the body that the robot rides on went aside by more than obstacle_aside_max_m", "obstacle_aside_max_m"
+        ),
     ),
     applies=lambda case: bool(case.obstacle.free_bodies),
 )

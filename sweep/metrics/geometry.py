@@ -112,12 +112,12 @@ class Capsules(NamedTuple):
     end: Float[Array, "6 n 3"]  # m
     radius: Float[Array, " n"]  # m
 
-    def to(self, solids: Sequence[Solid]) -> Float[Array, "6 n"]:
+    def distance_to(self, solids: Sequence[Solid]) -> Float[Array, "6 n"]:
         """Signed distance (m) to the nearest of some solids."""
         return jax.vmap(partial(distance_to_segments, solids))(self.start, self.end) - self.radius
 
 
-def capsules(joints: Float[Array, "6 k 3"], robot: Robot) -> Capsules:
+def link_capsules(joints: Float[Array, "6 k 3"], robot: Robot) -> Capsules:
     """All links of legs whose points, from the hip to the foot, are `joints` (m): a shin ends in a pin.
 
     Its radius is a link's up to `FOOT_LENGTH` and that radius from the foot, round, and then `PIN_RADIUS`, up to a

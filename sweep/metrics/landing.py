@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sweep.metrics.footholds import AT_FACE
-from sweep.metrics.metric import Metric, Moment, still
+from sweep.metrics.metric import Metric, MetricTick, initial_state
 from sweep.models.obstacles.surface import surface_at
 
 
@@ -20,27 +20,27 @@ class Landing(NamedTuple):
     reserve: Float[Array, ""]
 
 
-def update(so_far: Landing, now: Moment) -> Landing:
+def update(state: Landing, ctx: MetricTick) -> Landing:
     """Where a stage begins, the one before is judged by what it had left, in the tick before; so is the plan's last."""
-    plan, tick, new = now.plan, now.tick, now.stage != so_far.stage
-    began = jnp.where(new, now.time - now.period, so_far.began)
-    waited = jnp.maximum(now.time - began - plan.duration[now.stage], 0.0) / jnp.maximum(plan.patience, now.period)
-    depth = surface_at(now.world.obstacle, tick.joints[:, -1], tick.bodies).depth
-    hangs = jnp.max(jnp.where(plan.swing[now.stage] & ~tick.truth.loaded, -depth, 0.0))
+    plan, tick, new = ctx.plan, ctx.tick, ctx.stage != state.stage
+    began = jnp.where(new, ctx.time - ctx.period, state.began)
+    waited = jnp.maximum(ctx.time - began - plan.duration[ctx.stage], 0.0) / jnp.maximum(plan.patience, ctx.period)
+    depth = surface_at(ctx.world.obstacle, tick.joints[:, -1], tick.bodies).depth
+    hangs = jnp.max(jnp.where(plan.swing[ctx.stage] & ~tick.truth.loaded, -depth, 0.0))
     left = jnp.where(hangs > 0, -hangs / AT_FACE, 1 - jnp.minimum(waited, 1.0))
-    over = new | now.finished
+    over = new | ctx.finished
     return Landing(
-        stage=now.stage,
+        stage=ctx.stage,
         began=began,
-        left=jnp.where(now.finished, so_far.left, jnp.where(jnp.any(plan.swing[now.stage]), left, 1.0)),
-        reserve=jnp.where(over, jnp.minimum(so_far.reserve, so_far.left), so_far.reserve),
+        left=jnp.where(ctx.finished, state.left, jnp.where(jnp.any(plan.swing[ctx.stage]), left, 1.0)),
+        reserve=jnp.where(over, jnp.minimum(state.reserve, state.left), state.reserve),
     )
 
 
 METRIC = Metric(
-    still(Landing, np.int32(0), 0.0, 1.0, 1.0),
+    initial_state(Landing, np.int32(0), 0.0, 1.0, 1.0),
     update,
-    lambda found, at: {"landing_reserve_min": found.reserve},
+    lambda state, rollout: {"landing_reserve_min": state.reserve},
     {
         "landing_reserve_min": "least of 1 minus the time that a stage waited for its swinging feet to touch down over "
         f"its patience; where one did not, minus its distance from its face over {1e3 * AT_FACE:g} mm"

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.manoeuvres.balancing.ball_ledges import OFF, ON
 from sweep.controllers.plan import is_under_law
-from sweep.metrics.metric import Cause, Elapsed, Metric, Moment, missed, still
+from sweep.metrics.metric import Cause, Metric, MetricTick, Rollout, goal_cause, initial_state
 from sweep.models.obstacles.ledges import Ledges
 
 THERE = 4e-3  # m, of a ball that has come to the far wall
@@ -22,31 +22,31 @@ class LedgeCrossing(NamedTuple):
     docking: Float[Array, ""]  # m/s
 
 
-def update(so_far: LedgeCrossing, now: Moment) -> LedgeCrossing:
+def update(state: LedgeCrossing, ctx: MetricTick) -> LedgeCrossing:
     """The far wall is asked for once."""
-    ledges, tick = now.world.obstacle, now.tick
+    ledges, tick = ctx.world.obstacle, ctx.tick
     assert isinstance(ledges, Ledges)
     ball, speed = tick.truth.free.position[0], tick.truth.free.velocity[0, 0]
     ahead = tick.centre_of_mass[0] - ball[0]
-    leaves = is_under_law(now.plan, now.stage, OFF)
-    past = jnp.where(is_under_law(now.plan, now.stage, ON), ahead, jnp.where(leaves, -ahead, -jnp.inf))
-    gap = jnp.minimum(so_far.gap, jnp.where(leaves, jnp.inf, ledges.far_wall_x - ball[0]))
+    leaves = is_under_law(ctx.plan, ctx.stage, OFF)
+    past = jnp.where(is_under_law(ctx.plan, ctx.stage, ON), ahead, jnp.where(leaves, -ahead, -jnp.inf))
+    gap = jnp.minimum(state.gap, jnp.where(leaves, jnp.inf, ledges.far_wall_x - ball[0]))
     return LedgeCrossing(
-        past=jnp.maximum(so_far.past, past),
+        past=jnp.maximum(state.past, past),
         gap=gap,
-        docking=jnp.where((so_far.gap >= THERE) & (gap < THERE), speed, so_far.docking),
+        docking=jnp.where((state.gap >= THERE) & (gap < THERE), speed, state.docking),
     )
 
 
-def figures(found: LedgeCrossing, at: Elapsed) -> dict[str, Array]:
+def compute(state: LedgeCrossing, rollout: Rollout) -> dict[str, Array]:
     """Past the ball's centre, and the docking."""
-    return {"past_centre_max_m": found.past, "docking_gap_m": found.gap, "docking_speed_mps": found.docking}
+    return {"past_centre_max_m": state.past, "docking_gap_m": state.gap, "docking_speed_mps": state.docking}
 
 
 METRIC = Metric(
-    still(LedgeCrossing, -math.inf, math.inf, 0.0),
+    initial_state(LedgeCrossing, -math.inf, math.inf, 0.0),
     update,
-    figures,
+    compute,
     {
         "past_centre_max_m": "farthest that the robot's mass centre was beyond the ball's, seen from the ledge that "
         "it leaves, or comes to",
@@ -60,10 +60,10 @@ METRIC = Metric(
             "past_centre_max_m",
             None,
         ),
-        missed(
+        goal_cause(
             "the ball stayed farther from the far wall than docking_gap_max_m when the robot left it", "docking_gap_m"
         ),
-        missed("the ball came to the far wall faster than docking_speed_max_mps", "docking_speed_mps"),
+        goal_cause("the ball came to the far wall faster than docking_speed_max_mps", "docking_speed_mps"),
     ),
     applies=lambda case: isinstance(case.obstacle, Ledges),
 )

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.constants import GRAVITY, LOADED
-from sweep.metrics.metric import BRIEF, Elapsed, Metric, Moment, still
+from sweep.metrics.metric import BRIEF, Metric, MetricTick, Rollout, initial_state
 from sweep.models.obstacles.surface import surface_at
 from sweep.models.robot import total_mass
 
@@ -25,40 +25,40 @@ class Load(NamedTuple):
     reserve: Float[Array, ""]
 
 
-def update(so_far: Load, now: Moment) -> Load:
+def update(state: Load, ctx: MetricTick) -> Load:
     """The metric with a tick's mean loads."""
-    tick, weight = now.tick, GRAVITY * total_mass(now.world.robot)
+    tick, weight = ctx.tick, GRAVITY * total_mass(ctx.world.robot)
     demand = jnp.where(tick.normal > LOADED, tick.tangential / jnp.maximum(tick.normal, LOADED), 0.0)
     use = jnp.sum(tick.tangential) / jnp.maximum(jnp.sum(tick.normal), LOADED)
     feet = tick.joints[:, -1]
-    friction = now.world.contact.friction * surface_at(now.world.obstacle, feet, tick.bodies).friction_scale
-    lately = min(1.0, now.period / BRIEF)
-    taken = so_far.taken + lately * (jnp.sum(tick.tangential) - so_far.taken)
-    allowed = so_far.allowed + lately * (jnp.sum(friction * tick.normal) - so_far.allowed)
+    friction = ctx.world.contact.friction * surface_at(ctx.world.obstacle, feet, tick.bodies).friction_scale
+    lately = min(1.0, ctx.period / BRIEF)
+    taken = state.taken + lately * (jnp.sum(tick.tangential) - state.taken)
+    allowed = state.allowed + lately * (jnp.sum(friction * tick.normal) - state.allowed)
     return Load(
-        jnp.maximum(so_far.friction, jnp.max(demand)),
-        so_far.use + now.period * use,
-        jnp.maximum(so_far.normal, jnp.max(tick.normal) / weight),
+        jnp.maximum(state.friction, jnp.max(demand)),
+        state.use + ctx.period * use,
+        jnp.maximum(state.normal, jnp.max(tick.normal) / weight),
         taken,
         allowed,
-        jnp.minimum(so_far.reserve, 1 - taken / jnp.maximum(allowed, LOADED)),
+        jnp.minimum(state.reserve, 1 - taken / jnp.maximum(allowed, LOADED)),
     )
 
 
-def figures(found: Load, at: Elapsed) -> dict[str, Array]:
+def compute(state: Load, rollout: Rollout) -> dict[str, Array]:
     """Peaks and means of friction, and what it left."""
     return {
-        "friction_demand_max": found.friction,
-        "friction_demand_mean": found.use / jnp.maximum(at.time, 1e-9),
-        "normal_max_over_weight": found.normal,
-        "friction_reserve_min": found.reserve,
+        "friction_demand_max": state.friction,
+        "friction_demand_mean": state.use / jnp.maximum(rollout.time, 1e-9),
+        "normal_max_over_weight": state.normal,
+        "friction_reserve_min": state.reserve,
     }
 
 
 METRIC = Metric(
-    still(Load, 0.0, 0.0, 0.0, 0.0, LOADED, 1.0),
+    initial_state(Load, 0.0, 0.0, 0.0, 0.0, LOADED, 1.0),
     update,
-    figures,
+    compute,
     {
         "friction_demand_max": "largest tangential over normal force of a loaded foot, tick means; the friction itself "
         "as soon as a foot slides for a moment",

@@ -48,7 +48,7 @@ class Tick(NamedTuple):
     bodies: BodyPoses
 
 
-class Begin(NamedTuple):
+class RolloutStart(NamedTuple):
     """A rollout before its first tick."""
 
     world: Case
@@ -61,7 +61,7 @@ class Begin(NamedTuple):
     learned: LearnedState = LearnedState()
 
 
-class Moment(NamedTuple):
+class MetricTick(NamedTuple):
     """The control tick that has just passed."""
 
     world: Case
@@ -79,30 +79,30 @@ class Moment(NamedTuple):
     learned: LearnedState = LearnedState()
 
 
-def time_left(now: Moment) -> Float[Array, ""]:
+def time_left(ctx: MetricTick) -> Float[Array, ""]:
     """Of the plan (s), whose stages may have ended before their time."""
-    duration = now.plan.duration
-    later = jnp.sum(jnp.where(jnp.arange(len(duration)) > now.stage, duration, 0.0))
-    return later + (1 - now.phase) * duration[now.stage]
+    duration = ctx.plan.duration
+    later = jnp.sum(jnp.where(jnp.arange(len(duration)) > ctx.stage, duration, 0.0))
+    return later + (1 - ctx.phase) * duration[ctx.stage]
 
 
-class Tail(NamedTuple):
+class PlanTail(NamedTuple):
     """Where things were (m), and when (s), as the last part of the plan began."""
 
     place: Float[Array, "*k 3"]
     time: Float[Array, ""]
 
-    def later(self, now: Moment, place: Float[Array, "*k 3"], length: float) -> "Tail":
+    def update(self, ctx: MetricTick, place: Float[Array, "*k 3"], length: float) -> "PlanTail":
         """The same a tick on; the part lasts `length` seconds of the plan."""
-        before = time_left(now) > length
-        return Tail(jnp.where(before, place, self.place), jnp.where(before, now.time, self.time))
+        before = time_left(ctx) > length
+        return PlanTail(jnp.where(before, place, self.place), jnp.where(before, ctx.time, self.time))
 
-    def velocity(self, place: Float[Array, "*k 3"], time: Array) -> Float[Array, "*k 3"]:
+    def mean_velocity(self, place: Float[Array, "*k 3"], time: Array) -> Float[Array, "*k 3"]:
         """Mean velocity since then (m/s)."""
         return (place - self.place) / jnp.maximum(time - self.time, 1e-9)
 
 
-class Elapsed(NamedTuple):
+class Rollout(NamedTuple):
     """A rollout as far as it has come."""
 
     world: Case
@@ -111,18 +111,18 @@ class Elapsed(NamedTuple):
     stage: Int[Array, ""]
 
 
-class Twin(NamedTuple):
+class ContinuousTwin(NamedTuple):
     """A continuous figure that goes beyond its limit where a count is not enough, and shrinks towards it before."""
 
-    figure: str
+    metric: str
     limit: float
     scale: float  # in which its margin is counted
 
 
-class Lead(NamedTuple):
+class LeadingMetric(NamedTuple):
     """A figure that shrinks to nought before that of a cause can grow: at nought nothing has failed yet."""
 
-    figure: str
+    metric: str
     scale: float  # in which its margin is counted
 
 
@@ -136,32 +136,32 @@ class Cause:
 
     name: str
     sentence: str
-    figure: str  # a column of the metric
+    metric: str  # a column of the metric
     default: float | None
     key: str | None = None  # the threshold's in `outcome`, if it has a name of its own; an empty one nobody can change
     below: bool = False  # it holds where the figure is below the threshold, not above
     # When it is known: in the tick that crosses it; from the start, in the stage that the figure `NAME_stage` tells; at
     # the end. Of those known in a tick each has a name of its own.
-    known: str = "tick"
-    doubt: bool = False
+    known_at: str = "tick"
+    invalid: bool = False
     scale: float | None = None  # in which its margin is counted; the threshold's size by default
-    whole: bool = False  # a count, which is enough or not
-    twin: Twin | None = None  # of a count
-    lead: Lead | None = None  # where there is one, in such a world
-    otherwise: Callable[[Case], float | None] = lambda case: None
+    is_count: bool = False  # a count, which is enough or not
+    twin: ContinuousTwin | None = None  # of a count
+    lead: LeadingMetric | None = None  # where there is one, in such a world
+    default_for: Callable[[Case], float | None] = lambda case: None
 
     @property
     def threshold(self) -> str:
         """Its key in `outcome`: the figure's name, with what it is of the figure, `min` or `max`, before the unit."""
-        words = self.figure.split("_")
+        words = self.metric.split("_")
         if self.key is not None or {"min", "max"} & {*words}:
-            return self.figure if self.key is None else self.key
+            return self.metric if self.key is None else self.key
         unit = words[-1:] if words[-1] in UNITS else []
         return "_".join([*words[: len(words) - len(unit)], "min" if self.below else "max", *unit])
 
     def quantity(self) -> Any:
         """The threshold as a parameter, in the figure's unit."""
-        unit = UNITS.get(self.figure.rpartition("_")[2], "-")
+        unit = UNITS.get(self.metric.rpartition("_")[2], "-")
         return quantity(self.default, unit, at_least=-math.inf if self.below else 0.0)
 
     def holds(self, value: Any, limit: Any) -> Any:
@@ -169,52 +169,52 @@ class Cause:
         return value < limit if self.below else value > limit
 
     @property
-    def beside(self) -> str:
+    def companion(self) -> str:
         """The figure that its margin is of, too: its twin or its lead; empty where it has neither."""
         other = self.twin or self.lead
-        return other.figure if other else ""
+        return other.metric if other else ""
 
-    def margin(self, value: Any, limit: float, beside: Any = None) -> Any:
+    def margin(self, value: Any, limit: float, companion: Any = None) -> Any:
         """How far figures are from `limit`, in units of `scale`, at most 1; negative where the cause holds.
 
         Of a count it is how far its `twin` is from its own limit, where both say the same. With a `lead` it is no more
         than what that has left, but not below nought unless the cause holds.
         """
         left = value - limit if self.below else limit - value
-        if self.whole:
+        if self.is_count:
             count = np.where(left < 0, left, 1.0)
-            if self.twin is None or beside is None:
+            if self.twin is None or companion is None:
                 return count
-            smooth = ((self.twin.limit - beside) / self.twin.scale).clip(max=1.0)
+            smooth = ((self.twin.limit - companion) / self.twin.scale).clip(max=1.0)
             return np.where((smooth < 0) == (left < 0), smooth, count)
         size = abs(limit) if self.scale is None else self.scale
         left = (left / size if size else left).clip(max=1.0)
-        if self.lead is None or beside is None:
+        if self.lead is None or companion is None:
             return left
-        return np.where(left > 0, np.fmin(left, (beside / self.lead.scale).clip(min=0.0)), left)
+        return np.where(left > 0, np.fmin(left, (companion / self.lead.scale).clip(min=0.0)), left)
 
 
-def missed(sentence: str, figure: str, **how: Any) -> Cause:
+def goal_cause(sentence: str, metric: str, **options: Any) -> Cause:
     """The goal was missed by a figure at the end, if the manoeuvre aims at one; `how` is as in `Cause`."""
-    return Cause(GOAL, sentence, figure, None, known="end", **how)
+    return Cause(GOAL, sentence, metric, None, known_at="end", **options)
 
 
 class Metric[S](NamedTuple):
     """Figures with a common state `S`, a pytree."""
 
-    begin: Callable[[Begin], S]
-    update: Callable[[S, Moment], S]
-    figures: Callable[[S, Elapsed], dict[str, Array]]  # by column name, the unit at its end
+    begin: Callable[[RolloutStart], S]
+    update: Callable[[S, MetricTick], S]
+    compute: Callable[[S, Rollout], dict[str, Array]]  # by column name, the unit at its end
     columns: Mapping[str, str]  # what each figure means
     causes: tuple[Cause, ...] = ()
     applies: Callable[[Case], bool] = lambda case: True  # to what kind of world; not by numbers
     interval: float = 0.0  # s, between updates, of a metric that is dear and would not miss anything shorter
 
 
-def still[S](kind: Callable[..., S], *values: Any) -> Callable[[Begin], S]:
+def initial_state[S](kind: Callable[..., S], *values: Any) -> Callable[[RolloutStart], S]:
     """A state of plain numbers that every rollout begins in, in its own precision."""
 
-    def begin(start: Begin) -> S:
+    def begin(start: RolloutStart) -> S:
         floats = (np.asarray(value).dtype.kind == "f" for value in values)
         return kind(*(jnp.asarray(x, start.feet.dtype if f else None) for x, f in zip(values, floats, strict=True)))
 
@@ -222,10 +222,10 @@ def still[S](kind: Callable[..., S], *values: Any) -> Callable[[Begin], S]:
 
 
 def extremes(
-    values: Callable[[Moment], Iterator[Array]],
+    values: Callable[[MetricTick], Iterator[Array]],
     columns: Mapping[str, str],
     causes: tuple[Cause, ...] = (),
-    **how: Any,
+    **options: Any,
 ) -> Metric[tuple[Array, ...]]:
     """A metric of what every tick gives, in the order of `columns`: of each the largest so far, or the least.
 
@@ -233,11 +233,11 @@ def extremes(
     """
     kinds = [next(BEST[word] for word in name.split("_") if word in BEST) for name in columns]
 
-    def update(so_far: tuple[Array, ...], now: Moment) -> tuple[Array, ...]:
-        return tuple(best(old, new) for (best, _), old, new in zip(kinds, so_far, values(now), strict=True))
+    def update(state: tuple[Array, ...], ctx: MetricTick) -> tuple[Array, ...]:
+        return tuple(best(old, new) for (best, _), old, new in zip(kinds, state, values(ctx), strict=True))
 
-    def figures(found: tuple[Array, ...], at: Elapsed) -> dict[str, Array]:
-        return dict(zip(columns, found, strict=True))
+    def compute(state: tuple[Array, ...], rollout: Rollout) -> dict[str, Array]:
+        return dict(zip(columns, state, strict=True))
 
-    begin = still(lambda *found: found, *(start for _, start in kinds))
-    return Metric(begin, update, figures, columns, causes, **how)
+    begin = initial_state(lambda *found: found, *(start for _, start in kinds))
+    return Metric(begin, update, compute, columns, causes, **options)

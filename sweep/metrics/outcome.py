@@ -10,16 +10,16 @@ import numpy as np
 from sweep.core.errors import InputError
 from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
 from sweep.core.parameters import UNITS, parameters, written
-from sweep.metrics import CAUSES, METRICS, of
+from sweep.metrics import CAUSES, METRICS, applicable_metrics
 from sweep.metrics.metric import GOAL, Cause
 from sweep.models.case import Case
 
 _MEANING = {cause.name: cause.sentence for cause in CAUSES} | {
     GOAL: "the manoeuvre's goal was missed; the column `limit` says which part of it"
 }
-FAILURES = {cause.name: _MEANING[cause.name] for cause in CAUSES if not cause.doubt}
-DOUBTS = {cause.name: _MEANING[cause.name] for cause in CAUSES if cause.doubt}
-MEANING = {**FAILURES, **DOUBTS}
+FAILURES = {cause.name: _MEANING[cause.name] for cause in CAUSES if not cause.invalid}
+INVALID_CAUSES = {cause.name: _MEANING[cause.name] for cause in CAUSES if cause.invalid}
+MEANING = {**FAILURES, **INVALID_CAUSES}
 COLUMNS = {name: meaning for metric in METRICS for name, meaning in metric.columns.items()}
 BOOKKEEPING = {f"{cause.name}_{what}" for cause in CAUSES for what in ("time_s", "stage")}  # when causes were met
 
@@ -47,7 +47,7 @@ def thresholds(values: Mapping[str, float | None], case: Case) -> Thresholds:
 
     Raises `InputError` where a value is for a figure that such a rollout does not have.
     """
-    known = {cause.threshold: cause for metric in of(case) for cause in metric.causes}
+    known = {cause.threshold: cause for metric in applicable_metrics(case) for cause in metric.causes}
     chosen = {}
     for field in dataclasses.fields(Thresholds):  # pyright: ignore[reportArgumentType]
         value, cause = values.get(field.name, field.default), known.get(field.name)
@@ -55,7 +55,7 @@ def thresholds(values: Mapping[str, float | None], case: Case) -> Thresholds:
             kinds = f"manoeuvre = {case.manoeuvre.kind} on obstacle = {case.obstacle.kind}"
             raise InputError(f"outcome.{field.name} = {value} is not allowed: {kinds} has no such figure")
         if value is None and cause is not None:
-            value = case.manoeuvre.goal.get(field.name, cause.otherwise(case))
+            value = case.manoeuvre.goal.get(field.name, cause.default_for(case))
         chosen[field.name] = value
     return Thresholds(**chosen)
 
@@ -76,14 +76,14 @@ def cause_meanings(limits: Thresholds) -> dict[str, str]:
 
 def sentence_with_limit(cause: Cause, limits: Thresholds) -> str:
     """The sentence of a cause with the value and unit of its threshold, where it has one, in place of its key."""
-    if not cause.threshold or not np.isfinite(limit := limit_of(cause, limits)):
+    if not cause.threshold or not np.isfinite(limit := threshold_value(cause, limits)):
         return cause.sentence
     unit = written(UNITS.get(cause.threshold.rpartition("_")[2], "-"))
     value = f"{limit:.4g} {unit}".strip().replace(" deg", "°")
     return re.sub(rf"\b{cause.threshold}\b", value, cause.sentence)
 
 
-def limit_of(cause: Cause, limits: Thresholds) -> float:
+def threshold_value(cause: Cause, limits: Thresholds) -> float:
     """The threshold of a cause's figure; infinite where there is none."""
     value = getattr(limits, cause.threshold) if cause.threshold else cause.default
     return (-np.inf if cause.below else np.inf) if value is None else value
@@ -98,17 +98,17 @@ def classify(figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequ
     the threshold of a failure, in units of that threshold, and `margin_of` which threshold that is.
     """
     f = {key: np.asarray(value) for key, value in figures.items()}
-    causes = sorted((c for c in CAUSES if c.figure in f), key=lambda c: not c.doubt)
-    holds = np.stack([_holds(c, f, limit_of(c, limits)) for c in causes])
+    causes = sorted((c for c in CAUSES if c.metric in f), key=lambda c: not c.invalid)
+    holds = np.stack([_holds(c, f, threshold_value(c, limits)) for c in causes])
     times = np.where(holds, np.stack([_time(c, f) for c in causes]), np.nan)
     any_holds = holds.any(axis=0)
     first = np.argmin(np.nan_to_num(times, nan=np.inf, posinf=np.finfo(float).max), axis=0)
     time = np.take_along_axis(times, first[None], axis=0)[0]
     stage = np.take_along_axis(np.stack([_stage(c, f) for c in causes]), first[None], axis=0)[0]
     stage = np.where(np.isfinite(time), stage, f["end_stage"]).astype(int)
-    verdict = np.array([INVALID if c.doubt else FAILURE for c in causes], dtype=object)[first]
+    verdict = np.array([INVALID if c.invalid else FAILURE for c in causes], dtype=object)[first]
     labels = np.array([*stages, ""], dtype=object)
-    margin, margin_of = margins_of(causes, f, limits)
+    margin, margin_of = least_margins(causes, f, limits)
     return {
         "outcome": np.where(any_holds, verdict, SUCCESS),
         "cause": np.where(any_holds, np.array([c.name for c in causes], dtype=object)[first], ""),
@@ -120,7 +120,7 @@ def classify(figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequ
     }
 
 
-def margins_of(
+def least_margins(
     causes: Sequence[Cause], figures: Mapping[str, np.ndarray], limits: Thresholds
 ) -> tuple[np.ndarray, np.ndarray]:
     """Least distance (n,) of figures, (n,) by name, to the thresholds of failures by `causes`, and their names.
@@ -131,38 +131,42 @@ def margins_of(
     judged = [
         (cause, limit)
         for cause in causes
-        if not cause.doubt and (cause.threshold or cause.twin) and np.isfinite(limit := limit_of(cause, limits))
+        if not cause.invalid
+        and (cause.threshold or cause.twin)
+        and np.isfinite(limit := threshold_value(cause, limits))
     ]
 
     def value(name: str) -> np.ndarray | None:
         return np.asarray(figures[name], float) if name in figures else None
 
-    margins = np.stack([c.margin(value(c.figure), limit, value(c.beside)) for c, limit in judged])
+    margins = np.stack([c.margin(value(c.metric), limit, value(c.companion)) for c, limit in judged])
     nearest = np.argmin(np.nan_to_num(margins, nan=-np.inf), axis=0)
     names = np.array([cause.threshold or cause.name for cause, _ in judged], dtype=object)
     return np.take_along_axis(margins, nearest[None], axis=0)[0], names[nearest]
 
 
-def why(row: Mapping[str, Any], limits: Thresholds) -> str:
+def explain_cause(row: Mapping[str, Any], limits: Thresholds) -> str:
     """The cause of a row in words, with the figure and its threshold; empty for a success."""
     for cause in CAUSES:
-        if cause.name == row["cause"] and cause.threshold == row["limit"] and cause.figure in row:
-            value = f" ({cause.figure} {float(row[cause.figure]):.4g}, " if cause.threshold else ""
+        if cause.name == row["cause"] and cause.threshold == row["limit"] and cause.metric in row:
+            value = f" ({cause.metric} {float(row[cause.metric]):.4g}, " if cause.threshold else ""
             side = "at least" if cause.below else "at most"
-            return sentence_with_limit(cause, limits) + (value and f"{value}{side} {limit_of(cause, limits):.4g})")
+            return sentence_with_limit(cause, limits) + (
+                value and f"{value}{side} {threshold_value(cause, limits):.4g})"
+            )
     return MEANING.get(str(row["cause"]), "")
 
 
 def _holds(cause: Cause, f: Mapping[str, np.ndarray], limit: float) -> np.ndarray:
     """A comparison with NaN is false, hence the explicit check of every figure."""
-    holds = np.asarray(cause.holds(f[cause.figure], limit))
+    holds = np.asarray(cause.holds(f[cause.metric], limit))
     if cause.name != "not_finite":
         return holds
     return holds | np.any([np.isnan(v.astype(float)) for key, v in f.items() if key not in BOOKKEEPING], axis=0)
 
 
 def _time(cause: Cause, f: Mapping[str, np.ndarray]) -> np.ndarray:
-    match cause.known:
+    match cause.known_at:
         case "start":
             return np.zeros(f["end_stage"].shape)
         case "tick":
@@ -172,4 +176,4 @@ def _time(cause: Cause, f: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _stage(cause: Cause, f: Mapping[str, np.ndarray]) -> np.ndarray:
-    return f["end_stage"] if cause.known == "end" else f[f"{cause.name}_stage"]
+    return f["end_stage"] if cause.known_at == "end" else f[f"{cause.name}_stage"]

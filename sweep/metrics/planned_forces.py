@@ -5,12 +5,12 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.layers import Feedforward
 from sweep.controllers.plan import Plan
-from sweep.metrics.metric import Cause, Elapsed, Metric
+from sweep.metrics.metric import Cause, Metric, Rollout
 
 
-def figures(found: None, at: Elapsed) -> dict[str, Array]:
+def compute(state: None, rollout: Rollout) -> dict[str, Array]:
     """The worst stage of the plan, by what its forces lack."""
-    left = imbalance(at.plan)
+    left = imbalance(rollout.plan)
     return {"imbalance_max": jnp.max(left), "infeasible_stage": jnp.argmax(left).astype(jnp.int32)}
 
 
@@ -22,8 +22,8 @@ def imbalance(plan: Plan) -> Float[Array, " s"]:
 
 METRIC = Metric(
     lambda start: None,
-    lambda so_far, now: None,
-    figures,
+    lambda state, ctx: None,
+    compute,
     {
         "imbalance_max": "largest part of the weight that planned forces leave unheld",
         "infeasible_stage": "the stage in which they do",
@@ -34,7 +34,7 @@ METRIC = Metric(
             "no forces within the believed friction and torque limit hold a planned stance",
             "imbalance_max",
             0.01,
-            known="start",
+            known_at="start",
         ),
     ),
 )

@@ -6,7 +6,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.plan import path_length
-from sweep.metrics.metric import GRACE, Begin, Cause, Elapsed, Metric, Moment, Twin, missed, time_left
+from sweep.metrics.metric import (
+    GRACE,
+    Cause,
+    ContinuousTwin,
+    Metric,
+    MetricTick,
+    Rollout,
+    RolloutStart,
+    goal_cause,
+    time_left,
+)
 from sweep.models.frames import WORLD
 
 
@@ -25,52 +35,52 @@ class Progress(NamedTuple):
     use: Float[Array, ""]
 
 
-def begin(start: Begin) -> Progress:
+def begin(start: RolloutStart) -> Progress:
     """The metric before the first step."""
     zero = jnp.zeros((), start.position.dtype)
     return Progress(start.position, start.position, zero, zero, zero, jnp.asarray(False), zero + 2)
 
 
-def update(so_far: Progress, now: Moment) -> Progress:
+def update(state: Progress, ctx: MetricTick) -> Progress:
     """The way along the planned direction counts."""
-    way = now.plan.position[now.stage] - now.stage_start
+    way = ctx.plan.position[ctx.stage] - ctx.stage_start
     length = jnp.linalg.norm(way)
-    moving = (length > 1e-6) & ~now.finished
-    step = (now.tick.truth.position - so_far.position) @ (way / jnp.maximum(length, 1e-6))
-    given = GRACE * jnp.sum(now.plan.duration)
-    ended = jnp.where(so_far.finished, so_far.use, jnp.minimum(now.time / given, 1.0))
-    lacks = 1 + jnp.maximum(time_left(now) / given, 1e-6)
-    return so_far._replace(
-        position=now.tick.truth.position,
-        travel=so_far.travel + jnp.where(moving, step, 0.0),
-        travel_time=so_far.travel_time + jnp.where(moving, now.period, 0.0),
-        error=jnp.maximum(so_far.error, jnp.linalg.norm(now.tick.truth.position - now.reference.position)),
-        finished=now.finished,
-        use=jnp.where(now.finished, ended, lacks),
+    moving = (length > 1e-6) & ~ctx.finished
+    step = (ctx.tick.truth.position - state.position) @ (way / jnp.maximum(length, 1e-6))
+    given = GRACE * jnp.sum(ctx.plan.duration)
+    ended = jnp.where(state.finished, state.use, jnp.minimum(ctx.time / given, 1.0))
+    lacks = 1 + jnp.maximum(time_left(ctx) / given, 1e-6)
+    return state._replace(
+        position=ctx.tick.truth.position,
+        travel=state.travel + jnp.where(moving, step, 0.0),
+        travel_time=state.travel_time + jnp.where(moving, ctx.period, 0.0),
+        error=jnp.maximum(state.error, jnp.linalg.norm(ctx.tick.truth.position - ctx.reference.position)),
+        finished=ctx.finished,
+        use=jnp.where(ctx.finished, ended, lacks),
     )
 
 
-def figures(found: Progress, at: Elapsed) -> dict[str, Array]:
+def compute(state: Progress, rollout: Rollout) -> dict[str, Array]:
     """How far the way is done, and how fast."""
-    length = path_length(at.plan)
-    left = jnp.linalg.norm(found.position - at.plan.position[-1])
-    goes = (length > 1e-6) & (at.plan.base_frame[-1] == WORLD)  # on a free body the goal is a motion, not a place
+    length = path_length(rollout.plan)
+    left = jnp.linalg.norm(state.position - rollout.plan.position[-1])
+    goes = (length > 1e-6) & (rollout.plan.base_frame[-1] == WORLD)  # on a free body the goal is a motion, not a place
     return {
-        "finished": found.finished,
-        "time_use": found.use,
-        "end_stage": at.stage,
-        "duration_s": at.time,
+        "finished": state.finished,
+        "time_use": state.use,
+        "end_stage": rollout.stage,
+        "duration_s": rollout.time,
         "progress": jnp.where(goes, 1 - left / jnp.maximum(length, 1e-6), 1.0),
-        "distance_m": jnp.linalg.norm((found.position - found.start)[:2]),
-        "speed_mps": found.travel / jnp.maximum(found.travel_time, 1e-9),
-        "position_error_max_m": found.error,
+        "distance_m": jnp.linalg.norm((state.position - state.start)[:2]),
+        "speed_mps": state.travel / jnp.maximum(state.travel_time, 1e-9),
+        "position_error_max_m": state.error,
     }
 
 
 METRIC = Metric(
     begin,
     update,
-    figures,
+    compute,
     {
         "finished": "whether the plan came to its end",
         "time_use": f"time to the plan's end over {GRACE:g} of its duration, all it is given; beyond 1 what it lacked",
@@ -89,10 +99,10 @@ METRIC = Metric(
             1.0,
             key="",
             below=True,
-            known="end",
-            whole=True,
-            twin=Twin("time_use", 1.0, 1 - 1 / GRACE),
+            known_at="end",
+            is_count=True,
+            twin=ContinuousTwin("time_use", 1.0, 1 - 1 / GRACE),
         ),
-        missed("progress to the goal stayed below progress_min", "progress", below=True, scale=0.1),
+        goal_cause("progress to the goal stayed below progress_min", "progress", below=True, scale=0.1),
     ),
 )

@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 from sweep.controllers.manoeuvres.afloat.raft_cross import PUSH, WAIT
 from sweep.controllers.plan import is_under_law
 from sweep.core.rotations import heading, rotate
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
-from sweep.metrics.slip import Holding
+from sweep.metrics.metric import Cause, Metric, MetricTick, Rollout, RolloutStart
+from sweep.metrics.slip import FootHold
 from sweep.models.obstacles.raft import CORNERS, Raft
 
 
@@ -22,19 +22,19 @@ class Afloat(NamedTuple):
     pushed: Float[Array, ""]  # m/s
     arrived: Float[Array, ""]  # m/s
     turned: Float[Array, ""]  # rad
-    hold: Holding
+    hold: FootHold
     slip: Float[Array, ""]  # m
 
 
-def begin(start: Begin) -> Afloat:
+def begin(start: RolloutStart) -> Afloat:
     """Nothing stands on it yet."""
     far, zero = jnp.full((), jnp.inf, start.feet.dtype), jnp.zeros((), start.feet.dtype)
-    return Afloat(far, far, zero, zero, zero, zero, Holding.nowhere(start), zero)
+    return Afloat(far, far, zero, zero, zero, zero, FootHold.at_start(start), zero)
 
 
-def update(so_far: Afloat, now: Moment) -> Afloat:
+def update(state: Afloat, ctx: MetricTick) -> Afloat:
     """What slips on the deck are feet that took hold there."""
-    raft, tick = now.world.obstacle, now.tick
+    raft, tick = ctx.world.obstacle, ctx.tick
     assert isinstance(raft, Raft)
     free = tick.truth.free
     half = raft.half_size * jnp.array([[x, y, 1.0] for x, y in CORNERS])
@@ -44,38 +44,38 @@ def update(so_far: Afloat, now: Moment) -> Afloat:
         for side in (1.0, -1.0)
     )
     up = rotate(free.quat[0], jnp.array([0.0, 0.0, 1.0], free.quat.dtype))
-    pushes, arrives = (is_under_law(now.plan, now.stage, law) for law in (PUSH, WAIT))
+    pushes, arrives = (is_under_law(ctx.plan, ctx.stage, law) for law in (PUSH, WAIT))
     speed = free.velocity[0, 0]
-    hold, way = so_far.hold.after(now)
+    hold, way = state.hold.update(ctx)
     return Afloat(
-        freeboard=jnp.minimum(so_far.freeboard, jnp.min(deck)),
-        draught=jnp.minimum(so_far.draught, -jnp.max(bottom)),
-        tilt=jnp.maximum(so_far.tilt, jnp.arccos(jnp.clip(up[2], -1.0, 1.0))),
-        pushed=jnp.where(pushes, speed, so_far.pushed),
-        arrived=jnp.where(arrives, speed, so_far.arrived),
-        turned=jnp.where(arrives, heading(free.quat[0]), so_far.turned),
+        freeboard=jnp.minimum(state.freeboard, jnp.min(deck)),
+        draught=jnp.minimum(state.draught, -jnp.max(bottom)),
+        tilt=jnp.maximum(state.tilt, jnp.arccos(jnp.clip(up[2], -1.0, 1.0))),
+        pushed=jnp.where(pushes, speed, state.pushed),
+        arrived=jnp.where(arrives, speed, state.arrived),
+        turned=jnp.where(arrives, heading(free.quat[0]), state.turned),
         hold=hold,
-        slip=jnp.maximum(so_far.slip, jnp.max(jnp.where(hold.body == 0, way, 0.0))),
+        slip=jnp.maximum(state.slip, jnp.max(jnp.where(hold.body == 0, way, 0.0))),
     )
 
 
-def figures(found: Afloat, at: Elapsed) -> dict[str, Array]:
+def compute(state: Afloat, rollout: Rollout) -> dict[str, Array]:
     """Extremes so far, and the motion as the raft left and came."""
     return {
-        "freeboard_min_m": found.freeboard,
-        "draught_min_m": found.draught,
-        "raft_tilt_max_rad": found.tilt,
-        "push_speed_mps": found.pushed,
-        "arrival_speed_mps": found.arrived,
-        "arrival_turn_rad": found.turned,
-        "deck_slip_max_m": found.slip,
+        "freeboard_min_m": state.freeboard,
+        "draught_min_m": state.draught,
+        "raft_tilt_max_rad": state.tilt,
+        "push_speed_mps": state.pushed,
+        "arrival_speed_mps": state.arrived,
+        "arrival_turn_rad": state.turned,
+        "deck_slip_max_m": state.slip,
     }
 
 
 METRIC = Metric(
     begin,
     update,
-    figures,
+    compute,
     {
         "freeboard_min_m": "least height of the corners of a raft's deck over the water",
         "draught_min_m": "least depth of the corners of its bottom",

@@ -5,20 +5,20 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.metrics.metric import Cause, Moment, extremes
+from sweep.metrics.metric import Cause, MetricTick, extremes
 
 
-def reach(now: Moment) -> Iterator[Float[Array, ""]]:
+def reach_values(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
     """Of the farthest foot target, and what legs as they are could still stretch or fold (m)."""
-    robot, leg = now.world.robot, now.tick.joints
+    robot, leg = ctx.world.robot, ctx.tick.joints
     stretch = jnp.linalg.norm(leg[:, -1] - leg[:, -3], axis=-1)
     left = jnp.minimum(robot.thigh + robot.shin - stretch, stretch - jnp.abs(robot.thigh - robot.shin))
-    yield now.shortfall
-    yield jnp.min(left) - now.shortfall
+    yield ctx.shortfall
+    yield jnp.min(left) - ctx.shortfall
 
 
 METRIC = extremes(
-    reach,
+    reach_values,
     {
         "reach_shortfall_max_m": "largest distance of a foot target beyond its leg's reach",
         "reach_reserve_min_m": "least length by which a leg could be longer or shorter, the former taken off",

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.core.rotations import matrix
-from sweep.metrics.metric import REST, Begin, Cause, Metric, Moment
+from sweep.metrics.metric import REST, Cause, Metric, MetricTick, RolloutStart
 
 
 class Resting(NamedTuple):
@@ -17,25 +17,25 @@ class Resting(NamedTuple):
     drift: Float[Array, ""]
 
 
-def begin(start: Begin) -> Resting:
+def begin(start: RolloutStart) -> Resting:
     """The metric of a robot under way."""
     links = 3 if start.world.robot.legs == "two_link" else 4
     zero = jnp.zeros((), start.feet.dtype)
     return Resting(jnp.asarray(False), jnp.zeros((6, links, 3), zero.dtype), zero)
 
 
-def update(so_far: Resting, now: Moment) -> Resting:
+def update(state: Resting, ctx: MetricTick) -> Resting:
     """Seen from where the base is told to be, a robot that rests on something afloat or rolling rests."""
-    here = (now.tick.joints - now.target.position) @ matrix(now.target.quat)
-    place = jnp.where(so_far.ended, so_far.place, here)
-    drift = jnp.where(now.finished, jnp.max(jnp.linalg.norm(here - place, axis=-1)), 0.0)
-    return Resting(now.finished, place, jnp.maximum(so_far.drift, drift))
+    here = (ctx.tick.joints - ctx.target.position) @ matrix(ctx.target.quat)
+    place = jnp.where(state.ended, state.place, here)
+    drift = jnp.where(ctx.finished, jnp.max(jnp.linalg.norm(here - place, axis=-1)), 0.0)
+    return Resting(ctx.finished, place, jnp.maximum(state.drift, drift))
 
 
 METRIC = Metric(
     begin,
     update,
-    lambda found, at: {"end_drift_m": found.drift},
+    lambda state, rollout: {"end_drift_m": state.drift},
     {
         "end_drift_m": f"farthest that a hip, knee or foot went in the {REST:g} s after the plan, seen from where the "
         "base is told to be"

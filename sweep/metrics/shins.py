@@ -4,22 +4,22 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.metrics.geometry import shin_slopes
-from sweep.metrics.metric import Cause, Metric, Moment, still
+from sweep.metrics.metric import Cause, Metric, MetricTick, initial_state
 from sweep.models.obstacles.surface import surface_at
 
 
-def update(so_far: Float[Array, ""], now: Moment) -> Float[Array, ""]:
+def update(state: Float[Array, ""], ctx: MetricTick) -> Float[Array, ""]:
     """Sine of the least angle, of feet that bear load but in the first half of their swing."""
-    tick = now.tick
-    normal = surface_at(now.world.obstacle, tick.joints[:, -1], tick.bodies).normal
-    goes = now.plan.swing[now.stage] & ~now.finished & (now.phase <= 0.5)
-    return jnp.minimum(so_far, jnp.min(jnp.where(tick.truth.loaded & ~goes, shin_slopes(tick.joints, normal), 1.0)))
+    tick = ctx.tick
+    normal = surface_at(ctx.world.obstacle, tick.joints[:, -1], tick.bodies).normal
+    goes = ctx.plan.swing[ctx.stage] & ~ctx.finished & (ctx.phase <= 0.5)
+    return jnp.minimum(state, jnp.min(jnp.where(tick.truth.loaded & ~goes, shin_slopes(tick.joints, normal), 1.0)))
 
 
 METRIC = Metric(
-    still(jnp.asarray, 1.0),  # upright
+    initial_state(jnp.asarray, 1.0),  # upright
     update,
-    lambda sine, at: {"shin_angle_min_rad": jnp.arcsin(sine)},
+    lambda sine, rollout: {"shin_angle_min_rad": jnp.arcsin(sine)},
     {"shin_angle_min_rad": "least angle of a standing foot's shin over the face that it stands on, negative under it"},
     (
         Cause(

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.core.constants import GRAVITY
-from sweep.metrics.metric import Begin, Cause, Elapsed, Metric, Moment
+from sweep.metrics.metric import Cause, Metric, MetricTick, Rollout, RolloutStart
 from sweep.models.robot import total_mass
 
 # The bounds are from 1,500 rollouts with sizes wrong by up to 2 %, each again at half the time step: below 0.4 of the
@@ -31,47 +31,47 @@ class Solver(NamedTuple):
     ratio: Float[Array, ""]
 
 
-def begin(start: Begin) -> Solver:
+def begin(start: RolloutStart) -> Solver:
     """The metric before any doubt."""
     zero = jnp.zeros((), start.energy.dtype)
     return Solver(jnp.asarray(True), zero, zero, start.energy, zero, zero, zero, zero)
 
 
-def update(so_far: Solver, now: Moment) -> Solver:
+def update(state: Solver, ctx: MetricTick) -> Solver:
     """Energy may not grow by more than drives and pushes put in."""
-    tick, robot = now.tick, now.world.robot
+    tick, robot = ctx.tick, ctx.world.robot
     weight = GRAVITY * total_mass(robot)
-    work, effort = so_far.work + tick.work, so_far.effort + tick.effort
-    gain = jnp.maximum(tick.energy - so_far.energy - work, 0.0)
+    work, effort = state.work + tick.work, state.effort + tick.effort
+    gain = jnp.maximum(tick.energy - state.energy - work, 0.0)
     finite = jnp.isfinite(tick.energy) & jnp.all(jnp.isfinite(tick.joints))
     return Solver(
-        so_far.finite & finite,
-        jnp.maximum(so_far.residual, tick.residual),
-        so_far.unsettled + now.period * (tick.residual > UNSETTLED * weight),
-        so_far.energy,
+        state.finite & finite,
+        jnp.maximum(state.residual, tick.residual),
+        state.unsettled + ctx.period * (tick.residual > UNSETTLED * weight),
+        state.energy,
         work,
         effort,
-        jnp.maximum(so_far.gain, gain),
-        jnp.maximum(so_far.ratio, gain / (effort + weight * robot.body_length)),
+        jnp.maximum(state.gain, gain),
+        jnp.maximum(state.ratio, gain / (effort + weight * robot.body_length)),
     )
 
 
-def figures(found: Solver, at: Elapsed) -> dict[str, Array]:
+def compute(state: Solver, rollout: Rollout) -> dict[str, Array]:
     """Residuals over the weight, and growth of energy."""
     return {
-        "finite": found.finite,
-        "solver_residual_max_n": found.residual,
-        "solver_residual_over_weight": found.residual / (GRAVITY * total_mass(at.world.robot)),
-        "solver_unsettled_share": found.unsettled / jnp.maximum(at.time, 1e-9),
-        "energy_gain_max_j": found.gain,
-        "energy_gain_ratio": found.ratio,
+        "finite": state.finite,
+        "solver_residual_max_n": state.residual,
+        "solver_residual_over_weight": state.residual / (GRAVITY * total_mass(rollout.world.robot)),
+        "solver_unsettled_share": state.unsettled / jnp.maximum(rollout.time, 1e-9),
+        "energy_gain_max_j": state.gain,
+        "energy_gain_ratio": state.ratio,
     }
 
 
 METRIC = Metric(
     begin,
     update,
-    figures,
+    compute,
     {
         "finite": "whether energy and joints were finite throughout",
         "solver_residual_max_n": "largest force that the contact solver left unexplained",
@@ -82,29 +82,29 @@ METRIC = Metric(
         "lifts the robot by its length",
     },
     (
-        Cause("not_finite", "a number was not finite", "finite", 1.0, key="", below=True, doubt=True),
+        Cause("not_finite", "a number was not finite", "finite", 1.0, key="", below=True, invalid=True),
         Cause(
             "solver",
             "the contact solver left more than solver_residual_max of the weight unexplained",
             "solver_residual_over_weight",
             2.0,
             key="solver_residual_max",
-            doubt=True,
+            invalid=True,
         ),
         Cause(
             "unsettled",
             "the contact solver was unsettled for more than solver_unsettled_share_max of the time",
             "solver_unsettled_share",
             0.005,
-            known="end",
-            doubt=True,
+            known_at="end",
+            invalid=True,
         ),
         Cause(
             "energy",
             "mechanical energy grew beyond the drives' work by more than energy_gain_ratio_max",
             "energy_gain_ratio",
             0.005,
-            doubt=True,
+            invalid=True,
         ),
     ),
 )

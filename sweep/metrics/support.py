@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from sweep.core.constants import LOADED
 from sweep.metrics.geometry import support_margin
-from sweep.metrics.metric import BRIEF, Metric, Moment, still
+from sweep.metrics.metric import BRIEF, Metric, MetricTick, initial_state
 
 
 class Stability(NamedTuple):
@@ -19,18 +19,18 @@ class Stability(NamedTuple):
     margin: Float[Array, ""]
 
 
-def update(so_far: Stability, now: Moment) -> Stability:
+def update(state: Stability, ctx: MetricTick) -> Stability:
     """Seen from above, the distance of the mass centre to the border of the feet that carry."""
-    tick = now.tick
-    load = so_far.load + min(1.0, now.period / BRIEF) * (tick.normal - so_far.load)
+    tick = ctx.tick
+    load = state.load + min(1.0, ctx.period / BRIEF) * (tick.normal - state.load)
     margin = support_margin(tick.joints[:, -1, :2], load > LOADED, tick.centre_of_mass[:2])
-    return Stability(load, jnp.minimum(so_far.margin, margin))
+    return Stability(load, jnp.minimum(state.margin, margin))
 
 
 METRIC = Metric(
-    still(Stability, np.full(6, 2 * LOADED), math.inf),  # all feet carry
+    initial_state(Stability, np.full(6, 2 * LOADED), math.inf),  # all feet carry
     update,
-    lambda found, at: {"stability_margin_min_m": found.margin},
+    lambda state, rollout: {"stability_margin_min_m": state.margin},
     {
         "stability_margin_min_m": "least distance of the centre of mass, seen from above, to the border of the convex "
         "hull of the feet that carry load (5 N over 50 ms), negative outside"

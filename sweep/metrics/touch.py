@@ -6,26 +6,26 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from sweep.controllers.touch import TouchState, learnable_sizes
-from sweep.metrics.metric import Begin, Elapsed, Metric, Moment
+from sweep.metrics.metric import Metric, MetricTick, Rollout, RolloutStart
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.obstacles.surface import Obstacle
 
 
-def touched(at: Begin | Moment) -> TouchState:
+def touch_estimate(rollout: RolloutStart | MetricTick) -> TouchState:
     """The sizes as they are known by now."""
-    assert at.learned.touch is not None  # since it applies
-    return at.learned.touch
+    assert rollout.learned.touch is not None  # since it applies
+    return rollout.learned.touch
 
 
-def figures(found: TouchState, at: Elapsed) -> dict[str, Array]:
+def compute(state: TouchState, rollout: Rollout) -> dict[str, Array]:
     """Sizes that were felt, and their deviations."""
-    parts = ({f"learned_{n}_{u}": jnp.asarray(getattr(found.obstacle, n)),
-              f"learned_{n}_sd_{u}": jnp.sqrt(found.covariance[k, k])}
-             for k, (n, u) in enumerate(units(at.world.obstacle).items()))  # fmt: skip
+    parts = ({f"learned_{n}_{u}": jnp.asarray(getattr(state.obstacle, n)),
+              f"learned_{n}_sd_{u}": jnp.sqrt(state.covariance[k, k])}
+             for k, (n, u) in enumerate(learned_size_units(rollout.world.obstacle).items()))  # fmt: skip
     return {name: value for part in parts for name, value in part.items()}
 
 
-def units(obstacle: Obstacle | type[Obstacle]) -> dict[str, str]:
+def learned_size_units(obstacle: Obstacle | type[Obstacle]) -> dict[str, str]:
     """The sizes of an obstacle that can be learned, and their units."""
     fields = {f.name: f for f in dataclasses.fields(obstacle)}  # pyright: ignore[reportArgumentType]
     return {name: fields[name].metadata["unit"] for name in learnable_sizes(obstacle)}
@@ -33,7 +33,7 @@ def units(obstacle: Obstacle | type[Obstacle]) -> dict[str, str]:
 
 def _columns() -> dict[str, str]:
     """Columns of all obstacles' sizes."""
-    sizes = {(n, u) for cls in OBSTACLES.values() for n, u in units(cls).items()}
+    sizes = {(n, u) for cls in OBSTACLES.values() for n, u in learned_size_units(cls).items()}
     told = {}
     for name, unit in sorted(sizes):
         told[f"learned_{name}_{unit}"] = f"the obstacle's {name.replace('_', ' ')}, as touching it has told"
@@ -42,9 +42,9 @@ def _columns() -> dict[str, str]:
 
 
 METRIC = Metric(
-    touched,
-    lambda so_far, now: touched(now),
-    figures,
+    touch_estimate,
+    lambda state, ctx: touch_estimate(ctx),
+    compute,
     _columns(),
     applies=lambda case: case.control.touch == "obstacle",
 )

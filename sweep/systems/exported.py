@@ -25,7 +25,7 @@ from sweep.engines.closed_loop import GRACE, act, figures_of, init, measure, sen
 from sweep.engines.prelude import prepared
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.metric import GOAL, REST, Tick
-from sweep.metrics.outcome import Thresholds, limit_of
+from sweep.metrics.outcome import Thresholds, threshold_value
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_V, JOINTS, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import body_poses, surface_at
@@ -108,12 +108,12 @@ def scenario(case: Case, settings: EngineSettings, limits: Thresholds, model: st
 
 def _conditions(case: Case, limits: Thresholds) -> Iterator[tuple[str, str]]:
     """Those of a moment first, as what is known at the end alone comes of them; which came first is not known."""
-    every = [cause for metric in metrics.of(case) for cause in metric.causes if not cause.doubt]
-    for cause in sorted(every, key=lambda cause: cause.known == "end"):
-        limit = limit_of(cause, limits)
+    every = [cause for metric in metrics.applicable_metrics(case) for cause in metric.causes if not cause.invalid]
+    for cause in sorted(every, key=lambda cause: cause.known_at == "end"):
+        limit = threshold_value(cause, limits)
         if math.isfinite(limit):
             name = cause.name if cause.name != GOAL else f"missed_{cause.threshold}"
-            yield name, f"{cause.figure} {'<' if cause.below else '>'} {limit!r}"
+            yield name, f"{cause.metric} {'<' if cause.below else '>'} {limit!r}"
 
 
 def controller(case: Case, settings: EngineSettings, limits: Thresholds) -> Controller:
@@ -121,7 +121,7 @@ def controller(case: Case, settings: EngineSettings, limits: Thresholds) -> Cont
     period = settings.control_period
     numbers = {path: value for path, value in flat(case, "") if isinstance(value, float) and abs(value) < LARGEST}
     numbers = {path: value for path, value in numbers.items() if path.startswith(BELIEVED)}
-    measured = {name: what for metric in metrics.of(case) for name, what in metric.columns.items()}
+    measured = {name: what for metric in metrics.applicable_metrics(case) for name, what in metric.columns.items()}
 
     def believed(belief: Mapping[str, Array]) -> Case:
         now = case

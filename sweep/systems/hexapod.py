@@ -70,7 +70,7 @@ class Hexapod:
     groups = tuple(f.name for f in dataclasses.fields(Case))
     causes = outcome.MEANING
     cause_meanings = staticmethod(outcome.cause_meanings)
-    doubts = tuple(outcome.DOUBTS)
+    doubts = tuple(outcome.INVALID_CAUSES)
     figures = frozenset({*outcome.COLUMNS, *outcome.BOOKKEEPING})
     silent = frozenset(outcome.BOOKKEEPING | {"finite", "finished", "end_stage"})
     shown = ("mcap", "states", "model", "plot", "png", "video")
@@ -79,7 +79,7 @@ class Hexapod:
     device = staticmethod(run_id.device)
     run_id = staticmethod(run_id.run_id)
     judge = staticmethod(outcome.classify)
-    why = staticmethod(outcome.why)
+    why = staticmethod(outcome.explain_cause)
 
     @property
     def recorded(self) -> tuple[str, ...]:
@@ -256,7 +256,7 @@ class Hexapod:
 
     def thresholds(self, limits: Thresholds) -> dict[str, float]:
         """Limits of all causes that have one, see `System`."""
-        return {cause.figure: outcome.limit_of(cause, limits) for cause in outcome.CAUSES if cause.threshold}
+        return {cause.metric: outcome.threshold_value(cause, limits) for cause in outcome.CAUSES if cause.threshold}
 
 
 def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:

@@ -16,10 +16,10 @@ from sweep.formulas import leg, stepping
 from sweep.metrics.geometry import (
     AROUND,
     base_gap,
-    capsules,
     edge_distance,
     fold_gap,
     leg_gap,
+    link_capsules,
     shin_slopes,
     support_margin,
 )
@@ -101,7 +101,7 @@ def left(
     centre = stance.position + rotate(stance.quat, mass_centre(robot, joints))
     return Margins(
         base=solids.distance_to_box(solid, *base),
-        links=jnp.min(capsules(legs, robot).to(solid)),
+        links=jnp.min(link_capsules(legs, robot).distance_to(solid)),
         shin=jnp.min(jnp.where(swing.swings, jnp.inf, jnp.arcsin(shin_slopes(legs, faces.normal)))),
         legs=leg_gap(legs) - 2 * robot.link_radius,
         body=base_gap(legs, *base[:2], robot),

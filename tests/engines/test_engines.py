@@ -12,8 +12,8 @@ from sweep.core.constants import GRAVITY
 from sweep.engines.mjx import Mjx
 from sweep.engines.native import Native
 from sweep.formulas import stepping
-from sweep.metrics import stream
-from sweep.metrics.outcome import Thresholds, classify, margins_of
+from sweep.metrics import accumulator
+from sweep.metrics.outcome import Thresholds, classify, least_margins
 from sweep.models.legs import KINDS
 from sweep.study.config import compose
 
@@ -217,7 +217,7 @@ def test_all_rollouts_of_a_batch_are_recorded_as_one_is(name, mjx, world, nomina
     assert again.time == pytest.approx(one.time[24::25])
     assert one.margin[-1] == pytest.approx(_watched(engine.limits, nominal, one), abs=1e-6)
     assert one.margin[0] > 0.5
-    assert one.margin_of[-1] in {c.threshold for c in stream.timed(nominal)}
+    assert one.margin_of[-1] in {c.threshold for c in accumulator.tick_causes(nominal)}
     for field in ("qpos", "foot_force", "joint_torque", "stage", "margin"):
         assert np.array_equal(getattr(again, field), getattr(one, field)[24::25]), field
     assert all(np.array_equal(again.figures[k], one.figures[k], equal_nan=True) for k in one.figures)
@@ -227,4 +227,4 @@ def test_all_rollouts_of_a_batch_are_recorded_as_one_is(name, mjx, world, nomina
 def _watched(limits, case, trace):
     """Least margin of a rollout's figures to the limits that are watched in every tick."""
     figures = {name: np.asarray(value) for name, value in trace.figures.items()}
-    return margins_of(stream.timed(case), figures, limits)[0]
+    return least_margins(accumulator.tick_causes(case), figures, limits)[0]

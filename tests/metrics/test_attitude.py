@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sweep.engines import make
-from sweep.metrics.attitude import from_level
+from sweep.metrics.attitude import tilt_deg
 from sweep.study.config import compose
 
 OFFSETS = np.array([0.0, 0.36, -0.1])  # rad, of the measured orientation about the world's x axis
@@ -24,7 +24,7 @@ def test_a_tilted_sensor_makes_no_fall_of_a_level_robot(engine):
         trial.thresholds,
     )
     for trace in simulation.traces(world, trial.case, np.zeros(len(OFFSETS), int), 1):
-        true_tilt = np.asarray(from_level(trace.qpos[:, 3:7].T))
+        true_tilt = np.asarray(tilt_deg(trace.qpos[:, 3:7].T))
         tilt, fell = float(trace.figures["tilt_max_deg"]), float(trace.figures["fell_time_s"])
         # the plan is level, and an error at a stage's start fades: the true command is never farther from the true pose
         assert tilt <= true_tilt.max() + 0.01

@@ -12,9 +12,9 @@ from scipy.spatial import ConvexHull, QhullError
 from sweep.metrics.geometry import (
     AROUND,
     base_gap,
-    capsules,
     edge_distance,
     leg_gap,
+    link_capsules,
     segment_box_distance,
     segment_distance,
     shin_slopes,
@@ -102,12 +102,12 @@ def test_distance_of_a_segment_to_a_box_is_that_of_its_nearest_point(seed):
 
 def test_the_shin_is_thick_to_its_foot_and_then_a_pin():
     joints = jnp.asarray([[[0, 0, 0.6], [0, 0.4, 0.6], [0, 0.4, 0]]] * 6, float)
-    found = capsules(joints, Robot())
+    found = link_capsules(joints, Robot())
     np.testing.assert_allclose(found.start[0, 1], [0, 0.4, 0.6], atol=1e-6)
     np.testing.assert_allclose(found.end[0, 1], [0, 0.4, FOOT_LENGTH + 0.015], atol=1e-6)
     np.testing.assert_allclose(found.end[0, 2], [0, 0.4, 0.015], atol=1e-6)
     floor = HalfSpace(name="floor", normal=(0, 0, 1))
-    np.testing.assert_allclose(found.to([floor])[0], [0.585, FOOT_LENGTH, 0.013], atol=1e-6)
+    np.testing.assert_allclose(found.distance_to([floor])[0], [0.585, FOOT_LENGTH, 0.013], atol=1e-6)
     base = jnp.zeros(3), jnp.eye(3), Robot(body_length=1.0, body_width=0.5, body_height=0.1)
     assert float(base_gap(joints, *base)) == pytest.approx(0.15, abs=1e-3)  # the foot, beside the base
 
@@ -119,7 +119,7 @@ def test_a_shin_goes_through_the_rung_that_its_foot_is_on_or_rises_over_it(angle
     foot = np.array([0.0, 0.0, -5e-4])
     knee = foot + 0.335 * np.array([0, np.cos(angle), np.sin(angle)])
     joints = jnp.asarray([[knee + np.array([0, 0.1, 0.5]), knee, foot]] * 6, float)
-    distance = float(jnp.min(capsules(joints, Robot()).to([rung])))
+    distance = float(jnp.min(link_capsules(joints, Robot()).distance_to([rung])))
     assert (distance < -0.005) == (angle < 0)  # -5 mm is what the judge allows
     np.testing.assert_allclose(shin_slopes(joints, jnp.asarray([[0.0, 0.0, 1.0]] * 6)), np.sin(angle), atol=1e-6)
 

@@ -11,7 +11,7 @@ import pytest
 from sweep.core.constants import GRAVITY
 from sweep.metrics import attitude, clearance, depth, drives, free_bodies, rest, shins, slip, solver
 from sweep.metrics.geometry import base_gap, fold_gap
-from sweep.metrics.outcome import GOAL, limit_of
+from sweep.metrics.outcome import GOAL, threshold_value
 from sweep.models.obstacles.surface import FreeState, body_poses, no_free_bodies
 from sweep.models.robot import total_mass
 from sweep.study.config import compose
@@ -56,8 +56,8 @@ def judged(metric: Any, moments: list[Any], experiment: Any = EXPERIMENT) -> tup
         now.world = world
         state = metric.METRIC.update(state, now)
     end = SimpleNamespace(world=world, time=jnp.asarray(moments[-1].time), plan=moments[-1].plan)
-    found = {name: float(value) for name, value in metric.METRIC.figures(state, end).items()}
-    met = {c for c in metric.METRIC.causes if c.holds(found[c.figure], limit_of(c, limits))}
+    found = {name: float(value) for name, value in metric.METRIC.compute(state, end).items()}
+    met = {c for c in metric.METRIC.causes if c.holds(found[c.metric], threshold_value(c, limits))}
     return found, {c.threshold if c.name == GOAL else c.name for c in met}
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sweep.metrics import landing
-from sweep.metrics.metric import Begin
+from sweep.metrics.metric import RolloutStart
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.surface import body_poses, no_free_bodies
 
@@ -26,7 +26,9 @@ PLAN = SimpleNamespace(
 def reserve(*stages):
     """Of stages of (how long they take, how high the first foot is at the end of each and whether it is loaded)."""
     zero = jnp.zeros(())
-    start = Begin(WORLD, None, jnp.zeros(3), jnp.array([1.0, 0, 0, 0]), jnp.asarray(FEET), no_free_bodies(), zero)
+    start = RolloutStart(
+        WORLD, None, jnp.zeros(3), jnp.array([1.0, 0, 0, 0]), jnp.asarray(FEET), no_free_bodies(), zero
+    )
     state, time = landing.METRIC.begin(start), 0
     for number, (takes, height, lands) in enumerate(stages):
         feet = FEET + height * FIRST[:, None] * np.array([0, 0, 1.0])
@@ -38,7 +40,7 @@ def reserve(*stages):
             now = SimpleNamespace(world=WORLD, plan=PLAN, stage=jnp.int32(number), finished=jnp.asarray(False),
                                   tick=tick, time=time * PERIOD, period=PERIOD)  # fmt: skip
             state = landing.update(state, now)
-    return float(landing.METRIC.figures(state, None)["landing_reserve_min"])
+    return float(landing.METRIC.compute(state, None)["landing_reserve_min"])
 
 
 STANDS = (0.2, 0.0, True)

@@ -10,7 +10,16 @@ from faultless import faultless
 
 from sweep.core.errors import InputError
 from sweep.metrics import CAUSES, METRICS
-from sweep.metrics.outcome import COLUMNS, GOAL, MEANING, Thresholds, classify, limit_of, sentence_with_limit, why
+from sweep.metrics.outcome import (
+    COLUMNS,
+    GOAL,
+    MEANING,
+    Thresholds,
+    classify,
+    explain_cause,
+    sentence_with_limit,
+    threshold_value,
+)
 from sweep.study.columns import LABELS
 from sweep.study.config import compose
 
@@ -29,8 +38,8 @@ def label(limits=STRICT, **changes):
 
 def beyond(cause):
     """The figure of `cause` beyond its threshold."""
-    limit = limit_of(cause, STRICT)
-    return {cause.figure: limit - 1e-3 if cause.below else limit + 1e-3}
+    limit = threshold_value(cause, STRICT)
+    return {cause.metric: limit - 1e-3 if cause.below else limit + 1e-3}
 
 
 def test_success_has_no_cause():
@@ -44,16 +53,16 @@ def test_success_has_no_cause():
 def test_every_threshold_has_its_cause(cause):
     got = label(**beyond(cause))
     assert (got["outcome"], got["cause"], got["limit"]) == (
-        "invalid" if cause.doubt else "failure", cause.name, cause.threshold
+        "invalid" if cause.invalid else "failure", cause.name, cause.threshold
     )  # fmt: skip
     assert cause.name in MEANING
     said = sentence_with_limit(cause, STRICT)
-    assert why({**got, **beyond(cause)}, STRICT).startswith(said)
+    assert explain_cause({**got, **beyond(cause)}, STRICT).startswith(said)
 
 
 def test_every_figure_that_is_judged_is_a_column_and_causes_are_told_apart():
-    assert {cause.figure for cause in CAUSES} <= set(COLUMNS)
-    timed = [cause.name for cause in CAUSES if cause.known == "tick"]
+    assert {cause.metric for cause in CAUSES} <= set(COLUMNS)
+    timed = [cause.name for cause in CAUSES if cause.known_at == "tick"]
     assert len(timed) == len(set(timed))
     names = [name for metric in METRICS for name in metric.columns]
     assert len(names) == len(set(names))
@@ -167,6 +176,6 @@ def test_the_page_of_success_has_every_condition_with_its_limit_and_its_test():
         assert cause.default is None or not cause.threshold or float(default.split()[0]) == cause.default
         assert len(reason) > 3
         test = broken_by.strip("|` ")
-        tells = {cause.name, cause.threshold, cause.figure} - {"", GOAL}
+        tells = {cause.name, cause.threshold, cause.metric} - {"", GOAL}
         named = any(re.search(rf"\b{name}\b", tests[test]) for name in tells)
         assert named or test == test_every_threshold_has_its_cause.__name__, (cause.name, test)

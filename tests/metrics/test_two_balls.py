@@ -34,7 +34,7 @@ def test_their_meeting_their_parting_and_the_end_of_the_second_are_told():
     found = two_balls.begin(cast(Any, moment(0.0).tick.truth))
     for k in range(301):
         found = two_balls.update(found, moment(0.1 * k))
-    told = two_balls.figures(found, cast(Any, SimpleNamespace(time=30.0)))
+    told = two_balls.compute(found, cast(Any, SimpleNamespace(time=30.0)))
     assert told["meeting_speed_mps"] == pytest.approx(0.1, rel=0.01)
     assert told["balls_apart_max_m"] == pytest.approx(0.4, abs=1e-4)
     assert told["second_ball_x_m"] == pytest.approx(2 * WORLD.radius + 0.5 + 0.4, abs=1e-4)

@@ -28,7 +28,7 @@ def dense(smooth_dynamics: SmoothDynamics, q: Array, v: Array) -> Dense:
     whole, end = robot.mass.root[0], robot.joints[-1]
 
     def momentum(velocity: Array) -> Array:
-        return pack(pose, robot.mass.times(unpack(q, velocity)[1]))[1]
+        return pack(pose, robot.mass.momentum(unpack(q, velocity)[1]))[1]
 
     def of_feet(velocity: Array) -> Array:
         (body,), rates = unpack(q, velocity)[1]

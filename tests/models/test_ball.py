@@ -12,7 +12,7 @@ from validity.simulation import simulate
 from sweep.controllers.frames import Stance
 from sweep.controllers.posture import joint_targets
 from sweep.core.constants import GRAVITY
-from sweep.dynamics.free_bodies import resting
+from sweep.dynamics.free_bodies import start_at_rest
 from sweep.formulas.leg import SIDE
 from sweep.models import scene
 from sweep.models.obstacles.ball import Ball
@@ -106,7 +106,7 @@ def test_contact_damps_alike_at_a_shorter_step(nominal):
     q = np.tile(np.zeros(32), (2, 1))
     q[:, 3] = q[:, 28] = 1.0
     q[:, 2] = 40.0
-    q[:, BALL_AT] = [np.add(ball.start().position[0], [0, 0, fall]), resting(nominal).position[0]]
+    q[:, BALL_AT] = [np.add(ball.start().position[0], [0, 0, fall]), start_at_rest(nominal).position[0]]
     targets = np.zeros((round(0.15 / step), 6, 3), np.float32)
     history = simulate(nominal, nominal, q.astype(np.float32), targets, h=step)
     fast = history.v[:, :, 26]

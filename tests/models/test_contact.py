@@ -11,16 +11,16 @@ from sweep.core.rotations import exponential, matrix
 from sweep.core.vectors import Matrix, Vector
 from sweep.dynamics.contacts import (
     Anchors,
-    Geometry,
+    ContactGeometry,
     contact_forces,
     contact_geometry,
     contact_slope,
-    nowhere,
+    no_anchors,
     to_body,
     to_world,
     update_anchors,
 )
-from sweep.dynamics.newton import Blocks
+from sweep.dynamics.newton import BlockMatrix
 from sweep.models.contact import Contact
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.plane import Plane
@@ -35,7 +35,7 @@ DAMPING = 300.0  # N s/m, of contact and surface
 pytestmark = pytest.mark.usefixtures("double")
 
 
-def contacts(rng, n: int) -> tuple[Geometry, np.ndarray]:
+def contacts(rng, n: int) -> tuple[ContactGeometry, np.ndarray]:
     """Loaded, sticking, slipping and open contacts in all directions, and velocities of their points."""
     normal = rng.normal(size=(n, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -43,7 +43,7 @@ def contacts(rng, n: int) -> tuple[Geometry, np.ndarray]:
     stretch -= np.sum(stretch * normal, axis=1, keepdims=True) * normal
     depth = rng.uniform(-0.5e-3, 1e-3, n)
     limit, damping = jnp.full(n, 0.7), jnp.full(n, DAMPING)
-    geometry = Geometry(jnp.asarray(depth), Vector.of(normal), Vector.of(stretch), limit, damping)
+    geometry = ContactGeometry(jnp.asarray(depth), Vector.of(normal), Vector.of(stretch), limit, damping)
     return geometry, rng.normal(size=(n, 3)) * 0.1
 
 
@@ -110,10 +110,10 @@ def test_anchors_keep_their_form_in_double_precision():
     """Or a step could not be repeated: faces that an obstacle works out are wider there."""
     foot = Vector.of(jnp.array([[0.1, 0.0, 0.0999]]))
     surface, still = Kerb().surface(foot.array(), (-1,), NOWHERE), Vector.of(jnp.zeros((1, 3)))
-    geometry, place = contact_geometry(CONTACT, surface, nowhere(1, jnp.float64), foot, ())
+    geometry, place = contact_geometry(CONTACT, surface, no_anchors(1, jnp.float64), foot, ())
     forces = contact_forces(CONTACT, geometry, still)
     after = update_anchors(CONTACT, surface, foot, (), place, forces, still, H)
-    assert [x.dtype for x in jax.tree.leaves(after)] == [x.dtype for x in jax.tree.leaves(nowhere(1, jnp.float64))]
+    assert [x.dtype for x in jax.tree.leaves(after)] == [x.dtype for x in jax.tree.leaves(no_anchors(1, jnp.float64))]
 
 
 @pytest.mark.parametrize("bodies", [1, 2, 3])
@@ -124,7 +124,7 @@ def test_root_bodies_equal_a_dense_solve(bodies):
     dense, b = rng.normal(size=(n, n)) + 2 * n * np.eye(n), rng.normal(size=n)
     if bodies == 3:
         dense[6:12, 12:] = dense[12:, 6:12] = 0
-    blocks = Blocks()
+    blocks = BlockMatrix()
     for i in range(2 * bodies):
         for j in range(2 * bodies):
             block = dense[3 * i : 3 * i + 3, 3 * j : 3 * j + 3]

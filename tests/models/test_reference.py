@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from sweep.dynamics import interface, tree
-from sweep.dynamics.step import from_state, rest, step, to_state
+from sweep.dynamics.step import from_components, state_at_rest, step, to_components
 from sweep.engines import devices, physics
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.models.drive import position_mode
@@ -47,11 +47,13 @@ def largest_error(recorded, case, width: int, seconds: float) -> np.ndarray:
     limits = physics.execution_limits(case, jnp.int32(0), TICK / 2)
 
     def start(offset):
-        return rest(top, jnp.asarray(recorded["q0"], jnp.float32).at[2].add(offset))
+        return state_at_rest(top, jnp.asarray(recorded["q0"], jnp.float32).at[2].add(offset))
 
     def one(state, reference):
         servo = position_mode(case.drive, reference)
-        return to_state(step(tree.of(case), case, limits, from_state(state), servo, TICK / 2, 2)[0])
+        return from_components(
+            step(tree.tree_dynamics(case), case, limits, to_components(state), servo, TICK / 2, 2)[0]
+        )
 
     batch = batch_last_vmap(one, (-1, None), devices.reuse_from())
 

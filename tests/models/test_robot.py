@@ -62,7 +62,7 @@ def smooth_batch(nominal: Case, case: Case, q: np.ndarray, v: np.ndarray) -> tup
             return dense(partial(mjx_dynamics.smooth_dynamics, top, model.replace(**fields), data), q, v)
 
         _compiled[nominal.robot.legs] = jax.jit(jax.vmap(smooth))
-    fields = jax.vmap(partial(mjx_dynamics.varying, top, model), in_axes=(devices.axes(case),))(case)
+    fields = jax.vmap(partial(mjx_dynamics.varying_fields, top, model), in_axes=(devices.axes(case),))(case)
     mounted = jnp.broadcast_to(top.model.body_quat, (WIDTH, *top.model.body_quat.shape))
     return top, _compiled[nominal.robot.legs]({**fields, "body_quat": mounted}, q, v)
 

@@ -8,7 +8,7 @@ import pytest
 
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics
-from sweep.dynamics.step import from_state, rest, step
+from sweep.dynamics.step import state_at_rest, step, to_components
 from sweep.engines import devices, physics
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.models.drive import Servo, position_mode
@@ -29,12 +29,12 @@ def one_step():
     """One step of a robot in the air, joint beta_3 given a torque only: its torque, and all joints' rates."""
     devices.configure()
     top = dynamics.topology(CASE)
-    smooth = mjx_dynamics.of(top)(CASE)
+    smooth = mjx_dynamics.mjx_dynamics(top)(CASE)
     q = jnp.asarray(top.model.qpos0).at[2].set(9.0).at[1 + top.leg].set(ANGLES)
     limits = physics.execution_limits(CASE, jnp.int32(0), H)
 
     def run(torque):
-        moving, report = step(smooth, CASE, limits, from_state(rest(top, q)), _order(torque), H, 3)
+        moving, report = step(smooth, CASE, limits, to_components(state_at_rest(top, q)), _order(torque), H, 3)
         return report.torque[BETA_3[1]][BETA_3[0]], jnp.stack(moving.motion.leg, axis=-1)
 
     torques, rates = jax.jit(batch_last_vmap(run, (-1,), devices.reuse_from()))(jnp.array(TORQUES))

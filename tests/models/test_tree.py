@@ -13,7 +13,7 @@ from slab import Slab
 from sweep.core.errors import InputError
 from sweep.core.parameters import parameters
 from sweep.dynamics import interface, tree
-from sweep.dynamics.step import from_state, rest, step, to_state
+from sweep.dynamics.step import from_components, state_at_rest, step, to_components
 from sweep.engines import physics
 from sweep.models import scene
 from sweep.models.drive import position_mode
@@ -46,7 +46,7 @@ def test_structure_gives_mujocos_blocks(name, double):
         top, model = interface.topology(case), scene.compile_model(case, geoms=False)
     q, v = random_states(model, rng)
     with jax.enable_x64(double):
-        batch = jax.jit(jax.vmap(lambda q, v: dense(tree.of(case), q, v)))(q, v)
+        batch = jax.jit(jax.vmap(lambda q, v: dense(tree.tree_dynamics(case), q, v)))(q, v)
     tolerance = 1e-12 if double else 5e-6
     data, nv = mujoco.MjData(model), model.nv
     for i in range(STATES):
@@ -89,10 +89,10 @@ def test_momentum_goes_where_forces_send_it(name):
         limits = physics.execution_limits(case, jnp.int32(0), H)
 
         def one(q, v, target):
-            start = rest(top, q)._replace(v=v)
+            start = state_at_rest(top, q)._replace(v=v)
             servo = position_mode(case.drive, target)
-            moving, report = step(tree.of(case), case, limits, from_state(start), servo, H, ENOUGH)
-            return to_state(moving).v, report
+            moving, report = step(tree.tree_dynamics(case), case, limits, to_components(start), servo, H, ENOUGH)
+            return from_components(moving).v, report
 
         with jax.disable_jit():  # to compile it takes longer than to run it
             after, report = jax.vmap(one)(*map(jnp.asarray, (q, 0.1 * v, targets)))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.path import Path
 
-from sweep.metrics.outcome import DOUBTS, FAILURES, MEANING
+from sweep.metrics.outcome import FAILURES, INVALID_CAUSES, MEANING
 from sweep.report.looks import INVALID, LOOKS, OTHER, look_of, marker
 
 # what eyes without one kind of cone see of linear red, green and blue (Machado and others 2009, severity 1)
@@ -45,7 +45,7 @@ def test_causes_that_a_study_shows_together_are_apart():
     for path in (File(__file__).parents[2] / "research" / "data").glob("*.json"):
         causes = json.loads(path.read_text(encoding="utf-8")).get("causes", {})
         frequent = {cause for cause, number in causes.items() if number >= 0.02 * sum(causes.values())}
-        pairs |= set(combinations(sorted(frequent - set(DOUBTS)), 2))
+        pairs |= set(combinations(sorted(frequent - set(INVALID_CAUSES)), 2))
     assert len(pairs) > 40
     for one, other in pairs:
         away = np.linalg.norm(lab(look_of(one).colour, "all cones") - lab(look_of(other).colour, "all cones"))
@@ -60,14 +60,16 @@ def test_every_cause_has_a_colour_and_a_shape_of_its_own():
     for kind, look in LOOKS.items():
         assert np.hypot(*look.shape.T).max() <= 1.3, kind  # within its stamp
         for theme in (INVALID, "#1C2025"):  # seen on light and on dark
-            assert kind in DOUBTS or np.linalg.norm(lab(look.colour, "all cones") - lab(theme, "all cones")) > 25, kind
+            assert (
+                kind in INVALID_CAUSES or np.linalg.norm(lab(look.colour, "all cones") - lab(theme, "all cones")) > 25
+            ), kind
     assert look_of("a cause of another system") == look_of("a cause of another system") != OTHER == look_of("")
     assert len(marker("slipped").vertices) == 4
 
 
 def test_every_shape_is_seen_as_a_glyph():
     """None is so thin that it fades, and none of a family covers what another does, at the size that a map has them."""
-    seen = {kind: covered(look.shape) for kind, look in LOOKS.items() if kind not in DOUBTS}
+    seen = {kind: covered(look.shape) for kind, look in LOOKS.items() if kind not in INVALID_CAUSES}
     for kind, one in seen.items():
         assert (one[1:-1, 1:-1] & one[:-2, 1:-1] & one[1:-1, :-2] & one[:-2, :-2]).sum() > 8, kind
         for other in seen.keys() - {kind}:

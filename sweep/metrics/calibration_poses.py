@@ -4,8 +4,8 @@ from sweep.metrics.metric import Cause, Metric
 
 METRIC = Metric(
     lambda start: (),
-    lambda so_far, now: so_far,
-    lambda found, at: {},
+    lambda state, ctx: state,
+    lambda state, rollout: {},
     {
         "calibration_margin": "least distance of a figure of a simulated calibration to what fails it, as `margin`",
         "calibration_slip_max_m": "largest slip of a foot in its poses",

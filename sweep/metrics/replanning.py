@@ -4,17 +4,17 @@ from collections.abc import Iterator
 
 from jaxtyping import Array, Float
 
-from sweep.metrics.metric import Cause, Moment, extremes
+from sweep.metrics.metric import Cause, MetricTick, extremes
 
 
-def lacking(now: Moment) -> Iterator[Float[Array, ""]]:
+def plan_shortfall(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
     """Distance by which the newest plan leaves the legs' reach (m)."""
-    assert now.learned.shortfall is not None  # since it applies
-    yield now.learned.shortfall
+    assert ctx.learned.shortfall is not None  # since it applies
+    yield ctx.learned.shortfall
 
 
 METRIC = extremes(
-    lacking,
+    plan_shortfall,
     {"replanned_shortfall_max_m": "largest distance beyond a leg's reach of a foothold planned again; inf: no plan"},
     (
         Cause(

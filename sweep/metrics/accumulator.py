@@ -1,0 +1,112 @@
+"""Running figures of a rollout: updated once a control tick, from the same summary for both engines."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from sweep import metrics
+from sweep.controllers.plan import Plan
+from sweep.metrics import solver
+from sweep.metrics.metric import Cause, Metric, MetricTick, Rollout, RolloutStart
+from sweep.metrics.outcome import Thresholds, threshold_value
+from sweep.models.case import Case
+
+OVERTURNED = 60.0  # deg of tilt: nothing after it tells anything of the manoeuvre
+
+
+class RunningMetrics(NamedTuple):
+    """Every metric's state, and when causes were met; c causes that are known in a tick."""
+
+    time: Float[Array, ""]  # s
+    rested: Float[Array, ""]  # s, since the plan has ended
+    over: Bool[Array, ""]  # overturned or not finite: figures are frozen
+    states: tuple[Any, ...]
+    cause_time: Float[Array, " c"]  # s, first crossing of each threshold, NaN before
+    cause_stage: Int[Array, " c"]
+
+
+def tick_causes(world: Case) -> tuple[Cause, ...]:
+    """The causes whose moment is noted."""
+    return tuple(
+        cause for metric in metrics.applicable_metrics(world) for cause in metric.causes if cause.known_at == "tick"
+    )
+
+
+def tick_metrics(world: Case) -> tuple[str, ...]:
+    """The figures by which a rollout is judged in every tick: those of the `timed` causes, and such as lead to them."""
+    causes = tick_causes(world)
+    there = {name for metric in metrics.applicable_metrics(world) for name in metric.columns}
+    return (*(c.metric for c in causes), *(c.companion for c in causes if c.companion in there))
+
+
+def begin(start: RolloutStart) -> RunningMetrics:
+    """Nothing has happened yet."""
+    dtype, n = start.plan.duration.dtype, len(tick_causes(start.world))
+    return RunningMetrics(
+        time=jnp.zeros((), dtype),
+        rested=jnp.zeros((), dtype),
+        over=jnp.asarray(False),
+        states=tuple(metric.begin(start) for metric in metrics.applicable_metrics(start.world)),
+        cause_time=jnp.full(n, jnp.nan, dtype),
+        cause_stage=jnp.full(n, -1, jnp.int32),
+    )
+
+
+def with_start_energy(world: Case, running: RunningMetrics, energy: Array) -> RunningMetrics:
+    """`running` with another energy at the start (J)."""
+    states = zip(metrics.applicable_metrics(world), running.states, strict=True)
+    return running._replace(
+        states=tuple(s._replace(energy=energy) if metric is solver.METRIC else s for metric, s in states)
+    )
+
+
+def update(
+    running: RunningMetrics, ctx: MetricTick, limits: Thresholds, number: Array
+) -> tuple[RunningMetrics, Float[Array, " w"]]:
+    """Control tick `number` on, which all rollouts share, and the figures so far that are `watched`.
+
+    `limits` only say when the moment of a cause is noted.
+    """
+    world, time = ctx.world, ctx.time
+    states = tuple(
+        _updated(m, s, ctx, number) for m, s in zip(metrics.applicable_metrics(world), running.states, strict=True)
+    )
+    found = _figures(Rollout(world, ctx.plan, time, ctx.stage), states)
+    crossed = [c.holds(found[c.metric], threshold_value(c, limits)) for c in tick_causes(world)]
+    first = jnp.stack(crossed) & jnp.isnan(running.cause_time)
+    new = RunningMetrics(
+        time=time,
+        rested=running.rested + ctx.period * ctx.finished,
+        over=(found["tilt_max_deg"] > OVERTURNED) | ~found["finite"],
+        states=states,
+        cause_time=jnp.where(first, time, running.cause_time),
+        cause_stage=jnp.where(first, ctx.stage, running.cause_stage),
+    )
+    kept = jax.tree.map(lambda old, fresh: jnp.where(running.over, old, fresh), running, new)
+    return kept, jnp.stack([jnp.asarray(found[name], time.dtype) for name in tick_metrics(world)])
+
+
+def _updated(metric: Metric, state: Any, ctx: MetricTick, number: Array) -> Any:
+    every = max(1, int(metric.interval / ctx.period + 1e-6))
+    if every == 1:
+        return metric.update(state, ctx)
+    return jax.lax.cond(number % every == 0, lambda: metric.update(state, ctx), lambda: state)
+
+
+def compute(world: Case, plan: Plan, running: RunningMetrics, stage: Int[Array, ""]) -> dict[str, Array]:
+    """The row's figures by column name, units in the name, and when the causes known in a tick were met."""
+    out = _figures(Rollout(world, plan, running.time, stage), running.states)
+    for k, cause in enumerate(tick_causes(world)):
+        out[f"{cause.name}_time_s"] = running.cause_time[k]
+        out[f"{cause.name}_stage"] = running.cause_stage[k]
+    return out
+
+
+def _figures(rollout: Rollout, states: tuple[Any, ...]) -> dict[str, Array]:
+    parts = (
+        metric.compute(state, rollout)
+        for metric, state in zip(metrics.applicable_metrics(rollout.world), states, strict=True)
+    )
+    return {name: value for part in parts for name, value in part.items()}
