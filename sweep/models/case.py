@@ -1,4 +1,4 @@
-"""One experiment's parameters. A rollout has two: the world that is simulated, the belief that is planned with."""
+"""All parameters of one rollout. A rollout has two cases: the world is simulated, the belief goes to the planner."""
 
 from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
@@ -17,9 +17,10 @@ from sweep.models.robot import Robot
 
 
 class Manoeuvre(Protocol):
-    """What the robot does: a parameter dataclass with these members.
+    """A parameter dataclass that says what the robot does, as climbing a pole.
 
-    One whose feedback goes beyond following its plan is `sweep.controllers.tracker.Guided` besides.
+    A manoeuvre with feedback of its own, beyond the tracking of its plan, also implements
+    `sweep.controllers.tracker.Guided`.
     """
 
     @property
@@ -29,48 +30,51 @@ class Manoeuvre(Protocol):
 
     @property
     def needs(self) -> tuple[type, ...]:
-        """The obstacles that it is for, any one of them; `Obstacle`: all that offer charts."""
+        """Classes of obstacles that the manoeuvre supports; `Obstacle` stands for all with charts."""
         ...
 
     @property
     def goal(self) -> Mapping[str, float]:
-        """What it aims at: thresholds of figures, by their names in `outcome`."""
+        """Thresholds that the manoeuvre sets for its metrics, by their names in `outcome`."""
         ...
 
     def plan(self, belief: "Case") -> Any:
-        """The `sweep.controllers.plan.Plan` for what is believed; traced by JAX, not a number where there is none.
+        """Make the `sweep.controllers.plan.Plan` for the believed case, traced by JAX.
 
-        May raise `InputError` where plain numbers admit none.
+        Numbers are nan where no plan exists. Raises `InputError` where plain numbers admit no plan.
         """
         ...
 
 
 @runtime_checkable
 class Riding(Protocol):
-    """A manoeuvre on free bodies has this member besides."""
+    """A manoeuvre on free bodies, which the robot observes."""
 
     @property
     def observer(self) -> Array | float:
-        """Time constant (s) in which their measured poses are taken over."""
+        """Time constant (s) of the filter of the bodies' measured poses."""
         ...
 
 
 @runtime_checkable
 class Driving(Protocol):
-    """A manoeuvre that does not leave the free body at rest."""
+    """A manoeuvre that moves a free body along a path and may leave it in motion."""
 
     def obstacle_speed(self, duration: Array) -> Array:
-        """The speed (m/s) that the body is meant to have at the end of a plan of `duration` (s)."""
+        """Reference speed (m/s) of the body at the end of a plan of `duration` (s)."""
         ...
 
     def lateral_offset(self, way: Array) -> Array:
-        """How far (m) the body is beside the way that it is meant to go, having gone by `way` (3,) (m)."""
+        """Distance (m) of the body from its reference path after a displacement `way` (3,) (m, world axes)."""
         ...
 
 
 @parameters
 class Case:
-    """All parameter groups, a pytree whose leaves are numbers, or arrays over the batch where they are swept."""
+    """All parameter groups of one rollout, made by the configuration.
+
+    A pytree: leaves are numbers, or arrays over the batch where a study varies them.
+    """
 
     robot: Robot
     drive: Drive
@@ -83,6 +87,6 @@ class Case:
     plan: PlanTable = PlanTable()
 
     def obstacle_as[T: Obstacle](self, kind: type[T]) -> T:
-        """The obstacle, which is of the `kind` that the manoeuvre needs."""
+        """Return the obstacle with the type that the manoeuvre supports."""
         assert isinstance(self.obstacle, kind)
         return self.obstacle

@@ -1,4 +1,4 @@
-"""Links and base that collide in C MuJoCo: with the obstacle, in its full size, and with each other. Feet stay as ever.
+"""Collisions of links and base in C MuJoCo, with the full-size obstacle and each other. Foot contacts stay the same.
 
 Every leg collides with every other leg, its thigh (from `Robot.hip_clearance` on) and its shin with the base between
 the hips, and these two, from where the knee's fork ends, with each other. Shins end as in
@@ -19,7 +19,13 @@ OBSTACLE, SHIN, LEG = 4, 8, 16  # what bodies collide with: contype and conaffin
 
 
 def enable_collisions(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -> None:
-    """Let the bodies of a finished spec collide; `links` are a leg's, from the hip out."""
+    """Enable collisions of links and base in a finished spec.
+
+    Args:
+        spec: The model of `build_spec` with geoms; changed in place.
+        case: The parameters that it was built from, plain numbers.
+        links: Names of a leg's links, from the hip outwards.
+    """
     friction, radius = float(case.contact.friction), float(case.robot.link_radius)
     fork, hip = (float(way + radius) for way in (case.robot.fork_ratio * case.robot.shin, case.robot.hip_clearance))
     touch = {**STIFF, "friction": [friction, 0.005, 1e-4]}

@@ -31,7 +31,7 @@ class Drive:
 
 
 class Servo(NamedTuple):
-    """What the drives are told: U = clip(stiffness (target - q) - damping q' + torque, +-torque_limit).
+    """The command of a tracker to all drives: U = clip(stiffness (target - q) - damping q' + torque, +-torque_limit).
 
     In position mode stiffness and damping are those of (1.2.1). A joint in torque mode has no stiffness, and a damping
     of -back_emf, so that its torque is `torque` itself.
@@ -44,11 +44,22 @@ class Servo(NamedTuple):
 
 
 def position_mode(drive: Drive, target: Float[Array, "6 3"]) -> Servo:
-    """Every joint goes to its target."""
+    """Command all joints to target angles with the drive's own gains.
+
+    Args:
+        drive: The gains.
+        target: alpha, beta, gamma of each leg (rad).
+    """
     stiffness, damping = (jnp.full_like(target, gain) for gain in (drive.stiffness, drive.damping))
     return Servo(target, stiffness, damping, jnp.zeros_like(target))
 
 
 def interpolate_target(old: Servo, new: Servo, share: Array | float) -> Servo:
-    """The order at `share` of a control tick: the target goes over evenly, a held one ratchets the feet."""
+    """Interpolate the target angles within a control tick; a target that is held for the whole tick ratchets the feet.
+
+    Args:
+        old: The last tick's command.
+        new: This tick's command, whose gains and torques apply.
+        share: Elapsed share of the tick, 0 to 1.
+    """
     return new._replace(target=old.target + share * (new.target - old.target))

@@ -1,13 +1,13 @@
-"""Frames in which places are told, by number: the world's, and two that go with each of an obstacle's free bodies."""
+"""Numbers of coordinate frames: the world's, and two for each free body of the obstacle."""
 
 WORLD = 0
 
 
 def koenig_frame(body: int) -> int:
-    """The Koenig frame of free body number `body`: its centre, with the world's axes."""
+    """Number of the Koenig frame of free body `body`: origin at its mass centre, axes of the world."""
     return 1 + 2 * body
 
 
 def body_frame(body: int) -> int:
-    """The frame of free body number `body` itself: its centre, with its own axes."""
+    """Number of the body frame of free body `body`: origin at its mass centre, axes of the body."""
     return 2 + 2 * body

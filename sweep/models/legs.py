@@ -1,4 +1,4 @@
-"""How many legs and joints there are, and where they stand in arrays."""
+"""Numbers and names of legs and joints, and their order in arrays."""
 
 LEGS = range(1, 7)  # 1-2 rear, 3-4 middle, 5-6 front, odd on the right
 PAIRS = {"front": (5, 6), "middle": (3, 4), "rear": (1, 2)}

@@ -1,4 +1,4 @@
-"""Numbers of plans, as files of the group `plan` have them: parts of moves, or of numbers that a manoeuvre names.
+"""Plan tables: the numbers of a plan in a file of the group `plan`, as parts of moves or of numbers of a manoeuvre.
 
 A file's `extends` names the one that it starts from. Every number has a path, such as `plan.ledge.front2.base.ahead`.
 In place of a number a formula may stand, of names of the part `sizes` and of parameters, such as `obstacle.radius`; the
@@ -55,9 +55,9 @@ Names = tuple[str, ...]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PlanTable:
-    """What a case says of its plan's numbers: a file's content, where it is not the manoeuvre's own, and changes.
+    """A case's numbers of its plan: a file's content, unless it is the manoeuvre's own, and changed numbers.
 
-    Only what is changed is traced.
+    The configuration makes it; axes and tuning change it. JAX traces only the changed numbers.
     """
 
     text: str = dataclasses.field(default="", metadata={"static": True})  # JSON; empty: as the manoeuvre's own file
@@ -65,44 +65,50 @@ class PlanTable:
     values: tuple[Array | float, ...] = ()
 
     def with_value(self, path: str, value: Any, formulas: Mapping[str, float] | None = None) -> "PlanTable":
-        """With the number at `path` (without `plan.`) changed; one of `formulas`, by what it comes to, raised to it."""
+        """Return a table with another number.
+
+        Args:
+            path: The number's path without `plan.`.
+            value: Its new value.
+            formulas: Values of formulas by path; one of these numbers is raised to `value` and keeps its formula.
+        """
         if formulas and path in formulas:
             path, value = MORE + path, value - formulas[path]
         changes = self.changes | {path: value}
         return dataclasses.replace(self, paths=tuple(changes), values=tuple(changes.values()))
 
     def with_increment(self, path: str, more: Any) -> "PlanTable":
-        """With the number at `path` so much more than what its formula says, and what it was raised by before."""
+        """Return a table with `more` added to the number at `path`, on top of its formula and earlier increments."""
         return self.with_value(MORE + path, self.changes.get(MORE + path, 0.0) + more)
 
     @property
     def changes(self) -> dict[str, Any]:
-        """What is changed, by path."""
+        """Changed numbers by path."""
         return dict(zip(self.paths, self.values, strict=True))
 
 
 @runtime_checkable
 class TabulatedManoeuvre(Protocol):
-    """A manoeuvre whose plan's numbers are in a file has this member besides."""
+    """A manoeuvre whose plan's numbers are in a file."""
 
     @property
     def own_plan(self) -> str:
-        """Name of the file that holds them if a case has no other; empty where it must have one."""
+        """Name of the file of a case without another one; empty if each case must name a file."""
         ...
 
 
 @runtime_checkable
 class ReversibleManoeuvre(TabulatedManoeuvre, Protocol):
-    """One whose whole plan may be gone backwards has this member besides."""
+    """A manoeuvre whose whole plan can be executed backwards in time."""
 
     @property
     def two_way(self) -> bool:
-        """That it goes backwards in time, too: True."""
+        """Always True."""
         ...
 
 
 def refuse_malformed(content: Content) -> None:
-    """Raise `InputError` where a file's content cannot be a plan: parts, and slopes, of words and finite numbers."""
+    """Raise `InputError` if a file's content is no plan table: parts and slopes of words and finite numbers."""
 
     def wanted(form: Any, value: Any, path: str, what: str) -> None:
         if not isinstance(value, form):
@@ -134,12 +140,12 @@ def refuse_malformed(content: Content) -> None:
 
 
 def plan_direction(case: Any) -> str:
-    """How a case's plan is gone, one of `DIRECTIONS`."""
+    """Direction in time in which a case's plan is executed, one of `DIRECTIONS`."""
     return str(_written(case).get(WAY, FORTH))
 
 
 def plan_content(case: Any) -> Content:
-    """What a case says of its plan, by part and move; nothing where its numbers are not in a file."""
+    """Content of a case's plan table with its changes, formulas unevaluated; empty if the plan has no file."""
     changes = case.plan.changes
 
     def now(path: str, value: Any) -> Any:
@@ -150,23 +156,30 @@ def plan_content(case: Any) -> Content:
 
 
 def evaluate_plan(case: Any, part: str = "") -> Content:
-    """The same, with formulas worked out and numbers that have followed the sizes of this case; or a part of it alone.
+    """Evaluate a case's plan table: changes, formulas, and slopes by the case's sizes.
 
-    What formulas make of `k` has an axis for it. Raises `InputError` for formulas of what has no name, and for slopes
-    of no number, or by no size.
+    Args:
+        case: The believed case; its numbers may be traced.
+        part: Evaluate only this part; empty for all.
+
+    Returns:
+        The table's content with numbers; a formula of `k` gives an array over the repetitions.
+
+    Raises:
+        InputError: A formula has an unknown name, or a slope an unknown number or size.
     """
     content = _written(case)
     return _worked_out(case, content, _followed(case, content), part if part in content else "")
 
 
 def plan_values(case: Any) -> dict[str, float]:
-    """All numbers of a case's plan by path, formulas worked out, as they are before they follow sizes."""
+    """All numbers of a case's plan by path, with formulas evaluated and without slopes."""
     found = numbers_by_path(_worked_out(case, _written(case), {}), case.obstacle.charts)
     return {path: float(value) for path, value in found.items()}
 
 
 def formula_values(case: Any) -> dict[str, float]:
-    """What formulas come to, by path."""
+    """Values of the formulas of a case's plan by path."""
     text = {
         path
         for path, value in numbers_by_path(plan_content(case), case.obstacle.charts).items()
@@ -176,7 +189,7 @@ def formula_values(case: Any) -> dict[str, float]:
 
 
 def _followed(case: Any, content: Content) -> dict[str, Array]:
-    """What is added to numbers by path, as they follow the sizes of this case."""
+    """Amounts that slopes add to numbers for the sizes of this case, by path."""
     slopes = content.get(SLOPES, {})
     lines, sizes = {path: line for path, line in slopes.items() if path != AT}, slopes.get(AT, {})
     off = [jnp.asarray(parameter_value(case, path) / at - 1.0, float) for path, at in sizes.items()]
@@ -194,7 +207,7 @@ def _followed(case: Any, content: Content) -> dict[str, Array]:
 
 
 def _worked_out(case: Any, content: Content, added: Mapping[str, Array], alone: str = "") -> Content:
-    """`content`, or a part of it alone, with formulas worked out, what the case changes and what is added by path."""
+    """Evaluate formulas of `content`, or of one part, and apply the case's changes and the amounts `added` by path."""
     changes, sizes, times = case.plan.changes, content.get(SIZES, {}), {}
     names: dict[str, Any] = {"unit": leg_unit(case.robot)}
 
@@ -241,7 +254,7 @@ def _worked_out(case: Any, content: Content, added: Mapping[str, Array], alone: 
 
 
 def _number(path: str, formula: str, named: Callable[[str], Any], times: np.ndarray | None = None) -> Any:
-    """What a formula at a path comes to, an array where it goes by `k`. Raises `InputError`."""
+    """Evaluate the formula at a path; a formula of `k` gives an array. Raises `InputError`."""
     try:
         value = evaluate(formula, lambda name: named(name) if times is None or name != TIMES else times, array_module)
         if jnp.issubdtype(jnp.result_type(value), jnp.number):
@@ -253,7 +266,7 @@ def _number(path: str, formula: str, named: Callable[[str], Any], times: np.ndar
 
 
 def _refuse_lost(content: Content, path: str, found: Iterable[str]) -> NoReturn:
-    """Raise `InputError` of slopes whose number is none of those that are `found`, by what stands in its place."""
+    """Raise `InputError` for a slope of an unknown number; the message says what is at its path instead."""
     stands, names = content, path.split(".")
     while names and isinstance(stands, Mapping) and names[0] in stands:
         stands = stands[names.pop(0)]
@@ -269,17 +282,27 @@ def _refuse_lost(content: Content, path: str, found: Iterable[str]) -> NoReturn:
 
 
 def suggest_path(path: str, paths: Iterable[str], prefix: str = "plan.") -> str:
-    """The number whose path is the closest, as what may have been meant; empty without."""
+    """Suggest the closest path for a message, as ": did you mean ...?"; empty if none is close."""
     return suggest(prefix + path, [prefix + one for one in paths]).partition(" (allowed")[0]
 
 
 def _written(case: Any) -> Content:
-    """What the file of a case's plan says."""
+    """Content of a case's plan table as the file has it."""
     return json.loads(case.plan.text) if case.plan.text else own_plan_content(case)
 
 
 def parameter_value(case: Any, path: str, label: str = "", groups: Names = SIZED) -> Any:
-    """A number of one of these groups, as axes name it, such as `robot.thigh`. Raises `InputError` of it, as `told`."""
+    """Read a parameter of a case by its path.
+
+    Args:
+        case: The case.
+        path: As axes name it, such as `robot.thigh`.
+        label: What the message calls the path; by default a line of the table's slopes.
+        groups: Groups that are allowed.
+
+    Raises:
+        InputError: No such parameter.
+    """
     group, _, name = path.partition(".")
     every = {f"{owner}.{f.name}" for owner in groups for f in dataclasses.fields(getattr(case, owner))
              if f.metadata.get("role") in ("quantity", "count")}  # fmt: skip
@@ -288,7 +311,7 @@ def parameter_value(case: Any, path: str, label: str = "", groups: Names = SIZED
 
 
 def own_plan_content(case: Any) -> Content:
-    """Those of the manoeuvre's own file."""
+    """Content of the manoeuvre's own plan file; empty if it has none."""
     return (
         load_shipped_plan(case.manoeuvre.own_plan)
         if isinstance(case.manoeuvre, TabulatedManoeuvre) and case.manoeuvre.own_plan
@@ -297,7 +320,15 @@ def own_plan_content(case: Any) -> Content:
 
 
 def numbers_by_path(content: Content, charts: Mapping[str, Chart]) -> dict[str, float | str]:
-    """All numbers of a plan by path, the first of those that are repeated; formulas as they are written."""
+    """List all numbers of a plan table by path.
+
+    Args:
+        content: The table's content.
+        charts: The obstacle's charts, which name coordinates.
+
+    Returns:
+        Numbers, the first of repeated ones, and formulas as text.
+    """
     found: dict[str, float | str] = {}
     map_numbers(content, charts, lambda path, value: found.setdefault(
         path, value if isinstance(value, str) else float(np.ravel(value)[0])))  # fmt: skip
@@ -307,10 +338,17 @@ def numbers_by_path(content: Content, charts: Mapping[str, Chart]) -> dict[str, 
 def map_numbers(
     content: Any, charts: Mapping[str, Chart], change: Callable[[str, Any], Any], path: str = "", names: Names = ()
 ) -> Any:
-    """`content` with every number and formula, but those of `slopes`, replaced by what `change` makes of its path and
-    value.
+    """Replace every number and formula of a plan table, except those of `slopes`.
 
-    A path does not name the chart (of `places`) in which a place is. Numbers of a list have `names`, or are counted.
+    Args:
+        content: The table's content, or a branch of it.
+        charts: The obstacle's charts, which name coordinates; paths do not name the chart.
+        change: From path and value to the new value.
+        path: Path of the branch; empty for the whole table.
+        names: Names of the numbers if `content` is a list; further ones are counted.
+
+    Returns:
+        The content with new numbers.
     """
     if isinstance(content, Mapping):
         return {key: value if _is_word(key, value, path) else
@@ -325,14 +363,14 @@ def map_numbers(
 
 
 def _is_word(key: str, value: Any, path: str) -> bool:
-    """Whether what stands under a key is no number or formula, nor holds any."""
+    """Whether the value of a key is neither a number or formula nor contains any."""
     return key in (SLOPES, REPEAT, "mirror") or (isinstance(value, str) and key not in SINGLE and path != SIZES)
 
 
 def _below(
     key: str, value: Any, content: Content, charts: Mapping[str, Chart], path: str, names: Names
 ) -> tuple[str, Names]:
-    """Path of what stands under a key, and names of the numbers in a list there; `names` are those of a base."""
+    """Path of a key's value, and names of the numbers if it is a list; `names` are those of a base."""
     above = path.rpartition(".")[2]
     if above == "base":
         return path, charts[key].base_names() if key in charts else COMPONENTS["base"]
@@ -348,7 +386,15 @@ def _below(
 
 
 def plan_parameter(case: Any, path: str) -> "dataclasses.Field[Any]":
-    """The number at `path` (without `plan.`) as a parameter. Raises `InputError`."""
+    """Describe a number of a case's plan as a parameter, for axes.
+
+    Args:
+        case: The case.
+        path: The number's path without `plan.`.
+
+    Raises:
+        InputError: The plan has no such number.
+    """
     found = plan_values(case)
     if path not in found:
         if not found:
@@ -366,12 +412,17 @@ def plan_parameter(case: Any, path: str) -> "dataclasses.Field[Any]":
 
 @functools.cache
 def load_shipped_plan(name: str) -> Content:
-    """A plan that comes with the package."""
+    """Load a plan table that comes with the package."""
     return merge_extended(name, lambda other: project.shipped(GROUP)[other].read_text(encoding="utf-8"))
 
 
 def merge_extended(name: str, read: Callable[[str], str]) -> Content:
-    """The plan `name` over those that it extends, the first one or a list; texts of files are `read` by name."""
+    """Merge a plan table over the tables that it extends.
+
+    Args:
+        name: The table's name.
+        read: From the name of a table to the text of its file.
+    """
     content = dict(yaml.load(project.words(read(name)), project.LOADER))
     bases = content.pop("extends", [])
     below = [merge_extended(base, read) for base in ([bases] if isinstance(bases, str) else bases)]
@@ -379,7 +430,15 @@ def merge_extended(name: str, read: Callable[[str], str]) -> Content:
 
 
 def differences(content: Content, other: Content) -> dict[str, Any]:
-    """What a file has to say that extends `content` to be `other`: deep, lists whole."""
+    """Find the keys that a file must set to turn `content` into `other` by `extends`.
+
+    Args:
+        content: The table that is extended.
+        other: The table that results.
+
+    Returns:
+        Nested keys with the values of `other`; lists are whole.
+    """
     found = {}
     for key, value in other.items():
         if isinstance(value, Mapping) and isinstance(content.get(key), Mapping):
@@ -391,7 +450,7 @@ def differences(content: Content, other: Content) -> dict[str, Any]:
 
 
 def _over(below: Content, above: Content) -> dict[str, Any]:
-    """Two contents, deep; what is in `above` counts."""
+    """Merge two contents key by key; `above` takes precedence."""
     found = dict(below)
     for key, value in above.items():
         deep = isinstance(value, Mapping) and isinstance(found.get(key), Mapping)

@@ -44,15 +44,15 @@ class Robot:
 
 
 def half_size(robot: Robot) -> Float[Array, " 3"]:
-    """Half the sides of the base (m)."""
+    """Half length, width and height of the base (m)."""
     return 0.5 * jnp.stack([jnp.asarray(s, float) for s in (robot.body_length, robot.body_width, robot.body_height)])
 
 
 def half_between_hips(robot: Robot) -> Float[Array, " 3"]:
-    """Of the part of the base that legs have to keep out of (m).
+    """Half sizes of the box that legs must not enter (m): the base without the margin that thighs pass.
 
-    Hips lie on the sides of the base; between them these stand back by a link's radius, so that a thigh which turns
-    along a side passes it.
+    Hips lie on the sides of the base. Between the hips the sides stand back by a link's radius, so that a thigh which
+    turns along a side passes it.
     """
     return half_size(robot) - robot.link_radius * jnp.array([1.0, 1.0, 0.0])
 
@@ -64,19 +64,19 @@ def total_mass(robot: Robot) -> Array | float:
 
 
 def leg_unit(robot: Robot) -> Array | float:
-    """The length (m) of a body to which these legs are in the book's proportions: nominally a_r."""
+    """Unit of lengths in plans (m): the base length that fits these legs in the book's proportions, nominally a_r."""
     return (robot.thigh + robot.shin) * (1.05 / 0.855)
 
 
 def mounts(robot: Robot) -> Float[Array, "6 3"]:
-    """Where the hips are (m, base axes)."""
+    """Positions of the hips of legs 1 to 6 (m, base axes)."""
     if robot.mounts == "circle":
         return circular_mounts(robot.mount_radius)
     return rectangular_mounts(robot.body_length, robot.body_width)
 
 
 def mount_yaw(robot: Robot) -> np.ndarray:
-    """Turn of each leg's axes about the base's z (rad): 0 where alpha counts from the y axis, else from the radius."""
+    """Yaw (6,) of each leg's axes in the base frame (rad): 0 where alpha counts from the y axis, else the radius."""
     if robot.leg_axes == "sides":
         return np.zeros(6)
     hips = np.array([[-1, -1, 0, 0, 1, 1], SIDE * np.array([1, 1, 2, 2, 1, 1])]) * np.array([[3**0.5], [1.0]])
@@ -84,5 +84,5 @@ def mount_yaw(robot: Robot) -> np.ndarray:
 
 
 def link_names(robot: Robot) -> tuple[str, ...]:
-    """Names of a leg's links, from the hip out."""
+    """Names of a leg's links, from the hip outwards."""
     return ("coxa", "thigh", "shin") if robot.legs == "three_link" else ("thigh", "shin")

@@ -29,7 +29,11 @@ def _rod(mass: Array | float, length: Array | float, radius: Array | float) -> t
 
 
 def batched_model_fields(case: Case) -> dict[str, dict[str, Array]]:
-    """Varying arrays by model field, then by body, site or (for `dof_armature`) joint name. Pure JAX, float leaves."""
+    """Fields of the MuJoCo model that depend on parameters, for a batched or traced case.
+
+    Returns:
+        Arrays by field of `MjModel`, then by the name of a body, site or (for `dof_armature`) joint.
+    """
     robot = case.robot
     zero = jnp.zeros(())
     hips = mounts(robot)
@@ -67,9 +71,14 @@ _leaves = jax.jit(batched_model_fields)  # a row of a table of cases would take 
 
 
 def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
-    """The model of one case with plain numbers; without `geoms` only what the smooth dynamics need.
+    """Build the MuJoCo model of one case.
 
-    Raises `InputError` where a size cannot be built.
+    Args:
+        case: Parameters, plain numbers.
+        geoms: Whether the model has shapes; the smooth dynamics need none.
+
+    Raises:
+        InputError: MuJoCo cannot build these sizes.
     """
     spec = build_spec(case, geoms)
     if not geoms:
@@ -102,7 +111,15 @@ def too_small(case: Case) -> np.ndarray:
 
 
 def build_spec(case: Case, geoms: bool = True) -> mujoco.MjSpec:
-    """What `compile_model` compiles; without `geoms` the robot has none."""
+    """Describe robot and obstacle of one case as a MuJoCo spec.
+
+    Args:
+        case: Parameters, plain numbers.
+        geoms: Whether the robot has shapes.
+
+    Raises:
+        InputError: A robot of two links has a coxa.
+    """
     robot = case.robot
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -216,15 +233,25 @@ def _add_leg(
 
 
 def native_model(case: Case, time_step: float, solid: bool = False) -> mujoco.MjModel:
-    """The compiled `native_spec`."""
+    """Compile the model of the native engine.
+
+    Args:
+        case: Parameters, plain numbers.
+        time_step: Physics step (s).
+        solid: Whether links and base collide, too, not only feet.
+    """
     return native_spec(case, time_step, solid).compile()
 
 
 def native_spec(case: Case, time_step: float, solid: bool = False) -> mujoco.MjSpec:
-    """The model of one case with contact, the clamped servos of (1.2.1) and foot force sensors.
+    """Describe the model of the native engine: contact, the clamped servos of (1.2.1) and foot force sensors.
 
-    The settings are those that hold a stiff robot still: elliptic cones, impratio 100, stiff contact. Where it is
-    `solid`, not only feet touch.
+    The settings hold a stiff robot still: elliptic cones, impratio 100, stiff contact.
+
+    Args:
+        case: Parameters, plain numbers.
+        time_step: Physics step (s).
+        solid: Whether links and base collide, too, not only feet.
     """
     spec = build_spec(case)
     spec.option.timestep = time_step

@@ -31,7 +31,7 @@ STARTS, ENDS = (np.stack([np.flatnonzero(SIGNS[:, axis] == s) for axis in range(
 
 
 class Solid(Protocol):
-    """What an obstacle consists of. Sizes and places may be plain numbers or traced ones."""
+    """A rigid shape of an obstacle with signed distances to links and base. Sizes may be plain or traced numbers."""
 
     @property
     def name(self) -> str:
@@ -44,30 +44,49 @@ class Solid(Protocol):
         ...
 
     def segment_distance(self, a: Float[Array, "n 3"], b: Float[Array, "n 3"]) -> Float[Array, " n"]:
-        """Signed distance to n segments."""
+        """Signed distance (m) to n segments from `a` to `b` (m, world axes)."""
         ...
 
     def box_distance(
         self, centre: Float[Array, " 3"], rotation: Float[Array, "3 3"], half: Float[Array, " 3"]
     ) -> Float[Array, ""]:
-        """Signed distance to a box of half-sizes `half` along the columns of `rotation`."""
+        """Signed distance (m) to a box of half sizes `half` (m) along the columns of `rotation` (world axes)."""
         ...
 
 
 def distance_to_segments(solids: Sequence[Solid], a: Float[Array, "n 3"], b: Float[Array, "n 3"]) -> Float[Array, " n"]:
-    """Signed distance from the nearest of the solids to each segment, the centre line of a capsule."""
+    """Signed distance of segments, such as centre lines of capsules, to the nearest solid.
+
+    Args:
+        solids: The solids of an obstacle.
+        a: Starts of the segments (m, world axes).
+        b: Their ends (m, world axes).
+
+    Returns:
+        Distances (m), negative by the penetration depth.
+    """
     return _nearest(solids, lambda solid: solid.segment_distance(a, b))
 
 
 def distance_to_box(
     solids: Sequence[Solid], centre: Float[Array, " 3"], rotation: Float[Array, "3 3"], half: Float[Array, " 3"]
 ) -> Float[Array, ""]:
-    """Signed distance from the nearest of the solids to a box of half-sizes `half` along the columns of `rotation`."""
+    """Signed distance of a box to the nearest solid.
+
+    Args:
+        solids: The solids of an obstacle.
+        centre: Centre of the box (m, world axes).
+        rotation: Box axes to world axes.
+        half: Half sizes of the box (m).
+
+    Returns:
+        The distance (m), negative by the penetration depth.
+    """
     return _nearest(solids, lambda solid: solid.box_distance(centre, rotation, half))
 
 
 def _nearest(solids: Sequence[Solid], distance: Callable[[Solid], Array]) -> Array:
-    """The least distance; many boxes of a body are measured together, which compiles once."""
+    """The least distance over solids; boxes of free bodies are batched, so that their code compiles once."""
     boxes = [solid for solid in solids if isinstance(solid, Box) and solid.body >= 0]
     if len(boxes) < 2:
         return jnp.min(jnp.stack([distance(solid) for solid in solids]), axis=0)
@@ -81,7 +100,7 @@ def _nearest(solids: Sequence[Solid], distance: Callable[[Solid], Array]) -> Arr
 
 
 def array_module(x: Any) -> Any:
-    """The module whose functions keep what `x` is: `jax.numpy` of arrays and tracers, NumPy of plain numbers."""
+    """Return `jax.numpy` for JAX arrays and tracers, NumPy for plain numbers, which then stay plain."""
     return jnp if isinstance(x, jax.Array) else np
 
 
@@ -94,26 +113,26 @@ def box_corners(
 
 @dataclass(frozen=True, kw_only=True)
 class HalfSpace:
-    """Everything below a plane through the world's origin."""
+    """The half-space below a plane through the world's origin."""
 
     name: str
     normal: Sequence[Any] | Array
     body: int = -1
 
     def segment_distance(self, a: Array, b: Array) -> Array:
-        """By the lower end, see `Solid`."""
+        """Distance of the lower end, see `Solid`."""
         normal = _vector(self.normal, a.dtype)
         return jnp.minimum(a @ normal, b @ normal)
 
     def box_distance(self, centre: Array, rotation: Array, half: Array) -> Array:
-        """By the lowest corner, see `Solid`."""
+        """Distance of the lowest corner, see `Solid`."""
         normal = _vector(self.normal, centre.dtype)
         return centre @ normal - jnp.abs(normal @ rotation) @ half
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sphere:
-    """A ball about its centre."""
+    """A sphere."""
 
     name: str
     radius: Any
@@ -121,19 +140,19 @@ class Sphere:
     body: int = -1
 
     def segment_distance(self, a: Array, b: Array) -> Array:
-        """By the centre's distance to the nearest point, see `Solid`."""
+        """Distance of the nearest point to the centre, less the radius, see `Solid`."""
         centre, along = _vector(self.centre, a.dtype), b - a
         share = jnp.clip(_dot(centre - a, along) / (_dot(along, along) + TINY), 0.0, 1.0)
         return _length(a + share[:, None] * along - centre) - self.radius
 
     def box_distance(self, centre: Array, rotation: Array, half: Array) -> Array:
-        """By the centre's distance, see `Solid`."""
+        """Distance of the box to the centre, less the radius, see `Solid`."""
         return distance_from_box((_vector(self.centre, centre.dtype) - centre) @ rotation, half) - self.radius
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Convex(ABC):
-    """A convex solid about the origin of its own frame; all points and axes of the methods below are in that frame."""
+    """A convex solid about the origin of its own frame, in which the methods below take points and axes."""
 
     name: str
     position: Sequence[Any] | Array = (0.0, 0.0, 0.0)  # of its frame
@@ -143,35 +162,35 @@ class _Convex(ABC):
 
     @abstractmethod
     def signed_distance(self, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
-        """Signed distance to points."""
+        """Signed distance (m) to points (m)."""
 
     @abstractmethod
     def extent(self, axes: Float[Array, "*n 3"]) -> tuple[Array, Array]:
-        """How far the solid extends along axes and against them."""
+        """Support function: extent of the solid along axes and against them (m)."""
 
     @abstractmethod
     def support_points(self, axes: Float[Array, "3 3"]) -> Float[Array, "m 3"]:
-        """Points of which one is the outermost along each of the axes (rows), and one against it."""
+        """Support points: for each axis (row) one of them is outermost along it, and one against it."""
 
     @abstractmethod
     def face_normals(self, dtype: Any) -> Float[Array, "k 3"]:
-        """Normals of its flat faces, one of each parallel pair."""
+        """Normals of the flat faces, one of each parallel pair."""
 
     def curved_normals(self, points: Float[Array, "n 3"]) -> list[Array]:
-        """Normals (n, 3) of its curved face towards points."""
+        """Normals (n, 3) of the curved face towards points."""
         return []
 
     @abstractmethod
     def edge_cross_axes(self, along: Float[Array, "n 3"], at: Float[Array, "n 3"]) -> list[Array]:
-        """Axes (n, 3) across its edges and edges with the directions `along`, whose innermost points are `at`."""
+        """Axes (n, 3) normal to the solid's edges and to edges along `along` whose innermost points are `at`."""
 
     def to_solid_frame(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-        """Points from world axes to the solid's."""
+        """Transform points from the world frame to the solid's frame (m)."""
         offset = points - _vector(self.position, points.dtype)
         return offset if self.rotation is None else offset @ self.rotation
 
     def segment_distance(self, a: Array, b: Array) -> Array:
-        """By points along the segment, or by parting planes, see `Solid`."""
+        """Distance of points along the segment, or of separating planes where they overlap, see `Solid`."""
         a, b = self.to_solid_frame(a), self.to_solid_frame(b)
         at, apart = minimize_along(self.signed_distance, a, b)
         along = (b - a) / _length(b - a)[:, None]
@@ -188,7 +207,7 @@ class _Convex(ABC):
         return jnp.where(apart > 0, apart, jnp.max(parted, axis=0))
 
     def box_distance(self, centre: Array, rotation: Array, half: Array) -> Array:
-        """By both solids' corners, or by parting planes, see `Solid`."""
+        """Distance of both solids' edges and corners, or of separating planes where they overlap, see `Solid`."""
         centre = self.to_solid_frame(centre)
         rotation = rotation if self.rotation is None else self.rotation.T @ rotation
         corners = box_corners(centre, rotation, half)
@@ -218,7 +237,7 @@ class _Convex(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Box(_Convex):
-    """Half-sizes along its own axes about its position."""
+    """A box about its position, with half sizes along its own axes."""
 
     half: Sequence[Any] | Array
 
@@ -246,7 +265,7 @@ class Box(_Convex):
 
 @dataclass(frozen=True, kw_only=True)
 class Cylinder(_Convex):
-    """A round solid whose axis is its own z axis, its middle at its position."""
+    """A cylinder along its own z axis about its position."""
 
     radius: Any
     half: Any  # of its height
@@ -298,7 +317,7 @@ class Cylinder(_Convex):
 
 @dataclass(frozen=True, kw_only=True)
 class Prism(_Convex):
-    """From its own z = 0 to `height` over a convex polygon, clockwise seen from above."""
+    """A prism over a convex polygon (clockwise seen from above), from its own z = 0 to `height`."""
 
     polygon: Sequence[tuple[Any, Any]]
     height: Any
@@ -347,7 +366,16 @@ class Prism(_Convex):
 def minimize_along(
     signed_distance: Callable[[Array], Array], a: Float[Array, "n 3"], b: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, " n"]]:
-    """Where on segments a signed distance is least, and how large it is; it is convex along each."""
+    """Minimize a signed distance along segments by golden sections; it must be convex along each.
+
+    Args:
+        signed_distance: From points (n, 3) to distances (n,) (m).
+        a: Starts of the segments (m).
+        b: Their ends (m).
+
+    Returns:
+        The nearest point of each segment (m), and its distance (m).
+    """
     golden = (5**0.5 - 1) / 2
     along = b - a
 
@@ -380,7 +408,15 @@ def _extruded(aside: Array, above: Array) -> Array:
 
 
 def distance_from_box(points: Float[Array, "*n 3"], half: Float[Array, " 3"]) -> Float[Array, "*n"]:
-    """Signed distance from a box about the origin."""
+    """Signed distance of points to a box about the origin, in the box's axes.
+
+    Args:
+        points: Points (m).
+        half: Half sizes of the box (m).
+
+    Returns:
+        Distances (m), negative inside.
+    """
     out = jnp.abs(points) - half
     most = jnp.max(out, axis=-1)
     return jnp.where(most > 0, _length(jnp.maximum(out, 0.0)), most)

@@ -23,7 +23,7 @@ FLOOR, BALL = range(2)
 def point_at_elevation(
     obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, elevation: Number
 ) -> Float[Array, " 3"]:
-    """A point of the ball, `aside` of the middle plane (R), at an elevation (deg): 0 behind it, 90 on top."""
+    """Chart of feet on the ball, `aside` of the middle plane (R), at an elevation (deg): 0 behind it, 90 on top."""
     angle, out = jnp.radians(jnp.asarray(elevation, float)), jnp.asarray(aside, float)
     round_ = jnp.sqrt(1 - out**2)
     return (obstacle.radius - depth) * point(-round_ * jnp.cos(angle), side * out, round_ * jnp.sin(angle))
@@ -32,7 +32,7 @@ def point_at_elevation(
 def cap_point(
     obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """A point of the ball's upper half, `ahead` of its centre (R)."""
+    """Chart of feet on the ball's upper half, `ahead` of its centre (R)."""
     x, y = (jnp.asarray(part, float) for part in (ahead, side * aside))
     return (obstacle.radius - depth) * point(x, y, jnp.sqrt(1 - x**2 - y**2))
 
@@ -40,16 +40,26 @@ def cap_point(
 def floor_point(
     obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """A point of the floor, `ahead` of the ball's centre (R)."""
+    """Chart of feet on the floor, `ahead` of the ball's centre (R)."""
     return point(ahead * obstacle.radius, side * aside * obstacle.radius, -obstacle.radius - depth)
 
 
 def tangent_base(
     obstacle: "Ball", side: float, unit: Number, depth: Number, elevation: Number, distance: Number, ahead: Number = 0.0
 ) -> Float[Array, " 3"]:
-    """A base along a tangent of a circle about the ball's centre: `ahead` (R) of its point at an elevation (deg).
+    """Chart of bases that are tangent to a circle about the ball's centre.
 
-    The base's axis is at a `distance` (R) from the centre.
+    Args:
+        obstacle: The ball.
+        side: Side of the leg, unused.
+        unit: Unit of lengths (m), unused.
+        depth: Depth below the surface (m), unused.
+        elevation: Elevation of the tangent's point (deg): 0 behind the ball, 90 on top.
+        distance: Radius of the circle (R).
+        ahead: Displacement along the tangent (R).
+
+    Returns:
+        The base's centre relative to the ball's (m).
     """
     angle = jnp.radians(jnp.asarray(elevation, float))
     sin, cos = jnp.sin(angle), jnp.cos(angle)
@@ -57,12 +67,23 @@ def tangent_base(
 
 
 def tangent_pitch(obstacle: "Ball", unit: Number, elevation: Number, distance: Number, ahead: Number = 0.0) -> Array:
-    """The pitch of such a base, nose up (rad)."""
+    """Pitch of a base in the chart `tangent_base`.
+
+    Args:
+        obstacle: The ball.
+        unit: Unit of lengths (m), unused.
+        elevation: Elevation of the tangent's point (deg).
+        distance: Radius of the circle (R), unused.
+        ahead: Displacement along the tangent (R), unused.
+
+    Returns:
+        The pitch (rad, nose up).
+    """
     return jnp.radians(90 - jnp.asarray(elevation, float))
 
 
 def pitch_pivot(obstacle: "Ball", unit: Number, *at: Number) -> Float[Array, " 3"]:
-    """About which such bases go."""
+    """Point about which bases of the chart `tangent_base` turn (m): the ball's centre."""
     return jnp.zeros(3)
 
 
@@ -101,7 +122,7 @@ class Ball(ObstacleDefaults):
     contact_sites = (("ball", 0),)
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Floor, and what is free: balls."""
+        """Add the floor and the balls to a spec."""
         leaves, bodies = self.batched_model_fields(), []
         for name, place in zip(self.free_bodies, np.asarray(self.start().position, float), strict=True):
             mass, inertia = (np.asarray(leaves[field][name], float) for field in ("body_mass", "body_inertia"))
@@ -125,7 +146,7 @@ class Ball(ObstacleDefaults):
         }
 
     def start(self) -> FreeState:
-        """A ball that rolls without slip."""
+        """State of a ball that rolls without slip."""
         direction = jnp.stack([jnp.cos(self.course), jnp.sin(self.course), jnp.zeros_like(jnp.cos(self.course))])
         velocity = self.speed * direction
         turn = jnp.cross(jnp.array([0.0, 0.0, 1.0]), velocity) / self.radius

@@ -1,4 +1,4 @@
-"""What obstacles say where they say nothing else, and those that never move."""
+"""Base classes of obstacles: defaults of optional members, and obstacles that never move."""
 
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, ClassVar
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class ObstacleDefaults:
-    """It offers no charts, nothing is learned of it by touch, and nothing loads its bodies."""
+    """Defaults of an obstacle: no charts, no sizes to learn by touch, no external wrench on its bodies."""
 
     charts: ClassVar[dict[str, Chart]] = {}
     forward: tuple[float, float] = (0.0, -1.0)
@@ -24,24 +24,24 @@ class ObstacleDefaults:
     stood_on: tuple[str, ...] = ()
 
     def external_wrench(self, free: FreeState) -> Float[Array, "k 6"] | None:
-        """Nothing beside weight and contact."""
+        """No wrench other than weight and contact."""
         return None
 
 
 class StaticObstacle(ObstacleDefaults, ABC):
-    """An obstacle without free bodies: a kind, sizes, solids and a surface are all that it needs to say."""
+    """An obstacle without free bodies; a subclass adds a kind, sizes, solids and a surface."""
 
     free_bodies: tuple[str, ...] = ()
     contact_sites: tuple[tuple[str, int], ...] = ()
 
     @abstractmethod
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The solids that it consists of."""
+        """The solids of which the obstacle consists."""
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Put its solids in the spec, as geoms."""
+        """Add the solids to the spec as geoms."""
         add_solids(spec, self.solids(identity_poses(0)), friction)
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
-        """No masses: nothing moves."""
+        """No fields, since nothing moves."""
         return {}

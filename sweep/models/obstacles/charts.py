@@ -1,4 +1,4 @@
-"""Charts: coordinates in which plans say where feet and base are to be, offered by obstacles (and by manoeuvres)."""
+"""Charts: named coordinates in which plan tables give footholds and base poses. Obstacles and manoeuvres offer them."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -9,12 +9,12 @@ from jaxtyping import Array, Float
 from sweep.core.vectors import Number
 from sweep.models.frames import WORLD
 
-Forward = tuple[float, float]  # the way that robots come, in the plane
+Forward = tuple[float, float]  # horizontal unit vector of the direction in which robots approach
 ALONG_X, ALONG_Y = (1.0, 0.0), (0.0, -1.0)
 
 
 class Chart(NamedTuple):
-    """Places by coordinates that have names."""
+    """Coordinates of points by name, and the function that maps them to metres; obstacles define them."""
 
     names: tuple[str, ...]
     # the point (m) in `frame` of: what offers the chart; -1 or 1, the leg's side, as it mirrors places; the unit of
@@ -30,12 +30,12 @@ class Chart(NamedTuple):
     optional: int = 0  # of the last coordinates, which are 0 where they are not said
 
     def base_names(self) -> tuple[str, ...]:
-        """Names of a base's numbers."""
+        """Names of the numbers that give a base pose in this chart."""
         return self.names if self.pitch else (*self.names, "pitch")
 
 
 def edge_chart(edge: Callable[[Any], tuple[Number, Number]]) -> Chart:
-    """A chart for bases of robots that come along -y, from a point at (y, z) (m) in the plane x = 0."""
+    """Make a chart for bases that approach along -y, relative to an edge at (y, z) (m) in the plane x = 0."""
 
     def at(owner: Any, side: float, unit: Number, depth: Number, ahead: Number, above: Number) -> Float[Array, " 3"]:
         y, z = edge(owner)
@@ -45,9 +45,11 @@ def edge_chart(edge: Callable[[Any], tuple[Number, Number]]) -> Chart:
 
 
 def approach_charts(foot: Callable[[Any], Number], forward: Forward = ALONG_Y) -> dict[str, Chart]:
-    """Charts of the floor before what robots come to, whose foot is so far along their way (m).
+    """Make charts of the floor in front of an obstacle: `floor` for feet and `foot` for bases.
 
-    For feet, and for bases.
+    Args:
+        foot: Distance (m) of the obstacle's foot from the origin along `forward`, from the obstacle.
+        forward: Direction in which robots approach.
     """
 
     def on_floor(owner: Any, side: float, unit: Number, depth: Number, aside: Number, before: Number) -> Array:
@@ -62,7 +64,16 @@ def approach_charts(foot: Callable[[Any], Number], forward: Forward = ALONG_Y) -
 def level_ground_charts(
     edge: Callable[[Any], tuple[Number, Number]], forward: Forward = ALONG_X, frame: int = WORLD
 ) -> tuple[Chart, Chart]:
-    """Charts of level ground from an edge on, so far along robots' way and so high (m): for feet, and for bases."""
+    """Make charts of level ground beyond an edge.
+
+    Args:
+        edge: Distance (m) of the edge from the origin along `forward`, and its height (m), from the obstacle.
+        forward: Direction in which robots approach.
+        frame: Number of the frame in which the points are given.
+
+    Returns:
+        A chart for feet, and one for bases.
+    """
 
     def on_ground(owner: Any, side: float, unit: Number, depth: Number, aside: Number, ahead: Number) -> Array:
         along, up = edge(owner)
@@ -76,10 +87,10 @@ def level_ground_charts(
 
 
 def rearing_base_chart(length: Number) -> Chart:
-    """A chart for bases of a `length` (m) that pitch up before what they come to along -y.
+    """Make a chart for bases of a `length` (m) that rear up in front of an obstacle which they approach along -y.
 
-    Their front edge goes up a vertical line, their rear edge along a level one, and their centre goes round where these
-    cross, so far ahead of the origin and above it.
+    The base's front edge moves up a vertical line and its rear edge along a level line; its centre goes round the point
+    where these lines cross, whose coordinates are `ahead` and `above`.
     """
 
     def crossing(owner: Any, unit: Number, ahead: Number, above: Number, pitch: Number) -> Float[Array, " 3"]:
@@ -96,11 +107,30 @@ def rearing_base_chart(length: Number) -> Chart:
 
 
 def point_ahead(forward: Forward, aside: Number, ahead: Number, up: Number) -> Float[Array, " 3"]:
-    """A point to the left of where robots look that come through the origin, ahead, and up (m)."""
+    """Convert coordinates along the approach of robots to world axes.
+
+    Args:
+        forward: Direction in which robots approach.
+        aside: To the left of that direction (m).
+        ahead: Along that direction, from the origin (m).
+        up: Height (m).
+
+    Returns:
+        The point (m, world axes).
+    """
     x, y = forward
     return point(ahead * x - aside * y, ahead * y + aside * x, up)
 
 
 def point(x: Number, y: Number, z: Number) -> Float[Array, " 3"]:
-    """A vector of numbers that may be traced."""
+    """Stack three numbers, which may be traced, into a vector (3,).
+
+    Args:
+        x: First component.
+        y: Second component.
+        z: Third component.
+
+    Returns:
+        The vector, in the unit of its components.
+    """
     return jnp.stack([jnp.asarray(value, float) for value in (x, y, z)])

@@ -146,7 +146,7 @@ def _inset(polygon: np.ndarray, margin: float) -> np.ndarray:
 
 
 def hidden_geom_options() -> dict[str, Any]:
-    """Options of a geom that only collides."""
+    """Options of a geom that collides and is not rendered."""
     return {"rgba": [0, 0, 0, 0], "group": COLLIDING, "mass": 0.0}
 
 

@@ -35,7 +35,7 @@ ON_LEDGE, _ = level_ground_charts(lambda obstacle: (0.0, obstacle.ledge_height),
 def rung_point(
     obstacle: "Ladder", side: float, unit: Number, depth: Number, rung: Number, aside: Number, out: Number
 ) -> Float[Array, " 3"]:
-    """A point on a rung's top, `out` of the ladder's plane (rung depths)."""
+    """Chart of feet on a rung's top, `out` of the ladder's plane (rung depths)."""
     return point(side * aside * unit, obstacle.y_at_rung(rung) + depth, out * obstacle.rung_depth)
 
 
@@ -43,10 +43,10 @@ def base_along_ladder(
     obstacle: "Ladder", side: float, unit: Number, depth: Number, up: Number, out: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Float[Array, " 3"]:  # fmt: skip
-    """A base `up` the ladder from its lower end (rungs) and `out` of its plane, nose up by `pitch` of its lean.
+    """Chart of bases along the ladder: `up` from below (rungs), `out` of its plane, pitched by a share of its lean.
 
-    It goes with a ledge that is higher over the rungs, by shares of what it is higher by: along the ladder, out of its
-    plane, and nose up, of the ladder's lean for every unit.
+    `more_ahead`, `more_out` and `more_pitch` move the base with the ladder's `extra_height`: shares of it along the
+    ladder and out of its plane, and shares of the lean for every unit of it.
     """
     return point(
         0.0, obstacle.y_at_rung(up) - more_ahead * obstacle.extra_height, out * unit + more_out * obstacle.extra_height
@@ -57,7 +57,7 @@ def base_over_ledge(
     obstacle: "Ladder", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Float[Array, " 3"]:  # fmt: skip
-    """A base beyond the ledge's edge and above it; it goes with the ledge as `along`, by shares along its own axes."""
+    """Chart of bases beyond and above the ledge's edge; extra shares as in `base_along_ladder`, in base axes."""
     out, back = more_out * obstacle.extra_height, (1 - more_ahead) * obstacle.extra_height
     angle = jnp.asarray(base_pitch(obstacle, unit, ahead, above, pitch, more_ahead, more_out, more_pitch))
     sin, cos = jnp.sin(angle), jnp.cos(angle)
@@ -69,12 +69,12 @@ def base_pitch(
     obstacle: "Ladder", unit: Number, one: Number, other: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Number:  # fmt: skip
-    """Pitch of a base whose place is told by `along` (rad, nose up)."""
+    """Pitch of a base in the charts along the ladder and over the ledge (rad, nose up)."""
     return (pitch + more_pitch * obstacle.extra_height / unit) * obstacle.lean
 
 
 class Bars(NamedTuple):
-    """What the ladder is made of: its two rails, then its rungs from the lowest up, in its own axes."""
+    """Boxes of the ladder: two rails, then the rungs from the lowest up, in the ladder's axes."""
 
     centre: Float[Array, "n 3"]  # m, from the mass centre
     half: Float[Array, "n 3"]  # m
@@ -117,28 +117,28 @@ class Ladder(ObstacleDefaults):
 
     @property
     def centre(self) -> Array | float:
-        """Mass centre (m), along the rails from their lower ends."""
+        """Distance (m) of the mass centre from the lower ends of the rails, along them."""
         rails, rungs = self._volumes()
         middle = (0.5 + 0.5 * self.rungs) * self.rung_step - self.rung_height / 2
         return (rails * self.length / 2 + rungs * middle) / (rails + rungs)
 
     @property
     def foot_distance(self) -> Array:
-        """How far its lower end is from the wall (m), as it starts."""
+        """Distance (m) of the lower end from the wall at the start."""
         return self.start().position[0, 1] + self.centre * jnp.cos(jnp.asarray(self.lean))
 
     @property
     def extra_height(self) -> Array | float:
-        """By how much (m, along the ladder) the ledge is farther up than `TOP` rungs."""
+        """Height (m, along the ladder) of the ledge above `TOP` rungs, its nominal place."""
         return self.ledge_height / jnp.sin(jnp.asarray(self.lean)) - TOP * self.rung_step
 
     def y_at_rung(self, rungs: Array | float) -> Array | float:
-        """Its own y (m) at a height along it, in rungs; whole ones at their tops."""
+        """Coordinate y (m, ladder axes) at a height along the ladder in rungs; whole numbers are tops of rungs."""
         return self.centre - rungs * self.rung_step
 
     @property
     def landmarks(self) -> Float[Array, "1 3"]:
-        """The middle between the rails' lower ends; how it leans is seen along the rails."""
+        """The middle between the rails' lower ends (m, ladder axes)."""
         return point(0.0, self.centre, 0.0)[None]
 
     def _volumes(self) -> tuple[Array | float, Array | float]:
@@ -147,7 +147,7 @@ class Ladder(ObstacleDefaults):
         return rails, self.rungs * self.width * self.rung_height * self.rung_depth
 
     def bars(self) -> Bars:
-        """The boxes that are rails and rungs."""
+        """The boxes of rails and rungs."""
         aside = (self.width + self.rail_breadth) / 2
         rail = point(self.rail_breadth / 2, self.length / 2, self.rail_depth / 2)
         rung = point(self.width / 2, self.rung_height / 2, self.rung_depth / 2)
@@ -158,7 +158,7 @@ class Ladder(ObstacleDefaults):
         )
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Floor, ledge and ladder, whose corners meet them by geoms of their own."""
+        """Add floor, ledge and ladder to a spec; small spheres at the ladder's corners touch floor and wall."""
         import mujoco
 
         values = self.batched_model_fields()
@@ -175,7 +175,7 @@ class Ladder(ObstacleDefaults):
                 add_contact_pair(spec, name, f"{other}_contact", float(friction * grip), 1.0)
 
     def check(self) -> None:
-        """Raise `InputError` where the upper ends do not meet the wall, or rungs have no room, by plain numbers."""
+        """Raise `InputError` if the upper ends do not meet the wall, or the rungs do not fit (plain numbers)."""
         reach = self.length * np.sin(self.lean)
         if reach >= self.ledge_height:
             raise InputError(
@@ -189,7 +189,7 @@ class Ladder(ObstacleDefaults):
             )
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
-        """Mass, inertia of homogeneous bars, and the edges of the rails that touch."""
+        """Mass, inertia of homogeneous bars, and contact sites at the ends of the rails."""
         bars = self.bars()
         volume = jnp.prod(bars.half, axis=-1)
         mass = self.mass * volume / jnp.sum(volume)
@@ -215,12 +215,12 @@ class Ladder(ObstacleDefaults):
         return FreeState(point(0.0, y, z)[None], quat[None], jnp.zeros((1, 3)), jnp.zeros((1, 3)))
 
     def start_poses(self) -> BodyPoses:
-        """Where the ladder starts."""
+        """Pose of the ladder at the start."""
         start = self.start()
         return BodyPoses(start.position, matrix(start.quat))
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The ledge ends where no robot comes."""
+        """Floor, ledge and bars; the ledge ends where no robot reaches."""
         bars, ledge = self.bars(), self.ledge_height / 2
         place = bodies.position[0] + bars.centre @ bodies.rotation[0].T
         names = ("rail_right", "rail_left", *(f"rung{k}" for k in range(1, self.rungs + 1)))
@@ -235,9 +235,9 @@ class Ladder(ObstacleDefaults):
         )
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """A solid's depth is the least over its faces; of floor, ledge and bars the deepest counts.
+        """The solid in which a point is deepest: floor, ledge or a bar, whose depth is the least over its faces.
 
-        The ladder's own corners feel floor and wall.
+        The ladder's own corners touch floor and wall only.
         """
         own, dtype = np.array(owner) >= 0, points.dtype
         bars = Bars(*(x.astype(dtype) for x in self.bars()))

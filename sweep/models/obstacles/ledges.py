@@ -29,7 +29,7 @@ FAR, _ = level_ground_charts(lambda obstacle: (obstacle.width, obstacle.height))
 def base_between(
     obstacle: "Ledges", side: float, unit: Number, depth: Number, ahead: Number, above: Number
 ) -> Float[Array, " 3"]:
-    """A base `ahead` of the ball's centre (R), above the mean of the ledges' height and that of the ball's top."""
+    """Chart of bases `ahead` of the ball's centre (R), `above` half the ledges' height over that centre."""
     return point(ahead * obstacle.radius, 0.0, 0.5 * obstacle.height + above * unit)
 
 
@@ -55,7 +55,7 @@ class Ledges(Ball):
     contact_sites = (("ball", 0), ("beside", 0))
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Floor, ball and ledges."""
+        """Add floor, ball and ledges to a spec."""
         super().add_to(spec, friction)
         for name in ("near_ledge", "far_ledge"):
             add_contact_pair(spec, name, "ball", friction * self.wall_grip, self.impact_damping)
@@ -68,22 +68,22 @@ class Ledges(Ball):
 
     @property
     def far_wall_x(self) -> Array | float:
-        """x (m) of the ball's centre there."""
+        """Coordinate x (m) of the ball's centre when it touches the far wall."""
         return self.width - self.radius
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The ledges end where no robot comes."""
+        """Floor, ball and ledges, which end where no robot reaches."""
         half = (DEPTH / 2, BREADTH / 2, self.height / 2)
         near = Box(name="near_ledge", position=(-DEPTH / 2, 0.0, half[2]), half=half, colour=SOIL)
         far = Box(name="far_ledge", position=(self.width + DEPTH / 2, 0.0, half[2]), half=half, colour=SOIL)
         return *super().solids(bodies), near, far
 
     def depth_behind_walls(self, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
-        """How far points are behind the near wall and the far one (m)."""
+        """Depth of points behind the near wall and behind the far wall (m)."""
         return jnp.stack([-points[:, 0], points[:, 0] - self.width], axis=-1)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Floor, ball or a ledge, whichever is deepest; the ball's centre feels the floor, and a second time a wall."""
+        """Floor, ball or a ledge, whichever is deepest; the ball's first site touches the floor, its second a wall."""
         lies = super().surface(points, owner, bodies)
         assert lies.rolling is not None
         dtype, own = points.dtype, np.array(owner) >= 0

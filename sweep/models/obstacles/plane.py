@@ -15,19 +15,19 @@ from sweep.models.solids import HalfSpace, Solid, array_module
 def ground_point(
     obstacle: "Plane", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """A point of the ground, `ahead` of the world's origin."""
+    """Chart of feet on the ground, `ahead` of the world's origin."""
     return obstacle.rotation() @ point(ahead * unit, side * aside * unit, -depth)
 
 
 def base_over_ground(
     obstacle: "Plane", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number = 0.0
 ) -> Float[Array, " 3"]:
-    """A base `above` the ground, pitched against it (deg, nose up)."""
+    """Chart of bases `above` the ground, pitched against it (deg, nose up)."""
     return obstacle.rotation() @ point(ahead * unit, 0.0, above * unit)
 
 
 def base_pitch(obstacle: "Plane", unit: Number, ahead: Number, above: Number, pitch: Number = 0.0) -> Array:
-    """Pitch of a base that is told by these numbers (rad, nose up)."""
+    """Pitch of a base in the chart `base_over_ground` (rad, nose up)."""
     return obstacle.slope + jnp.radians(jnp.asarray(pitch, float))
 
 
@@ -52,7 +52,7 @@ class Plane(StaticObstacle):
         return jnp.stack(rows)
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The half-space that the ground is."""
+        """The ground as a half-space."""
         sin, cos = (getattr(array_module(self.slope), name)(self.slope) for name in ("sin", "cos"))
         return (HalfSpace(name="ground", normal=(-sin, 0.0, cos)),)
 

@@ -73,7 +73,7 @@ class Raft(ObstacleDefaults):
 
     @property
     def half_size(self) -> Float[Array, " 3"]:
-        """Half of its length, width and thickness: a, b, d (m)."""
+        """Half length, width and thickness: a, b, d (m)."""
         return 0.5 * point(self.length, self.width, self.thickness)
 
     @property
@@ -87,11 +87,11 @@ class Raft(ObstacleDefaults):
         return self.half_size[None] * jnp.array([0.0, 0.0, 1.0])
 
     def draught(self, load: Array | float = 0.0) -> Array | float:
-        """How deep the level raft is in the water (m) with a load (kg) on it."""
+        """Draught (m) of the level raft with a load (kg) on it."""
         return (self.mass + load) / (WATER_DENSITY * self.length * self.width)
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Banks, raft and a picture of the water."""
+        """Add banks, raft and a shape for the water, which only renders, to a spec."""
         import mujoco
 
         leaves = self.batched_model_fields()
@@ -115,7 +115,7 @@ class Raft(ObstacleDefaults):
         )  # fmt: skip
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
-        """Mass and inertia of a homogeneous box, and the middles of its upright edges."""
+        """Mass and inertia of a homogeneous box, and contact sites at the middles of its upright edges."""
         half, mass = self.half_size, jnp.asarray(self.mass)
         sides = half * jnp.array([1.0, 1.0, 0.0])
         sites = zip(self.contact_sites, CORNERS, strict=True)
@@ -126,13 +126,13 @@ class Raft(ObstacleDefaults):
         }
 
     def start(self) -> FreeState:
-        """The raft afloat and at rest."""
+        """State of the raft afloat and at rest."""
         half, still = self.half_size, jnp.zeros((1, 3))
         x, z = half[0] + self.gap, half[2] - self.draught(self.laden) - self.bank_height
         return FreeState(jnp.stack([x, jnp.zeros_like(x), z])[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), still, still)
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The banks end where no robot comes."""
+        """Banks and raft; the banks end where no robot reaches."""
         bank = {"half": (SHORE / 2, SHORE / 2, 0.5), "colour": SOIL}
         return (
             Box(name="near_bank", position=(-SHORE / 2, 0.0, -0.5), **bank),
@@ -142,9 +142,9 @@ class Raft(ObstacleDefaults):
         )  # fmt: skip
 
     def external_wrench(self, free: FreeState) -> Float[Array, "1 6"]:
-        """Buoyancy, drag against the water as it flows, and the ropes.
+        """Wrench of buoyancy, drag in the current, and mooring ropes: monograph 4.1.
 
-        The bottom is taken to be wet all over, and the deck to be dry.
+        It assumes that the whole bottom is wet and the deck is dry.
         """
         a, b, d = self.half_size
         rotation, place = matrix(free.quat[0]), free.position[0]
@@ -158,7 +158,7 @@ class Raft(ObstacleDefaults):
         return jnp.concatenate([force, torque])[None] + ropes
 
     def _ropes(self, free: FreeState) -> Float[Array, " 6"]:
-        """They hold the raft's place and heading, critically damped."""
+        """Wrench of ropes that hold the raft's position and heading, critically damped."""
         a, b, _ = self.half_size
         start, damping = self.start(), 2 * jnp.sqrt(self.mooring * self.mass)
         heading = jnp.array([0.0, 0.0, 1.0]) * (a**2 + b**2) / 3
@@ -168,7 +168,7 @@ class Raft(ObstacleDefaults):
         return -jnp.concatenate([plane * force, heading * torque])
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Banks or raft, whichever is deeper, by the nearest face of each; the raft's edges feel the banks' walls."""
+        """Banks or raft, whichever is deeper, by the nearest face of each; the raft's edges touch the banks' walls."""
         dtype, own = points.dtype, np.array(owner) >= 0
         half = self.half_size.astype(dtype)
         beyond = jnp.stack([-points[:, 0], points[:, 0] - self.water_width], axis=-1)  # of each wall

@@ -1,4 +1,4 @@
-"""What a point feels of an obstacle; the interface that contact, planning, metrics and pictures share."""
+"""The interface of obstacles that contact, planning, metrics and renders share; surfaces and poses of free bodies."""
 
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, runtime_checkable
 
@@ -19,7 +19,7 @@ FOOT_RADIUS = 1e-3  # m, of the native engine's spheres: a larger one rolls unde
 
 
 class FreeState(NamedTuple):
-    """Pose and motion of the obstacle's free bodies, world axes."""
+    """Poses and velocities of the obstacle's k free bodies, world axes; engines and estimators make them."""
 
     position: Float[Array, "k 3"]  # m, of the body frame, which is at the mass centre
     quat: Float[Array, "k 4"]
@@ -28,29 +28,29 @@ class FreeState(NamedTuple):
 
 
 class BodyPoses(NamedTuple):
-    """The poses of free bodies alone."""
+    """Poses of the obstacle's k free bodies without their velocities, world axes."""
 
     position: Float[Array, "k 3"]  # m, of the body frame
     rotation: Float[Array, "k 3 3"]  # body to world
 
 
 def body_poses(free: FreeState) -> BodyPoses:
-    """The poses of free bodies in motion."""
+    """Drop the velocities from a state of free bodies."""
     return BodyPoses(free.position, matrix(free.quat))
 
 
 def no_free_bodies() -> FreeState:
-    """The state of no free bodies at all."""
+    """An empty state, for obstacles without free bodies."""
     return FreeState(jnp.zeros((0, 3)), jnp.zeros((0, 4)), jnp.zeros((0, 3)), jnp.zeros((0, 3)))
 
 
 def identity_poses(count: int) -> BodyPoses:
-    """Poses of free bodies seen from their own axes."""
+    """Poses of `count` free bodies at the origin without rotation: solids then come in body axes."""
     return BodyPoses(jnp.zeros((count, 3)), jnp.asarray(np.tile(np.eye(3), (count, 1, 1))))
 
 
 class RollingResistance(NamedTuple):
-    """How those of n contact points roll that are centres of spheres; zeros elsewhere."""
+    """Rolling radius and resistance of n contact points that are centres of spheres; zeros for other points."""
 
     radius: Float[Array, " n"]  # m, of the sphere
     roll: Float[Array, " n"]  # m, moment against rolling over the normal force
@@ -58,7 +58,7 @@ class RollingResistance(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """The surface nearest to each of n points, world axes."""
+    """The surface nearest to each of n points, world axes; `Obstacle.surface` makes it."""
 
     depth: Float[Array, " n"]  # m, positive inside the solid, negative outside (speculative contact)
     normal: Float[Array, "n 3"]  # outward
@@ -70,9 +70,9 @@ class Surface(NamedTuple):
 
 
 class Obstacle(Protocol):
-    """An obstacle is a parameter dataclass with these members."""
+    """What the robot stands on or climbs: a parameter dataclass with these members."""
 
-    charts: ClassVar[dict[str, "Chart"]]  # in which plans of files tell places of feet and bases, by name, if any
+    charts: ClassVar[dict[str, "Chart"]]  # coordinates for plan tables, by name
 
     @property
     def kind(self) -> str:
@@ -81,12 +81,12 @@ class Obstacle(Protocol):
 
     @property
     def free_bodies(self) -> tuple[str, ...]:
-        """Names of its bodies with a free joint, in the order of `Bodies`."""
+        """Names of its bodies with a free joint, in the order of `BodyPoses`."""
         ...
 
     @property
     def contact_sites(self) -> tuple[tuple[str, int], ...]:
-        """Sites of its free bodies that touch the rest of the world, with the index of their body.
+        """Names of the sites where free bodies may touch the world, each with the index of its body.
 
         A body may touch in several places at once: a ball that meets a wall as it lies on the floor has two sites at
         its centre, which `surface` tells apart by their order.
@@ -95,45 +95,45 @@ class Obstacle(Protocol):
 
     @property
     def forward(self) -> tuple[float, float]:
-        """The way that robots come, in the plane."""
+        """Horizontal unit vector of the direction in which robots approach."""
         ...
 
     @property
     def heights(self) -> tuple[str, ...]:
-        """Sizes that say how high something is where feet are set down: planned for as larger while uncertain."""
+        """Names of sizes that are heights of footholds; plans assume them larger while they are uncertain."""
         ...
 
     @property
     def lying(self) -> tuple[str, ...]:
-        """Sizes that are known by how high its free bodies lie on the floor."""
+        """Names of sizes that can be estimated from how high free bodies lie on the floor."""
         ...
 
     @property
     def stood_on(self) -> tuple[str, ...]:
-        """Sizes that feet tell that stand on its free bodies; where it has none feet tell all sizes."""
+        """Names of sizes that can be estimated from feet on free bodies; without free bodies, feet tell all sizes."""
         ...
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Put its geoms, bodies and sites in the spec; contact geoms are shrunk by `FOOT_RADIUS`."""
+        """Add the obstacle's geoms, bodies and sites to a spec; contact geoms are shrunk by `FOOT_RADIUS`."""
         ...
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
-        """Varying arrays of its free bodies by model field and body (or site) name."""
+        """Fields of the MuJoCo model that depend on sizes and masses, by field and by body or site name."""
         ...
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """What it consists of, its free bodies where `bodies` says. Plain sizes stay plain numbers."""
+        """The solids of the obstacle, with its free bodies at the poses `bodies`. Plain sizes stay plain numbers."""
         ...
 
     def external_wrench(self, free: FreeState) -> Float[Array, "k 6"] | None:
-        """Force (N) and torque (N m) on each free body beside weight and contact, world axes; None where there is none.
+        """Force (N) and torque (N m) on each free body other than weight and contact, world axes; None for no wrench.
 
-        Asked at every physics step, only where there are free bodies.
+        Every physics step calls it if there are free bodies.
         """
         ...
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Where `points` stand; `owner` is the free body that a point belongs to, -1 for the robot."""
+        """The surface at points (m, world axes); `owner` is the free body to which a point belongs, -1: the robot."""
         ...
 
 
@@ -142,32 +142,48 @@ class MovingObstacle(Obstacle, Protocol):
     """An obstacle that has free bodies."""
 
     def start(self) -> FreeState:
-        """The free bodies at the start."""
+        """State of the free bodies at the start of a rollout."""
         ...
 
 
 @runtime_checkable
 class LandmarkedObstacle(MovingObstacle, Protocol):
-    """One whose free bodies are seen by other points than their mass centres."""
+    """An obstacle whose free bodies are observed by landmarks other than their mass centres."""
 
     @property
     def landmarks(self) -> Float[Array, "k 3"]:
-        """Middles of what is seen of each (m, its own axes from the mass centre)."""
+        """The observed point of each free body (m, body axes, from the mass centre)."""
         ...
 
 
 def landmarks(obstacle: Obstacle) -> Float[Array, "k 3"]:
-    """By which its free bodies are seen, as in `Marked`: mass centres, as of balls, where it says nothing else."""
+    """Observed points of an obstacle's free bodies (m, body axes, from the mass centre); zeros by default."""
     return obstacle.landmarks if isinstance(obstacle, LandmarkedObstacle) else jnp.zeros((len(obstacle.free_bodies), 3))
 
 
 def landmark_state(obstacle: Obstacle, free: FreeState) -> FreeState:
-    """Its landmarks, in the axes of free bodies that are as in `free`."""
+    """Move a state of free bodies from mass centres to landmarks.
+
+    Args:
+        obstacle: The obstacle.
+        free: State at the mass centres (world axes).
+
+    Returns:
+        State at the landmarks (world axes).
+    """
     return _shifted(free, obstacle.landmarks) if isinstance(obstacle, LandmarkedObstacle) else free
 
 
 def state_from_landmarks(obstacle: Obstacle, marks: FreeState) -> FreeState:
-    """The inverse of `marked`: its free bodies where they have their landmarks as in `marks`."""
+    """Move a state of free bodies from landmarks to mass centres, the inverse of `landmark_state`.
+
+    Args:
+        obstacle: The obstacle.
+        marks: State at the landmarks (world axes).
+
+    Returns:
+        State at the mass centres (world axes).
+    """
     return _shifted(marks, -obstacle.landmarks) if isinstance(obstacle, LandmarkedObstacle) else marks
 
 
@@ -177,7 +193,7 @@ def _shifted(free: FreeState, by: Float[Array, "k 3"]) -> FreeState:
 
 
 def free_start_state(obstacle: Obstacle) -> FreeState:
-    """Its free bodies at the start, where it has any."""
+    """State of an obstacle's free bodies at the start of a rollout; empty if it has none."""
     if not obstacle.free_bodies:
         return no_free_bodies()
     assert isinstance(obstacle, MovingObstacle), f"{obstacle.kind} lacks a member of MovingObstacle"
@@ -185,10 +201,16 @@ def free_start_state(obstacle: Obstacle) -> FreeState:
 
 
 def surface_at(obstacle: Obstacle, points: Float[Array, "n 3"], bodies: BodyPoses) -> Surface:
-    """The obstacle at points of the robot (m, world axes)."""
+    """The obstacle's surface at points of the robot.
+
+    Args:
+        obstacle: The obstacle.
+        points: Points of the robot, such as feet (m, world axes).
+        bodies: Poses of the free bodies.
+    """
     return obstacle.surface(points, (-1,) * points.shape[0], bodies)
 
 
 def critical_damping(mass: Array | float) -> Array:
-    """Of a contact (N s/m) whose bodies move as one of `mass` (kg) against something fixed."""
+    """Critical damping (N s/m) of a contact of stiffness `STIFFNESS` between a body of `mass` (kg) and the world."""
     return 2 * jnp.sqrt(STIFFNESS * mass)

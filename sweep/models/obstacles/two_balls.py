@@ -26,7 +26,7 @@ SECOND = BALL + 1
 def base_above_ball(
     obstacle: "TwoBalls", side: float, unit: Number, depth: Number, ahead: Number, above: Number
 ) -> Float[Array, " 3"]:
-    """A base `ahead` of a ball's centre (R), above its top."""
+    """Chart of bases `ahead` of a ball's centre (R), above its top."""
     return point(ahead * obstacle.radius, 0.0, obstacle.radius + above * unit)
 
 

@@ -1,4 +1,4 @@
-"""What an obstacle of a user's own gives, seen before anything is compiled."""
+"""Checks of an obstacle of a user's own before anything is compiled."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -15,7 +15,7 @@ FORMS = {"depth": (POINTS,), "normal": (POINTS, 3), "face": (POINTS,), "body": (
 
 
 def check_user_obstacle(obstacle: Obstacle) -> None:
-    """Raise `InputError` where its solids, its surface or a chart fail, or give something of another form."""
+    """Raise `InputError` if solids, surface or a chart of the obstacle fail or return something of another form."""
     bodies = identity_poses(len(obstacle.free_bodies))
 
     def tried(what: str, function: Callable[..., Any], *given: Any) -> Any:
