@@ -1,13 +1,13 @@
-"""What a comparison that stops by itself saves and costs, on simulated pairs: `python bench/anytime.py`.
+"""Cost and savings of comparisons that stop by themselves, on simulated pairs: `python bench/anytime.py`.
 
 It writes research/data/anytime.json, which research/certainty.md cites.
 
-The two arms succeed with stated probabilities and a stated correlation, as common draws bring about. Beside the
-e-process of `sweep compare --anytime`: McNemar's exact test looked at after every ten pairs (which is wrong), the
-size of a test that is looked at once, and two sequential tests that have to be told the most pairs beforehand and take
-the arms as independent. Lai's stops where the generalised likelihood ratio exceeds log(1 / (c n)), n pairs on;
-Barnard's where the difference of the shares does, in its standard deviations, a constant. Both numbers are set by
-simulation, so that of two arms that are equal at most 5 % are found to differ, whatever share succeeds.
+The two arms succeed with given probabilities and a given correlation, as common random numbers cause. The e-process of
+`sweep compare --anytime` is compared with McNemar's exact test evaluated after every ten pairs (which is wrong), with a
+test evaluated once, and with two sequential tests that need the largest number of pairs in advance and treat the arms
+as independent. Lai's test stops when the generalised likelihood ratio after n pairs exceeds log(1 / (c n)). Barnard's
+test stops when the difference of the shares, in standard deviations, exceeds a constant. Both constants are calibrated
+by simulation, so that equal arms are found to differ in at most 5 % of cases, whatever share succeeds.
 """
 
 import time
@@ -23,20 +23,20 @@ Table = list[list[str]]  # columns, then rows
 
 ALPHA, REPETITIONS, MOST = 0.05, 2000, 4000
 SETTINGS = ((0.9, 0.8, 0.5), (0.9, 0.85, 0.5), (0.99, 0.95, 0.2), (0.7, 0.5, 0.3), (0.95, 0.9, 0.0))
-TOLD, FIRST = 1000, 10  # pairs at most, and before Barnard's test is looked at
-NUISANCE = (0.5, 0.7, 0.85, 0.95, 0.98)  # shares that equal arms succeed in
+MAX_PAIRS, FIRST = 1000, 10  # pairs at most, and before Barnard's test is first evaluated
+NUISANCE = (0.5, 0.7, 0.85, 0.95, 0.98)  # success probabilities of equal arms
 EQUAL = ((0.85, 0.85, 0.5), (0.5, 0.5, 0.2), (0.97, 0.97, 0.0))
 
 
 def flips(a: float, b: float, correlation: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Discordant pairs (repetitions, pairs) of either direction after each pair."""
+    """Return the discordant pairs of either direction after each pair, (repetitions, pairs)."""
     both = a * b + correlation * np.sqrt(a * (1 - a) * b * (1 - b))
     kind = np.digitize(rng.random((REPETITIONS, MOST)), np.cumsum([both, a - both, b - both]))
     return np.cumsum(kind == 1, axis=1), np.cumsum(kind == 2, axis=1)
 
 
-def arms(lost: np.ndarray, gained: np.ndarray, both: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What Lai's and Barnard's tests see after each pair, of arms that both succeed so often: larger is more unlike."""
+def sequential_statistics(lost: np.ndarray, gained: np.ndarray, both: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the statistics of Lai's and Barnard's tests after each pair, of arms that both succeed `both` times."""
     n = np.arange(1, lost.shape[1] + 1)
     a, b = (both + lost) / n, (both + gained) / n
     pooled = (a + b) / 2
@@ -50,37 +50,37 @@ def arms(lost: np.ndarray, gained: np.ndarray, both: np.ndarray) -> tuple[np.nda
 
 
 def outcomes(a: float, b: float, correlation: float, rng: np.random.Generator, most: int) -> tuple[np.ndarray, ...]:
-    """Pairs (repetitions, pairs) of which A alone, B alone and both have succeeded."""
+    """Return the numbers of pairs in which A alone, B alone and both have succeeded, (repetitions, pairs)."""
     both = a * b + correlation * np.sqrt(a * (1 - a) * b * (1 - b))
     kind = np.digitize(rng.random((REPETITIONS, most)), np.cumsum([a - both, b - both, both]))
     return tuple(np.cumsum(kind == k, axis=1) for k in range(3))
 
 
 def bounds(rng: np.random.Generator) -> np.ndarray:
-    """Of both statistics, which arms that are equal and independent exceed within `TOLD` pairs 1 time in 20 at most."""
-    most = [[s.max(axis=1) for s in arms(*outcomes(p, p, 0.0, rng, TOLD))] for p in NUISANCE]
+    """Return the bounds of both statistics that equal arms exceed within `MAX_PAIRS` pairs in at most 1 of 20 cases."""
+    most = [[s.max(axis=1) for s in sequential_statistics(*outcomes(p, p, 0.0, rng, MAX_PAIRS))] for p in NUISANCE]
     return np.quantile(np.array(most), 1 - ALPHA, axis=2).max(axis=0)
 
 
-def sequential(rng: np.random.Generator) -> Table:
-    """Pairs until it is decided, of at most `TOLD`, by three tests, and how often it is."""
+def decision_table(rng: np.random.Generator) -> Table:
+    """Return the pairs until a decision by three tests, and how often there is one within `MAX_PAIRS`."""
     limits = bounds(rng)
     table = [["A", "B", "correlation", "*E*", "Lai's", "Barnard's"]]
     for a, b, correlation in (*SETTINGS, *EQUAL):
-        counts = outcomes(a, b, correlation, rng, TOLD)
+        counts = outcomes(a, b, correlation, rng, MAX_PAIRS)
         over = [log_evidence(*counts[:2]) >= -np.log(ALPHA)]
-        over += [s >= limit for s, limit in zip(arms(*counts), limits, strict=True)]
+        over += [s >= limit for s, limit in zip(sequential_statistics(*counts), limits, strict=True)]
         cells = []
         for hit in over:
             decided = hit.any(axis=1)
-            pairs = np.where(decided, hit.argmax(axis=1) + 1, TOLD)
+            pairs = np.where(decided, hit.argmax(axis=1) + 1, MAX_PAIRS)
             cells.append(f"{pairs.mean():.0f}, {100 * decided.mean():.3g} %")
         table.append([f"{a:.2f}", f"{b:.2f}", f"{correlation:g}", *cells])
     return table
 
 
-def equal(rng: np.random.Generator) -> Table:
-    """How often a difference is found of arms that are equal, however often one looks."""
+def false_difference_table(rng: np.random.Generator) -> Table:
+    """Return how often a difference is found between equal arms, by how often the test is evaluated."""
     table = [
         ["both succeed", "correlation", "*E* finds a difference", "McNemar's test, looked at every ten pairs, does"]
     ]
@@ -94,8 +94,8 @@ def equal(rng: np.random.Generator) -> Table:
     return table
 
 
-def different(rng: np.random.Generator) -> Table:
-    """Pairs until the evidence finds the difference."""
+def difference_table(rng: np.random.Generator) -> Table:
+    """Return the pairs until the evidence shows a difference."""
     table = [["A", "B", "correlation", "looked at once", "mean", "median", "95 of 100 within"]]
     for a, b, correlation in SETTINGS:
         lost, gained = flips(a, b, correlation, rng)
@@ -108,10 +108,14 @@ def different(rng: np.random.Generator) -> Table:
 
 
 def main() -> None:
-    """Measure the three tables."""
+    """Compute and write the three tables."""
     rng, start = np.random.default_rng(0), time.perf_counter()
-    tables = {"equal": equal(rng), "different": different(rng), "sequential": sequential(rng)}
-    shared.keep("anytime", (), start, tables)
+    tables = {
+        "equal": false_difference_table(rng),
+        "different": difference_table(rng),
+        "sequential": decision_table(rng),
+    }
+    shared.write_tables("anytime", (), start, tables)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,8 @@
-"""Calibration in physics: what robots with wrong sizes learn when they really go through the poses.
+"""Accuracy of calibration in simulated physics, for robots with wrong sizes: `python bench/calibration.py`.
 
-To run: `python bench/calibration.py`. Robots up to 2 % off in all lengths calibrate themselves on level ground:
-computed, as `control.calibrate=sizes` does, and simulated, on soft drives and on the drives as they are. Errors are
-root mean squares over the robots, of the sizes in %. It writes
-research/data/calibration.json, cited by research/learning.md.
+Robots with lengths up to 2 % off calibrate on level ground: computed, as by `control.calibrate=sizes`, and simulated,
+with soft drives and with the drives as they are. Errors are root mean squares of the sizes over the robots, in %. It
+writes research/data/calibration.json, cited by research/learning.md.
 """
 
 import dataclasses
@@ -36,7 +35,7 @@ RUNS = (
 
 
 def row(overrides: tuple[str, ...], world_of: Case) -> list[str]:
-    """Errors of what is learned (%), the largest slip in the poses (mm), and how many went through them."""
+    """Return errors of the learned sizes (%), the largest slip in the poses (mm), and how many robots finished."""
     exp = compose([*STAND, *overrides])
     world = dataclasses.replace(exp.case, robot=world_of.robot)
     engine = make(dataclasses.replace(exp.settings, width=ROBOTS), exp.case, exp.case, exp.thresholds)
@@ -52,12 +51,12 @@ def row(overrides: tuple[str, ...], world_of: Case) -> list[str]:
 
 
 def rms(errors: np.ndarray) -> str:
-    """Root mean square, in %."""
+    """Format the root mean square, in %."""
     return f"{100 * float(np.sqrt(np.mean(np.square(errors)))):.2g}"
 
 
 def main() -> None:
-    """Measure and keep the table."""
+    """Compute, print and write the table."""
     start = time.perf_counter()
     case, random = compose([*STAND]).case, np.random.default_rng(0)
     sizes = learnable_sizes(case.robot)
@@ -75,7 +74,7 @@ def main() -> None:
         "slip, mm",
         "go through the poses",
     ]
-    shared.keep("calibration", ("mjx", "native"), start, {"errors": [heads, *rows]})
+    shared.write_tables("calibration", ("mjx", "native"), start, {"errors": [heads, *rows]})
 
 
 if __name__ == "__main__":

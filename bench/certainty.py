@@ -1,7 +1,7 @@
-"""Certify regions and find what makes a climb fail, for research/certainty.md: `python bench/certainty.py [1e-5]`.
+"""Certify regions and find causes of failure for research/certainty.md: `python bench/certainty.py [1e-5]`.
 
-Of 1 % failures, or of a hundred-thousandth, for which a GPU takes minutes. What is measured is written to
-research/data/certified.json, or research/data/certified_1e_5.json. Studies start with no program kept.
+For 1 % failures, or for one in a hundred thousand, which takes a GPU minutes. Results are written to
+research/data/certified.json, or research/data/certified_1e_5.json. Studies start with an empty program cache.
 """
 
 import json
@@ -30,8 +30,8 @@ DATA = Path(__file__).parents[1] / "research" / "data"
 LENGTHS = ("body_length", "body_width", "thigh", "shin")
 
 
-class Promise(NamedTuple):
-    """A study, and the regions to be found in it."""
+class RegionStudy(NamedTuple):
+    """A study, and the regions to certify in it."""
 
     name: str
     overrides: list[str]
@@ -39,14 +39,14 @@ class Promise(NamedTuple):
 
 
 def climb(off: float) -> list[str]:
-    """The pole's climb with lengths off by a share."""
+    """Return the overrides of the pole climb with lengths off by a share."""
     return ["scenario=pole_climb", *(f"study.axes.{name}.relative={off:g}" for name in LENGTHS)]
 
 
-WALK = Promise("`walk_tripod`", ["scenario=walk_tripod"], ("box",))
-CLIMB = Promise("`pole_climb`, lengths off by up to 0.5 %", climb(0.005), ("ellipsoid", "score"))
-RARE = Promise("`pole_climb`, lengths off by up to 0.2 %", climb(0.002), ("ellipsoid",))
-WIDTH = 21120  # rollouts of a batch: four for each place of an H100's 132 multiprocessors
+WALK = RegionStudy("`walk_tripod`", ["scenario=walk_tripod"], ("box",))
+CLIMB = RegionStudy("`pole_climb`, lengths off by up to 0.5 %", climb(0.005), ("ellipsoid", "score"))
+RARE = RegionStudy("`pole_climb`, lengths off by up to 0.2 %", climb(0.002), ("ellipsoid",))
+WIDTH = 21120  # rollouts of a batch: four for each slot of the 132 multiprocessors of an H100
 ASKED = {  # by failures at most: rows to learn from, fresh ones, and studies; batches of one width are of one program
     "1e-2": (1024, 1024, [], (WALK, CLIMB)),
     "1e-5": (WIDTH, 330_000, [f"engine.width={WIDTH}"], (WALK, RARE)),
@@ -54,15 +54,15 @@ ASKED = {  # by failures at most: rows to learn from, fresh ones, and studies; b
 
 
 def regions(failures: str, root: Path) -> Iterator[list[str]]:
-    """A line for each region; rows are kept in folders of `root`, one for each study."""
+    """Yield a table line for each region; rows are stored in one folder of `root` for each study."""
     learn, fresh, width, promises = ASKED[failures]
     for k, promise in enumerate(promises):
         folder, told = root / f"{k}", root / "region.json"
         about = ["study=any_errors", *promise.overrides, f"study.design.num={learn}", *width]
-        seconds = sweep(root, "run", *about, f"out={folder}")
+        seconds = run_sweep(root, "run", *about, f"out={folder}")
         for shape in promise.shapes:
             asked = f"--failures {failures} --shape {shape} --rollouts {fresh} -o {told}"
-            seconds += sweep(root, "certify", str(folder), *asked.split())
+            seconds += run_sweep(root, "certify", str(folder), *asked.split())
             found = json.loads(told.read_text(encoding="utf-8"))
             checks = [f"{one['fail']} of {one['rollouts']}" for one in found["checked"]] or ["", ""]
             larger = f"{found['next_failed']} of {found['next_rows']:,}" if found["next_rows"] else "it is the largest"
@@ -73,7 +73,7 @@ def regions(failures: str, root: Path) -> Iterator[list[str]]:
 
 
 def phases(failures: str, root: Path) -> Iterator[list[str]]:
-    """What seconds of each study's regions went to: rollouts as their rows have them, the rest done once more."""
+    """Yield how the time of each study's regions splits into rollouts and the rest, which is run once more."""
     for k, promise in enumerate(ASKED[failures][-1]):
         folder = root / f"{k}"
         parts = [folder, folder / certify.FRESH, folder / certify.AGAIN]
@@ -91,8 +91,8 @@ def phases(failures: str, root: Path) -> Iterator[list[str]]:
         yield [promise.name, *(f"{s:.1f}" for s in (*spent, *(b - a for a, b in pairwise(times))))]
 
 
-def sweep(root: Path, *words: str) -> float:
-    """How long a command takes (s), with programs kept in `root`. Exits where it fails."""
+def run_sweep(root: Path, *words: str) -> float:
+    """Return the duration of a command (s), with the program cache in `root`; exit if it fails."""
     (kept := root / "programs").mkdir(mode=0o700, exist_ok=True)
     there = {**os.environ, "XDG_CACHE_HOME": str(root), "JAX_COMPILATION_CACHE_DIR": str(kept)}
     start = time.perf_counter()
@@ -104,7 +104,7 @@ def sweep(root: Path, *words: str) -> float:
 
 
 def shares(folder: Path) -> list[list[Any]]:
-    """What makes rollouts fail, the largest first."""
+    """Return the causes of failure with their shares, the largest first."""
     found = failing.shares(store.read_rows(folder), experiment(store.read_study(folder)["config"]))
     columns = found[["axis", "share", "error", "alone"]].to_numpy().tolist()
     return [[axis_words(axis), f"{100 * share:.1f} %", f"{100 * error:.1f}", f"{alone:.2f}"]
@@ -112,7 +112,7 @@ def shares(folder: Path) -> list[list[Any]]:
 
 
 def main(failures: str = "1e-2") -> None:
-    """Measure."""
+    """Run all measurements and write the results."""
     if failures not in ASKED:
         raise SystemExit(f"{failures} is not allowed: {' or '.join(ASKED)}")
     start, titles = time.perf_counter(), ["study=any_errors", "at most fail", "shape", "share of the draws",

@@ -1,10 +1,10 @@
-"""What a first start of scenarios takes, with nothing kept, and another one: CPU seconds of all threads, and wall time.
+"""First and second start of scenarios with an empty program cache: CPU seconds of all threads, and wall time.
 
-To run: `python bench/cold_start.py [NAME...] [--parts]`, from a checkout; the code is the one in the current folder.
-Overrides follow a name's comma: `ladder_climb,control=learn`. The names of `DELAYS` are delays and batches. CPU
-seconds tell of a busy machine as well, to some tenths. A start is what comes before the batch: imports,
-configuration, programs made or found. The rollout has its plan and the first launch with it. What a start consists of
-is told by when calls of `PARTS` begin and end, threads side by side.
+To run: `python bench/cold_start.py [NAME...] [--parts]`, from a checkout; it measures the code in the current folder.
+Overrides follow a name's comma: `ladder_climb,control=learn`. The names of `DELAYS` are delays and batches. On a busy
+machine, CPU seconds are still valid to some tenths. The start is everything before the batch: imports, configuration,
+and programs compiled or loaded. The rollout includes its plan and the first launch. `--parts` shows when calls of
+`PARTS` begin and end, threads side by side.
 """
 
 import argparse
@@ -20,8 +20,9 @@ from threading import get_ident
 from types import CodeType
 from typing import Any
 
-WATCHED = "--watched"  # how this file is called for one start
+WATCHED = "--watched"  # flag with which this file starts itself once
 SCENARIOS = Path(__file__).parent.parent / "conf" / "scenario"
+# functions that are timed, by file and name
 PARTS = {  # by file and name
     ("sweep/cli/main.py", "main"): "command",
     ("sweep/study/config.py", "compose"): "configuration",
@@ -50,11 +51,11 @@ DELAYS = {  # scenario and overrides by name: late observations, loads and free 
     "no_delay_48": ("walk_tripod", f"+study.axes={{{MASSES},friction:{{path:contact.friction,values:[0.7,0.8]}}}}"),
     "delay_axis_48": ("walk_tripod", f"+study.axes={{{MASSES},delay:{{path:noise.delay,values:[0,20]}}}}"),
 }
-Spans = list[tuple[str, float, float]]  # of a part, s after the process was begun
+Spans = list[tuple[str, float, float]]  # name of a part, and its begin and end (s after the start of the process)
 
 
-def watched(began: float) -> Spans:
-    """Parts of this process as they come to an end."""
+def watch_parts(began: float) -> Spans:
+    """Return the list of parts of this process, which grows as they end."""
     events, spans, begun = sys.monitoring.events, [], defaultdict(list)
 
     def part(code: CodeType) -> str | None:
@@ -79,18 +80,18 @@ def watched(began: float) -> Spans:
     return spans
 
 
-def command(began: str, told: str, *given: str) -> int:
-    """`sweep`, whose parts go into the file `told`."""
-    spans = watched(float(began))
+def run_watched(began: str, out: str, *given: str) -> int:
+    """Run `sweep` with its parts written to the file `out`."""
+    spans = watch_parts(float(began))
     from sweep.cli.main import main as sweep
 
     code = sweep(list(given))
-    Path(told).write_text(json.dumps(spans), encoding="utf-8")
+    Path(out).write_text(json.dumps(spans), encoding="utf-8")
     return code
 
 
-def start(name: str, cache: str) -> dict[str, Any]:
-    """CPU and wall time (s) of `sweep run` of one rollout, and its parts; programs are kept in the folder `cache`."""
+def time_start(name: str, cache: str) -> dict[str, Any]:
+    """Return CPU and wall time (s) of `sweep run` of one rollout, and its parts; `cache` is the folder of programs."""
     scenario, *overrides = DELAYS.get(name) or name.split(",")
     told = Path(cache, "parts.json")
     kept = {"XDG_CACHE_HOME": cache, "JAX_COMPILATION_CACHE_DIR": f"{cache}/programs"}
@@ -109,21 +110,21 @@ def start(name: str, cache: str) -> dict[str, Any]:
     return {"cpu": cpu, "wall": wall, "parts": sorted(json.loads(told.read_text()), key=lambda part: part[1])}
 
 
-def line(took: dict[str, Any]) -> list[str]:
-    """CPU and wall time (s); of the latter the start, the rollout, and what follows it."""
+def table_cells(took: dict[str, Any]) -> list[str]:
+    """Return CPU and wall time (s), and the latter split into start, rollout and what follows."""
     (prepared,) = (to for name, _, to in took["parts"] if name == "programs")
     (over,) = (to for name, _, to in took["parts"] if name == "batch")
     return [f"{x:.1f}" for x in (took["cpu"], took["wall"], prepared, over - prepared, took["wall"] - over)]
 
 
-def consists_of(took: dict[str, Any]) -> str:
-    """The parts of a start one after the other, those of a tenth of a second and more."""
+def format_parts(took: dict[str, Any]) -> str:
+    """Format the parts of a start that take at least a tenth of a second, in order."""
     told = (f"{name} {begun:.1f} to {ended:.1f}" for name, begun, ended in took["parts"] if ended - begun >= 0.1)
     return ", ".join(told)
 
 
 def main(*given: str) -> None:
-    """Two lines for each scenario, and below them the parts of its starts."""
+    """Print two lines for each scenario, and below them the parts of its starts."""
     asked = argparse.ArgumentParser()
     asked.add_argument("names", nargs="*", default=[*sorted(path.stem for path in SCENARIOS.glob("*.yaml")), *DELAYS])
     asked.add_argument("--parts", action="store_true", help="tell as well what a start consists of")
@@ -133,12 +134,12 @@ def main(*given: str) -> None:
     for name in options.names:
         with tempfile.TemporaryDirectory() as cache:
             for which in ("first", "again"):
-                took = start(name, cache)
-                print(f"| `{name}` | {which} | {' | '.join(line(took))} |", flush=True)
-                parts.append(f"{name}, {which}: {consists_of(took)}")
+                took = time_start(name, cache)
+                print(f"| `{name}` | {which} | {' | '.join(table_cells(took))} |", flush=True)
+                parts.append(f"{name}, {which}: {format_parts(took)}")
     if options.parts:
         print("\n" + "\n".join(parts))
 
 
 if __name__ == "__main__":
-    sys.exit(command(*sys.argv[2:])) if sys.argv[1:2] == [WATCHED] else main(*sys.argv[1:])
+    sys.exit(run_watched(*sys.argv[2:])) if sys.argv[1:2] == [WATCHED] else main(*sys.argv[1:])

@@ -1,4 +1,4 @@
-"""Outcomes and causes of draws by XLA and by the fused compiler, on whatever device there is.
+"""Outcomes and causes of random draws by XLA and by the fused compiler, on the device at hand.
 
 To run: `python bench/compilers.py [NUM [NAME...]]`, from a checkout. Friction and the mass of the body vary, unknown to
 the planner. Overrides follow a name's comma: `walk_tripod,noise.position_noise=0.001`.
@@ -20,7 +20,7 @@ SCENARIOS = Path(__file__).parent.parent / "conf" / "scenario"
 
 
 def flips(name: str, num: int) -> str:
-    """A row of the table: how many draws differ in outcome, and in cause."""
+    """Return a table row: how many draws differ in outcome, and in cause."""
     exp = compose([f"scenario={name.split(',')[0]}", *name.split(",")[1:]])
     rng = np.random.default_rng(1)
     contact = replace(exp.case.contact, friction=exp.case.contact.friction * rng.uniform(0.7, 1.1, num))
@@ -37,7 +37,7 @@ def flips(name: str, num: int) -> str:
 
 
 def main(num: str = "64", *names: str) -> None:
-    """One line for each scenario."""
+    """Print one line for each scenario."""
     devices.configure()
     print("| scenario | succeed | other outcome | other cause | XLA s | fused s |\n|---|---|---|---|---|---|")
     for name in names or sorted(path.stem for path in SCENARIOS.glob("*.yaml")):

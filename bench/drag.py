@@ -1,4 +1,4 @@
-"""How long a million drag integrals take: `python bench/drag.py`."""
+"""Duration of a million drag integrals: `python bench/drag.py`."""
 
 import time
 
@@ -11,7 +11,7 @@ MANY = 1_000_000
 
 
 def main() -> None:
-    """Print the shortest of three runs, compiled before."""
+    """Print the shortest of three runs after compilation."""
     c, al, be = np.random.default_rng(0).normal(size=(3, MANY)).astype(np.float32)
     batch = jax.jit(jax.vmap(drag_integrals, in_axes=(0, 0, 0, None, None)))
     durations = []

@@ -1,13 +1,13 @@
-"""How late drives may know of their own joints: C MuJoCo with time steps much shorter than that, and the formula.
+"""Largest delay of the drives' joint feedback: C MuJoCo with much shorter time steps, and the formula.
 
     python bench/drive_delay.py
 
 It writes research/data/drive_delay.json, which research/robustness.md cites.
-The robot of `walk_tripod` stands, or hangs in
-the air, a joint's reference jumps by a milliradian, and for 0.2 s every drive's torque, which has no limit here, comes
-of the angle and rate that its joint had `delay` before. Where the joints' accelerations are larger in the last quarter
-of that than in the one before, it swings by itself; the shortest such delay is found by bisection. `formula` is
-`servo_delay` about the least inertia that a joint has with the base held, and its drive's.
+
+The robot of `walk_tripod` stands, or hangs in the air, and a joint's reference jumps by a milliradian. For 0.2 s, the
+torque of every drive, without limit here, follows from the angle and rate of its joint `delay` earlier. If the joint
+accelerations grow from the third to the last quarter, the robot oscillates by itself; bisection finds the shortest such
+delay. `formula` is `servo_delay` about the least inertia of a joint with the base held, including its drive.
 """
 
 import time
@@ -31,8 +31,8 @@ DRIVES = {"as they are": {}, "of the ladder": {"stiffness": 1.5e4, "damping": 33
           "soft, of the calibration": {"stiffness": 1500.0, "damping": 200.0}}  # fmt: skip
 
 
-def grows(model: mujoco.MjModel, qpos: np.ndarray, drive: Drive, ticks: int) -> bool:
-    """Whether joints swing ever more with a delay of `ticks` steps."""
+def is_unstable(model: mujoco.MjModel, qpos: np.ndarray, drive: Drive, ticks: int) -> bool:
+    """Return whether joint oscillations grow with a delay of `ticks` steps."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     reference, history, sizes = qpos[JOINT_Q].copy(), [], []
@@ -51,8 +51,8 @@ def grows(model: mujoco.MjModel, qpos: np.ndarray, drive: Drive, ticks: int) -> 
     return bool(np.max(last) > np.max(before))
 
 
-def longest(case: Case, air: bool) -> float:
-    """Delay (s) from which on it swings by itself."""
+def critical_delay(case: Case, air: bool) -> float:
+    """Return the delay (s) from which on the robot oscillates by itself."""
     model = compile_model(case)
     model.opt.timestep, model.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_EULER
     start = start_state(case, case, case.manoeuvre.plan(case))
@@ -63,12 +63,12 @@ def longest(case: Case, air: bool) -> float:
     low, high = 0, round(0.01 / STEP)
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if grows(model, qpos, case.drive, middle) else (middle, high)
+        low, high = (low, middle) if is_unstable(model, qpos, case.drive, middle) else (middle, high)
     return high * STEP
 
 
 def least_inertia(case: Case) -> float:
-    """Of a joint with all others and the base held (kg m^2), its drive's rotor included."""
+    """Return the least inertia of a joint with all others and the base held (kg m^2), including its drive's rotor."""
     model = compile_model(case)
     data = mujoco.MjData(model)
     data.qpos[:] = np.asarray(start_state(case, case, case.manoeuvre.plan(case)).qpos)
@@ -79,7 +79,7 @@ def least_inertia(case: Case) -> float:
 
 
 def main() -> None:
-    """One line for each kind of drives."""
+    """Print and write one line for each kind of drives."""
     start = time.perf_counter()
     devices.configure()
     case = compose(["scenario=walk_tripod"]).case
@@ -90,10 +90,10 @@ def main() -> None:
         inertia, drive = least_inertia(other), other.drive
         said = evaluate("servo_delay", {"J": inertia, "stiffness": drive.stiffness, "damping": drive.damping,
                                         "c_e": drive.back_emf})["delay"]  # fmt: skip
-        delays = (said, *(longest(other, air) for air in (True, False)))
+        delays = (said, *(critical_delay(other, air) for air in (True, False)))
         rows.append([name, f"{drive.stiffness:g}", f"{drive.damping:g}", *(f"{1e3 * delay:.2f}" for delay in delays)])
         print(*rows[-1], flush=True)
-    shared.keep("drive_delay", ("native",), start, {"delays": rows})
+    shared.write_tables("drive_delay", ("native",), start, {"delays": rows})
 
 
 if __name__ == "__main__":

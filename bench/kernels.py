@@ -1,7 +1,7 @@
-"""Kernels of a GPU for few rollouts beside those for many: what the driver has to translate, speed, and equal bits.
+"""GPU kernels for few and for many rollouts: compile time of the driver, speed, and bit equality.
 
-To run: `python bench/kernels.py NAME WIDTH...`, on one GPU. Friction varies evenly from 0.9 to 1.2. Plans are NumPy's
-at any width, and not counted.
+To run: `python bench/kernels.py NAME WIDTH...`, on one GPU. Friction varies evenly from 0.9 to 1.2. NumPy makes the
+plans at any width; they are not included in the times.
 """
 
 import sys
@@ -22,8 +22,8 @@ COMPILED, TRANSLATED = launch.compiled, driver._translated
 Figures = dict[str, np.ndarray]
 
 
-def timed(function: Any, took: list[float]) -> Any:
-    """A function that puts its seconds, until its results are there, into `took`."""
+def with_timer(function: Any, took: list[float]) -> Any:
+    """Wrap a function so that it appends its seconds, until its results are ready, to `took`."""
 
     def wrapped(*given: Any) -> Any:
         began = time.perf_counter()
@@ -34,18 +34,18 @@ def timed(function: Any, took: list[float]) -> Any:
     return wrapped
 
 
-def measured(exp: Experiment, width: int, few: bool) -> tuple[Figures, list[str]]:
-    """Figures, and cells: MB of PTX, seconds of the driver, seconds of the rollouts, millions of steps a second."""
+def measure_kernel(exp: Experiment, width: int, few: bool) -> tuple[Figures, list[str]]:
+    """Return metrics, and cells: MB of PTX, seconds of driver and rollouts, millions of steps a second."""
     driven, planned, texts = [], [], []
     driver._made.clear()
-    driver._translated = timed(lambda text: texts.append(text) or TRANSLATED(text), driven)
+    driver._translated = with_timer(lambda text: texts.append(text) or TRANSLATED(text), driven)
     launch.compiled = lambda *given, **named: COMPILED(*given, **{**named, "few": few})
     world, streams = assign(exp.case, "contact.friction", np.linspace(0.9, 1.2, width)), np.arange(width)
     engine = Mjx(replace(exp.settings, width=width), exp.case, exp.case, exp.thresholds)
     with program_cache.unused():
         engine.run(world, exp.case, streams)
         ((form, programs),) = engine._programs.items()
-        engine._programs[form] = programs._replace(start=timed(programs.start, planned))
+        engine._programs[form] = programs._replace(start=with_timer(programs.start, planned))
         began = time.perf_counter()
         figures = engine.run(world, exp.case, streams)
         seconds = time.perf_counter() - began - planned[0]
@@ -55,7 +55,7 @@ def measured(exp: Experiment, width: int, few: bool) -> tuple[Figures, list[str]
 
 
 def main(name: str, *widths: str) -> None:
-    """Two lines for each width."""
+    """Print two lines for each width."""
     devices.FEW = 1 << 30
     exp = compose([f"scenario={name}"])
     print("| scenario | rollouts | kernel for | PTX MB | driver s | rollouts s | M env-steps/s | figures unlike |")
@@ -63,7 +63,7 @@ def main(name: str, *widths: str) -> None:
     for width in map(int, widths):
         of: dict[str, Figures] = {}
         for kind in ("many", "few"):
-            of[kind], cells = measured(exp, width, kind == "few")
+            of[kind], cells = measure_kernel(exp, width, kind == "few")
             unlike = sum(
                 int(np.sum(~np.isclose(x, of["many"][key], 0, 0, equal_nan=True))) for key, x in of[kind].items()
             )

@@ -1,6 +1,6 @@
-"""How right rare failures are told where the answer is known: `python bench/levels.py`.
+"""Accuracy of rare-failure estimates where the exact answer is known: `python bench/levels.py`.
 
-Of sums of normals beyond a bound by subset simulation; of these and other shapes by importance sampling. It writes
+Sums of normals beyond a bound by subset simulation; these and other shapes by importance sampling. It writes
 research/data/levels.json, which research/certainty.md cites.
 """
 
@@ -18,29 +18,29 @@ from sweep.analysis import rare
 from sweep.study import importance, subset
 from sweep.study.sought import Seen
 
-SUMS = ((2, 1e-3), (8, 1e-3), (8, 1e-5), (8, 1e-7), (50, 1e-5))  # parameters, and how likely the sum is to fail
+SUMS = ((2, 1e-3), (8, 1e-3), (8, 1e-5), (8, 1e-7), (50, 1e-5))  # number of parameters, and probability of failure
 LEVELS, RUNS, REPETITIONS = subset.Levels(1000, 0.1, 1e-9), 5, 40
 WIDE, ROUNDS = 2.0, 2
-DRAWS = (512, 4096)  # of a round of importance sampling
+DRAWS = (512, 4096)  # draws of a round of importance sampling
 
 
 def plane(d: int, p: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Whose sum is beyond a bound."""
+    """Return the test for failures whose sum is beyond a bound."""
     return lambda u: u.sum(axis=1) / np.sqrt(d) < norm.ppf(p)
 
 
 def sides(d: int, p: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Whose first is beyond a bound, on either side."""
+    """Return the test for failures whose first parameter is beyond a bound on either side."""
     return lambda u: np.abs(u[:, 0]) > norm.isf(p / 2)
 
 
 def corner(d: int, p: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Both of whose first two are beyond a bound."""
+    """Return the test for failures whose first two parameters are both beyond a bound."""
     return lambda u: u[:, :2].max(axis=1) < norm.ppf(np.sqrt(p))
 
 
 def ring(d: int, p: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Which are far from nought, whichever way."""
+    """Return the test for failures far from zero in any direction."""
     return lambda u: (u**2).sum(axis=1) > chi2.isf(p, d)
 
 
@@ -48,8 +48,8 @@ SHAPES = ((plane, 2, 1e-3), (plane, 8, 1e-3), (plane, 8, 1e-4), (plane, 8, 1e-6)
           (sides, 8, 1e-3), (corner, 8, 1e-3), (ring, 4, 1e-3))  # fmt: skip
 
 
-def searched(d: int, truth: float, seed: int) -> rare.Repeated:
-    """Runs on the sum of `d` normals, whose margin is the distance to its bound."""
+def run_levels(d: int, truth: float, seed: int) -> rare.Repeated:
+    """Run subset simulation on the sum of `d` normals, whose margin is the distance to its bound."""
     search = subset.search(d, LEVELS, RUNS, seed)
     draws = next(search)
     try:
@@ -60,9 +60,9 @@ def searched(d: int, truth: float, seed: int) -> rare.Repeated:
         return rare.Repeated(LEVELS.target, tuple(end.value))
 
 
-def row(d: int, truth: float) -> list[str]:
-    """What repetitions come to."""
-    found = [searched(d, truth, seed) for seed in range(REPETITIONS)]
+def levels_row(d: int, truth: float) -> list[str]:
+    """Return a table row of repetitions of subset simulation."""
+    found = [run_levels(d, truth, seed) for seed in range(REPETITIONS)]
     each = np.concatenate([one.each for one in found]) / truth
     means = np.array([one.probability for one in found]) / truth
     hold = sum(low <= truth <= high for low, high in (one.interval for one in found))
@@ -71,8 +71,10 @@ def row(d: int, truth: float) -> list[str]:
     return [f"{d}", f"{truth:.0e}", *(f"{v:.2f}" for v in told), f"{hold} of {REPETITIONS}", f"{rollouts:,.0f}"]
 
 
-def weighted(fails: Callable[[np.ndarray], np.ndarray], d: int, num: int, seed: int) -> rare.Weighted | rare.Repeated:
-    """What a study by importance sampling says."""
+def run_importance(
+    fails: Callable[[np.ndarray], np.ndarray], d: int, num: int, seed: int
+) -> rare.Weighted | rare.Repeated:
+    """Return the estimate of a study by importance sampling."""
     search = importance.search(d, num, WIDE, ROUNDS, seed)
     draws = next(search)
     for _ in range(ROUNDS):
@@ -84,10 +86,10 @@ def weighted(fails: Callable[[np.ndarray], np.ndarray], d: int, num: int, seed: 
 
 
 def importance_row(shape: Callable[..., Callable[[np.ndarray], np.ndarray]], d: int, truth: float) -> list[str]:
-    """What repetitions come to, for each number of draws."""
+    """Return a table row of repetitions for each number of draws."""
     told = []
     for num in DRAWS:
-        found = [weighted(shape(d, truth), d, num, seed) for seed in range(REPETITIONS)]
+        found = [run_importance(shape(d, truth), d, num, seed) for seed in range(REPETITIONS)]
         each = np.array([one.probability for one in found]) / truth
         hold = sum(one.low <= truth <= one.high for one in found if isinstance(one, rare.Weighted))
         told += [f"{each.mean():.2f}", f"{each.std(ddof=1):.2f}", f"{hold} of {REPETITIONS}",
@@ -96,15 +98,15 @@ def importance_row(shape: Callable[..., Callable[[np.ndarray], np.ndarray]], d: 
 
 
 def main() -> None:
-    """Measure and keep the tables."""
+    """Compute and write the tables."""
     start, heads = time.perf_counter(), ["parameters", "P(failure)", "mean over truth", "variation of a run",
         f"of {RUNS}", "intervals that hold", "rollouts of a run"]  # fmt: skip
     titles = ["failures", "parameters", "P(failure)"]
     for num in DRAWS:
         titles += [f"{num:,} draws a round: mean over truth", "variation", "intervals that hold", "not trusted"]
-    tables = {"sums": [heads, *(row(d, truth) for d, truth in SUMS)]}
+    tables = {"sums": [heads, *(levels_row(d, truth) for d, truth in SUMS)]}
     tables["importance"] = [titles, *(importance_row(*one) for one in SHAPES)]
-    shared.keep("levels", (), start, tables)
+    shared.write_tables("levels", (), start, tables)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
-"""Whether margins and reserves shrink before anything breaks: lines of errors from nominal to the first failure.
+"""Whether margins shrink before a failure: lines of growing errors from nominal to the first failure.
 
 To run: `python bench/margins.py [SCENARIO ...] [--folder FOLDER] [OVERRIDE ...]`, from a checkout. Each line goes from
-nominal into a random direction of the normals behind the errors of `study=any_rare`; a second pass goes through the
-step in which it fails, and through those in which its margin falls by a cliff's height. The same command goes on where
-it was. It adds the scenarios to research/data/margins.json, which research/certainty.md cites; without any
-those that are there
-are measured again, with the lengths that they had.
+nominal in a random direction of the normals behind the errors of `study=any_rare`. A second pass refines the step in
+which it fails, and steps in which its margin falls by a cliff's height. The same command continues an interrupted one.
+It adds the scenarios to research/data/margins.json, which research/certainty.md cites; without arguments, its scenarios
+are measured again with the lengths that they had.
 """
 
 import argparse
@@ -28,22 +27,22 @@ from sweep.study.study import points
 
 ROOT = Path(__file__).parents[1]
 FOLDER, DATA = ROOT / "results" / "lines", ROOT / "research" / "data" / "margins.json"
-LINES, FAR = 16, 6.0  # standard deviations
-COARSE, FINE = 24, 5  # steps of a line; of one of them that is looked at closely
-CLIFF = 0.25  # of a margin, in units of its threshold, within a fine step
-LEADS = 0.8  # Spearman's coefficient of a column and the way, up to the first failure, of either sign
-FEWEST = 5  # steps before a failure by which a column can be said to lead
-MOST_CLIFFS = 2  # beyond which it is told what they are of
+LINES, FAR = 16, 6.0  # number of lines, and their length in standard deviations
+COARSE, FINE = 24, 5  # steps of a line, and of a refined step
+CLIFF = 0.25  # fall of a margin within a fine step, in units of its threshold
+LEADS = 0.8  # least absolute Spearman correlation of a leading column with the distance, up to the first failure
+FEWEST = 5  # least number of steps before a failure for a column to lead
+MOST_CLIFFS = 2  # number of cliffs above which their causes are listed
 LENGTHS = ("body_length", "body_width", "thigh", "shin")
-SPREAD = 0.02  # of them, where nothing else is told: their standard deviation, a share
+SPREAD = 0.02  # default standard deviation of the lengths, a share
 COLUMNS = {"margin": "`margin`", "friction_reserve_min": "friction", "friction_demand_max": "a foot's friction",
            "torque_reserve_min": "torque", "reach_reserve_min_m": "reach", "edge_reserve_min_m": "edge",
            "landing_reserve_min": "landing", "stability_margin_min_m": "stability"}  # fmt: skip
-GROWS = ("friction_demand_max",)  # which goes up where others go down
+GROWS = ("friction_demand_max",)  # columns that grow towards a failure
 
 
-def simulated(exp: Experiment, folder: Path, u: np.ndarray) -> pd.DataFrame:
-    """Rows (n,) of rollouts whose errors have the normals `u` (n, d), kept in `folder`."""
+def simulate_errors(exp: Experiment, folder: Path, u: np.ndarray) -> pd.DataFrame:
+    """Return the rows (n,) of rollouts whose errors have the normals `u` (n, d), stored in `folder`."""
     one_noise = np.zeros(len(u), dtype=int)  # for all, so that lines are smooth
     nothing = {"weight": np.ones(len(u)), "round": np.zeros(len(u))}
     table = points(exp.study, exp.system, exp.settings, round_=Draws(ndtr(u), one_noise, nothing))
@@ -53,55 +52,55 @@ def simulated(exp: Experiment, folder: Path, u: np.ndarray) -> pd.DataFrame:
     return store.read_rows(folder).set_index("point_id").loc[table["point_id"]].reset_index()
 
 
-def first(rows: pd.DataFrame) -> int:
-    """Number of the first that does not succeed, or how many there are."""
+def first_failure(rows: pd.DataFrame) -> int:
+    """Return the number of the first row that does not succeed, or the number of rows."""
     bad = (rows["outcome"] != "success").to_numpy()
     return int(np.argmax(bad)) if bad.any() else len(bad)
 
 
-def falls(rows: pd.DataFrame, least: float = -1.0) -> np.ndarray:
-    """How far the margin falls in each step of a line (n - 1,); what is below `least` is as low as it can be."""
+def margin_falls(rows: pd.DataFrame, least: float = -1.0) -> np.ndarray:
+    """Return how far the margin falls in each step of a line (n - 1,); values below `least` count as `least`."""
     return -np.diff(rows["margin"].clip(lower=least))
 
 
-def close(rows: pd.DataFrame) -> list[int]:
-    """Numbers of the steps of a line that are looked at closely, up to the one in which it fails."""
-    end = first(rows)
-    steep = falls(rows)[:end] > CLIFF
+def steps_to_refine(rows: pd.DataFrame) -> list[int]:
+    """Return the numbers of the steps to refine, up to the one in which the line fails."""
+    end = first_failure(rows)
+    steep = margin_falls(rows)[:end] > CLIFF
     steep[end - 1 : end] = end < len(rows)
     return np.flatnonzero(steep).tolist()
 
 
 def directions(exp: Experiment) -> np.ndarray:
-    """Unit vectors (LINES, d) along which the lines go."""
+    """Return the unit vectors (LINES, d) of the lines."""
     towards = np.random.default_rng(0).standard_normal((LINES, len(exp.study.axes)))
     return towards / np.linalg.norm(towards, axis=1, keepdims=True)
 
 
-def lines(exp: Experiment, folder: Path) -> list[pd.DataFrame]:
-    """Rows of each line up to its first failure, by `way` (standard deviations from nominal)."""
+def simulate_lines(exp: Experiment, folder: Path) -> list[pd.DataFrame]:
+    """Return the rows of each line up to its first failure, with `way` (standard deviations from nominal)."""
     towards = directions(exp)
     d = towards.shape[1]
     way = np.linspace(0, FAR, COARSE + 1)
     along = (way[None, 1:, None] * towards[:, None]).reshape(-1, d)
-    coarse = simulated(exp, folder, np.concatenate([np.zeros((1, d)), along]))
+    coarse = simulate_errors(exp, folder, np.concatenate([np.zeros((1, d)), along]))
     every = [coarse.iloc[[0, *range(1 + k * COARSE, 1 + (k + 1) * COARSE)]].assign(way=way) for k in range(LINES)]
     shares = np.linspace(0, 1, FINE + 1)[1:-1]
-    inner = [(way[close(rows), None] + way[1] * shares).ravel() for rows in every]
+    inner = [(way[steps_to_refine(rows), None] + way[1] * shares).ravel() for rows in every]
     u = [away * direction for steps, direction in zip(inner, towards, strict=True) for away in steps]
     if not u:
         return every
-    fine = simulated(exp, folder, np.array(u)).assign(way=np.concatenate(inner))
+    fine = simulate_errors(exp, folder, np.array(u)).assign(way=np.concatenate(inner))
     found, at = [], 0
     for rows, steps in zip(every, inner, strict=True):
         part = pd.concat([rows, fine[at : at + len(steps)]]).sort_values("way", ignore_index=True)
-        found.append(part[: first(part) + 1])
+        found.append(part[: first_failure(part) + 1])
         at += len(steps)
     return found
 
 
-def told(rows: pd.DataFrame, columns: list[str]) -> dict[str, Any]:
-    """What a line that fails shows: where and by what, how far its margin falls at once, and what goes with the way."""
+def summarize_line(rows: pd.DataFrame, columns: list[str]) -> dict[str, Any]:
+    """Return cause, largest falls of the margin, and leading columns of a line that fails."""
     last, before = rows.iloc[-1], rows.iloc[:-1]
     leads = {}
     if len(before) >= FEWEST:
@@ -111,8 +110,8 @@ def told(rows: pd.DataFrame, columns: list[str]) -> dict[str, Any]:
         "way": round(float(last["way"]), 3),
         "cause": str(last["cause"]),
         "limit": str(last["limit"]),
-        "fall": round(float(falls(rows).max()), 3),
-        "fall_to_nought": round(float(falls(rows, least=0.0).max()), 3),
+        "fall": round(float(margin_falls(rows).max()), 3),
+        "fall_to_nought": round(float(margin_falls(rows, least=0.0).max()), 3),
         "margin_of": str(last["margin_of"]),
         "before_of": str(before["margin_of"].iloc[-1]),
         "steps": len(before),
@@ -121,7 +120,7 @@ def told(rows: pd.DataFrame, columns: list[str]) -> dict[str, Any]:
 
 
 def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
-    """In how many lines what leads, and what the cliffs are of where there are more than a few."""
+    """Return the numbers of lines in which each column leads, and the causes of cliffs."""
     heads = ["scenario", "lengths off by, %", "fail", "no cliff", "none above nought"]
     leading = [[*heads, *COLUMNS.values(), "any"]]
     falling = [["scenario", "cliffs", "above nought", "cause", "nearest limit before"]]
@@ -156,41 +155,41 @@ def main(words: list[str]) -> None:
     parser.add_argument("--folder", type=Path, default=FOLDER)
     parser.add_argument("--out", type=Path, default=DATA)
     parser.add_argument("--commit", default="", help="where the sources are in no checkout")
-    given = parser.parse_args(words)
-    before = shared.read(given.out)
-    for scenario in [word for word in given.words if "=" not in word] or before:
+    args = parser.parse_args(words)
+    before = shared.read_scenarios(args.out)
+    for scenario in [word for word in args.words if "=" not in word] or before:
         known = before.get(scenario, {"lengths": SPREAD})["lengths"]
-        measure(scenario, given.lengths or known, [word for word in given.words if "=" in word], given)
+        measure(scenario, args.lengths or known, [word for word in args.words if "=" in word], args)
 
 
 def experiment(scenario: str, spread: float, overrides: list[str]) -> Experiment:
-    """The errors of `any_rare`, whose robot's lengths have the standard deviation `spread`."""
+    """Return the errors of `any_rare` with `spread` as the standard deviation of the robot's lengths."""
     lengths = [f"study.axes.{axis}.relative={spread:g}" for axis in LENGTHS]
     return compose([f"scenario={scenario}", "study=any_rare", "study.design.num=1", *lengths, *overrides])
 
 
-def measure(scenario: str, spread: float, overrides: list[str], given: argparse.Namespace) -> None:
-    """Measure a scenario, or what is missing of it, whose robot's lengths have the standard deviation `spread`."""
+def measure(scenario: str, spread: float, overrides: list[str], args: argparse.Namespace) -> None:
+    """Measure a scenario, or what is missing of it."""
     start = time.perf_counter()
     exp = experiment(scenario, spread, overrides)
-    where = given.folder / scenario
+    where = args.folder / scenario
     where.mkdir(parents=True, exist_ok=True)
-    every = lines(exp, where)
+    every = simulate_lines(exp, where)
     columns = [c for c in COLUMNS if c in every[0]]
     failing = [rows for rows in every if rows["outcome"].iloc[-1] != "success" and len(rows) > 1]
     (device,) = store.read_study(where)["devices"][:1]
     found = {
         **made_with(),
-        **({"commit": given.commit} if given.commit else {}),
+        **({"commit": args.commit} if args.commit else {}),
         "device": device,
         "seconds": round(time.perf_counter() - start),
         "lengths": spread,
         "overrides": overrides,
         "nominal": {c: float(every[0][c].iloc[0]) for c in columns},
         "nominal_outcome": str(every[0]["outcome"].iloc[0]),
-        "lines": [told(rows, columns) for rows in failing],
+        "lines": [summarize_line(rows, columns) for rows in failing],
     }
-    shared.add(given.out, scenario, found, "python bench/margins.py SCENARIO", tables)
+    shared.add_scenario(args.out, scenario, found, "python bench/margins.py SCENARIO", tables)
 
 
 if __name__ == "__main__":

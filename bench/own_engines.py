@@ -1,9 +1,9 @@
-"""Engines of own models beside each other: `python bench/own_engines.py FOLDER [LOOPS]`, with the extra `warp`.
+"""Engines for users' MuJoCo models compared: `python bench/own_engines.py FOLDER [LOOPS]`, with the extra `warp`.
 
 The study of `sweep init --model`, 16 loads by 16 frictions, on `native`, `mjx`, `warp`, and on `warp` again, each in a
-folder of FOLDER; those that are there are only read. What docs/own_model.md cites goes into
-research/data/own_engines.json:
-outcomes that are equal and how far figures are apart, and the times in LOOPS, which is what bench/own_model.py printed.
+folder of FOLDER; existing folders are only read. Results that docs/own_model.md cites are written to
+research/data/own_engines.json: equal outcomes, differences of metrics, and the times in LOOPS, which is the output of
+bench/own_model.py.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ from sweep.runs import store
 from sweep.study.columns import figure_columns
 
 DATA = Path(__file__).parents[1] / "research/data/own_engines.json"
-RUNS = {"native": "native", "mjx": "mjx", "warp": "warp", "warp_again": "warp"}  # engines by folder
+RUNS = {"native": "native", "mjx": "mjx", "warp": "warp", "warp_again": "warp"}  # engine by folder
 PAIRS = ("native", "mjx"), ("native", "warp"), ("mjx", "warp"), ("warp", "warp_again")
 FIGURES = {"travelled_m": ("way, mm", 1e3), "tilt_max_deg": ("tilt, °", 1), "energy_j": ("energy, J", 1)}
 ASKED = ["study=grip", "study.axes.load.num=16", "study.axes.grip.num=16", "study.invalid_max=1"]
@@ -37,8 +37,8 @@ def run(folder: Path) -> None:
             sweep(["run", *ASKED, f"engine={RUNS[folder.name]}", f"out={folder}"])
 
 
-def beside(rows: dict[str, pd.DataFrame]) -> Iterator[list[str]]:
-    """A line for each pair of runs."""
+def compare_engines(rows: dict[str, pd.DataFrame]) -> Iterator[list[str]]:
+    """Yield a table line for each pair of runs."""
     apart = (f"{words}: median, 90 % within" for words, _ in FIGURES.values())
     yield ["run", "beside", "outcomes equal", "invalid", *apart, "rows with the same bits"]
     for a, b in PAIRS:
@@ -58,23 +58,23 @@ def beside(rows: dict[str, pd.DataFrame]) -> Iterator[list[str]]:
         ]
 
 
-def loops(told: dict[str, Any]) -> Iterator[list[str]]:
-    """A line for each loop that bench/own_model.py measured."""
+def loops(measured: dict[str, Any]) -> Iterator[list[str]]:
+    """Yield a table line for each loop that bench/own_model.py measured."""
     yield ["loop", "wall, s", "M steps/s", "engine over it"]
-    for one in (loop for loop in told["loops"] if not loop["loop"].endswith("its start")):
+    for one in (loop for loop in measured["loops"] if not loop["loop"].endswith("its start")):
         beside = "" if one["loop"] == one["engine"] else f"{one['engine_by_wall']:.2f}"
         yield [f"`{one['loop']}`", f"{one['wall_s']:.3f}", f"{one['steps_per_s'] / 1e6:.2f}", beside]
 
 
 def main(kept: str, printed: str = "") -> None:
-    """Run what is missing, and tell of all."""
+    """Run missing studies, and write all results."""
     folder = Path(kept).absolute()
     for name in RUNS:
         if not (folder / name).exists():
             run(folder / name)
     made = store.read_study(folder / "warp")
     rows = {name: store.read_rows(folder / name).set_index("point_id") for name in RUNS}
-    tables = {"beside": [*beside(rows)]}
+    tables = {"beside": [*compare_engines(rows)]}
     if printed:
         tables["loops"] = [*loops(json.loads(Path(printed).read_text(encoding="utf-8").splitlines()[-1]))]
     about = {"command": "python bench/own_engines.py FOLDER LOOPS", "engine": "native, mjx, warp"}

@@ -1,13 +1,15 @@
-"""An own model's speed beside MuJoCo's own loops: `python bench/own_model.py [ENGINES [WIDTH [SECONDS]]]`.
+"""Speed of a user's MuJoCo model against MuJoCo's own loops: `python bench/own_model.py [ENGINES [WIDTH [SECONDS]]]`.
 
-The quadruped of `sweep init --model` and its trot, ENGINES as `native,mjx,warp`. `native` beside `mujoco.rollout` of
-the same model with the very controls that the policy gave, on as many threads; `mjx` beside steps as in a scan, with
-those controls and standing, and beside what `mjx-testspeed` runs; `warp` beside MuJoCo Warp's own step, likewise, in
-a graph of CUDA's where there is one. Each engine also beside itself with a controller that plays those controls, which
-tells the policy's cost from the loop's and the figures', and beside what it does on the host before the first tick.
-The same model, width and number of steps, in one run, one after the other several times; the least of each counts, by
-the wall and by CPU time, which other programs disturb less. An engine that cannot run is told, and left out. What is
-printed is a table, and one line of JSON.
+The quadruped of `sweep init --model` and its trot, ENGINES as `native,mjx,warp`. `native` is compared with
+`mujoco.rollout` of the same model, with the controls that the policy gave and the same number of threads. `mjx` is
+compared with steps in a scan, with those controls and standing, and with `mjx-testspeed`. `warp` is compared with
+MuJoCo Warp's own step, likewise, in a CUDA graph if there is one. Each engine also runs a controller that plays those
+controls back, which separates the cost of the policy from that of the loop and the metrics, and only its work on the
+host before the first tick.
+
+Model, width and number of steps are the same. The variants run in turn several times; the least wall time and the least
+CPU time count, of which the latter depends less on other programs. Engines that cannot run are reported and left out.
+The output is a table, and one line of JSON.
 """
 
 import json
@@ -35,7 +37,7 @@ from sweep.systems.own import Own, batch
 
 REPETITIONS = 5
 THREADS = len(os.sched_getaffinity(0))
-Times = tuple[float, float]  # s, by the wall and of all cores
+Times = tuple[float, float]  # s, wall time and CPU time of all cores
 Ways = Mapping[str, Callable[[], Any]]
 Found = dict[str, Times]  # the engine's first
 Task = tuple[Any, Any, np.ndarray]  # world, belief, streams
@@ -47,26 +49,26 @@ def policy(belief, seen, state, key): return jnp.asarray(CONTROLS, float)[state]
 """
 
 
-def timed(call: Callable[[], Any]) -> Times:
-    """Of a call that waits for what it begins."""
+def time_call(call: Callable[[], Any]) -> Times:
+    """Return wall and CPU time of a call that waits for its results."""
     wall, cpu = time.perf_counter(), time.process_time()
     call()
     return time.perf_counter() - wall, time.process_time() - cpu
 
 
-def least(ways: Ways) -> Found:
-    """Of each way, in turns, after one that compiles; each is told as soon as it was tried."""
+def shortest_times(ways: Ways) -> Found:
+    """Return the least times of each variant, run in turns after a first call that compiles."""
     for name, call in ways.items():
-        first, again = timed(call), timed(call)
+        first, again = time_call(call), time_call(call)
         print(f"{name}: {again[0]:.3f} s, {first[0]:.1f} s at first", flush=True)
-    rounds = [{name: timed(call) for name, call in ways.items()} for _ in range(REPETITIONS)]
+    rounds = [{name: time_call(call) for name, call in ways.items()} for _ in range(REPETITIONS)]
     return {name: (min(one[name][0] for one in rounds), min(one[name][1] for one in rounds)) for name in ways}
 
 
 def native(own: Own, controls: np.ndarray, n: int) -> Ways:
-    """`mujoco.rollout`, which records the state, and nothing of figures."""
+    """Return `mujoco.rollout`, which records the state but no metrics."""
     model = own.model
-    ctrl = np.repeat(controls, count(own) // len(controls), axis=0)
+    ctrl = np.repeat(controls, count_steps(own) // len(controls), axis=0)
     data = [mujoco.MjData(model) for _ in range(THREADS)]
     mujoco.mj_resetDataKeyframe(model, data[0], own.keyframe)
     full = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -77,11 +79,11 @@ def native(own: Own, controls: np.ndarray, n: int) -> Ways:
 
 
 def on_mjx(own: Own, controls: np.ndarray, n: int) -> Ways:
-    """As many steps from the keyframe, with the very controls that the policy gave, and such that hold it."""
+    """Return MJX loops of as many steps from the keyframe, with the policy's controls and with standing ones."""
     from mujoco import mjx
 
-    steps, walk = count(own), jnp.asarray(controls, float)
-    model, start = mjx.put_model(own.model), standing(own)
+    steps, walk = count_steps(own), jnp.asarray(controls, float)
+    model, start = mjx.put_model(own.model), keyframe_data(own)
     each = jax.tree.map(lambda x: jnp.broadcast_to(x, (n, *x.shape)), mjx.put_data(own.model, start))
 
     def step(data: Any, _: None) -> tuple[Any, None]:
@@ -102,26 +104,26 @@ def on_mjx(own: Own, controls: np.ndarray, n: int) -> Ways:
     return {"mjx.step": stepped(walk), "mjx.step, standing": stepped(still)}
 
 
-def testspeed(own: Own, n: int) -> Found:
-    """Of `mjx-testspeed`, which starts from the model's own pose."""
+def run_testspeed(own: Own, n: int) -> Found:
+    """Return the times of `mjx-testspeed`, which starts from the model's default pose."""
     from mujoco import mjx
 
     option = own.model.opt
     solver = {int(mujoco.mjtSolver.mjSOL_CG): "cg", int(mujoco.mjtSolver.mjSOL_NEWTON): "newton"}[int(option.solver)]
-    asked = copy(own.model), count(own), n, 1, solver, option.iterations, option.ls_iterations
+    asked = copy(own.model), count_steps(own), n, 1, solver, option.iterations, option.ls_iterations
     found = min(mjx.benchmark(*asked)[1] for _ in range(2))  # it compiles each time
     print(f"mjx-testspeed: {found:.3f} s", flush=True)
     return {"mjx-testspeed": (found, np.nan)}
 
 
 def on_warp(own: Own, controls: np.ndarray, n: int) -> Ways:
-    """MuJoCo Warp without JAX, as `on_mjx`, with as much room for contacts as the engine has."""
+    """Return MuJoCo Warp loops without JAX, as `on_mjx`, with as much memory for contacts as the engine has."""
     import warp  # pyright: ignore[reportMissingImports]
     from mujoco.mjx.third_party import mujoco_warp
 
     from sweep.systems.own.mjx import room
 
-    model, start = mujoco_warp.put_model(own.model), standing(own)
+    model, start = mujoco_warp.put_model(own.model), keyframe_data(own)
     data = mujoco_warp.put_data(own.model, start, nworld=n, **room(own.model, n))
     qpos, qvel = warp.clone(data.qpos), warp.clone(data.qvel)
     once: Callable[[], Any] = partial(mujoco_warp.step, model, data)
@@ -139,7 +141,7 @@ def on_warp(own: Own, controls: np.ndarray, n: int) -> Ways:
             warp.copy(data.qvel, qvel)
             for ctrl in each:
                 warp.copy(data.ctrl, ctrl)
-                for _ in range(count(own) // len(each)):
+                for _ in range(count_steps(own) // len(each)):
                     once()
             warp.synchronize()
 
@@ -149,23 +151,23 @@ def on_warp(own: Own, controls: np.ndarray, n: int) -> Ways:
     return {"mujoco_warp.step": stepped(controls), "mujoco_warp.step, standing": stepped(still)}
 
 
-def count(own: Own) -> int:
-    """Physics steps of a rollout."""
+def count_steps(own: Own) -> int:
+    """Return the number of physics steps of a rollout."""
     return round(own.about.duration / own.model.opt.timestep)
 
 
-def standing(own: Own) -> mujoco.MjData:
-    """At the keyframe."""
+def keyframe_data(own: Own) -> mujoco.MjData:
+    """Return the model's data at the keyframe."""
     data = mujoco.MjData(own.model)
     mujoco.mj_resetDataKeyframe(own.model, data, own.keyframe)
     data.ctrl[:] = data.qpos[7:]  # servos hold it
     return data
 
 
-def rows(engine: str, found: Found, steps: int) -> Iterator[dict[str, Any]]:
-    """Of a table: times, and those of the engine over each."""
-    (wall, cpu), *_ = found.values()
-    for name, (one, of_cores) in found.items():
+def rows(engine: str, times: Found, steps: int) -> Iterator[dict[str, Any]]:
+    """Yield rows of a table: times, and those of the engine over each."""
+    (wall, cpu), *_ = times.values()
+    for name, (one, of_cores) in times.items():
         yield {
             "engine": engine,
             "loop": name,
@@ -177,8 +179,8 @@ def rows(engine: str, found: Found, steps: int) -> Iterator[dict[str, Any]]:
         }
 
 
-def made(name: str, width: int, seconds: str, *more: str) -> tuple[Own, Any, Task]:
-    """A system, its engine, and what that is to run."""
+def make_task(name: str, width: int, seconds: str, *more: str) -> tuple[Own, Any, Task]:
+    """Return a system, its engine, and the rollouts to run."""
     exp = compose(["scenario=own", f"engine.name={name}", f"model.duration={seconds}", *more])
     own = exp.system
     assert isinstance(own, Own)
@@ -186,26 +188,30 @@ def made(name: str, width: int, seconds: str, *more: str) -> tuple[Own, Any, Tas
     return own, own.engine(replace(exp.settings, width=width), *task[:2], None), task
 
 
-def measured(name: str, width: int, seconds: str) -> Iterator[dict[str, Any]]:
-    """The rows of an engine. Raises `InputError` where it cannot run."""
-    own, engine, task = made(name, width, seconds)
+def measure_engine(name: str, width: int, seconds: str) -> Iterator[dict[str, Any]]:
+    """Yield the rows of an engine.
+
+    Raises:
+        InputError: the engine cannot run here.
+    """
+    own, engine, task = make_task(name, width, seconds)
     controls = engine.trace(*task, 0).joint_target
     np.save("played.npy", controls)
     Path("played.py").write_text(PLAYED)
-    _, played, _ = made(name, width, seconds, "model.controller=played:policy")
-    found = least({
+    _, played, _ = make_task(name, width, seconds, "model.controller=played:policy")
+    found = shortest_times({
         name: lambda: engine.run(*task),
         f"{name}, its start": lambda: batch.begin(own, EngineSettings(), *task).energy(),
         **{"native": native, "mjx": on_mjx, "warp": on_warp}[name](own, controls, width),
         f"{name}, played": lambda: played.run(*task),
     })  # fmt: skip
     if name == "mjx":
-        found |= testspeed(own, width)
-    return rows(name, found, count(own) * width)
+        found |= run_testspeed(own, width)
+    return rows(name, found, count_steps(own) * width)
 
 
 def main(engines: str = "native", width: str = "256", seconds: str = "4") -> None:
-    """A line for each loop as soon as its engine is done, and all as JSON."""
+    """Print a line for each loop as soon as its engine is done, and all as JSON."""
     table: list[dict[str, Any]] = []
     device = jax.devices()[0].device_kind
     with tempfile.TemporaryDirectory() as folder:
@@ -214,7 +220,7 @@ def main(engines: str = "native", width: str = "256", seconds: str = "4") -> Non
         print(f"rollouts {width}, seconds {seconds}, cores {THREADS}, device {device}")
         for engine in engines.split(","):
             try:
-                table += (found := [*measured(engine, int(width), seconds)])
+                table += (found := [*measure_engine(engine, int(width), seconds)])
             except Exception as error:  # the others are measured all the same
                 print(f"{engine}: {type(error).__name__}: {error}", flush=True)
                 continue

@@ -1,6 +1,6 @@
-"""How soon a page is painted, how fast a brush answers and a replay plays: `python bench/page.py REPORT.html`.
+"""Time to first paint, brushing and replay speed of a report page: `python bench/page.py REPORT.html`.
 
-In a headless Chromium, driven as the tests do.
+In a headless Chromium, driven as in the tests.
 """
 
 import sys
@@ -19,8 +19,8 @@ FRAMES = """window.frames_ = []; window.last_ = performance.now();
 (function next(now) { frames_.push(now - last_); last_ = now; requestAnimationFrame(next) })(last_)"""
 
 
-def spent(browser: Browser) -> float:
-    """Processor's time (s) of the page's main thread, which others that run beside it do not lengthen."""
+def main_thread_seconds(browser: Browser) -> float:
+    """Return the CPU time (s) of the page's main thread, which other processes do not lengthen."""
     return next(
         one["value"] for one in browser.send("Performance.getMetrics")["metrics"] if one["name"] == "TaskDuration"
     )
@@ -45,10 +45,10 @@ def main(page: Path) -> None:
             share = (k + 0.5) / CLICKS
             browser.click(left + 64 + share * (width - 78), top + 12 + (0.37 * k % 1) * (height - 60))
         browser.place("#scene-a")
-        before = spent(browser)
+        before = main_thread_seconds(browser)
         browser.run(f"frames_ = []; new Promise((done) => setTimeout(done, {1000 * PLAYED}))")
         played = np.array(browser.run("frames_"))
-        busy = spent(browser) - before
+        busy = main_thread_seconds(browser) - before
         browser.close()
     print(f"first paint {first:.0f} ms, map {drawn:.0f} ms")
     print(

@@ -1,11 +1,11 @@
-"""How well rare failures are told by three ways: `python bench/rare.py SCENARIO [--seconds S] [...] [OVERRIDE ...]`.
+"""Accuracy and cost of rare-failure estimators: `python bench/rare.py SCENARIO [--seconds S] [...] [OVERRIDE ...]`.
 
-All eight errors of `study=any_rare` at once, times scales at which about the `--targets` fail, found first: plain draws
-are the truth, beside repetitions of importance sampling (each the study of one seed) and of subset simulation. All go
-on side by side: what a batch has room for beside rounds that are asked for are plain draws. Scenarios may run in
-processes of their own, on one GPU too. Cells that are done are taken as they are, and those of other code; plain draws
-go on, and with `--rows` searches; too few of other code begin anew. After each batch all is written to
-research/data/rare.json, cited by research/certainty.md.
+All eight errors of `study=any_rare` at once, scaled so that about the `--targets` fail. Plain random draws are the
+ground truth for repetitions of importance sampling (each the study of one seed) and of subset simulation. All run side
+by side: room of a batch that their rounds leave is filled with plain draws. Scenarios may run in processes of their
+own, on one GPU too. Finished cells are kept, those of other code too; plain draws continue, and with `--rows` searches
+do; too few of other code start anew. After each batch, everything is written to research/data/rare.json, cited by
+research/certainty.md.
 """
 
 import argparse
@@ -53,33 +53,34 @@ LEADS = {
     "ladder_climb": "edge_reserve_min_m",
     "pole_climb": f"{_MEAN} - sqrt({_HALF} * {_HALF})",
 }
-LEAD = "friction_reserve_min"  # of the others: see bench/margins.py
+LEAD = "friction_reserve_min"  # leading column, see bench/margins.py
 WAYS = ("plain", "importance", "levels")
-LADDER = (0.5 ** np.arange(0, 8, 0.5)).tolist()  # scales that are looked at first; beyond 1 friction may be negative
-KNOWN, MOST = 6, 0.3  # failures from which on, and share up to which, one of them tells the others
-PILOTS, TRUTH = 4, 200  # repetitions that look at the middle scale; failures that plain draws are to have
-RAREST = 1e-5  # target from which on there are to be plain draws
-SETS = 5  # runs of levels that a study has by default
-VARIATION = 0.1  # that costs are told for
-TERMS = 3  # of the law that probabilities of other scales are told by
+LADDER = (0.5 ** np.arange(0, 8, 0.5)).tolist()  # scales to try first; above 1 friction may be negative
+KNOWN, MOST = 6, 0.3  # failures from which on, and share up to which, one scale predicts the others
+PILOTS, TRUTH = 4, 200  # repetitions that examine the middle scale; failures that plain draws should have
+RAREST = 1e-5  # smallest target with plain draws
+SETS = 5  # default number of subset simulations of a study
+VARIATION = 0.1  # coefficient of variation for which costs are given
+TERMS = 3  # terms of the law that extrapolates probabilities to other scales
 PLAIN = 1_000_000  # seed of plain draws, which no repetition has
 
-Ask = Generator[Draws, pd.DataFrame, pd.DataFrame]  # rounds, which are sent their rows; it returns all of these
+# a generator of rounds that receives their rows and returns all of them
+Ask = Generator[Draws, pd.DataFrame, pd.DataFrame]
 Cell = dict[str, Any]
-Asked = tuple[str, str, int]  # a search: its target, its way, and which repetition
+Search = tuple[str, str, int]  # target, estimator and number of the repetition
 SEARCH = ["target", "way", "repetition"]
 ROW = ["replicate", "outcome", "lead"]
-BY = (*shared.BY, "lead")  # what each cell was made with
+BY = (*shared.BY, "lead")  # versions that each cell was made with
 
 
 class Robots:
-    """Rollouts of a scenario, all by one engine."""
+    """Rollouts of a scenario on one engine."""
 
     def __init__(self, scenario: str, width: int, overrides: list[str]):
-        """Compiles, and runs a batch, so that those which follow are timed without it."""
+        """Compile and run one batch, so that later ones are timed without compilation."""
         self.values = composed([f"scenario={scenario}", "study=any_rare", f"engine.width={width}", *overrides])
         self.lead = LEADS.get(scenario, LEAD)
-        exp = self.scaled(1.0)
+        exp = self.scaled_study(1.0)
         first = self.points(exp, plain(exp, 1, 0))
         self.exp = with_room(exp, first)
         start = nominal(self.exp, first.assign(width=width), width)
@@ -87,8 +88,8 @@ class Robots:
         self.device = self.exp.system.device(start.settings)
         self.run([first])
 
-    def scaled(self, scale: float, **design: Any) -> Experiment:
-        """The study with all errors times `scale`, drawn by `design`."""
+    def scaled_study(self, scale: float, **design: Any) -> Experiment:
+        """Return the study with all errors scaled, and another design."""
         study = self.values["study"]
         axes = {name: {**axis, "relative": scale * axis["relative"]} for name, axis in study["axes"].items()}
         asked = {**study, "axes": axes, "design": {**study["design"], "lead": ROW[-1], **design}}
@@ -96,31 +97,31 @@ class Robots:
 
     @staticmethod
     def points(exp: Experiment, draws: Draws) -> pd.DataFrame:
-        """What is to be run of a round."""
+        """Return the points of a round."""
         return points(exp.study, exp.system, exp.settings, round_=draws)
 
     def run(self, tables: list[pd.DataFrame]) -> list[pd.DataFrame]:
-        """Rows of each table, in full batches but for the last."""
+        """Return the rows of each table, simulated in full batches except the last."""
         every = pd.concat(tables, ignore_index=True).assign(width=self.width)
         parts = [every[k : k + self.width] for k in range(0, len(every), self.width)]
-        rows = pd.concat([self.asked(runner.simulate(self.exp, self.engine, part)[0]) for part in parts])
+        rows = pd.concat([self.select_columns(runner.simulate(self.exp, self.engine, part)[0]) for part in parts])
         ends = np.cumsum([0, *map(len, tables)])
         return [rows[a:b].reset_index(drop=True) for a, b in itertools.pairwise(ends)]
 
-    def asked(self, rows: pd.DataFrame) -> pd.DataFrame:
-        """What is asked of rows, with what their lead comes to."""
+    def select_columns(self, rows: pd.DataFrame) -> pd.DataFrame:
+        """Return the columns that searches need, with the leading margin."""
         lead = evaluate(self.lead, lambda name: rows[column(rows, name)].to_numpy())
         return rows.assign(lead=lead)[[*(c for c in map(str, rows) if c.startswith("axis.")), *ROW]]
 
 
 def plain(exp: Experiment, num: int, before: int) -> Draws:
-    """Draws as they come, after so many `before` them, which are others."""
+    """Return `num` plain draws that differ from the `before` ones."""
     shares = np.random.default_rng([PLAIN, before]).random((num, len(exp.study.axes)))
     return Draws(shares, before + np.arange(num), {})
 
 
-def sought(exp: Experiment) -> Ask:
-    """All rounds of a study."""
+def adaptive_rounds(exp: Experiment) -> Ask:
+    """Generate all rounds of an adaptive study."""
     search = searches.search(exp.study.axes, exp.study.design, exp.study.seed)
     draws, every = next(search), []
     while True:
@@ -132,21 +133,21 @@ def sought(exp: Experiment) -> Ask:
 
 
 def importance(robots: Robots, scale: float, num: int, seeds: Iterable[int]) -> list[Experiment]:
-    """Repetitions of one study, each of a seed."""
-    exp = robots.scaled(scale, kind="importance", num=num)
+    """Return repetitions of one study, one for each seed."""
+    exp = robots.scaled_study(scale, kind="importance", num=num)
     return [replace(exp, study=replace(exp.study, seed=seed)) for seed in seeds]
 
 
-def scales(robots: Robots, targets: list[float], num: int) -> dict[str, float]:
+def find_scales(robots: Robots, targets: list[float], num: int) -> dict[str, float]:
     """Those at which about each target fails, by target.
 
     Reliability, the quantile of what does not fail, is taken to be linear in 1 / scale: through a look at plain draws
     of many scales and one at the middle target by importance sampling. Raises `InputError` where no scale has a failure
     now and then.
     """
-    exps = [robots.scaled(scale) for scale in LADDER]
+    exps = [robots.scaled_study(scale) for scale in LADDER]
     tables = [robots.points(exp, plain(exp, num, 0)) for exp in exps]
-    shares, failures = zip(*((bad.mean(), bad.sum()) for bad in map(failed, robots.run(tables))), strict=True)
+    shares, failures = zip(*((bad.mean(), bad.sum()) for bad in map(is_failure, robots.run(tables))), strict=True)
     told = [k for k in range(len(LADDER)) if failures[k] >= KNOWN and shares[k] <= MOST]
     print(
         "  " + ", ".join(f"{scale:.3g}: {share:.3g}" for scale, share in zip(LADDER, shares, strict=True)), flush=True
@@ -158,7 +159,7 @@ def scales(robots: Robots, targets: list[float], num: int) -> dict[str, float]:
     known = [(1 / LADDER[told[-1]], -ndtri(shares[told[-1]]))]
     aims = -ndtri(np.array(targets))
     middle = min(LADDER[told[-1]] * known[0][1] / aims[len(aims) // 2], LADDER[0])
-    pilots = finished(robots, importance(robots, middle, num, range(1, PILOTS + 1)))
+    pilots = finish_studies(robots, importance(robots, middle, num, range(1, PILOTS + 1)))
     p = float(np.mean([one.probability for one in pilots]))
     if 0 < p < shares[told[-1]]:
         known.append((1 / middle, -ndtri(p)))
@@ -168,9 +169,9 @@ def scales(robots: Robots, targets: list[float], num: int) -> dict[str, float]:
     return {f"{p:g}": min(float(f"{scale:.3g}"), LADDER[0]) for p, scale in zip(targets, found, strict=True)}
 
 
-def finished(robots: Robots, exps: list[Experiment]) -> list[Weighted | Repeated]:
-    """What studies say that go on side by side."""
-    asks = [sought(exp) for exp in exps]
+def finish_studies(robots: Robots, exps: list[Experiment]) -> list[Weighted | Repeated]:
+    """Return the estimates of studies that are continued side by side."""
+    asks = [adaptive_rounds(exp) for exp in exps]
     draws, rows = [next(ask) for ask in asks], []
     while len(rows) < len(asks):
         found = robots.run([robots.points(exp, one) for exp, one in zip(exps, draws, strict=True)])
@@ -183,27 +184,29 @@ def finished(robots: Robots, exps: list[Experiment]) -> list[Weighted | Repeated
     return [rare(one, exp) for one, exp in zip(rows, exps, strict=True)]
 
 
-def failed(rows: pd.DataFrame) -> np.ndarray:
-    """Which have, invalid ones among them."""
+def is_failure(rows: pd.DataFrame) -> np.ndarray:
+    """Return which rows failed, invalid ones included."""
     return (rows["outcome"] != "success").to_numpy()
 
 
-def measured(robots: Robots, kept: "Kept", given: argparse.Namespace, deadline: float) -> None:
-    """Fill the cells that are missing, until it is time to stop."""
+def measure_cells(robots: Robots, kept: "Cells", given: argparse.Namespace, deadline: float) -> None:
+    """Fill missing cells until the deadline."""
     exps: dict[tuple[str, str], list[Experiment]] = {}
     for target, num in given.level.items():  # levels first, whose rounds are many
-        exps[target, "levels"] = [robots.scaled(kept.scales[target], kind="subset", num=num, runs=given.repetitions)]
+        exps[target, "levels"] = [
+            robots.scaled_study(kept.scales[target], kind="subset", num=num, runs=given.repetitions)
+        ]
     for target, num in given.num.items():
         exps[target, "importance"] = importance(robots, kept.scales[target], num, range(1, given.repetitions + 1))
     exps = {key: some for key, some in exps.items() if key[1] in given.ways and "P" not in kept.cell(*key)}
-    asks = {(*key, k): sought(exp) for key, some in exps.items() for k, exp in enumerate(some)}
-    asked: dict[Asked, Draws] = {key: next(ask) for key, ask in asks.items()}
-    ended: dict[Asked, pd.DataFrame] = {}
+    asks = {(*key, k): adaptive_rounds(exp) for key, some in exps.items() for k, exp in enumerate(some)}
+    asked: dict[Search, Draws] = {key: next(ask) for key, ask in asks.items()}
+    ended: dict[Search, pd.DataFrame] = {}
 
-    def table(key: Asked) -> pd.DataFrame:
+    def table(key: Search) -> pd.DataFrame:
         return robots.points(exps[key[:2]][key[2]], asked[key])
 
-    def advance(key: Asked, rows: pd.DataFrame) -> None:
+    def advance(key: Search, rows: pd.DataFrame) -> None:
         try:
             asked[key] = asks[key].send(rows)
         except StopIteration as end:
@@ -212,71 +215,71 @@ def measured(robots: Robots, kept: "Kept", given: argparse.Namespace, deadline: 
             target, way, _ = key
             every = {(target, way, k): exp for k, exp in enumerate(exps[target, way])}
             if every.keys() <= ended.keys():
-                kept.done(target, way, [rare(ended[one], exp) for one, exp in every.items()])
+                kept.add_estimates(target, way, [rare(ended[one], exp) for one, exp in every.items()])
 
-    past = Past(given.rows)
+    past = SearchLog(given.rows)
     for key in list(asked):
-        while key in asked and (rows := past.of(key, table(key))) is not None:
+        while key in asked and (rows := past.round_rows(key, table(key))) is not None:
             advance(key, rows)
     kept.write()
     lasts = 0.0  # a batch
-    while (start := time.perf_counter()) + lasts < deadline and (asked or kept.lacking()):
+    while (start := time.perf_counter()) + lasts < deadline and (asked or kept.next_short_target()):
         ends = np.cumsum([len(draws.numbers) for draws in asked.values()])
         fitting = list(asked)[: max(1, int(np.sum(ends <= robots.width)))]
         tables: dict[Any, pd.DataFrame] = {key: table(key) for key in fitting}
         room = -sum(map(len, tables.values())) % robots.width or (0 if tables else robots.width)
-        if room and (growing := kept.growing()):  # for the truth, of the first cell that lacks some
-            exp = robots.scaled(kept.scales[target := kept.lacking() or growing[-1]])
+        if room and (growing := kept.plain_targets()):  # for the truth, of the first cell that lacks some
+            exp = robots.scaled_study(kept.scales[target := kept.next_short_target() or growing[-1]])
             tables[target] = robots.points(exp, plain(exp, room, kept.plain()))
         found = dict(zip(tables, robots.run(list(tables.values())), strict=True))
         took = (time.perf_counter() - start) / sum(map(len, tables.values()))
         for key, rows in found.items():
             if isinstance(key, str):
-                kept.more_plain(key, failed(rows), rows["outcome"].eq("invalid").to_numpy(), took)
+                kept.count_plain_draws(key, is_failure(rows), rows["outcome"].eq("invalid").to_numpy(), took)
                 continue
-            kept.spent(key[0], key[1], rows, took)
+            kept.count_rows(key[0], key[1], rows, took)
             past.add(key, rows)
             advance(key, rows)
         kept.seconds += (lasts := time.perf_counter() - start)
         past.write()
         kept.write()
-        print(f"{kept.scenario} {kept.seconds:.0f} s: {len(asked)} searches go on; {kept.told()}", flush=True)
+        print(f"{kept.scenario} {kept.seconds:.0f} s: {len(asked)} searches go on; {kept.format_cells()}", flush=True)
 
 
-class Past:
-    """What rows of searches came to, so that those that were stopped go on; kept in a file, if any."""
+class SearchLog:
+    """Rows of searches by round, so that interrupted searches continue; in a file, if there is one."""
 
     def __init__(self, file: Path | None):
-        """Reads what is there."""
+        """Read the file."""
         self.file = file
         there = pd.read_parquet(file) if file and file.exists() else pd.DataFrame(columns=[*SEARCH, *ROW])
         self.parts = [there]
         self.known = {key: rows.set_index(ROW[0])[ROW[1:]] for key, rows in there.groupby(SEARCH)}
 
-    def of(self, key: Asked, table: pd.DataFrame) -> pd.DataFrame | None:
-        """A round as it was run; None where a row of it was not."""
+    def round_rows(self, key: Search, table: pd.DataFrame) -> pd.DataFrame | None:
+        """Return the rows of a round; None if one of them is missing."""
         if key not in self.known or not table["replicate"].isin(self.known[key].index).all():
             return None
         return table.join(self.known[key], on="replicate")
 
-    def add(self, key: Asked, rows: pd.DataFrame) -> None:
-        """Keep a round."""
+    def add(self, key: Search, rows: pd.DataFrame) -> None:
+        """Add the rows of a round."""
         self.parts.append(rows[ROW].assign(**dict(zip(SEARCH, key, strict=True))))
 
     def write(self) -> None:
-        """Put all rounds into the file."""
+        """Write all rounds to the file."""
         if self.file:
             rows = pd.concat(self.parts[not len(self.parts[0]) :])
             write_whole(self.file, rows.to_parquet(compression="zstd"))
 
 
-class Kept:
-    """What a scenario's cells hold, and the file they are in."""
+class Cells:
+    """The cells of a scenario's tables, and their file."""
 
     def __init__(self, file: Path, scenario: str, about: Mapping[str, Any], goes_on: bool):
-        """Reads what is there. Searches that were stopped go on, or begin anew; those of other code always do."""
+        """Read the file. Interrupted searches continue or restart; those of other code always restart."""
         self.file, self.scenario = file, scenario
-        there = shared.read(file).get(scenario, {})
+        there = shared.read_scenarios(file).get(scenario, {})
         self.content = {**about, "seconds": 0.0, "scales": {}, "cells": {}, **there}
         self.about = {key: about[key] for key in BY}
         self.truths: list[str] = []  # targets that have plain draws, or are to have them
@@ -285,16 +288,16 @@ class Kept:
                 ways[way] = cell = {**{key: there[key] for key in BY}, **cell}
                 if "P" not in cell and (cell["code"] != about["code"] or not goes_on):  # a search begins anew
                     del ways[way]
-        self.content |= {key: shared.joined([there, about], key) for key in self.about}
+        self.content |= {key: shared.join_values([there, about], key) for key in self.about}
 
     @property
     def scales(self) -> dict[str, float]:
-        """By target."""
+        """Scales by target."""
         return self.content["scales"]
 
     @property
     def seconds(self) -> float:
-        """Spent on cells."""
+        """Seconds spent on cells."""
         return self.content["seconds"]
 
     @seconds.setter
@@ -302,18 +305,18 @@ class Kept:
         self.content["seconds"] = round(value, 1)
 
     def cell(self, target: str, way: str) -> Cell:
-        """One of them, empty at first."""
+        """Return a cell, empty at first."""
         cells = self.content["cells"].setdefault(target, {})
         return cells.setdefault(way, {**self.about, "rollouts": 0, "invalid": 0, "seconds": 0.0})
 
-    def spent(self, target: str, way: str, rows: pd.DataFrame, took: float) -> None:
-        """Count rows of a cell, of which each took so many seconds."""
+    def count_rows(self, target: str, way: str, rows: pd.DataFrame, took: float) -> None:
+        """Count rows of a cell, each of which took so many seconds."""
         cell = self.cell(target, way)
         cell["rollouts"] += len(rows)
         cell["invalid"] += int(rows["outcome"].eq("invalid").sum())
         cell["seconds"] = round(cell["seconds"] + took * len(rows), 2)
 
-    def more_plain(self, target: str, bad: np.ndarray, invalid: np.ndarray, took: float) -> None:
+    def count_plain_draws(self, target: str, bad: np.ndarray, invalid: np.ndarray, took: float) -> None:
         """Count plain draws."""
         cell = self.cell(target, "plain")
         n, k = cell["rollouts"] + len(bad), cell.get("failed", 0) + int(bad.sum())
@@ -322,28 +325,28 @@ class Kept:
                  "invalid": cell["invalid"] + int(invalid.sum()),
                  "seconds": round(cell["seconds"] + took * len(bad), 2)}  # fmt: skip
 
-    def ask(self, targets: list[str]) -> None:
-        """Have plain draws of targets; those of other code begin anew where they are too few, which is said."""
+    def request_plain_draws(self, targets: list[str]) -> None:
+        """Request plain draws for targets; report where too few of other code start anew."""
         self.truths = [p for p in targets if float(p) >= RAREST]
-        while (target := self.lacking(own=False)) is not None:
+        while (target := self.next_short_target(own=False)) is not None:
             cell = self.content["cells"][target].pop("plain")
             others = f"its {cell['rollouts']} rollouts are of code {cell['code']}"
             print(f"{self.file}: {self.scenario} {target} plain begins anew, {others}", flush=True)
 
-    def growing(self, own: bool = True) -> list[str]:
-        """Targets whose plain draws are of this code, or of other."""
+    def plain_targets(self, own: bool = True) -> list[str]:
+        """Return targets with plain draws of this code, or of other code."""
         return [p for p in self.truths if (self.cell(p, "plain")["code"] == self.about["code"]) == own]
 
-    def lacking(self, own: bool = True) -> str | None:
-        """The first of them that have fewer than their truth is to have."""
-        return next((p for p in self.growing(own) if self.cell(p, "plain")["rollouts"] * float(p) < TRUTH), None)
+    def next_short_target(self, own: bool = True) -> str | None:
+        """Return the first of them with too few plain draws."""
+        return next((p for p in self.plain_targets(own) if self.cell(p, "plain")["rollouts"] * float(p) < TRUTH), None)
 
     def plain(self) -> int:
-        """How many plain draws there are."""
+        """Number of plain draws."""
         return sum(self.cell(p, "plain")["rollouts"] for p in self.scales)
 
-    def done(self, target: str, way: str, found: list[Any]) -> None:
-        """Keep what repetitions say."""
+    def add_estimates(self, target: str, way: str, found: list[Any]) -> None:
+        """Add the estimates of repetitions."""
         cell = self.cell(target, way)
         if isinstance(found[0], Repeated):
             (one,) = found
@@ -361,24 +364,24 @@ class Kept:
         half = student.ppf(0.5 + CONFIDENCE / 2, len(each) - 1) * each.std(ddof=1) / np.sqrt(len(each))
         cell |= {"P": each.mean(), "low": max(each.mean() - half, 0.0), "high": each.mean() + half}
 
-    def told(self) -> str:
-        """Cells in short."""
+    def format_cells(self) -> str:
+        """Format the cells in short."""
         cells = self.content["cells"]
         return ", ".join(
             f"{p} {way} {cell['P']:.3g}" for p, ways in cells.items() for way, cell in ways.items() if "P" in cell
         )
 
     def write(self) -> None:
-        """Put this scenario into the file, which other processes write theirs to."""
-        shared.add(self.file, self.scenario, self.content, "python bench/rare.py SCENARIO", tables)
+        """Write this scenario to the file, which other processes write theirs to."""
+        shared.add_scenario(self.file, self.scenario, self.content, "python bench/rare.py SCENARIO", tables)
 
 
 def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
-    """What research/certainty.md cites."""
-    return {"truth": truth(scenarios), "cost": cost(scenarios), "beyond": beyond(scenarios)}
+    """Return the tables that research/certainty.md cites."""
+    return {"truth": truth_table(scenarios), "cost": cost_table(scenarios), "beyond": extrapolation_table(scenarios)}
 
 
-def cells_of(scenarios: shared.Scenarios, known: bool = True) -> Iterable[tuple[list[str], dict[str, Cell]]]:
+def cells_by_line(scenarios: shared.Scenarios, known: bool = True) -> Iterable[tuple[list[str], dict[str, Cell]]]:
     """Cells by way, with the words that a line begins with, of every scale whose truth is known to have failures.
 
     Or of those of which there is no truth.
@@ -389,15 +392,15 @@ def cells_of(scenarios: shared.Scenarios, known: bool = True) -> Iterable[tuple[
                 yield [f"`{name}`", f"{one['scales'][target]:g}"], {w: c for w, c in ways.items() if "P" in c}
 
 
-def truth(scenarios: shared.Scenarios) -> list[list[str]]:
-    """Both ways beside plain draws; a blank where one was not run to its end.
+def truth_table(scenarios: shared.Scenarios) -> list[list[str]]:
+    """Return both estimators beside plain draws; cells are blank where one did not finish.
 
-    A ratio's interval has both errors; intervals of single studies `hold` where the mean of all is in them.
+    The interval of a ratio includes both errors. Intervals of single studies hold if they contain the mean of all.
     """
     table = [["scenario", "errors times", "P(failure), plain draws", "of",
               "importance: mean / truth", "variation", "hold", "not trusted",
               "levels: mean / truth", "variation of a run", "hold", "early"]]  # fmt: skip
-    for line, ways in cells_of(scenarios):
+    for line, ways in cells_by_line(scenarios):
         plain, cells = ways["plain"], []
         for way, bad in (("importance", "untrusted"), ("levels", "early")):
             if way not in ways:
@@ -414,10 +417,10 @@ def truth(scenarios: shared.Scenarios) -> list[list[str]]:
     return table
 
 
-def cost(scenarios: shared.Scenarios) -> list[list[str]]:
-    """Rollouts for a standard error of a tenth, and seconds of the machine for as many."""
+def cost_table(scenarios: shared.Scenarios) -> list[list[str]]:
+    """Return the rollouts, and machine seconds, for a relative standard error of a tenth."""
     table = [["scenario", "P(failure)", "plain draws", "s", "importance", "s", "levels", "s"]]
-    for (name, _), ways in cells_of(scenarios):
+    for (name, _), ways in cells_by_line(scenarios):
         cells = []
         for way in WAYS:
             if way not in ways:
@@ -429,22 +432,22 @@ def cost(scenarios: shared.Scenarios) -> list[list[str]]:
     return table
 
 
-def beyond(scenarios: shared.Scenarios) -> list[list[str]]:
-    """What both ways say where there is no truth: the mean of all repetitions, and how many rollouts it takes.
+def extrapolation_table(scenarios: shared.Scenarios) -> list[list[str]]:
+    """Return both estimators where there is no ground truth: mean of all repetitions, and rollouts needed.
 
-    Beside them what plain draws of larger errors say, where there are some of three scales.
+    Plain draws of larger errors are extrapolated beside them, where there are some at three scales.
     """
     titles = ["variation", "early or not trusted", "rollouts for a tenth"]
     table = [["scenario", "errors times", "plain draws of larger errors: P(failure)",
               "importance: P(failure)", *titles, "levels: P(failure)", *titles]]  # fmt: skip
     plain: dict[str, list[tuple[float, int, int]]] = {}
-    for (name, scale), ways in cells_of(scenarios):
+    for (name, scale), ways in cells_by_line(scenarios):
         plain.setdefault(name, []).append((float(scale), ways["plain"]["failed"], ways["plain"]["rollouts"]))
-    for line, ways in cells_of(scenarios, known=False):
+    for line, ways in cells_by_line(scenarios, known=False):
         cells = [""]
         if len(larger := plain.get(line[0], [])) >= TERMS:
             larger_scales, failures, of = np.array(larger).T
-            told = extrapolated(larger_scales, failures, of, float(line[1]))
+            told = extrapolate(larger_scales, failures, of, float(line[1]))
             cells = ["{:.2g} ({:.2g} to {:.2g})".format(*told)]
         for way, bad in (("importance", "untrusted"), ("levels", "early")):
             if way not in ways:
@@ -459,12 +462,12 @@ def beyond(scenarios: shared.Scenarios) -> list[list[str]]:
     return table
 
 
-def extrapolated(scales: np.ndarray, failed: np.ndarray, of: np.ndarray, at: float) -> tuple[float, float, float]:
+def extrapolate(scales: np.ndarray, failed: np.ndarray, counts: np.ndarray, scale: float) -> tuple[float, float, float]:
     """A probability at a scale of errors, and its interval, from how many of plain draws failed at larger scales.
 
     log P = a + b log s - c / s², fitted with each share's error (scaled-sigma sampling: Sun et al. 2015).
     """
-    s, share = scales / at, failed / of
+    s, share = scales / scale, failed / counts
     terms = np.stack([np.ones_like(s), np.log(s), 1 - s**-2], axis=1)  # times log P there, b, and c / at²
     certain = failed / (1 - share)  # 1 / variance of log P
     covariance = np.linalg.inv(terms.T @ (certain[:, None] * terms))
@@ -474,20 +477,20 @@ def extrapolated(scales: np.ndarray, failed: np.ndarray, of: np.ndarray, at: flo
 
 
 def rollouts(cell: Cell) -> float:
-    """That a standard error of a tenth takes."""
+    """Return the rollouts for a relative standard error of a tenth."""
     one = cell["rollouts"] / len(cell["each"]) if "each" in cell else 1
     spread = variation(cell) if "each" in cell else np.sqrt((1 - cell["P"]) / cell["P"])
     return one * (spread / VARIATION) ** 2
 
 
 def variation(cell: Cell) -> float:
-    """Coefficient of variation of one repetition; infinite of none that came to a failure."""
+    """Return the coefficient of variation of one repetition; infinite if none found a failure."""
     each = np.array(cell["each"])
     return float(each.std(ddof=1) / each.mean()) if each.any() else np.inf
 
 
-def of_each(targets: list[str], words: str) -> dict[str, int]:
-    """Numbers of targets that have one, of one that all have or one for each; 0 is none."""
+def numbers_by_target(targets: list[str], words: str) -> dict[str, int]:
+    """Parse one number for all targets or one for each; 0 means none."""
     numbers = [int(word) for word in words.split(",")]
     numbers *= len(targets) if len(numbers) == 1 else 1
     return {target: number for target, number in zip(targets, numbers, strict=True) if number}
@@ -516,18 +519,18 @@ def main(words: list[str]) -> None:
     about = {**made_with(), "device": robots.device, "lead": robots.lead, "overrides": overrides}
     about |= {"num": given.num, "level": given.level, "repetitions": given.repetitions, "width": given.width}
     about |= {"commit": given.commit} if given.commit else {}
-    kept = Kept(given.out, given.scenario, about, bool(given.rows and given.rows.exists()))
-    given.num, given.level = (of_each(given.targets, told) for told in (given.num, given.level))
+    kept = Cells(given.out, given.scenario, about, bool(given.rows and given.rows.exists()))
+    given.num, given.level = (numbers_by_target(given.targets, told) for told in (given.num, given.level))
     if given.scales:
         known = [float(scale) for scale in given.scales.split(",")]
         kept.content["scales"] = {f"{p:g}": scale for p, scale in zip(targets, known, strict=True)} | kept.scales
     elif not kept.scales:
-        kept.content["scales"] = scales(robots, targets, max(given.num.values()))
+        kept.content["scales"] = find_scales(robots, targets, max(given.num.values()))
         kept.content["start_s"] = round(time.perf_counter() - start, 1)
     kept.write()
-    kept.ask(given.targets if "plain" in given.ways else [])
+    kept.request_plain_draws(given.targets if "plain" in given.ways else [])
     print(f"{given.scenario}: {kept.scales}, {time.perf_counter() - start:.0f} s", flush=True)
-    measured(robots, kept, given, start + given.seconds)
+    measure_cells(robots, kept, given, start + given.seconds)
 
 
 if __name__ == "__main__":

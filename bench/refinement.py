@@ -12,7 +12,7 @@ from sweep.study.config import experiment
 
 
 def main(folder: Path, whole: Path) -> None:
-    """Print what the refined map saves and where it is wrong."""
+    """Print the savings of the refined map, and where it is wrong."""
     exp = experiment(store.read_study(folder)["config"])
     rows = store.read_rows(folder)
     (found,) = refined(exp, rows)

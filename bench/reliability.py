@@ -1,12 +1,12 @@
-"""What a folder of results withstands: attacks on a small study of the tests' fake engine.
+"""Robustness of result folders: attacks on a small study with the tests' fake engine.
 
 It writes research/data/reliability.json.
 
-    python bench/reliability.py                              # minutes
-    FLIPS=100000 KILLS=500 FUZZ=5000 python bench/reliability.py    # hours
+    python bench/reliability.py                              # minutes FLIPS=100000 KILLS=500 FUZZ=5000 python
+    bench/reliability.py    # hours
 
-An attack is survived where the rows are the same or one line says what is wrong; it is silent where the rows differ and
-nothing says so; else it ended in a traceback.
+A folder survives an attack if its rows are the same, or one line says what is wrong. A silent failure is one in which
+rows differ and nothing says so; otherwise the attack ended in a traceback.
 """
 
 import contextlib
@@ -50,8 +50,8 @@ SURVIVED, SILENT, TRACEBACK = "survived", "silent", "tracebacks"
 Attack = Callable[[Path, random.Random], Iterator[str]]
 
 
-def judged(work: Callable[[], bool]) -> str:
-    """How `work`, which tells whether all is as it should be, went."""
+def run_attack(work: Callable[[], bool]) -> str:
+    """Return how an attack went; `work` returns whether everything is as it should be."""
     try:
         return SURVIVED if work() else SILENT
     except (InputError, Fault) as error:
@@ -61,31 +61,31 @@ def judged(work: Callable[[], bool]) -> str:
 
 
 def quiet(*args: str) -> tuple[int, str]:
-    """Exit code of a command in this process, and its standard error."""
+    """Return exit code and standard error of a command in this process."""
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as error:
         code = main(list(args))
     return code, error.getvalue()
 
 
 def files(folder: Path) -> list[Path]:
-    """All that rows are read from."""
+    """Return all files that rows are read from."""
     named = [folder / name for name in (store.STUDY, store.POINTS, manifest.MANIFEST)]
     return named + [folder / entry.file for entry in store.counted(folder)]
 
 
-def damage(folder: Path, chance: random.Random, number: int, how: Callable[[bytes], bytes]) -> Iterator[str]:
-    """Files changed by `how`, one at a time, and read."""
+def damage(folder: Path, chance: random.Random, number: int, change: Callable[[bytes], bytes]) -> Iterator[str]:
+    """Yield results for files changed by `change`, one at a time."""
     rows, plan, places = content(folder), store.read_points(folder), files(folder)
     for _ in range(number):
         path = chance.choice(places)
         sound = path.read_bytes()
-        path.write_bytes(how(sound))
-        yield judged(lambda: content(folder).equals(rows) and store.read_points(folder).equals(plan))
+        path.write_bytes(change(sound))
+        yield run_attack(lambda: content(folder).equals(rows) and store.read_points(folder).equals(plan))
         path.write_bytes(sound)
 
 
 def flips(folder: Path, chance: random.Random) -> Iterator[str]:
-    """One bit."""
+    """Yield results of single flipped bits."""
 
     def flipped(content: bytes) -> bytes:
         bit = chance.randrange(8 * len(content))
@@ -95,7 +95,10 @@ def flips(folder: Path, chance: random.Random) -> Iterator[str]:
 
 
 def cuts(folder: Path, chance: random.Random) -> Iterator[str]:
-    """Cut short, or a block of zeros, as after a power cut. A manifest cut between two lines is an earlier one."""
+    """Yield results of truncated files, or of a block of zeros as after a power cut.
+
+    A manifest cut between two lines is an earlier manifest.
+    """
 
     def cut(content: bytes) -> bytes:
         at = chance.randrange(len(content) - 1)
@@ -105,7 +108,7 @@ def cuts(folder: Path, chance: random.Random) -> Iterator[str]:
 
 
 def kills(folder: Path, chance: random.Random) -> Iterator[str]:
-    """`kill -9` of `sweep run` at any moment, then the same command to its end."""
+    """Yield results of `kill -9` of `sweep run` at any moment, and the same command again."""
     rows = content(folder)
     for number in range(KILLS):
         killed = folder.with_name(f"killed{number}")
@@ -114,13 +117,13 @@ def kills(folder: Path, chance: random.Random) -> Iterator[str]:
             process.communicate(timeout=chance.uniform(1, 8))
         process.send_signal(signal.SIGKILL)
         process.communicate()
-        yield judged(
+        yield run_attack(
             lambda killed=killed: quiet("run", *STUDY, f"out={killed}")[0] == 0 and content(killed).equals(rows)
         )
 
 
 def relabels(folder: Path, chance: random.Random) -> Iterator[str]:
-    """`sweep relabel` ended before one of its writes: all rows are judged by the thresholds named, or none."""
+    """Yield results of `sweep relabel` ended before one of its writes: all rows use the new thresholds, or none."""
     for _ in range(RELABELS):
         limit, left = chance.uniform(0.02, 1.0), chance.randrange(12)
         real = store.write_part, store.write_study, repair.forget
@@ -139,20 +142,20 @@ def relabels(folder: Path, chance: random.Random) -> Iterator[str]:
         quiet("relabel", str(folder), f"slip_max_m<{limit}", "tilt_max_deg<50")
         store.write_part, store.write_study, repair.forget = real
         named = store.read_study(folder)["config"]["outcome"]
-        yield judged(lambda named=named: agrees(folder, named))
+        yield run_attack(lambda named=named: is_judged_by(folder, named))
 
 
-def agrees(folder: Path, limits: dict[str, Any]) -> bool:
-    """Whether all rows are judged by `limits`; nothing limits slip at first."""
-    rows, slip = content(folder), limits["slip_max_m"]
+def is_judged_by(folder: Path, thresholds: dict[str, Any]) -> bool:
+    """Return whether all rows are judged by `thresholds`; at first there is none on slip."""
+    rows, slip = content(folder), thresholds["slip_max_m"]
     good = (rows["slip_max_m"] <= (float("inf") if slip is None else slip)) & (
-        rows["tilt_max_deg"] <= limits["tilt_max_deg"]
+        rows["tilt_max_deg"] <= thresholds["tilt_max_deg"]
     )
     return bool(((rows["outcome"] == "success") == good).all())
 
 
 def stale(folder: Path, chance: random.Random) -> Iterator[str]:
-    """A worker whose command is dead writes its part after another command judged by other thresholds."""
+    """Yield results of a worker whose command is dead, and which writes its part after another command relabelled."""
     code, real = runner.provenance.code_version(), runner._plan_of
     for number in range(6):
         out = folder.with_name(f"stale{number}")
@@ -165,7 +168,9 @@ def stale(folder: Path, chance: random.Random) -> Iterator[str]:
         runner.on_worker(out.resolve(), "old", code, chance.randrange(number + 1, 7))
         runner._plan_of = real
         quiet("run", *STUDY, f"out={out}", "outcome.slip_max_m=0.1")
-        yield judged(lambda out=out: agrees(out, {"slip_max_m": 0.1, "tilt_max_deg": 30}) and len(content(out)) == 56)
+        yield run_attack(
+            lambda out=out: is_judged_by(out, {"slip_max_m": 0.1, "tilt_max_deg": 30}) and len(content(out)) == 56
+        )
 
 
 # fmt: off
@@ -187,29 +192,31 @@ WORDS = (
 
 
 def settings(folder: Path, chance: random.Random) -> Iterator[str]:
-    """Configurations of random keys and values, which are run or refused in one line."""
+    """Yield results of configurations with random keys and values, which run or are refused in one line."""
     for _ in range(FUZZ):
         some = [chance.choice(("", "", "+", "++", "~")) + chance.choice(KEYS) for _ in range(chance.randint(1, 3))]
         args = [key if key[0] == "~" else f"{key}={chance.choice(VALUES)}" for key in some]
-        yield judged(lambda args=args: said(*quiet("run", "--dry-run", f"out={folder}-fuzz", *args)))
+        yield run_attack(lambda args=args: ended_as_documented(*quiet("run", "--dry-run", f"out={folder}-fuzz", *args)))
 
 
 def conditions(folder: Path, chance: random.Random) -> Iterator[str]:
-    """Conditions of random words."""
+    """Yield results of conditions made of random words."""
     for _ in range(CONDITIONS):
         where = " ".join(chance.choices(WORDS, k=chance.randint(1, 9)))
-        yield judged(lambda where=where: said(*quiet("table", str(folder), "--format", "csv", "--where", where)))
+        yield run_attack(
+            lambda where=where: ended_as_documented(*quiet("table", str(folder), "--format", "csv", "--where", where))
+        )
 
 
-def said(code: int, error: str) -> bool:
-    """Whether a command ended as the README says."""
+def ended_as_documented(code: int, error: str) -> bool:
+    """Return whether a command ended as the documentation says."""
     if code == 2 and error.count("\n") != 1:
         raise RuntimeError(error)
     return code in (0, 2, 3, 4)
 
 
 def workers(folder: Path, chance: random.Random) -> Iterator[str]:
-    """A Dask worker killed while it is in a batch."""
+    """Yield results of a Dask worker killed within a batch."""
     import psutil
 
     rows = content(folder)
@@ -222,7 +229,7 @@ def workers(folder: Path, chance: random.Random) -> Iterator[str]:
                 child.kill()
                 break
         _, error = process.communicate()
-        yield judged(lambda out=out, error=error: "Traceback" not in error and content(out).equals(rows))
+        yield run_attack(lambda out=out, error=error: "Traceback" not in error and content(out).equals(rows))
 
 
 ATTACKS: dict[str, Attack] = {
@@ -238,7 +245,7 @@ ATTACKS: dict[str, Attack] = {
 
 
 def measure() -> None:
-    """One line for each attack."""
+    """Print and write one line for each attack."""
     fake_engine.install()
     start, lines = time.perf_counter(), [["attack", "tried", SURVIVED, SILENT, TRACEBACK]]
     for name, attack in ATTACKS.items():
@@ -248,7 +255,7 @@ def measure() -> None:
             counts = Counter(attack(folder, random.Random(0)))
         lines.append([name, *(f"{count:,}" for count in (counts.total(), *(counts[how] for how in lines[0][2:])))])
         print(*lines[-1], flush=True)
-    shared.keep("reliability", (), start, {"attacks": lines})
+    shared.write_tables("reliability", (), start, {"attacks": lines})
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
-"""Which rows and figures are bit-equal when they are simulated in other ways, and what `run_id` says.
+"""Bit equality of rows and metrics that are simulated in other ways, compared with what `run_id` promises.
 
     python bench/reproducibility.py        # some minutes: a walking study, one step long, once for each line
 
-It writes research/data/reproducibility.json, which research/reliability.md cites. Loops are XLA's: those that `fused`
-makes
-have the same bits whatever the batch. Each run is a process of its own. Rows are paired by `point_id`; place in a batch
-and wall time are left out.
+It writes research/data/reproducibility.json, which research/reliability.md cites. Loops are XLA's; those that `fused`
+makes have the same bits whatever the batch. Each run is a process of its own. Rows are paired by `point_id`; the place
+in a batch and the wall time are left out.
 """
 
 import os
@@ -44,15 +43,15 @@ WAYS: dict[str, tuple[list[str], dict[str, str], int]] = {  # settings, environm
 Line = tuple[str, str, str, str, str]
 
 
-def started(out: Path, settings: list[str], environment: dict[str, str], cores: int) -> subprocess.Popen:
-    """The study in a process of its own."""
+def start_study(out: Path, settings: list[str], environment: dict[str, str], cores: int) -> subprocess.Popen:
+    """Start the study in a process of its own."""
     command = [sys.executable, "-m", "sweep.cli", "run", *STUDY, *settings, f"out={out}"]
     pinned = ["taskset", "-c", ",".join(map(str, range(cores)))] if cores else []
     return subprocess.Popen([*pinned, *command], env=os.environ | environment, stdout=subprocess.DEVNULL)
 
 
-def compared(way: str, base: Path, other: Path) -> Line:
-    """Rows and figures that are bit-equal, outcomes that are equal, and whether `run_id` is."""
+def compare_folders(way: str, base: Path, other: Path) -> Line:
+    """Return a line: bit-equal rows and metrics, equal outcomes, and whether `run_id` is equal."""
     a, b = (store.read_rows(path).set_index("point_id").sort_index() for path in (base, other))
     names = [c for c in a.columns if c not in (*PLAN, *LABELS, *TIMING) and "." not in c]
     equal = (a[names] == b[names]) | (a[names].isna() & b[names].isna())
@@ -61,18 +60,18 @@ def compared(way: str, base: Path, other: Path) -> Line:
     return way, f"{equal.all(axis=1).sum()} of {len(a)}", f"{equal.all().sum()} of {len(names)}", outcomes, same
 
 
-def interrupted(out: Path) -> None:
-    """The study, killed after its first part and run again."""
-    process = started(out, [WIDTH], {}, 0)
+def run_interrupted(out: Path) -> None:
+    """Run the study, killed after its first part and started again."""
+    process = start_study(out, [WIDTH], {}, 0)
     while not (out / store.STUDY).exists() or not store.finished(out):
         time.sleep(0.05)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    started(out, [WIDTH], {}, 0).wait()
+    start_study(out, [WIDTH], {}, 0).wait()
 
 
-def replayed(base: Path, rows: tuple[int, ...]) -> Line:
-    """Some rows, simulated again and recorded."""
+def compare_replays(base: Path, rows: tuple[int, ...]) -> Line:
+    """Return a line for some rows, simulated again with a trace."""
     shown = [
         subprocess.run(
             [sys.executable, "-m", "sweep.cli", "replay", str(base), str(row)], capture_output=True, text=True
@@ -88,25 +87,25 @@ def replayed(base: Path, rows: tuple[int, ...]) -> Line:
 
 
 def table(place: Path) -> list[Line]:
-    """What was found in each way."""
+    """Return the lines of all ways."""
     base, killed = place / "base", place / "killed"
-    started(base, [WIDTH], {}, 0).wait()
+    start_study(base, [WIDTH], {}, 0).wait()
     lines = []
     for number, (way, how) in enumerate(WAYS.items()):
-        started(place / str(number), *how).wait()
-        lines.append(compared(way, base, place / str(number)))
+        start_study(place / str(number), *how).wait()
+        lines.append(compare_folders(way, base, place / str(number)))
         print(*lines[-1], sep="; ", flush=True)
-    interrupted(killed)
-    return [*lines, compared("after `kill -9`", base, killed), replayed(base, (0, 15))]
+    run_interrupted(killed)
+    return [*lines, compare_folders("after `kill -9`", base, killed), compare_replays(base, (0, 15))]
 
 
 def main() -> None:
-    """Measure and keep the table."""
+    """Measure and write the table."""
     start = time.perf_counter()
     heads = ["compared with width 8", "rows bit-equal", "figures bit-equal", "outcomes equal", "run_id"]
     with tempfile.TemporaryDirectory() as folder:
         lines = table(Path(folder))
-    shared.keep("reproducibility", ("mjx",), start, {"ways": [heads, *map(list, lines)]})
+    shared.write_tables("reproducibility", ("mjx",), start, {"ways": [heads, *map(list, lines)]})
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""How fast scenarios are simulated, free bodies among them: simulated seconds in the middle of a batch.
+"""Simulation speed of scenarios: simulated seconds in the middle of a batch.
 
-To run: `python bench/scenarios.py [WIDTH [NAME...]]`, from a checkout. Friction varies over the batch. Overrides
-follow a name's comma: `walk_tripod,engine.compiler=xla`.
+To run: `python bench/scenarios.py [WIDTH [NAME...]]`, from a checkout. Friction varies over the batch. Overrides follow
+a name's comma: `walk_tripod,engine.compiler=xla`.
 """
 
 import sys
@@ -16,11 +16,11 @@ from sweep.engines.mjx import Mjx
 from sweep.study.config import compose
 
 NAMES = ("walk_tripod", "pole_climb", "ball_balance", "ball_to_ball")
-SECONDS = 5  # of which the first is left out
+SECONDS = 5  # simulated seconds, of which the first is not timed
 
 
 def speed(name: str, width: int) -> str:
-    """Physics steps a second of a batch of `width` rollouts (0: the device's best)."""
+    """Return the physics steps a second of a batch of `width` rollouts (0: the device's best)."""
     scenario, *overrides = name.split(",")
     exp = compose([f"scenario={scenario}", *overrides])
     settings = replace(exp.settings, width=width or devices.default_width())
@@ -44,7 +44,7 @@ def speed(name: str, width: int) -> str:
 
 
 def main(width: str = "0", *names: str) -> None:
-    """One line for each scenario."""
+    """Print one line for each scenario."""
     devices.configure()
     for name in names or NAMES:
         print(speed(name, int(width)), flush=True)

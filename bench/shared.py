@@ -1,4 +1,4 @@
-"""Files of research/data: of tables that one command makes, and such that processes side by side add to."""
+"""Files of research/data: tables made by one command, and tables that several processes add to."""
 
 import json
 import time
@@ -16,25 +16,27 @@ from sweep.engines.settings import EngineSettings
 DATA = Path(__file__).parents[1] / "research" / "data"
 
 SCENARIOS = "scenarios"
-BY = ("code", "commit")  # what each was made with; of several the names of all
-Scenarios = Mapping[str, dict[str, Any]]  # by name, each with what it was made with, its device and seconds
+BY = ("code", "commit")  # versions that each was made with; several are joined
+Scenarios = Mapping[str, dict[str, Any]]  # content by name, with versions, device and seconds
 
 
-def read(file: Path) -> Scenarios:
-    """The scenarios of a file; none where it is not there."""
+def read_scenarios(file: Path) -> Scenarios:
+    """Return the scenarios of a file; none if it does not exist."""
     return json.loads(file.read_text(encoding="utf-8"))[SCENARIOS] if file.exists() else {}
 
 
-def joined(scenarios: Iterable[Mapping[str, Any]], key: str) -> str:
-    """All that scenarios have under a key."""
+def join_values(scenarios: Iterable[Mapping[str, Any]], key: str) -> str:
+    """Return all values that scenarios have under a key, joined by commas."""
     return ", ".join(sorted({name for one in scenarios for name in one.get(key, "").split(", ") if name}))
 
 
-def add(file: Path, name: str, found: dict[str, Any], command: str, tables: Callable[[Scenarios], Any]) -> None:
-    """Put a scenario into a file, and write anew what the file says of all."""
+def add_scenario(
+    file: Path, name: str, content: dict[str, Any], command: str, tables: Callable[[Scenarios], Any]
+) -> None:
+    """Add a scenario to a file, and update what the file says of all."""
     with filelock.FileLock(file.with_suffix(".lock")):
-        every = dict(sorted({**read(file), name: found}.items()))
-        about = {key: joined(every.values(), key) for key in BY}
+        every = dict(sorted({**read_scenarios(file), name: content}.items()))
+        about = {key: join_values(every.values(), key) for key in BY}
         whole = {
             "command": command,
             "engine": "`mjx`",
@@ -47,8 +49,15 @@ def add(file: Path, name: str, found: dict[str, Any], command: str, tables: Call
         write_whole(file, (json.dumps(whole, indent=1) + "\n").encode())
 
 
-def keep(name: str, engines: Sequence[str], start: float, tables: Mapping[str, list[list[str]]]) -> None:
-    """Write what `python bench/NAME.py` found, tables with their heads first; `start` is of `time.perf_counter`."""
+def write_tables(name: str, engines: Sequence[str], start: float, tables: Mapping[str, list[list[str]]]) -> None:
+    """Write the tables of `python bench/NAME.py`.
+
+    Args:
+        name: name of the file without suffix.
+        engines: names of the engines used.
+        start: `time.perf_counter()` at the start.
+        tables: tables by name, with their heads first.
+    """
     about = {
         "command": f"python bench/{name}.py",
         "engine": " and ".join(f"`{engine}`" for engine in engines) or "none",

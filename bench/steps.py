@@ -1,10 +1,9 @@
-"""Whether outcomes hang on the time step: `python bench/steps.py [ENGINE-SCENARIO ...]`, such as 'native-pole_*' (all).
+"""Effect of the time step on outcomes: `python bench/steps.py [ENGINE-SCENARIO ...]`, such as 'native-pole_*' (all).
 
-Every scenario on both engines as `study=any_step` draws it: some minutes of a core each. Folders below results/steps
-that have all their rows are taken as they are, those of another machine too, so that parts may be run anywhere. It
-writes research/data/steps.json, which docs/judge.md cites; scenarios without a folder stay there as they were
-told last,
-and the table says what code each is of.
+Every scenario on both engines with the draws of `study=any_step`: some minutes of a core each. Complete folders below
+results/steps are used as they are, also from another machine, so that parts may run anywhere. It writes
+research/data/steps.json, which docs/judge.md cites. Scenarios without a folder stay there as last measured, and the
+table names the code of each.
 """
 
 import fnmatch
@@ -25,17 +24,17 @@ from sweep.runs import store
 ROOT = Path(__file__).parents[1]
 FOLDERS, DATA = ROOT / "results" / "steps", ROOT / "research" / "data" / "steps.json"
 STEPS = {"mjx": ("engine.time_step", (2e-3, 1e-3, 5e-4)), "native": ("engine.native_time_step", (1e-3, 5e-4))}
-DRAWS, DRAWN = 16, "robot.body_mass"  # how many, and a column that tells them apart
+DRAWS, DRAWN = 16, "robot.body_mass"  # number of draws, and a column that identifies them
 
 
-def every() -> Iterator[tuple[str, str]]:
-    """Engines and scenarios."""
+def engine_scenarios() -> Iterator[tuple[str, str]]:
+    """Yield engines and scenarios."""
     names = sorted(file.stem for file in (ROOT / "conf" / "scenario").glob("*.yaml"))
     yield from ((engine, name) for engine in STEPS for name in names)
 
 
 def rows_of(folder: Path, engine: str) -> pd.DataFrame | None:
-    """All rows of a study, or None where some are missing."""
+    """Return all rows of a study; None if some are missing."""
     try:
         rows = store.read_rows(folder)
     except InputError:
@@ -52,8 +51,8 @@ def simulate(engine: str, name: str) -> None:
     subprocess.run(command, cwd=ROOT, check=True)
 
 
-def counted(engine: str, name: str, rows: pd.DataFrame) -> dict[str, Any]:
-    """What is kept of a scenario on an engine: outcomes by step, flips over them, and what made them."""
+def count_outcomes(engine: str, name: str, rows: pd.DataFrame) -> dict[str, Any]:
+    """Return what is stored of a scenario on an engine: outcomes by step, flips, and versions."""
     path, steps = STEPS[engine]
     wide = rows.pivot(index=DRAWN, columns=path, values="outcome")
     halves = [wide.iloc[:, k].ne(wide.iloc[:, k + 1]) for k in range(wide.shape[1] - 1)]
@@ -69,33 +68,33 @@ def counted(engine: str, name: str, rows: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def line(name: str, found: dict[str, dict[str, Any]]) -> list[str]:
-    """Successes of the draws at each step, what came of the others, and their code; a blank where nothing was run."""
+def line(name: str, counts: dict[str, dict[str, Any]]) -> list[str]:
+    """Return a table line: successes at each step, other outcomes, and versions; blank where nothing was run."""
     cells, others = [], []
     for engine, (_, steps) in STEPS.items():
         for k, step in enumerate(steps):
-            cells.append(str(found[engine]["success"][k]) if engine in found else "")
-            causes = found[engine]["others"][k] if engine in found else {}
+            cells.append(str(counts[engine]["success"][k]) if engine in counts else "")
+            causes = counts[engine]["others"][k] if engine in counts else {}
             others += [f"{number} `{cause}` ({engine}, {step * 1e3:g} ms)" for cause, number in causes.items()]
-    commits = {engine: one["commit"] for engine, one in found.items()}
+    commits = {engine: one["commit"] for engine, one in counts.items()}
     code = {*commits.values()}
     told = code.pop() if len(code) == 1 else "; ".join(f"{commit} ({engine})" for engine, commit in commits.items())
     return [f"`{name}`", *cells, ", ".join(others), told]
 
 
-def table(found: dict[tuple[str, str], dict[str, Any]]) -> list[list[str]]:
-    """A line for each scenario that was run."""
+def table(counts: dict[tuple[str, str], dict[str, Any]]) -> list[list[str]]:
+    """Return a line for each scenario that was run."""
     heads = [f"{engine}, {step * 1e3:g} ms" for engine, (_, steps) in STEPS.items() for step in steps]
-    names = sorted({name for _, name in found})
-    parts = ({engine: one for (engine, of), one in found.items() if of == name} for name in names)
+    names = sorted({name for _, name in counts})
+    parts = ({engine: one for (engine, of), one in counts.items() if of == name} for name in names)
     return [["scenario", *heads, "others", "code"], *(line(name, one) for name, one in zip(names, parts, strict=True))]
 
 
-def flips(found: dict[tuple[str, str], dict[str, Any]]) -> list[list[str]]:
-    """Draws that end otherwise at half the step, by engine, with the 95 % Wilson interval of their share."""
+def flips(counts: dict[tuple[str, str], dict[str, Any]]) -> list[list[str]]:
+    """Return the draws with another outcome at half the step, by engine, with a 95 % Wilson interval."""
     lines = [["engine", "scenarios", "draws at two steps", "end otherwise", "95 %"]]
     for engine in STEPS:
-        ones = [one for (of, _), one in found.items() if of == engine]
+        ones = [one for (of, _), one in counts.items() if of == engine]
         pairs, otherwise = (sum(one[key] for one in ones) for key in ("pairs", "otherwise"))
         if ones:
             low, high = wilson(otherwise, pairs)
@@ -104,9 +103,9 @@ def flips(found: dict[tuple[str, str], dict[str, Any]]) -> list[list[str]]:
     return lines
 
 
-def told(found: dict[tuple[str, str], dict[str, Any]]) -> dict[str, Any]:
-    """What docs/judge.md cites, and each scenario's counts, by which those without a folder are told again."""
-    ones = [*found.values()]
+def summarize(counts: dict[tuple[str, str], dict[str, Any]]) -> dict[str, Any]:
+    """Return what docs/judge.md cites, and the counts of each scenario, to be kept without its folder."""
+    ones = [*counts.values()]
     return {
         "command": "python bench/steps.py",
         "engine": " and ".join(f"`{engine}`" for engine in STEPS),
@@ -114,25 +113,25 @@ def told(found: dict[tuple[str, str], dict[str, Any]]) -> dict[str, Any]:
         "code": ones[0]["code"] if len({one["code"] for one in ones}) == 1 else "several",
         "commit": "see its table" if len({one["commit"] for one in ones}) > 1 else ones[0]["commit"],
         "seconds": "",
-        "tables": {"outcomes": table(found), "flips": flips(found)},
-        "counts": {f"{engine}-{name}": one for (engine, name), one in found.items()},
+        "tables": {"outcomes": table(counts), "flips": flips(counts)},
+        "counts": {f"{engine}-{name}": one for (engine, name), one in counts.items()},
     }
 
 
 def main(patterns: list[str]) -> None:
-    """Run what is missing of the chosen, and tell of all that is there or was told before."""
+    """Run what is missing, and write all results, earlier ones included."""
     before = json.loads(DATA.read_text(encoding="utf-8"))["counts"] if DATA.exists() else {}
-    found = {(engine, name): one for engine, name in every() if (one := before.get(f"{engine}-{name}"))}
-    for engine, name in every():
+    found = {(engine, name): one for engine, name in engine_scenarios() if (one := before.get(f"{engine}-{name}"))}
+    for engine, name in engine_scenarios():
         folder = FOLDERS / f"{engine}-{name}"
         rows = rows_of(folder, engine)
         if rows is None and any(fnmatch.fnmatch(folder.name, one) for one in patterns or ["*"]):
             simulate(engine, name)
             rows = rows_of(folder, engine)
         if rows is not None:
-            found[engine, name] = counted(engine, name, rows)
-    found = {key: found[key] for key in every() if key in found}
-    write_whole(DATA, (json.dumps(told(found), indent=1) + "\n").encode())
+            found[engine, name] = count_outcomes(engine, name, rows)
+    found = {key: found[key] for key in engine_scenarios() if key in found}
+    write_whole(DATA, (json.dumps(summarize(found), indent=1) + "\n").encode())
 
 
 if __name__ == "__main__":

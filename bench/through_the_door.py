@@ -1,10 +1,9 @@
-"""The robot through an own model's door: `python bench/through_the_door.py NAME N [ENGINE [FOLDER]]`, beside its own.
+"""The exported robot compared with the built-in one: `python bench/through_the_door.py NAME N [ENGINE [FOLDER]]`.
 
-N draws from the area of `walk_map`, or of `pole_map` (a model for each of three radii, as sizes are no axes of an own
-model), shared out to a process for each core, of which none sees a GPU; on a GPU's engine one process has them all.
-What is printed: outcomes that are equal, how far the distances differ, and rows that differ. A FOLDER keeps the rows,
-and what the processes say: the same command on as many cores goes on where it was ended, and a larger N has those of a
-smaller one.
+N draws from the area of `walk_map`, or of `pole_map` (a model for each of three radii, since exported sizes are no
+axes). They are shared among one process for each core, none of which sees a GPU; on a GPU engine, one process runs them
+all. The output: equal outcomes, differences of distances, and rows that differ. A FOLDER keeps the rows and the logs:
+the same command on as many cores continues, and a larger N contains the draws of a smaller one.
 """
 
 import os
@@ -31,19 +30,19 @@ FRICTION, STEP, RADIUS = "world.contact.friction", "manoeuvre.half_step_ratio", 
 SHOWN = ["outcome", "cause", "slip_max_m", "end_drift_m", "progress", "feet_on_target", "distance_m", "tilt_max_deg"]
 
 
-def sweep(args: list[str], folder: Path, told: Path, cores: list[int], engine: str = "native") -> None:
-    """A command in `folder`, in a process of its own: each model brings a controller of the same name."""
+def sweep(args: list[str], folder: Path, log: Path, cores: list[int], engine: str = "native") -> None:
+    """Run a command in `folder` in a process of its own, since each model brings a controller of the same name."""
     on = "taskset", "-c", ",".join(map(str, cores))
     env = os.environ | {"NPROC": str(len(cores))}  # else XLA has a thread for each core of the machine
     if engine == "native":
         env["JAX_PLATFORMS"] = "cpu"
-    with told.open("a") as out:
+    with log.open("a") as out:
         command = [*on, sys.executable, "-m", "sweep.cli", *args]
         subprocess.run(command, cwd=folder, stdout=out, stderr=out, env=env, check=False)
 
 
 def points(name: str, number: int) -> pd.DataFrame:
-    """Drawn evenly from the area of a study's map; more of them begin with those of fewer."""
+    """Return points drawn evenly from the area of a study's map; larger sets start with smaller ones."""
     grid = wanted_points(compose([f"study={name}"]))
     drawn = np.random.default_rng(0).random((number, 2))
     low, high = grid[FRICTION].min(), grid[FRICTION].max()
@@ -55,7 +54,7 @@ def points(name: str, number: int) -> pd.DataFrame:
 
 
 def run(name: str, engine: str, overrides: list[str], folder: Path, table: pd.DataFrame, cores: list[int]) -> None:
-    """Both of some points, in `folder`, beside the model."""
+    """Simulate points with both models in `folder`."""
     folder.mkdir(exist_ok=True)
     table.to_csv(folder / "own.csv", index=False)
     same = ["study.invalid_max=1", "study.expect=[]"]
@@ -69,8 +68,8 @@ def run(name: str, engine: str, overrides: list[str], folder: Path, table: pd.Da
            f"out={folder}/door", *same], folder.parent / "model", folder / "said.txt", cores, engine)  # fmt: skip
 
 
-def both(name: str, folder: Path) -> pd.DataFrame:
-    """The rows of both that a folder has, joined by friction, and by step where it varies."""
+def joined_rows(name: str, folder: Path) -> pd.DataFrame:
+    """Return the rows of both models in a folder, joined by friction, and by step length if it varies."""
     rows = store.read_rows(folder / "door").rename(
         columns={f"model.geom.{GEOMS[name][0]}_contact.friction.slide": FRICTION, f"controller.{STEP}": STEP}
     )
@@ -79,7 +78,7 @@ def both(name: str, folder: Path) -> pd.DataFrame:
 
 
 def export(name: str, overrides: list[str], place: Path, cores: list[int]) -> None:
-    """The robot's model and its controller, for `run`."""
+    """Export the robot's model and controller for `run`."""
     place.mkdir(parents=True, exist_ok=True)
     if not (place / "model/study.yaml").exists():
         scenario = compose([f"study={name}"]).scenario
@@ -89,7 +88,7 @@ def export(name: str, overrides: list[str], place: Path, cores: list[int]) -> No
 
 
 def main(name: str, number: str, engine: str = "native", kept: str = "") -> None:
-    """What both say."""
+    """Compare both models."""
     table, begun = points(name, int(number)), time.perf_counter()
     cores = sorted(os.sched_getaffinity(0))
     groups = [*table.groupby(RADIUS)] if RADIUS in table else [("", table)]
@@ -103,7 +102,7 @@ def main(name: str, number: str, engine: str = "native", kept: str = "") -> None
         mine = free.get()
         run(name, engine, overrides, folder, rows, mine)
         free.put(mine)
-        return both(name, folder)
+        return joined_rows(name, folder)
 
     with ExitStack() as stack:
         root = Path(kept).absolute() if kept else Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -116,18 +115,18 @@ def main(name: str, number: str, engine: str = "native", kept: str = "") -> None
             asked += [(overrides, place / f"part{k}", rows[k::parts]) for k in range(min(parts, len(rows)))]
         found = pd.concat(pool.map(lambda one: share(*one), asked), ignore_index=True)
     print(f"{time.perf_counter() - begun:.0f} s on {len(cores)} cores")
-    tell(f"{name} on {engine}", found)
+    print_agreement(f"{name} on {engine}", found)
 
 
-def tell(what: str, found: pd.DataFrame) -> None:
-    """How far rows of `both` are the same, and which are not."""
-    far, same = (found["distance_m"] - found["distance_m_door"]).abs(), found["outcome"] == found["outcome_door"]
-    low, high = wilson(int(same.sum()), len(found))
-    cause = found["cause"] == found["cause_door"]
-    print(f"{what}: {same.sum()} of {len(found)} outcomes are equal ({100 * same.mean():.2f} %; {100 * low:.2f} to "
+def print_agreement(label: str, rows: pd.DataFrame) -> None:
+    """Print how far joined rows agree, and which do not."""
+    far, same = (rows["distance_m"] - rows["distance_m_door"]).abs(), rows["outcome"] == rows["outcome_door"]
+    low, high = wilson(int(same.sum()), len(rows))
+    cause = rows["cause"] == rows["cause_door"]
+    print(f"{label}: {same.sum()} of {len(rows)} outcomes are equal ({100 * same.mean():.2f} %; {100 * low:.2f} to "
           f"{100 * high:.2f}), {cause.sum()} causes")  # fmt: skip
     print(f"distance: median {far.median():.1e} m, 90 % within {far.quantile(0.9):.1e} m, largest {far.max():.1e} m")
-    print(found.loc[~same, [FRICTION, *[n for s in SHOWN for n in (s, f"{s}_door") if n in found]]].T.to_string())
+    print(rows.loc[~same, [FRICTION, *[n for s in SHOWN for n in (s, f"{s}_door") if n in rows]]].T.to_string())
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""How many variants of a model a second: `leaves` of a batch, and MJX's `put_model` one by one.
+"""Model variants made per second: `leaves` of a batch against MJX's `put_model` one by one.
 
 To run: `python bench/variants.py`.
 
-Links' lengths and masses, the links' radius and friction vary.
+Lengths, masses and radius of the links and friction vary.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ BATCH, ONE_BY_ONE = 65536, 40
 
 
 def variants(nominal: Case, count: int) -> Case:
-    """`count` cases, each size within 20 % of its nominal one."""
+    """Return `count` cases with each size within 20 % of its nominal value."""
     robot, u = nominal.robot, np.random.default_rng(0).uniform
     names = ("body_length", "body_width", "body_mass", "thigh", "shin", "thigh_mass", "shin_mass", "link_radius")
     sizes = {name: getattr(robot, name) * u(0.8, 1.2, count) for name in names}
@@ -33,7 +33,7 @@ def variants(nominal: Case, count: int) -> Case:
 
 
 def seconds(work: Callable[[], object]) -> float:
-    """The best of three."""
+    """Return the shortest of three runs (s)."""
     return min(timed(lambda: jax.block_until_ready(work())) for _ in range(3))
 
 

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from rare import Kept, extrapolated
+from rare import Cells, extrapolate
 from scipy.optimize import brentq
 from scipy.stats import chi2, norm
 
@@ -24,10 +24,10 @@ def scale(law, p):
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_it_tells_laws_whose_answer_is_known_and_its_intervals_hold(law):
     scales, at = np.array([scale(law, p) for p in TARGETS]), scale(law, 1e-6)
-    told, *_ = extrapolated(scales, OF * law(scales), OF, at)
+    told, *_ = extrapolate(scales, OF * law(scales), OF, at)
     assert told == pytest.approx(1e-6, rel=0.1)  # the law itself is off by a few percent
     counts = np.random.default_rng(1).binomial(OF, law(scales), (REPEATS, len(OF)))
-    ends = np.array([extrapolated(scales, failed, OF, at)[1:] for failed in counts])
+    ends = np.array([extrapolate(scales, failed, OF, at)[1:] for failed in counts])
     assert 0.91 <= np.mean((ends[:, 0] < 1e-6) & (ends[:, 1] > 1e-6)) <= 0.985
 
 
@@ -37,9 +37,9 @@ def test_too_few_plain_draws_of_other_code_begin_anew_and_a_line_says_so(tmp_pat
     cells = {p: {"plain": {**told, "code": code, "rollouts": n}} for p, (code, n) in cells.items()}
     about = {"code": "new", "commit": "", "lead": "margin"}
     (tmp_path / "rare.json").write_text(json.dumps({"scenarios": {"walk": {**about, "seconds": 1.0, "cells": cells}}}))
-    kept = Kept(tmp_path / "rare.json", "walk", about, True)
-    kept.ask([*cells, "1e-06"])
+    kept = Cells(tmp_path / "rare.json", "walk", about, True)
+    kept.request_plain_draws([*cells, "1e-06"])
     line = f"{tmp_path / 'rare.json'}: walk 0.001 plain begins anew, its 5000 rollouts are of code old\n"
     assert capsys.readouterr().out == line
-    assert kept.growing() == ["0.001", "0.0001"]
+    assert kept.plain_targets() == ["0.001", "0.0001"]
     assert [kept.cell(p, "plain")["rollouts"] for p in cells] == [100_000, 0, 700]

@@ -1,5 +1,5 @@
-"""Scenes with known answers, through this package's physics step, C MuJoCo and MJX: see research/validity.md.
+"""Scenes with known answers, simulated by this package's physics step, C MuJoCo and MJX: see research/validity.md.
 
-`scenes` says what they are and what must come out; `points` puts them before the step, `peers` before MuJoCo, and
-`reference` is a plain integration of the contact law at 10 us. `robot` has scenes of the robot itself.
+`scenes` defines them and the expected results; `points` prepares them for this package's step, `peers` for MuJoCo, and
+`reference` integrates the contact law explicitly at 10 us. `robot` has scenes of the robot itself.
 """

@@ -34,12 +34,13 @@ from sweep.engines.run_id import device  # noqa: E402
 from sweep.engines.settings import EngineSettings  # noqa: E402
 from validity import chaos, faults, manoeuvres, order, precision, tables  # noqa: E402
 
-Jobs = Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]  # of a part: names, and what measures rows
+Jobs = Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]  # names of jobs, and functions that measure their rows
+# engines and jobs of each part
 PARTS: dict[str, tuple[str, Callable[[], Jobs]]] = {  # with the engines
     "scenes": ("mjx, native, C MuJoCo, MJX; on a GPU mjx and Warp", tables.jobs),
     "faults": ("mjx", faults.jobs),
     "order": ("mjx, double", order.jobs),
-    "peers": ("C MuJoCo", order.of_peers),
+    "peers": ("C MuJoCo", order.peer_jobs),
     "manoeuvres": ("mjx", manoeuvres.jobs),
     "chaos": ("mjx, double; native", chaos.jobs),
     "precision": ("mjx, C MuJoCo, MJX; on a GPU Warp", precision.jobs),
@@ -65,27 +66,27 @@ def measure(part: str, pattern: str) -> None:
     engine, jobs = PARTS[part]
     every = dict(jobs())
     for name, work in every.items():
-        if not fnmatchcase(name, pattern) or any(row["job"] == name for row in there(path).get("rows", [])):
+        if not fnmatchcase(name, pattern) or any(row["job"] == name for row in read_rows(path).get("rows", [])):
             continue
         start = time.perf_counter()
         rows = [{"job": name, **row} for row in work()]
         about = {"command": f"python bench/validity {part}", "engine": engine, "devices": [device(EngineSettings())]}
         with filelock.FileLock(path.with_suffix(".lock")):  # others may add to it
-            before = there(path)
+            before = read_rows(path)
             rows = sorted(before.get("rows", []) + rows, key=lambda row: [*every].index(row["job"]))
             seconds = before.get("seconds", 0) + round(time.perf_counter() - start)
-            told(path, about | made_with() | {"rows": rows, "seconds": seconds})
+            write_rows(path, about | made_with() | {"rows": rows, "seconds": seconds})
         print(f"{part}, {name}: {seconds} s", flush=True)
 
 
-def there(path: Path) -> dict[str, Any]:
-    """What a file has of this code."""
+def read_rows(path: Path) -> dict[str, Any]:
+    """Return the content of a file that was made by this code."""
     before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     return before if before.get("code") == code_version() else {}
 
 
-def told(path: Path, content: dict[str, Any]) -> None:
-    """Write data, a line for each row."""
+def write_rows(path: Path, content: dict[str, Any]) -> None:
+    """Write data, one line for each row."""
     lines = []
     for key, value in content.items():
         text = json.dumps(value, ensure_ascii=False)

@@ -39,16 +39,16 @@ def _row(name: str, engine: str) -> dict[str, Any]:
     return {
         "scenario": name,
         "engine": engine,
-        **parted(traces),
+        **divergence(traces),
         "success": int(np.sum(outcomes == "success")),
         "of": ROWS,
     }
 
 
-def parted(traces: list[Trace]) -> dict[str, Any]:
-    """How far apart feet are in the mean, at first and at last, and in how long that grows by a factor e.
+def divergence(traces: list[Trace]) -> dict[str, Any]:
+    """Return mean distances of the feet at first and at last, and the time in which they grow by a factor of e.
 
-    That is None where rollouts do not part: a thousandfold at least, or to `PARTED`, is asked.
+    That time is None unless rollouts part, which means growth by at least a factor of 1000, or to `PARTED`.
     """
     n = min(len(trace.time) for trace in traces)
     feet = np.stack([trace.foot_position[:n] for trace in traces])

@@ -1,6 +1,6 @@
-"""Wrong steps, and which scenes tell: every fault must break a bound. Nothing of this is in `sweep`.
+"""Deliberately wrong steps, and which scenes detect them: every fault must break a bound. None of this is in `sweep`.
 
-All are in one program, in which each rollout has a number that says which fault it has, if any.
+All faults are in one program, in which each rollout has the number of its fault, if any.
 """
 
 import dataclasses
@@ -36,9 +36,13 @@ Errors = list[tuple[str, float, float]]  # names, errors and bounds
 
 
 def errors(laws: Laws) -> Errors:
-    """All that the step must keep at its default settings; `laws` are what the contact law alone gives."""
+    """Return all errors that the step has to keep within bounds at its default settings.
+
+    Args:
+        laws: results of the contact law alone.
+    """
     case, rows = robot.rows()
-    return _errors(points.by_step(SCENES, fused=True), robot.by_step(case, rows, fused=True), laws)
+    return _errors(points.simulate_scenes(SCENES, fused=True), robot.by_step(case, rows, fused=True), laws)
 
 
 def _errors(histories: list[History], forces: np.ndarray, laws: Laws) -> Errors:
@@ -54,8 +58,8 @@ def _errors(histories: list[History], forces: np.ndarray, laws: Laws) -> Errors:
     return found
 
 
-def with_each(laws: Laws) -> dict[str, Errors]:
-    """The same by steps with each fault."""
+def errors_with_faults(laws: Laws) -> dict[str, Errors]:
+    """Return the same errors of steps with each fault."""
     scenes, (case, rows), n = SCENES * len(FAULTS), robot.rows(), len(FAULTS)
     begun = points.batch(scenes)
     with ExitStack() as stack:
@@ -63,7 +67,7 @@ def with_each(laws: Laws) -> dict[str, Errors]:
             stack.enter_context(patch)
         nominal = _marked(begun.nominal, _Points, 0.0)
         begun = begun._replace(case=_marked(begun.case, _Points, _numbers(SCENES)), nominal=nominal)
-        histories = points.stepped(scenes, begun, 2e-3, 2, double=False, fused=True)
+        histories = points.simulate_batch(scenes, begun, 2e-3, 2, double=False, fused=True)
         nominal = _marked(case, _Kerb, 0.0)
         forces = robot.by_step(_marked(case, _Kerb, _numbers(rows)), rows * n, fused=True, nominal=nominal)
     parts = zip(np.split(np.arange(len(histories)), n), np.split(forces, n), strict=True)
@@ -92,9 +96,9 @@ def _marked(case: Case, kind: type, fault: Any) -> Case:
     return dataclasses.replace(case, obstacle=kind(**fields, fault=fault))
 
 
-def broken(found: Errors) -> dict[str, float]:
-    """What is beyond its bound, the farthest first, with how many times it is; what is no number is infinitely far."""
-    over = {name: error / bound if np.isfinite(error) else np.inf for name, error, bound in found}
+def broken_bounds(results: Errors) -> dict[str, float]:
+    """Return the errors beyond their bounds over these, the largest first; not a number counts as infinite."""
+    over = {name: error / bound if np.isfinite(error) else np.inf for name, error, bound in results}
     return dict(sorted(((name, by) for name, by in over.items() if by > 1), key=lambda one: -one[1]))
 
 
@@ -187,11 +191,11 @@ def _pyramid(right: Callable[..., contacts.ContactForces], law, geometry, veloci
 
 
 def jobs() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
-    """For each fault how many bounds it breaks, and the ones it breaks farthest."""
-    yield "faults", lambda: [_row(name, found) for name, found in with_each(law()).items()]
+    """Yield, for each fault, how many bounds it breaks, and the ones it breaks most."""
+    yield "faults", lambda: [_row(name, found) for name, found in errors_with_faults(law()).items()]
 
 
 def _row(name: str, found: Errors) -> dict[str, Any]:
-    over = broken(found)
+    over = broken_bounds(found)
     worst = [[figure, short(by)] for figure, by in over.items()]
     return {"fault": name, "broken": len(over), "of": len(found), "worst": worst[:3]}

@@ -19,15 +19,15 @@ def jobs() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
         yield f"{1e3 * h:g} ms, {count} iterations", lambda h=h, count=count: _ours(laws(), h, count)
 
 
-def of_peers() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
-    """One for each cone of C MuJoCo, nothing but it and the time step being set."""
+def peer_jobs() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
+    """Yield one job for each cone of C MuJoCo, with only the cone and the time step set."""
     laws = cache(law)
     for cone in peers.CONES:
         yield f"C {cone}", lambda cone=cone: [row for h in STEPS for row in _peers(laws(), cone, h)]
 
 
 def _ours(laws: dict[tuple[str, str], float], h: float, iterations: int) -> list[dict[str, Any]]:
-    found = zip(SCENES, points.by_step(SCENES, h, iterations, double=True, fused=True), strict=True)
+    found = zip(SCENES, points.simulate_scenes(SCENES, h, iterations, double=True, fused=True), strict=True)
     more = {"time_step": h, "iterations": iterations}
     return [
         row | more | {"residual": short(history.residual)}

@@ -1,4 +1,4 @@
-"""Scenes before this package's step: an obstacle of bodies whose points touch planes, the robot standing beside.
+"""Scenes for this package's step: an obstacle of bodies whose points touch planes, with the robot standing beside.
 
 All scenes have one form, with room for the same bodies and points, so that one program simulates them side by side.
 """
@@ -21,7 +21,7 @@ from sweep.models.contact import Contact
 from sweep.models.obstacles.base import ObstacleDefaults
 from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface
 from sweep.study.config import compose
-from validity.scenes import BODIES, TOUCHES, UP, Body, History, Scene, Touch, rotated
+from validity.scenes import BODIES, TOUCHES, UP, Body, History, Scene, Touch, rotate_vectors
 from validity.simulation import simulate
 
 BESIDE = (0.0, 2.0, 0.0)  # m, where the robot stands: bodies are as far from its base as a raft's ends are
@@ -134,17 +134,17 @@ def batch(scenes: Sequence[Scene]) -> Batch:
     return Batch(case, nominal, q, v, np.asarray(joints))
 
 
-def by_step(
+def simulate_scenes(
     scenes: Sequence[Scene], h: float = 2e-3, iterations: int = 2, double: bool = False, fused: bool = False
 ) -> list[History]:
-    """Scenes simulated by this package's step, to the end of the longest, told to each one's own."""
-    return stepped(scenes, batch(scenes), h, iterations, double, fused)
+    """Return scenes simulated by this package's step up to the end of the longest, each cut to its own end."""
+    return simulate_batch(scenes, batch(scenes), h, iterations, double, fused)
 
 
-def stepped(
+def simulate_batch(
     scenes: Sequence[Scene], begun: Batch, h: float, iterations: int, double: bool, fused: bool
 ) -> list[History]:
-    """The same of a batch that is there."""
+    """Return the same of an existing batch."""
     case, nominal, q, v, joints = begun
     steps = max(round(scene.seconds / h) for scene in scenes)
     kind = np.float64 if double else np.float32
@@ -184,16 +184,18 @@ def loads(scene: Scene, h: History) -> np.ndarray:
     for touch in scene.touches:
         place, arm, normal = (
             h.position[-1, touch.body],
-            rotated(h.quat[-1, touch.body], np.array(touch.at)),
+            rotate_vectors(h.quat[-1, touch.body], np.array(touch.at)),
             np.array(touch.normal),
         )
-        speed = h.velocity[-1, touch.body] + rotated(h.quat[-1, touch.body], np.cross(h.turn[-1, touch.body], touch.at))
+        speed = h.velocity[-1, touch.body] + rotate_vectors(
+            h.quat[-1, touch.body], np.cross(h.turn[-1, touch.body], touch.at)
+        )
         if touch.on >= 0:
-            normal, place = rotated(h.quat[-1, touch.on], normal), place - h.position[-1, touch.on]
+            normal, place = rotate_vectors(h.quat[-1, touch.on], normal), place - h.position[-1, touch.on]
             speed = speed - h.velocity[-1, touch.on]
-            speed = speed - rotated(
+            speed = speed - rotate_vectors(
                 h.quat[-1, touch.on],
-                np.cross(h.turn[-1, touch.on], rotated(_inverse(h.quat[-1, touch.on]), place + arm)),
+                np.cross(h.turn[-1, touch.on], rotate_vectors(_inverse(h.quat[-1, touch.on]), place + arm)),
             )
         depth = touch.offset + touch.radius - normal @ (place + arm)
         out.append(max(0.0, Contact().stiffness * depth - Contact().damping * normal @ speed))

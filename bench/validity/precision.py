@@ -1,9 +1,9 @@
-"""Speed over error: the robot standing and walking by targets recorded once, and two scenes, on one core or a GPU.
+"""Speed over error: the robot standing and walking by recorded targets, and two scenes, on one core or a GPU.
 
-C MuJoCo, MJX and MuJoCo Warp have the same MJCF, as the native engine has it. Standing, errors are of the feet's loads
-against the equilibrium of weight, drives and springs; of scenes they are of the first figure. Walking open loop they
-are of the base's path against the same engine at its finest step, MJX's and Warp's against C MuJoCo's: the laws of
-contact differ, and with them the paths.
+C MuJoCo, MJX and MuJoCo Warp have the same MJCF, that of the native engine. Errors of standing are those of the feet's
+loads against the equilibrium of weight, drives and springs; errors of scenes are those of their first figure. Walking
+open loop, errors are those of the base's path against the same engine at its finest step, or for MJX and Warp against C
+MuJoCo: the contact laws differ, and with them the paths.
 """
 
 import dataclasses
@@ -31,7 +31,7 @@ from sweep.study.config import compose
 from sweep.systems import exported
 from sweep.systems.own.mjx import CARRIED, CONSTRAINTS, CONTACTS
 from validity import peers, points, robot, simulation
-from validity.scenes import History, Scene, error, kicked, slides_then_rolls
+from validity.scenes import History, Scene, error, kick_on_slope, slides_then_rolls
 from validity.tables import short
 
 TICK = 4e-3  # s, from one row of targets to the next, and between samples
@@ -56,7 +56,7 @@ class Samples(NamedTuple):
 
 
 class Task(NamedTuple):
-    """What is simulated."""
+    """A simulation whose error and speed are measured."""
 
     name: str
     seconds: float
@@ -67,15 +67,15 @@ class Task(NamedTuple):
     off: Callable[[Samples, Samples | None], float]  # the error, where need be against the finest
     to_finest: bool = False
 
-    def told(self, h: float) -> np.ndarray:
-        """Targets (t, 18) at the ends of steps of `h` seconds; none (t, 0) in a scene."""
+    def targets_at_steps(self, h: float) -> np.ndarray:
+        """Return the joint targets (t, 18) at the ends of steps of `h` seconds; none (t, 0) in a scene."""
         at, rows = np.arange(1, round(self.seconds / h) + 1) * h, self.table.reshape(len(self.table), -1)
         if any(self.beside):
             return np.zeros((len(at), 0))
         return np.stack([np.interp(at, TICK * np.arange(len(rows)), column) for column in rows.T], axis=1)
 
-    def begun(self, h: float, iterations: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """C MuJoCo's, before the first step."""
+    def mujoco_start(self, h: float, iterations: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Return C MuJoCo's model and data before the first step."""
         model = self.model()
         model.opt.timestep, model.opt.iterations = h, iterations
         data, (nq, nv) = mujoco.MjData(model), self.beside
@@ -86,7 +86,7 @@ class Task(NamedTuple):
 @cache
 def tasks() -> tuple[Task, ...]:
     """Standing on six feet, walking as `walk_tripod` does, and two scenes."""
-    return standing(), _walking(), scene(kicked()), scene(slides_then_rolls())
+    return standing(), _walking(), scene(kick_on_slope()), scene(slides_then_rolls())
 
 
 def standing() -> Task:
@@ -152,7 +152,7 @@ def jobs() -> Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]:
     engines["C MuJoCo"] = _c
     engines["MJX"] = lambda task: by_mjx(task, "MJX", "jax", BATCHED, _width("MJX"))
     for engine, rows in engines.items():
-        for k, name in enumerate(("standing", "walking", kicked().name, slides_then_rolls().name)):
+        for k, name in enumerate(("standing", "walking", kick_on_slope().name, slides_then_rolls().name)):
             yield f"{engine}, {name}", lambda rows=rows, k=k: rows(tasks()[k])
 
 
@@ -201,7 +201,7 @@ def _own_run(task: Task, used: Settings, width: int) -> tuple[Samples, float, fl
     case = jax.tree.map(lambda x: np.repeat(x, width, axis=-1) if np.ndim(x) else x, own.case)
     q, v = (np.repeat(np.asarray(x, np.float32), width, axis=0) for x in (own.q, own.v))
     table = np.asarray(task.table, np.float32)
-    running = simulation.begun(case, own.nominal, q, v, table, h, iterations, round(TICK / h))
+    running = simulation.compile_batch(case, own.nominal, q, v, table, h, iterations, round(TICK / h))
     record, first = _timed(running.advance)  # on a GPU the driver translates the kernel first
     _, seconds = _timed(running.advance)
     nq, nv = task.beside
@@ -216,9 +216,9 @@ def _loads_of(model: mujoco.MjModel) -> np.ndarray:
 
 def _c_run(task: Task, used: Settings) -> tuple[Samples, float, float]:
     """Samples, contacts and iterations in the mean."""
-    model, data = task.begun(*used)
+    model, data = task.mujoco_start(*used)
     where, kept = _loads_of(model), []
-    for told in task.told(used[0]):
+    for told in task.targets_at_steps(used[0]):
         data.ctrl[:] = told
         mujoco.mj_step(model, data)
         kept.append([*data.qpos, *data.qvel, *data.sensordata[where], data.ncon, data.solver_niter[0]])
@@ -236,10 +236,10 @@ def _c(task: Task) -> list[dict[str, Any]]:
     finest, width, rows = _c_finest(task), _width("C MuJoCo"), []
     for used in C:
         found, contacts, taken = _c_run(task, used)
-        model, data = task.begun(*used)
+        model, data = task.mujoco_start(*used)
         state = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
         mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        told = np.tile(task.told(used[0]), (width, 1, 1))
+        told = np.tile(task.targets_at_steps(used[0]), (width, 1, 1))
         start = time.process_time()
         rollout.rollout(model, [mujoco.MjData(model) for _ in range(2)], np.tile(state, (width, 1)), told,
                         nstep=told.shape[1])  # fmt: skip
@@ -257,7 +257,7 @@ def by_mjx(task: Task, engine: str, impl: str, settings: Sequence[Settings], wid
     compile_s = time.perf_counter() - start
     for used in settings:
         there, now = begin(used[0])
-        told = jnp.asarray(task.told(used[0]), jnp.float32)
+        told = jnp.asarray(task.targets_at_steps(used[0]), jnp.float32)
 
         def work(there=there, now=now, told=told) -> list[Any]:
             pieces = []
@@ -282,7 +282,7 @@ def _program(task: Task, used: Settings, impl: str, width: int) -> tuple[Callabl
     with redirect_stdout(io.StringIO()):  # which it prints as it is imported
         from mujoco import mjx
 
-    model, data = task.begun(*used)
+    model, data = task.mujoco_start(*used)
     mujoco.mj_forward(model, data)
     where, rooms = _loads_of(model), {}
     if impl == "warp":

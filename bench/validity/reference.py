@@ -1,6 +1,6 @@
-"""The contact law (1.2.2) of rigid bodies integrated plainly: double precision, small explicit steps, no solver.
+"""Explicit integration of the contact law (1.2.2) of rigid bodies: double precision, small steps, no solver.
 
-Written apart from the step that it checks: of `sweep` it takes gravity and the law's stiffness and damping.
+Independent of the step that it checks: it takes only gravity and the law's stiffness and damping from `sweep`.
 """
 
 from collections.abc import Sequence
@@ -18,8 +18,8 @@ from validity.scenes import BODIES, LAW, TOUCHES, Body, History, Scene, Touch
 STEP, KEPT = 1e-5, 1e-3  # s: of the integration, and between what is kept
 
 
-class Given(NamedTuple):
-    """What stays: k bodies, n touches."""
+class Constants(NamedTuple):
+    """Constants of k bodies and n touches."""
 
     mass: ArrayLike
     inertia: ArrayLike
@@ -34,7 +34,7 @@ class Given(NamedTuple):
 
 
 class State(NamedTuple):
-    """What moves."""
+    """State of the bodies and touches."""
 
     position: Array
     quat: Array
@@ -44,8 +44,8 @@ class State(NamedTuple):
     load: Array  # (n,) N
 
 
-def converged(scenes: Sequence[Scene], step: float = STEP) -> list[History]:
-    """What the law says of scenes, side by side."""
+def integrate(scenes: Sequence[Scene], step: float = STEP) -> list[History]:
+    """Return the histories of scenes by the contact law, side by side."""
     every, longest = round(KEPT / step), max(scene.seconds for scene in scenes)
     with jax.enable_x64(True):
         given, begun = (
@@ -67,7 +67,7 @@ def converged(scenes: Sequence[Scene], step: float = STEP) -> list[History]:
     return out
 
 
-def _begun(scene: Scene) -> tuple[Given, State]:
+def _begun(scene: Scene) -> tuple[Constants, State]:
     bodies = [*scene.bodies, *[Body(1.0, (1.0,) * 3, (0.0,) * 3)] * (BODIES - len(scene.bodies))]
     idle = [Touch(0, (0.0,) * 3, 0.0, offset=-1e9)] * (BODIES * TOUCHES - len(scene.touches))
 
@@ -79,7 +79,7 @@ def _begun(scene: Scene) -> tuple[Given, State]:
     of_touches = {name: all_of(name, touches) for name in Touch._fields}
     moving = {name: jnp.asarray(all_of(name, bodies), float) for name in ("position", "quat", "velocity", "turn")}
     still = {"stretch": jnp.zeros((len(touches), 3)), "load": jnp.zeros(len(touches))}
-    return Given(**of_bodies, **of_touches), State(**moving, **still)
+    return Constants(**of_bodies, **of_touches), State(**moving, **still)
 
 
 def _matrix(quat: Array) -> Array:
@@ -88,8 +88,8 @@ def _matrix(quat: Array) -> Array:
     return jnp.eye(3) + 2 * w * cross + 2 * cross @ cross
 
 
-def _advance(given: Given, state: State, h: float) -> State:
-    given = Given(*map(jnp.asarray, given))
+def _advance(given: Constants, state: State, h: float) -> State:
+    given = Constants(*map(jnp.asarray, given))
     axes = jax.vmap(_matrix)(state.quat)
     spin = jnp.einsum("kij,kj->ki", axes, state.turn)
     moves, body, on = (given.on >= 0)[:, None], given.body, given.on  # pyright: ignore

@@ -71,8 +71,8 @@ class Scene(NamedTuple):
     figures: tuple[Figure, ...]
 
 
-def rotated(quat: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) from the axes of bodies to the world's."""
+def rotate_vectors(quat: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return vectors (..., 3) in world axes, from the axes of bodies."""
     w, u = quat[..., :1], quat[..., 1:]
     return v + 2 * np.cross(u, np.cross(u, v) + w * v)
 
@@ -165,7 +165,7 @@ def slide(speed: float = 1.0, friction: float = 0.4) -> Scene:
                  corners(0, BLOCK, friction), 0.5, figures)  # fmt: skip
 
 
-def kicked(speed: float = 0.5, friction: float = 0.5) -> Scene:
+def kick_on_slope(speed: float = 0.5, friction: float = 0.5) -> Scene:
     """A block kicked sideways on a slope as steep as friction bears.
 
     What it loses along its way it gains downhill: in the end it slides straight down, half as fast. A friction pyramid,
@@ -181,8 +181,8 @@ def kicked(speed: float = 0.5, friction: float = 0.5) -> Scene:
                  corners(0, BLOCK, friction, normal=normal), 1.2, figures)  # fmt: skip
 
 
-def pushed(over: float = 1.1, friction: float = 0.7, share: float = 0.7) -> Scene:
-    """A block that a slope would hold, pushed aside: weight and push together are `over` what friction bears."""
+def push_on_slope(over: float = 1.1, friction: float = 0.7, share: float = 0.7) -> Scene:
+    """Return a block pushed sideways on a slope: weight and push together are `over` times what friction bears."""
     mass, angle = 10.0, float(np.arctan(share * friction))
     normal, down = _slope(angle)
     most, weight = mass * GRAVITY * np.cos(angle) * friction, mass * GRAVITY * np.sin(angle)
@@ -328,7 +328,7 @@ def tumbling(seconds: float) -> Scene:
         return float(np.abs(energies - energy).max() / energy)
 
     def turned(h: History) -> float:
-        now = rotated(h.quat[:, 0], inertia * h.turn[:, 0])
+        now = rotate_vectors(h.quat[:, 0], inertia * h.turn[:, 0])
         return float(np.linalg.norm(now - inertia * turn, axis=-1).max() / momentum)
 
     fall = -GRAVITY * seconds**2 / 2
@@ -342,8 +342,8 @@ def tumbling(seconds: float) -> Scene:
 
 
 SCENES = (
-    *(slope(share) for share in (0.9, 0.99, 1.01, 1.1)), slide(), kicked(), pushed(), rolling(), slides_then_rolls(),
-    bounce(5.3, 0.12), bounce(100.0, 0.01), painleve(), stack(), seesaw(), groove(), tumbling(1.0),
+    *(slope(share) for share in (0.9, 0.99, 1.01, 1.1)), slide(), kick_on_slope(), push_on_slope(), rolling(),
+    slides_then_rolls(), bounce(5.3, 0.12), bounce(100.0, 0.01), painleve(), stack(), seesaw(), groove(), tumbling(1.0),
 )  # fmt: skip
 LONG = (tumbling(20.0),)  # 10⁴ steps of 2 ms
 

@@ -101,7 +101,7 @@ def _by_xla(one: Step, case: Case, states: PhysicsState, references: jax.Array) 
 
 
 class Running(NamedTuple):
-    """A batch before its first step, and how long the compiler took (s)."""
+    """A compiled batch before its first step, and the compile time (s)."""
 
     advance: Callable[[], Record]  # from the start to the end, whenever it is called; what is told of it
     compile_s: float
@@ -112,7 +112,7 @@ def _by_kernel(one: Step, case: Case, states: PhysicsState, references: jax.Arra
     return _begun(one, case, states, table, len(references), 1, np.arange(len(states.q))).advance()
 
 
-def begun(
+def compile_batch(
     case: Case,
     nominal: Case,
     q: np.ndarray,
@@ -122,11 +122,7 @@ def begun(
     iterations: int,
     every: int,
 ) -> Running:
-    """A batch in the memory of this package's compiler, a GPU's where there is one; see `simulate`.
-
-    Targets go evenly from one row of `table` (t + 1, 6, 3) to the next in `every` steps. Told are q, v and normal
-    forces of the first rollout (t, 1, ...), and the largest residual of those steps.
-    """
+    """Compile a batch with this package's compiler, for a GPU if there is one; see `simulate`."""
 
     def told(case: Case, state: PhysicsState, reference: jax.Array) -> tuple[PhysicsState, Record]:
         state, record = one(case, state, reference)

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 
 from validity import peers, points, raft, robot
-from validity.reference import converged
+from validity.reference import integrate
 from validity.scenes import LONG, SCENES, History, Scene, error
 
 Steps = dict[str, dict[str, Any]]  # ways of this package's step, and what `by_step` is told
@@ -18,7 +18,7 @@ ON_GPU: Steps = {"mjx on a GPU": {"fused": True}}  # by its kernel: what else is
 
 def law() -> dict[tuple[str, str], float]:
     """What the contact law gives, by scene and figure."""
-    found = zip(SCENES, converged(SCENES), strict=True)
+    found = zip(SCENES, integrate(SCENES), strict=True)
     return {(scene.name, figure.name): figure.of(h) for scene, h in found for figure in scene.figures}
 
 
@@ -50,7 +50,7 @@ def short(x: float) -> float | None:
 
 def _by_step(of: tuple[Scene, ...], steps: Steps) -> list[dict[str, History]]:
     """Each scene by this package's step in several ways."""
-    ours = {name: points.by_step(of, **given) for name, given in steps.items()}
+    ours = {name: points.simulate_scenes(of, **given) for name, given in steps.items()}
     return [{name: found[k] for name, found in ours.items()} for k in range(len(of))]
 
 

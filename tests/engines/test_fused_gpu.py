@@ -8,7 +8,7 @@ import numpy as np
 import ptx  # beside this file
 import pytest
 from validity import precision, simulation
-from validity.scenes import kicked
+from validity.scenes import kick_on_slope
 
 from sweep.core.errors import InputError
 from sweep.engines import program_cache
@@ -263,11 +263,11 @@ def test_a_walk_is_that_of_the_cpu(monkeypatch, few):
 @pytest.mark.parametrize("name", ["standing", pytest.param("scene", marks=pytest.mark.slow)])
 def test_steps_alone_are_those_of_the_cpu(monkeypatch, name):
     """What `bench/validity` measures on a GPU: a robot whose targets move, and a block beside one."""
-    task = precision.standing() if name == "standing" else precision.scene(kicked())
+    task = precision.standing() if name == "standing" else precision.scene(kick_on_slope())
     case, nominal, q, v, _ = task.own
     given = (np.asarray(x, np.float32) for x in (q, v, task.table[:3]))
     given = (case, nominal, *given, 2e-3, 2, 2)
-    cpu = simulation.begun(*given).advance()
+    cpu = simulation.compile_batch(*given).advance()
 
     def interpreted(code, operands):
         changed = [operands[k] for k in (2, 4)]
@@ -276,7 +276,7 @@ def test_steps_alone_are_those_of_the_cpu(monkeypatch, name):
     if jax.default_backend() != "gpu":
         monkeypatch.setattr(launch, "call", interpreted)
         monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    gpu = simulation.begun(*given).advance()
+    gpu = simulation.compile_batch(*given).advance()
     assert cpu["q"].shape == (2, 1, q.shape[1])
     for key, step in (("q", 1e-6), ("v", 1e-3), ("normal", 0.05)):
         np.testing.assert_allclose(gpu[key], cpu[key], atol=step, err_msg=key)

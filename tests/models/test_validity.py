@@ -18,7 +18,7 @@ def errors():
 @pytest.fixture(scope="module")
 def wrong():
     """The same of wrong steps, by the name of what is wrong."""
-    return faults.with_each(law())
+    return faults.errors_with_faults(law())
 
 
 def test_nothing_is_left_out(errors):
@@ -30,14 +30,14 @@ def test_nothing_is_left_out(errors):
 def test_what_is_known_comes_out(errors, name):
     chosen = {key: both for key, both in errors.items() if key == name or (name == "the robot" and key not in FIGURES)}
     assert chosen
-    assert faults.broken([(key, *both) for key, both in chosen.items()]) == {}
+    assert faults.broken_bounds([(key, *both) for key, both in chosen.items()]) == {}
 
 
 @pytest.mark.parametrize("name", faults.FAULTS)
 def test_each_fault_breaks_a_bound_and_none_breaks_none(wrong, errors, name):
     found = wrong[name]
     assert [figure for figure, *_ in found] == list(errors)
-    assert bool(faults.broken(found)) == (name != "none")
+    assert bool(faults.broken_bounds(found)) == (name != "none")
 
 
 def test_a_raft_heaves_and_rocks_as_closed_forms_say_in_c():
