@@ -337,13 +337,13 @@ class GpuPrinter(Text):
             if not self._is_outer(store.region):
                 self._set(store, value)
         for store, value in outer:
-            word, base = self._start_of(store.region) + store.index, self.state
+            word, base = self._start_of(store.region) + store.index, ""
             if store.row:
                 moved = self.emit(f"mul i32 {self._uniform(store.row)}, {store.stride * self.row}")
-                base = self.emit(f"getelementptr i8, ptr {base}, i32 {moved}")
+                base = self.emit(f"getelementptr i8, ptr {self.state}, i32 {moved}")
             self._put_word(word, store.step if store.value.leg else 0, store.region.dtype, value, base)
         for word, step, dtype, value in handed:
-            self._put_word(word, step, dtype, value, self.state)
+            self._put_word(word, step, dtype, value)
         if outer or handed:
             self._nvvm("bar.warp.sync", "void", EVERY)
             self.found = {key: x for key, x in self.found.items() if not isinstance(key, tuple)}
@@ -429,8 +429,9 @@ class GpuPrinter(Text):
             kind, value = "i32", self.emit(f"zext i1 {value} to i32")
         self.lines.append(f"store {kind} {value}, ptr {at}, align 4")
 
-    def _put_word(self, word: int, step: int, dtype: str, value: str, base: str) -> None:
-        """A number of this rollout's state, or with a step this leg's."""
+    def _put_word(self, word: int, step: int, dtype: str, value: str, base: str = "") -> None:
+        """A number of this rollout's state, or with a step this leg's; or of what `base` points to."""
+        base = base or self.state
         self._put(self._leg(base, step) if step else base, word * self.row, dtype, value)
 
     def _read(self, dtype: str, base: str, offset: int | str) -> str:
@@ -607,4 +608,8 @@ def compiler() -> Iterator[Callable[[str], str]]:
                 raise Unsupported((failed.strip().splitlines() or ["what ends LLVM"])[-1])
             return made
 
-        yield compiled
+        try:
+            yield compiled
+        except BaseException:  # such as an interrupt, or an operation without a rule
+            process.kill()
+            raise

@@ -140,7 +140,7 @@ def _by_legs(stores: Sequence[Store], rows: Rows, group: int) -> list[Store]:
             like = whole[0].value
             at = At(region, first, like.told(At).depth, rows[region, first][1])
             value = Node("load", (), at, like.dtype, True, (like.number, "legs"), like.block)
-            made.append(Store(whole[0].region, whole[0].index, value, step))
+            made.append(replace(whole[0], value=value, step=step))
             done |= {id(store) for store in whole}
     return [store for store in stores if id(store) not in done] + made
 
@@ -284,7 +284,7 @@ class Alone:
         early: dict[int, list[Store]] = {}
         for store in self.stores:
             k = max(read.get((store.region, store.index), 0), read.get(store.region, 0))
-            if store.value.number in made and not store.region.record and k < len(self.items):
+            if store.value.number in made and not store.region.record and not store.row and k < len(self.items):
                 early.setdefault(max(k, made[store.value.number]), []).append(store)
         return early
 
