@@ -7,6 +7,7 @@ import sys
 
 from sweep.cli import streams
 from sweep.cli.exits import BAD_INPUT, FAULT, INTERRUPTED
+from sweep.core import interrupts
 from sweep.core.errors import Fault, InputError, in_one_line
 
 
@@ -17,6 +18,8 @@ def main(argv: list[str] | None = None) -> int:
     """
     gc.set_threshold(50_000)  # imports and tracing make a million objects, none in vain: 10 % of a start
     atexit.register(gc.freeze)  # nor are they looked through at the end, which takes as long again
+    if argv is None:  # this process is the command's own
+        interrupts.watch_interrupts()
     if sys.stdout is sys.__stdout__:  # not of a notebook, or of a test
         streams.bear()
     try:
@@ -35,7 +38,7 @@ def main(argv: list[str] | None = None) -> int:
         print(f"sweep: {error}", file=sys.stderr)
         return FAULT
     except KeyboardInterrupt:
-        print("sweep: interrupted; what is on disk stays, the same command finishes the rest", file=sys.stderr)
+        interrupts.say_interrupted()
         return INTERRUPTED
     except OSError as error:
         from sweep.core.files import UNFIT, reason

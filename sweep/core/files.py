@@ -19,6 +19,7 @@ UNFIT = (errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOO
          errno.EACCES, errno.EPERM, errno.EROFS, errno.EBADF)  # fmt: skip
 LINKS = 40  # that lead on from one to the next, at most, as Linux has it
 HIDDEN = ".tmp-"  # begins the name of a file that is not whole yet
+_unfinished: set[Path] = set()  # hidden files that are being written
 
 
 def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
@@ -34,6 +35,7 @@ def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
             return _pass_on(stream, path.name, content)
         path = path.resolve() if path.is_symlink() else path
         hidden = path.parent / f"{HIDDEN}{socket.gethostname()}-{os.getpid()}-{path.name}"
+        _unfinished.add(hidden)
         to = path if path.exists() and not path.is_file() else hidden
         if to is hidden or path.is_dir():
             to.open("wb").close()  # what is wrong with a path others' writers do not tell
@@ -48,7 +50,14 @@ def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
     finally:
         with contextlib.suppress(OSError):  # nor can it be there where nothing can be written
             if hidden:
+                _unfinished.discard(hidden)
                 hidden.unlink()
+
+
+def remove_unfinished() -> None:
+    """Remove the hidden files that other threads of this process are writing, before the process is ended by force."""
+    for hidden in tuple(_unfinished):
+        hidden.unlink(missing_ok=True)
 
 
 def path_in(folder: Path, name: str | Path) -> Path:

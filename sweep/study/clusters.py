@@ -20,6 +20,7 @@ from importlib import import_module
 from typing import Any, ClassVar
 
 from sweep.core.errors import Fault, InputError
+from sweep.core.interrupts import patient_exit
 from sweep.core.parameters import choice, count
 
 Work = Callable[[int], Any]
@@ -135,7 +136,7 @@ class Slurm:
             security=_security(),
             shared_temp_directory=os.path.abspath(self.logs),  # readable by this user alone
         )
-        with cluster, distributed.Client(cluster) as client:
+        with patient_exit(), cluster, distributed.Client(cluster) as client:  # which cancels the jobs at the end
             _check_job(cluster.job_script())
             cluster.adapt(minimum_jobs=self.workers, maximum_jobs=self.workers)
             yield partial(_spread, client, watched)

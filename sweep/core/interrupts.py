@@ -1,0 +1,78 @@
+"""Ctrl-C that ends the process soon, even while a compiler or another library holds the main thread."""
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from sweep.core import files
+
+GRACE = 1.0  # s, from a Ctrl-C until the process is ended by force
+CODE = 130  # exit code of an interrupted command
+LINE = "sweep: interrupted; what is on disk stays, the same command finishes the rest"
+_patient = threading.Event()  # set while ending in an orderly way matters more than ending soon
+_said = threading.Event()
+
+
+def watch_interrupts() -> None:
+    """Have a Ctrl-C end this process within `GRACE` seconds, with its child processes and the exit code 130.
+
+    Python raises `KeyboardInterrupt` in the main thread, but only once that thread is back from C code, and only
+    leaves once all threads have ended: a compilation of minutes is waited for. A thread that the signal wakes does not
+    wait. It does nothing where the process ends in time, or where a Ctrl-C is ignored or handled by somebody else.
+    """
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+    threading.Thread(target=_end_after_interrupt, args=(read,), daemon=True).start()
+
+
+def say_interrupted() -> None:
+    """Say once on the standard error that the command was interrupted."""
+    if not _said.is_set():
+        _said.set()
+        with suppress(OSError, ValueError):
+            print(LINE, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def patient_exit() -> Iterator[None]:
+    """Let an interrupted command end in an orderly way within this context, such as to cancel jobs of a cluster."""
+    _patient.set()
+    try:
+        yield
+    finally:
+        _patient.clear()
+
+
+def _end_after_interrupt(read: int) -> None:
+    while signal.SIGINT not in os.read(read, 1):
+        pass
+    time.sleep(GRACE)
+    while _patient.is_set():
+        time.sleep(0.1)
+    say_interrupted()
+    kill_children(os.getpid())
+    files.remove_unfinished()
+    os._exit(CODE)
+
+
+def kill_children(parent: int) -> None:
+    """Kill all processes that descend from `parent`, where the system lists processes in /proc."""
+    children: dict[int, list[int]] = {}
+    for process in filter(str.isdecimal, os.listdir("/proc") if os.path.isdir("/proc") else ()):
+        with suppress(OSError, IndexError), open(f"/proc/{process}/stat", errors="replace") as stat:
+            after_name = stat.read().rpartition(")")[2].split()  # empty of a process that has just ended
+            children.setdefault(int(after_name[1]), []).append(int(process))
+    pending = list(children.get(parent, ()))
+    while pending:
+        process = pending.pop()
+        pending += children.get(process, ())
+        with suppress(OSError):
+            os.kill(process, signal.SIGKILL)
