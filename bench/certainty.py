@@ -20,8 +20,8 @@ from sweep.analysis.certify import certify as tested
 from sweep.analysis.certify import fewest, learn
 from sweep.analysis.intervals import CONFIDENCE
 from sweep.cli import certify
-from sweep.core.files import write_whole
-from sweep.core.provenance import made_with
+from sweep.core.files import write_atomically
+from sweep.core.provenance import version_record
 from sweep.report.labels import axis_words
 from sweep.runs import store
 from sweep.study.config import experiment
@@ -128,10 +128,10 @@ def main(failures: str = "1e-2") -> None:
         failed = int((rows["outcome"] != "success").sum())
     usual = failures == next(iter(ASKED))
     command = "python bench/certainty.py" + ("" if usual else f" {failures}")
-    about = {"command": command, "engine": "`mjx`", "devices": stored["devices"], **made_with(),
+    about = {"command": command, "engine": "`mjx`", "devices": stored["devices"], **version_record(),
              "seconds": round(time.perf_counter() - start), "rows": len(rows), "failed": failed}  # fmt: skip
     path = DATA / ("certified.json" if usual else f"certified_{failures.replace('-', '_')}.json")
-    write_whole(path, (json.dumps(about | {"tables": tables}, indent=1, ensure_ascii=False) + "\n").encode())
+    write_atomically(path, (json.dumps(about | {"tables": tables}, indent=1, ensure_ascii=False) + "\n").encode())
 
 
 if __name__ == "__main__":

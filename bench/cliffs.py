@@ -21,7 +21,7 @@ import pandas as pd
 import shared
 
 from sweep.core.constants import LOADED
-from sweep.core.provenance import made_with
+from sweep.core.provenance import version_record
 from sweep.engines.base import Trace
 from sweep.report.replays import again
 from sweep.runs import store
@@ -118,7 +118,7 @@ def measure(scenario: str, args: argparse.Namespace, known: dict[str, Any]) -> N
         high, low = (traces[point] for point in two["point_id"])
         told.append(compare_sides(two, high, low))
     found = {
-        **made_with(),
+        **version_record(),
         **({"commit": args.commit} if args.commit else {}),
         "device": store.read_study(folder)["devices"][0],
         "seconds": round(time.perf_counter() - start),

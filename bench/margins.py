@@ -19,7 +19,7 @@ import pandas as pd
 import shared
 from scipy.special import ndtr
 
-from sweep.core.provenance import made_with
+from sweep.core.provenance import version_record
 from sweep.runs import runner, store
 from sweep.study.config import Experiment, compose
 from sweep.study.sought import Draws
@@ -179,7 +179,7 @@ def measure(scenario: str, spread: float, overrides: list[str], args: argparse.N
     failing = [rows for rows in every if rows["outcome"].iloc[-1] != "success" and len(rows) > 1]
     (device,) = store.read_study(where)["devices"][:1]
     found = {
-        **made_with(),
+        **version_record(),
         **({"commit": args.commit} if args.commit else {}),
         "device": device,
         "seconds": round(time.perf_counter() - start),

@@ -18,7 +18,7 @@ import pandas as pd
 
 from sweep.analysis.intervals import wilson
 from sweep.cli.main import main as sweep
-from sweep.core.files import write_whole
+from sweep.core.files import write_atomically
 from sweep.runs import store
 from sweep.study.columns import figure_columns
 
@@ -80,7 +80,7 @@ def main(kept: str, printed: str = "") -> None:
     about = {"command": "python bench/own_engines.py FOLDER LOOPS", "engine": "native, mjx, warp"}
     about |= {key: made[key] for key in ("devices", "code", "commit", "versions")}
     about |= {"seconds": "", "tables": tables}
-    write_whole(DATA, (json.dumps(about, indent=1, ensure_ascii=False) + "\n").encode())
+    write_atomically(DATA, (json.dumps(about, indent=1, ensure_ascii=False) + "\n").encode())
 
 
 if __name__ == "__main__":

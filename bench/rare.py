@@ -27,8 +27,8 @@ from sweep.analysis.intervals import CONFIDENCE, clopper_pearson
 from sweep.analysis.rare import Repeated, Weighted, rare
 from sweep.core.errors import InputError
 from sweep.core.expressions import column, evaluate
-from sweep.core.files import write_whole
-from sweep.core.provenance import made_with
+from sweep.core.files import write_atomically
+from sweep.core.provenance import version_record
 from sweep.runs import runner
 from sweep.runs.batches import make_engine, nominal, with_room
 from sweep.study import searches
@@ -270,7 +270,7 @@ class SearchLog:
         """Write all rounds to the file."""
         if self.file:
             rows = pd.concat(self.parts[not len(self.parts[0]) :])
-            write_whole(self.file, rows.to_parquet(compression="zstd"))
+            write_atomically(self.file, rows.to_parquet(compression="zstd"))
 
 
 class Cells:
@@ -516,7 +516,7 @@ def main(words: list[str]) -> None:
     given.targets = [f"{p:g}" for p in targets]
     start = time.perf_counter()
     robots = Robots(given.scenario, given.width, overrides)
-    about = {**made_with(), "device": robots.device, "lead": robots.lead, "overrides": overrides}
+    about = {**version_record(), "device": robots.device, "lead": robots.lead, "overrides": overrides}
     about |= {"num": given.num, "level": given.level, "repetitions": given.repetitions, "width": given.width}
     about |= {"commit": given.commit} if given.commit else {}
     kept = Cells(given.out, given.scenario, about, bool(given.rows and given.rows.exists()))

@@ -8,8 +8,8 @@ from typing import Any
 
 import filelock
 
-from sweep.core.files import write_whole
-from sweep.core.provenance import made_with
+from sweep.core.files import write_atomically
+from sweep.core.provenance import version_record
 from sweep.engines.run_id import device
 from sweep.engines.settings import EngineSettings
 
@@ -46,7 +46,7 @@ def add_scenario(
             "tables": tables(every),
             SCENARIOS: every,
         }
-        write_whole(file, (json.dumps(whole, indent=1) + "\n").encode())
+        write_atomically(file, (json.dumps(whole, indent=1) + "\n").encode())
 
 
 def write_tables(name: str, engines: Sequence[str], start: float, tables: Mapping[str, list[list[str]]]) -> None:
@@ -62,8 +62,8 @@ def write_tables(name: str, engines: Sequence[str], start: float, tables: Mappin
         "command": f"python bench/{name}.py",
         "engine": " and ".join(f"`{engine}`" for engine in engines) or "none",
         "devices": sorted({device(EngineSettings(name=engine)) for engine in engines or ("native",)}),
-        **made_with(),
+        **version_record(),
         "seconds": round(time.perf_counter() - start),
         "tables": tables,
     }
-    write_whole(DATA / f"{name}.json", (json.dumps(about, indent=1, ensure_ascii=False) + "\n").encode())
+    write_atomically(DATA / f"{name}.json", (json.dumps(about, indent=1, ensure_ascii=False) + "\n").encode())

@@ -18,7 +18,7 @@ import pandas as pd
 
 from sweep.analysis.intervals import wilson
 from sweep.core.errors import InputError
-from sweep.core.files import write_whole
+from sweep.core.files import write_atomically
 from sweep.runs import store
 
 ROOT = Path(__file__).parents[1]
@@ -131,7 +131,7 @@ def main(patterns: list[str]) -> None:
         if rows is not None:
             found[engine, name] = count_outcomes(engine, name, rows)
     found = {key: found[key] for key in engine_scenarios() if key in found}
-    write_whole(DATA, (json.dumps(summarize(found), indent=1) + "\n").encode())
+    write_atomically(DATA, (json.dumps(summarize(found), indent=1) + "\n").encode())
 
 
 if __name__ == "__main__":

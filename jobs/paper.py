@@ -37,9 +37,9 @@ from sweep.analysis import sensitivity
 from sweep.analysis.intervals import wilson
 from sweep.analysis.stats import binned, rate, rates
 from sweep.core.expressions import column, evaluate
-from sweep.core.files import write_whole
-from sweep.core.letters import lettering
+from sweep.core.files import write_atomically
 from sweep.core.outcomes import SUCCESS
+from sweep.core.plot_style import plot_style
 from sweep.core.provenance import code_version
 from sweep.report import maps
 from sweep.report.exhibits import exhibits, judged_first
@@ -232,10 +232,10 @@ def ended(done: subprocess.CompletedProcess[str]) -> str:
 def picture(found: Results, target: dict[str, Any], path: Path) -> None:
     """The map of a study, or another figure of its page."""
     if key := target.get("exhibit"):
-        with lettering():
+        with plot_style():
             next(one for one in exhibits(found) if one.key == key).draw().savefig(path, dpi=DPI)
     else:
-        with lettering():
+        with plot_style():
             axes = maps.map_axes(found.rows, tuple(target.get("map", ())))
             maps.success_map(found.rows, found.stored, axes, target["title"]).savefig(path, dpi=DPI)
 
@@ -354,7 +354,7 @@ def told(path: Path, new: dict[str, Any]) -> list[str]:
     lines = ",\n".join(
         f" {json.dumps(key)}: {json.dumps(value)}" for key, value in (new | {"changed": changed}).items()
     )
-    write_whole(path, f"{{\n{lines}\n}}\n".encode())
+    write_atomically(path, f"{{\n{lines}\n}}\n".encode())
     return [f"{path.stem}, {line} (commit {changed['before']})" for line in changed["counts"]] if changed else []
 
 

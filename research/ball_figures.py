@@ -22,7 +22,7 @@ from sweep.controllers.manoeuvres.balancing.ball_aside import BallAside, lateral
 from sweep.controllers.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.controllers.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.controllers.manoeuvres.balancing.ball_over import BallOver
-from sweep.core.letters import legend_below, lettering, save, sheet
+from sweep.core.plot_style import legend_below, new_figure, plot_style, save_figure
 from sweep.core.rotations import matrix, rotate
 from sweep.engines.base import Trace
 from sweep.formulas.ball import GRAVITY, ROLLING, lateral_mu
@@ -60,7 +60,7 @@ def draw(name: str) -> Path:
             figure = driven_aside(trace, exp.case, aside)
         case _:
             figure = PLOTS["ball"](trace)
-    save(figure, path)
+    save_figure(figure, path)
     wanted = ("obstacle_x_m", "obstacle_speed_mps", "obstacle_aside_max_m", "slip_max_m")
     print(path, {key: round(float(trace.figures[key]), 4) for key in wanted})
     return path
@@ -68,7 +68,7 @@ def draw(name: str) -> Path:
 
 def descent(trace: Trace) -> Figure:
     """The curves of fig. 3.4.8, the mass centre's elevation phi seen from the ball's, and how feet are loaded."""
-    figure = sheet(6.0)
+    figure = new_figure(6.0)
     axes = figure.subplots(4, 1, sharex=True)
     time, base, ball = trace.time, base_pose(trace), trace.qpos[:, -7:]
     half = 0.5 * float(np.asarray(trace.world.robot.body_length))
@@ -94,7 +94,7 @@ def descent(trace: Trace) -> Figure:
 
 def driven_aside(trace: Trace, case: Case, aside: BallAside) -> Figure:
     """Speed of the ball to the left, by momentum and rolling friction, and where the mass centre is over it."""
-    figure = sheet(3.6)
+    figure = new_figure(3.6)
     axes = figure.subplots(2, 1, sharex=True)
     time = trace.time
     over = (mass_centres(trace, slice(None)) - trace.qpos[:, -7:-4])[:, 1]
@@ -142,7 +142,7 @@ def draw_way(trace: Trace) -> Figure:
     apart = np.linalg.norm(out, axis=-1, keepdims=True)
     on_ball = apart - radius < trace.foot_position[..., 2:]
     normal = np.sum(np.where(on_ball, out / apart, [0.0, 0.0, 1.0]) * trace.foot_force, axis=-1)
-    figure = sheet(6.4)
+    figure = new_figure(6.4)
     heights, place, forces = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
     for foot in FEET:
         heights.plot(trace.time, trace.foot_position[:, foot - 1, 2], color=LEG_COLORS[foot - 1], label=f"foot {foot}")
@@ -170,13 +170,13 @@ def draw_noise(rows: pd.DataFrame) -> Path:
         push=rows["execution.push_impulse"],
         seen=(1e3 * rows["noise.body_orientation_noise"]).map("{:g} mrad off".format),
     )
-    figure = sheet(2.8)
+    figure = new_figure(2.8)
     left, right = figure.subplots(1, 2, sharey=True)
     _shares(left, rows[rows.push == 0], "error", "delay")
     left.set(xlabel="error of attitude and place (mrad, mm)", ylabel="stay on for 30 s", title="not pushed")
     _shares(right, rows[rows.error.isin([0, 20, 30, 40]) & (rows["noise.body_delay"] == 0)], "push", "seen")
     right.set(xlabel="push from any side (N s)", title="no delay")
-    save(figure, path := FIGURES / "ball_noise.png")
+    save_figure(figure, path := FIGURES / "ball_noise.png")
     return path
 
 
@@ -193,7 +193,7 @@ def _shares(axes: Axes, rows: pd.DataFrame, along: str, curve: str) -> None:
 
 
 if __name__ == "__main__":
-    with lettering():
+    with plot_style():
         for run in sys.argv[1:] or RUNS:
             name, _, folder = run.partition("=")
             if folder:

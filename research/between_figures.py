@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from one_run import traced
 
-from sweep.core.letters import legend_below, lettering, save, sheet
+from sweep.core.plot_style import legend_below, new_figure, plot_style, save_figure
 from sweep.core.rotations import rotate
 from sweep.engines.base import Trace
 from sweep.formulas.ball import GRAVITY, ROLLING
@@ -49,7 +49,7 @@ def begins(trace: Trace, word: str) -> float:
 def ledges(trace: Trace) -> Figure:
     """Feet and mass centre along the way, from ledge to ball and from ball to ledge; the speed of the ball."""
     obstacle = trace.world.obstacle_as(Ledges)
-    figure = sheet(4.6)
+    figure = new_figure(4.6)
     axes = figure.subplot_mosaic("ab;cc", height_ratios=[3, 2])
     centre, ball, time = mass_centres(trace, slice(None)), trace.qpos[:, -7:-4], trace.time
     rolls, off = begins(trace, "roll"), begins(trace, "off.")
@@ -75,7 +75,7 @@ def ledges(trace: Trace) -> Figure:
 
 def balls(trace: Trace) -> Figure:
     """Heights of feet and of the base's ends, speeds of the balls, between the book's lines."""
-    figure = sheet(4.4)
+    figure = new_figure(4.4)
     heights, speeds = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     time, base = trace.time, base_pose(trace)
     half = 0.5 * float(np.asarray(trace.world.robot.body_length))
@@ -136,7 +136,7 @@ def rolled(trace: Trace, grip: np.ndarray, mass: np.ndarray) -> np.ndarray:
 def grip_map(found: Results, trace: Trace) -> Figure:
     """What comes of friction between the balls and their mass, with lines of how far these go by `rolled`."""
     names = "obstacle.ball_grip", "obstacle.mass"
-    with lettering():
+    with plot_style():
         figure = maps.success_map(found.rows, found.stored, names, TITLE)
         axes = figure.axes[0]
     grip, mass = (np.sort(found.rows[name].unique()) for name in names)
@@ -147,11 +147,11 @@ def grip_map(found: Results, trace: Trace) -> Figure:
 
 
 if __name__ == "__main__":
-    with lettering():
+    with plot_style():
         for word in sys.argv[1:] or ("ball_ledges", "ball_to_ball"):
             name, _, folder = word.partition("=")
             path = FIGURES / f"{name}.png"
             _, trace = traced(*RUNS[name], "engine=native")
             draw = ledges if name == "ball_ledges" else balls
-            save(grip_map(results.read(Path(folder)), trace) if folder else draw(trace), path)
+            save_figure(grip_map(results.read(Path(folder)), trace) if folder else draw(trace), path)
             print(path)

@@ -24,7 +24,7 @@ from robustness_figures import bounds_of, errors_of, rates
 
 from sweep.analysis.intervals import wilson
 from sweep.core.errors import InputError
-from sweep.core.provenance import of_this_code
+from sweep.core.provenance import is_current_code
 from sweep.metrics.outcome import COLUMNS
 from sweep.report.labels import axis_words, name_and_unit
 
@@ -302,7 +302,7 @@ def changes(_: str) -> str:
 def outdated(text: str) -> str:
     """A sentence about data of a page that are of other code than this, for the site; empty where there are none."""
     data = {name: read(name) for name in sorted(targets(text))}
-    older = [name for name, one in data.items() if not of_this_code(one["code"], one.get("versions", {}))]
+    older = [name for name, one in data.items() if not is_current_code(one["code"], one.get("versions", {}))]
     return f"Measured before the code of this site: {', '.join(older)}." if older else ""
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sweep.core.letters import COLUMN, DPI, PAGE, legend_below, lettering, sheet
+from sweep.core.plot_style import COLUMN, DPI, PAGE, legend_below, new_figure, plot_style
 from sweep.formulas.ball import ball_climb, lateral_mu, stabilise_delta
 from sweep.formulas.ball_reach import max_ball
 from sweep.formulas.corner import corner_balanced, corner_equalN, corner_least_friction, corner_min_squeeze
@@ -32,7 +32,7 @@ def save(figure: Figure, name: str) -> None:
 
 def panels(count: int, height: float = 2.6) -> tuple[Figure, list[Axes]]:
     """An empty figure with `count` panels side by side, one as wide as a column."""
-    figure = sheet(height, COLUMN if count == 1 else PAGE)
+    figure = new_figure(height, COLUMN if count == 1 else PAGE)
     axes = list(figure.subplots(1, count, squeeze=False)[0])
     for panel in axes:
         panel.grid(alpha=0.3)
@@ -115,7 +115,7 @@ def raft_tilt() -> None:
 
 def workspace() -> None:
     """The thesis' workspace: vertical section, horizontal section, and the solid."""
-    figure = sheet(2.6)
+    figure = new_figure(2.6)
     z = jnp.linspace(-3, 3, 1201)
     zone = thesis_workspace(z, **LEG, R=MOUNTS)
     side = figure.add_subplot(1, 3, 1, aspect="equal", xlabel="distance from the mount", ylabel="height z")
@@ -142,7 +142,7 @@ def largest_step() -> None:
     heading = jnp.linspace(0, 2 * np.pi, 1441)
     direction = jnp.stack([np.cos(heading), np.sin(heading)], axis=-1)
     here = thesis_workspace(STANDING, **LEG, R=MOUNTS)
-    figure = sheet(3.2)
+    figure = new_figure(3.2)
     for i, (name, foot) in enumerate((("foot at rest", (0.0, 1 + np.sqrt(0.5))), ("foot near a corner", (0.72, 0.78)))):
         panel = figure.add_subplot(1, 2, i + 1, projection="polar")
         panel.set_title(name)
@@ -155,6 +155,6 @@ def largest_step() -> None:
 
 if __name__ == "__main__":
     FIGURES.mkdir(exist_ok=True)
-    with jax.enable_x64(True), lettering():
+    with jax.enable_x64(True), plot_style():
         for draw in (corner, largest_ball, climb, shapes, raft_tilt, workspace, largest_step):
             draw()

@@ -14,7 +14,7 @@ from one_run import traced
 from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS, Waypoints
 from sweep.controllers.plan import Plan, reference_stance
 from sweep.controllers.posture import joint_targets
-from sweep.core.letters import DPI, legend_below, lettering, sheet
+from sweep.core.plot_style import DPI, legend_below, new_figure, plot_style
 from sweep.formulas.leg import SIDE
 from sweep.formulas.thesis import thesis_workspace
 from sweep.models.case import Case
@@ -105,7 +105,7 @@ def paths(case: Case) -> None:
     """Thesis, figure 8: feet of the first tripod green, of the second red, the centre dashed."""
     plan = case.manoeuvre.plan(case)
     motion = play(case, plan, range(len(plan.names)))
-    figure = sheet(4.6)
+    figure = new_figure(4.6)
     panel = figure.subplots()
     for leg in CIRCLE:
         foot = motion.feet[:, leg - 1]
@@ -129,7 +129,7 @@ def angles(case: Case) -> None:
     height = case.manoeuvre.home_position(robot)[1]
     widest = float(thesis_workspace(-height, robot.coxa, robot.thigh, robot.shin, robot.mount_radius).phimax)
     ranges = ((-widest, widest), (0, np.pi / 2), (-np.pi, -1.4))  # γ is printed up to -pi/2, but goes beyond it
-    figure = sheet(7.0)
+    figure = new_figure(7.0)
     axes = figure.subplots(6, 3, sharex=True, sharey="col")
     for number, (row, leg) in enumerate(zip(axes, CIRCLE, strict=True), start=1):
         swing = 0 if leg in TRIPODS[0] else 1
@@ -149,7 +149,7 @@ def angles(case: Case) -> None:
 def physics() -> None:
     """Planned and actual paths in simulation, and how far the base is from its plan."""
     _, trace = traced(SCENARIO)
-    figure = sheet(6.4)
+    figure = new_figure(6.4)
     above, error = figure.subplots(2, 1, height_ratios=[3, 1])
     for leg in CIRCLE:
         above.plot(*trace.foot_position[:, leg - 1, :2].T, color=colour(leg), lw=1.2)
@@ -168,7 +168,7 @@ def physics() -> None:
 
 if __name__ == "__main__":
     FIGURES.mkdir(exist_ok=True)
-    with lettering():
+    with plot_style():
         with jax.enable_x64(True):
             printed = compose([SCENARIO, *AS_PRINTED]).case
             paths(printed)

@@ -13,8 +13,8 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from sweep.core.files import write_whole
-from sweep.core.provenance import made_with
+from sweep.core.files import write_atomically
+from sweep.core.provenance import version_record
 from sweep.runs import runner
 from sweep.study.columns import figure_columns
 from sweep.study.config import compose
@@ -58,11 +58,11 @@ if __name__ == "__main__":
     data = {
         "command": "python research/nominal_runs.py",
         "engine": "mjx and native",
-        **made_with(),
+        **version_record(),
         "devices": sorted(devices),
         "seconds": round(time.monotonic() - start),
         "runs": runs,
     }
     lines = ",\n".join(f" {json.dumps(key)}: {json.dumps(value)}" for key, value in data.items() if key != "runs")
     rows = ",\n".join(f"  {json.dumps(name)}: {json.dumps(row)}" for name, row in runs.items())
-    write_whole(PATH, f'{{\n{lines},\n "runs": {{\n{rows}\n }}\n}}\n'.encode())
+    write_atomically(PATH, f'{{\n{lines},\n "runs": {{\n{rows}\n }}\n}}\n'.encode())

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from one_run import traced
 
-from sweep.core.letters import save
+from sweep.core.plot_style import save_figure
 from sweep.trace.plots import PLOTS
 
 FIGURES = Path(__file__).parent / "figures"
@@ -25,7 +25,7 @@ def drawn(name: str) -> Path:
     """The plot of a run."""
     plot, scenario = RUNS[name]
     _, trace = traced(f"scenario={scenario}", "engine=native")
-    save(PLOTS[plot](trace), path := FIGURES / f"{name}.png")
+    save_figure(PLOTS[plot](trace), path := FIGURES / f"{name}.png")
     return path
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from one_run import traced
 
-from sweep.core.letters import legend_below, lettering, save, sheet
+from sweep.core.plot_style import legend_below, new_figure, plot_style, save_figure
 from sweep.engines.base import Trace
 from sweep.trace.layout import LEG_COLORS
 from sweep.trace.plots import ACTUAL
@@ -22,7 +22,7 @@ LINES = {"I": "board", "II": "push", "III": "aboard", "IV": "wait", "V": "squat"
 def crossing(trace: Trace) -> Figure:
     """Ways of raft, base and front feet, and the headings of base and raft, between the book's lines."""
     raft, base, time = trace.qpos[:, -7:], base_pose(trace), trace.time
-    figure = sheet(5.6)
+    figure = new_figure(5.6)
     way, aside, heading = figure.subplots(3, 1, sharex=True)
     for axes, k in ((way, 0), (aside, 1)):
         axes.plot(time, raft[:, k], color=ACTUAL, label="raft")
@@ -46,6 +46,6 @@ def crossing(trace: Trace) -> Figure:
 
 if __name__ == "__main__":
     _, trace = traced("scenario=raft_cross", "manoeuvre.offset=0.1", "engine=native")
-    with lettering():
-        save(crossing(trace), PATH)
+    with plot_style():
+        save_figure(crossing(trace), PATH)
     print(PATH)

@@ -13,8 +13,8 @@ import pandas as pd
 from PIL import Image
 
 from sweep.analysis.intervals import wilson
-from sweep.core.letters import DPI, LETTERS, folded, legend_below, lettering, sheet
-from sweep.core.letters import PAGE as PAGE_WIDTH
+from sweep.core.plot_style import DPI, LETTERS, legend_below, new_figure, plot_style, wrap_text
+from sweep.core.plot_style import PAGE as PAGE_WIDTH
 
 RESEARCH = Path(__file__).parent
 ERRORS = {  # what a line of the table is called, and how its numbers are told
@@ -131,7 +131,7 @@ def page() -> None:
     """All rates as research/robustness_rates.md, a figure for each manoeuvre."""
     parts = [PAGE]
     for scenario, of_one in rates(RESEARCH / "data").groupby("scenario"):
-        with lettering():
+        with plot_style():
             draw_rates(of_one, f"robustness_{scenario}")
         parts.append(f"## {scenario}\n\n![rates of {scenario}](figures/robustness_{scenario}.png)\n")
     (RESEARCH / "robustness_rates.md").write_text("\n".join(parts), encoding="utf-8")
@@ -150,7 +150,7 @@ def draw_rates(rates: pd.DataFrame, name: str) -> None:
     """A panel for each error: what shares succeed with it, with their 95 % intervals, of every robot."""
     drawn = {axis: how for axis, how in (BOUNDS | SEEN).items() if axis in set(rates["axis"])}
     lines = -(-len(drawn) // ACROSS)
-    figure = sheet(0.4 + 1.35 * lines)
+    figure = new_figure(0.4 + 1.35 * lines)
     panels = figure.subplots(lines, ACROSS, sharey=True, squeeze=False)
     for panel in panels.flat[len(drawn) :]:
         panel.axis("off")
@@ -168,7 +168,7 @@ def draw_rates(rates: pd.DataFrame, name: str) -> None:
         told = sorted(errors.unique())
         panel.set_xticks(told, labelled(told))
         panel.minorticks_off()
-        panel.set_title(folded(title, 72 * PAGE_WIDTH / ACROSS - 2 * LETTERS))
+        panel.set_title(wrap_text(title, 72 * PAGE_WIDTH / ACROSS - 2 * LETTERS))
     panels[0, 0].set_ylim(-3, 103)
     for panel in panels[:, 0]:
         panel.set_ylabel("succeed, %")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sweep.core.evenly import evenly
+from sweep.core.spacing import evenly_spaced_indices
 from sweep.runs.batches import Batch, make_engine
 from sweep.study.config import compose
 from sweep.trace.frames import write_strip
@@ -26,7 +26,7 @@ def strip(scenario: str, *changes: str) -> Path:
     engine = make_engine(exp, one)
     trace = engine.trace(exp.case, exp.case, one.streams, 0)
     path = FIGURES / f"scenario_{scenario}.png"
-    write_strip(path, trace, evenly(finite_frames(trace), 4 if engine.duration < LONG else 8))
+    write_strip(path, trace, evenly_spaced_indices(finite_frames(trace), 4 if engine.duration < LONG else 8))
     return path
 
 

@@ -16,8 +16,8 @@ from jaxtyping import Bool
 from one_run import traced
 
 from sweep.core.constants import GRAVITY
-from sweep.core.files import write_whole
-from sweep.core.provenance import made_with
+from sweep.core.files import write_atomically
+from sweep.core.provenance import version_record
 from sweep.engines.base import Trace
 from sweep.models.robot import total_mass
 from sweep.study.config import Experiment
@@ -134,9 +134,9 @@ if __name__ == "__main__":
     data = {
         "command": "python research/traced_tables.py",
         "engine": "mjx, torques native",
-        **made_with(),
+        **version_record(),
         "devices": sorted(DEVICES),
         "seconds": round(time.monotonic() - start),
         "tables": tables,
     }
-    write_whole(PATH, f"{json.dumps(data, indent=1, ensure_ascii=False)}\n".encode())
+    write_atomically(PATH, f"{json.dumps(data, indent=1, ensure_ascii=False)}\n".encode())

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.lines import Line2D
 
-from sweep.core.letters import legend_below, lettering, sheet
+from sweep.core.plot_style import legend_below, new_figure, plot_style
 from sweep.report.looks import LOOKS
 
 RESEARCH = Path(__file__).parent
@@ -243,8 +243,8 @@ TABLES = {
 def draw_precision(rows: list[Row], path: Path) -> None:
     """Speed over error, a panel for each motion."""
     shown = [motion for motion in ERRORS if any(row["motion"] == motion for row in rows)]
-    with lettering():
-        figure = sheet(1.6 * len(shown))
+    with plot_style():
+        figure = new_figure(1.6 * len(shown))
         panels = figure.subplots(len(shown) // 2, 2, sharey=True).ravel()
         for axes, motion in zip(panels, shown, strict=True):
             of, unit = ERRORS[motion]

@@ -6,7 +6,7 @@ from sweep import load, run
 from typing import TYPE_CHECKING
 
 from sweep.core.errors import Fault, InputError
-from sweep.core.start import VERSION  # first of all: it notes the time
+from sweep.core.version import VERSION  # first of all: it notes the time
 
 if TYPE_CHECKING:
     from os import PathLike

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from sweep.analysis.sample import distinct
 from sweep.core.errors import InputError
 from sweep.core.expressions import AXES, mask
-from sweep.core.letters import lettering
+from sweep.core.plot_style import plot_style
 from sweep.report import draws, maps, overlay, page
 from sweep.report.labels import unit_of
 from sweep.runs import results, store
@@ -77,7 +77,7 @@ class Accessor:
     def map(self, x: str = "", y: str = "") -> Figure:
         """The map of success over two parameters, the first two that vary unless named. Raises `InputError`."""
         found = self._results()
-        with lettering():
+        with plot_style():
             return maps.success_map(found.rows, found.stored, tuple(name for name in (x, y) if name))
 
     def draws(self) -> Figure:
@@ -85,7 +85,7 @@ class Accessor:
         found = self._results()
         if not draws.columns_of(found):
             raise InputError(f"{self._folder} has no axis with a distribution of numbers: draw a map")
-        with lettering():
+        with plot_style():
             return draws.draw(found)
 
     def histories(self) -> pd.DataFrame:

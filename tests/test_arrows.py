@@ -40,7 +40,7 @@ JAX_ABOVE_ENGINES = {
 # from, which goes with a study; a command's arguments
 FILES_BELOW_RUNS = {
     "sweep.core.arguments",
-    "sweep.core.letters",
+    "sweep.core.plot_style",
     "sweep.core.files",
     "sweep.core.project",
     "sweep.core.provenance",

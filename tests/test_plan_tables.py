@@ -153,9 +153,9 @@ def test_rows_have_the_ids_of_their_numbers_whatever_file_they_are_in(lab):
     assert len({*ids(), *ids(axis), *ids("plan=mine")}) == 3
 
 
-@pytest.mark.parametrize("name", sorted(project.shipped(GROUP)))
+@pytest.mark.parametrize("name", sorted(project.shipped_files(GROUP)))
 def test_a_shipped_plan_says_where_its_numbers_come_from(name):
-    (said,) = re.findall(r"^# Numbers: .*(?:\n# .*)*", project.shipped(GROUP)[name].read_text(), re.M)
+    (said,) = re.findall(r"^# Numbers: .*(?:\n# .*)*", project.shipped_files(GROUP)[name].read_text(), re.M)
     assert re.search("by hand|none of its own|not kept|sweep tune ", said)
 
 

@@ -7,7 +7,7 @@ from small_study import STUDY, content
 
 from sweep.cli.main import main
 from sweep.core import provenance
-from sweep.core.provenance import statements
+from sweep.core.provenance import normalize_source
 from sweep.engines.run_id import run_id
 from sweep.engines.settings import EngineSettings
 
@@ -29,9 +29,9 @@ print(*(m.__file__ for name, m in sys.modules.items() if name.split(".")[0] == "
 
 def test_words_and_format_do_not_change_the_version_of_the_code_and_all_else_does():
     formatted = "def f(\n    x,\n):\n    # why\n    return (x + 1)\n\n\nclass C:\n    pass\n"
-    assert statements(SOURCE) == statements(formatted)
+    assert normalize_source(SOURCE) == normalize_source(formatted)
     for old, new in (("x + 1", "x + 2"), ("x + 1", "x + 1.0"), ("f(x)", "f(x, y)"), ("class C", "class D")):
-        assert statements(SOURCE) != statements(SOURCE.replace(old, new))
+        assert normalize_source(SOURCE) != normalize_source(SOURCE.replace(old, new))
 
 
 def test_rows_of_the_same_sources_are_of_this_code_whatever_the_libraries(monkeypatch):
@@ -40,8 +40,8 @@ def test_rows_of_the_same_sources_are_of_this_code_whatever_the_libraries(monkey
     monkeypatch.setattr(provenance, "versions", lambda: others)
     elsewhere = provenance.code_version.__wrapped__()
     assert elsewhere != version
-    assert provenance.of_this_code(elsewhere, others)
-    assert not provenance.of_this_code(elsewhere, here)
+    assert provenance.is_current_code(elsewhere, others)
+    assert not provenance.is_current_code(elsewhere, here)
 
 
 def test_what_judges_and_searches_a_plan_is_in_the_version_of_a_search(monkeypatch):

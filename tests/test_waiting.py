@@ -5,38 +5,38 @@ import time
 
 import pytest
 
-from sweep.core import files, waiting
+from sweep.core import files, progress
 
 
 def test_a_wait_in_a_pipe_is_told_and_remembered(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(waiting, "FIRST", 0.05)
-    assert waiting.last_time("walk for mjx") == ""
-    waiting.remember("walk for mjx", 17.2)
-    with waiting.waiting(f"compiling walk for mjx{waiting.last_time('walk for mjx')}"):
+    monkeypatch.setattr(progress, "FIRST", 0.05)
+    assert progress.format_last_duration("walk for mjx") == ""
+    progress.remember_duration("walk for mjx", 17.2)
+    with progress.show_wait(f"compiling walk for mjx{progress.format_last_duration('walk for mjx')}"):
         time.sleep(0.3)
     out, err = capsys.readouterr()
     assert not out
     assert err == "sweep: compiling walk for mjx (17 s last time), 0 s\n"
-    with waiting.waiting("short"):
+    with progress.show_wait("short"):
         pass
     assert not capsys.readouterr().err
 
 
 def test_which_program_is_compiled_is_told_with_what_it_took_last_time(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(waiting, "WORTH", 0.0)
-    with waiting.part("plan"), waiting.part("closed loop"):
-        assert waiting.parts("ladder for mjx") == ": plan and closed loop"
+    monkeypatch.setattr(progress, "WORTH", 0.0)
+    with progress.timed_part("plan"), progress.timed_part("closed loop"):
+        assert progress.format_running_parts("ladder for mjx") == ": plan and closed loop"
         time.sleep(0.1)
-    waiting.remember("ladder for mjx", 50.0)
-    with waiting.part("plan"):
-        assert waiting.parts("ladder for mjx") == ": plan (0 s last time)"
-        assert waiting.parts("walk for mjx") == ": plan"
-    assert waiting.parts("ladder for mjx") == ""
-    waiting.remember("ladder for mjx", 5.0)  # with programs that were kept
-    assert waiting.last_time("ladder for mjx") == " (5 s last time)"
-    assert waiting.last_time("ladder for mjx: closed loop")
+    progress.remember_duration("ladder for mjx", 50.0)
+    with progress.timed_part("plan"):
+        assert progress.format_running_parts("ladder for mjx") == ": plan (0 s last time)"
+        assert progress.format_running_parts("walk for mjx") == ": plan"
+    assert progress.format_running_parts("ladder for mjx") == ""
+    progress.remember_duration("ladder for mjx", 5.0)  # with programs that were kept
+    assert progress.format_last_duration("ladder for mjx") == " (5 s last time)"
+    assert progress.format_last_duration("ladder for mjx: closed loop")
 
 
 @pytest.mark.parametrize("folder", [True, False])
@@ -46,16 +46,16 @@ def test_waits_are_kept_where_programs_are_or_not_at_all(monkeypatch, tmp_path, 
     monkeypatch.setenv("XDG_CACHE_HOME", "")
     monkeypatch.setenv("HOME", str(tmp_path))
     if not folder:  # as for a user without a home
-        monkeypatch.setattr(waiting, "cache_folder", lambda: None)
+        monkeypatch.setattr(progress, "cache_folder", lambda: None)
     before = os.umask(0o002)
     try:
-        waiting.remember("walk for mjx", 17.2)
+        progress.remember_duration("walk for mjx", 17.2)
     finally:
         os.umask(before)
-    assert waiting.last_time("walk for mjx") == (" (17 s last time)" if folder else "")
+    assert progress.format_last_duration("walk for mjx") == (" (17 s last time)" if folder else "")
     assert list(tmp_path.rglob("*.json")) == ([kept / "waits.json"] if folder else [])
     if folder:
-        assert files.private(kept)
+        assert files.ensure_private_folder(kept)
 
 
 def test_the_compilers_own_alarm_is_silent_unless_asked_for():

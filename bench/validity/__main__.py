@@ -28,8 +28,8 @@ import filelock
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "bench"))
 
-from sweep.core.files import write_whole  # noqa: E402
-from sweep.core.provenance import code_version, made_with  # noqa: E402
+from sweep.core.files import write_atomically  # noqa: E402
+from sweep.core.provenance import code_version, version_record  # noqa: E402
 from sweep.engines.run_id import device  # noqa: E402
 from sweep.engines.settings import EngineSettings  # noqa: E402
 from validity import chaos, faults, manoeuvres, order, precision, tables  # noqa: E402
@@ -75,7 +75,7 @@ def measure(part: str, pattern: str) -> None:
             before = read_rows(path)
             rows = sorted(before.get("rows", []) + rows, key=lambda row: [*every].index(row["job"]))
             seconds = before.get("seconds", 0) + round(time.perf_counter() - start)
-            write_rows(path, about | made_with() | {"rows": rows, "seconds": seconds})
+            write_rows(path, about | version_record() | {"rows": rows, "seconds": seconds})
         print(f"{part}, {name}: {seconds} s", flush=True)
 
 
@@ -93,7 +93,7 @@ def write_rows(path: Path, content: dict[str, Any]) -> None:
         if key == "rows":
             text = "[\n  " + ",\n  ".join(json.dumps(row, ensure_ascii=False) for row in value) + "\n ]"
         lines.append(f" {json.dumps(key)}: {text}")
-    write_whole(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
+    write_atomically(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
 
 
 if __name__ == "__main__":

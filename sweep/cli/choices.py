@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from sweep.core import project
-from sweep.core.errors import InputError, known
+from sweep.core.errors import InputError, require_choice
 from sweep.core.groups import GROUPS
 
 PACKAGE = Path(__file__).parents[1]
@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1]
 def choices(group: str) -> dict[str, str]:
     """Those that ship: their names, and what the first comment of the file or the first sentence of the class says."""
     found = _classes(PACKAGE / GROUPS[group].sources) if GROUPS[group].kinds else {}
-    found |= {name: project.described(file) for name, file in project.shipped(group).items()}
+    found |= {name: project.first_comment(file) for name, file in project.shipped_files(group).items()}
     return dict(sorted(found.items()))
 
 
@@ -29,10 +29,10 @@ def refuse_unknown(overrides: list[str]) -> None:
     for group, _, name in (one.partition("=") for one in overrides):
         if group not in GROUPS or not re.fullmatch(r"[A-Za-z_][\w./-]*", name) or name == "null":
             continue
-        if name.endswith(".yaml") or project.modules_named():
+        if name.endswith(".yaml") or project.module_names():
             continue
         try:
-            known(name, {**choices(group), **project.own(group)}, f"{group} = {name}")
+            require_choice(name, {**choices(group), **project.project_files(group)}, f"{group} = {name}")
         except InputError as error:
             raise InputError(f"{error}{no_project()}") from None
 
@@ -54,7 +54,7 @@ def _refuse_bare_words(overrides: list[str]) -> None:
     for word in overrides:
         if not re.fullmatch(r"\w[\w-]*", word):
             continue
-        fits = [group for group in GROUPS if word in {**choices(group), **project.own(group)}]
+        fits = [group for group in GROUPS if word in {**choices(group), **project.project_files(group)}]
         if fits:
             raise InputError(f"{word} is not allowed: did you mean {' or '.join(f'{group}={word}' for group in fits)}?")
         raise InputError(f"{word} cannot be read: group=choice or group.name=value{no_project()}")

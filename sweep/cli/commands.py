@@ -12,9 +12,9 @@ from sweep.cli.choices import refuse_unknown
 from sweep.cli.exits import DONE
 from sweep.core.arguments import Arguments, flags
 from sweep.core.errors import InputError
-from sweep.core.files import legible
+from sweep.core.files import printable_name
 from sweep.core.groups import GROUPS
-from sweep.core.start import VERSION
+from sweep.core.version import VERSION
 
 if TYPE_CHECKING:
     from sweep.study.config import Experiment
@@ -43,8 +43,8 @@ exit codes:
 
 def execute(args: list[str]) -> int:
     """Run the command that `args` begin with; its exit code. Raises `InputError`."""
-    if strange := [word for word in args if legible(word) != word]:
-        raise InputError(f"{legible(strange[0])} is not allowed: letters in UTF-8")
+    if strange := [word for word in args if printable_name(word) != word]:
+        raise InputError(f"{printable_name(strange[0])} is not allowed: letters in UTF-8")
     if args and args[0] == "run":
         return run(args[1:])
     if args and args[0] in WHOLE:

@@ -8,7 +8,7 @@ import yaml
 from sweep.cli.exits import DONE
 from sweep.core.arguments import Arguments, no_flag
 from sweep.core.errors import InputError
-from sweep.core.files import write_whole
+from sweep.core.files import write_atomically
 from sweep.models.binary import model_bytes
 from sweep.study.config import compose
 from sweep.systems import exported
@@ -66,9 +66,10 @@ def main(args: list[str]) -> int:
         if (folder / name).exists():
             raise InputError(f"out = {folder} is not allowed: {name} is there already")
     folder.mkdir(parents=True, exist_ok=True)
-    write_whole(folder / "robot.mjb", model_bytes(model))  # the largest first: where it has no room nothing is left
+    # the largest file first: a full disk then leaves no other
+    write_atomically(folder / "robot.mjb", model_bytes(model))
     for name, text in texts.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / name, text.encode())
+        write_atomically(folder / name, text.encode())
     print(f"{folder}: cd {folder}; sweep run scenario=own")
     return DONE

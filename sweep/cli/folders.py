@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.core import terminal
 from sweep.core.errors import InputError
-from sweep.core.files import path_in, write_whole
+from sweep.core.files import path_in, write_atomically
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -94,7 +94,7 @@ def save(path: Path, content: bytes) -> None:
         named, folder = True, folder.parent
     if named and (folder / store.STUDY).exists():
         raise InputError(f"-o = {path} is not allowed: a study's own file")
-    write_whole(Path("/dev/stdout") if path == Path("-") else path, content)
+    write_atomically(Path("/dev/stdout") if path == Path("-") else path, content)
 
 
 def show_table(given: argparse.Namespace) -> int:
@@ -110,7 +110,7 @@ def show_table(given: argparse.Namespace) -> int:
         save(given.output, content)
     else:
         kept, elsewhere = ("outcome", "cause"), "`--columns` chooses others, a file has all"
-        terminal.show(content.decode(), kept, elsewhere)
+        terminal.print_markdown(content.decode(), kept, elsewhere)
     return DONE
 
 
@@ -128,7 +128,7 @@ def show_statistics(given: argparse.Namespace) -> int:
     exp = results.kept(given.dir)
     if given.figure and exp.study.design.kind not in ("saltelli", "morris"):
         raise InputError("--figure is for sensitivity: it needs a study with study.design.kind=saltelli or morris")
-    terminal.show(statistics.render(rows, exp, given.level, given.figure), kept=("share", "low", "high"))
+    terminal.print_markdown(statistics.render(rows, exp, given.level, given.figure), kept=("share", "low", "high"))
     return DONE
 
 
@@ -140,7 +140,7 @@ def again(done: int, of: int) -> str:
 def draw_report(given: argparse.Namespace) -> int:
     """The page, and the success map where there are two parameters to draw it over."""
     from sweep.core.expressions import column
-    from sweep.core.waiting import counting
+    from sweep.core.progress import show_counts
     from sweep.report import chosen, maps, page, replays, typical
     from sweep.runs import place, results
 
@@ -156,7 +156,7 @@ def draw_report(given: argparse.Namespace) -> int:
         typical.draw(found)
     if given.replays:
         place.like_rows_of(given.dir)
-        with counting(again, 0, given.replays) as report:
+        with show_counts(again, 0, given.replays) as report:
             replays.make(found, chosen.chosen(found, given.replays), report)
     print(page.write(found, path_in(folder, "report.html"), chosen=columns))
     for path in pictures(found, folder, columns):
@@ -166,7 +166,7 @@ def draw_report(given: argparse.Namespace) -> int:
 
 def draw_pairs(given: argparse.Namespace, a: "Results", folder: Path) -> int:
     """The page of the same points in two folders."""
-    from sweep.core.waiting import counting
+    from sweep.core.progress import show_counts
     from sweep.report import page, pairs
     from sweep.runs import place, results
 
@@ -176,7 +176,7 @@ def draw_pairs(given: argparse.Namespace, a: "Results", folder: Path) -> int:
     found, table = pairs.joined(a, b)
     if given.replays:
         place.like_rows_of(given.dir)
-        with counting(again, 0, given.replays) as report:
+        with show_counts(again, 0, given.replays) as report:
             pairs.simulated(a, b, given.replays, report)
     about = page.Pairs(
         f"{a.name} and {b.name}" if a.name != b.name else f"{a.name} twice",
@@ -191,17 +191,17 @@ def draw_pairs(given: argparse.Namespace, a: "Results", folder: Path) -> int:
 
 def pictures(found: "Results", folder: Path, chosen: tuple[str, ...]) -> list[Path]:
     """The map of a study of conditions, or of the two parameters that are `chosen`; for draws the picture of draws."""
-    from sweep.core.letters import lettering, save
+    from sweep.core.plot_style import plot_style, save_figure
     from sweep.report import draws, maps
 
-    with lettering():
+    with plot_style():
         if draws.shown(found) and not chosen:
             name, figure = "draws", draws.draw(found)
         elif chosen or len(maps.independent(found.rows)) > 1:
             name, figure = "map", maps.success_map(found.rows, found.stored, chosen)
         else:
             return []
-    return [save(figure, path_in(folder, f"{name}.{form}"), dpi=200) for form in ("png", "svg")]
+    return [save_figure(figure, path_in(folder, f"{name}.{form}"), dpi=200) for form in ("png", "svg")]
 
 
 def export_results(given: argparse.Namespace) -> int:
@@ -253,7 +253,7 @@ def compare_results(given: argparse.Namespace) -> int:
         pairs = compare.pair(a, b, names(given.by))
         if len(given.b) > 1:
             print(f"{chr(10) if number else ''}{given.a} and {folder}")
-        terminal.show(comparison.text(pairs, len(a), len(b), names(given.regions)) + "\n")
+        terminal.print_markdown(comparison.text(pairs, len(a), len(b), names(given.regions)) + "\n")
         differ.append(compare.differences(pairs).assign(**({"B": str(folder)} if len(given.b) > 1 else {})))
         broken += comparison.broken(pairs, len(a), given.tolerance, given.figures)
     if given.output:
@@ -292,7 +292,7 @@ def audit_results(given: argparse.Namespace) -> int:
     most = 2 * given.points * len(ways or found.exp.system.ways)
     with app.reporting("audit", most, f"{found.exp.scenario} in other ways") as report:
         audit.run(found, given.points, ways, report, lambda line: print(f"sweep: {line}", file=sys.stderr))
-    terminal.show(tables.page_table(audit.table(found)) + "\n")
+    terminal.print_markdown(tables.page_table(audit.table(found)) + "\n")
     return DONE
 
 

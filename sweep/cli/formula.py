@@ -12,7 +12,7 @@ import numpy as np
 
 from sweep.cli.exits import DONE
 from sweep.core.arguments import Arguments
-from sweep.core.files import write_whole
+from sweep.core.files import write_atomically
 from sweep.core.parameters import InputError
 from sweep.formulas import FORMULAS, Formula, Input, NoSolution, find, find_by_equation
 
@@ -208,7 +208,7 @@ def _plot(formula: Formula, rows: Sequence[Mapping[str, Any]], key: str, file: P
         panel.legend()
     panels[-1].set_xlabel(f"{key} ({_unit(formula.inputs, key) or '1'})")
     figure.suptitle(f"{formula.summary}\n{formula.reference}", fontsize="medium")
-    write_whole(file, partial(figure.savefig, dpi=120))
+    write_atomically(file, partial(figure.savefig, dpi=120))
 
 
 def _unit(inputs: Sequence[Input], key: str) -> str:

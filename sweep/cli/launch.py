@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from sweep.cli.exits import BAD_INPUT, DONE, FAULT
-from sweep.core.arguments import flags, refused
+from sweep.core.arguments import flags, usage_error
 from sweep.core.errors import Fault, InputError
 from sweep.study import config
 from sweep.study.config import Experiment
@@ -68,7 +68,7 @@ def check_flags(overrides: list[str], own: list[str]) -> None:
     parser = get_args_parser()
 
     def error(message: str) -> NoReturn:
-        raise refused(message, "sweep run", [*flags(parser), *own])
+        raise usage_error(message, "sweep run", [*flags(parser), *own])
 
     parser.error = error
     given = parser.parse_args(overrides)

@@ -8,7 +8,7 @@ import sys
 from sweep.cli import streams
 from sweep.cli.exits import BAD_INPUT, FAULT, INTERRUPTED
 from sweep.core import interrupts
-from sweep.core.errors import Fault, InputError, in_one_line
+from sweep.core.errors import Fault, InputError, escape_line_breaks
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -27,7 +27,7 @@ def main(argv: list[str] | None = None) -> int:
         from sweep.core import project
 
         try:
-            with project.blaming():
+            with project.locate_user_errors():
                 return commands.execute(list(sys.argv[1:] if argv is None else argv))
         finally:
             sys.stdout.flush()  # here, where it is told that nothing could be written
@@ -41,9 +41,9 @@ def main(argv: list[str] | None = None) -> int:
         interrupts.say_interrupted()
         return INTERRUPTED
     except OSError as error:
-        from sweep.core.files import UNFIT, reason
+        from sweep.core.files import UNFIT, os_error_text
 
         lost = "the working folder" if error.errno == errno.ENOENT else ""  # which alone has no name here
         name = error.filename2 or error.filename or lost  # of a copy the target
-        print(f"sweep: {in_one_line(f'{name}: ' if name else '')}{reason(error)}", file=sys.stderr)
+        print(f"sweep: {escape_line_breaks(f'{name}: ' if name else '')}{os_error_text(error)}", file=sys.stderr)
         return BAD_INPUT if error.errno in UNFIT else FAULT  # such as a full disk

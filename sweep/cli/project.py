@@ -12,7 +12,7 @@ from sweep.cli.choices import choices
 from sweep.cli.exits import DONE
 from sweep.core import project, terminal
 from sweep.core.errors import InputError
-from sweep.core.files import write_whole
+from sweep.core.files import write_atomically
 from sweep.core.groups import GROUPS
 
 HIDDEN = {"gitignore": ".gitignore"}  # files that a package cannot hold under their name
@@ -35,7 +35,7 @@ def init(given: argparse.Namespace) -> int:
     for file, path in wanted:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path not in there:
-            write_whole(path, file.read_bytes())
+            write_atomically(path, file.read_bytes())
         print(path)
     print(f"next: cd {shlex.quote(str(folder))}; sweep run study={study}")
     return DONE
@@ -60,31 +60,32 @@ def show(given: argparse.Namespace) -> int:
     if given.dir:
         from sweep.report import overview
 
-        terminal.show(overview.text(given.dir) + "\n")
+        terminal.print_markdown(overview.text(given.dir) + "\n")
         return DONE
     for group in GROUPS:
         print(f"{group}=")
         lines(choices(group))
     folder = project.root()
-    if found := {group: project.own(group) for group in GROUPS if project.own(group)}:
+    if found := {group: project.project_files(group) for group in GROUPS if project.project_files(group)}:
         print(f"\nof this project, {folder}")
         for group, own in found.items():
             print(f"{group}=")
-            lines({name: project.described(file) for name, file in own.items()})
+            lines({name: project.first_comment(file) for name, file in own.items()})
     return DONE
 
 
 def lines(named: Mapping[str, str]) -> None:
     """Names and what they say of themselves."""
     for name, text in named.items():
-        terminal.show(f"  {name:20} {text}".rstrip() + "\n")
+        terminal.print_markdown(f"  {name:20} {text}".rstrip() + "\n")
 
 
 def describe(given: argparse.Namespace) -> int:
     """Unit, meaning, bounds and default of parameters."""
     from sweep.study import reference
 
-    terminal.show((reference.page() if given.name is None else reference.text(given.name)) + "\n", kept=("meaning",))
+    text = reference.page() if given.name is None else reference.text(given.name)
+    terminal.print_markdown(text + "\n", kept=("meaning",))
     return DONE
 
 
@@ -114,7 +115,7 @@ def candidates(before: list[str], word: str, flags: dict[str, list[str]]) -> lis
     group, sign, _ = word.partition("=")
     if not sign:
         return [f"{one}=" for one in GROUPS]
-    names = {**choices(group), **project.own(group)} if group in GROUPS else {}
+    names = {**choices(group), **project.project_files(group)} if group in GROUPS else {}
     return [f"{group}={name}" for name in names]
 
 

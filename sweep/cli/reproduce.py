@@ -9,7 +9,7 @@ import pandas as pd
 
 from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.core.errors import InputError
-from sweep.core.waiting import waiting
+from sweep.core.progress import show_wait
 from sweep.engines.base import same_bits
 from sweep.report import crate, replays
 from sweep.runs import place, repair, results, store
@@ -58,7 +58,7 @@ def report_simulated_again(results: Results, number: int, seed: int = 0, toleran
     number = min(number, len(results.rows))
     rows = results.rows.sample(number, random_state=seed)
     lines: list[dict[str, Any]] = []
-    with waiting(lambda: f"{len(lines)} of {number} rollouts simulated again"):
+    with show_wait(lambda: f"{len(lines)} of {number} rollouts simulated again"):
         for row, trace, labels in replays.again(results.exp, rows, store.read_points(results.folder)):
             lines.append(compare_row(row, trace.figures, labels, tolerance))
     table = pd.DataFrame(lines)

@@ -16,7 +16,7 @@ from sweep.analysis.sample import distinct, pooled
 from sweep.analysis.stats import broken, causes, rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.core.errors import InputError
-from sweep.core.waiting import counting, last_time, parts, remember, waiting
+from sweep.core.progress import format_last_duration, format_running_parts, remember_duration, show_counts, show_wait
 from sweep.report import tables
 from sweep.report.headline import headline
 from sweep.runs import histories, probe, refine, runner, sought, store
@@ -110,7 +110,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
 
 def failing_levels(exp: Experiment) -> list[FailingLevel]:
     """Listed names that fail at the nominal point, with a progress line while they are simulated."""
-    with waiting(f"simulating the nominal rollout of each name that {exp.study.name} lists"):
+    with show_wait(f"simulating the nominal rollout of each name that {exp.study.name} lists"):
         return find_failing_levels(exp)
 
 
@@ -120,7 +120,7 @@ def checked(exp: Experiment, points: pd.DataFrame) -> int:
     def words(done: int) -> str:
         return f"{exp.study.name}: {done} rollouts simulated to see whether its axes act"
 
-    with counting(words, 0) as told:
+    with show_counts(words, 0) as told:
         found = probe.run(exp, points, told)
     for line in found.lines(exp):
         print(f"sweep: {line}", file=sys.stderr)
@@ -149,12 +149,16 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
         print(f"{exp.scenario}: 1 rollout on {exp.settings.name}")
         return DONE
     what, start = program(exp), time.perf_counter()
-    with waiting(lambda: f"compiling {what}, then simulating{last_time(what)}{parts(what)}"):
+
+    def words() -> str:
+        return f"compiling {what}, then simulating{format_last_duration(what)}{format_running_parts(what)}"
+
+    with show_wait(words):
         rows = runner.run_single(exp)
-    remember(what, time.perf_counter() - start)
+    remember_duration(what, time.perf_counter() - start)
     sys.stdout.write(tables.one_rollout(exp, rows.iloc[0]))
     if exp.study.expect and exp.settings.name == "native" and (other := jittered(exp)):
-        with waiting(f"simulating {exp.scenario} {other.study.most} times, by which native is judged"):
+        with show_wait(f"simulating {exp.scenario} {other.study.most} times, by which native is judged"):
             exp, rows = other, runner.run_single(other)
         print(f"sweep: of rollouts that differ by 1e-6 {pooled(rows, exp)}", file=sys.stderr)
     return verdict(exp, rows, complete=True)
@@ -285,18 +289,18 @@ def reporting(name: str, total: int, what: str, watched: Watched | None = None) 
 
     def note() -> str:
         if not done:
-            return f"compiling {what}{last_time(what)}{parts(what)}"
+            return f"compiling {what}{format_last_duration(what)}{format_running_parts(what)}"
         workers = f", {watched.workers} workers" if watched and watched.workers is not None else ""
         return f"{done / (time.perf_counter() - start):.1f} rollouts/s, {good / done:.0%} succeed{workers}"
 
-    silent = nullcontext() if console.is_terminal else waiting(lambda: f"{name}: {done} of {total}, {note()}")
+    silent = nullcontext() if console.is_terminal else show_wait(lambda: f"{name}: {done} of {total}, {note()}")
     with silent, Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(name, total=total, note=note())
 
         def report(rows: pd.DataFrame) -> None:
             nonlocal done, good
             if not done:
-                remember(what, time.perf_counter() - start)
+                remember_duration(what, time.perf_counter() - start)
             done, good = done + len(rows), good + int((rows["outcome"] == "success").sum())
             bar.update(task, completed=done, note=note())
 

@@ -20,7 +20,7 @@ from sweep.analysis.stats import rate
 from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.core.arguments import Arguments, no_flag
 from sweep.core.errors import InputError
-from sweep.core.files import write_whole
+from sweep.core.files import write_atomically
 from sweep.core.provenance import search_version
 from sweep.engines import devices
 from sweep.models import plan_table
@@ -110,13 +110,13 @@ def main(args: list[str]) -> int:
     settings = [f"{path}={found.pop(path):g}" for path in own if path in found]
     head += ["to be run with " + " ".join(settings)] if settings else []
     content = followed(changed(case, found), steps, slopes, sizes)
-    write_whole(where, file_of(case, content, head).encode())
+    write_atomically(where, file_of(case, content, head).encode())
     if settings:
         print(head[-1])
     if given.simulate:
         lines = [simulated(overrides, where, settings, seed) for seed in (exp.study.seed, exp.study.seed + 1)]
         print("\n".join(lines))
-        write_whole(where, file_of(case, content, [*head, *lines]).encode())
+        write_atomically(where, file_of(case, content, [*head, *lines]).encode())
     print(where)
     return DONE
 

@@ -16,7 +16,7 @@ from sweep.core import provenance
 from sweep.core.arguments import Arguments
 from sweep.core.errors import InputError
 from sweep.core.files import path_in
-from sweep.core.waiting import waiting
+from sweep.core.progress import show_wait
 from sweep.engines.base import Trace
 from sweep.report import page, replays
 from sweep.report.page.stage import Shown, replays_of
@@ -38,7 +38,7 @@ def main(args: list[str]) -> int:
     if options.mujoco:
         if not screen():
             raise InputError("--mujoco needs a screen: DISPLAY is not set. Without it the page shows the same")
-        with waiting(f"simulating {' '.join(options.what)}"):
+        with show_wait(f"simulating {' '.join(options.what)}"):
             trace = next(traces(options.what), None)
         if trace is None:
             raise InputError(f"{' '.join(options.what)} cannot be shown")
@@ -133,7 +133,7 @@ def stored(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
         row = of.rows.iloc[at]
         if not replays.path(of.folder, row).exists():
             place.like_rows_of(of.folder)
-            with waiting(f"simulating {row['point_id']} of {of.folder} again"):
+            with show_wait(f"simulating {row['point_id']} of {of.folder} again"):
                 replays.make(of, of.rows.iloc[[at]].assign(why=""))
         if not (kept := replays.read(of.folder, row)):
             raise InputError(f"{row['point_id']} of {of.folder} ends otherwise here, or at once: sweep replay says how")
@@ -163,7 +163,7 @@ def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
     for overrides in [what, [*what, *beside]][: 1 + bool(beside)]:
         one, planned = single(overrides)
         exp = exp or one
-        with waiting(f"simulating {' '.join(overrides)}"):
+        with show_wait(f"simulating {' '.join(overrides)}"):
             found = next(replays.again(one, planned, planned), None)
         if found is None:
             raise InputError(f"{one.scenario} cannot be shown")
@@ -184,7 +184,7 @@ def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
         "rollouts": len(rows),
         "stages": stages,
         "devices": [exp.system.device(exp.settings)],
-        **provenance.made_with(),
+        **provenance.version_record(),
     }
     table = pd.DataFrame(rows).infer_objects().reset_index(drop=True)
     return Results(Path(exp.scenario), about, exp, table, None, len(rows)), shown

@@ -13,7 +13,7 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, LOCKED, Plan
 from sweep.controllers.posture import mass_centre
 from sweep.core.constants import GRAVITY
-from sweep.core.rotations import rotate, wrapped
+from sweep.core.rotations import rotate, wrap_angle
 from sweep.models.drive import Servo
 from sweep.models.robot import Robot
 
@@ -77,10 +77,10 @@ class Flywheel(Layer):
         place, velocity = measured_centre_of_mass(robot, obs)
         balance = -(gains.c1 * ((place - plan.position[stage]) @ left) + gains.c2 * (velocity @ left)) / 2
         angle = obs.angles[RIGHT]
-        level = gains.c5 * wrapped(angle - jnp.pi / 2) - gains.c6 * obs.rates[RIGHT]
+        level = gains.c5 * wrap_angle(angle - jnp.pi / 2) - gains.c6 * obs.rates[RIGHT]
         torque = jnp.where(self.mode[stage] == BALANCE, balance, level) - leg_weight_moment(robot) * jnp.sin(angle)
         zeros = jnp.zeros_like(obs.angles)
-        target = obs.angles[LEFT] + wrapped(angle - obs.angles[LEFT])
+        target = obs.angles[LEFT] + wrap_angle(angle - obs.angles[LEFT])
         servo = Servo(
             target=obs.angles.at[LEFT].set(target),
             stiffness=zeros.at[LEFT].set(-gains.c3),

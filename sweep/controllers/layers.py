@@ -14,7 +14,7 @@ from sweep.controllers.frames import Stance, to_frame, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world
-from sweep.core.rotations import nearest
+from sweep.core.rotations import nearest_equivalent_angle
 from sweep.formulas import stepping
 from sweep.models.drive import Servo
 from sweep.models.obstacles.surface import FreeState
@@ -190,7 +190,7 @@ class HeldLegs(Layer):
     ) -> tuple[Float[Array, "6 3"], Command]:
         """Move these legs along a straight line in joint space with trapezoidal timing; their reach is not checked."""
         origin, held = jnp.where(ctx.is_first_tick, ctx.joints, state), self.held[ctx.stage]
-        goal = nearest(self.joints[ctx.stage], origin)
+        goal = nearest_equivalent_angle(self.joints[ctx.stage], origin)
         posed = origin + stepping.trapezoidal_transfer(ctx.phase, 0.0, 1.0)[0] * (goal - origin)
         joints, target = jnp.where(held[:, None], posed, command.joints), command.target
         feet = feet_in_world(ctx.robot, target.position, target.quat, joints)

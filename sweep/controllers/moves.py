@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, SMOOTH, STEADY, Stage, Support
-from sweep.core.errors import InputError, known, suggest
+from sweep.core.errors import InputError, require_choice, suggest
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.frames import WORLD
@@ -273,9 +273,9 @@ def _move_stage(name: str, move: Move, context: MoveContext, standing: Standing)
                 offsets = (context.unit * context.vector(leg, numbers) for numbers in (move.leave, move.land))
                 starts = foot_in_frame(context.belief, old_footing, frames[leg]), feet[leg].point
                 guides[leg] = jnp.stack([start + offset for start, offset in zip(starts, offsets, strict=True)])
-    known(move.support, context.supports, f"{move.path}.support = {move.support}")
+    require_choice(move.support, context.supports, f"{move.path}.support = {move.support}")
     if move.law:
-        known(move.law, context.laws, f"{move.path}.law = {move.law}")
+        require_choice(move.law, context.laws, f"{move.path}.law = {move.law}")
     stage = Stage(
         name, move.time * context.time if move.seconds is None else move.seconds, swing,
         CYCLES[move.swing], move.lift * context.lift,
@@ -345,7 +345,7 @@ def read_moves(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> dict
         return {prefix + name: _parse_move(f"plan.{part}.{name}", _repetition(values, k))
                 for k, prefix in enumerate(prefixes) for name, values in parsed.items()}  # fmt: skip
     for key in content[part]:
-        known(key, REVERSED, f"plan.{part}.{key}")
+        require_choice(key, REVERSED, f"plan.{part}.{key}")
     enclosing = (*enclosing, part)  # which are made of this one
     for key in ("reverse", "from"):
         if not isinstance(other_part := common.get(key), str) or other_part in enclosing:
@@ -452,9 +452,9 @@ def _parse_move(where: str, values: Mapping[str, Any]) -> Move:
     words = {key: value for key, value in values.items() if key not in GROUPS}
     allowed = [f.name for f in fields(Move) if f.name not in ("feet", "path")]
     for key, value in words.items():
-        known(key, [*allowed, *GROUPS], f"{where}.{key}")
+        require_choice(key, [*allowed, *GROUPS], f"{where}.{key}")
         if key in WORDS:
-            known(value, WORDS[key], f"{where}.{key} = {value}")
+            require_choice(value, WORDS[key], f"{where}.{key} = {value}")
         if key in SIZES and (not isinstance(value, list) or (value and len(value) != SIZES[key])):
             raise InputError(f"{where}.{key} = {_plain(value)} is not allowed: [{', '.join(COMPONENTS[key])}]")
         if key in NUMBERS and (isinstance(value, Mapping | list) or (value is None is not NUMBERS[key])):
@@ -505,7 +505,7 @@ def read_numbers[T](cls: type[T], belief: Case, part: str) -> T:
     if missing := [name for name in names if name not in values]:
         raise InputError(f"plan.{part}.{missing[0]} is missing")
     for name, value in values.items():
-        known(name, names, f"plan.{part}.{name}")
+        require_choice(name, names, f"plan.{part}.{name}")
         is_list = get_origin(names[name]) is tuple
         length, numbers = (len(get_args(names[name])), value) if is_list else (1, [value])
         if not isinstance(numbers, list) or len(numbers) != length or any(isinstance(x, NOT_A_NUMBER) for x in numbers):

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Layer
 from sweep.controllers.plan import ALONGSIDE, KEPT, TO_POSE, Plan, Support
-from sweep.core.rotations import about_vertical, conjugate, exponential, heading, logarithm, multiply
+from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, rotation_about_vertical
 from sweep.formulas import stepping
 from sweep.models.obstacles.surface import FreeState
 
@@ -128,7 +128,7 @@ def floating_reference_motion(
     upright = np.array([False, False, True])
     return FreeState(
         jnp.where(upright, measured.position, plane.position),
-        multiply(jax.vmap(about_vertical)(ahead), measured.quat),
+        multiply(jax.vmap(rotation_about_vertical)(ahead), measured.quat),
         jnp.where(upright, measured.velocity, plane.velocity),
         jnp.where(upright, plane.turn, measured.turn),
     )

@@ -19,7 +19,7 @@ from sweep.controllers.observation import (
 )
 from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference_stance
 from sweep.controllers.posture import feet_in_world, joint_targets
-from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, nearest, rotate
+from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, nearest_equivalent_angle, rotate
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case, Riding
 from sweep.models.obstacles.surface import FreeState, Surface, body_poses, free_start_state, surface_at
@@ -179,7 +179,7 @@ def step(
     if state.last_target is not None:
         state = state._replace(last_target=stance_to_frame(target, *frames, free))
     joints, shortfall = joint_targets(belief.robot, target)
-    command = Command(nearest(joints, state.joints), target, phase, shortfall, reference=true_target)
+    command = Command(nearest_equivalent_angle(joints, state.joints), target, phase, shortfall, reference=true_target)
     for k, layer in enumerate(plan.layers):
         states[k], command = layer.modify_command(ctx, states[k], command)
     state = state._replace(joints=command.joints, layer_states=tuple(states))

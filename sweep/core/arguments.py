@@ -1,4 +1,4 @@
-"""Arguments of a command, whose mistakes are told as all others are: in one line, with what may have been meant."""
+"""Command-line arguments whose errors are one line, with a suggestion."""
 
 import argparse
 import re
@@ -12,7 +12,7 @@ KINDS = {"float": "a number", "int": "a whole number", "Path": "a path"}  # as a
 
 
 class Arguments(argparse.ArgumentParser):
-    """A parser that raises `InputError`; what it does not know is refused but for what `others` says yes to."""
+    """An argument parser that raises `InputError`, also for unknown words, unless `others` accepts them."""
 
     def __init__(self, *given: Any, others: Callable[[str], bool] = lambda _: False, **named: Any) -> None:
         super().__init__(*given, **named)
@@ -20,11 +20,11 @@ class Arguments(argparse.ArgumentParser):
         self.register("type", Path, _path)
 
     def error(self, message: str) -> NoReturn:
-        """End with one line that says what is wrong, see `refused`."""
-        raise refused(message, self.prog, flags(self))
+        """Raise `usage_error` in place of printing the usage."""
+        raise usage_error(message, self.prog, flags(self))
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[argparse.Namespace, list[str]]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """What is given, and the words that are for others. Raises `InputError`."""
+        """Parse arguments and return them with the words that `others` accepts. Raises `InputError`."""
         found, words = super().parse_known_args(args, namespace)
         if unknown := [word for word in words if not self.others(word)]:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
@@ -32,24 +32,30 @@ class Arguments(argparse.ArgumentParser):
 
 
 def _path(word: str) -> Path:
-    """Not of an empty word, such as of a variable that is not set, which would be the folder one is in."""
+    # an empty word, such as an unset shell variable, would mean the working folder
     if not word:
         raise ValueError
     return Path(word)
 
 
 def no_flag(word: str) -> bool:
-    """Whether a word is none, as values of the configuration are."""
+    """Return whether a word is no flag but a value, such as `group=choice`."""
     return not word.startswith("-")
 
 
 def flags(parser: argparse.ArgumentParser) -> list[str]:
-    """All of them, short ones too."""
+    """List all flags of a parser, short ones included."""
     return [flag for action in parser._actions for flag in action.option_strings]
 
 
-def refused(message: str, command: str, known: Iterable[str]) -> InputError:
-    """What argparse says of a mistake as a line of ours; `known` are the flags that an unknown one may stand for."""
+def usage_error(message: str, command: str, known: Iterable[str]) -> InputError:
+    """Make an error of one line from a message of argparse.
+
+    Args:
+        message: The message of argparse.
+        command: The command, such as `sweep stats`, whose help the error names.
+        known: Flags that may be suggested for an unknown one.
+    """
     if found := re.match(r"unrecognized arguments: (-[^\s=]+)", message):
         return InputError(f"{found[1]} is unknown{suggest(found[1], {*known})}")
     if found := re.match(r"argument (\S+): invalid choice: '(.*)' \(choose from (.*)\)", message):

@@ -1,4 +1,4 @@
-"""What a user is told in one line, without a traceback. Imports nothing, so that the command line starts at once."""
+"""Errors that end in one line without a traceback. Imports nothing slow, so that the command line starts at once."""
 
 from collections.abc import Iterable
 
@@ -7,31 +7,40 @@ class InputError(ValueError):
     """Bad input from the user: the message is one line naming the key, the value and what is allowed."""
 
     def __str__(self) -> str:
-        return in_one_line(super().__str__())
+        return escape_line_breaks(super().__str__())
 
 
-WRONG = (Exception, SystemExit)  # what code of a user's own raises where it is wrong, `sys.exit()` among it
+WRONG = (Exception, SystemExit)  # what user code may raise, `sys.exit()` included
 
 
 class Fault(RuntimeError):
-    """The machine failed a sound run: disk, memory, workers."""
+    """The machine failed a valid run: disk, memory or workers."""
 
     def __str__(self) -> str:
-        return f"{in_one_line(super().__str__())}; what is on disk stays, the same command finishes the rest"
+        return f"{escape_line_breaks(super().__str__())}; what is on disk stays, the same command finishes the rest"
 
 
-def in_one_line(text: str) -> str:
-    """`text`, which may name a file with a line break in its name, without one."""
+def escape_line_breaks(text: str) -> str:
+    """Escape line breaks, which may be part of a file's name."""
     return text.replace("\n", "\\n")
 
 
-def raised(error: BaseException) -> str:
-    """Kind and first line of what code of a user's own raised."""
+def format_user_exception(error: BaseException) -> str:
+    """Format an exception of user code as its type and the first line of its message."""
     return ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
 
 
 def suggest(word: str, allowed: Iterable[str], short: Iterable[str] = ()) -> str:
-    """The tail of a message about an unknown name: what is allowed, the closest first, or one of the `short` names."""
+    """Format the end of a message about an unknown name: the closest allowed name, then all allowed names.
+
+    Args:
+        word: The unknown name.
+        allowed: Names that are allowed.
+        short: Further names that may be suggested but are not listed.
+
+    Returns:
+        `: did you mean friction? (allowed: ...)`, or parts of it; empty where nothing is allowed or close.
+    """
     import difflib
 
     allowed = list(allowed)
@@ -62,7 +71,16 @@ def nearest(word: str, names: Iterable[str], count: int = 5) -> str:
     return f"{hint} (nearest: {', '.join(found)})"
 
 
-def known(word: object, allowed: Iterable[str], told: str) -> None:
-    """Raise `InputError` where `word`, which a message names as `told`, is none of those that are allowed."""
+def require_choice(word: object, allowed: Iterable[str], told: str) -> None:
+    """Require a name to be one of those that are allowed.
+
+    Args:
+        word: The name.
+        allowed: Names that are allowed.
+        told: How the message names `word`, such as `cluster.kind = 'x'`.
+
+    Raises:
+        InputError: `word` is none of `allowed`; the closest one is suggested.
+    """
     if word not in (allowed := list(allowed)):
         raise InputError(f"{told} is unknown{suggest(str(word), allowed)}")

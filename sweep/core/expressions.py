@@ -1,4 +1,4 @@
-"""Row conditions such as `friction > 0.8 and engine.name == "mjx"`, and formulas: parsed, never run as Python."""
+"""Row conditions such as `friction > 0.8 and engine.name == "mjx"`, and formulas: parsed, never executed as Python."""
 
 import ast
 import operator
@@ -46,20 +46,44 @@ _UNARY: dict[type, Callable[[Any], Any]] = {
 
 
 def mask(frame: "pd.DataFrame", condition: str | None) -> np.ndarray:
-    """Which rows of `frame` meet `condition` (all of them without one).
+    """Return which rows of a table meet a condition.
 
-    Columns go by their full dotted name or by an unambiguous end of it. Raises `InputError`.
+    Args:
+        frame: Rows of a study.
+        condition: Such as `friction > 0.8`; all rows meet an empty one. Columns are named in full or by an unambiguous
+            end of their dotted name.
+
+    Returns:
+        A Boolean (n,) for the n rows.
+
+    Raises:
+        InputError: The condition is none, or names no column.
     """
     if not condition:
         return np.ones(len(frame), dtype=bool)
     told = "where = " + (repr(condition) if len(condition) < 200 else f"{condition[:200]!r}...")
     such = "'friction > 0.8 and replicate == 0'"
-    found = held(condition, lambda name: frame[column(frame, name, QUOTED.format(name))].to_numpy(), told, such)
+    found = evaluate_condition(
+        condition, lambda name: frame[column(frame, name, QUOTED.format(name))].to_numpy(), told, such
+    )
     return np.broadcast_to(found, (len(frame),))
 
 
-def held(condition: str, look_up: Callable[[str], Any], told: str, such: str) -> np.ndarray:
-    """Where a condition holds. Raises `InputError`, which names it as `told`, where it is none, as `such` a one is."""
+def evaluate_condition(condition: str, look_up: Callable[[str], Any], told: str, such: str) -> np.ndarray:
+    """Evaluate a condition.
+
+    Args:
+        condition: The text.
+        look_up: Gives the values of a dotted name.
+        told: How messages name the condition, such as `where = 'x > 1'`.
+        such: An example of a condition, for messages.
+
+    Returns:
+        Booleans of the shape of the values.
+
+    Raises:
+        InputError: The text is no condition, or compares words with numbers.
+    """
     try:
         found = np.asarray(evaluate(condition, look_up))
         if found.dtype != bool:
@@ -75,12 +99,19 @@ def held(condition: str, look_up: Callable[[str], Any], told: str, such: str) ->
 
 
 def evaluate(expression: str, look_up: Callable[[str], Any], maths: Callable[[Any], Any] = lambda x: np) -> Any:
-    """Value of an expression whose dotted names mean what `look_up` says.
+    """Evaluate an expression of names, numbers, operators and a few functions.
 
-    `maths` tells the module, NumPy or one like it, whose functions take a value.
+    Args:
+        expression: The text, which is parsed and never executed as Python.
+        look_up: Gives the value of a dotted name.
+        maths: Gives the module, NumPy or one like it, whose functions take a value.
 
-    Raises `SyntaxError` where it is none, and `InputError` where it holds more than names, numbers and operators, or
-    has no value.
+    Returns:
+        The value, of the type that the names have.
+
+    Raises:
+        SyntaxError: The text is no expression.
+        InputError: It has anything else in it, or no value.
     """
     if len(expression) > LONGEST:
         raise InputError(f"an expression of {len(expression)} characters is not allowed: at most {LONGEST}")
@@ -155,14 +186,14 @@ def _value(node: ast.expr, look_up: Callable[[str], Any], maths: Callable[[Any],
 
 
 def _number(value: Any) -> Any:
-    """`value`, if it is a number or a column of them: to multiply a list is to copy it."""
+    """Return a number or array unchanged, and refuse lists and words, whose product would be copies."""
     if isinstance(value, list | str | bytes):
         raise TypeError("words and lists are not reckoned with")
     return value
 
 
 def _close(a: Any, b: Any) -> Any:
-    """Equality; of numbers, up to rounding, so that a grid's value can be named by its decimals."""
+    """Compare for equality; numbers up to rounding, so that `0.3` matches a grid's 0.30000000000000004."""
     if all(np.issubdtype(np.asarray(v).dtype, np.number) for v in (a, b)):
         return np.isclose(np.asarray(a, dtype=float), np.asarray(b, dtype=float), rtol=1e-9, atol=1e-12)
     return np.asarray(a == b)

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and the digests that tell whether they stayed as they were written."""
+"""Atomic writes, checked paths, digests, and the cache folder."""
 
 import base64
 import contextlib
@@ -14,20 +14,24 @@ from pathlib import Path
 
 from sweep.core.errors import Fault, InputError
 
-# where the path is to blame, not the disk
+# errors of a path, not of the disk
 UNFIT = (errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP,
          errno.EACCES, errno.EPERM, errno.EROFS, errno.EBADF)  # fmt: skip
-LINKS = 40  # that lead on from one to the next, at most, as Linux has it
-HIDDEN = ".tmp-"  # begins the name of a file that is not whole yet
+LINKS = 40  # longest chain of symbolic links, as on Linux
+HIDDEN = ".tmp-"  # prefix of files that are being written
 _unfinished: set[Path] = set()  # hidden files that are being written
 
 
-def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
-    """Put `content`, or what it writes to the path that it is given, in the place of `path` at once.
+def write_atomically(path: Path, content: bytes | Callable[[Path], object]) -> None:
+    """Write a file so that it appears complete or not at all.
 
-    The path given ends as `path` does, so that what goes by a file's suffix can write there. A link stays one, and a
-    device is written to as it is, /dev/stdout after what is there. Raises `InputError` where the path is to blame,
-    else `Fault`.
+    Args:
+        path: The file. A symbolic link stays one; a device, such as /dev/stdout, is written to directly.
+        content: Bytes, or a function that writes them to a temporary path with the suffix of `path`.
+
+    Raises:
+        InputError: The path cannot be written.
+        Fault: The disk failed.
     """
     hidden = None
     try:
@@ -38,7 +42,7 @@ def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
         _unfinished.add(hidden)
         to = path if path.exists() and not path.is_file() else hidden
         if to is hidden or path.is_dir():
-            to.open("wb").close()  # what is wrong with a path others' writers do not tell
+            to.open("wb").close()  # fails early with a clear error, which writers of other libraries hide
         to.write_bytes(content) if isinstance(content, bytes) else content(to)
         if to is hidden:
             with hidden.open("rb") as written:
@@ -46,7 +50,7 @@ def write_whole(path: Path, content: bytes | Callable[[Path], object]) -> None:
             os.replace(hidden, path)
     except OSError as error:
         kind = InputError if error.errno in UNFIT else Fault
-        raise kind(f"{path} cannot be written: {reason(error)}") from None
+        raise kind(f"{path} cannot be written: {os_error_text(error)}") from None
     finally:
         with contextlib.suppress(OSError):  # nor can it be there where nothing can be written
             if hidden:
@@ -86,14 +90,14 @@ def path_in(folder: Path, name: str | Path) -> Path:
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise InputError(f"{path} is not allowed: neither a file nor a folder")
     except OSError as error:  # such as a ring of links
-        raise InputError(f"{path} cannot be read: {reason(error)}") from None
+        raise InputError(f"{path} cannot be read: {os_error_text(error)}") from None
     return path
 
 
 def descriptor(path: Path) -> int | None:
-    """The number of the open file that `path` stands for, such as /dev/stdout or /dev/fd/3; None of any other path.
+    """Return the file descriptor that a path such as /dev/stdout or /dev/fd/3 stands for; None for other paths.
 
-    Behind it may be a file that others append to: to put another in its place would lose what they write.
+    The file behind it may be appended to by other programs, so it must not be replaced.
     """
     for _ in range(LINKS):
         if path.name.isdecimal() and path.parent.resolve() in (Path("/dev/fd"), Path(f"/proc/{os.getpid()}/fd")):
@@ -105,34 +109,34 @@ def descriptor(path: Path) -> int | None:
 
 
 def _pass_on(stream: int, name: str, content: bytes | Callable[[Path], object]) -> None:
-    """Write to a descriptor; what writes to a path of its own may have to seek there, so that it has a file first."""
+    # a function that writes to a path may seek, so it gets a regular file first
     if not isinstance(content, bytes):
         with tempfile.TemporaryDirectory() as folder:
             content(file := Path(folder) / name)
             content = file.read_bytes()
-    sys.stdout.flush()  # what was said before
-    # a reader, such as `head`, has seen enough
+    sys.stdout.flush()  # earlier output comes first
+    # a reader such as `head` may have closed its end
     with contextlib.suppress(BrokenPipeError), open(stream, "wb", closefd=False) as file:
         file.write(content)
 
 
-def legible(name: str | Path) -> str:
-    """A name as text that can be written anywhere: bytes of it that are no UTF-8 as `\\xe9`."""
+def printable_name(name: str | Path) -> str:
+    """Return a file name as printable text, with bytes that are not UTF-8 as `\\xe9`."""
     return str(name).encode(errors="surrogateescape").decode(errors="backslashreplace")
 
 
-def as_text(content: bytes) -> str:
-    """Bytes as text: deflated, in base64."""
+def encode_text(content: bytes) -> str:
+    """Encode bytes as text: deflate, then base64."""
     return base64.b64encode(zlib.compress(content, 9)).decode()
 
 
-def from_text(text: str) -> bytes:
-    """Bytes from the text that `as_text` made of them."""
+def decode_text(text: str) -> bytes:
+    """Decode what `encode_text` made."""
     return zlib.decompress(base64.b64decode(text))
 
 
-def append(path: Path, line: str) -> None:
-    """Add a line, or a few, on disk when this returns, or not at all. Raises `Fault`."""
+def append_line(path: Path, line: str) -> None:
+    """Append a line, or several, to a file; on disk when this returns, or not at all. Raises `Fault`."""
     try:
         with path.open("ab", buffering=0) as file:
             before = file.tell()
@@ -143,13 +147,13 @@ def append(path: Path, line: str) -> None:
                 file.truncate(before)
                 raise
     except OSError as error:
-        raise Fault(f"{path} cannot be written: {reason(error)}") from None
+        raise Fault(f"{path} cannot be written: {os_error_text(error)}") from None
 
 
 def cache_folder() -> Path | None:
-    """Where is kept what spares a start, such as compiled programs; None for a user without a home.
+    """Return the folder of compiled programs and other caches; None for a user without a home.
 
-    Empty and relative settings count for none.
+    XDG_CACHE_HOME is ignored where it is empty or relative.
     """
     given = Path(os.environ.get("XDG_CACHE_HOME", ""))
     try:
@@ -158,32 +162,32 @@ def cache_folder() -> Path | None:
         return None
 
 
-def private(path: Path) -> bool:
-    """Whether there is a folder at `path`, made for this user alone where it is missing.
+def ensure_private_folder(path: Path) -> bool:
+    """Create a folder for this user alone where it is missing, and return whether it is there.
 
-    Raises `InputError` where others can put files there: what is kept in it is run.
+    Raises `InputError` where other users can write to it: programs in it are run.
     """
     try:
         path.mkdir(parents=True, exist_ok=True, mode=0o700)
-        own(path)
+        require_private(path)
     except OSError:
         return False
     return True
 
 
-def own(path: Path) -> None:
-    """Raises `InputError` where `path` belongs to another user or others may write it."""
+def require_private(path: Path) -> None:
+    """Raise `InputError` where `path` belongs to another user or others can write to it."""
     found = path.stat()
     if found.st_uid != os.geteuid() or found.st_mode & 0o022:
         whose = "belongs to another user" if found.st_uid != os.geteuid() else "can be written by others (chmod go-w)"
         raise InputError(f"{path} {whose}, and what is kept there is run: remove it, or set XDG_CACHE_HOME")
 
 
-def reason(error: OSError) -> str:
-    """What the system says of `error`, in one line."""
+def os_error_text(error: OSError) -> str:
+    """Return the operating system's message of an error, in one line."""
     return os.strerror(error.errno) if error.errno else str(error).splitlines()[0]
 
 
 def digest(content: Buffer) -> str:
-    """SHA-256 (64 hexadecimal digits), as `sha256sum` gives it."""
+    """Return the SHA-256 as 64 hexadecimal digits, as `sha256sum` prints it."""
     return hashlib.sha256(content).hexdigest()

@@ -1,4 +1,4 @@
-"""Parameters with units and bounds: one dataclass is a Hydra schema, a validator and a JAX pytree at once.
+"""Parameters with units and bounds: one dataclass is at once a Hydra schema, a validator and a JAX pytree.
 
 A field made by `quantity` is a pytree leaf: a float, or an array over the batch where it is swept. A field
 made by `choice` or `count` is static: changing it compiles anew.
@@ -12,7 +12,7 @@ from typing import Any, dataclass_transform
 import jax
 import numpy as np
 
-from sweep.core.errors import InputError, known
+from sweep.core.errors import InputError, require_choice
 
 LARGEST = 10**18  # of whole numbers, which 64 bits hold
 TICKS = "ticks"  # unit of delays: whole control ticks
@@ -29,7 +29,7 @@ def quantity(
     at_least: float = -math.inf,
     at_most: float = math.inf,
 ) -> Any:
-    """A physical quantity: sweepable without recompiling. One whose default is None may be left open."""
+    """Declare a physical quantity, which can vary without recompiling. With default None it may be left open."""
     bounds = {"unit": unit, "above": above, "at_least": at_least, "at_most": at_most}
     return dataclasses.field(default=default, metadata={"role": "quantity", **bounds})
 
@@ -47,31 +47,31 @@ def choice(default: str, *options: str, **meanings: str) -> Any:
 
 
 def count(default: int, *, at_least: int = 0, at_most: float = math.inf) -> Any:
-    """A whole number that shapes the compiled program."""
+    """Declare a whole number; another value compiles anew."""
     bounds = {"unit": "", "above": -math.inf, "at_least": at_least, "at_most": at_most}
     return dataclasses.field(default=default, metadata={"role": "count", **bounds})
 
 
 def setting(default: float, unit: str, *, above: float = -math.inf, at_most: float = math.inf) -> Any:
-    """A number that shapes the compiled program."""
+    """Declare a number; another value compiles anew."""
     bounds = {"unit": unit, "above": above, "at_least": -math.inf, "at_most": at_most}
     return dataclasses.field(default=default, metadata={"role": "setting", **bounds})
 
 
 def flag(default: bool) -> Any:
-    """On or off; it shapes what is compiled."""
+    """Declare a parameter that is true or false; the other value compiles anew."""
     return dataclasses.field(default=default, metadata={"role": "flag"})
 
 
-def unhashed(member: Any) -> Any:
-    """A parameter that is left out of the settings' `repr`, and so of `run_id`: it changes no row."""
+def exclude_from_run_id(member: Any) -> Any:
+    """Leave a parameter out of the settings' `repr`, and so out of `run_id`, because it changes no row."""
     member.repr = False
     return member
 
 
 @dataclass_transform(frozen_default=True)
 def parameters[T: type](cls: T) -> T:
-    """Frozen dataclass whose quantities (and nested parameter groups) are pytree leaves."""
+    """Make a frozen dataclass whose quantities and nested parameter groups are pytree leaves."""
     cls = dataclasses.dataclass(frozen=True)(cls)
     data = [f.name for f in dataclasses.fields(cls) if f.metadata.get("role", "quantity") == "quantity"]
     static = [f.name for f in dataclasses.fields(cls) if f.name not in data]
@@ -79,25 +79,52 @@ def parameters[T: type](cls: T) -> T:
 
 
 def build[T](cls: type[T], values: Mapping[str, Any], path: str) -> T:
-    """`cls` from plain values, every one checked.
+    """Make an instance of a parameter dataclass from plain values.
 
-    Raises `InputError` naming `path.key`, the value and what is allowed.
+    Args:
+        cls: The dataclass.
+        values: Values by field name.
+        path: Path of the group, such as `robot`, for messages.
+
+    Raises:
+        InputError: Names `path.key`, the value and what is allowed.
     """
     fields = {f.name: f for f in dataclasses.fields(cls)}  # pyright: ignore[reportArgumentType]
     for key in values:
-        known(key, fields, f"{path}.{key}")
-    return cls(**{key: checked(fields[key], value, f"{path}.{key}") for key, value in values.items()})
+        require_choice(key, fields, f"{path}.{key}")
+    return cls(**{key: check_value(fields[key], value, f"{path}.{key}") for key, value in values.items()})
 
 
-def of_kind(kinds: Mapping[str, type], values: Mapping[str, Any], path: str) -> Any:
-    """The one of `kinds` that `values` name by their `kind`, made by `build`. Raises `InputError`."""
+def build_by_kind(kinds: Mapping[str, type], values: Mapping[str, Any], path: str) -> Any:
+    """Make an instance of the class that `kind` chooses.
+
+    Args:
+        kinds: Parameter dataclasses by kind.
+        values: Values by field name, `kind` among them.
+        path: Path of the group, such as `obstacle`, for messages.
+
+    Raises:
+        InputError: The kind is unknown, or a value is not allowed.
+    """
     kind: Any = values.get("kind")
-    known(kind, kinds, f"{path}.kind = {kind!r}")
+    require_choice(kind, kinds, f"{path}.kind = {kind!r}")
     return build(kinds[kind], values, path)
 
 
-def checked(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
-    """`value`, converted and inside the bounds of `field`; raises `InputError`."""
+def check_value(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
+    """Convert a plain value to the type of a field and check its bounds.
+
+    Args:
+        field: Field of a parameter dataclass.
+        value: The plain value.
+        path: Path of the parameter, such as `robot.thigh`, for messages.
+
+    Returns:
+        The converted value.
+
+    Raises:
+        InputError: Names the path, the value and what is allowed.
+    """
     role = field.metadata.get("role")
     match role:
         case "choice":
@@ -126,7 +153,7 @@ def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> f
         raise InputError(
             f"{path} = {value:g} is not allowed: a finite number, {bounds_text(field)}".removesuffix(", finite")
         )
-    if not within(field, value):
+    if not is_within_bounds(field, value):
         raise InputError(f"{path} = {value:g} is not allowed: {bounds_text(field)}")
     unit = field.metadata["unit"]  # only what is drawn is rounded: seconds would be no delay at all
     if (whole or unit in WHOLE) and int(value) != value:
@@ -134,25 +161,25 @@ def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> f
     return int(value) if whole else float(value)
 
 
-def within(field: "dataclasses.Field[Any]", value: Any) -> Any:
-    """Whether `value` (a number or an array) lies inside the bounds of `field`."""
+def is_within_bounds(field: "dataclasses.Field[Any]", value: Any) -> Any:
+    """Return whether a value (a number or an array) lies inside the bounds of a field."""
     meta = field.metadata
     return (value > meta["above"]) & (value >= meta["at_least"]) & (value <= meta["at_most"])
 
 
-def written(unit: str) -> str:
-    """A unit as it is read: `N*m^2` -> `N·m²`; empty for pure numbers."""
+def format_unit(unit: str) -> str:
+    """Format a unit for a reader: `N*m^2` as `N·m²`; empty for pure numbers."""
     return "" if unit == "-" else unit.replace("*", "·").replace("^2", "²").replace("^3", "³").replace("^4", "⁴")
 
 
 def bounds_text(field: "dataclasses.Field[Any]") -> str:
-    """The bounds of `field` in words, with its unit."""
-    unit = written(field.metadata["unit"])
-    return in_words(field.metadata) + (f" {unit}" if unit else "")
+    """Describe the bounds of a field in words, with its unit."""
+    unit = format_unit(field.metadata["unit"])
+    return describe_bounds(field.metadata) + (f" {unit}" if unit else "")
 
 
-def in_words(bounds: Mapping[str, Any]) -> str:
-    """What numbers are allowed by `above`, `at_least`, `below` and `at_most`, as far as these are finite."""
+def describe_bounds(bounds: Mapping[str, Any]) -> str:
+    """Describe finite bounds `above`, `at_least`, `below` and `at_most` in words, such as `at least 0`."""
     words = {"above": "greater than", "at_least": "at least", "below": "less than", "at_most": "at most"}
     parts = [f"{word} {bounds[key]:g}" for key, word in words.items() if math.isfinite(bounds.get(key, math.inf))]
     return " and ".join(parts) or "finite"

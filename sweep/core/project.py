@@ -15,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from sweep.core.errors import WRONG, Fault, InputError, raised
+from sweep.core.errors import WRONG, Fault, InputError, format_user_exception
 from sweep.core.groups import GROUPS
 from sweep.core.yaml_check import PARSER, check_yaml
 
@@ -27,38 +27,38 @@ TRUTHS = ("on", "off", "yes", "no", "true", "false")  # that YAML takes for trut
 
 
 def root() -> Path | None:
-    """The working project: the nearest folder, from here upwards, with a sweep.yaml."""
+    """Return the working project: the nearest folder with a sweep.yaml, from the working folder upwards."""
     here = Path.cwd()
     return next((folder for folder in (here, *here.parents) if (folder / FILE).is_file()), None)
 
 
-def own(group: str) -> dict[str, Path]:
-    """The working project's files of a group by name."""
+def project_files(group: str) -> dict[str, Path]:
+    """Return the working project's files of a configuration group, by name."""
     folder = root()
     return {file.stem: file for file in sorted((folder / FOLDERS[group]).glob("*.yaml"))} if folder else {}
 
 
-def shipped(group: str) -> dict[str, Any]:
-    """The files of a group that come with the package, by name."""
+def shipped_files(group: str) -> dict[str, Any]:
+    """Return the files of a configuration group that come with the package, by name."""
     files = (resources.files(SHIPPED) / group).iterdir()
     return {f.name.removesuffix(".yaml"): f for f in sorted(files, key=lambda f: f.name) if f.name.endswith(".yaml")}
 
 
-def find(group: str, name: str) -> Any:
-    """The file that `group=name` means: a path that ends in .yaml, else the project's, else what ships; or None."""
+def find_file(group: str, name: str) -> Any:
+    """Find the file of `group=name`: a path that ends in .yaml, else a file of the project, else one of the package."""
     if name.endswith(".yaml"):
         return file if (file := Path(name)).is_file() else None
-    return own(group).get(name) or shipped(group).get(name)
+    return project_files(group).get(name) or shipped_files(group).get(name)
 
 
-def described(file: Any) -> str:
-    """The first comment of a configuration file."""
+def first_comment(file: Any) -> str:
+    """Return the first comment line of a configuration file, which describes it."""
     lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
     return next((line[2:] for line in lines if line.startswith("# ") and not line.startswith("# @")), "")
 
 
 def settings() -> dict[str, Any]:
-    """Content of the working project's sweep.yaml; empty without one. Raises `InputError`."""
+    """Read the working project's sweep.yaml; empty without one. Raises `InputError`."""
     folder = root()
     if folder is None:
         return {}
@@ -69,7 +69,7 @@ def settings() -> dict[str, Any]:
     except UnicodeDecodeError:
         raise InputError(f"{folder / FILE} cannot be read: it is no text in UTF-8") from None
     except yaml.YAMLError as error:
-        raise InputError(f"{folder / FILE} cannot be read: {one_line(error)}") from None
+        raise InputError(f"{folder / FILE} cannot be read: {yaml_error_line(error)}") from None
     modules = content.get("modules", []) if isinstance(content, dict) else None
     unknown = [key for key in content if key not in KEYS] if isinstance(content, dict) else []
     if not isinstance(modules, list) or unknown:
@@ -78,32 +78,32 @@ def settings() -> dict[str, Any]:
     return {"modules": [str(module) for module in modules]}
 
 
-def words(text: str) -> str:
-    """The YAML of a plan with `on`, `off` and their like in quotes: they are names there. Raises `yaml.YAMLError`."""
+def quote_truth_words(text: str) -> str:
+    """Quote `on`, `off`, `yes` and the like in the YAML of a plan, where they are names. Raises `yaml.YAMLError`."""
     for event in reversed(list(yaml.parse(text, LOADER))):
         if isinstance(event, yaml.ScalarEvent) and event.implicit[0] and event.value.lower() in TRUTHS:
             text = f'{text[: event.start_mark.index]}"{event.value}"{text[event.end_mark.index :]}'
     return text
 
 
-def one_line(error: yaml.YAMLError) -> str:
-    """What is wrong with a YAML text, and where."""
+def yaml_error_line(error: yaml.YAMLError) -> str:
+    """Format a YAML error as line and problem."""
     mark = getattr(error, "problem_mark", None)
     where = f"line {mark.line + 1}: " if mark else ""
     return where + (getattr(error, "problem", None) or str(error).splitlines()[0])
 
 
 def modules() -> tuple[ModuleType, ...]:
-    """The modules with obstacles and manoeuvres of users: the project's, then those of installed packages.
+    """Import the modules with obstacles and manoeuvres of users: the project's, then those of installed packages.
 
     A module's `OBSTACLES` and `MANOEUVRES` name its classes by their `kind`. An installed package announces one as an
     entry point of the group `sweep.modules`. Raises `InputError` where one cannot be imported.
     """
-    return _imported(root() if settings().get("modules") else None, modules_named())
+    return _imported(root() if settings().get("modules") else None, module_names())
 
 
-def modules_named() -> tuple[str, ...]:
-    """Their names; nothing is imported. Raises `InputError`."""
+def module_names() -> tuple[str, ...]:
+    """Return the names of the modules that `modules` imports, without importing them. Raises `InputError`."""
     return (*settings().get("modules", ()), *_announced())
 
 
@@ -121,13 +121,13 @@ def _imported(folder: Path | None, names: tuple[str, ...]) -> tuple[ModuleType, 
         try:
             found.append(importlib.import_module(name))
         except WRONG as error:
-            raise InputError(f"module {name} cannot be imported: {raised(error)}") from None
+            raise InputError(f"module {name} cannot be imported: {format_user_exception(error)}") from None
     return tuple(found)
 
 
 @contextmanager
-def blaming() -> Iterator[None]:
-    """Tell what code of the `modules` raises, or that it ends the process, as an `InputError` that says where."""
+def locate_user_errors() -> Iterator[None]:
+    """Turn exceptions and exits of user modules within this context into an `InputError` with file and line."""
     try:
         yield
     except (InputError, Fault):
@@ -135,21 +135,22 @@ def blaming() -> Iterator[None]:
     except WRONG as error:
         import traceback
 
-        own = {str(file) for name in modules_named() if name in sys.modules for file in sources(sys.modules[name])}
+        own = {str(file) for name in module_names() if name in sys.modules for file in sources(sys.modules[name])}
         for frame in reversed(traceback.extract_tb(error.__traceback__)):
             if frame.filename in own:
-                raise InputError(f"{frame.filename}, line {frame.lineno}, fails: {raised(error)}") from None
+                reason = format_user_exception(error)
+                raise InputError(f"{frame.filename}, line {frame.lineno}, fails: {reason}") from None
         raise
 
 
 def module_sources() -> Iterator[Path]:
-    """The files of `modules`."""
+    """Yield the source files of the user modules."""
     for module in modules():
         yield from sources(module)
 
 
 def sources(module: ModuleType) -> list[Path]:
-    """The files of a module, of a package and what is in one all of that, as far as they are there."""
+    """List the source files of a module, or of the whole package that it belongs to."""
     file = Path(str(module.__file__))
     every = sorted(file.parent.rglob("*.py")) if (file.parent / "__init__.py").exists() else [file]
     return [one for one in every if one.is_file()]

@@ -1,4 +1,4 @@
-"""What made a row: code and libraries."""
+"""Versions of code and libraries that rows were made with."""
 
 import ast
 import contextlib
@@ -17,7 +17,7 @@ import yaml
 
 from sweep.core import files, project
 from sweep.core.errors import Fault, InputError
-from sweep.core.start import STARTED
+from sweep.core.version import STARTED
 
 ROOT = Path(__file__).parents[1]
 WORKER = ("sweep.runs.runner",)  # what it imports can change a row
@@ -30,7 +30,7 @@ _parsed: dict[str, tuple[list[str], str]] = {}  # see `_read`
 
 @functools.cache
 def processor() -> str:
-    """This machine's processor and a digest of the features that a compiler may make use of."""
+    """Return the processor's name and a digest of its features, which compiled programs depend on."""
     if not CPU_INFO.exists():
         return platform.processor() or platform.machine()
     lines = CPU_INFO.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -43,31 +43,31 @@ def processor() -> str:
 
 @functools.cache
 def code_version() -> str:
-    """Hash of the sources that can change a row, and of their libraries' versions."""
+    """Return a hash of the sources that can change a row, and of the versions of libraries."""
     return _version(WORKER, versions())
 
 
 @functools.cache
 def search_version() -> str:
-    """Hash of the sources that can change what a search of a plan's numbers finds, and of their libraries' versions."""
+    """Return a hash of the sources that can change the result of `sweep tune`, and of the versions of libraries."""
     cma = next((one.version for one in metadata.distributions(name="cma")), "")  # which may be missing
     return _version(SEARCH, {**versions(), "cma": cma})
 
 
-def of_this_code(version: str, libraries: Mapping[str, str]) -> bool:
-    """Whether a `code_version` is of these sources, be the `libraries` with which it was made others."""
+def is_current_code(version: str, libraries: Mapping[str, str]) -> bool:
+    """Return whether a `code_version` is of these sources, given the versions of its libraries."""
     return version == _version(WORKER, libraries)
 
 
 @functools.cache
 def program_version() -> str:
-    """Hash of the sources that can change a compiled program, and of their libraries' versions."""
+    """Return a hash of the sources that can change a compiled program, and of the versions of libraries."""
     return _version(PROGRAMS, versions())
 
 
-def edited() -> bool:
-    """Whether a source of programs was written after this process began: what runs may be older."""
-    plans = (Path(str(file)) for file in project.shipped("plan").values())
+def sources_changed() -> bool:
+    """Return whether a source of compiled programs changed on disk after this process began."""
+    plans = (Path(str(file)) for file in project.shipped_files("plan").values())
     return any(file.stat().st_ctime > STARTED for file in (*sources(PROGRAMS), *plans, *project.module_sources()))
 
 
@@ -87,14 +87,14 @@ def _version(modules: tuple[str, ...], libraries: Mapping[str, str]) -> str:
 @functools.cache
 def _plans() -> bytes:
     """Names and values of the plans that are files; the parser in C takes a tenth of the time."""
-    loader, shipped = getattr(yaml, "CSafeLoader", yaml.SafeLoader), project.shipped("plan").items()
+    loader, shipped = getattr(yaml, "CSafeLoader", yaml.SafeLoader), project.shipped_files("plan").items()
     plans = ((name, yaml.load(file.read_text(encoding="utf-8"), loader)) for name, file in shipped)
     return "".join(f"{name}\n{json.dumps(plan)}\n" for name, plan in plans).encode()
 
 
 @functools.cache
 def sources(modules: tuple[str, ...]) -> tuple[Path, ...]:
-    """The files of this package that `modules` consist of and import, whenever they do."""
+    """Return the files of this package that modules consist of and import, also within functions."""
     found: dict[str, Path] = {}
     todo = list(modules)
     while todo:
@@ -136,7 +136,7 @@ def _before() -> dict[str, tuple[list[str], str]]:
     """What an earlier process read, by digests of the sources: to parse them all takes a second of each start."""
     with contextlib.suppress(OSError, ValueError, InputError):
         if file := _kept():
-            files.own(file)
+            files.require_private(file)
             return json.loads(file.read_bytes())
     return {}
 
@@ -144,8 +144,8 @@ def _before() -> dict[str, tuple[list[str], str]]:
 def _keep() -> None:
     """For later processes, if anything is new; never in the way."""
     with contextlib.suppress(Fault, InputError):
-        if not _parsed.keys() <= _before().keys() and (file := _kept()) and files.private(file.parent):
-            files.write_whole(file, json.dumps(_parsed).encode())
+        if not _parsed.keys() <= _before().keys() and (file := _kept()) and files.ensure_private_folder(file.parent):
+            files.write_atomically(file, json.dumps(_parsed).encode())
 
 
 def _kept() -> Path | None:
@@ -160,8 +160,8 @@ def _imported(node: ast.AST) -> list[str]:
     return [f"{node.module}.{alias.name}" for alias in node.names] if isinstance(node, ast.ImportFrom) else []
 
 
-def statements(source: str) -> str:
-    """`source` in one format, without comments and docstrings."""
+def normalize_source(source: str) -> str:
+    """Return Python source in one format, without comments and docstrings."""
     return _said(ast.parse(source))[0]
 
 
@@ -182,20 +182,20 @@ def _within(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of the libraries that a rollout's numbers depend on."""
+    """Return the versions of the libraries that results depend on."""
     return {name: metadata.version(name) for name in LIBRARIES}
 
 
-def made_with() -> dict[str, Any]:
-    """What a study's rows are made with, as it is stored beside them."""
+def version_record() -> dict[str, Any]:
+    """Return code hash, commit and versions, as `study.yaml` stores them."""
     return {"code": code_version(), "commit": commit(), "versions": versions()}
 
 
 @functools.cache
 def commit() -> str:
-    """The commit that was installed, else the checkout's; empty where unknown.
+    """Return the commit that was installed, else that of the checkout; empty where unknown.
 
-    It is marked where sources or configurations differ from it: data and pictures that a run renews make no other rows.
+    It ends in `-dirty` where sources or configurations differ from it.
     """
     installed = ROOT / "commit.txt"  # written into a wheel: a folder around it may be a checkout of something else
     if installed.exists():

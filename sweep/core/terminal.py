@@ -1,4 +1,4 @@
-"""What a terminal has room for: Markdown with tables of the columns that fit, and lines that break between words."""
+"""Markdown fitted to the width of a terminal: tables lose columns, lines break between words."""
 
 import io
 import re
@@ -7,81 +7,90 @@ import textwrap
 from collections.abc import Collection, Iterator
 from itertools import groupby
 
-NUMBER = 14  # letters of a cell at most that stays in one line
+NUMBER = 14  # a cell of at most so many letters is never broken
 GAP = 2  # letters between columns
 ELSEWHERE = "a wider terminal, or a file, has them"
 
 
-def show(text: str, kept: Collection[str] = (), elsewhere: str = ELSEWHERE) -> None:
-    """Print Markdown, `fitted` to the terminal; whole where it goes into a file or to another command."""
+def print_markdown(text: str, kept: Collection[str] = (), elsewhere: str = ELSEWHERE) -> None:
+    """Print Markdown, fitted to the terminal if the standard output is one.
+
+    Args:
+        text: Markdown.
+        kept: Columns of tables that always stay.
+        elsewhere: Where the columns are that have no room, for a note.
+    """
     if sys.stdout.isatty():
         from rich.console import Console
 
-        text = fitted(text, Console().width, kept, elsewhere)
+        text = fit_to_width(text, Console().width, kept, elsewhere)
     sys.stdout.write(text)
 
 
-def fitted(text: str, width: int, kept: Collection[str] = (), elsewhere: str = ELSEWHERE) -> str:
-    """Markdown in lines of at most `width` letters, no word of them broken; what is not a table breaks as it is.
+def fit_to_width(text: str, width: int, kept: Collection[str] = (), elsewhere: str = ELSEWHERE) -> str:
+    """Fit Markdown into lines of at most `width` letters, without breaking words.
 
-    Of a table the columns `kept` stay, and from the left as many others as there is room for; `elsewhere` says where
-    the rest is.
+    Args:
+        text: Markdown.
+        width: Width of a line in letters.
+        kept: Columns of tables that always stay; of the others as many as fit, from the left.
+        elsewhere: Where the columns are that have no room, for a note.
     """
     parts: list[str] = []
     for is_table, group in groupby(text.splitlines(), lambda line: line.startswith("|")):
         lines = list(group)
-        parts += table(lines, width, kept, elsewhere) if is_table else [wrapped(line, width) for line in lines]
+        parts += fit_table(lines, width, kept, elsewhere) if is_table else [wrap_line(line, width) for line in lines]
     return "\n".join(parts) + "\n"
 
 
-def wrapped(line: str, width: int) -> str:
-    """A line in several, those after the first as far in as its text: behind a dash, or the name of an entry."""
+def wrap_line(line: str, width: int) -> str:
+    """Wrap a line; further lines are indented to the text after a dash or an entry's name."""
     found = re.match(r" *(- |\S+ {2,})?", line)
     deep = found.end() if found else 0
     return textwrap.fill(line[deep:], width, initial_indent=line[:deep], subsequent_indent=" " * deep,
                          break_long_words=False, break_on_hyphens=False)  # fmt: skip
 
 
-def table(lines: list[str], width: int, kept: Collection[str], elsewhere: str) -> Iterator[str]:
-    """A Markdown table, as `fitted` has it."""
+def fit_table(lines: list[str], width: int, kept: Collection[str], elsewhere: str) -> Iterator[str]:
+    """Yield the lines of a Markdown table with the columns that fit."""
     marks = lines[1].strip("|").split("|")
     heads, *rows = ([cell.strip() for cell in line[1:-1].split(" | ")] for line in (lines[0], *lines[2:]))
     columns = list(zip(heads, *rows, strict=True))
-    natural = [max(map(letters, column)) for column in columns]
-    needed = [max(map(unbroken, column)) for column in columns]
+    natural = [max(map(cell_width, column)) for column in columns]
+    needed = [max(map(unbreakable_width, column)) for column in columns]
     found: list[int] = []
     for k in sorted(range(len(heads)), key=lambda k: heads[k] not in kept):
         if sum(needed[j] + GAP for j in (*found, k)) - GAP <= width:
             found.append(k)
     found.sort()
-    widths = narrowed([natural[k] for k in found], [needed[k] for k in found], width - GAP * (len(found) - 1))
-    yield from laid_out([columns[k] for k in found], [marks[k].endswith("-:") for k in found], widths)
+    widths = shrink_widths([natural[k] for k in found], [needed[k] for k in found], width - GAP * (len(found) - 1))
+    yield from render_table([columns[k] for k in found], [marks[k].endswith("-:") for k in found], widths)
     if left := [head for k, head in enumerate(heads) if k not in found]:
-        yield wrapped(f"No room for {', '.join(left)}: {elsewhere}.", width)
+        yield wrap_line(f"No room for {', '.join(left)}: {elsewhere}.", width)
 
 
-def letters(text: str) -> int:
-    """Cells of a terminal that a text takes; letters of Chinese take two."""
+def cell_width(text: str) -> int:
+    """Return the width of a text in terminal cells; Chinese characters take two."""
     from rich.cells import cell_len
 
     return cell_len(text)
 
 
-def unbroken(text: str) -> int:
-    """Letters of its longest part that stays in one line: all of it where it is short."""
-    return letters(text) if letters(text) <= NUMBER else max(map(letters, text.split()))
+def unbreakable_width(text: str) -> int:
+    """Return the width of the longest part of a cell that may not be broken; all of a short cell."""
+    return cell_width(text) if cell_width(text) <= NUMBER else max(map(cell_width, text.split()))
 
 
-def narrowed(widths: list[int], needed: list[int], room: int) -> list[int]:
-    """Widths that fit into `room`, the widest given up first, none below what it needs."""
+def shrink_widths(widths: list[int], needed: list[int], room: int) -> list[int]:
+    """Narrow the widest columns until all fit into `room`, none below the width that it needs."""
     while sum(widths) > room:
         widest = max((k for k in range(len(widths)) if widths[k] > needed[k]), key=widths.__getitem__)
         widths[widest] -= 1
     return widths
 
 
-def laid_out(columns: list[tuple[str, ...]], right: list[bool], widths: list[int]) -> list[str]:
-    """Lines of a table, its headings above a rule."""
+def render_table(columns: list[tuple[str, ...]], right: list[bool], widths: list[int]) -> list[str]:
+    """Render a table as lines of text, with a rule below the headings."""
     from rich import box
     from rich.console import Console
     from rich.table import Table

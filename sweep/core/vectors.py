@@ -18,7 +18,7 @@ Number = Array | float
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Vector:
-    """A vector field over legs or other points; axes are those of its maker."""
+    """Three components as arrays over legs or other points; the frame is the caller's."""
 
     x: Array
     y: Array
@@ -26,8 +26,8 @@ class Vector:
     __array_ufunc__ = None  # numpy arrays leave products to this class
 
     @classmethod
-    def of(cls, array: Float[Array, "*n 3"]) -> "Vector":
-        """From an array with the components last."""
+    def from_array(cls, array: Float[Array, "*n 3"]) -> "Vector":
+        """Make a vector from an array with the components last."""
         return cls(array[..., 0], array[..., 1], array[..., 2])
 
     def array(self) -> Float[Array, "*n 3"]:
@@ -52,11 +52,11 @@ class Vector:
         return Vector(-self.x, -self.y, -self.z)
 
     def dot(self, other: "Vector") -> Array:
-        """Scalar product with another one."""
+        """Return the scalar product."""
         return self.x * other.x + self.y * other.y + self.z * other.z
 
     def cross(self, other: "Vector") -> "Vector":
-        """Vector product with another one."""
+        """Return the vector product."""
         return Vector(
             self.y * other.z - self.z * other.y,
             self.z * other.x - self.x * other.z,
@@ -76,9 +76,9 @@ class Matrix(NamedTuple):
     z: Vector
 
     @classmethod
-    def of(cls, array: Float[Array, "*n 3 3"]) -> "Matrix":
-        """From an array with rows and columns last."""
-        return cls(*(Vector.of(array[..., k, :]) for k in range(3)))
+    def from_array(cls, array: Float[Array, "*n 3 3"]) -> "Matrix":
+        """Make a matrix from an array with rows and columns last."""
+        return cls(*(Vector.from_array(array[..., k, :]) for k in range(3)))
 
     def array(self) -> Float[Array, "*n 3 3"]:
         """One array whose last two axes are rows and columns."""
@@ -88,45 +88,45 @@ class Matrix(NamedTuple):
         return Vector(self.x.dot(v), self.y.dot(v), self.z.dot(v))
 
     @property
-    def transposed(self) -> "Matrix":
-        """The matrix whose rows are these columns."""
+    def transpose(self) -> "Matrix":
+        """The transposed matrix."""
         return Matrix(*(Vector(*parts) for parts in zip(*self, strict=True)))
 
     def plus(self, other: "Matrix") -> "Matrix":
-        """Sum with another one, entry by entry."""
+        """Return the sum."""
         return Matrix(*(a + b for a, b in zip(self, other, strict=True)))
 
     def minus(self, other: "Matrix") -> "Matrix":
-        """Difference, entry by entry."""
+        """Return the difference."""
         return Matrix(*(a - b for a, b in zip(self, other, strict=True)))
 
-    def scaled(self, factor: Number) -> "Matrix":
-        """Every entry times `factor`."""
+    def scale(self, factor: Number) -> "Matrix":
+        """Multiply every entry by `factor`."""
         return Matrix(*(row * factor for row in self))
 
     @property
     def negative(self) -> "Matrix":
-        """The matrix with minus every entry."""
+        """The matrix times -1."""
         return Matrix(*(-row for row in self))
 
     def times(self, other: "Matrix") -> "Matrix":
-        """Product with another matrix on the right."""
-        columns = other.transposed
+        """Return the matrix product with `other` on the right."""
+        columns = other.transpose
         return Matrix(*(columns @ row for row in self))
 
-    def crossed(self, v: Vector) -> "Matrix":
-        """The product with the matrix of `v` cross, from the right."""
+    def times_cross_matrix(self, v: Vector) -> "Matrix":
+        """Return the matrix product with `cross_matrix(v)` on the right."""
         return Matrix(*(row.cross(v) for row in self))
 
     def total(self) -> "Matrix":
-        """Sum of the matrices of all legs."""
+        """Sum over the legs (the last axis), which stays as an axis of length 1."""
         return Matrix(*(row.total() for row in self))
 
     def inverse(self) -> "Matrix":
-        """The inverse, by cofactors."""
+        """Return the inverse, by cofactors."""
         rows = self.y.cross(self.z), self.z.cross(self.x), self.x.cross(self.y)
         scale = 1 / self.x.dot(rows[0])
-        return Matrix(*(row * scale for row in rows)).transposed
+        return Matrix(*(row * scale for row in rows)).transpose
 
 
 def total(x: Array) -> Array:
@@ -134,35 +134,35 @@ def total(x: Array) -> Array:
     return jnp.sum(x, axis=-1, keepdims=True)
 
 
-def where(condition: Array, a: Vector, b: Vector) -> Vector:
-    """`a` where the condition holds, else `b`."""
+def select(condition: Array, a: Vector, b: Vector) -> Vector:
+    """Choose `a` where `condition` holds, else `b`, component by component."""
     return Vector(*(jnp.where(condition, x, y) for x, y in zip(a, b, strict=True)))
 
 
-def along(axis: int, value: Array) -> Vector:
-    """A vector along one of the axes."""
+def axis_vector(axis: int, value: Array) -> Vector:
+    """Return a vector of length `value` along coordinate axis `axis` (0, 1 or 2)."""
     zero = jnp.zeros_like(value)
     return Vector(*(value if i == axis else zero for i in range(3)))
 
 
 def diagonal(x: Array, y: Array, z: Array) -> Matrix:
-    """The matrix with these entries on its diagonal."""
-    return Matrix(*(along(k, value) for k, value in enumerate((x, y, z))))
+    """Return the diagonal matrix with these entries."""
+    return Matrix(*(axis_vector(k, value) for k, value in enumerate((x, y, z))))
 
 
 def symmetric(xx: Array, yy: Array, zz: Array, xy: Array, xz: Array, yz: Array) -> Matrix:
-    """The symmetric matrix with these entries."""
+    """Return the symmetric matrix with these entries."""
     return Matrix(Vector(xx, xy, xz), Vector(xy, yy, yz), Vector(xz, yz, zz))
 
 
 def cross_matrix(v: Vector) -> Matrix:
-    """The matrix of `v` cross."""
+    """Return the matrix whose product with a vector is `v` cross that vector."""
     zero = jnp.zeros_like(v.x)
     return Matrix(Vector(zero, -v.z, v.y), Vector(v.z, zero, -v.x), Vector(-v.y, v.x, zero))
 
 
 def rotation(w: Array, x: Array, y: Array, z: Array) -> Matrix:
-    """Of a unit quaternion, body to world."""
+    """Return the rotation matrix, body to world, of the unit quaternion (w, x, y, z)."""
     return Matrix(
         Vector(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         Vector(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),

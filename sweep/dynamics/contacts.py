@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.core.vectors import Matrix, Vector, along, where
+from sweep.core.vectors import Matrix, Vector, axis_vector, select
 from sweep.dynamics import free_bodies
 from sweep.dynamics.free_bodies import Frames, FreeBodies
 from sweep.dynamics.spatial import SpatialVector
@@ -65,37 +65,37 @@ class ContactForces(NamedTuple):
 
 def no_anchors(n: int, dtype: jnp.dtype) -> Anchors:
     """Anchors of n points that have not touched anything."""
-    return Anchors(Vector.of(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, FACE))
+    return Anchors(Vector.from_array(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, FACE))
 
 
 def _world(place: Vector, body: Array, frames: Frames) -> Vector:
     """Points from the axes of the free body that each belongs to (-1: the world) to world axes."""
     for k, (origin, rotation) in enumerate(frames):
-        place = where(body == k, rotation @ place + origin, place)
+        place = select(body == k, rotation @ place + origin, place)
     return place
 
 
 def _own(place: Vector, body: Array, frames: Frames) -> Vector:
     """The inverse of `_world`."""
     for k, (origin, rotation) in enumerate(frames):
-        place = where(body == k, rotation.transposed @ (place - origin), place)
+        place = select(body == k, rotation.transpose @ (place - origin), place)
     return place
 
 
 def _frames(bodies: BodyPoses) -> Frames:
     """Frames of free bodies by their components."""
     places = zip(bodies.position, bodies.rotation, strict=True)
-    return [(Vector.of(position[None]), Matrix.of(rotation[None])) for position, rotation in places]
+    return [(Vector.from_array(position[None]), Matrix.from_array(rotation[None])) for position, rotation in places]
 
 
 def to_world(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses) -> Float[Array, "n 3"]:
     """Points from the axes of the free body that each belongs to (-1: the world) to world axes."""
-    return _world(Vector.of(place), body, _frames(bodies)).array()
+    return _world(Vector.from_array(place), body, _frames(bodies)).array()
 
 
 def to_body(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses) -> Float[Array, "n 3"]:
     """The inverse of `to_world`."""
-    return _own(Vector.of(place), body, _frames(bodies)).array()
+    return _own(Vector.from_array(place), body, _frames(bodies)).array()
 
 
 def contact_geometry(
@@ -105,13 +105,13 @@ def contact_geometry(
 
     A point keeps its anchor while it stays loaded on the same face; otherwise it takes hold where it is now.
     """
-    normal = Vector.of(surface.normal)
+    normal = Vector.from_array(surface.normal)
     held = anchors.loaded & (anchors.face == surface.face)
     fresh = point + surface.depth * normal
     kept = _world(anchors.place, surface.body, frames)
     if surface.rolling is not None:
-        kept = where(surface.rolling.radius > 0, point + anchors.place, kept)
-    place = where(held, kept, fresh)
+        kept = select(surface.rolling.radius > 0, point + anchors.place, kept)
+    place = select(held, kept, fresh)
     gap = place - point
     stretch = gap - gap.dot(normal) * normal
     damping = contact.damping if surface.damping is None else contact.damping + surface.damping
@@ -151,7 +151,8 @@ def contact_slope(geometry: ContactGeometry, forces: ContactForces, h: float) ->
     along_n = scale * (holds - forces.share) * n + (scale * slips * geometry.limit) * t
     along_t = (-scale * slips * forces.share) * t
     round_, along_n, along_t = jax.lax.optimization_barrier((round_, along_n, along_t))
-    return Matrix(*(a * n + b * t + along(k, round_) for k, (a, b) in enumerate(zip(along_n, along_t, strict=True))))
+    rows = enumerate(zip(along_n, along_t, strict=True))
+    return Matrix(*(a * n + b * t + axis_vector(k, round_) for k, (a, b) in rows))
 
 
 def update_anchors(
@@ -169,13 +170,13 @@ def update_anchors(
     The contact of what rolls moves over both surfaces alike: only the slip between them, at `velocity`, stretches it.
     All in world axes.
     """
-    normal = Vector.of(surface.normal)
+    normal = Vector.from_array(surface.normal)
     landed = point + h * velocity + (surface.depth - h * normal.dot(velocity)) * normal
     dragged = landed + (1 / contact.stiffness) * forces.tangential
-    place = where(forces.slipping, dragged, place)
+    place = select(forces.slipping, dragged, place)
     kept = _own(place, surface.body, frames)
     if surface.rolling is not None:
-        kept = where(surface.rolling.radius > 0, place - point - h * velocity, kept)
+        kept = select(surface.rolling.radius > 0, place - point - h * velocity, kept)
     return Anchors(kept, forces.loaded, surface.face.astype(FACE))
 
 
@@ -201,7 +202,7 @@ def resisting_moments(
     along_t = ((size > CREEP).astype(spin.dtype) * of_roll / size**2) * roll
     rows = zip(along_n, along_t, strict=True)
     return ResistingMoments(
-        moment, Matrix(*(a * normal - b * roll + along(k, of_roll) for k, (a, b) in enumerate(rows)))
+        moment, Matrix(*(a * normal - b * roll + axis_vector(k, of_roll) for k, (a, b) in enumerate(rows)))
     )
 
 
@@ -218,13 +219,13 @@ class ContactArm(NamedTuple):
 
     def wrench_rows(self, m: Matrix) -> tuple[Matrix, Matrix]:
         """Of a matrix that gives forces on the points: those that give force and torque on the body."""
-        m = m if self.share is None else m.scaled(self.share)
-        return m, m.transposed.crossed(-self.at).transposed
+        m = m if self.share is None else m.scale(self.share)
+        return m, m.transpose.times_cross_matrix(-self.at).transpose
 
     def twist_columns(self, m: Matrix) -> tuple[Matrix, Matrix]:
         """Of a matrix that takes velocities of the points: those that take the body's velocity and rate of turning."""
-        m = m if self.share is None else m.scaled(self.share)
-        return m, m.crossed(-self.at)
+        m = m if self.share is None else m.scale(self.share)
+        return m, m.times_cross_matrix(-self.at)
 
 
 class ContactSet(NamedTuple):
@@ -285,7 +286,7 @@ def find_contacts(
 
     The base is at `base` (m), `turned` from its axes to the world's.
     """
-    to_base, at = rotation.transposed, [feet, *free_bodies.contact_sites(case, free)]
+    to_base, at = rotation.transpose, [feet, *free_bodies.contact_sites(case, free)]
     points = [base + rotation @ each for each in at]
     owner, bodies = free_bodies.contact_owners(case), free_bodies.to_body_poses(free, feet.x.dtype)
     surface = case.obstacle.surface(jnp.concatenate([each.array() for each in points]), owner, bodies)
@@ -294,7 +295,7 @@ def find_contacts(
         own, place, point = jax.tree.map(lambda x, span=span: x[span], surface), at[k], points[k]
         own = own if k else own._replace(rolling=None)  # feet do not
         if own.rolling is not None:
-            offset = -own.rolling.radius * Vector.of(own.normal)
+            offset = -own.rolling.radius * Vector.from_array(own.normal)
             point, place = point + offset, place + to_base @ offset
         geometry, anchor = contact_geometry(case.contact, own, held, point, free.frames)
         carried = body_arms(place, own.body, owner[span], free.origins)

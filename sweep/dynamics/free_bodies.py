@@ -49,7 +49,7 @@ def inertias(case: Case, axes: list[Matrix]) -> list[Inertia]:
     for name, turned in zip(case.obstacle.free_bodies, axes, strict=True):
         mass, own = (jnp.asarray(leaves[field][name], turned.x.x.dtype) for field in ("body_mass", "body_inertia"))
         scaled = Matrix(*(Vector(*(part * size for part, size in zip(row, own, strict=True))) for row in turned))
-        out.append(Inertia(mass[None], None, scaled.times(turned.transposed)))
+        out.append(Inertia(mass[None], None, scaled.times(turned.transpose)))
     return out
 
 
@@ -65,7 +65,7 @@ def contact_sites(case: Case, bodies: FreeBodies) -> list[Vector]:
     for name, k in case.obstacle.contact_sites:
         origin = bodies.origins[k]
         if name in places:
-            origin = origin + bodies.axes[k] @ Vector.of(jnp.asarray(places[name], origin.x.dtype)[None])
+            origin = origin + bodies.axes[k] @ Vector.from_array(jnp.asarray(places[name], origin.x.dtype)[None])
         found.append(origin)
     return [Vector(*(jnp.concatenate(parts) for parts in zip(*found, strict=True)))] if found else []
 
@@ -88,7 +88,11 @@ def external_wrenches(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies
             jnp.concatenate([own.angular.array() for own in turned]),
         )
     )
-    return [] if load is None else [SpatialVector(Vector.of(x[None, :3]), Vector.of(x[None, 3:])) for x in load]
+    return (
+        []
+        if load is None
+        else [SpatialVector(Vector.from_array(x[None, :3]), Vector.from_array(x[None, 3:])) for x in load]
+    )
 
 
 def to_body_poses(bodies: FreeBodies, dtype: jnp.dtype) -> BodyPoses:

@@ -56,20 +56,20 @@ def smooth_dynamics(top: Topology, model: mjx.Model, data: mjx.Data, pose: Pose,
     m_leg = m_leg + model.dof_armature[top.leg][:, :, None] * jnp.eye(3, dtype=q.dtype)
     turned = d.xmat[BASE]
     cross = jnp.einsum("ic,ljc->jli", base, wrench[top.leg])  # (3, 6, 6), linear parts in world axes
-    columns = tuple(SpatialVector(Vector.of(c[:, :3] @ turned), Vector.of(c[:, 3:])) for c in cross)
+    columns = tuple(SpatialVector(Vector.from_array(c[:, :3] @ turned), Vector.from_array(c[:, 3:])) for c in cross)
     whole = base @ wrench[:6].T
     arm = turned.T @ whole[:3, 3:]  # minus the matrix of the first moment cross
     moment = Vector(arm[1:2, 2], arm[2:3, 0], arm[0:1, 1])
-    inertia = Inertia(whole[0:1, 0], moment, Matrix.of(whole[None, 3:, 3:]))
+    inertia = Inertia(whole[0:1, 0], moment, Matrix.from_array(whole[None, 3:, 3:]))
     bias = d.qfrc_bias
-    forces = SpatialVector(Vector.of((bias[:3] @ turned)[None]), Vector.of(bias[None, 3:6]))
+    forces = SpatialVector(Vector.from_array((bias[:3] @ turned)[None]), Vector.from_array(bias[None, 3:6]))
     foot, per_leg = d.site_xpos[top.feet], (top.model.nbody - 2 - len(top.free)) // N_LEGS
     swept = leg[:, :, 3:] + jnp.cross(leg[:, :, :3], (foot - d.subtree_com[BASE])[:, None, :])
     links = d.xpos[2 : 2 + N_LEGS * per_leg].reshape(N_LEGS, per_leg, 3)
     joints = [*jnp.swapaxes(links, 0, 1), foot]
     return Tree(
-        Mass((inertia,), columns, Matrix.of(m_leg)),  # pyright: ignore
+        Mass((inertia,), columns, Matrix.from_array(m_leg)),  # pyright: ignore
         Motion((forces,), tuple(bias[top.leg].T)),  # pyright: ignore
-        tuple(Vector.of((joint - d.xpos[BASE]) @ turned) for joint in joints),
-        tuple(Vector.of(swept[:, k] @ turned) for k in range(3)),  # pyright: ignore
+        tuple(Vector.from_array((joint - d.xpos[BASE]) @ turned) for joint in joints),
+        tuple(Vector.from_array(swept[:, k] @ turned) for k in range(3)),  # pyright: ignore
     )

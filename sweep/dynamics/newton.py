@@ -80,7 +80,7 @@ def _eliminate_legs(
     mass: Mass, j_leg: tuple[Vector, Vector, Vector], stiff: Rates, arm: ContactArm, slope: Matrix, moving: bool
 ) -> Legs:
     """`arm` is that of the base to the feet; `moving` where they stand on free bodies."""
-    down = slope.transposed
+    down = slope.transpose
     pulls = [slope @ j for j in j_leg]  # impulse on a foot per rate of a joint
     pushes = [down @ j for j in j_leg]  # torque of a joint per velocity of the foot
 
@@ -124,7 +124,7 @@ def _touch(blocks: "BlockMatrix", touching: tuple[ContactArm, ...], slope: Matri
         for other in touching:
             _couple(blocks, one, other, slope)
             if turning is not None:
-                shared = turning.scaled(one.share).scaled(other.share)  # pyright: ignore
+                shared = turning.scale(one.share).scale(other.share)  # pyright: ignore
                 blocks.add(2 * one.body + 1, 2 * other.body + 1, shared.total())
 
 

@@ -139,7 +139,7 @@ def unpack(q: Array, v: Array) -> tuple[Pose, Motion]:
         moving = [v[of + i : of + i + 1] for i in range(6)]
         place = RootPose(Vector(x, y, z), tuple(quat))  # pyright: ignore
         places.append(place)
-        motions.append(SpatialVector(place.rotation().transposed @ Vector(*moving[:3]), Vector(*moving[3:])))
+        motions.append(SpatialVector(place.rotation().transpose @ Vector(*moving[:3]), Vector(*moving[3:])))
     return Pose(tuple(places), split_joints(angle)), Motion(tuple(motions), split_joints(rate))
 
 

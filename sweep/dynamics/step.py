@@ -149,7 +149,7 @@ def step(
     w, acting = trial.motion, problem.acting(trial)
     world = tuple(motion.rotate(turned) for motion in w.root)  # of the root bodies
     torque = map_joints(lambda u, rate: u - case.drive.back_emf * rate, acting.effort, w.leg)
-    feet, normal = acting.forces[0], Vector.of(touches[0].surface.normal)
+    feet, normal = acting.forces[0], Vector.from_array(touches[0].surface.normal)
     report = StepReport(
         force=feet.normal * normal + turned @ feet.tangential,
         normal=feet.normal,
@@ -187,7 +187,7 @@ class _Here(NamedTuple):
 def _here(smooth_dynamics: SmoothDynamics, case: Case, state: ComponentState) -> _Here:
     pose, robot = state.pose, smooth_dynamics(state.pose, state.motion)
     turned = pose.root[0].rotation()
-    free = free_bodies.kinematics(pose, turned.transposed)
+    free = free_bodies.kinematics(pose, turned.transpose)
     mass = robot.mass._replace(root=(*robot.mass.root, *free_bodies.inertias(case, free.axes)))
     base, *others = state.motion.root
     motions = (base, *(own.rotate(axes) for own, axes in zip(others, free.axes, strict=True)))
@@ -197,13 +197,13 @@ def _here(smooth_dynamics: SmoothDynamics, case: Case, state: ComponentState) ->
 def _outside(case: Case, limits: DriveLimits, state: ComponentState, here: _Here) -> list[SpatialVector]:
     """Forces on the root bodies beside weight, contact and drives; world axes. Those left out are zero."""
     push = Vector(*(limits.push[k : k + 1] for k in range(3)))
-    no_torque = Vector.of(jnp.zeros((1, 3), push.x.dtype))
+    no_torque = Vector.from_array(jnp.zeros((1, 3), push.x.dtype))
     return [SpatialVector(push, no_torque), *free_bodies.external_wrenches(case, state.pose, state.motion, here.free)]
 
 
 def _start(momentum: Motion, here: _Here, outside: list[SpatialVector], h: float) -> Motion:
     """M v - h (bias - outside forces)."""
-    up, to_base = here.turned.z, here.turned.transposed
+    up, to_base = here.turned.z, here.turned.transpose
     biases = [here.robot.bias.root[0]]
     biases += [free_bodies.bias_wrench(m, v, up) for m, v in zip(here.mass.root[1:], here.motion.root[1:], strict=True)]
     start = add_scaled(momentum, -h, Motion(tuple(biases), here.robot.bias.leg))
@@ -235,7 +235,7 @@ def _largest(left: Motion, here: _Here) -> Array:
     """Of a residual's parts: forces in world axes, torques in the body's own."""
     parts = [*left.root[0].angular]
     for force, axes in zip(left.root[1:], here.free.axes, strict=True):
-        parts += axes.transposed @ force.angular
+        parts += axes.transpose @ force.angular
     for force in left.root:
         parts += here.turned @ force.linear
     legs = [jnp.max(jnp.abs(part), axis=-1, keepdims=True) for part in left.leg]
@@ -245,12 +245,12 @@ def _largest(left: Motion, here: _Here) -> Array:
 def _integrate(pose: Pose, w: Motion, world: tuple[SpatialVector, ...], here: _Here, h: float) -> tuple[Pose, Motion]:
     """After h seconds at velocity w, the linear parts in world axes; motions in own axes then."""
     base, *others = w.root
-    spins = [base.angular, *(b.transposed @ own.angular for own, b in zip(others, here.free.axes, strict=True))]
+    spins = [base.angular, *(b.transpose @ own.angular for own, b in zip(others, here.free.axes, strict=True))]
     places = [
         place.integrate(motion.linear, spin, h) for place, motion, spin in zip(pose.root, world, spins, strict=True)
     ]
     root = [
-        SpatialVector(place.rotation().transposed @ motion.linear, spin)
+        SpatialVector(place.rotation().transpose @ motion.linear, spin)
         for place, motion, spin in zip(places, world, spins, strict=True)
     ]
     angle = map_joints(lambda a, rate: a + h * rate, pose.angle, w.leg)
@@ -361,7 +361,7 @@ class _Problem(NamedTuple):
             contact_slope(own.geometry, forces, self.h)
             for own, forces in zip(self.contacts, acting.forces, strict=True)
         ]
-        rolling = None if acting.moments is None else acting.moments.slope.scaled(self.h)
+        rolling = None if acting.moments is None else acting.moments.slope.scale(self.h)
         held = map_joints(
             lambda damping, free, gain: damping * free * gain,
             self._damping(),

@@ -71,7 +71,7 @@ def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> Tree:
     axes = (up, axis, axis)
     gravity = pose.root[0].rotation().z * -GRAVITY  # world's down, in base axes
     hips = mounts(robot).astype(axis.x.dtype)
-    start, spin, turning = Vector.of(hips), v.root[0].angular, Vector(*[jnp.zeros_like(axis.x)] * 3)
+    start, spin, turning = Vector.from_array(hips), v.root[0].angular, Vector(*[jnp.zeros_like(axis.x)] * 3)
     acceleration = spin.cross(spin.cross(start)) - gravity
     origins: list[Vector] = []  # of the joints
     centres, forces, moments = [], [], []  # of the links; the moments are about their centres

@@ -12,7 +12,7 @@ from sweep.controllers.layers import Command, Feedforward
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
-from sweep.core.waiting import part
+from sweep.core.progress import timed_part
 from sweep.engines import base, devices, planning, prelude, program_cache
 from sweep.engines.base import Figures, NoTrace, Trace
 from sweep.engines.settings import EngineSettings
@@ -41,7 +41,7 @@ def _nominal_plan(belief: Case, kind: np.dtype) -> Plan:
 
 
 def _planned(belief: Case) -> Plan:
-    with part("nominal plan"):
+    with timed_part("nominal plan"):
         plan = planning.worked_out(lambda: belief.manoeuvre.plan(belief))
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(plan)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"

@@ -17,7 +17,7 @@ from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.controllers.tracker import TrackerState
 from sweep.core.constants import LOADED
-from sweep.core.rotations import about_vertical, conjugate, multiply, rotate
+from sweep.core.rotations import conjugate, multiply, rotate, rotation_about_vertical
 from sweep.metrics import accumulator
 from sweep.metrics.accumulator import RunningMetrics
 from sweep.metrics.metric import GRACE, REST, MetricTick, RolloutStart, Tick
@@ -136,7 +136,7 @@ def _beneath(obstacle: Obstacle, feet: Float[Array, "6 3"], up: Float[Array, " 3
 def displaced(execution: Execution, start: Stance) -> Stance:
     """The start with the errors of the robot's placement."""
     position = start.position + point(execution.start_x, execution.start_y, 0.0)
-    turn = about_vertical(jnp.asarray(execution.start_yaw, float))
+    turn = rotation_about_vertical(jnp.asarray(execution.start_yaw, float))
     feet = position + rotate(turn[None], start.feet - start.position)
     return Stance(feet, position, multiply(turn, start.quat))
 

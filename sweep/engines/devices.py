@@ -38,7 +38,8 @@ def configure() -> None:
     jax.config.update("jax_default_matmul_precision", "highest")  # TF32 lets the robot sink and the solver wander
     if jax.__version_info__ < (0, 12):  # its newer partitioner crashes on programs for several devices
         jax.config.update("jax_use_shardy_partitioner", False)
-    if jax.config.jax_compilation_cache_dir is None and (folder := files.cache_folder()) and files.private(folder):
+    folder = files.cache_folder() if jax.config.jax_compilation_cache_dir is None else None
+    if folder and files.ensure_private_folder(folder):
         jax.config.update("jax_compilation_cache_dir", str(folder))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # small ones, too

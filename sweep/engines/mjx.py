@@ -15,7 +15,7 @@ from jaxtyping import Array
 from sweep.controllers.belief_update import replan_rest
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
-from sweep.core.waiting import part
+from sweep.core.progress import timed_part
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics.free_bodies import start_at_rest
 from sweep.dynamics.step import PhysicsState, state_at_rest
@@ -231,7 +231,7 @@ class Mjx(Batched):
             )
             plans, carry = devices.split(batch, self._mesh)
             if self._by_host:
-                with part("closed loop"):
+                with timed_part("closed loop"):
                     lanes = kernel.tile(self.width, devices.cores())
                     chunked = pool.submit(kernel.begun(self._tick, *of_one(arrays, batch), lanes=lanes))
                     finished = self._compile_finish(arrays, batch, on_devices)
@@ -261,7 +261,7 @@ class Mjx(Batched):
             again = on_devices(again, in_specs=(devices.specs(arrays[1]), split, split, split), out_specs=split)
             return jax.jit(again).lower(arrays[1], plans, carries.loop.tracker.stage, carries.loop.learned).compile()
 
-        with part("new plan"):
+        with timed_part("new plan"):
             return fused_loop.eager_or(by_xla, replan_rest, belief, plan, carry.loop.tracker.stage, carry.loop.learned)
 
     def _compile_finish(
@@ -275,7 +275,7 @@ class Mjx(Batched):
             finish = on_devices(finish, in_specs=(devices.specs(arrays[0]), split, split), out_specs=split)
             return jax.jit(finish).lower(arrays[0], *devices.split(batch, self._mesh)).compile()
 
-        with part("figures"):
+        with timed_part("figures"):
             if not self._few:
                 return by_xla()
             (world, _, plan), carry = of_one(arrays, batch)

@@ -20,8 +20,8 @@ from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.layers import Command
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
+from sweep.core.progress import timed_part
 from sweep.core.rotations import exponential, multiply
-from sweep.core.waiting import part
 from sweep.engines import batching, devices, fused_loop, planning, program_cache
 from sweep.engines.base import Figures, Watch
 from sweep.engines.batching import Batched
@@ -282,10 +282,10 @@ class Native(Batched):
                 def by_xla() -> Compiled:
                     return jax.jit(jax.vmap(function, in_axes=axes)).lower(*given).compile()
 
-                with part(name):
+                with timed_part(name):
                     return fused_loop.eager_or(by_xla, function, *of_one) if by_host else by_xla()
 
-            with part("closed loop"):
+            with timed_part("closed loop"):
                 if self.fused:
                     ticks = pool.submit(kernel.begun(tick, (one, known, plan), now))
                 else:

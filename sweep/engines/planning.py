@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Shaped
 
 from sweep.controllers import forces
 from sweep.controllers.forces import Bounds, Effort, ForceProblem, SearchState, StaticPose
-from sweep.core.waiting import part
+from sweep.core.progress import timed_part
 from sweep.engines import devices
 from sweep.fused import eager, kernel
 from sweep.fused.arrays import Unsupported
@@ -59,7 +59,7 @@ def begun(
     how that compiles.
     """
     if by_host:
-        with suppress(Unsupported), part("plan"):
+        with suppress(Unsupported), timed_part("plan"):
             program = eager.traced(start, *of_one(arrays), apart=forces.SEARCHES)
             return batched(program.form, len(arrays[2])), lambda: (program, _searches(program))
     lowered = jax.jit(many(start)).lower(*arrays)
@@ -93,7 +93,7 @@ def compiling(
     """XLA compiles a program, told as the part `name`, while Python goes on."""
 
     def compiled() -> Compiled:
-        with part(name):
+        with timed_part(name):
             return program.compile(options)
 
     return pool.submit(compiled)
@@ -112,7 +112,7 @@ def _search(least: Effort, asked: tuple[jax.ShapeDtypeStruct, ...]) -> Code:
         return forces.search_step(least, sought, so_far, number), {}
 
     sought = _sought([jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in asked])
-    with part("search for forces"):
+    with timed_part("search for forces"):
         return kernel.compiled(tick, sought, _nothing(sought.pose.arm))
 
 

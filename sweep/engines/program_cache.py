@@ -79,10 +79,11 @@ def unused() -> Iterator[None]:
 
 def _folder() -> Path | None:
     """Where JAX keeps its own, if it does. Sources that changed meanwhile are not what was traced."""
-    if not jax.config.jax_enable_compilation_cache or not jax.config.jax_compilation_cache_dir or provenance.edited():
+    place = jax.config.jax_compilation_cache_dir if jax.config.jax_enable_compilation_cache else None
+    if not place or provenance.sources_changed():
         return None
-    folder = Path(jax.config.jax_compilation_cache_dir)
-    return folder if files.private(folder) else None
+    folder = Path(place)
+    return folder if files.ensure_private_folder(folder) else None
 
 
 def _key(made_of: Any, devices: Sequence[Any]) -> str:
@@ -96,7 +97,7 @@ def _key(made_of: Any, devices: Sequence[Any]) -> str:
 
 def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
     try:
-        files.own(file)
+        files.require_private(file)
         packed = file.read_bytes()
         check, content = packed[:DIGEST], zlib.decompress(packed[DIGEST:])
         if check != hashlib.sha256(content).digest():
@@ -127,6 +128,6 @@ def _saved(part: Any) -> Any:
 
 
 def _store(file: Path, content: bytes) -> None:
-    files.write_whole(file, hashlib.sha256(content).digest() + zlib.compress(content, level=1))
+    files.write_atomically(file, hashlib.sha256(content).digest() + zlib.compress(content, level=1))
     for old in sorted(file.parent.glob("*.programs"), key=lambda f: f.stat().st_mtime)[:-MOST]:
         old.unlink(missing_ok=True)

@@ -1,7 +1,7 @@
 """How a simulation is run, as opposed to what is simulated."""
 
 from sweep.core.errors import InputError
-from sweep.core.parameters import choice, count, flag, parameters, quantity, unhashed
+from sweep.core.parameters import choice, count, exclude_from_run_id, flag, parameters, quantity
 
 
 @parameters
@@ -22,7 +22,7 @@ class EngineSettings:
     width: int = count(0, at_most=1 << 24)  # rollouts in a batch; 0 asks for the device's best
     solid: bool = flag(False)  # base and links collide with the obstacle and each other; native only
     # own models: mjx and warp compare the first ticks of a study with C MuJoCo; no part of a row's `run_id`
-    cross_check: bool = unhashed(flag(True))
+    cross_check: bool = exclude_from_run_id(flag(True))
 
     def __post_init__(self) -> None:
         """Raises `InputError` where an engine cannot do what is asked."""

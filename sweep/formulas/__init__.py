@@ -6,7 +6,7 @@ Importing a module registers its formulas, so each module of this package is imp
 from collections.abc import Mapping
 from typing import Any
 
-from sweep.core.errors import known
+from sweep.core.errors import require_choice
 from sweep.formulas import (  # noqa: F401  their import registers formulas
     ball,
     ball_meeting,
@@ -34,7 +34,7 @@ FORMULAS: Mapping[str, Formula] = dict(sorted(defined.FORMULAS.items(), key=lamb
 
 def find(name: str) -> Formula:
     """Look up a formula by its name; an unknown name raises `InputError` with the known ones."""
-    known(name, FORMULAS, f"formula {name}")
+    require_choice(name, FORMULAS, f"formula {name}")
     return FORMULAS[name]
 
 

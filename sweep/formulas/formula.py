@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.core.errors import InputError, known
-from sweep.core.parameters import in_words
+from sweep.core.errors import InputError, require_choice
+from sweep.core.parameters import describe_bounds
 
 type Scalar = Float[Array, "..."] | float
 
@@ -78,7 +78,7 @@ class Input:
         """Describe the allowed values in words, with the unit."""
         if self.options:
             return f"one of {', '.join(map(str, self.options))}"
-        return f"{in_words(vars(self))}{f' {self.unit}' if self.unit else ''}"
+        return f"{describe_bounds(vars(self))}{f' {self.unit}' if self.unit else ''}"
 
 
 def positive(unit: str, default: float, below: float = math.inf) -> Input:
@@ -164,7 +164,7 @@ class Formula:
         flat = dict(_flatten(values))
         names = [entry.name for entry in self.inputs]
         for name in flat:
-            known(name, names, f"{self.name}.{name}")
+            require_choice(name, names, f"{self.name}.{name}")
         return {entry.name: entry.validate(flat.get(entry.name, entry.default), self.name) for entry in self.inputs}
 
     def evaluate(self, values: Mapping[str, Any]) -> dict[str, Any]:

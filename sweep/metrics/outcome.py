@@ -9,7 +9,7 @@ import numpy as np
 
 from sweep.core.errors import InputError
 from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
-from sweep.core.parameters import UNITS, parameters, written
+from sweep.core.parameters import UNITS, format_unit, parameters
 from sweep.metrics import CAUSES, METRICS, applicable_metrics
 from sweep.metrics.metric import GOAL, Cause
 from sweep.models.case import Case
@@ -78,7 +78,7 @@ def sentence_with_limit(cause: Cause, limits: Thresholds) -> str:
     """The sentence of a cause with the value and unit of its threshold, where it has one, in place of its key."""
     if not cause.threshold or not np.isfinite(limit := threshold_value(cause, limits)):
         return cause.sentence
-    unit = written(UNITS.get(cause.threshold.rpartition("_")[2], "-"))
+    unit = format_unit(UNITS.get(cause.threshold.rpartition("_")[2], "-"))
     value = f"{limit:.4g} {unit}".strip().replace(" deg", "°")
     return re.sub(rf"\b{cause.threshold}\b", value, cause.sentence)
 

@@ -22,9 +22,9 @@ import yaml
 from jaxtyping import Array
 
 from sweep.core import project
-from sweep.core.errors import InputError, known, suggest
+from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.expressions import evaluate
-from sweep.core.parameters import checked, quantity
+from sweep.core.parameters import check_value, quantity
 from sweep.models.legs import GROUPS
 from sweep.models.obstacles.charts import Chart
 from sweep.models.robot import leg_unit
@@ -123,7 +123,7 @@ def refuse_malformed(content: Content) -> None:
                 wanted(str | bool | int | float, below, path, "numbers or words")
                 leaves(below, path)
         elif not isinstance(value, str | bool | None):
-            checked(ANY, value, path)
+            check_value(ANY, value, path)
 
     for part, given in content.items():
         if part != WAY:
@@ -135,7 +135,7 @@ def refuse_malformed(content: Content) -> None:
         wanted(Mapping, line, f"{GROUP}.{SLOPES}.{number}", "sizes and numbers")
         for size, value in line.items():
             at = f"{GROUP}.{SLOPES}.{number}.{size}"
-            if not checked(ANY, value, at) and number == AT:
+            if not check_value(ANY, value, at) and number == AT:
                 raise InputError(f"{at} = {value} is not allowed: a number other than 0")
 
 
@@ -200,7 +200,7 @@ def _followed(case: Any, content: Content) -> dict[str, Array]:
         if path not in found:
             _refuse_lost(content, path, found)
         for by in line:
-            known(by, sizes, f"plan.{SLOPES}.{path}.{by}")
+            require_choice(by, sizes, f"plan.{SLOPES}.{path}.{by}")
     # one operation for all numbers, not one for each: it is compiled with every plan
     matrix = jnp.asarray([[line.get(by, 0.0) for by in sizes] for line in lines.values()])
     return dict(zip(lines, jnp.sum(matrix * jnp.stack(off), axis=1), strict=True))
@@ -306,7 +306,7 @@ def parameter_value(case: Any, path: str, label: str = "", groups: Names = SIZED
     group, _, name = path.partition(".")
     every = {f"{owner}.{f.name}" for owner in groups for f in dataclasses.fields(getattr(case, owner))
              if f.metadata.get("role") in ("quantity", "count")}  # fmt: skip
-    known(path, every, label or f"plan.{SLOPES}.{AT}.{path}")
+    require_choice(path, every, label or f"plan.{SLOPES}.{AT}.{path}")
     return getattr(getattr(case, group), name)
 
 
@@ -413,7 +413,7 @@ def plan_parameter(case: Any, path: str) -> "dataclasses.Field[Any]":
 @functools.cache
 def load_shipped_plan(name: str) -> Content:
     """Load a plan table that comes with the package."""
-    return merge_extended(name, lambda other: project.shipped(GROUP)[other].read_text(encoding="utf-8"))
+    return merge_extended(name, lambda other: project.shipped_files(GROUP)[other].read_text(encoding="utf-8"))
 
 
 def merge_extended(name: str, read: Callable[[str], str]) -> Content:
@@ -423,7 +423,7 @@ def merge_extended(name: str, read: Callable[[str], str]) -> Content:
         name: The table's name.
         read: From the name of a table to the text of its file.
     """
-    content = dict(yaml.load(project.words(read(name)), project.LOADER))
+    content = dict(yaml.load(project.quote_truth_words(read(name)), project.LOADER))
     bases = content.pop("extends", [])
     below = [merge_extended(base, read) for base in ([bases] if isinstance(bases, str) else bases)]
     return functools.reduce(_over, [*below, content])

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from sweep.core.evenly import evenly
+from sweep.core.spacing import evenly_spaced_indices
 
 NAMED, SIDE_BY_SIDE = 12, 6  # values of an uneven axis that have a label; that have room beside each other
 
@@ -76,7 +76,7 @@ def mark_values(ax: Axes, cells: Cells) -> None:
         if names:
             axis.set_ticks(values, [name.replace("_", " ") for name in names])
         elif not evenly_spaced(values):
-            named = evenly(len(values), NAMED)
+            named = evenly_spaced_indices(len(values), NAMED)
             axis.set_ticks(named, [number(float(values[k])) for k in named])
     if len(cells.x) > SIDE_BY_SIDE and (cells.x_names or not evenly_spaced(cells.x)):
         ax.tick_params(axis="x", labelrotation=60)

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from sweep.core import project
 from sweep.core.errors import InputError
-from sweep.core.files import digest, path_in, write_whole
-from sweep.core.start import VERSION
+from sweep.core.files import digest, path_in, write_atomically
+from sweep.core.version import VERSION
 from sweep.report.page import dates
 from sweep.runs import manifest, store
 from sweep.runs.results import Results
@@ -60,7 +60,7 @@ def write(results: Results, out: Path, license_: str, zipped: bool, author: str 
     described(crate, results, license_, author)
     if zipped:
         path = out.with_name(f"{out.name}.zip")
-        write_whole(path, b"".join(crate.stream_zip()))
+        write_atomically(path, b"".join(crate.stream_zip()))
         return path
     try:
         crate.write(out)

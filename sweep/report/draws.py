@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from sweep.analysis import sensitivity
 from sweep.core.errors import InputError
-from sweep.core.letters import PAGE, folded, legend_below, sheet, spaced
+from sweep.core.plot_style import PAGE, fit_ticks, legend_below, new_figure, wrap_text
 from sweep.report.cells import not_below_zero
 from sweep.report.exhibit import Exhibit
 from sweep.report.headline import headline
@@ -78,7 +78,7 @@ def draw(results: Results) -> Figure:
     columns = list(ranked["axis"]) or columns_of(results)
     panels = [*(["rank"] if len(ranked) else []), "pair", "margin"]
     wide = len(columns) > 1
-    figure = sheet(5.6 if wide else 3.2)
+    figure = new_figure(5.6 if wide else 3.2)
     mosaic: list[Any] = [["lines"] * len(panels), panels] if wide else [panels]
     axes = figure.subplot_mosaic(mosaic)
     if wide:
@@ -88,10 +88,10 @@ def draw(results: Results) -> Figure:
     pair(axes["pair"], results, columns)
     margins(axes["margin"], results, columns[0])
     for name in panels[-2:]:
-        spaced(axes[name], len(panels))
+        fit_ticks(axes[name], len(panels))
     handles = [handle(kind, f"{kind.replace('_', ' ')} ({len(part):,})") for kind, part in kinds(rows)]
     legend_below(figure, handles)
-    figure.suptitle(folded(f"{results.name}: {headline(rows, results.exp)}", 72 * PAGE - 20))
+    figure.suptitle(wrap_text(f"{results.name}: {headline(rows, results.exp)}", 72 * PAGE - 20))
     return figure
 
 
@@ -113,7 +113,7 @@ def parallel(ax: Axes, results: Results, columns: list[str]) -> None:
         for at, value, side in ((-0.02, low[place], "top"), (1.02, high[place], "bottom")):
             ax.text(place, at, f"{value:.3g}", ha="center", va=side)
     room = 0.75 * 72 * PAGE / len(columns)  # the names of the bars below have the rest
-    ax.set_xticks(places, [folded(beside_axis(name, results.exp), room) for name in columns])
+    ax.set_xticks(places, [wrap_text(beside_axis(name, results.exp), room) for name in columns])
     ax.xaxis.tick_top()  # below they would be titles of the panels there
     ax.tick_params(axis="x", length=0)
     ax.set(xlim=(-0.3, len(columns) - 0.7), ylim=(-0.1, 1.1), yticks=[])

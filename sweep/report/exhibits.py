@@ -12,7 +12,7 @@ from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
 from sweep.analysis.sample import is_sample
 from sweep.analysis.stats import binned, percent, rate, rates
-from sweep.core.letters import COLUMN, PAGE, counted, legend_below, sheet, spaced
+from sweep.core.plot_style import COLUMN, PAGE, fit_ticks, legend_below, new_figure, use_whole_ticks
 from sweep.report import draws, overlay, slices
 from sweep.report.cells import not_below_zero
 from sweep.report.exhibit import Exhibit
@@ -140,7 +140,7 @@ def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figur
             ax.plot(part["value"], part["share"], line, marker=marker, ms=3, color=colour, label=f"{title}{name}")
         ax.set(xlabel=beside_axis(axis, results.exp), ylabel="rate of success")
         not_below_zero(ax)
-        spaced(ax, min(len(axes), columns))
+        fit_ticks(ax, min(len(axes), columns))
         ax.set_ylim(-0.02, 1.02)
     if by:  # below: in a panel it would lie on its lines
         legend_below(figure, [line for ax in spots for line in ax.get_lines()])
@@ -176,7 +176,7 @@ def causes(results: Results) -> Iterator[Exhibit]:
 
 
 def _draw_causes(table: pd.DataFrame) -> Figure:
-    figure = sheet(1.4 + 0.22 * len(table) + 0.06 * table.shape[1])
+    figure = new_figure(1.4 + 0.22 * len(table) + 0.06 * table.shape[1])
     ax = figure.subplots()
     left, totals = np.zeros(len(table)), table.to_numpy().sum(axis=1)
     for cause in table:
@@ -188,7 +188,7 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
     for y, total in enumerate(left):
         ax.annotate(f"{total:,.0f}", (total, y), xytext=(4, 0), textcoords="offset points", va="center")
     ax.invert_yaxis()
-    counted(ax.xaxis)
+    use_whole_ticks(ax.xaxis)
     ax.set(xlabel="rollouts", ylabel="stage")
     ax.spines[["top", "right"]].set_visible(False)
     legend_below(figure, [cell(str(c).replace("_", " "), look_of(str(c)).colour, str(c)) for c in table])
@@ -287,8 +287,8 @@ def _draw_distributions(results: Results, data: pd.DataFrame) -> Figure:
         if limit is not None and low - (high - low) < limit < high + (high - low):  # else it would flatten the rest
             ax.axvline(limit, color="black", linestyle="--", linewidth=1)
         ax.set_xlabel(beside_axis(name))
-        spaced(ax, min(len(names), 3))
-        counted(ax.yaxis)
+        fit_ticks(ax, min(len(names), 3))
+        use_whole_ticks(ax.yaxis)
         ax.spines[["top", "right"]].set_visible(False)
     legend_below(figure, [one for ax in spots for one in ax.get_legend_handles_labels()[0]])
     return figure
@@ -298,7 +298,7 @@ def _panels(number: int, columns: int = 2, height: float = 2.2) -> tuple[Figure,
     """A figure as wide as a page with `number` panels."""
     columns = min(columns, number)
     lines = -(-number // columns)
-    figure = sheet(height * lines + 0.4, PAGE if columns > 1 else COLUMN)
+    figure = new_figure(height * lines + 0.4, PAGE if columns > 1 else COLUMN)
     axes = figure.subplots(lines, columns, squeeze=False).ravel().tolist()
     for ax in axes[number:]:
         ax.set_visible(False)

@@ -20,9 +20,9 @@ from matplotlib.transforms import Affine2D
 
 from sweep.analysis.sample import pooled
 from sweep.core.expressions import column
-from sweep.core.letters import LETTERS, PAGE, folded, legend_below
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError
+from sweep.core.plot_style import LETTERS, PAGE, legend_below, wrap_text
 from sweep.report import limits
 from sweep.report.cells import Cells, edges, mark_values, place_cells, places
 from sweep.report.headline import count_placed
@@ -70,7 +70,7 @@ def success_map(
                 text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"
             title = [*title, text]
         mark_values(ax, cells)
-        ax.set_title("\n".join(folded(one, room) for one in title))
+        ax.set_title("\n".join(wrap_text(one, room) for one in title))
         ax.set_xlabel(beside_axis(x, exp))
         limits.draw(ax, exp, panel, x, y, cells)
     axes[0, 0].set_ylabel(beside_axis(y, exp))
@@ -81,7 +81,7 @@ def success_map(
         scale = ScalarMappable(Normalize(0, 1), "cividis")
         figure.colorbar(scale, ax=axes, label=f"rate of success, n = {spread(counts)} a cell", shrink=0.8)
     name = called or stored["config"]["study"]["name"] or stored["config"]["scenario"]["name"]
-    figure.suptitle(folded(name.replace("_", " "), 72 * figure.get_size_inches()[0] - 2 * LETTERS))
+    figure.suptitle(wrap_text(name.replace("_", " "), 72 * figure.get_size_inches()[0] - 2 * LETTERS))
     return figure
 
 

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from sweep.core.evenly import evenly
-from sweep.core.letters import legend_below, sheet
+from sweep.core.plot_style import legend_below, new_figure
+from sweep.core.spacing import evenly_spaced_indices
 from sweep.report.exhibit import Exhibit
 from sweep.report.labels import beside_axis
 from sweep.report.looks import DOUBTFUL, FAILURE, GOOD
@@ -49,7 +49,7 @@ def exhibits(results: Results) -> Iterator[Exhibit]:
 def draw(results: Results, kept: pd.DataFrame, quantiles: pd.DataFrame) -> Figure:
     """A panel for each column: the `samples`, and their quantiles."""
     columns = results.exp.study.keep[:PANELS]
-    figure = sheet(0.8 + 1.4 * len(columns))
+    figure = new_figure(0.8 + 1.4 * len(columns))
     spots = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
     for name, ax in zip(columns, spots, strict=True):
         for outcome, colour in COLOURS.items():
@@ -68,6 +68,6 @@ def draw(results: Results, kept: pd.DataFrame, quantiles: pd.DataFrame) -> Figur
 def _lines(ax: Axes, kept: pd.DataFrame, name: str, colour: str) -> None:
     """Evenly chosen rollouts, as one picture inside the figure."""
     groups = [part for _, part in kept.groupby(identity(kept.columns), sort=False)]
-    lines = [groups[k][["time_s", name]].to_numpy() for k in evenly(len(groups), LINES)]
+    lines = [groups[k][["time_s", name]].to_numpy() for k in evenly_spaced_indices(len(groups), LINES)]
     look = mpl.rcParams["lines.linewidth"] / 3
     ax.add_collection(LineCollection(lines, colors=colour, linewidths=look, alpha=0.4, rasterized=True))

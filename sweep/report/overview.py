@@ -7,7 +7,7 @@ import pandas as pd
 
 from sweep.analysis.stats import percent, rate
 from sweep.core.errors import InputError
-from sweep.core.files import legible, path_in
+from sweep.core.files import path_in, printable_name
 from sweep.report.headline import probability_of_failure
 from sweep.runs import store
 from sweep.runs.results import kept
@@ -30,13 +30,13 @@ def within(folder: Path) -> list[Path]:
 
 def line(folder: Path) -> dict[str, str]:
     """Study, rollouts done and planned, rate of success or P(failure), invalid ones, code, and when it last changed."""
-    name = legible(folder)
+    name = printable_name(folder)
     empty = dict.fromkeys(("study", "rollouts", "succeed", "invalid", "commit", "date"), "")
     try:
         stored = store.read_study(folder)
         outcome = outcomes(folder)
     except InputError as error:
-        return {"folder": name, **empty, "study": legible(str(error).split(":")[0].removeprefix(f"{folder}/"))}
+        return {"folder": name, **empty, "study": printable_name(str(error).split(":")[0].removeprefix(f"{folder}/"))}
     found, config = rate(outcome), stored["config"]
     succeed = percent(found.share) if found.valid else ""
     if config["study"]["design"]["kind"] in KINDS and config["study"]["design"]["num"]:

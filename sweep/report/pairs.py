@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from sweep.analysis import compare
 from sweep.analysis.compare import SECOND
 from sweep.analysis.stats import binned
-from sweep.core.evenly import evenly
-from sweep.core.letters import PAGE, folded, sheet
 from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
+from sweep.core.plot_style import PAGE, new_figure, wrap_text
+from sweep.core.spacing import evenly_spaced_indices
 from sweep.report import maps, replays
 from sweep.report.cells import Cells, mark_values
 from sweep.report.comparison import default_regions, paired_by
@@ -61,7 +61,7 @@ def simulated(a: Results, b: Results, number: int, progress: Callable[[int, int]
     """Keep replays, in both folders, of at most `number` pairs of which one succeeds alone, evenly over all of them."""
     found, pairs = joined(a, b)
     flipped = np.flatnonzero(found.rows["cause"].isin([ONLY_A, ONLY_B]))
-    some = flipped[evenly(len(flipped), number)]
+    some = flipped[evenly_spaced_indices(len(flipped), number)]
     for side, names in ((a, identity(pairs, "")), (b, identity(pairs, SECOND))):
         rows = side.rows[identity(side.rows, "").isin(names.iloc[some])]
         replays.make(side, rows.assign(why="one succeeds, the other fails"), progress)
@@ -104,14 +104,14 @@ def draw(found: Results, data: pd.DataFrame, x: str, y: str) -> Figure:
     won, won_b = (data[f"outcome{mark}"] == SUCCESS for mark in ("", SECOND))
     own = data.assign(**places, a=won.astype(float), b=won_b.astype(float), change=won_b.astype(float) - won)
     cells = Cells(np.sort(own["x"].unique()), np.sort(own["y"].unique()))
-    figure = sheet(2.4)
+    figure = new_figure(2.4)
     spots = figure.subplots(1, 3, sharex=True, sharey=True)
     looks = {"a": ("A", RATE), "b": ("B", RATE), "change": ("B less A", CHANGE)}
     for ax, (column, (title, look)) in zip(spots, looks.items(), strict=True):
         maps.coloured(ax, maps.means(own, cells, column), cells, **look)
         mark_values(ax, cells)
         ax.set_title(title)
-        ax.set_xlabel(folded(beside_axis(x, found.exp), 72 * PAGE / 4))
+        ax.set_xlabel(wrap_text(beside_axis(x, found.exp), 72 * PAGE / 4))
     spots[0].set_ylabel(beside_axis(y, found.exp))
     for ax, look, label in ((spots[1], RATE, "rate of success"), (spots[2], CHANGE, "difference of rates")):
         scale = ScalarMappable(Normalize(look["vmin"], look["vmax"]), look["cmap"])

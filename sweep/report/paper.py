@@ -17,8 +17,8 @@ from sweep.analysis import rare
 from sweep.analysis.sample import is_sample, pooled
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
-from sweep.core.files import write_whole
-from sweep.core.letters import lettering
+from sweep.core.files import write_atomically
+from sweep.core.plot_style import plot_style
 from sweep.report import cells, statistics, tables
 from sweep.report.exhibits import exhibits
 from sweep.report.labels import heading
@@ -65,19 +65,19 @@ def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
     paths = [_rows(results, out)]
     for one in shown:
         paths += [out / "data" / f"{one.key}.csv", out / "figures" / f"{one.key}.pdf"]
-        write_whole(paths[-2], one.data.to_csv(index=False).encode())
-        with lettering(serif):
-            write_whole(paths[-1], partial(one.draw().savefig, metadata={"CreationDate": None}))
+        write_atomically(paths[-2], one.data.to_csv(index=False).encode())
+        with plot_style(serif):
+            write_atomically(paths[-1], partial(one.draw().savefig, metadata={"CreationDate": None}))
     texts, captions = {}, {}
     for name, caption, table in summed:
         paths.append(out / "data" / f"{name}.csv")
-        write_whole(paths[-1], table.to_csv(index=False).encode())
+        write_atomically(paths[-1], table.to_csv(index=False).encode())
         if len(table) <= LINES:
             texts[f"tables/{name}.tex"], captions[name] = tables.latex(table, results.exp), caption
     found = rare.rare(results.rows, results.exp) if results.exp.study.sought else None
     numbers = list(quoted(results, found))
     table = pd.DataFrame([vars(one) for one in numbers])
-    write_whole(out / "data" / "numbers.csv", table.to_csv(index=False).encode())
+    write_atomically(out / "data" / "numbers.csv", table.to_csv(index=False).encode())
     texts["numbers.tex"] = "".join(macro(results, one, paths[0].name) for one in numbers)
     every = "".join([results.name, *texts.values(), *captions.values(), *(one.title + one.caption for one in shown)])
     cyrillic, unknown, others = foreign(every)
@@ -104,7 +104,7 @@ def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
         adaptive=found is not None,
     )
     for name, text in texts.items():
-        write_whole(out / name, text.encode())
+        write_atomically(out / name, text.encode())
     return [*paths, out / "data" / "numbers.csv", *(out / name for name in texts)]
 
 
@@ -126,10 +126,10 @@ def _rows(results: Results, out: Path) -> Path:
     """All rows, which the numbers are traced to."""
     if len(results.rows) > CSV_ROWS:
         path = out / "data" / "rows.parquet"
-        write_whole(path, partial(results.rows.to_parquet, index=False, compression="zstd"))
+        write_atomically(path, partial(results.rows.to_parquet, index=False, compression="zstd"))
     else:
         path = out / "data" / "rows.csv"
-        write_whole(path, tables.csv(results.rows))
+        write_atomically(path, tables.csv(results.rows))
     return path
 
 

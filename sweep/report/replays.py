@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sweep.core.files import path_in, write_whole
+from sweep.core.files import path_in, write_atomically
 from sweep.engines import devices
 from sweep.engines.base import NoTrace, Trace, same_bits
 from sweep.runs import batches, store
@@ -88,7 +88,7 @@ def keep(folder: Path, row: pd.Series, trace: Trace) -> None:
     """Write the replay of `row`."""
     file = path(folder, row)
     file.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(file, json.dumps(content(row, trace)).encode())
+    write_atomically(file, json.dumps(content(row, trace)).encode())
 
 
 def content(row: pd.Series, trace: Trace) -> dict[str, Any]:

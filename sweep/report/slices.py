@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from sweep.analysis import sensitivity
 from sweep.analysis.intervals import anytime, wilson
 from sweep.analysis.stats import binned, rates
-from sweep.core.evenly import evenly
-from sweep.core.letters import COLUMN, PAGE, folded, sheet
+from sweep.core.plot_style import COLUMN, PAGE, new_figure, wrap_text
+from sweep.core.spacing import evenly_spaced_indices
 from sweep.report import limits
 from sweep.report.cells import mark_values, place_cells
 from sweep.report.labels import axis_words, beside_axis, with_value
@@ -72,7 +72,7 @@ def cut(results: Results, x: str, y: str, others: list[str]) -> Slice:
     rows = results.rows
     if len(others) == 1:
         values = np.sort(rows[others[0]].unique())
-        chosen = values[evenly(len(values), PANELS)]
+        chosen = values[evenly_spaced_indices(len(values), PANELS)]
         note = f"at values of {axis_words(others[0], results.exp)}"
         return Slice(x, y, others[0], rows[rows[others[0]].isin(chosen)], note)
     fixed = {}
@@ -122,7 +122,7 @@ def draw(results: Results, chosen: Slice) -> Figure:
     shown = [""] if single else ["low", "share", "high"]
     columns = min(len(panels), 2) if single else 3
     lines = -(-len(panels) * len(shown) // columns)
-    figure = sheet(2.2 * lines + 0.6, PAGE if columns > 1 else COLUMN)
+    figure = new_figure(2.2 * lines + 0.6, PAGE if columns > 1 else COLUMN)
     axes = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel()
     spots = iter(axes)
     for (title, panel), table in zip(panels, tables, strict=True):
@@ -139,7 +139,7 @@ def draw(results: Results, chosen: Slice) -> Figure:
             if chosen.refined:
                 outlines(ax, results.exp, panel, x, y, cells)
             room = 72 * (PAGE - 1) / 3 - 10  # titles side by side stay apart
-            ax.set_title(folded(", ".join([*title, word] if word else title), room))
+            ax.set_title(wrap_text(", ".join([*title, word] if word else title), room))
             mark_values(ax, cells)
             limits.draw(ax, results.exp, panel, x, y, cells)
     for ax in spots:

@@ -104,12 +104,12 @@ def read(folder: Path) -> list[Entry]:
 
 def add(folder: Path, *entries: Entry) -> None:
     """From now on `entries` count, all at once. Raises `Fault`."""
-    files.append(files.path_in(folder, MANIFEST), "\n".join(map(line, entries)))
+    files.append_line(files.path_in(folder, MANIFEST), "\n".join(map(line, entries)))
 
 
 def rewrite(folder: Path, entries: Iterable[Entry]) -> None:
     """From now on `entries` count and no others. Raises `Fault`."""
-    files.write_whole(files.path_in(folder, MANIFEST), "".join(f"{line(entry)}\n" for entry in entries).encode())
+    files.write_atomically(files.path_in(folder, MANIFEST), "".join(f"{line(entry)}\n" for entry in entries).encode())
 
 
 def judged(entries: Sequence[Entry], labels: str) -> list[Entry]:

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.core.errors import InputError
-from sweep.core.evenly import evenly
+from sweep.core.spacing import evenly_spaced_indices
 from sweep.engines.base import Figures
 from sweep.runs.batches import batch, forget_engine, make_engine, nominal, with_room
 from sweep.study.config import Experiment
@@ -128,7 +128,7 @@ def _tried(
 def _levels(values: pd.Series) -> Sequence[Any]:
     """An axis' own values in their order, at most `MOST` of them, its ends among them."""
     every = np.sort(values.unique()) if values.dtype.kind in "fi" else values.unique()
-    return every[evenly(len(every), MOST)].tolist()
+    return every[evenly_spaced_indices(len(every), MOST)].tolist()
 
 
 def _rows(table: pd.DataFrame, base: Mapping[str, Any], levels: Levels, k: int) -> pd.DataFrame:

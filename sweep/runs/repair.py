@@ -106,7 +106,7 @@ def _problem(folder: Path, entry: Entry, planned: pd.DataFrame | None = None) ->
     try:
         content = store.content_of(path)
     except OSError as error:
-        return files.reason(error)
+        return files.os_error_text(error)
     if (problem := entry.problem(content)) or planned is None or not entry.batches:
         return problem
     try:

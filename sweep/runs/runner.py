@@ -341,7 +341,7 @@ def _plan_of(folder: Path, version: str) -> Job:
 def describe(job: Job, found: Tally) -> None:
     """Write what the folder holds: study.yaml."""
     about = {"config": job.exp.values, "rollouts": len(job.table) + job.unplanned, "labels": job.labels}
-    there = {"stages": found.stages, "devices": found.devices, **provenance.made_with()}
+    there = {"stages": found.stages, "devices": found.devices, **provenance.version_record()}
     store.write_study(job.folder, about | there)
 
 

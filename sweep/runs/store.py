@@ -42,7 +42,7 @@ def refuse_strangers(folder: Path) -> None:
     except FileNotFoundError:
         return
     except OSError as error:
-        raise InputError(f"out = {folder} cannot be written: {files.reason(error)}") from None
+        raise InputError(f"out = {folder} cannot be written: {files.os_error_text(error)}") from None
     if names and PARTS not in names:
         raise InputError(f"out = {folder} holds {names[0]} and no results: give a new folder, or an empty one")
 
@@ -64,7 +64,7 @@ def locked(folder: Path) -> Iterator[None]:
     except filelock.Timeout:
         raise InputError(f"{folder} is in use by another sweep process: wait for it, or give out=DIR") from None
     except OSError as error:
-        raise InputError(f"out = {folder} cannot be written: {files.reason(error)}") from None
+        raise InputError(f"out = {folder} cannot be written: {files.os_error_text(error)}") from None
     try:
         yield
     finally:
@@ -74,7 +74,7 @@ def locked(folder: Path) -> Iterator[None]:
 def write_study(folder: Path, content: Mapping[str, Any]) -> None:
     """What the folder holds: configuration, versions, devices. Raises `Fault`."""
     text = yaml.safe_dump({"format": FORMAT, **content}, sort_keys=False, allow_unicode=True)
-    files.write_whole(path_in(folder, STUDY), f"{text}{CHECK}{files.digest(text.encode())}\n".encode())
+    files.write_atomically(path_in(folder, STUDY), f"{text}{CHECK}{files.digest(text.encode())}\n".encode())
 
 
 def read_study(folder: Path) -> dict[str, Any]:
@@ -115,7 +115,7 @@ def write_points(folder: Path, points: pd.DataFrame) -> None:
     entry = Entry(POINTS, len(content), files.digest(content))
     if entry not in manifest.read(folder):  # any plan that was listed is sound, so that a kill in between does no harm
         manifest.add(folder, entry)
-    files.write_whole(path_in(folder, POINTS), content)
+    files.write_atomically(path_in(folder, POINTS), content)
 
 
 def read_points(folder: Path) -> pd.DataFrame:
@@ -188,7 +188,7 @@ def _written(folder: Path, name: str, table: pa.Table, about: Entry) -> Entry:
     entry = replace(about, file=f"{name}-{sha256[:12]}.parquet", length=len(content), sha256=sha256)
     with contextlib.suppress(OSError):  # said of the file
         path_in(folder, entry.file).parent.mkdir(exist_ok=True)
-    files.write_whole(path_in(folder, entry.file), content)
+    files.write_atomically(path_in(folder, entry.file), content)
     return entry
 
 
@@ -227,7 +227,7 @@ def read_table(folder: Path, entry: Entry, columns: list[str] | None = None) -> 
         content = content_of(path)
         problem = entry.problem(content)
     except OSError as error:
-        content, problem = None, files.reason(error)
+        content, problem = None, files.os_error_text(error)
     if content is None or problem:
         raise InputError(f"{path} is damaged ({problem}): `sweep run` as before simulates it again")
     return from_parquet(path, content, columns)
@@ -282,4 +282,4 @@ def log(folder: Path, message: str) -> None:
         with path_in(folder, LOG).open("a", encoding="utf-8") as file:
             file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} {message}\n")
     except OSError as error:
-        raise Fault(f"{folder / LOG} cannot be written: {files.reason(error)}") from None
+        raise Fault(f"{folder / LOG} cannot be written: {files.os_error_text(error)}") from None

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweep.core.errors import InputError, suggest
-from sweep.core.files import append, write_whole
+from sweep.core.files import append_line, write_atomically
 from sweep.study.config import Experiment
 from sweep.study.study import is_static, parameter_columns, points
 
@@ -232,10 +232,10 @@ def known(log: Path, how: Mapping[str, Any]) -> list[Any]:
         raise InputError(f"{log} is damaged: remove it, or choose another out") from None
     if told and lines[0] != begun:
         raise InputError(f"{log} is of another search: remove it, or choose another out")
-    write_whole(log, ("\n".join([begun, *lines[1:]]) + "\n").encode())
+    write_atomically(log, ("\n".join([begun, *lines[1:]]) + "\n").encode())
     return told
 
 
 def keep(log: Path, found: list[Any]) -> None:
     """Add what was found to a log, as a line."""
-    append(log, json.dumps(found))
+    append_line(log, json.dumps(found))

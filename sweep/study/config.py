@@ -32,9 +32,9 @@ from omegaconf.errors import (
 
 from sweep import systems
 from sweep.core import project
-from sweep.core.errors import InputError, known, suggest
+from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.groups import GROUPS
-from sweep.core.parameters import checked, of_kind
+from sweep.core.parameters import build_by_kind, check_value
 from sweep.core.yaml_check import ambiguous_number
 from sweep.engines.settings import EngineSettings
 from sweep.study import designs, sources
@@ -154,7 +154,7 @@ def composed(overrides: list[str]) -> dict[str, Any]:
 def primary(overrides: list[str]) -> str:
     """What Hydra composes: the configuration of the system that scenario or study are for. Raises `InputError`."""
     name = sources.system({key: value for key, _, value in (one.partition("=") for one in overrides)})
-    known(name, systems.SYSTEMS, f"system = {name}")
+    require_choice(name, systems.SYSTEMS, f"system = {name}")
     return systems.SYSTEMS[name].config
 
 
@@ -208,7 +208,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     kind = systems.kind_of(values)
     allowed = (*systems.COMMON, *kind.keys)
     for key in values:
-        known(key, allowed, str(key))
+        require_choice(key, allowed, str(key))
     usual = {"control": {}, "plan": None}  # which rows of before they were there have at their defaults
     values = {**{key: value for key, value in usual.items() if key in allowed}, **values}
     for group in (key for key in allowed if key != "out"):
@@ -217,7 +217,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     system, settings, limits, told = kind.nominal(values, KINDS)
     if taken := {*PLAN, *LABELS, *TIMING} & {*system.figures}:
         raise InputError(f"a figure called {min(taken)} is not allowed: all rows have a column of that name")
-    cluster = of_kind(KINDS["cluster"], values["cluster"], "cluster")
+    cluster = build_by_kind(KINDS["cluster"], values["cluster"], "cluster")
     scenario = keyed("scenario", values["scenario"], _names(ScenarioSchema))
     asked = keyed("study", values["study"], _names(StudySchema))
     chosen = {**dataclasses.asdict(StudySchema()), **asked}  # rows of before a key was there had its default
@@ -302,7 +302,7 @@ def _wrong_type(error: OmegaConfBaseException, overrides: list[str]) -> str:
     for member in dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ():
         if member.name == str(error.key) and isinstance(error, ValidationError):
             try:
-                checked(member, error.value, key)
+                check_value(member, error.value, key)
             except InputError as known:
                 return str(known)
     hint = typing.get_type_hints(cls).get(str(error.key)) if dataclasses.is_dataclass(cls) else error.ref_type

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweep.core.errors import InputError, known, suggest
+from sweep.core.errors import InputError, require_choice, suggest
 from sweep.study import sought, subset
 from sweep.study.distributions import Distribution, keyed, listed, number, some
 from sweep.study.distributions import parse as parse_distribution
@@ -182,7 +182,7 @@ def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     given["correlation"] = _correlation("study.design.correlation", given.get("correlation") or [], drawn)
     design = Design(**given)
     for key, allowed in (("kind", DESIGNS), ("grid", GRIDS)):
-        known(value := getattr(design, key), allowed, f"study.design.{key} = {value!r}")
+        require_choice(value := getattr(design, key), allowed, f"study.design.{key} = {value!r}")
     if design.correlation and design.kind in ("saltelli", "morris"):
         raise InputError(f"study.design.correlation is not allowed with {design.kind}, which moves one axis at a time")
     least = 1 if drawn else 0

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.core.errors import InputError, known, suggest
+from sweep.core.errors import InputError, require_choice, suggest
 
 # what each distribution needs, and what it may have besides
 DISTRIBUTIONS = {
@@ -116,7 +116,7 @@ def keyed(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
     if not isinstance(given, Mapping):
         raise InputError(f"{path} = {given!r} is not allowed: keys and values (allowed: {', '.join(allowed)})")
     for key in given:
-        known(key, allowed, f"{path}.{key}")
+        require_choice(key, allowed, f"{path}.{key}")
     return {str(k): v for k, v in given.items()}
 
 

@@ -17,9 +17,9 @@ import pandas as pd
 
 from sweep import systems
 from sweep.core import project
-from sweep.core.errors import InputError, known, suggest
+from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.groups import GROUPS
-from sweep.core.parameters import UNITS, bounds_text, written
+from sweep.core.parameters import UNITS, bounds_text, format_unit
 from sweep.study import config
 from sweep.study.columns import MEANINGS
 
@@ -43,14 +43,14 @@ def text(name: str) -> str:
     """
     every = classes()
     if name not in every and (meaning := column_meanings().get(name)):
-        words = written(UNITS.get(name.rpartition("_")[2], "-"))
+        words = format_unit(UNITS.get(name.rpartition("_")[2], "-"))
         return f"{name}: {meaning}" + (f"\n  unit: {words}" if words else "")
     group, _, choice = name.partition("=")
     of_file = (
         choice and group in GROUPS and not GROUPS[group].numbers and choice not in map(kind_of, every.get(group, []))
     )
-    if of_file and (file := project.find(group, choice)):
-        return f"{name}: {project.described(file)}\n\n{file.read_text(encoding='utf-8').rstrip()}"
+    if of_file and (file := project.find_file(group, choice)):
+        return f"{name}: {project.first_comment(file)}\n\n{file.read_text(encoding='utf-8').rstrip()}"
     head = name.partition(".")[0].partition("=")[0]
     if head in GROUPS and GROUPS[head].numbers:
         return numbered(head, name.removeprefix(head)[1:])
@@ -60,7 +60,7 @@ def text(name: str) -> str:
         if kind and not any(kinds):
             raise InputError(f"{name} is unknown{suggest(kind, choices_of(group))}")
         if kind:
-            known(kind, [*kinds, *choices_of(group)], f"{group} = {kind}")
+            require_choice(kind, [*kinds, *choices_of(group)], f"{group} = {kind}")
         return "\n\n".join(section(group, cls) for cls in every[group] if kind in ("", kind_of(cls)))
     group, _, key = name.partition(".")
     if group not in every:
@@ -81,20 +81,20 @@ def column_meanings() -> dict[str, str]:
 
 def choices_of(group: str) -> list[str]:
     """The names of a group's files, of those that ship and of the project's own."""
-    return [*project.shipped(group), *project.own(group)]
+    return [*project.shipped_files(group), *project.project_files(group)]
 
 
 def numbered(group: str, name: str) -> str:
     """The numbers of a plan, `NAME` or one of them, `NAME.PATH`; without a name all plans. Raises `InputError`."""
-    files = {**project.shipped(group), **project.own(group)}
+    files = {**project.shipped_files(group), **project.project_files(group)}
     if not name:
-        return "\n".join(f"{group}.{name:20} {project.described(file)}" for name, file in files.items())
+        return "\n".join(f"{group}.{name:20} {project.first_comment(file)}" for name, file in files.items())
     file, _, path = name.partition(".")
-    known(file, files, f"{group} = {file}")
+    require_choice(file, files, f"{group} = {file}")
     said = GROUPS[group].numbers_of(file, lambda other: files[other].read_text(encoding="utf-8"))
     found = {path: value if isinstance(value, str) else f"{value:g}" for path, value in said.items()}
     if path:
-        known(path, found, f"{group}.{name}")
+        require_choice(path, found, f"{group}.{name}")
         return f"{group}.{path}: {found[path]}"
     told = [line.removeprefix("#").strip() for line in takewhile(lambda line: line.startswith("#"),
             files[file].read_text(encoding="utf-8").splitlines())]  # fmt: skip
@@ -153,7 +153,7 @@ def parameters(cls: type) -> Iterator[dict[str, str]]:
         yield {
             "parameter": field.name,
             "default": default(field),
-            "unit": written(field.metadata.get("unit", "")),
+            "unit": format_unit(field.metadata.get("unit", "")),
             "allowed": allowed[role](field) if role else "",
             "meaning": meanings.get(field.name, ""),
         }

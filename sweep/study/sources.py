@@ -24,7 +24,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from sweep.core import project
 from sweep.core.errors import InputError, suggest
-from sweep.core.files import reason
+from sweep.core.files import os_error_text
 from sweep.core.groups import GROUPS
 from sweep.core.yaml_check import check_yaml
 from sweep.systems import USUAL
@@ -56,7 +56,7 @@ class Files(ConfigSource):
     def is_config(self, config_path: str) -> bool:
         """Whether `group/name` is a file."""
         group, _, name = config_path.partition("/")
-        return group in GROUPS and (project.find(group, name) is not None or schema(group, name) is not None)
+        return group in GROUPS and (project.find_file(group, name) is not None or schema(group, name) is not None)
 
     def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
         """The names that a group has."""
@@ -67,9 +67,9 @@ class Files(ConfigSource):
     def load_config(self, config_path: str) -> ConfigResult:
         """The file as Hydra wants it. Raises `InputError`."""
         group, _, name = config_path.partition("/")
-        if project.find(group, name) is None and (made := schema(group, name)):
+        if project.find_file(group, name) is None and (made := schema(group, name)):
             return ConfigResult(self.provider, self.full_path(), made(), {"package": None})
-        file = project.find(group, name)
+        file = project.find_file(group, name)
         content = read(file, words=GROUPS[group].free)
         header = ConfigSource._get_header_dict(file.read_text(encoding="utf-8")[:512])
         refuse_code(config_path, content, str(header.get("package")))
@@ -145,12 +145,12 @@ def read(file: Any, words: bool = False) -> dict[str, Any]:
     except UnicodeDecodeError:
         raise InputError(f"{file} cannot be read: letters in UTF-8 are wanted") from None
     except OSError as error:
-        raise InputError(f"{file} cannot be read: {reason(error)}") from None
+        raise InputError(f"{file} cannot be read: {os_error_text(error)}") from None
     try:
         check_yaml(text, str(file))
-        content = OmegaConf.load(io.StringIO(project.words(text) if words else text))
+        content = OmegaConf.load(io.StringIO(project.quote_truth_words(text) if words else text))
     except yaml.YAMLError as error:
-        raise InputError(f"{file} cannot be read: {project.one_line(error)}") from None
+        raise InputError(f"{file} cannot be read: {project.yaml_error_line(error)}") from None
     except OSError:  # as OmegaConf tells of a word
         content = None
     if not isinstance(content, DictConfig):
@@ -181,7 +181,7 @@ def system(chosen: Mapping[str, str]) -> str:
     """The system that choices by group are for: that of the scenario, the one chosen or the study's; else `USUAL`."""
     group, seen = "scenario" if "scenario" in chosen else "study", set()
     name: Any = chosen.get(group)
-    while isinstance(name, str) and (group, name) not in seen and (file := project.find(group, name)) is not None:
+    while isinstance(name, str) and (group, name) not in seen and (file := project.find_file(group, name)) is not None:
         seen.add((group, name))
         content = read(file)
         if SYSTEM in content:
@@ -233,7 +233,7 @@ def started_from(group: str, content: Mapping[str, Any]) -> Iterator[tuple[str, 
 
 def refuse_ring(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None:
     """Raise `InputError` where a file that extends `name` starts, through it, from itself."""
-    above = project.find(group, name) if isinstance(name, str) else None
+    above = project.find_file(group, name) if isinstance(name, str) else None
     if above is None:
         return
     if os.path.samefile(above, file):
@@ -246,14 +246,14 @@ def refuse_ring(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None
 
 def chosen(file: Any, group: str, name: Any) -> str:
     """`name` if it is a file of `group`, or a kind. Raises `InputError`."""
-    if not isinstance(name, str) or (project.find(group, name) is None and name not in _kinds(group)):
+    if not isinstance(name, str) or (project.find_file(group, name) is None and name not in _kinds(group)):
         raise InputError(f"{file}: {group} = {name} is unknown{suggest(str(name), names(group))}")
     return name
 
 
 def names(group: str) -> list[str]:
     """What may be chosen of a group: files of the project, shipped ones, and kinds."""
-    return sorted({*project.own(group), *project.shipped(group), *_kinds(group)})
+    return sorted({*project.project_files(group), *project.shipped_files(group), *_kinds(group)})
 
 
 def _kinds(group: str) -> dict[str, Callable[[], DictConfig]]:

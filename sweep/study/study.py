@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweep.core.errors import InputError, known
+from sweep.core.errors import InputError, require_choice
 from sweep.core.expressions import AXES, mask
-from sweep.core.parameters import WHOLE, checked, count, within
+from sweep.core.parameters import WHOLE, check_value, count, is_within_bounds
 from sweep.engines.settings import EngineSettings
 from sweep.study import designs, searches
 from sweep.study.columns import LABELS, PLAN, TIMING
@@ -123,7 +123,7 @@ class Study(_Plain):
     def parse(cls, values: Mapping[str, Any], single: bool) -> "Study":
         """From plain values. Raises `InputError`."""
         for member in dataclasses.fields(_Plain):
-            checked(member, values[member.name], f"study.{member.name}")
+            check_value(member, values[member.name], f"study.{member.name}")
         if values["seed"] < 0:
             raise InputError(f"study.seed = {values['seed']} is not allowed: at least 0")
         if not 0 < values["level"] < 1:
@@ -203,7 +203,7 @@ def parameter_columns(table: "pd.DataFrame") -> list[str]:
 def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
     """Raise `InputError` where time histories are asked for that there are none of."""
     for name in study.keep:
-        known(name, system.recorded, f"study.keep: {name}")
+        require_choice(name, system.recorded, f"study.keep: {name}")
     ticks = 1 / (settings.control_period * study.keep_rate)
     if study.keep and (round(ticks) < 1 or abs(ticks - round(ticks)) > 1e-6):
         rate = f"a whole fraction of the control rate, {1 / settings.control_period:g} a second"
@@ -295,12 +295,12 @@ def _check(member: Parameter, values: "pd.Series", column: str, exact: bool = Fa
 
     if values.dtype.kind == "f" and member.metadata["role"] == "quantity":
         between = (values % 1 != 0) & (exact and member.metadata["unit"] in WHOLE)
-        values = values[~(np.isfinite(values) & within(member, values)) | between].head(1)
+        values = values[~(np.isfinite(values) & is_within_bounds(member, values)) | between].head(1)
     if values.dtype.kind in "OUT" and member.metadata["role"] != "choice":  # of a file: one word makes a column words
         no_number = values[pd.to_numeric(values, errors="coerce").isna()]
         values = (no_number if len(no_number) else values).head(1)
     for value in values.unique().tolist():
-        checked(member, value, column)
+        check_value(member, value, column)
 
 
 def ends(study: Study, system: System, settings: EngineSettings) -> "pd.DataFrame":

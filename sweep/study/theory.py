@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sweep import formulas
-from sweep.core.errors import InputError, known
+from sweep.core.errors import InputError, require_choice
 from sweep.core.expressions import evaluate
 from sweep.study.distributions import keyed
 
@@ -53,7 +53,7 @@ def parse(key: str, given: Any) -> Theory:
         if needed not in given:
             raise InputError(f"{key}.{needed} is missing")
     formula = formulas.find(given["formula"])
-    known(given["output"], formula.outputs, f"{key}.output = {given['output']}")
+    require_choice(given["output"], formula.outputs, f"{key}.output = {given['output']}")
     inputs = keyed(f"{key}.inputs", given.get("inputs", {}), tuple(entry.name for entry in formula.inputs))
     return Theory(
         given.get("label", formula.name), formula.name, given["output"], given["of"], inputs, given.get("measured", "")

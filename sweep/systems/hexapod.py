@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.controllers.manoeuvres import MANOEUVRES
-from sweep.core.errors import InputError, known, suggest
+from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.groups import GROUPS
-from sweep.core.parameters import build, of_kind
+from sweep.core.parameters import build, build_by_kind
 from sweep.engines import devices, run_id
 from sweep.engines.base import Engine
 from sweep.engines.settings import EngineSettings
@@ -249,7 +249,7 @@ class Hexapod:
         except ValueError:
             raise InputError(f"{text!r} is not a threshold, such as 'slip_max_m<0.02'") from None
         fields = dataclasses.fields(Thresholds)  # pyright: ignore[reportArgumentType]
-        known(key.strip(), [field.name for field in fields], f"outcome.{key.strip()}")
+        require_choice(key.strip(), [field.name for field in fields], f"outcome.{key.strip()}")
         if sign and sign != "=" and ("max" in key) != ("<" in sign):
             raise InputError(f"{text!r} is not allowed: {key.strip()} is a {'maximum' if 'max' in key else 'minimum'}")
         return key.strip(), number
@@ -265,7 +265,7 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     classes |= {name: group.load() for name, group in GROUPS.items() if group.in_case and group.one_class}
     parts = {group: build(cls, values[group], group) for group, cls in classes.items()}
     settings, given = parts.pop("engine"), dataclasses.asdict(parts.pop("outcome"))
-    parts |= {group: of_kind(kinds[group], values[group], group) for group in ("obstacle", "manoeuvre")}
+    parts |= {group: build_by_kind(kinds[group], values[group], group) for group in ("obstacle", "manoeuvre")}
     case = Case(**parts, plan=_table(values["plan"], parts["manoeuvre"]))
     if not _suits(type(case.obstacle), case.manoeuvre):
         needed = " or ".join(kind for kind, cls in OBSTACLES.items() if _suits(cls, case.manoeuvre))
@@ -307,7 +307,7 @@ def _table(given: Any, manoeuvre: Any) -> PlanTable:
     if not isinstance(manoeuvre, TabulatedManoeuvre):
         raise InputError(f"plan is not allowed: manoeuvre.kind = {kind} has its numbers in no file")
     plan_table.refuse_malformed(given)
-    known(way := given.get(WAY, FORTH), DIRECTIONS, f"plan.{WAY} = {way}")
+    require_choice(way := given.get(WAY, FORTH), DIRECTIONS, f"plan.{WAY} = {way}")
     if way != FORTH and not isinstance(manoeuvre, ReversibleManoeuvre):
         raise InputError(f"plan.{WAY} = {way} is not allowed: manoeuvre.kind = {kind} goes {FORTH} alone")
     return PlanTable(json.dumps(given))

@@ -16,9 +16,9 @@ import numpy as np
 from matplotlib.image import imsave
 from PIL import Image, ImageDraw, ImageFont
 
-from sweep.core.evenly import evenly
-from sweep.core.files import write_whole
+from sweep.core.files import write_atomically
 from sweep.core.parameters import InputError
+from sweep.core.spacing import evenly_spaced_indices
 from sweep.engines.base import Trace
 from sweep.trace.arrows import arrow_tips
 from sweep.trace.contact_forces import surfaces
@@ -45,11 +45,11 @@ def write_png(folder: str | Path, trace: Trace, outcome: str = "", number: int =
 
     Time and stage stand on each, and what came of it all.
     """
-    folder, chosen = Path(folder), evenly(finite_frames(trace), number)
+    folder, chosen = Path(folder), evenly_spaced_indices(finite_frames(trace), number)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"t{trace.time[k]:07.3f}s.png" for k in chosen]
     for path, picture, k in zip(paths, render(trace, chosen), chosen, strict=True):
-        write_whole(path, partial(imsave, arr=captioned(picture, caption(trace, k, outcome))))
+        write_atomically(path, partial(imsave, arr=captioned(picture, caption(trace, k, outcome))))
     return paths
 
 
@@ -97,7 +97,7 @@ def write_video(
     `progress` is told how many pictures of how many are drawn.
     """
     need_ffmpeg()
-    write_whole(Path(path), partial(_write_video, trace=trace, title=title, outcome=outcome, progress=progress))
+    write_atomically(Path(path), partial(_write_video, trace=trace, title=title, outcome=outcome, progress=progress))
 
 
 def _write_video(path: Path, trace: Trace, title: str, outcome: str, progress: Callable[[int, int], None]) -> None:

@@ -28,7 +28,7 @@ from foxglove.messages import (
 )
 
 from sweep.core.errors import Fault
-from sweep.core.files import descriptor, write_whole
+from sweep.core.files import descriptor, write_atomically
 from sweep.engines.base import Trace
 from sweep.trace.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
 from sweep.trace.layout import layout
@@ -55,13 +55,13 @@ def write_mcap(path: str | Path, trace: Trace, config: Mapping[str, Any], outcom
     """
     path = Path(path)
     try:
-        write_whole(path, partial(_write, trace=trace, config=config, outcome=outcome))
+        write_atomically(path, partial(_write, trace=trace, config=config, outcome=outcome))
     except RuntimeError as error:  # as Foxglove tells of a full disk, by the write that fails or by one after it
         if not any(words in str(error) for words in ("I/O error", "after a write method failed")):
             raise
         raise Fault(f"{path} cannot be written: {error}") from None
     if path.is_file() and descriptor(path) is None:
-        write_whole(path.with_suffix(".layout.json"), f"{json.dumps(layout(trace), indent=1)}\n".encode())
+        write_atomically(path.with_suffix(".layout.json"), f"{json.dumps(layout(trace), indent=1)}\n".encode())
 
 
 def _write(path: Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping[str, Any]) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from sweep.core.files import as_text, from_text
+from sweep.core.files import decode_text, encode_text
 from sweep.engines.base import Trace, single_joints
 from sweep.trace.contact_forces import measured
 from sweep.trace.hulls import hull_of
@@ -83,7 +83,7 @@ def motion(trace: Trace) -> dict[str, Any]:
 def thinned(kept: dict[str, Any], every: int) -> dict[str, Any]:
     """A motion with one in `every` of its frames, and one at least; a page shows a cubic through them."""
     frames, columns = kept["frames"], len(kept["scales"])
-    content = from_text(kept["states"])
+    content = decode_text(kept["states"])
     states = read_planes(content[: 2 * frames * columns], frames, np.dtype(np.int16))
     small = read_planes(content[2 * frames * columns :], frames, np.dtype(np.int8))
     every = min(every, frames)
@@ -98,7 +98,7 @@ def thinned(kept: dict[str, Any], every: int) -> dict[str, Any]:
 
 def packed(states: np.ndarray, small: np.ndarray) -> str:
     """Whole numbers of two bytes and of one as text."""
-    return as_text(planes(states) + planes(small))
+    return encode_text(planes(states) + planes(small))
 
 
 def planes(values: np.ndarray) -> bytes:

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sweep.core.letters import LETTERS, PAGE, folded, legend_below, lettering, sheet
 from sweep.core.parameters import InputError
+from sweep.core.plot_style import LETTERS, PAGE, legend_below, new_figure, plot_style, wrap_text
 from sweep.engines.base import Trace
 from sweep.formulas import stepping
 from sweep.models.legs import KINDS, N_LEGS
@@ -85,7 +85,7 @@ def margin(trace: Trace) -> Figure:
 
 def paths(trace: Trace) -> Figure:
     """Paths of the base and the feet in the horizontal plane and from the side, m; references dashed."""
-    figure = sheet(5.2)
+    figure = new_figure(5.2)
     figure.suptitle("Paths (dashed: reference)")
     axes = figure.subplots(2, 1)
     pose = base_pose(trace)
@@ -179,7 +179,7 @@ def _lettered(draw: Callable[[Trace], Figure]) -> Callable[[Trace], Figure]:
 
     @wraps(draw)
     def drawn(trace: Trace) -> Figure:
-        with lettering():
+        with plot_style():
             return draw(trace)
 
     return drawn
@@ -227,8 +227,8 @@ def _per_leg(
 
 def _grid(rows: int, columns: int, title: str, share: Literal["none", "col", "all"] = "none") -> tuple[Figure, Any]:
     """Figure and its axes (rows, columns), one time axis for all; `share` says which have one y axis."""
-    figure = sheet(1.6 + 1.1 * rows)
-    figure.suptitle(folded(title, 72 * PAGE - 2 * LETTERS))
+    figure = new_figure(1.6 + 1.1 * rows)
+    figure.suptitle(wrap_text(title, 72 * PAGE - 2 * LETTERS))
     return figure, figure.subplots(rows, columns, sharex=True, sharey=share, squeeze=False)
 
 

@@ -13,10 +13,10 @@ from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
 
 from sweep.core.arguments import Arguments
-from sweep.core.files import write_whole
-from sweep.core.letters import save
+from sweep.core.files import write_atomically
 from sweep.core.parameters import InputError
-from sweep.core.waiting import counting, waiting
+from sweep.core.plot_style import save_figure
+from sweep.core.progress import show_counts, show_wait
 from sweep.engines.base import Trace, same_bits
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import offered
@@ -59,7 +59,7 @@ def main(args: list[str]) -> int:
             shown = ", ".join(f"--{one}" for one in sorted(system.shown))
             raise InputError(f"--{name} is not allowed: such rollouts are shown by {shown}, and what study.keep keeps")
     place.like_rows_of(options.folder)
-    with waiting(f"simulating {options.point} of {options.folder} in its batch"):
+    with show_wait(f"simulating {options.point} of {options.folder} in its batch"):
         result = replay(options.folder, options.point)
     print(comparison(result))
     for path in (options.mcap, options.video, options.output, options.states, options.model):
@@ -69,18 +69,18 @@ def main(args: list[str]) -> int:
         outcome = {"point_id": result.stored["point_id"], **result.again}
         write_mcap(options.mcap, result.trace, result.config, outcome)
     if options.states:
-        write_whole(options.states, partial(states(result.trace).to_parquet, index=False))
+        write_atomically(options.states, partial(states(result.trace).to_parquet, index=False))
     if options.model:
-        write_whole(options.model, model_xml(result.trace.world, result.settings).encode())
+        write_atomically(options.model, model_xml(result.trace.world, result.settings).encode())
     for name in options.plot:
         beside = options.output.with_stem(f"{options.output.stem}-{name}")
-        save(PLOTS[name](result.trace), beside if len(options.plot) > 1 else options.output)
+        save_figure(PLOTS[name](result.trace), beside if len(options.plot) > 1 else options.output)
     came = str(result.again["cause"] or result.again["outcome"]).replace("_", " ")
     if options.png:
         write_png(options.png, result.trace, came)
     if options.video:
         pictures = len(at_rate(result.trace, VIDEO_RATE))
-        with counting(lambda done, of: f"{done} of {of} pictures drawn", 0, pictures) as report:
+        with show_counts(lambda done, of: f"{done} of {of} pictures drawn", 0, pictures) as report:
             write_video(options.video, result.trace, f"row {result.stored.name}", came, report)
     return 0
 

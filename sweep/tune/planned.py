@@ -11,7 +11,7 @@ from sweep.controllers.frames import Stance, stance_to_world, to_world
 from sweep.controllers.layers import HeldLegs
 from sweep.controllers.plan import Plan, reference_stance, stage_start
 from sweep.controllers.posture import feet_in_hip_axes, feet_in_world, joint_targets, leg_points, mass_centre
-from sweep.core.rotations import matrix, rotate, wrapped
+from sweep.core.rotations import matrix, rotate, wrap_angle
 from sweep.formulas import leg, stepping
 from sweep.metrics.geometry import (
     AROUND,
@@ -61,7 +61,7 @@ def margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) 
         for feet in (stage_start(plan, stage, free)[0], plan.foothold[stage])
     )
     _, later, _ = posed(case, plan, stage, u + jnp.where(u > 0.5, -JOINTS_AT, JOINTS_AT))
-    rates = wrapped(later - joints) / (JOINTS_AT * plan.duration[stage])
+    rates = wrap_angle(later - joints) / (JOINTS_AT * plan.duration[stage])
     goes = Swing(plan.swing[stage], starts, goal)
     return left(case, body_poses(free), stance, joints, rates, shortfall, goes)
 

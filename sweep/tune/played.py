@@ -20,7 +20,7 @@ from sweep.controllers.posture import joint_targets, mass_centre
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.controllers.tracker import TrackerState
 from sweep.core.constants import GRAVITY
-from sweep.core.rotations import exponential, multiply, rotate, wrapped
+from sweep.core.rotations import exponential, multiply, rotate, wrap_angle
 from sweep.formulas.ball import ROLLING
 from sweep.metrics.geometry import support_margin
 from sweep.models.case import Case
@@ -92,7 +92,7 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
         joints = joint_targets(case.robot, command.target._replace(feet=feet))[0]
         goal = state.goal if isinstance(case.manoeuvre, tracker.Guided) else plan.foothold[stage]
         starts, goal = (to_world(at, plan.foot_frame[stage], free) for at in (state.feet, goal))
-        rates = wrapped(joints - seen.angles) / h
+        rates = wrap_angle(joints - seen.angles) / h
         swing = Swing(swings, starts, goal)
         now = left(case, body_poses(free), command.target, joints, rates, command.shortfall, swing)
         on_floor = jnp.any(~swings & (stood.frame == WORLD))

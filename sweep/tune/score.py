@@ -14,7 +14,7 @@ import numpy as np
 from sweep.controllers import forces
 from sweep.controllers.forces import LOAD, PlannedForces
 from sweep.controllers.plan import Plan
-from sweep.core.errors import InputError, known
+from sweep.core.errors import InputError, require_choice
 from sweep.models import plan_table
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
@@ -86,7 +86,7 @@ class Score:
             raise InputError("--forces is not allowed: a plan on a ball is played, not held")
         told = (*planned.Margins._fields, *(PLAYED if self._plays else ("hold",) if hold else ()))
         for aim in aims:
-            known(aim.margin, told, f"--need: margin {aim.margin}")
+            require_choice(aim.margin, told, f"--need: margin {aim.margin}")
         chosen = [k for k, name in enumerate(names) if name in judged and any(fnmatchcase(name, p) for p in patterns)]
         self.stages = [names[k] for k in chosen]
         self.aims = [Aim(margin, "*", value) for margin, value in AIMS.items()] + list(aims)

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from sweep.cli.main import main
-from sweep.core.terminal import ELSEWHERE, fitted
+from sweep.core.terminal import ELSEWHERE, fit_to_width
 from sweep.report.tables import page_table
 from sweep.study import reference
 
@@ -25,14 +25,15 @@ def words(text: str) -> set[str]:
 @pytest.mark.parametrize("width", [80, 60])
 def test_the_reference_breaks_between_words(width):
     whole = reference.page()
-    shown = fitted(whole, width)
+    shown = fit_to_width(whole, width)
     assert max(map(len, shown.splitlines())) <= width
     assert words(shown) - words(whole) <= words(f"No room for default unit allowed: {ELSEWHERE}.")
 
 
 def test_columns_that_are_left_out_are_named_and_the_kept_ones_stay():
     wide = {f"a parameter with a name {k}": ["some-value-without-a-gap"] for k in range(6)}
-    shown = fitted(page_table(pd.DataFrame({**wide, "outcome": ["success"]})), WIDTH, ["outcome"], "look elsewhere")
+    rows = page_table(pd.DataFrame({**wide, "outcome": ["success"]}))
+    shown = fit_to_width(rows, WIDTH, ["outcome"], "look elsewhere")
     assert max(map(len, shown.splitlines())) <= WIDTH
     assert "success" in shown
     assert shown.count("some-value-without-a-gap") == 2

@@ -230,6 +230,6 @@ def test_programs_are_kept_in_an_absolute_folder_or_not_at_all(monkeypatch, tmp_
         assert files.cache_folder() == tmp_path / ".cache" / "insect-sweep"
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "x"))
     assert files.cache_folder() == tmp_path / "x" / "insect-sweep"
-    assert files.private(tmp_path / "x")
+    assert files.ensure_private_folder(tmp_path / "x")
     assert (tmp_path / "x").stat().st_mode & 0o777 == 0o700
-    assert not files.private(tmp_path / ("z" * 300))
+    assert not files.ensure_private_folder(tmp_path / ("z" * 300))

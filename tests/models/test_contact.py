@@ -43,7 +43,9 @@ def contacts(rng, n: int) -> tuple[ContactGeometry, np.ndarray]:
     stretch -= np.sum(stretch * normal, axis=1, keepdims=True) * normal
     depth = rng.uniform(-0.5e-3, 1e-3, n)
     limit, damping = jnp.full(n, 0.7), jnp.full(n, DAMPING)
-    geometry = ContactGeometry(jnp.asarray(depth), Vector.of(normal), Vector.of(stretch), limit, damping)
+    geometry = ContactGeometry(
+        jnp.asarray(depth), Vector.from_array(normal), Vector.from_array(stretch), limit, damping
+    )
     return geometry, rng.normal(size=(n, 3)) * 0.1
 
 
@@ -54,7 +56,7 @@ def test_slope_equals_finite_differences(seed):
     geometry, velocity = contacts(np.random.default_rng(seed), 60)
 
     def at(v):
-        return contact_forces(CONTACT, geometry, Vector.of(jnp.asarray(v)))
+        return contact_forces(CONTACT, geometry, Vector.from_array(jnp.asarray(v)))
 
     here, d = at(velocity), 1e-6
     slope = np.asarray(contact_slope(geometry, here, H).array()) / H
@@ -69,7 +71,7 @@ def test_slope_equals_finite_differences(seed):
 
 def test_forces_obey_coulomb():
     geometry, velocity = contacts(np.random.default_rng(1), 2000)
-    f = contact_forces(CONTACT, geometry, Vector.of(jnp.asarray(velocity)))
+    f = contact_forces(CONTACT, geometry, Vector.from_array(jnp.asarray(velocity)))
     drag, limit = np.linalg.norm(f.tangential.array(), axis=1), 0.7 * np.asarray(f.normal)
     slips, holds = np.asarray(f.slipping), np.asarray(f.loaded & ~f.slipping)
     assert min(slips.sum(), holds.sum(), (~np.asarray(f.loaded)).sum()) > 100  # all three states are among them
@@ -84,8 +86,8 @@ def test_dragged_anchor_holds_just_the_limit():
     point = jnp.array([[0.0, 0.0, -1e-4]])
     velocity = jnp.array([[0.3, 0.0, 0.0]])
     surface = Plane().surface(point, (-1,), NOWHERE)
-    foot, passing = Vector.of(point), Vector.of(velocity)
-    anchors = Anchors(Vector.of(jnp.array([[-0.01, 0.0, 0.0]])), jnp.array([True]), surface.face)
+    foot, passing = Vector.from_array(point), Vector.from_array(velocity)
+    anchors = Anchors(Vector.from_array(jnp.array([[-0.01, 0.0, 0.0]])), jnp.array([True]), surface.face)
     geometry, place = contact_geometry(CONTACT, surface, anchors, foot, ())
     forces = contact_forces(CONTACT, geometry, passing)
     assert forces.slipping[0]
@@ -108,8 +110,8 @@ def test_axes_of_free_bodies_round_trip():
 
 def test_anchors_keep_their_form_in_double_precision():
     """Or a step could not be repeated: faces that an obstacle works out are wider there."""
-    foot = Vector.of(jnp.array([[0.1, 0.0, 0.0999]]))
-    surface, still = Kerb().surface(foot.array(), (-1,), NOWHERE), Vector.of(jnp.zeros((1, 3)))
+    foot = Vector.from_array(jnp.array([[0.1, 0.0, 0.0999]]))
+    surface, still = Kerb().surface(foot.array(), (-1,), NOWHERE), Vector.from_array(jnp.zeros((1, 3)))
     geometry, place = contact_geometry(CONTACT, surface, no_anchors(1, jnp.float64), foot, ())
     forces = contact_forces(CONTACT, geometry, still)
     after = update_anchors(CONTACT, surface, foot, (), place, forces, still, H)
@@ -129,6 +131,6 @@ def test_root_bodies_equal_a_dense_solve(bodies):
         for j in range(2 * bodies):
             block = dense[3 * i : 3 * i + 3, 3 * j : 3 * j + 3]
             if np.any(block):
-                blocks.add(i, j, Matrix.of(jnp.asarray(block[None])))
-    x = blocks.solve([Vector.of(jnp.asarray(part[None])) for part in b.reshape(-1, 3)])
+                blocks.add(i, j, Matrix.from_array(jnp.asarray(block[None])))
+    x = blocks.solve([Vector.from_array(jnp.asarray(part[None])) for part in b.reshape(-1, 3)])
     np.testing.assert_allclose(np.ravel([part.array() for part in x]), np.linalg.solve(dense, b), rtol=1e-12)

@@ -12,7 +12,7 @@ from matplotlib.font_manager import fontManager
 from matplotlib.text import Text
 
 from sweep.cli.main import main
-from sweep.core.letters import OTHER_FONTS, TALL, lettering, sheet
+from sweep.core.plot_style import OTHER_FONTS, TALL, new_figure, plot_style
 from sweep.report import paper
 from sweep.report.exhibits import exhibits
 from sweep.runs import results, store
@@ -90,7 +90,7 @@ def test_figures_are_as_wide_as_a_column_or_a_page_and_have_letters_of_one_size(
     rows = found.rows.assign(**long)
     for serif in (False, True):
         for one in exhibits(replace(found, rows=rows)):
-            with lettering(serif):
+            with plot_style(serif):
                 figure = one.draw()
                 figure.draw_without_rendering()
             assert any(figure.get_size_inches()[0] == pytest.approx(mm / 25.4) for mm in (84, 174)), one.key
@@ -107,8 +107,8 @@ def test_figures_are_as_wide_as_a_column_or_a_page_and_have_letters_of_one_size(
 def test_figures_have_the_letters_of_a_chinese_name(recwarn):
     if not {font.name for font in fontManager.ttflist} & set(OTHER_FONTS):
         pytest.skip("needs letters: apt-get install fonts-noto-cjk, and none of matplotlib's list of fonts from before")
-    with lettering():
-        figure = sheet(1.0)
+    with plot_style():
+        figure = new_figure(1.0)
         figure.suptitle("步行 Ходьба")
         figure.savefig(io.BytesIO(), format="pdf")
     assert [str(one.message) for one in recwarn] == []

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from sweep.analysis.stats import broken, rate
-from sweep.core.letters import PAGE, legend_below, lettering, save
 from sweep.core.parameters import InputError
+from sweep.core.plot_style import PAGE, legend_below, plot_style, save_figure
 from sweep.metrics.outcome import FAILURES
 from sweep.report import maps, tables
 from sweep.report.cells import Cells
@@ -82,7 +82,7 @@ def test_map_of_single_rollouts_shows_causes_and_hatches_invalid_cells(rows, tmp
     assert np.allclose(*shapes)
     hatched = [patch.get_extents() for patch in left.patches if patch.get_hatch() == "////"]
     assert [left.transData.inverted().transform(box.p0) for box in hatched] == [pytest.approx([0.3, 0.025])]
-    assert "friction (world)" in save(figure, tmp_path / "map.svg").read_text()
+    assert "friction (world)" in save_figure(figure, tmp_path / "map.svg").read_text()
 
 
 def test_a_legend_shows_what_the_map_shows(rows):
@@ -119,7 +119,7 @@ def around(pixels, middle):
 
 def test_a_legend_is_never_cut(rows):
     causes = [list(FAILURES)[k % len(FAILURES)] for k in range(len(rows))]
-    with lettering():
+    with plot_style():
         figure = maps.success_map(rows.assign(outcome="failure", cause=causes), STORED)
         figure.draw_without_rendering()
     legend, whole = figure.legends[0].get_window_extent(), figure.bbox
@@ -132,7 +132,7 @@ def test_a_legend_is_never_cut(rows):
 def test_a_long_entry_of_a_legend_leaves_the_map_its_room(rows):
     figure = Figure(figsize=(PAGE, 3.6), layout="constrained")
     axes = figure.subplots()
-    with lettering():
+    with plot_style():
         legend_below(
             figure, [Patch(label=one) for one in ("short", "words", "again", "others", "more", "a limit " * 8)]
         )

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from sweep.core.evenly import evenly
 from sweep.core.parameters import InputError
+from sweep.core.spacing import evenly_spaced_indices
 from sweep.trace import frames
 from sweep.trace.arrows import FORCE_SCALE
 from sweep.trace.sampling import at_rate, at_times, base_pose, finite_frames
@@ -34,7 +34,7 @@ def test_frames_nearest_to_times(trace):
     np.testing.assert_array_equal(at_times(trace, np.array([-1.0, 0.0101, 0.5, 9.0])), [0, 2, 124, 249])
     assert len(at_rate(trace, 25.0)) == 25
     np.testing.assert_array_equal(at_rate(trace, 1e4), np.arange(250))
-    np.testing.assert_array_equal(evenly(finite_frames(trace), 3), [0, 124, 249])
+    np.testing.assert_array_equal(evenly_spaced_indices(finite_frames(trace), 3), [0, 124, 249])
 
 
 def test_only_finite_frames_are_chosen(trace):
@@ -42,7 +42,8 @@ def test_only_finite_frames_are_chosen(trace):
     qpos[1:] = np.inf
     broken = dataclasses.replace(trace, qpos=qpos)
     assert finite_frames(broken) == 1
-    for chosen in (at_times(broken, np.array([0.0, 5.0])), at_rate(broken, 25.0), evenly(finite_frames(broken), 4)):
+    few = evenly_spaced_indices(finite_frames(broken), 4)
+    for chosen in (at_times(broken, np.array([0.0, 5.0])), at_rate(broken, 25.0), few):
         assert set(chosen.tolist()) == {0}
 
 

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sweep.core.letters import save
 from sweep.core.parameters import InputError
+from sweep.core.plot_style import save_figure
 from sweep.models import scene
 from sweep.study.config import compose
 from sweep.trace.plots import PLOTS, tilt
@@ -57,7 +57,7 @@ def test_forces_are_measured_against_the_surface_under_the_foot(trace):
 
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
 def test_files_are_written(suffix, trace, tmp_path):
-    save(PLOTS["base"](trace), tmp_path / f"base.{suffix}")
+    save_figure(PLOTS["base"](trace), tmp_path / f"base.{suffix}")
     assert (tmp_path / f"base.{suffix}").stat().st_size > 5000
 
 
@@ -114,4 +114,4 @@ def test_a_broken_simulation_leaves_a_gap(trace, tmp_path):
     qpos[100:] = np.nan
     broken = dataclasses.replace(trace, qpos=qpos)
     for name in ("base", "joints"):
-        save(PLOTS[name](broken), tmp_path / f"{name}.svg")
+        save_figure(PLOTS[name](broken), tmp_path / f"{name}.svg")

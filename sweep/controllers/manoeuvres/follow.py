@@ -15,7 +15,7 @@ from sweep.controllers.symmetry import apply_direction
 from sweep.controllers.validation import require_within_reach, stances_at_stage_ends
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.core.rotations import about_vertical, exponential, multiply
+from sweep.core.rotations import exponential, multiply, rotation_about_vertical
 from sweep.formulas import stepping
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import Obstacle, free_start_state
@@ -76,7 +76,7 @@ class Follow(PlannedForces):
         if not stages:
             raise InputError(f"plan is not allowed: manoeuvre.kind = {self.kind} needs a part with moves")
         x, y = belief.obstacle.forward
-        level = about_vertical(jnp.asarray(np.arctan2(y, x)))
+        level = rotation_about_vertical(jnp.asarray(np.arctan2(y, x)))
         start = Stance(feet, position, multiply(exponential(-jnp.asarray(standing.pitch) * context.left), level))
         stages = self.with_load_transfer(stages) if self.forces == "planned" else stages
         plan = compile_plan(start, [Stage("stand", STAND), *stages, Stage("halt", STAND)], self.patience,

@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from sweep.core.errors import WRONG, InputError, raised
+from sweep.core.errors import WRONG, InputError, format_user_exception
 from sweep.models.obstacles.charts import Chart
 from sweep.models.obstacles.surface import Obstacle, Surface, identity_poses
 
@@ -22,7 +22,7 @@ def check_user_obstacle(obstacle: Obstacle) -> None:
         try:
             return function(*given)
         except WRONG as error:
-            raise _refused(obstacle, f"{what} fails: {raised(error)}") from None
+            raise _refused(obstacle, f"{what} fails: {format_user_exception(error)}") from None
 
     solids = tried("solids", obstacle.solids, bodies)
     if not isinstance(solids, tuple | list) or not all(hasattr(one, "segment_distance") for one in solids):

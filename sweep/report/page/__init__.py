@@ -22,8 +22,8 @@ from PIL import Image
 
 from sweep.analysis.sample import pooled
 from sweep.analysis.stats import broken
-from sweep.core.files import path_in, write_whole
-from sweep.core.letters import lettering
+from sweep.core.files import path_in, write_atomically
+from sweep.core.plot_style import plot_style
 from sweep.report import tables
 from sweep.report.exhibit import Exhibit
 from sweep.report.exhibits import exhibits
@@ -70,7 +70,7 @@ class Plate:
 def write(results: Results, path: Path, **options: Any) -> Path:
     """Write the page of `results`, with the options of `render`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, render(results, **options).encode())
+    write_atomically(path, render(results, **options).encode())
     return path
 
 
@@ -152,7 +152,7 @@ def render(
 def plate(one: Exhibit) -> Plate:
     """A figure as the page has it: pixels where the script shows the same, and only paper needs it."""
     live = one.key.startswith("map-") or one.key in ("draws", "causes", "distributions")
-    with lettering():
+    with plot_style():
         return Plate(one.key, one.title, one.caption, (png if live else svg)(one.draw(), one.title), live)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis.sample import some
-from sweep.core.files import as_text
+from sweep.core.files import encode_text
 from sweep.report import limits
 from sweep.report.exhibits import judged_first, thresholds
 from sweep.report.labels import column_meaning, kind_of, meaning, unique_words, words_and_unit
@@ -71,7 +71,7 @@ def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         "stages": stages,
         "columns": columns,
         "digits": DIGITS,
-        "block": as_text(b"".join(blocks)),
+        "block": encode_text(b"".join(blocks)),
         "one_at_a_time": results.one_at_a_time,
         "start": [c for c in (*chosen, *first) if c in (*axes, *figures)][:2],
         "theory": list(curves(results, rows)),
@@ -173,7 +173,7 @@ def refined_cells(results: Results) -> dict[str, Any] | None:
             found.append(np.stack([place[tuple(corner.T)] for corner in corners], axis=1))
     cells = np.concatenate(found) if found else np.zeros((0, 4), int)
     cells = cells[(cells >= 0).all(axis=1)]
-    return {"axes": [axis.column for axis in axes], "block": as_text(cells.astype("<i4").tobytes())}
+    return {"axes": [axis.column for axis in axes], "block": encode_text(cells.astype("<i4").tobytes())}
 
 
 def densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
@@ -190,7 +190,7 @@ def densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
             "high": high,
             "x_ends": x_ends,
             "y_ends": y_ends,
-            "block": as_text(counts.astype("<u4").view(np.uint8).reshape(-1, 4).T.tobytes()),
+            "block": encode_text(counts.astype("<u4").view(np.uint8).reshape(-1, 4).T.tobytes()),
         }
 
 

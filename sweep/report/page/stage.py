@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from sweep.core.files import as_text
+from sweep.core.files import encode_text
 from sweep.report import replays
 from sweep.report.page.data import sampled
 from sweep.runs.results import Results
@@ -67,7 +67,7 @@ def stage_directions(results: Results, shown: Iterable[Shown], room: int) -> Rep
                 "title": title,
             }
         )
-    return Replays(about, streams, as_text(f"[{','.join(models)}]".encode()), left_out)
+    return Replays(about, streams, encode_text(f"[{','.join(models)}]".encode()), left_out)
 
 
 def fitted(shown: list[Shown], room: int) -> list[Shown]:

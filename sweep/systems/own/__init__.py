@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweep.core.errors import InputError, known
-from sweep.core.parameters import build, checked, quantity
+from sweep.core.errors import InputError, require_choice
+from sweep.core.parameters import build, check_value, quantity
 from sweep.engines import run_id
 from sweep.engines.settings import EngineSettings
 from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
@@ -99,13 +99,13 @@ class Own(Subject):
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
         """A field of the model, or a number of controller, noise or engine, see `System`."""
         path = side_and_path(column)[1]
-        known(root := path.partition(".")[0], (*self.groups, "engine"), f"axis {column} names nothing: {root}")
+        require_choice(root := path.partition(".")[0], (*self.groups, "engine"), f"axis {column} names nothing: {root}")
         if root == "model":
             found = fields.parameter(self.model, path)
             fields.check(self.source, self.model, path)
             return found
         those = {f"engine.{one.name}": one for one in dataclasses.fields(Settings) if one.name in AXES}
-        known(path, {**self.ranges, **those}, f"axis {column} names nothing: {path}")
+        require_choice(path, {**self.ranges, **those}, f"axis {column} names nothing: {path}")
         if root == "engine":
             return those[path]
         return dataclasses.field(default=self.usual(path), metadata=self.ranges[path].metadata)
@@ -205,8 +205,8 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     own, groups = Own(about, ()), {group: values.get(group) or {} for group in ("noise", "controller")}
     asked = {f"{group}.{name}": value for group, given in groups.items() for name, value in given.items()}
     for path in asked:
-        known(path, own.ranges, path)
-    numbers = tuple((path, checked(one, asked.get(path, one.default), path)) for path, one in own.ranges.items())
+        require_choice(path, own.ranges, path)
+    numbers = tuple((path, check_value(one, asked.get(path, one.default), path)) for path, one in own.ranges.items())
     _ = own.told_of, own.keyframe  # which refuse unknown names
     conditions = outcome.parse(values.get("outcome") or {}, own.figures)
     content = about.content or _content(own)
@@ -230,13 +230,13 @@ def _about(given: Mapping[str, Any]) -> About:
         said[key] = tuple(names)
     direction, option = said.get("direction", About.direction), said.get("option", {})
     along = direction if isinstance(direction, list | tuple) else ()
-    along = tuple(checked(quantity(0.0, ""), one, "model.direction") for one in along)
+    along = tuple(check_value(quantity(0.0, ""), one, "model.direction") for one in along)
     if len(along) != 3 or not any(along):
         raise InputError(f"model.direction = {direction!r} is not allowed: along the world's axes, as [1, 0, 0]")
     if not isinstance(option, Mapping):
         raise InputError(f"model.option = {option!r} is not allowed: names and values, such as {{cone: elliptic}}")
     model, paths = files.model(said.get("mjcf", "")), {f"model.option.{name}": value for name, value in option.items()}
-    options = tuple((path, checked(fields.parameter(model, path), value, path)) for path, value in paths.items())
+    options = tuple((path, check_value(fields.parameter(model, path), value, path)) for path, value in paths.items())
     about = build(About, {**said, "direction": along, "option": options}, "model")
     if about.duration < about.period:
         allowed = f"at least model.period, {about.period:g} s"

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 
-from sweep.core.errors import InputError, known, suggest
+from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.parameters import choice, count, quantity, setting
 from sweep.systems.base import Parameter
 
@@ -218,7 +218,7 @@ def thing(model: mujoco.MjModel, path: str) -> Thing:
     """What a path names a number of. Raises `InputError` where there is no such thing."""
     root, _, rest = path.partition(".")
     kind, _, rest = rest.partition(".")
-    known(kind if root == ROOT else root, (*VARIED, OPTION), f"axis {path} names nothing: {kind or root}")
+    require_choice(kind if root == ROOT else root, (*VARIED, OPTION), f"axis {path} names nothing: {kind or root}")
     if kind == OPTION:
         return Thing(kind, 0, "", rest)
     parts = rest.split(".")
@@ -244,13 +244,13 @@ def resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
         if not sizes:
             del varied["size"]
     attribute, _, part = what.partition(".")
-    known(attribute, varied, f"axis {path} names nothing: {attribute or 'what of it'}")
+    require_choice(attribute, varied, f"axis {path} names nothing: {attribute or 'what of it'}")
     numbers = varied[attribute]
     count, firsts = _places(model, kind, number, numbers.field)
     names = [*(numbers.names or map(str, range(count)))][:count]
     if count == 1 and not part:
         part = names[0]
-    known(part, names, f"axis {path} names nothing: {part or 'which of its numbers'}")
+    require_choice(part, names, f"axis {path} names nothing: {part or 'which of its numbers'}")
     return numbers, [Place(numbers.field, first + names.index(part)) for first in firsts]
 
 

@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from sweep.core import project
-from sweep.core.errors import WRONG, InputError, raised, suggest
+from sweep.core.errors import WRONG, InputError, format_user_exception, suggest
 from sweep.models.binary import model_bytes
 
 ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
@@ -224,7 +224,7 @@ def _module(told: str, name: str) -> ModuleType:
         module = importlib.import_module(name)
         _READ[name] = here, _digest(project.sources(module))
     except WRONG as error:
-        raise InputError(f"model.controller = {told} cannot be imported: {raised(error)}") from None
+        raise InputError(f"model.controller = {told} cannot be imported: {format_user_exception(error)}") from None
     for key, (form, what) in FORMS.items():
         said = getattr(module, key, ())
         words = [*said, *(said.values() if key == "BELIEVES" else ())] if said and isinstance(said, form) else []

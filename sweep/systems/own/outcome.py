@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweep.core.errors import InputError, known
-from sweep.core.expressions import evaluate, held
+from sweep.core.errors import InputError, require_choice
+from sweep.core.expressions import evaluate, evaluate_condition
 from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
 
 GOAL, MISSED, UNTRUSTED = "goal", "goal_missed", "untrusted"
@@ -60,7 +60,7 @@ def parse(given: Mapping[str, Any], figures: Collection[str]) -> tuple[Condition
     """The conditions of a configuration in its order, but doubt first and the goal last. Raises `InputError`."""
 
     def look_up(name: str) -> np.ndarray:
-        known(name, figures, name)
+        require_choice(name, figures, name)
         return np.ones(1)
 
     found = []
@@ -68,7 +68,7 @@ def parse(given: Mapping[str, Any], figures: Collection[str]) -> tuple[Condition
         if key in (*DOUBTS, MISSED, UNTRUSTED, SUCCESS, FAILURE) or not str(key).isidentifier():
             raise InputError(f"outcome.{key} is not allowed: a name of your own for a failure, {GOAL} or {INVALID}")
 
-        held(str(text), look_up, f"outcome.{key} = {text!r}", "'tilt_max_deg > 60'")
+        evaluate_condition(str(text), look_up, f"outcome.{key} = {text!r}", "'tilt_max_deg > 60'")
         found.append(Condition({GOAL: MISSED, INVALID: UNTRUSTED}.get(key, str(key)), str(key), str(text)))
     if {one.key for one in found} <= {INVALID}:
         such = "such as {fell: tilt_max_deg > 60}, or a goal"

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from sweep.core.errors import WRONG, InputError, raised
+from sweep.core.errors import WRONG, InputError, format_user_exception
 from sweep.fused.numbers import worked_out
 from sweep.systems.own.batch import AtStart, ticks
 from sweep.systems.own.subject import Subject
@@ -131,7 +131,7 @@ class ControllerPrograms:
         except InputError:
             raise
         except WRONG as error:
-            raise self._wrong(f"fails: {raised(error)}") from None
+            raise self._wrong(f"fails: {format_user_exception(error)}") from None
 
     def controlled(self, told: np.ndarray) -> np.ndarray:
         """Controls (n, nu) of what the program gives (n, ...): they are it, or what a batched controller is told."""

@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from sweep.core.errors import InputError, known
+from sweep.core.errors import InputError, require_choice
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.engines.settings import EngineSettings
 from sweep.systems.base import Parameter, Values
@@ -94,7 +94,7 @@ class Subject:
         """Numbers of the touch sensors that `feet` or `collisions` names. Raises `InputError`."""
         names, sensors = getattr(self.about, key), [*self.parts][2:]  # which follow qpos and qvel
         for name in names:
-            known(name, sensors, f"model.{key}: {name}")
+            require_choice(name, sensors, f"model.{key}: {name}")
             if self.model.sensor(name).type != int(mujoco.mjtSensor.mjSENS_TOUCH):
                 raise InputError(f"model.{key}: {name} is no touch sensor")
         return [self.model.sensor(name).id for name in names]
@@ -104,7 +104,7 @@ class Subject:
         """Its number; -1 for the model's own pose. Raises `InputError`."""
         names, name = [self.model.key(k).name for k in range(self.model.nkey)], self.about.keyframe
         if name:
-            known(name, names, f"model.keyframe = {name}")
+            require_choice(name, names, f"model.keyframe = {name}")
         return names.index(name) if name else -1
 
     def state(self, qpos: Any, qvel: Any, sensors: Any) -> Any:
@@ -137,7 +137,7 @@ class Subject:
         if names and self.controller.observe:
             raise InputError("model.observe is not allowed beside the controller's own function `observe`")
         for name in names:
-            known(name, self.parts, f"model.observe: {name}")
+            require_choice(name, self.parts, f"model.observe: {name}")
         usual = slice(model.nq + model.nv if model.nsensordata else 0, None)
         return [self.parts[name] for name in names] or [usual]
 

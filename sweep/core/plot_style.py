@@ -1,4 +1,4 @@
-"""Figures at the widths of a paper's column and page, all letters of one size, legends that are never cut."""
+"""Style of plots: widths of a paper's column and page, one font size, legends that are never cut."""
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -16,7 +16,7 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.textpath import TextPath
 from matplotlib.ticker import MaxNLocator
 
-from sweep.core.files import write_whole
+from sweep.core.files import write_atomically
 
 COLUMN, PAGE = 84 / 25.4, 174 / 25.4  # in, as most journals have them
 TALL = 7.2  # in, as a page has room for above a caption: a taller figure would be shrunk, and its letters
@@ -30,8 +30,8 @@ PANEL = 0.6  # of a column's width, at least, is a panel's: beside it stand numb
 HANDLE = 6.0  # of a legend's entry beside its text, in letters: handle, gap, and the space to the next column
 
 
-def lettering(serif: bool = False) -> AbstractContextManager[None]:
-    """The context that a figure is drawn and written in: letters of 8 points, with serifs or without."""
+def plot_style(serif: bool = False) -> AbstractContextManager[None]:
+    """Return the Matplotlib context for drawing and saving figures: 8-point letters, with or without serifs."""
     sizes = ("axes.titlesize", "axes.labelsize", "xtick.labelsize", "ytick.labelsize", "legend.fontsize",
              "legend.title_fontsize", "figure.titlesize", "figure.labelsize")  # fmt: skip
     look: dict[Any, Any] = {"font.size": LETTERS, **dict.fromkeys(sizes, LETTERS)}
@@ -45,75 +45,79 @@ def lettering(serif: bool = False) -> AbstractContextManager[None]:
     return mpl.rc_context(look)
 
 
-def sheet(height: float, width: float = PAGE) -> Figure:
-    """An empty figure, in inches, no taller than a page has room for."""
+def new_figure(height: float, width: float = PAGE) -> Figure:
+    """Return an empty figure (inches), no taller than a page."""
     return Figure(figsize=(width, min(height, TALL)), layout="constrained")
 
 
-def save(figure: Figure, path: Path, dpi: int = DPI) -> Path:
-    """Write `figure` in the format that the suffix of `path` names, without a date in it; the path."""
+def save_figure(figure: Figure, path: Path, dpi: int = DPI) -> Path:
+    """Save a figure in the format of the path's suffix, reproducibly (without a date), and return the path."""
     metadata = {"Date": None} if path.suffix == ".svg" else None
-    with lettering(), mpl.rc_context({"svg.hashsalt": "sweep"}):
-        write_whole(path, partial(figure.savefig, dpi=dpi, metadata=metadata))
+    with plot_style(), mpl.rc_context({"svg.hashsalt": "sweep"}):
+        write_atomically(path, partial(figure.savefig, dpi=dpi, metadata=metadata))
     return path
 
 
 def legend_below(figure: Figure, handles: Sequence[Any]) -> None:
-    """A legend below all panels, in as many columns as the figure is wide enough for; it grows by further lines.
+    """Add a legend below all panels, in as many columns as fit; the figure grows by its further lines.
 
-    A handle is an artist with a label, or several that are drawn over each other, the first of which has it; of those
-    with the same label, as panels have them, one is shown.
+    Args:
+        figure: The figure.
+        handles: Artists with labels, or tuples of artists drawn over each other, the first of which has the label. Of
+            equal labels, one is shown.
     """
     if not handles:
         return
     named = {str((one if hasattr(one, "get_label") else one[0]).get_label()): one for one in handles}
     labels, handles = list(named), list(named.values())
-    widths = [wide(label) + HANDLE * LETTERS for label in labels]
+    widths = [text_width(label) + HANDLE * LETTERS for label in labels]
     across, high = figure.get_size_inches()
-    columns = max((n for n in range(1, len(handles) + 1) if taken(widths, n) <= 72 * across - 2 * LETTERS), default=1)
+    columns = max(
+        (n for n in range(1, len(handles) + 1) if legend_width(widths, n) <= 72 * across - 2 * LETTERS), default=1
+    )
     lines = -(-len(handles) // columns)
     figure.set_size_inches(across, max(high, min(high + (lines - 1) * LINE * LETTERS / 72, TALL)))
     over = {tuple: HandlerTuple(ndivide=1)}
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, handler_map=over)
 
 
-def taken(widths: Sequence[float], columns: int) -> float:
-    """Width of a legend of entries so wide in so many columns, each filled before the next, as matplotlib does."""
+def legend_width(widths: Sequence[float], columns: int) -> float:
+    """Return the width of a legend whose entries have these widths and fill one column after the other."""
     return sum(max(part) for part in np.array_split(widths, columns))
 
 
-def wide(text: str) -> float:
-    """How wide the widest line of `text` is, in points."""
+def text_width(text: str) -> float:
+    """Return the width of the widest line of a text, in points."""
     lines = [line for line in text.splitlines() if line.strip()]
     return max(
         (TextPath((0, 0), line, LETTERS, prop=FontProperties()).get_extents().width for line in lines), default=0
     )
 
 
-def spaced(ax: Axes, columns: int) -> None:
-    """As many ticks along x, five at most, as leave half a letter between labels in one of a figure's columns."""
+def fit_ticks(ax: Axes, columns: int) -> None:
+    """Set at most five ticks along x, fewer where their labels would touch in one of `columns` panels."""
     low, high = ax.get_xlim()
     room = PANEL * 72 * ax.figure.get_figure(root=True).get_size_inches()[0] / columns
     for number in range(5, 0, -1):
         ax.xaxis.set_major_locator(MaxNLocator(number))
         ticks = ax.xaxis.get_majorticklocs()
-        widest = max(wide(label) for label in ax.xaxis.get_major_formatter().format_ticks(list(ticks)))
+        widest = max(text_width(label) for label in ax.xaxis.get_major_formatter().format_ticks(list(ticks)))
         if np.diff(ticks).min() / (high - low) * room > widest + LETTERS / 2:
             return
 
 
-def counted(axis: Axis) -> None:
-    """Ticks at whole numbers, along which something is counted."""
+def use_whole_ticks(axis: Axis) -> None:
+    """Put ticks at whole numbers, for an axis of counts."""
     axis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
 
 
-def folded(text: str, room: float) -> str:
-    """`text` in lines that are no wider than `room` points, as far as its words allow."""
+def wrap_text(text: str, room: float) -> str:
+    """Wrap a text into lines no wider than `room` points, as far as its words allow."""
     lines = []
     for paragraph in text.splitlines():
         line = ""
         for word in paragraph.split(" "):
-            if line and wide(f"{line} {word}") > room:
+            if line and text_width(f"{line} {word}") > room:
                 lines.append(line)
                 line = word
             else:

@@ -1,4 +1,4 @@
-"""What is told while one has to wait: on a terminal a line that changes, in a pipe a line now and then."""
+"""Progress of long steps on the standard error: a changing line on a terminal, an occasional line in a pipe."""
 
 import json
 import sys
@@ -8,18 +8,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 from sweep.core.errors import InputError
-from sweep.core.files import cache_folder, private
+from sweep.core.files import cache_folder, ensure_private_folder
 
-FIRST, NEXT = 15.0, 60.0  # s, of silence, before the first line in a pipe and between the others
-WORTH = 2.0  # s, that a wait lasts to be remembered
+FIRST, NEXT = 15.0, 60.0  # s of silence before the first line in a pipe, and between further lines
+WORTH = 2.0  # s: shorter durations are not stored
 KEPT = "waits.json"  # beside the compiled programs
-_begun: dict[str, float] = {}  # parts of what is waited for that are under way, and since when
-_took: dict[str, float] = {}  # s, of those that are done
+_begun: dict[str, float] = {}  # start times of running parts, by name
+_took: dict[str, float] = {}  # durations of finished parts (s), by name
 
 
 @contextmanager
-def waiting(what: Callable[[], str] | str) -> Iterator[None]:
-    """Say on the standard error, after a moment, what is done and for how long."""
+def show_wait(what: Callable[[], str] | str) -> Iterator[None]:
+    """Print, from a thread, what this context is doing and for how long."""
     done, start, terminal = threading.Event(), time.perf_counter(), sys.stderr.isatty()
 
     def tell() -> None:
@@ -42,21 +42,29 @@ def waiting(what: Callable[[], str] | str) -> Iterator[None]:
 
 
 @contextmanager
-def counting(what: Callable[..., str], *counts: int) -> Iterator[Callable[..., None]]:
-    """Say, as `waiting` does, what is done by `counts`, until what this gives is called with others."""
+def show_counts(what: Callable[..., str], *counts: int) -> Iterator[Callable[..., None]]:
+    """Print progress as `show_wait` does, from counts that the caller updates.
+
+    Args:
+        what: Formats the counts as a phrase.
+        *counts: The first counts.
+
+    Yields:
+        A function that takes new counts.
+    """
     now = counts
 
     def count(*new: int) -> None:
         nonlocal now
         now = new
 
-    with waiting(lambda: what(*now)):
+    with show_wait(lambda: what(*now)):
         yield count
 
 
 @contextmanager
-def part(name: str) -> Iterator[None]:
-    """Inside, a part of what is waited for is under way, maybe beside others; see `parts`."""
+def timed_part(name: str) -> Iterator[None]:
+    """Measure this context as a named part of a longer step; parts may run side by side."""
     start = _begun[name] = time.perf_counter()
     try:
         yield
@@ -65,25 +73,25 @@ def part(name: str) -> Iterator[None]:
         _begun.pop(name, None)
 
 
-def parts(what: str) -> str:
-    """Which parts of `what` are under way, and how long each took when it was last done here, in words."""
-    told = " and ".join(name + last_time(f"{what}: {name}") for name in tuple(_begun))
+def format_running_parts(what: str) -> str:
+    """List the running parts of the step `what`, each with its duration in an earlier process."""
+    told = " and ".join(name + format_last_duration(f"{what}: {name}") for name in tuple(_begun))
     return f": {told}" if told else ""
 
 
-def last_time(what: str) -> str:
-    """How long `what` took when it was last waited for, in words; empty where that is not known."""
+def format_last_duration(what: str) -> str:
+    """Format the duration of a step in an earlier process; empty where it is unknown."""
     seconds = _waits().get(what)
     return f" ({seconds:.0f} s last time)" if seconds else ""
 
 
-def remember(what: str, seconds: float) -> None:
-    """Keep how long `what` and its parts took, beside the compiled programs."""
+def remember_duration(what: str, seconds: float) -> None:
+    """Store the duration of a step (s) and of its parts in the cache folder, for later processes."""
     took = {what: seconds, **{f"{what}: {name}": _took.pop(name) for name in tuple(_took)}}
     long = {name: round(one, 1) for name, one in took.items() if one > WORTH}
     if long and (folder := cache_folder()):
         with suppress(OSError, InputError):  # such as a home that cannot be written
-            if private(folder):
+            if ensure_private_folder(folder):
                 (folder / KEPT).write_text(json.dumps({**_waits(), **long}))
 
 

@@ -1,0 +1,16 @@
+"""Evenly spaced samples of a sequence."""
+
+import numpy as np
+
+
+def evenly_spaced_indices(number: int, most: int) -> np.ndarray:
+    """Choose evenly spaced indices, the first and the last among them.
+
+    Args:
+        number: Length of the sequence.
+        most: Largest number of indices.
+
+    Returns:
+        Increasing indices, at most `most` of 0 to `number - 1`.
+    """
+    return np.unique(np.linspace(0, number - 1, min(most, number)).round().astype(int))

@@ -1,0 +1,9 @@
+"""The version of the package, and the time at which this process imported it. `sweep` imports this module first."""
+
+import os
+import time
+
+VERSION = "0.2.0"
+STARTED = time.time()
+# silence XLA's own messages: one asks for a bug report after two minutes of compiling; errors are raised anyway
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
