@@ -29,7 +29,7 @@ CREEP = 1e-4  # rad/s, at which the resisting moment reaches its limit: rest is 
 
 
 class Anchors(NamedTuple):
-    """Where each of n contact points holds on: r_T of (1.2.2)."""
+    """Contact anchors of n points, to which tangential springs are attached: r_T of (1.2.2)."""
 
     # m, in the axes of the body that owns the face, world axes for the fixed world; of what rolls, from the contact
     place: Vector
@@ -38,7 +38,7 @@ class Anchors(NamedTuple):
 
 
 class ContactGeometry(NamedTuple):
-    """Everything of n contacts that stays fixed while a step's velocity is solved for. Axes are those of its maker."""
+    """Quantities of n contacts that stay constant while the velocity of a step is solved for, in base or world axes."""
 
     depth: Float[Array, " n"]
     normal: Vector
@@ -52,7 +52,7 @@ class ContactGeometry(NamedTuple):
 
 
 class ContactForces(NamedTuple):
-    """Contact forces at a velocity."""
+    """Contact forces of n points at a trial velocity, made by `contact_forces`."""
 
     force: Vector  # N, on the point
     normal: Float[Array, " n"]  # N, along the surface normal
@@ -64,7 +64,7 @@ class ContactForces(NamedTuple):
 
 
 def no_anchors(n: int, dtype: jnp.dtype) -> Anchors:
-    """Anchors of n points that have not touched anything."""
+    """Make the anchors of n points that are not in contact."""
     return Anchors(Vector.from_array(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, FACE))
 
 
@@ -89,12 +89,30 @@ def _frames(bodies: BodyPoses) -> Frames:
 
 
 def to_world(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses) -> Float[Array, "n 3"]:
-    """Points from the axes of the free body that each belongs to (-1: the world) to world axes."""
+    """Transform points from the frames of free bodies to the world frame.
+
+    Args:
+        place: Points (m), each in the frame of its body.
+        body: Number of each point's free body; -1 for the world.
+        bodies: Poses of the free bodies.
+
+    Returns:
+        Points (m, world axes).
+    """
     return _world(Vector.from_array(place), body, _frames(bodies)).array()
 
 
 def to_body(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses) -> Float[Array, "n 3"]:
-    """The inverse of `to_world`."""
+    """Transform points from the world frame to the frames of free bodies, the inverse of `to_world`.
+
+    Args:
+        place: Points (m, world axes).
+        body: Number of each point's free body; -1 for the world.
+        bodies: Poses of the free bodies.
+
+    Returns:
+        Points (m), each in the frame of its body.
+    """
     return _own(Vector.from_array(place), body, _frames(bodies)).array()
 
 
@@ -207,7 +225,7 @@ def resisting_moments(
 
 
 class ContactArm(NamedTuple):
-    """What a root body does to n contact points: it carries some, and others stand on it."""
+    """Relation of a root body to n contact points: it carries some of them, and others stand on it."""
 
     body: int
     share: Float[Array, " n"] | None  # 1 carries, -1 is stood on, 0 neither; None: it carries all
@@ -282,9 +300,15 @@ class ContactStart(NamedTuple):
 def find_contacts(
     case: Case, anchors: Sequence[Anchors], base: Vector, rotation: Matrix, feet: Vector, free: FreeBodies
 ) -> list[ContactStart]:
-    """Those of the feet (m, base axes), and of the sites of free bodies where there are some.
+    """Find the contacts at the start of a step: those of the feet, then those of free bodies' sites, if any.
 
-    The base is at `base` (m), `turned` from its axes to the world's.
+    Args:
+        case: The world.
+        anchors: Anchors of feet and sites.
+        base: Position of the base (m, world axes).
+        rotation: Base axes to world axes.
+        feet: Positions of the feet (m, base axes, from the base).
+        free: Kinematics of the free bodies.
     """
     to_base, at = rotation.transpose, [feet, *free_bodies.contact_sites(case, free)]
     points = [base + rotation @ each for each in at]

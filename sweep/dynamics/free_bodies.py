@@ -16,7 +16,7 @@ Frames = Sequence[tuple[Vector, Matrix]]  # (1,) of each body: place of its orig
 
 
 class FreeBodies(NamedTuple):
-    """Their kinematics, k bodies; base axes, from the base's origin, unless said otherwise."""
+    """Kinematics of k free bodies, base axes from the base's origin unless a field says otherwise."""
 
     origins: list[Vector]  # (1,) m
     axes: list[Matrix]  # (1,) own axes to base axes
@@ -24,7 +24,7 @@ class FreeBodies(NamedTuple):
 
 
 def kinematics(pose: Pose, to_base: Matrix) -> FreeBodies:
-    """Where the free bodies of a pose are, `to_base` leading from world to base axes."""
+    """Compute positions and axes of the free bodies of a pose; `to_base` rotates from world to base axes."""
     base, *free = pose.root
     frames = [(place.position, place.rotation()) for place in free]
     origins = [to_base @ (position - base.position) for position, _ in frames]
@@ -32,7 +32,7 @@ def kinematics(pose: Pose, to_base: Matrix) -> FreeBodies:
 
 
 def start_at_rest(case: Case) -> FreeState:
-    """At the start: what lies on the floor has sunk in until the contact bears its weight, and does not bounce."""
+    """State of free bodies at the start, sunk into the floor until contacts carry their weight: none bounces."""
     free, obstacle = free_start_state(case.obstacle), case.obstacle
     if not obstacle.lying:
         return free
@@ -43,7 +43,7 @@ def start_at_rest(case: Case) -> FreeState:
 
 
 def inertias(case: Case, axes: list[Matrix]) -> list[Inertia]:
-    """In the axes to which `axes` lead from their own."""
+    """Inertias of the free bodies in the axes to which `axes` rotate from their own axes."""
     leaves = case.obstacle.batched_model_fields()
     out = []
     for name, turned in zip(case.obstacle.free_bodies, axes, strict=True):
@@ -54,7 +54,7 @@ def inertias(case: Case, axes: list[Matrix]) -> list[Inertia]:
 
 
 def bias_wrench(inertia: Inertia, motion: SpatialVector, up: Vector) -> SpatialVector:
-    """Of a body: Coriolis and gravity force that keep its acceleration zero; `up` is the world's z axis."""
+    """Force and torque that keep a body's acceleration zero: Coriolis and gravity; `up` is the world's z axis."""
     spin = motion.angular
     return SpatialVector((GRAVITY * inertia.mass) * up, spin.cross(inertia.inertia @ spin))
 
@@ -71,12 +71,12 @@ def contact_sites(case: Case, bodies: FreeBodies) -> list[Vector]:
 
 
 def contact_owners(case: Case) -> tuple[int, ...]:
-    """The free body that carries each contact point, -1 for the robot's feet, which come first."""
+    """Number of the free body that carries each contact point; -1 for the robot's feet, which come first."""
     return (-1,) * N_LEGS + tuple(body for _, body in case.obstacle.contact_sites)
 
 
 def external_wrenches(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies) -> list[SpatialVector]:
-    """What the obstacle puts on its bodies beside weight and contact, world axes, if anything."""
+    """Wrenches on free bodies other than weight and contact (N, N m, world axes); empty if there are none."""
     if not bodies.frames:
         return []
     turned = [own.rotate(rotation) for own, (_, rotation) in zip(motion.root[1:], bodies.frames, strict=True)]
@@ -96,7 +96,7 @@ def external_wrenches(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies
 
 
 def to_body_poses(bodies: FreeBodies, dtype: jnp.dtype) -> BodyPoses:
-    """The poses of free bodies as arrays."""
+    """Convert poses of free bodies from components to arrays."""
     if not bodies.frames:
         return BodyPoses(jnp.zeros((0, 3), dtype), jnp.zeros((0, 3, 3), dtype))
     position, rotation = ([x.array() for x in parts] for parts in zip(*bodies.frames, strict=True))

@@ -1,4 +1,4 @@
-"""What the smooth dynamics of a robot with legs on one base are: a mass matrix in blocks, bias forces, and its feet.
+"""Interface of smooth dynamics of a robot with legs on one base: mass matrix in blocks, bias forces, foot Jacobians.
 
 Legs couple through the base only, so the mass matrix is kept as blocks and never as a full matrix. The obstacle's
 free bodies are rigid bodies of their own, see `free_bodies`.
@@ -22,7 +22,10 @@ from sweep.models.legs import JOINTS, LEGS, N_LEGS
 
 @dataclass(frozen=True)
 class Topology:
-    """What does not change while sizes and masses are swept. Contact points: the six feet, then obstacle sites."""
+    """Compiled model and index tables, constant while sizes and masses vary. `topology` makes it.
+
+    Contact points are the six feet, then the obstacle's sites.
+    """
 
     model: mujoco.MjModel
     names: Mapping[str, Mapping[str, int]]  # ids by kind ("body", "site", "joint") and name
@@ -33,7 +36,7 @@ class Topology:
 
 
 class Tree(NamedTuple):
-    """One configuration of the robot. Base axes, from the base's origin."""
+    """Mass matrix, bias and foot Jacobians of the robot at one pose and motion, base axes from the base's origin."""
 
     mass: Mass  # with armature
     bias: Motion  # Coriolis and gravity
@@ -45,9 +48,10 @@ SmoothDynamics = Callable[[Pose, Motion], Tree]  # of one world; motions in the 
 
 
 def topology(case: Case) -> Topology:
-    """The compiled model of `case` (plain numbers) and the index tables of its blocks.
+    """Compile the model of a case (plain numbers) and build the index tables of its blocks.
 
-    Raises `InputError` for a free body whose frame is not at its mass centre along its principal axes.
+    Raises:
+        InputError: The frame of a free body is not at its mass centre along its principal axes.
     """
     model = scene.compile_model(case, geoms=False)
     kinds = {"body": mujoco.mjtObj.mjOBJ_BODY, "site": mujoco.mjtObj.mjOBJ_SITE, "joint": mujoco.mjtObj.mjOBJ_JOINT}

@@ -21,14 +21,14 @@ BASE = 1  # body id
 
 
 def mjx_dynamics(top: Topology) -> Callable[[Case], SmoothDynamics]:
-    """The smooth dynamics of a world, for every world of the topology."""
+    """Build smooth dynamics from MJX: a function from a world of this topology to its `SmoothDynamics`."""
     model = mjx.put_model(top.model, impl="jax")
     data = mjx.make_data(model, impl="jax")
     return lambda world: partial(smooth_dynamics, top, model.replace(**varying_fields(top, model, world)), data)
 
 
 def varying_fields(top: Topology, model: mjx.Model, case: Case) -> dict[str, Array]:
-    """The arrays of the topology's `model` that follow from the parameters of `case`, by field. Pure JAX."""
+    """Fields of the MJX model that depend on the parameters of `case`, by name; may be traced."""
     changed = {}
     for field, values in scene.batched_model_fields(case).items():
         table = top.names[{"body": "body", "site": "site", "dof": "joint"}[field.split("_")[0]]]

@@ -19,12 +19,12 @@ Rates = tuple[Array, Array, Array]  # (l,) of alpha, beta, gamma
 
 
 def split_joints(values: Float[Array, "l 3"]) -> Rates:
-    """A table of the legs' joints (l, 3) by columns."""
+    """Split a table (l, 3) of the legs' joints into alpha, beta, gamma (l,)."""
     return values[:, 0], values[:, 1], values[:, 2]
 
 
 def map_joints(f: Callable[..., Array], *values: tuple[Any, Any, Any]) -> Rates:
-    """`f` for each joint of the legs."""
+    """Apply `f` to alpha, beta and gamma of each argument in turn."""
     alpha, beta, gamma = (f(*parts) for parts in zip(*values, strict=True))
     return alpha, beta, gamma
 
@@ -40,22 +40,22 @@ class SpatialVector(NamedTuple):
         return self.linear.dot(other.linear) + self.angular.dot(other.angular)
 
     def rotate(self, rotation: Matrix) -> "SpatialVector":
-        """The same vector in other axes."""
+        """Rotate to other axes."""
         return SpatialVector(rotation @ self.linear, rotation @ self.angular)
 
 
 class RootPose(NamedTuple):
-    """Place and attitude of a root body."""
+    """Position and orientation of a root body."""
 
     position: Vector  # (1,) m, of its origin, world axes
     quat: tuple[Array, Array, Array, Array]  # (1,) body to world
 
     def rotation(self) -> Matrix:
-        """Its rotation, body to world."""
+        """Rotation from body to world axes."""
         return rotation(*self.quat)
 
     def integrate(self, velocity: Vector, spin: Vector, h: float) -> "RootPose":
-        """Moved on for h seconds at `velocity` (m/s, world axes) and `spin` (rad/s, own axes)."""
+        """Integrate over h seconds at `velocity` (m/s, world axes) and `spin` (rad/s, body axes)."""
         rate = jnp.sqrt(spin.dot(spin) + 1e-24)
         half = 0.5 * h * rate
         c, s = jnp.cos(half), jnp.sin(half) / rate
@@ -72,14 +72,14 @@ class RootPose(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Where root bodies and joints are."""
+    """Poses of all root bodies, and joint angles."""
 
     root: tuple[RootPose, ...]
     angle: Rates  # (l,) rad: alpha, beta, gamma
 
 
 class Motion(NamedTuple):
-    """How they move, or a momentum or force that goes with it. Axes are those of its maker."""
+    """Velocities of all root bodies and joints, or momenta or forces dual to them; the maker names the axes."""
 
     root: tuple[SpatialVector, ...]
     leg: Rates
@@ -91,7 +91,7 @@ class Motion(NamedTuple):
 
 
 class Inertia(NamedTuple):
-    """How a body resists: mass, first moment and moments of inertia, about its origin."""
+    """Spatial inertia of a body about its origin: mass, first moment and moments of inertia."""
 
     mass: Array  # (1,) kg
     moment: Vector | None  # (1,) kg m, mass times mass centre; None where that is the origin
@@ -129,7 +129,7 @@ def add_scaled(a, share: Array | float, b):
 
 
 def unpack(q: Array, v: Array) -> tuple[Pose, Motion]:
-    """From MuJoCo's qpos and qvel: base, the legs' hinges in order, free bodies. Motions in each body's own axes."""
+    """Split MuJoCo's qpos and qvel into poses and motions of base, legs and free bodies; motions are in body axes."""
     joints = 3 * N_LEGS
     angle, rate = q[7 : 7 + joints].reshape(N_LEGS, 3), v[6 : 6 + joints].reshape(N_LEGS, 3)
     places, motions = [], []
@@ -144,7 +144,7 @@ def unpack(q: Array, v: Array) -> tuple[Pose, Motion]:
 
 
 def pack(pose: Pose, v: Motion) -> tuple[Array, Array]:
-    """The inverse of `unpack`."""
+    """Join poses and motions to MuJoCo's qpos and qvel, the inverse of `unpack`."""
     angle, rate = (jnp.stack(parts, axis=-1).reshape(-1) for parts in (pose.angle, v.leg))
     places = [[*place.position, *place.quat] for place in pose.root]
     motions = [[*(place.rotation() @ own.linear), *own.angular] for place, own in zip(pose.root, v.root, strict=True)]

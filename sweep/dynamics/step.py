@@ -56,7 +56,7 @@ SHORTER = (0.1,)
 
 
 class PhysicsState(NamedTuple):
-    """Physical state: MuJoCo's qpos and qvel, and the anchors of the feet and of the obstacle's sites, if any."""
+    """Physical state of a rollout: MuJoCo's qpos and qvel, and the contact anchors of feet and obstacle's sites."""
 
     q: Float[Array, " nq"]
     v: Float[Array, " nv"]
@@ -64,7 +64,7 @@ class PhysicsState(NamedTuple):
 
 
 class ComponentState(NamedTuple):
-    """A `State` by the components of its bodies and joints."""
+    """A `PhysicsState` by components of bodies and joints, in which steps are computed."""
 
     pose: Pose
     motion: Motion  # in the bodies' own axes
@@ -72,7 +72,7 @@ class ComponentState(NamedTuple):
 
 
 class StepStart(NamedTuple):
-    """Where things were at the start of a step. World axes."""
+    """Positions and energy at the start of a step, world axes; part of a `StepReport`."""
 
     normal: Vector  # (l,) of the surfaces under the feet
     energy: Array  # (1,) J
@@ -82,7 +82,7 @@ class StepStart(NamedTuple):
 
 
 class StepReport(NamedTuple):
-    """What happened in one step; forces in world axes."""
+    """Forces, torques and power of one step; forces in world axes."""
 
     force: Vector  # (l,) N, on the feet
     normal: Array  # (l,) N
@@ -95,7 +95,7 @@ class StepReport(NamedTuple):
 
 
 class DriveLimits(NamedTuple):
-    """What execution leaves of the drives: gain and limit of each joint, and an outside force."""
+    """Faults of execution: gain and torque limit of each joint, and an external push."""
 
     gain: Float[Array, "6 3"]  # 0 for a dead joint
     torque: Float[Array, "6 3"]  # N m
@@ -103,18 +103,23 @@ class DriveLimits(NamedTuple):
 
 
 def state_at_rest(top: Topology, q: Float[Array, " nq"]) -> PhysicsState:
-    """A state at rest with no foothold yet."""
+    """Make a state at rest without contacts.
+
+    Args:
+        top: The topology of the model.
+        q: MuJoCo's qpos (m, quaternions, rad).
+    """
     counts = (N_LEGS, len(top.owner) - N_LEGS)
     return PhysicsState(q, jnp.zeros(top.model.nv, q.dtype), tuple(no_anchors(n, q.dtype) for n in counts if n))
 
 
 def to_components(state: PhysicsState) -> ComponentState:
-    """The state by its components."""
+    """Split a state into components of bodies and joints."""
     return ComponentState(*unpack(state.q, state.v), state.anchors)
 
 
 def from_components(moving: ComponentState) -> PhysicsState:
-    """The state as arrays of MuJoCo's order."""
+    """Join components to arrays in MuJoCo's order, the inverse of `to_components`."""
     return PhysicsState(*pack(moving.pose, moving.motion), moving.anchors)
 
 
@@ -127,7 +132,20 @@ def step(
     h: float,
     iterations: int,
 ) -> tuple[ComponentState, StepReport]:
-    """Advance `state` by h seconds while the drives do as `servo` tells them."""
+    """Advance the state by one physics step, by an implicit solution of the equations (1.2.1) and (1.2.2).
+
+    Args:
+        smooth_dynamics: Mass matrix, bias and foot Jacobians of the robot.
+        case: The world.
+        limits: Faults of execution.
+        state: The state at the start of the step.
+        servo: Command of the drives.
+        h: Time step (s).
+        iterations: Number of Newton iterations.
+
+    Returns:
+        The state at the end, and the step's forces, torques and power.
+    """
     here = _here(smooth_dynamics, case, state)
     mass, turned, v = here.mass, here.turned, here.motion
     momentum, outside = mass.momentum(v), _outside(case, limits, state, here)
@@ -168,7 +186,16 @@ def step(
 
 
 def mechanical_energy(smooth_dynamics: SmoothDynamics, case: Case, state: ComponentState) -> Array:
-    """Kinetic and potential energy (J), (1,)."""
+    """Kinetic and potential energy of robot and free bodies.
+
+    Args:
+        smooth_dynamics: Mass matrix, bias and foot Jacobians of the robot.
+        case: The world.
+        state: The state.
+
+    Returns:
+        The energy (J), (1,).
+    """
     here = _here(smooth_dynamics, case, state)
     return 0.5 * here.mass.momentum(here.motion).dot(here.motion) + _potential(here)
 

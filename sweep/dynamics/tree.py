@@ -30,12 +30,12 @@ class Link(NamedTuple):
     joint: int  # the last joint before it
 
     def inertia_times(self, u: Vector) -> Vector:
-        """Its inertia about its centre, times a vector."""
+        """Multiply the inertia tensor about the link's centre by a vector."""
         return self.across * u + ((self.along - self.across) * self.direction.dot(u)) * self.direction
 
 
 def tree_dynamics(world: Case) -> SmoothDynamics:
-    """The smooth dynamics of a world."""
+    """Build the smooth dynamics of a world from the equations of this module."""
     return partial(tree_terms, world.robot, world.drive.armature)
 
 

@@ -62,5 +62,5 @@ CAUSES: tuple[Cause, ...] = tuple(cause for metric in METRICS for cause in metri
 
 
 def applicable_metrics(case: Case) -> tuple[Metric, ...]:
-    """The metrics that apply to a kind of world."""
+    """Select the metrics that apply to a kind of world; numbers of the world do not matter."""
     return tuple(metric for metric in METRICS if metric.applies(case))

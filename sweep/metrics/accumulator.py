@@ -1,4 +1,4 @@
-"""Running figures of a rollout: updated once a control tick, from the same summary for both engines."""
+"""Accumulation of all metrics of a rollout: once a control tick, from the same report for both engines."""
 
 from typing import Any, NamedTuple
 
@@ -17,32 +17,32 @@ OVERTURNED = 60.0  # deg of tilt: nothing after it tells anything of the manoeuv
 
 
 class RunningMetrics(NamedTuple):
-    """Every metric's state, and when causes were met; c causes that are known in a tick."""
+    """States of all metrics of a rollout, and the times of its c causes that are known in a tick; engines carry it."""
 
     time: Float[Array, ""]  # s
     rested: Float[Array, ""]  # s, since the plan has ended
-    over: Bool[Array, ""]  # overturned or not finite: figures are frozen
+    over: Bool[Array, ""]  # overturned or not finite: metrics are frozen
     states: tuple[Any, ...]
     cause_time: Float[Array, " c"]  # s, first crossing of each threshold, NaN before
     cause_stage: Int[Array, " c"]
 
 
 def tick_causes(world: Case) -> tuple[Cause, ...]:
-    """The causes whose moment is noted."""
+    """Causes that are known in the tick that crosses their threshold, whose time is recorded."""
     return tuple(
         cause for metric in metrics.applicable_metrics(world) for cause in metric.causes if cause.known_at == "tick"
     )
 
 
 def tick_metrics(world: Case) -> tuple[str, ...]:
-    """The figures by which a rollout is judged in every tick: those of the `timed` causes, and such as lead to them."""
+    """Names of the metrics of `tick_causes` and of their companions, which are computed in every tick."""
     causes = tick_causes(world)
     there = {name for metric in metrics.applicable_metrics(world) for name in metric.columns}
     return (*(c.metric for c in causes), *(c.companion for c in causes if c.companion in there))
 
 
 def begin(start: RolloutStart) -> RunningMetrics:
-    """Nothing has happened yet."""
+    """Initial states of all metrics that apply to the world."""
     dtype, n = start.plan.duration.dtype, len(tick_causes(start.world))
     return RunningMetrics(
         time=jnp.zeros((), dtype),
@@ -55,7 +55,13 @@ def begin(start: RolloutStart) -> RunningMetrics:
 
 
 def with_start_energy(world: Case, running: RunningMetrics, energy: Array) -> RunningMetrics:
-    """`running` with another energy at the start (J)."""
+    """Replace the mechanical energy at the start, from which the growth of energy is measured.
+
+    Args:
+        world: The world.
+        running: The rollout's metrics.
+        energy: Energy at the start (J).
+    """
     states = zip(metrics.applicable_metrics(world), running.states, strict=True)
     return running._replace(
         states=tuple(s._replace(energy=energy) if metric is solver.METRIC else s for metric, s in states)
@@ -65,9 +71,16 @@ def with_start_energy(world: Case, running: RunningMetrics, energy: Array) -> Ru
 def update(
     running: RunningMetrics, ctx: MetricTick, limits: Thresholds, number: Array
 ) -> tuple[RunningMetrics, Float[Array, " w"]]:
-    """Control tick `number` on, which all rollouts share, and the figures so far that are `watched`.
+    """Update all metrics after a control tick.
 
-    `limits` only say when the moment of a cause is noted.
+    Args:
+        running: The rollout's metrics before the tick.
+        ctx: The tick.
+        limits: Thresholds; they only decide when the time of a cause is recorded.
+        number: Number of the tick, the same for all rollouts; metrics with an interval skip ticks by it.
+
+    Returns:
+        The metrics after the tick, and the values (w,) of `tick_metrics`.
     """
     world, time = ctx.world, ctx.time
     states = tuple(
@@ -96,7 +109,17 @@ def _updated(metric: Metric, state: Any, ctx: MetricTick, number: Array) -> Any:
 
 
 def compute(world: Case, plan: Plan, running: RunningMetrics, stage: Int[Array, ""]) -> dict[str, Array]:
-    """The row's figures by column name, units in the name, and when the causes known in a tick were met."""
+    """Compute the metrics of a row at the end of its rollout.
+
+    Args:
+        world: The world.
+        plan: The executed plan.
+        running: The rollout's metrics.
+        stage: Number of the last stage.
+
+    Returns:
+        Values by column, whose name has the unit, and times and stages of `tick_causes`.
+    """
     out = _figures(Rollout(world, plan, running.time, stage), running.states)
     for k, cause in enumerate(tick_causes(world)):
         out[f"{cause.name}_time_s"] = running.cause_time[k]

@@ -11,7 +11,7 @@ from sweep.metrics.metric import Cause, Metric, MetricTick, Rollout, goal_cause,
 
 
 class Attitude(NamedTuple):
-    """Largest errors so far (deg), and the base as it is."""
+    """Largest errors so far (deg), and the base's last orientation."""
 
     tilt: Float[Array, ""]
     heading: Float[Array, ""]
@@ -28,7 +28,7 @@ def update(state: Attitude, ctx: MetricTick) -> Attitude:
 
 
 def tilt_deg(quat: Float[Array, " 4"]) -> Float[Array, ""]:
-    """Angle between the vertical and what `quat` makes of it (deg)."""
+    """Angle by which a rotation tilts the vertical (deg)."""
     w, x, y, z = quat
     return jnp.degrees(jnp.arctan2(jnp.sqrt(x**2 + y**2 + 1e-14), jnp.sqrt(w**2 + z**2 + 1e-14)) * 2)
 

@@ -17,13 +17,13 @@ SIZES = {
 
 
 def begin(start: RolloutStart) -> CalibrationResult:
-    """What was learned does not change."""
+    """Take the sizes of the calibration, which do not change."""
     assert start.learned.calibration is not None  # since it applies
     return start.learned.calibration
 
 
 def learned_sizes(state: CalibrationResult) -> dict[str, Array]:
-    """Sizes that were found, and their deviations."""
+    """Estimated sizes of the robot and their standard deviations (m), by column."""
     sizes = learnable_sizes(state.robot)
     own = {f"learned_{name}_m": jnp.asarray(getattr(state.robot, name)) for name in sizes}
     deviations = {name: jnp.sqrt(state.covariance[k, k]) for k, name in enumerate(sizes)}

@@ -13,9 +13,9 @@ from sweep.models.solids import distance_to_box
 
 
 def distances(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
-    """In the order of the columns (m).
+    """Distances (m) in the order of the columns.
 
-    Links are `capsules`; near joints, towards base and thigh, they begin, round, beyond.
+    Links are `link_capsules`. Towards base and thigh they begin with a round end beyond the joint.
     """
     tick, robot = ctx.tick, ctx.world.robot
     base = tick.truth.position, matrix(tick.truth.quat)

@@ -10,7 +10,7 @@ from sweep.models.obstacles.surface import surface_at
 
 
 def largest_depth(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
-    """Largest depth of a foot, where it really is, in what is under it (m)."""
+    """Largest depth of an actual foot position inside the obstacle (m)."""
     yield jnp.max(surface_at(ctx.world.obstacle, ctx.tick.joints[:, -1], ctx.tick.bodies).depth)
 
 

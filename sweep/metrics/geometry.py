@@ -22,10 +22,18 @@ PROBES = (0.4, 1.0)  # of it, how deep under a foot: the first is in the middle 
 
 
 def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point: Float[Array, " 2"]) -> Array:
-    """Signed distance of `point` to the border lines of the convex hull of the standing feet, positive inside.
+    """Signed distance of a point to the border of the convex hull of the standing feet, positive inside.
 
     An ordered pair of feet is a border when every other standing foot lies to its left. Fewer than three standing
     feet, or feet on one line, support nothing: the margin is then minus the distance to the nearest border line.
+
+    Args:
+        feet: Feet, seen from above (m).
+        standing: Which of them carry load.
+        point: The mass centre, seen from above (m).
+
+    Returns:
+        The margin (m).
     """
     edge = feet[None, :] - feet[:, None]  # from i to j
     length = jnp.sqrt(jnp.sum(edge**2, axis=-1) + 1e-12)
@@ -41,9 +49,17 @@ def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point
 
 
 def edge_distance(obstacle: Obstacle, feet: Float[Array, "n 3"], bodies: BodyPoses) -> Float[Array, " n"]:
-    """How far (m) feet are from the edges of the faces that they stand on, no more than `AROUND`.
+    """Distance of feet from the edges of the faces on which they stand.
 
-    Nor than half of how thick it is there: what is as deep as `AROUND` may be through it.
+    It probes the depth of the obstacle under each foot, so that it is at most `AROUND` and half the local thickness.
+
+    Args:
+        obstacle: The obstacle.
+        feet: Positions of the feet (m, world axes).
+        bodies: Poses of the free bodies.
+
+    Returns:
+        Distances (m).
     """
     normal = surface_at(obstacle, feet, bodies).normal
     probes = [surface_at(obstacle, feet - share * AROUND * normal, bodies).depth for share in PROBES]
@@ -53,7 +69,7 @@ def edge_distance(obstacle: Obstacle, feet: Float[Array, "n 3"], bodies: BodyPos
 def segment_distance(
     p: Float[Array, "*b 3"], p_end: Float[Array, "*b 3"], q: Float[Array, "*b 3"], q_end: Float[Array, "*b 3"]
 ) -> Float[Array, "*b"]:
-    """Least distance between two segments."""
+    """Least distance between pairs of segments, p to p_end and q to q_end (m)."""
     u, v, w = p_end - p, q_end - q, p - q
     a, b, c = _dot(u, u), _dot(u, v), _dot(v, v)
     d, e = _dot(u, w), _dot(v, w)
@@ -106,7 +122,7 @@ def leg_gap(joints: Float[Array, "6 k 3"]) -> Float[Array, ""]:
 
 
 class Capsules(NamedTuple):
-    """Links as they are solid."""
+    """Links of all legs as capsules, made by `link_capsules`."""
 
     start: Float[Array, "6 n 3"]  # m, of the centre line
     end: Float[Array, "6 n 3"]  # m
@@ -118,10 +134,14 @@ class Capsules(NamedTuple):
 
 
 def link_capsules(joints: Float[Array, "6 k 3"], robot: Robot) -> Capsules:
-    """All links of legs whose points, from the hip to the foot, are `joints` (m): a shin ends in a pin.
+    """Make the capsules of all links; a shin ends in a thin pin.
 
-    Its radius is a link's up to `FOOT_LENGTH` and that radius from the foot, round, and then `PIN_RADIUS`, up to a
-    radius from the foot. Nearer there is nothing but the point that stands.
+    A shin has the link's radius until it is `FOOT_LENGTH` plus that radius from the foot, then `PIN_RADIUS` until it is
+    a link's radius from the foot. Nearer to the foot only the contact point remains.
+
+    Args:
+        joints: Points along each leg from the hip to the foot (m).
+        robot: Sizes of the links.
     """
     knee, foot = joints[:, -2], joints[:, -1]
     shin = foot - knee
@@ -140,7 +160,15 @@ def link_capsules(joints: Float[Array, "6 k 3"], robot: Robot) -> Capsules:
 
 
 def shin_slopes(joints: Float[Array, "6 k 3"], normal: Float[Array, "6 3"]) -> Float[Array, " 6"]:
-    """Sines of the angles at which shins rise over faces with these outward normals, negative below them."""
+    """Sines of the angles between shins and the faces under their feet.
+
+    Args:
+        joints: Points along each leg from the hip to the foot (m).
+        normal: Outward normals of the faces.
+
+    Returns:
+        Sines, negative where a shin is below its face.
+    """
     shin = joints[:, -2] - joints[:, -1]
     return _dot(shin, normal) / jnp.sqrt(_dot(shin, shin) + 1e-12)
 
@@ -151,9 +179,18 @@ def base_gap(
     rotation: Float[Array, "3 3"],
     robot: Robot,
 ) -> Float[Array, ""]:
-    """Least distance (m) of thighs and shins to the robot's own base at `centre`, between the hips; negative inside.
+    """Least distance of thighs and shins to the robot's own base between the hips.
 
-    Thighs may begin at its surface: they begin, round, `hip_clearance` along them.
+    Thighs start at the surface of the base, so that only their part beyond `hip_clearance` counts.
+
+    Args:
+        joints: Points along each leg from the hip to the foot (m, world axes).
+        centre: Centre of the base (m, world axes).
+        rotation: Base axes to world axes.
+        robot: Sizes of base and links.
+
+    Returns:
+        The distance (m), negative inside the base.
     """
     points = (joints[:, -3:] - centre) @ rotation
     points = points.at[:, 0].set(_along(points[:, 0], points[:, 1], robot.hip_clearance + robot.link_radius))
@@ -162,7 +199,15 @@ def base_gap(
 
 
 def fold_gap(joints: Float[Array, "6 k 3"], clearance: Array | float) -> Float[Array, ""]:
-    """Least distance between the centre lines of a leg's thigh and shin, each from `clearance` (m) from the knee on."""
+    """Least distance between the centre lines of a leg's thigh and shin.
+
+    Args:
+        joints: Points along each leg from the hip to the foot (m).
+        clearance: Length of both links at the knee that does not count (m).
+
+    Returns:
+        The least distance over all legs (m).
+    """
     hip, knee, foot = joints[:, -3], joints[:, -2], joints[:, -1]
     inner, outer = (_along(knee, end, clearance) for end in (hip, foot))
     return jnp.min(segment_distance(hip, inner, foot, outer))

@@ -1,4 +1,4 @@
-"""What a metric is: figures of a rollout, updated once a control tick, and the causes of failure that follow from them.
+"""Metrics: numbers of a rollout that are accumulated once a control tick, and causes of failure that follow from them.
 
 Each module of this folder is one metric. To add one, write its module and name it in `sweep.metrics.METRICS`: columns,
 thresholds, outcomes and the tables that explain them follow.
@@ -21,16 +21,19 @@ from sweep.core.parameters import UNITS, quantity
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import BodyPoses, FreeState
 
-REST = 1.0  # s, that a rollout goes on after its plan has ended, in which nothing may change
-GRACE = 1.2  # a plan that is not finished at this multiple of its duration is given up
+# s; a rollout continues for this time after its plan has ended, and nothing may change then
+REST = 1.0
+# a rollout is stopped when this multiple of its plan's duration has passed
+GRACE = 1.2
 GOAL = "goal_missed"  # the name of all causes that are parts of a manoeuvre's goal
-BRIEF = 0.05  # s, over which forces are averaged: a bounce of the feet is neither a fall nor a slip
-# how a figure follows from the ticks, by a word of its name, and what it is before the first one
+# s; forces are averaged over it, so that a bounce of the feet is neither a fall nor a slip
+BRIEF = 0.05
+# the accumulating function of a metric by a word of its name, and its initial value
 BEST = {"max": (jnp.maximum, 0.0), "min": (jnp.minimum, math.inf)}
 
 
 class Tick(NamedTuple):
-    """What an engine reports of one control tick. World axes; L links a leg, k free bodies."""
+    """An engine's report of one control tick. World axes; k points along a leg."""
 
     torque_peak: Float[Array, "6 3"]  # N m, absolute
     saturated: Float[Array, "6 3"]  # share of the tick
@@ -42,27 +45,27 @@ class Tick(NamedTuple):
     effort: Float[Array, ""]  # J, positive drive work only
     power: Float[Array, "6 3"]  # W, of the drives, mean
     energy: Float[Array, ""]  # J, kinetic and potential, at the end
-    truth: Observation  # what exact sensors would see at the end
+    truth: Observation  # of exact sensors, at the end
     centre_of_mass: Float[Array, " 3"]  # m, of the robot
     joints: Float[Array, "6 k 3"]  # m, along each leg: hip, ..., knee, foot
     bodies: BodyPoses
 
 
 class RolloutStart(NamedTuple):
-    """A rollout before its first tick."""
+    """A rollout before its first tick; engines make it, and metrics begin with it."""
 
     world: Case
     plan: Plan
     position: Float[Array, " 3"]  # m, of the base
     quat: Float[Array, " 4"]
-    feet: Float[Array, "6 3"]  # m, where they really are
+    feet: Float[Array, "6 3"]  # m, actual positions
     free: FreeState
     energy: Float[Array, ""]  # J
     learned: LearnedState = LearnedState()
 
 
 class MetricTick(NamedTuple):
-    """The control tick that has just passed."""
+    """The context in which metrics are updated: the control tick that has just passed; engines make it."""
 
     world: Case
     plan: Plan
@@ -70,7 +73,7 @@ class MetricTick(NamedTuple):
     phase: Float[Array, ""]  # of the stage, 0 to 1
     finished: Bool[Array, ""]  # the plan
     stage_start: Float[Array, " 3"]  # m, planned base when the stage began, in its frame
-    target: Stance  # what feet and base were told
+    target: Stance  # that the tracker commanded
     reference: Stance  # `target` with the base where exact sensors would have it: the true command, see `Command`
     shortfall: Float[Array, ""]  # m, of targets beyond the legs' reach
     tick: Tick
@@ -80,30 +83,36 @@ class MetricTick(NamedTuple):
 
 
 def time_left(ctx: MetricTick) -> Float[Array, ""]:
-    """Of the plan (s), whose stages may have ended before their time."""
+    """Remaining duration of the plan (s); stages may have ended before their time."""
     duration = ctx.plan.duration
     later = jnp.sum(jnp.where(jnp.arange(len(duration)) > ctx.stage, duration, 0.0))
     return later + (1 - ctx.phase) * duration[ctx.stage]
 
 
 class PlanTail(NamedTuple):
-    """Where things were (m), and when (s), as the last part of the plan began."""
+    """Positions (m) and time (s) at the start of the plan's last part, for mean velocities since then."""
 
     place: Float[Array, "*k 3"]
     time: Float[Array, ""]
 
     def update(self, ctx: MetricTick, place: Float[Array, "*k 3"], length: float) -> "PlanTail":
-        """The same a tick on; the part lasts `length` seconds of the plan."""
+        """Follow positions until the last `length` seconds of the plan begin.
+
+        Args:
+            ctx: The tick.
+            place: Positions at its end (m).
+            length: Duration of the last part (s).
+        """
         before = time_left(ctx) > length
         return PlanTail(jnp.where(before, place, self.place), jnp.where(before, ctx.time, self.time))
 
     def mean_velocity(self, place: Float[Array, "*k 3"], time: Array) -> Float[Array, "*k 3"]:
-        """Mean velocity since then (m/s)."""
+        """Mean velocity (m/s) from the start of the last part to positions `place` (m) at `time` (s)."""
         return (place - self.place) / jnp.maximum(time - self.time, 1e-9)
 
 
 class Rollout(NamedTuple):
-    """A rollout as far as it has come."""
+    """A rollout up to the last tick, from which metrics are computed."""
 
     world: Case
     plan: Plan
@@ -112,7 +121,7 @@ class Rollout(NamedTuple):
 
 
 class ContinuousTwin(NamedTuple):
-    """A continuous figure that goes beyond its limit where a count is not enough, and shrinks towards it before."""
+    """A continuous metric that crosses its limit when a count is missed, and so gives the count a smooth margin."""
 
     metric: str
     limit: float
@@ -120,7 +129,7 @@ class ContinuousTwin(NamedTuple):
 
 
 class LeadingMetric(NamedTuple):
-    """A figure that shrinks to nought before that of a cause can grow: at nought nothing has failed yet."""
+    """A metric that shrinks to zero before the metric of a cause can grow; at zero nothing has failed yet."""
 
     metric: str
     scale: float  # in which its margin is counted
@@ -128,10 +137,10 @@ class LeadingMetric(NamedTuple):
 
 @dataclass(frozen=True)
 class Cause:
-    """A figure beyond its threshold, and what that means: a way to fail, or a reason not to trust the simulation.
+    """A metric beyond its threshold makes a rollout a failure, or invalid; modules of metrics define causes.
 
-    `default` None leaves the threshold to the manoeuvre, whose `goal` it is then part of; `otherwise` holds, for a kind
-    of world, where that is silent.
+    With `default` None the threshold is part of the manoeuvre's `goal`; `default_for` gives it for a kind of world if
+    the goal does not.
     """
 
     name: str
@@ -152,7 +161,7 @@ class Cause:
 
     @property
     def threshold(self) -> str:
-        """Its key in `outcome`: the figure's name, with what it is of the figure, `min` or `max`, before the unit."""
+        """The threshold's key in `outcome`: the metric's name, with `min` or `max` before the unit."""
         words = self.metric.split("_")
         if self.key is not None or {"min", "max"} & {*words}:
             return self.metric if self.key is None else self.key
@@ -160,25 +169,30 @@ class Cause:
         return "_".join([*words[: len(words) - len(unit)], "min" if self.below else "max", *unit])
 
     def quantity(self) -> Any:
-        """The threshold as a parameter, in the figure's unit."""
+        """Make the threshold's parameter, in the metric's unit."""
         unit = UNITS.get(self.metric.rpartition("_")[2], "-")
         return quantity(self.default, unit, at_least=-math.inf if self.below else 0.0)
 
     def holds(self, value: Any, limit: Any) -> Any:
-        """Whether figures (numbers or arrays, of numpy or JAX) are beyond `limit`."""
+        """Whether values of the metric (numbers or arrays, NumPy or JAX) are beyond `limit`."""
         return value < limit if self.below else value > limit
 
     @property
     def companion(self) -> str:
-        """The figure that its margin is of, too: its twin or its lead; empty where it has neither."""
+        """Name of the second metric of the margin, the twin or the lead; empty if there is none."""
         other = self.twin or self.lead
         return other.metric if other else ""
 
     def margin(self, value: Any, limit: float, companion: Any = None) -> Any:
-        """How far figures are from `limit`, in units of `scale`, at most 1; negative where the cause holds.
+        """Distance of the metric from its threshold in units of `scale`, at most 1; negative where the cause holds.
 
-        Of a count it is how far its `twin` is from its own limit, where both say the same. With a `lead` it is no more
-        than what that has left, but not below nought unless the cause holds.
+        A count takes the distance of its `twin` where both agree. With a `lead` the margin is at most the distance of
+        the lead from zero, and negative only where the cause holds.
+
+        Args:
+            value: Values of the metric.
+            limit: The threshold.
+            companion: Values of the `companion`, if there is one.
         """
         left = value - limit if self.below else limit - value
         if self.is_count:
@@ -195,12 +209,18 @@ class Cause:
 
 
 def goal_cause(sentence: str, metric: str, **options: Any) -> Cause:
-    """The goal was missed by a figure at the end, if the manoeuvre aims at one; `how` is as in `Cause`."""
+    """Make a cause for a part of the goal, judged at the end, if the manoeuvre's goal has a threshold for it.
+
+    Args:
+        sentence: What happened, for messages.
+        metric: Name of the metric.
+        options: Fields of `Cause`.
+    """
     return Cause(GOAL, sentence, metric, None, known_at="end", **options)
 
 
 class Metric[S](NamedTuple):
-    """Figures with a common state `S`, a pytree."""
+    """Numbers of a rollout that share a state `S`, a pytree; each module of this package defines one as `METRIC`."""
 
     begin: Callable[[RolloutStart], S]
     update: Callable[[S, MetricTick], S]
@@ -212,7 +232,12 @@ class Metric[S](NamedTuple):
 
 
 def initial_state[S](kind: Callable[..., S], *values: Any) -> Callable[[RolloutStart], S]:
-    """A state of plain numbers that every rollout begins in, in its own precision."""
+    """Make a `begin` that returns a constant state in the rollout's precision.
+
+    Args:
+        kind: Class of the state.
+        values: Its fields.
+    """
 
     def begin(start: RolloutStart) -> S:
         floats = (np.asarray(value).dtype.kind == "f" for value in values)
@@ -227,9 +252,13 @@ def extremes(
     causes: tuple[Cause, ...] = (),
     **options: Any,
 ) -> Metric[tuple[Array, ...]]:
-    """A metric of what every tick gives, in the order of `columns`: of each the largest so far, or the least.
+    """Make a metric of the largest or least values of quantities over all ticks.
 
-    Which of them says the figure's name: `max`, of what is not negative, or `min`; `how` is as in `Metric`.
+    Args:
+        values: The quantities of a tick, in the order of `columns`.
+        columns: Meanings by column; a name with `max` (of a non-negative quantity) or `min` says which value counts.
+        causes: Causes that follow from them.
+        options: Further fields of `Metric`.
     """
     kinds = [next(BEST[word] for word in name.split("_") if word in BEST) for name in columns]
 

@@ -1,4 +1,4 @@
-"""From a row's figures to its outcome: success, failure with a cause, or invalid."""
+"""Classification of rows: from metrics and thresholds to success, failure with a cause, or invalid."""
 
 import dataclasses
 import re
@@ -43,9 +43,14 @@ parameters(Thresholds)
 
 
 def thresholds(values: Mapping[str, float | None], case: Case) -> Thresholds:
-    """The `Thresholds` of a kind of world: `values`, its manoeuvre's goal where they are null.
+    """Resolve the thresholds of a kind of world; null values become those of the manoeuvre's goal.
 
-    Raises `InputError` where a value is for a figure that such a rollout does not have.
+    Args:
+        values: Values by key of `outcome`.
+        case: A case of the kind.
+
+    Raises:
+        InputError: A value is for a metric that such a rollout does not have.
     """
     known = {cause.threshold: cause for metric in applicable_metrics(case) for cause in metric.causes}
     chosen = {}
@@ -84,18 +89,35 @@ def sentence_with_limit(cause: Cause, limits: Thresholds) -> str:
 
 
 def threshold_value(cause: Cause, limits: Thresholds) -> float:
-    """The threshold of a cause's figure; infinite where there is none."""
+    """Look up the threshold of a cause.
+
+    Args:
+        cause: The cause.
+        limits: The thresholds of a study.
+
+    Returns:
+        The threshold in the metric's unit; infinite where there is none, so that the cause never holds.
+    """
     value = getattr(limits, cause.threshold) if cause.threshold else cause.default
     return (-np.inf if cause.below else np.inf) if value is None else value
 
 
 def classify(figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequence[str]) -> dict[str, np.ndarray]:
-    """The labels of each row; a pure function of the stored figures.
+    """Label each row with its outcome; a pure function of the stored metrics.
 
-    What came first in time decides, a cause of failure or a doubt; of those of one moment a doubt does. What is known
-    at the end only comes last. With thresholds other than those of the run a cause may lack its time: it then comes at
-    the end, with its time NaN. `limit` is the threshold that was crossed; `margin` the least distance of a figure to
-    the threshold of a failure, in units of that threshold, and `margin_of` which threshold that is.
+    The cause that occurred first decides. If several occur in the same tick, those that make a row invalid take
+    precedence. Causes that are known only at the end come last. With thresholds other than those of the run a cause may
+    have no recorded time: it then comes at the end, with time NaN.
+
+    Args:
+        figures: Metrics (n,) by column.
+        limits: Thresholds.
+        stages: Names of the plan's stages.
+
+    Returns:
+        Labels (n,) by column: `outcome`, `cause`, `stage`, `t_cause_s`; `limit`, the threshold that was crossed;
+        `margin`, the least distance of a metric to the threshold of a failure in units of that threshold; and
+        `margin_of`, which threshold that is.
     """
     f = {key: np.asarray(value) for key, value in figures.items()}
     causes = sorted((c for c in CAUSES if c.metric in f), key=lambda c: not c.invalid)
@@ -123,10 +145,17 @@ def classify(figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequ
 def least_margins(
     causes: Sequence[Cause], figures: Mapping[str, np.ndarray], limits: Thresholds
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Least distance (n,) of figures, (n,) by name, to the thresholds of failures by `causes`, and their names.
+    """Find the failure whose threshold is nearest to each row.
 
-    In units of the threshold; a cause without a finite one has no distance, and NaN is beyond all. A cause without a
-    threshold goes by its own name.
+    Causes without a finite threshold do not count; a metric that is NaN is beyond its threshold.
+
+    Args:
+        causes: Causes to compare; those that make a row invalid are skipped.
+        figures: Metrics (n,) by column.
+        limits: Thresholds.
+
+    Returns:
+        The least margin (n,), and the key of its threshold (n,), or the cause's name if it has no threshold.
     """
     judged = [
         (cause, limit)
@@ -146,7 +175,15 @@ def least_margins(
 
 
 def explain_cause(row: Mapping[str, Any], limits: Thresholds) -> str:
-    """The cause of a row in words, with the figure and its threshold; empty for a success."""
+    """Explain the cause of a row in words.
+
+    Args:
+        row: The row by column.
+        limits: Thresholds.
+
+    Returns:
+        A sentence with the metric and its threshold; empty for a success.
+    """
     for cause in CAUSES:
         if cause.name == row["cause"] and cause.threshold == row["limit"] and cause.metric in row:
             value = f" ({cause.metric} {float(row[cause.metric]):.4g}, " if cause.threshold else ""

@@ -9,7 +9,7 @@ from sweep.metrics.metric import Cause, MetricTick, extremes
 
 
 def reach_values(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
-    """Of the farthest foot target, and what legs as they are could still stretch or fold (m)."""
+    """Largest shortfall of a foot target, and the least length by which a leg could still stretch or fold (m)."""
     robot, leg = ctx.world.robot, ctx.tick.joints
     stretch = jnp.linalg.norm(leg[:, -1] - leg[:, -3], axis=-1)
     left = jnp.minimum(robot.thigh + robot.shin - stretch, stretch - jnp.abs(robot.thigh - robot.shin))

@@ -8,7 +8,7 @@ from sweep.metrics.metric import Cause, MetricTick, extremes
 
 
 def plan_shortfall(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
-    """Distance by which the newest plan leaves the legs' reach (m)."""
+    """Largest distance of a foothold of the newest plan beyond a leg's reach (m)."""
     assert ctx.learned.shortfall is not None  # since it applies
     yield ctx.learned.shortfall
 

@@ -14,9 +14,9 @@ from sweep.models.obstacles.surface import surface_at
 
 
 class FootHold(NamedTuple):
-    """Where feet took hold (m), in the axes of what they did on; which free body that is, if any, and who has yet.
+    """Where feet took hold (m), in the axes of the body under them, which body that is, and which feet hold.
 
-    A foot that passes on to another body without a swing has gone as far as it is from there.
+    A foot that slides from one body to another without a swing keeps the point on the first one.
     """
 
     place: Float[Array, "6 3"]
@@ -25,15 +25,15 @@ class FootHold(NamedTuple):
 
     @classmethod
     def at_start(cls, start: RolloutStart) -> "FootHold":
-        """Of feet that have not been loaded yet."""
+        """State of feet that have not been loaded yet."""
         body = jnp.full(6, -1, jnp.int32) if len(start.free.position) else None
         return cls(jnp.zeros_like(start.feet), body, jnp.zeros(6, bool))
 
     def update(self, ctx: MetricTick) -> tuple["FootHold", Float[Array, " 6"]]:
-        """A tick on, and how far each loaded foot is from where it took hold (m).
+        """Update after a tick, and return the distance of each loaded foot from where it took hold (m).
 
-        It does where it really is when it is first loaded: after the start, or in the second half of a swing. A
-        standing foot that is unloaded for a moment keeps its place, so that chattering along does not hide a slip.
+        A foot takes hold at its actual position when it is first loaded: after the start, or in the second half of a
+        swing. A standing foot that is unloaded for a moment keeps its point, so that chattering does not hide a slip.
         """
         tick = ctx.tick
         feet = tick.joints[:, -1]
@@ -68,10 +68,10 @@ def update(state: Slip, ctx: MetricTick) -> Slip:
 
 
 def slip_threshold(case: Case) -> float:
-    """The slip (m) that what is stood on leaves room for: half of the way to where a foot holds on no more.
+    """Default threshold of slip (m) on an obstacle: half the distance after which a foot would lose its hold.
 
-    Rungs are 40 mm wide. On a ball plans have feet where it is as steep as 37.8 degrees, and friction 1 holds up to 45:
-    106 mm on. From the edges of raft and banks they keep 105 mm away.
+    Rungs are 40 mm wide. On a ball plans have footholds at up to 37.8 degrees, and friction 1 holds up to 45 degrees,
+    106 mm farther. Footholds keep 105 mm from the edges of raft and banks.
     """
     return 0.05 if isinstance(case.obstacle, Ball | Raft) else 0.02
 

@@ -12,13 +12,13 @@ from sweep.models.obstacles.surface import Obstacle
 
 
 def touch_estimate(rollout: RolloutStart | MetricTick) -> TouchState:
-    """The sizes as they are known by now."""
+    """Return the estimate of the obstacle's sizes by touch, of a rollout that learns by touch."""
     assert rollout.learned.touch is not None  # since it applies
     return rollout.learned.touch
 
 
 def compute(state: TouchState, rollout: Rollout) -> dict[str, Array]:
-    """Sizes that were felt, and their deviations."""
+    """Estimated sizes of the obstacle and their standard deviations, by column."""
     parts = ({f"learned_{n}_{u}": jnp.asarray(getattr(state.obstacle, n)),
               f"learned_{n}_sd_{u}": jnp.sqrt(state.covariance[k, k])}
              for k, (n, u) in enumerate(learned_size_units(rollout.world.obstacle).items()))  # fmt: skip
