@@ -199,7 +199,8 @@ class GpuPrinter(Text):
             if node.op == "load":
                 key = self._row(*node.told(At)[:2])[0]
                 leg = key in self.rows
-            if self.home.get(key) is part and leg == node.leg and self._is_outer(region) and not region.record:
+            fixed = self._is_outer(region) and not region.record and not store.row
+            if self.home.get(key) is part and leg == node.leg and fixed:
                 yield key, Kept(self._start_of(region) + store.index, store.step if leg else 0, node, leg, False)
 
     def _ticks(self, before: Part, *parts: Part) -> None:

@@ -128,7 +128,7 @@ def _by_legs(stores: Sequence[Store], rows: Rows, group: int) -> list[Store]:
     """These stores, with one for all legs in place of those that each put away one leg's number of a row."""
     found: dict[tuple[Region, Place], list[Store | None]] = {}
     for store in stores:
-        if store.value.op == "load" and not store.value.leg:
+        if store.value.op == "load" and not store.value.leg and not store.row:
             region, index, _, _ = store.value.told(At)
             if row := rows.get((region, index)):
                 found.setdefault((store.region, (region, row[0])), [None] * group)[row[2]] = store
