@@ -26,15 +26,15 @@ NUMBER, TOLERATED, UNEXPECTED = 20, 1, 4
 
 
 def rows_of(study: str) -> pd.DataFrame:
-    """All rows that an example ships."""
+    """Return all rows of a shipped example."""
     data = EXAMPLES / study / "paper" / "data"
     if (data / "rows.parquet").exists():
         return pd.read_parquet(data / "rows.parquet")
     return pd.read_csv(data / "rows.csv", dtype={"point_id": str}).fillna({"cause": ""})
 
 
-def chosen(commit: str) -> tuple[str, pd.DataFrame]:
-    """The example and its rows that a commit has simulated again."""
+def choose_rows(commit: str) -> tuple[str, pd.DataFrame]:
+    """Return the example and the rows to simulate again for a commit."""
     number = int.from_bytes(hashlib.sha256(commit.encode()).digest()[:8])
     study = STUDIES[number % len(STUDIES)]
     rows = rows_of(study)
@@ -42,8 +42,8 @@ def chosen(commit: str) -> tuple[str, pd.DataFrame]:
     return study, rows.iloc[np.sort(places)].reset_index(drop=True)
 
 
-def again(study: str, rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
-    """The rows as they come here, in their order."""
+def simulate_again(study: str, rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
+    """Return the rows as simulated here, in their order."""
     composed = compose([f"study={study}"])
     exp = experiment({**composed.values, "out": str(folder)})
     points = rows[[*parameter_columns(rows), "replicate", "stream", "point_id"]]
@@ -55,12 +55,12 @@ def again(study: str, rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
 
 
 def main(argv: list[str]) -> int:
-    """Compare, and say what differs."""
+    """Compare the rows and print differences."""
     asked = ["git", "rev-parse", "HEAD"]
     commit = argv[0] if argv else subprocess.run(asked, cwd=ROOT, capture_output=True, text=True).stdout.strip()
-    study, before = chosen(commit)
+    study, before = choose_rows(commit)
     with tempfile.TemporaryDirectory() as folder:
-        now = again(study, before, Path(folder) / study)
+        now = simulate_again(study, before, Path(folder) / study)
     differ = before["outcome"].to_numpy() != now["outcome"].to_numpy()
     print(f"{study}, by commit {commit[:12]}: {differ.sum()} of {len(before)} rollouts end otherwise")
     for place in np.flatnonzero(differ):

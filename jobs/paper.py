@@ -48,15 +48,15 @@ from sweep.runs.results import Results
 
 ROOT = Path(__file__).parents[1]
 JOBS, RESEARCH = ROOT / "jobs", ROOT / "research"
-ALLOWED = (0, 3, 4)  # invalid rows and broken expectations are results, too
-VALUES, PARTS = 20, 5  # of an axis, each for itself; of a longer one, equal parts
+ALLOWED = (0, 3, 4)  # exit codes: invalid rows and unmet expectations are results, too
+VALUES, PARTS = 20, 5  # most values of an axis that are listed one by one, and equal parts of a longer one
 DPI = 110
-PAUSE = 60  # s, in which those that share a GPU may end
+PAUSE = 60  # s, in which other processes on a GPU may end
 COUNTS = ("success", "valid")
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Make the chosen targets, or all; 1 where one failed."""
+    """Make the chosen targets, or all; return 1 if one failed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help="targets, such as pole_map or 'ball_*' (all)")
     parser.add_argument("--quick", action="store_true", help="coarser studies, and fewer, for two cores")
@@ -76,7 +76,7 @@ def main(argv: list[str] | None = None) -> int:
     chosen = {name: one for name, one in every.items() if any(fnmatch.fnmatch(name, word) for word in wanted)}
     chosen = {name: one for name, one in chosen.items() if "run" in one or not given.studies}
     chosen = {name: one for name, one in chosen.items() if len(one["budget"]) > 1 or not given.quick}
-    out, research = given.out / code_version(), copied(given.out / "quick") if given.quick else RESEARCH
+    out, research = given.out / code_version(), copy_research(given.out / "quick") if given.quick else RESEARCH
     for folder in ("data", "figures"):
         (research / folder).mkdir(exist_ok=True)
     changed, failed, start, number = [], [], time.monotonic(), 0
@@ -85,8 +85,8 @@ def main(argv: list[str] | None = None) -> int:
     every_card, own = cards(), context.SimpleQueue()
     for place in range(given.jobs):
         own.put(every_card[place % len(every_card)])
-    with ProcessPoolExecutor(given.jobs, context, take, (own,)) as processes:
-        for name, lines, fault, seconds in finished(processes, chosen, out, research, given.quick):
+    with ProcessPoolExecutor(given.jobs, context, reserve_gpu, (own,)) as processes:
+        for name, lines, fault, seconds in finish_targets(processes, chosen, out, research, given.quick):
             number += 1
             state = "failed" if fault else "made"
             print(f"{number} of {len(chosen)}, {time.monotonic() - start:.0f} s: {name} {state} in {seconds:.0f} s")
@@ -99,13 +99,13 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def targets() -> dict[str, dict[str, Any]]:
-    """What can be made, by name."""
+    """Return all targets by name."""
     table, manoeuvres = (yaml.safe_load((JOBS / f"{name}.yaml").read_text("utf-8")) for name in ("paper", "robustness"))
     return table | dict(robustness(manoeuvres))
 
 
 def robustness(manoeuvres: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Targets of errors of one kind at a time: two studies of each robot of each manoeuvre."""
+    """Yield targets with errors of one kind at a time: two studies for each robot of each manoeuvre."""
     for scenario, one in manoeuvres.items():
         for robot, words in one["robots"].items():
             for name, study, few in (("", one["ground"], "design.num"), ("_seen", one["seen"], "replicates")):
@@ -114,15 +114,15 @@ def robustness(manoeuvres: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]
                 yield f"rates_{scenario}_{robot}{name}", target
 
 
-def copied(folder: Path) -> Path:
-    """Copy research/, and bench/ beside it, whose scripts write into research/."""
+def copy_research(folder: Path) -> Path:
+    """Copy research/ and bench/, whose scripts write to research/, and return the copy of the former."""
     for beside in ("research", "bench"):
         shutil.copytree(ROOT / beside, folder / beside, dirs_exist_ok=True)
     return folder / "research"
 
 
 def cards() -> list[str]:
-    """The GPUs of this machine, as CUDA_VISIBLE_DEVICES names them; one name where there are none."""
+    """Return the GPUs of this machine as in CUDA_VISIBLE_DEVICES; one name if there are none."""
     given = os.environ.get("CUDA_VISIBLE_DEVICES", "")
     if given or not shutil.which("nvidia-smi"):
         return given.split(",") if given else ["0"]
@@ -130,45 +130,49 @@ def cards() -> list[str]:
     return [str(place) for place in range(len(listed))]
 
 
-def take(own: Any) -> None:
-    """Leave to this process one GPU, the next of a queue."""
+def reserve_gpu(own: Any) -> None:
+    """Reserve one GPU from a queue for this process."""
     os.environ["CUDA_VISIBLE_DEVICES"] = own.get()
 
 
-def finished(
+def finish_targets(
     processes: Executor, targets: dict[str, Any], out: Path, research: Path, quick: bool
 ) -> Iterator[tuple[str, list[str], str, float]]:
-    """What `each` tells of all targets, as soon as it is made: the longest first, then what is drawn of all others."""
+    """Yield the results of targets as soon as they are made: longest first, then those drawn from all others."""
     for last in (False, True):
-        some = shared({name: one for name, one in targets.items() if ("last" in one) == last})
+        some = group_targets({name: one for name, one in targets.items() if ("last" in one) == last})
         groups = sorted(some, key=lambda group: -max(one["budget"][quick] for one in group.values()))
-        for done in as_completed([processes.submit(each, group, out, research, quick) for group in groups]):
+        for done in as_completed([processes.submit(make_group, group, out, research, quick) for group in groups]):
             yield from done.result()
 
 
-def shared(targets: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Targets that are made one after the other: those of one study, and all pictures each by itself."""
+def group_targets(targets: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield groups of targets that are made one after the other: those of one study, and each picture by itself."""
     yield from ({name: one} for name, one in targets.items() if "run" not in one)
-    studies = sorted((item for item in targets.items() if "run" in item[1]), key=lambda item: ran_as(item[1]))
-    yield from (dict(group) for _, group in groupby(studies, key=lambda item: ran_as(item[1])))
+    studies = sorted(
+        (item for item in targets.items() if "run" in item[1]), key=lambda item: study_folder_name(item[1])
+    )
+    yield from (dict(group) for _, group in groupby(studies, key=lambda item: study_folder_name(item[1])))
 
 
-def each(targets: dict[str, Any], out: Path, research: Path, quick: bool) -> list[tuple[str, list[str], str, float]]:
-    """Make targets: of each its name, what changed, why it failed where it did, and seconds."""
+def make_group(
+    targets: dict[str, Any], out: Path, research: Path, quick: bool
+) -> list[tuple[str, list[str], str, float]]:
+    """Make targets; return name, changes, reason of failure and seconds of each."""
     told = []
     for name, target in targets.items():
         start, lines, fault = time.monotonic(), [], ""
         try:
-            lines = made(name, target, out, research, quick)
+            lines = make_target(name, target, out, research, quick)
         except Exception as error:  # whatever it is, the other targets are made
             fault = f"{type(error).__name__}: {error}"
         told.append((name, lines, fault, time.monotonic() - start))
     return told
 
 
-def made(name: str, target: dict[str, Any], out: Path, research: Path, quick: bool) -> list[str]:
-    """Make one target in `research`; what changed beyond its interval since its data were written last."""
-    folder, changed = out / ("quick" if quick else "full") / ran_as(target), []
+def make_target(name: str, target: dict[str, Any], out: Path, research: Path, quick: bool) -> list[str]:
+    """Make one target in `research`; return what changed by more than its interval since it was last written."""
+    folder, changed = out / ("quick" if quick else "full") / study_folder_name(target), []
     if "run" in target:
         command = [*target["run"], *(target.get("quick", []) if quick else [])]
         seconds = simulate(command, folder)
@@ -188,14 +192,14 @@ def made(name: str, target: dict[str, Any], out: Path, research: Path, quick: bo
     return changed
 
 
-def ran_as(target: dict[str, Any]) -> str:
-    """The folder of a target's study: targets of one study share it."""
+def study_folder_name(target: dict[str, Any]) -> str:
+    """Return the name of a target's study folder, which targets of one study share."""
     name = "-".join(word.partition("=")[2] for word in target.get("run", ["=none"]))
     return name if re.fullmatch(r"[\w.-]{1,100}", name) else sha256(name.encode()).hexdigest()[:16]
 
 
 def simulate(overrides: list[str], folder: Path) -> float:
-    """Run a study, or what is missing of it; seconds that all of its batches took."""
+    """Run a study, or what is missing of it; return the seconds of all of its batches."""
     start = time.monotonic()
     sweep("run", *overrides, "study.expect=[]", "study.invalid_max=1", f"out={folder}")
     kept = folder / "seconds.json"  # of the command that simulated, not of one that found all there
@@ -206,31 +210,32 @@ def simulate(overrides: list[str], folder: Path) -> float:
 
 
 def sweep(*words: str) -> None:
-    """A command in a process of its own, so that each has a device to itself."""
+    """Run a command in a process of its own, so that each has a device to itself."""
     run("-m", "sweep.cli", *words, allowed=ALLOWED)
 
 
 def run(*words: str, allowed: Sequence[int] = (0,)) -> None:
-    """Python in a process of its own, once again where others had left it too little memory.
+    """Run Python in a process of its own, a second time if it ran out of memory.
 
-    Raises `RuntimeError` with the last lines that it wrote.
+    Raises:
+        RuntimeError: it failed; the message has its last lines.
     """
     once = partial(subprocess.run, [sys.executable, *words], cwd=ROOT, capture_output=True, text=True, check=False)
     done = once()
-    if done.returncode not in allowed and re.search("resource_exhausted|memory", ended(done), re.IGNORECASE):
+    if done.returncode not in allowed and re.search("resource_exhausted|memory", last_lines(done), re.IGNORECASE):
         time.sleep(PAUSE)
         done = once()
     if done.returncode not in allowed:
-        raise RuntimeError(f"{' '.join(words)} ended with {done.returncode}: {ended(done)}")
+        raise RuntimeError(f"{' '.join(words)} ended with {done.returncode}: {last_lines(done)}")
 
 
-def ended(done: subprocess.CompletedProcess[str]) -> str:
-    """The last lines that a process wrote."""
+def last_lines(done: subprocess.CompletedProcess[str]) -> str:
+    """Return the last lines that a process wrote."""
     return " | ".join(done.stderr.strip().splitlines()[-3:])
 
 
 def picture(found: Results, target: dict[str, Any], path: Path) -> None:
-    """The map of a study, or another figure of its page."""
+    """Draw the map of a study, or another plot of its page."""
     if key := target.get("exhibit"):
         with plot_style():
             next(one for one in exhibits(found) if one.key == key).draw().savefig(path, dpi=DPI)
@@ -241,7 +246,7 @@ def picture(found: Results, target: dict[str, Any], path: Path) -> None:
 
 
 def summary(found: Results, target: dict[str, Any]) -> dict[str, Any]:
-    """What the rows of a study say, by cell and along each axis, and what they are of."""
+    """Return the results of a study, by cell and along each axis, and where they come from."""
     rows, stored = found.rows, found.stored
     whole = rate(rows["outcome"])
     return {
@@ -265,9 +270,9 @@ def summary(found: Results, target: dict[str, Any]) -> dict[str, Any]:
 
 
 def along(found: Results, axis: str) -> list[list[Any]]:
-    """Value, successes, valid and invalid rollouts at each value of an axis, or in equal parts of it.
+    """Return value, successes, valid and invalid rollouts for each value of an axis, or in equal parts of it.
 
-    Of errors one at a time the others are nominal.
+    In studies of errors one at a time, the other axes are at their nominal values.
     """
     if found.one_at_a_time:
         every = sensitivity.along(found.rows, found.exp)
@@ -281,16 +286,16 @@ def along(found: Results, axis: str) -> list[list[Any]]:
 
 
 def extremes(found: Results) -> dict[str, list[float]]:
-    """The least and the greatest of every figure that differs, over the rollouts that succeed."""
+    """Return the least and greatest value of every metric that varies, over successful rollouts."""
     rows = found.rows[found.rows["outcome"] == SUCCESS]
     names = [name for name in judged_first(found) if rows[name].notna().any()]
     return {name: [float(f"{end:.4g}") for end in (rows[name].min(), rows[name].max())] for name in names}
 
 
 def groups(rows: pd.DataFrame, target: dict[str, Any]) -> list[dict[str, Any]]:
-    """What came of the rows with each combination of values of some columns, and `values` of those that succeed.
+    """Return outcomes for each combination of values of some columns, with `values` of the successful rollouts.
 
-    A value is a figure, or has an expression of columns.
+    A value is a column, or an expression of columns.
     """
     found, names = [], [column(rows, name) for name in target["by"]]
     for at, part in rows.groupby([rows[name].astype(object) for name in names], sort=False):
@@ -318,7 +323,7 @@ def groups(rows: pd.DataFrame, target: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def causes(rows: pd.DataFrame) -> dict[str, int]:
-    """What came of those that do not succeed, the most frequent first."""
+    """Return the causes of rollouts without success, the most frequent first."""
     counts = rows["cause"][rows["outcome"] != SUCCESS].value_counts()
     return {str(name): int(number) for name, number in counts.items()}
 

@@ -3,7 +3,7 @@
 import numpy as np
 from fake_engine import FakeEngine
 
-FAR = 4.0  # standard deviations of the nearest failure
+FAR = 4.0  # standard deviations to the nearest failure
 AXES = (
     "study.axes={friction: {path: contact.friction, side: world, distribution: {kind: normal, mean: 0.8, std: 0.01}}, "
     "mass: {path: robot.body_mass, side: world, distribution: {kind: normal, mean: 10, std: 0.1}}}"
@@ -11,7 +11,7 @@ AXES = (
 
 
 class LeadingEngine(FakeEngine):
-    """Tilts the more, the lower friction and mass together: too much where they are four standard deviations low."""
+    """Tilts more with lower friction and mass, and fails where both are four standard deviations low."""
 
     def run(self, world, belief, streams):
         figures = super().run(world, belief, streams)
@@ -21,7 +21,7 @@ class LeadingEngine(FakeEngine):
 
 
 class CliffEngine(LeadingEngine):
-    """The same, without a warning."""
+    """Fails at the same place, without any warning before."""
 
     def run(self, world, belief, streams):
         figures = super().run(world, belief, streams)

@@ -49,7 +49,7 @@ class FakeEngine:
         }  # fmt: skip
 
     def histories(self, world, belief, streams, slots, watch):
-        """Every column is the time, of a rollout that is not finite from half of it on."""
+        """Return time series in which every column is the time; the rollout is not finite from half of it on."""
         figures = self.run(world, belief, streams)
         time = self.period * watch.every * (1 + np.arange(int(self.duration / self.period / watch.every + 1e-9)))
         samples = np.tile(time[:, None, None], (1, len(slots), len(watch.columns)))
@@ -60,7 +60,7 @@ class FakeEngine:
         return self.traces(world, belief, streams, 1)[slot]
 
     def traces(self, world, belief, streams, every):
-        """The same motion for every row, with the figures that it has."""
+        """Return the same motion for every row, with the row's metrics."""
         from moved import moved
 
         figures, trace = self.run(world, belief, streams), moved()
@@ -73,7 +73,7 @@ def install():
 
 
 def dask_setup(worker):
-    """Dask calls this in the workers that preload this module."""
+    """Install the fake engine in Dask workers that preload this module."""
     install()
 
 

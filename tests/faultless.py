@@ -1,4 +1,4 @@
-"""The figures of a rollout without fault, by what the metrics say of themselves."""
+"""Metrics of a faultless rollout, from the metrics' own declarations."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from sweep.metrics.outcome import BOOKKEEPING
 
 
 def faultless(case=None):
-    """A number for each column; of rollouts on a free body too where no case is given."""
+    """Return a number for each column; those of rollouts on a free body too if no case is given."""
     metrics = METRICS if case is None else applicable_metrics(case)
     good = {name: 0.0 for metric in metrics for name in metric.columns}
     for cause in (cause for metric in metrics for cause in metric.causes):

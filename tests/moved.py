@@ -1,4 +1,4 @@
-"""A trace of the robot that was never simulated: its base goes along a line, its joints swing."""
+"""Traces that were never simulated: the base moves along a line and joints swing."""
 
 import mujoco
 import numpy as np
@@ -9,7 +9,7 @@ from sweep.study.config import compose
 
 
 def moved(*overrides):
-    """The trace, of the nominal world that `overrides` describe."""
+    """Return the trace in the nominal world of `overrides`."""
     case = compose(list(overrides)).case
     model, frames = scene.compile_model(case), 50
     time = 0.1 * (1 + np.arange(frames))
@@ -36,7 +36,7 @@ ARM = """<mujoco><asset><mesh name="knob" builtin="sphere" params="3" scale=".1 
 
 
 def arm():
-    """A trace of a model that has joints and shapes of all kinds, and no feet."""
+    """Return a trace of a model with joints and shapes of all kinds, and no feet."""
     model, frames = mujoco.MjModel.from_xml_string(ARM), 50
     time, none = 0.1 * (1 + np.arange(frames)), np.zeros((frames, 0, 3))
     qpos = np.tile(model.qpos0, (frames, 1)) + 0.3 * np.sin(time[:, None] + np.arange(model.nq))
@@ -51,7 +51,7 @@ def arm():
 
 
 def body_places(trace, frame):
-    """Where MuJoCo has the bodies (m) in a frame."""
+    """Return MuJoCo's positions of the bodies (m) in a frame."""
     data = mujoco.MjData(trace.model)
     data.qpos[:] = trace.qpos[frame]
     mujoco.mj_kinematics(trace.model, data)

@@ -1,4 +1,4 @@
-"""A Slurm of one machine, of the user's own: munge, controller and node daemon with all their files in one folder."""
+"""A private Slurm on one machine: munge, controller and node daemon with all their files in one folder."""
 
 import getpass
 import os
@@ -37,17 +37,19 @@ PartitionName=only Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 """
 
 
-def missing() -> list[str]:
-    """Programs that this machine lacks."""
+def missing_programs() -> list[str]:
+    """Return required programs that this machine lacks."""
     return [name for name in PROGRAMS if not shutil.which(name, path=SYSTEM)]
 
 
 @contextmanager
-def running(folder: Path, cpus: int) -> Iterator[dict[str, str]]:
-    """The environment in which `sbatch` and its kin reach a Slurm with `cpus` processors."""
+def run_slurm(folder: Path, cpus: int) -> Iterator[dict[str, str]]:
+    """Yield the environment in which `sbatch` and related commands reach a Slurm with `cpus` processors."""
     host = socket.gethostname().partition(".")[0]
     conf = folder / "slurm.conf"
-    conf.write_text(CONFIGURATION.format(host=host, user=getpass.getuser(), folder=folder, ports=free(2), cpus=cpus))
+    conf.write_text(
+        CONFIGURATION.format(host=host, user=getpass.getuser(), folder=folder, ports=free_ports(2), cpus=cpus)
+    )
     key = folder / "munge.key"
     key.write_bytes(os.urandom(128))
     key.chmod(0o600)
@@ -86,8 +88,8 @@ def output(command: list[str], environment: dict[str, str]) -> str:
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=False).stdout
 
 
-def free(number: int) -> list[int]:
-    """Ports that nothing listens at."""
+def free_ports(number: int) -> list[int]:
+    """Return ports on which nothing listens."""
     with ExitStack() as sockets:
         found = [sockets.enter_context(socket.socket()) for _ in range(number)]
         for one in found:

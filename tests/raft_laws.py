@@ -1,4 +1,4 @@
-"""What a raft's motion keeps, or only loses: `raft_ode` and the simulated raft are checked by it."""
+"""Conserved and dissipated quantities of a raft's motion, which check `raft_ode` and the simulated raft."""
 
 from jaxtyping import Array, Float
 

@@ -35,19 +35,19 @@ TRACKED = FOLDER.parent / "tracked.npz"
 GROUPED = re.compile(r"\.curve|\.path|\.layers\[\d+\]")  # fields of these have unique names
 RECORDED_NAMES = {".servo": ".own"}  # fields renamed since: their recorded names seed the weights of sums
 TICKS = 150  # of a whole plan
-ERRORS = 2e-3  # m, rad and their rates, of what the tracker is told
-LOADED = 0.9  # share of ticks in which a foot bears load
+ERRORS = 2e-3  # m, rad and their rates, of the measurements that the tracker receives
+LOADED = 0.9  # share of ticks in which a foot carries load
 DRAWS = 4
-SPREAD = {"robot": 0.02, "obstacle": 0.01}  # of sizes and masses
+SPREAD = {"robot": 0.02, "obstacle": 0.01}  # relative, of sizes and masses
 
 
 def scenarios() -> list[str]:
-    """Those that are recorded."""
+    """Return the scenarios that have a record."""
     return sorted(file.stem for file in FOLDER.glob("*.npz"))
 
 
 def draws(case: Case) -> dict[str, np.ndarray]:
-    """Sizes and masses by path: nominal ones, then `DRAWS` others. A parameter that is added changes no other one."""
+    """Return sizes and masses by path: nominal, then `DRAWS` others; adding a parameter changes no other one."""
     found = {}
     for group, spread in SPREAD.items():
         owner: Any = getattr(case, group)
@@ -60,7 +60,7 @@ def draws(case: Case) -> dict[str, np.ndarray]:
     return found
 
 
-def planned(name: str, count: int = DRAWS) -> dict[str, np.ndarray]:
+def record_plan(name: str, count: int = DRAWS) -> dict[str, np.ndarray]:
     """The record of a scenario: its stages, all numbers of the nominal plan, and sums of them by draw and stage.
 
     The nominal plan is draw 0, followed by `count` others; what belongs to no stage is summed up last. Draws that the
@@ -74,7 +74,7 @@ def planned(name: str, count: int = DRAWS) -> dict[str, np.ndarray]:
             for path, values in drawn.items():
                 case = assign(case, path, float(values[k]))
             try:
-                plan = told(eager.worked_out(partial(without_forces, case)))
+                plan = drop_idle_lifts(eager.worked_out(partial(without_forces, case)))
             except InputError:
                 sums.append(np.full_like(sums[0], np.nan))
                 continue
@@ -90,7 +90,7 @@ def planned(name: str, count: int = DRAWS) -> dict[str, np.ndarray]:
 
 
 def without_forces(case: Case) -> Any:
-    """The plan for what is believed, before forces are planned for it."""
+    """Return the plan of a case before forces are planned."""
     kept, PlannedForces.with_feedforward = PlannedForces.with_feedforward, lambda self, belief, plan: plan
     try:
         return case.manoeuvre.plan(case)
@@ -98,8 +98,8 @@ def without_forces(case: Case) -> Any:
         PlannedForces.with_feedforward = kept
 
 
-def told(plan: Any) -> Any:
-    """The plan without what says nothing: how swings are lifted where no foot swings."""
+def drop_idle_lifts(plan: Any) -> Any:
+    """Return the plan with zero lift in stages without a swing, where lift has no effect."""
     idle = ~np.any(plan.swing, axis=1)
     height, plane = plan.curve.height, plan.curve.plane
     curve = plan.curve._replace(height=np.where(idle, 0.0, height), plane=np.where(idle[:, None, None], 0.0, plane))
@@ -107,15 +107,15 @@ def told(plan: Any) -> Any:
 
 
 def _by_stage(key: str, value: np.ndarray, stages: int) -> np.ndarray:
-    """Sums of numbers by stage, each with a weight of its own; last of what belongs to no stage."""
+    """Weighted sums of numbers by stage; last of numbers that belong to no stage."""
     staged = value.shape[:1] == (stages,) and "start" not in key
     rows = value.reshape(stages if staged else 1, -1)
     weights = np.random.default_rng(zlib.crc32(key.encode())).uniform(0.5, 1.5, rows.shape[1])
     return np.pad(rows @ weights, (0, 1) if staged else (stages, 0))
 
 
-def tracked(name: str) -> np.ndarray:
-    """What the controller commands for a scenario, tick by tick: the stage, and a sum of all numbers."""
+def record_tracking(name: str) -> np.ndarray:
+    """Return the commands of a scenario tick by tick: the stage, and a weighted sum of all numbers."""
     case = compose([f"scenario={name}"]).case
     random = np.random.default_rng(zlib.crc32(name.encode()))
     with jax.enable_x64(True):
@@ -147,12 +147,13 @@ def tracked(name: str) -> np.ndarray:
 
 
 def _recorded_name(path: Any) -> str:
+    """Key of a leaf, with the field names at the time of recording."""
     key = jax.tree_util.keystr(path)
     return next((old + key.removeprefix(new) for new, old in RECORDED_NAMES.items() if key.startswith(new)), key)
 
 
 def _with_some_forces(case: Case, plan: Any, random: np.random.Generator) -> Any:
-    """The plan with forces, of a manoeuvre that holds on by them; they are none that hold it."""
+    """Plan with arbitrary forces, if its manoeuvre holds on by planned forces."""
     manoeuvre = case.manoeuvre
     if not isinstance(manoeuvre, PlannedForces) or getattr(manoeuvre, "forces", "planned") != "planned":
         return plan
@@ -162,14 +163,14 @@ def _with_some_forces(case: Case, plan: Any, random: np.random.Generator) -> Any
     return plan.with_layer(jax.tree.map(jnp.asarray, forces))
 
 
-def read(name: str) -> dict[str, np.ndarray]:
-    """What is recorded of a scenario."""
+def read_plan(name: str) -> dict[str, np.ndarray]:
+    """Return the record of a scenario's plan."""
     with np.load(FOLDER / f"{name}.npz") as file:
         return dict(file)
 
 
 def read_tracked() -> dict[str, np.ndarray]:
-    """What is recorded of the tracker, by scenario."""
+    """Return the records of the tracker, by scenario."""
     with np.load(TRACKED) as file:
         return dict(file)
 
@@ -178,7 +179,7 @@ if __name__ == "__main__":
     ways = read_tracked() if TRACKED.exists() else {}
     for name in sys.argv[1:] or sorted({*scenarios(), *ways}):
         if name in scenarios() or name not in ways:  # most plans without a table are not worth a record
-            np.savez_compressed(FOLDER / f"{name}.npz", **planned(name))
-        ways[name] = tracked(name)
+            np.savez_compressed(FOLDER / f"{name}.npz", **record_plan(name))
+        ways[name] = record_tracking(name)
         np.savez_compressed(TRACKED, **ways)
         print(name, flush=True)

@@ -18,12 +18,12 @@ FAKE = Path(__file__).with_name("fake_engine.py")
 
 
 def content(folder: Path) -> pd.DataFrame:
-    """The rows in `folder`, without what differs between equal runs."""
+    """Return the rows in `folder`, without columns that differ between equal runs."""
     return store.read_rows(folder).drop(columns=list(TIMING))
 
 
 def start(folder: Path, *overrides: str, fake: bool = True, **environment: str) -> subprocess.Popen:
-    """The study in a process group of its own; Dask workers have the fake engine too, unless it is the real one."""
+    """Start the study in a process group of its own; unless the engine is real, Dask workers use the fake one too."""
     path = os.pathsep.join([str(FAKE.parent), *os.environ.get("PYTHONPATH", "").split(os.pathsep)])
     paths = {"PYTHONPATH": path, "DASK_DISTRIBUTED__WORKER__PRELOAD": '["fake_engine"]'}
     program = [str(FAKE)] if fake else ["-m", "sweep.cli"]
@@ -33,7 +33,7 @@ def start(folder: Path, *overrides: str, fake: bool = True, **environment: str) 
 
 
 def wait_for(folder: Path, parts: int, process: subprocess.Popen) -> None:
-    """Until so many parts are on disk, while `process` runs."""
+    """Wait until so many parts are on disk, while `process` runs."""
     deadline = time.monotonic() + 120
     while len(store.finished(folder)) < parts:
         if process.poll() is not None or time.monotonic() > deadline:
@@ -43,12 +43,12 @@ def wait_for(folder: Path, parts: int, process: subprocess.Popen) -> None:
 
 
 def without_progress(text: str) -> str:
-    """Standard error without the lines that come every 15 s on a busy machine."""
+    """Return standard error without the progress lines of a busy machine."""
     return re.sub(r"^sweep: \w+: \d+ of \d+, .*\n", "", text, flags=re.MULTILINE)
 
 
 def one_line(text: str, *parts: str) -> None:
-    """`text` is one line of ours that names `parts`."""
+    """Check that `text` is one line of this package's that names `parts`."""
     text = without_progress(text)
     assert text.count("\n") == 1, text
     assert text.startswith("sweep: ")

@@ -224,7 +224,7 @@ def test_what_fails_stops_nothing_else(monkeypatch, tmp_path, capsys):
     (tmp_path / "paper.yaml").write_text(yaml.safe_dump({"a": same, "drawn": alone, "b": same}))
     monkeypatch.setattr(paper, "JOBS", tmp_path)
     (tmp_path / "robustness.yaml").write_text("{}")
-    groups = paper.shared({"a": same, "drawn": alone, "b": same})
+    groups = paper.group_targets({"a": same, "drawn": alone, "b": same})
     assert list(groups) == [{"drawn": alone}, {"a": same, "b": same}]
     assert paper.main(["--jobs", "2", "--out", str(tmp_path)]) == 1
     out = capsys.readouterr().out

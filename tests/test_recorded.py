@@ -6,7 +6,7 @@ import pkgutil
 import jax
 import numpy as np
 import pytest
-from recorded import planned, read, read_tracked, scenarios, tracked
+from recorded import read_plan, read_tracked, record_plan, record_tracking, scenarios
 
 import sweep.controllers
 import sweep.formulas
@@ -21,7 +21,7 @@ FEW = 1  # draws, in the fast test
 
 @pytest.mark.parametrize("name", scenarios())
 def test_plans_are_as_recorded(name):
-    compare(planned(name, FEW), read(name))
+    compare(record_plan(name, FEW), read_plan(name))
 
 
 def test_no_constant_has_double_precision():
@@ -39,13 +39,13 @@ def test_no_constant_has_double_precision():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", scenarios())
 def test_plans_of_all_draws_are_as_recorded(name):
-    compare(planned(name), read(name))
+    compare(record_plan(name), read_plan(name))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", read_tracked())
 def test_plans_are_tracked_as_recorded(name):
-    np.testing.assert_allclose(tracked(name), read_tracked()[name], rtol=DRIFT, atol=DRIFT)
+    np.testing.assert_allclose(record_tracking(name), read_tracked()[name], rtol=DRIFT, atol=DRIFT)
 
 
 def compare(now, then):

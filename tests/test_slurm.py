@@ -14,15 +14,15 @@ pytestmark = [
     pytest.mark.slurm,
     pytest.mark.usefixtures("fake_engine"),
     pytest.mark.skipif(
-        bool(one_machine_slurm.missing()),
-        reason=f"needs Debian's slurm-wlm and munge: no {', '.join(one_machine_slurm.missing())}",
+        bool(one_machine_slurm.missing_programs()),
+        reason=f"needs Debian's slurm-wlm and munge: no {', '.join(one_machine_slurm.missing_programs())}",
     ),
 ]
 
 
 @pytest.fixture(scope="module")
 def slurm(tmp_path_factory):
-    with one_machine_slurm.running(tmp_path_factory.mktemp("slurm"), cpus=2) as environment:
+    with one_machine_slurm.run_slurm(tmp_path_factory.mktemp("slurm"), cpus=2) as environment:
         yield environment
 
 

@@ -1,4 +1,4 @@
-"""What a plan asks for without physics: every stage played through by inverse kinematics."""
+"""Plays a plan without physics: every stage by inverse kinematics."""
 
 from dataclasses import replace
 
@@ -14,8 +14,8 @@ U = np.linspace(0, 1, 41)
 
 
 @jax.jit
-def play(case: Case, plan: Plan) -> dict[str, jax.Array]:
-    """For `U` of every stage (S, U): the plan's margins, its stance and its joints."""
+def play_plan(case: Case, plan: Plan) -> dict[str, jax.Array]:
+    """Return margins, stance and joints of a plan at phases `U` of every stage, (S, U)."""
 
     def at(k, u):
         stance, joints, _ = posed(case, plan, k, u)
@@ -25,14 +25,14 @@ def play(case: Case, plan: Plan) -> dict[str, jax.Array]:
     return jax.lax.map(lambda k: jax.vmap(lambda u: at(k, u))(moments), stages)
 
 
-def played(case: Case) -> tuple[Plan, dict[str, jax.Array]]:
-    """The case's own plan, and what it asks for."""
+def play_case(case: Case) -> tuple[Plan, dict[str, jax.Array]]:
+    """Return a case's plan, and what `play_plan` returns for it."""
     plan = jax.jit(lambda case: case.manoeuvre.plan(case))(case)
-    return plan, play(case, plan)
+    return plan, play_plan(case, plan)
 
 
-def varied(case: Case, share: float, seed: int, heights: float = 0.0) -> Case:
-    """`case` with the lengths of robot and obstacle off by up to `share`, the obstacle's heights by `heights`."""
+def vary_lengths(case: Case, share: float, seed: int, heights: float = 0.0) -> Case:
+    """Return the case with lengths of robot and obstacle off by up to `share`, and heights by up to `heights`."""
     random = np.random.default_rng(seed)
 
     def scaled(part, names, most):

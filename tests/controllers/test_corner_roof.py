@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from playing import play, varied
+from playing import play_plan, vary_lengths
 
 from sweep.controllers import forces
 from sweep.controllers.compile_plan import compile_plan
@@ -29,9 +29,9 @@ def plan_of(case: Case) -> Plan:
 @pytest.mark.parametrize(("share", "seed"), [(0.0, 0), (0.02, 101), (0.02, 102), (0.04, 103)])
 def test_base_and_links_stay_in_reach_clear_of_the_house_and_apart(case, share, seed):
     """True distances. Shins come as near to the house as the foot's end of them leans."""
-    other = varied(case, share, seed, heights=share)
+    other = vary_lengths(case, share, seed, heights=share)
     plan = plan_of(other)
-    seen = {key: np.asarray(value) for key, value in play(other, plan).items()}
+    seen = {key: np.asarray(value) for key, value in play_plan(other, plan).items()}
     over = np.char.startswith(plan.names, "roof.")
     assert seen["base"][over][1:].min() > 0.012  # the first begins where the climb ends
     assert seen["base"].min() > 0.003
@@ -47,12 +47,12 @@ def test_base_and_links_stay_in_reach_clear_of_the_house_and_apart(case, share, 
 
 def test_the_climb_touches_nothing(case):
     plan = plan_of(case)
-    assert play(case, plan)["links"].min() > -5e-4
+    assert play_plan(case, plan)["links"].min() > -5e-4
 
 
 def test_the_robot_ends_level_on_the_roof_off_its_edges(case):
     plan = plan_of(case)
-    seen = play(case, plan)
+    seen = play_plan(case, plan)
     feet = np.asarray(plan.foothold[-1])
     np.testing.assert_allclose(feet[:, 2], case.obstacle.height, atol=1e-6)
     assert np.all(np.abs(feet[:, 0]) < -feet[:, 1] * np.tan(case.obstacle.half_angle) - 0.05)

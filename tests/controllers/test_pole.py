@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from playing import played, varied
+from playing import play_case, vary_lengths
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan, arc_point, pace_progress, reference_stance, transform_plan
@@ -116,7 +116,7 @@ def test_the_pitch_rate_does_not_jump_between_stages(case):
 @pytest.mark.parametrize("seed", range(2, 5))
 def test_no_link_is_in_the_pole(case, seed):
     """Nor in the base or another leg, for sizes up to 2 % off; feet pressed in by 5 mm as they are."""
-    plan, at = played(varied(case, 0.02, seed))
+    plan, at = play_case(vary_lengths(case, 0.02, seed))
     first = plan.names.index("place.1-4-5")
     assert at["links"].min() > -0.003  # shins down to the feet, which are pressed in; the judge allows 5 mm
     assert at["legs"].min() > 0.02

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from playing import played, varied
+from playing import play_case, vary_lengths
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan, reference_stance
@@ -29,7 +29,7 @@ def test_the_ledge_is_as_high_as_the_book_has_it(request, case):
 
 
 def test_links_stay_in_reach_clear_of_pole_and_ledge_and_apart(case):
-    plan, seen = played(case)
+    plan, seen = play_case(case)
     first = plan.names.index("ledge.back")
     assert seen["reach"].min() > 0
     assert seen["base"][first:].min() > 0.008
@@ -39,7 +39,7 @@ def test_links_stay_in_reach_clear_of_pole_and_ledge_and_apart(case):
 
 
 def test_the_mass_centre_stays_over_the_standing_feet(case):
-    plan, _ = played(case)
+    plan, _ = play_case(case)
     first = plan.names.index("ledge.back")
     assert margins(case, plan)[first:].min() > 0.03  # m
 
@@ -60,7 +60,7 @@ def margins(case: Case, plan: Plan) -> jax.Array:
 
 
 def test_it_ends_level_on_the_ledge_and_stands_off_every_edge_on_the_way(case):
-    plan, seen = played(case)
+    plan, seen = play_case(case)
     feet = np.asarray(plan.foothold[plan.names.index("ledge.back") :]).reshape(-1, 3)
     beyond = -feet[:, 1] - RADIUS
     on_top = np.isclose(feet[:, 2], case.obstacle.height, atol=0.005)  # some are pressed in by 3 mm
@@ -74,8 +74,8 @@ def test_it_ends_level_on_the_ledge_and_stands_off_every_edge_on_the_way(case):
 @pytest.mark.slow
 def test_it_follows_what_is_believed(case):
     for seed in (2, 3):
-        other = varied(case, 0.02, seed)
-        plan, seen = played(other)
+        other = vary_lengths(case, 0.02, seed)
+        plan, seen = play_case(other)
         first = plan.names.index("ledge.back")
         assert seen["reach"].min() > -0.005
         assert seen["base"][first:].min() > 0

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from playing import U, played
+from playing import U, play_case
 
 from sweep.controllers.plan import bezier_point
 from sweep.core.rotations import matrix
@@ -20,7 +20,7 @@ def case() -> Case:
 
 
 def test_links_stay_in_reach_clear_of_the_pole_and_apart(case):
-    plan, seen = played(case)
+    plan, seen = play_case(case)
     first = plan.names.index("edge.front")
     assert seen["reach"].min() > 0
     assert seen["links"][first:].min() > -0.005
@@ -29,7 +29,7 @@ def test_links_stay_in_reach_clear_of_the_pole_and_apart(case):
 
 
 def test_it_ends_level_with_all_feet_on_the_top_off_the_rim(case):
-    plan, seen = played(case)
+    plan, seen = play_case(case)
     feet = np.asarray(plan.foothold[-1])
     top = case.obstacle.height
     np.testing.assert_allclose(feet[:, 2], top, atol=0.005)
@@ -45,7 +45,7 @@ def test_it_follows_what_is_believed(case):
         robot = replace(case.robot, body_length=1.05 * scale[0], body_width=0.5 * scale[1], thigh=0.52 * scale[2],
                         shin=0.335 * scale[3])  # fmt: skip
         other = replace(case, robot=robot, obstacle=replace(case.obstacle, radius=0.42 * scale[4]))
-        plan, seen = played(other)
+        plan, seen = play_case(other)
         first = plan.names.index("edge.front")
         assert seen["reach"].min() > -0.005
         assert seen["base"][first:].min() > 0

@@ -1,4 +1,4 @@
-"""What a kernel of PTX does, without a GPU: warp by warp in NumPy, the threads of each branching alike."""
+"""Interpreter of PTX kernels without a GPU: warp by warp in NumPy, whose threads all take the same branches."""
 
 import re
 from typing import Any
