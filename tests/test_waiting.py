@@ -27,12 +27,12 @@ def test_which_program_is_compiled_is_told_with_what_it_took_last_time(monkeypat
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(progress, "WORTH", 0.0)
     with progress.timed_part("plan"), progress.timed_part("closed loop"):
-        assert progress.format_running_parts("ladder for mjx") == ": plan and closed loop"
+        assert progress.format_running_parts("ladder for mjx") == ": plan for 0 s and closed loop for 0 s"
         time.sleep(0.1)
     progress.remember_duration("ladder for mjx", 50.0)
     with progress.timed_part("plan"):
-        assert progress.format_running_parts("ladder for mjx") == ": plan (0 s last time)"
-        assert progress.format_running_parts("walk for mjx") == ": plan"
+        assert progress.format_running_parts("ladder for mjx") == ": plan for 0 s (0 s last time)"
+        assert progress.format_running_parts("walk for mjx") == ": plan for 0 s"
     assert progress.format_running_parts("ladder for mjx") == ""
     progress.remember_duration("ladder for mjx", 5.0)  # with programs that were kept
     assert progress.format_last_duration("ladder for mjx") == " (5 s last time)"
@@ -63,3 +63,23 @@ def test_the_compilers_own_alarm_is_silent_unless_asked_for():
     for given, told in (({}, "3"), ({"TF_CPP_MIN_LOG_LEVEL": "0"}, "0")):
         done = subprocess.run([sys.executable, "-c", code], env=given, capture_output=True, text=True, check=True)
         assert done.stdout.strip() == told
+
+
+def test_compile_time_is_estimated_by_the_last_time_on_this_machine(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert "not measured on this machine before" in progress.format_compile_estimate("walk for mjx")
+    progress.remember_duration("walk for mjx", 17.2)
+    assert progress.format_compile_estimate("walk for mjx").startswith("about 17 s to compile")
+    assert "not measured" in progress.format_compile_estimate("ladder for mjx")
+
+
+@pytest.mark.parametrize("content", ["", "{", "[1, 2]", '{"walk for mjx": "soon"}', '{"walk for mjx": null}', "\xff"])
+def test_a_damaged_file_of_compile_times_is_named_and_written_anew(monkeypatch, tmp_path, content):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    file = tmp_path / "insect-sweep" / "waits.json"
+    file.parent.mkdir(mode=0o700)
+    file.write_text(content, encoding="latin-1")
+    assert f"compile time unknown: {file} is damaged" in progress.format_compile_estimate("walk for mjx")
+    assert progress.format_last_duration("walk for mjx") == ""
+    progress.remember_duration("walk for mjx", 17.2)
+    assert progress.format_compile_estimate("walk for mjx").startswith("about 17 s")

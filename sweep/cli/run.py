@@ -2,21 +2,30 @@
 
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pandas as pd
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TimeElapsedColumn
+from rich.text import Text
 
 from sweep.analysis import rare
 from sweep.analysis.sample import distinct, pooled
 from sweep.analysis.stats import broken, causes, rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.core.errors import InputError
-from sweep.core.progress import format_last_duration, format_running_parts, remember_duration, show_counts, show_wait
+from sweep.core.progress import (
+    compilation_seconds,
+    format_compile_estimate,
+    format_last_duration,
+    format_running_parts,
+    remember_duration,
+    show_counts,
+    show_wait,
+)
 from sweep.report import tables
 from sweep.report.headline import headline
 from sweep.runs import histories, probe, refine, runner, sought, store
@@ -93,7 +102,10 @@ def execute(exp: Experiment, flags: Flags) -> int:
                 job = runner.run(job, report, dispatch)
             done += todo
         seconds = time.perf_counter() - start
-        print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)
+        if not done:
+            print("no rollouts left to run", file=sys.stderr)
+        else:
+            print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)
         rows, stored = name_axes(store.read_rows(folder), exp.study.axes), store.read_study(folder)
         size, used = stored["rollouts"], stored["devices"]
         complete = len(rows) == size and (whole or not exp.study.in_rounds)
@@ -146,7 +158,7 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
     check_expect(exp.study, exp.system)
     if flags.dry_run:
         runner.lay_out_single(exp)
-        print(f"{exp.scenario}: 1 rollout on {exp.settings.name}")
+        print(f"{exp.scenario}: 1 rollout on {exp.settings.name}, {format_compile_estimate(program(exp))}")
         return DONE
     what, start = program(exp), time.perf_counter()
 
@@ -212,7 +224,7 @@ def forecast(job: runner.Job) -> str:
     parts = [f"{count} batch{'es' * (count > 1)} of {width}" for (_, width), count in sizes.items()]  # pyright: ignore[reportGeneralTypeIssues]
     text = f"{job.exp.study.name}: {len(missing)} of {len(job.table)} rollouts to run ({', '.join(parts) or 'none'})"
     if len(missing):
-        text += f"{memory(job, missing)}, {duration(job, missing)}"
+        text += f"{memory(job, missing)}, {duration(job, missing)}, {format_compile_estimate(program(job.exp))}"
     if count := histories.size(job.exp, job.table):
         kept, columns = min(job.exp.study.keep_rows, len(job.table)), ", ".join(job.exp.study.keep)
         text += f"\ntime histories of {kept} rollouts ({columns}): about {4 * count / 2**20:.1f} MiB before compression"
@@ -231,7 +243,7 @@ def duration(job: runner.Job, missing: pd.DataFrame) -> str:
     beside = sorted(job.folder.parent.glob(f"*/{store.STUDY}"), key=lambda p: p.stat().st_mtime, reverse=True)
     for folder in (job.folder, *(path.parent for path in beside)):
         if (seconds := pace(folder, job)) is not None:
-            return f"about {len(missing) * seconds:.0f} s by the pace of {folder}, and the time to compile"
+            return f"about {len(missing) * seconds:.0f} s by the pace of {folder}"
     return f"time unknown before a first batch, as by --limit {missing['width'].iloc[0]}"
 
 
@@ -270,38 +282,85 @@ def program(exp: Experiment) -> str:
     return f"{exp.scenario} for {kind}"
 
 
+class Pace:
+    """Estimates how long the rest of a run takes from its finished batches, without the time to compile."""
+
+    def __init__(self, total: int):
+        self.total, self.done = total, 0
+        self.start = self.last = time.perf_counter()
+        self._compiled, self._first = compilation_seconds(), (0, 0.0)
+
+    def count(self, rollouts: int) -> None:
+        """Add finished rollouts."""
+        self.done, self.last = self.done + rollouts, time.perf_counter()
+        if not self._first[0]:
+            self._first = rollouts, self.last
+
+    def remaining(self) -> float | None:
+        """Return the remaining time (s) at this moment; None before the first batch is finished."""
+        first, since = self._first
+        if not first:
+            return None
+        if self.done > first:
+            seconds = (self.last - since) / (self.done - first)
+        else:
+            seconds = max(0.0, since - self.start - (compilation_seconds() - self._compiled)) / first
+        return max(0.0, seconds * (self.total - self.done) - (time.perf_counter() - self.last))
+
+    def remaining_text(self) -> str:
+        """Format the remaining time as minutes and seconds; dashes while it is unknown."""
+        seconds = self.remaining()
+        return "-:-- left" if seconds is None else f"{int(seconds) // 60}:{int(seconds) % 60:02d} left"
+
+
+class LiveColumn(ProgressColumn):
+    """A column of a progress bar whose text is worked out anew every second."""
+
+    max_refresh = 1.0  # s
+
+    def __init__(self, text: Callable[[], str]):
+        super().__init__()
+        self.text = text
+
+    def render(self, task: Task) -> Text:
+        """Return the text of this second."""
+        return Text(self.text(), no_wrap=True)
+
+
 @contextmanager
 def reporting(name: str, total: int, what: str, watched: Watched | None = None) -> Iterator[runner.Progress]:
     """A live bar on a terminal's standard error, a line now and then elsewhere; with the workers that are `watched`.
 
     `what` is compiled first.
     """
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[note]}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
     console = Console(stderr=True)
-    start, done, good = time.perf_counter(), 0, 0
+    start, done, good, pace = time.perf_counter(), 0, 0, Pace(total)
+    # numbers first: a narrow terminal cuts the end of the line off
+    columns = (
+        MofNCompleteColumn(),
+        LiveColumn(pace.remaining_text),
+        TimeElapsedColumn(),
+        BarColumn(bar_width=10),
+        LiveColumn(lambda: f"{name}: {note()}"),
+    )
 
     def note() -> str:
         if not done:
             return f"compiling {what}{format_last_duration(what)}{format_running_parts(what)}"
+        left = f", about {pace.remaining():.0f} s left" if not console.is_terminal else ""
         workers = f", {watched.workers} workers" if watched and watched.workers is not None else ""
-        return f"{done / (time.perf_counter() - start):.1f} rollouts/s, {good / done:.0%} succeed{workers}"
+        return f"{done / (time.perf_counter() - start):.1f} rollouts/s, {good / done:.0%} succeed{left}{workers}"
 
     silent = nullcontext() if console.is_terminal else show_wait(lambda: f"{name}: {done} of {total}, {note()}")
     with silent, Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(name, total=total, note=note())
+        task = bar.add_task(name, total=total)
 
         def report(rows: pd.DataFrame) -> None:
             nonlocal done, good
             if not done:
                 remember_duration(what, time.perf_counter() - start)
+            pace.count(len(rows))
             done, good = done + len(rows), good + int((rows["outcome"] == "success").sum())
-            bar.update(task, completed=done, note=note())
+            bar.update(task, completed=done)
 
         yield report

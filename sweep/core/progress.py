@@ -15,6 +15,7 @@ WORTH = 2.0  # s: shorter durations are not stored
 KEPT = "waits.json"  # beside the compiled programs
 _begun: dict[str, float] = {}  # start times of running parts, by name
 _took: dict[str, float] = {}  # durations of finished parts (s), by name
+_compiled = 0.0  # s that this process has spent on compiling
 
 
 @contextmanager
@@ -74,14 +75,44 @@ def timed_part(name: str) -> Iterator[None]:
 
 
 def format_running_parts(what: str) -> str:
-    """List the running parts of the step `what`, each with its duration in an earlier process."""
-    told = " and ".join(name + format_last_duration(f"{what}: {name}") for name in tuple(_begun))
-    return f": {told}" if told else ""
+    """List the running parts of the step `what`: for how long each has run, and its duration in an earlier process."""
+    now = time.perf_counter()
+    texts = [
+        f"{name} for {now - start:.0f} s{format_last_duration(f'{what}: {name}')}"
+        for name, start in tuple(_begun.items())
+    ]
+    return f": {' and '.join(texts)}" if texts else ""
+
+
+@contextmanager
+def timed_compilation() -> Iterator[None]:
+    """Count the time within this context as compile time, see `compilation_seconds`."""
+    global _compiled
+    start = time.perf_counter()
+    try:
+        yield
+    finally:
+        _compiled += time.perf_counter() - start
+
+
+def compilation_seconds() -> float:
+    """Return how many seconds this process has spent on compiling so far."""
+    return _compiled
+
+
+def format_compile_estimate(what: str) -> str:
+    """Estimate how long compiling `what` and its first batch takes, from the last time on this machine."""
+    waits = _load_waits()
+    if waits is None:
+        return f"compile time unknown: {cache_folder()}/{KEPT} is damaged, and is written anew by the next run"
+    if what not in waits:
+        return "compile time unknown: not measured on this machine before"
+    return f"about {waits[what]:.0f} s to compile and run the first batch, as last time on this machine"
 
 
 def format_last_duration(what: str) -> str:
     """Format the duration of a step in an earlier process; empty where it is unknown."""
-    seconds = _waits().get(what)
+    seconds = (_load_waits() or {}).get(what)
     return f" ({seconds:.0f} s last time)" if seconds else ""
 
 
@@ -92,11 +123,16 @@ def remember_duration(what: str, seconds: float) -> None:
     if long and (folder := cache_folder()):
         with suppress(OSError, InputError):  # such as a home that cannot be written
             if ensure_private_folder(folder):
-                (folder / KEPT).write_text(json.dumps({**_waits(), **long}))
+                (folder / KEPT).write_text(json.dumps({**(_load_waits() or {}), **long}))
 
 
-def _waits() -> dict[str, float]:
+def _load_waits() -> dict[str, float] | None:
+    """Read the stored durations (s) by name of the step; None where the file is damaged."""
     folder = cache_folder()
-    with suppress(OSError, ValueError):
-        return dict(json.loads((folder / KEPT).read_text())) if folder else {}
-    return {}
+    try:
+        waits = json.loads((folder / KEPT).read_text()) if folder else {}
+        return {str(name): float(seconds) for name, seconds in waits.items()}
+    except OSError:
+        return {}
+    except (ValueError, TypeError, AttributeError):
+        return None

@@ -242,9 +242,10 @@ class Mjx(Batched):
             chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
             options = launch.OPTIONS if self.fused else None
             go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
-            chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
-            finished = self._compile_finish(arrays, batch, on_devices)
-            return *started(), chunked.result(), finished, None, key and driver.made(key)
+            with timed_part("closed loop"):
+                chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
+                finished = self._compile_finish(arrays, batch, on_devices)
+                return *started(), chunked.result(), finished, None, key and driver.made(key)
 
     def _compile_again(
         self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]

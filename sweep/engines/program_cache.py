@@ -25,6 +25,7 @@ from jax.stages import Compiled
 
 from sweep.core import files, provenance
 from sweep.core.errors import InputError
+from sweep.core.progress import timed_compilation
 from sweep.fused import driver
 
 MOST = 200  # files, of about a MB each
@@ -47,11 +48,12 @@ def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequen
     with _jax_settings:  # which another thread may be changing
         folder = _folder()
         if folder is None:
-            return compiled()
+            with timed_compilation():
+                return compiled()
         file = folder / f"{_key(made_of, devices)}.programs"
         if (found := _load(file, devices)) is not None:
             return found
-        with unused():
+        with unused(), timed_compilation():
             made = compiled()
     try:
         _store(file, pickle.dumps([_saved(part) for part in made]))

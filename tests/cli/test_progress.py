@@ -1,0 +1,45 @@
+"""What is said while a study runs: numbers first, and a remaining time without the time to compile."""
+
+import time
+from io import StringIO
+
+import pytest
+from rich.console import Console
+
+from sweep.cli import run
+from sweep.core import progress
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    return now
+
+
+def test_the_remaining_time_is_known_after_the_first_batch_and_counts_down(clock):
+    pace = run.Pace(40)
+    assert pace.remaining() is None
+    assert pace.remaining_text() == "-:-- left"
+    with progress.timed_compilation():
+        clock[0] += 60.0
+    clock[0] += 30.0
+    pace.count(10)
+    assert pace.remaining() == pytest.approx(90.0)  # 3 s a rollout: the minute of compiling does not count
+    clock[0] += 1.0
+    assert pace.remaining_text() == "1:29 left"
+    clock[0] += 9.0
+    pace.count(10)  # the next batch took a third of the time
+    assert pace.remaining() == pytest.approx(20.0)
+    clock[0] += 50.0
+    assert pace.remaining() == 0.0
+
+
+def test_numbers_come_first_in_eighty_columns(monkeypatch):
+    screen = StringIO()
+    narrow = Console(file=screen, force_terminal=True, width=80)
+    monkeypatch.setattr(run, "Console", lambda **_: narrow)
+    with run.reporting("a_study_whose_name_is_long", 96, "a_scenario for batches of a_study on an_engine" * 2):
+        pass
+    line = next(line for line in screen.getvalue().splitlines() if "0/96" in line)
+    assert line.index("0/96") < line.index("-:-- left") < line.index("a_study")
