@@ -15,11 +15,11 @@ from scipy.special import ndtri
 from scipy.stats import chi2, norm
 
 from sweep.analysis import rare
-from sweep.study import importance, subset
-from sweep.study.sought import Seen
+from sweep.study import importance_sampling, subset_simulation
+from sweep.study.adaptive_sampling import RoundSummary
 
 SUMS = ((2, 1e-3), (8, 1e-3), (8, 1e-5), (8, 1e-7), (50, 1e-5))  # number of parameters, and probability of failure
-LEVELS, RUNS, REPETITIONS = subset.Levels(1000, 0.1, 1e-9), 5, 40
+LEVELS, RUNS, REPETITIONS = subset_simulation.Levels(1000, 0.1, 1e-9), 5, 40
 WIDE, ROUNDS = 2.0, 2
 DRAWS = (512, 4096)  # draws of a round of importance sampling
 
@@ -50,12 +50,12 @@ SHAPES = ((plane, 2, 1e-3), (plane, 8, 1e-3), (plane, 8, 1e-4), (plane, 8, 1e-6)
 
 def run_levels(d: int, truth: float, seed: int) -> rare.Repeated:
     """Run subset simulation on the sum of `d` normals, whose margin is the distance to its bound."""
-    search = subset.search(d, LEVELS, RUNS, seed)
+    search = subset_simulation.search(d, LEVELS, RUNS, seed)
     draws = next(search)
     try:
         while True:
             margin = norm.isf(truth) - ndtri(draws.shares).sum(axis=1) / np.sqrt(d)
-            draws = search.send(Seen(margin < 0, margin))
+            draws = search.send(RoundSummary(margin < 0, margin))
     except StopIteration as end:
         return rare.Repeated(LEVELS.target, tuple(end.value))
 
@@ -75,10 +75,10 @@ def run_importance(
     fails: Callable[[np.ndarray], np.ndarray], d: int, num: int, seed: int
 ) -> rare.Weighted | rare.Repeated:
     """Return the estimate of a study by importance sampling."""
-    search = importance.search(d, num, WIDE, ROUNDS, seed)
+    search = importance_sampling.search(d, num, WIDE, ROUNDS, seed)
     draws = next(search)
     for _ in range(ROUNDS):
-        draws = search.send(Seen(fails(ndtri(draws.shares)), np.zeros(num)))
+        draws = search.send(RoundSummary(fails(ndtri(draws.shares)), np.zeros(num)))
     rows = pd.DataFrame({f"axis.{name}": values for name, values in draws.columns.items()})
     rows["outcome"] = np.where(fails(ndtri(draws.shares)), "failure", "success")
     design = SimpleNamespace(kind="importance", num=num, rounds=ROUNDS)

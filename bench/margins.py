@@ -21,8 +21,8 @@ from scipy.special import ndtr
 
 from sweep.core.provenance import version_record
 from sweep.runs import runner, store
+from sweep.study.adaptive_sampling import Draws
 from sweep.study.config import Experiment, compose
-from sweep.study.sought import Draws
 from sweep.study.study import points
 
 ROOT = Path(__file__).parents[1]

@@ -31,9 +31,9 @@ from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
 from sweep.runs import runner
 from sweep.runs.batches import make_engine, nominal, with_room
-from sweep.study import searches
-from sweep.study.config import Experiment, composed, experiment
-from sweep.study.sought import Draws, seen
+from sweep.study import adaptive_designs
+from sweep.study.adaptive_sampling import Draws, summarize_round
+from sweep.study.config import Experiment, compose_values, experiment
 from sweep.study.study import points
 
 DATA = Path(__file__).parents[1] / "research" / "data" / "rare.json"
@@ -78,7 +78,7 @@ class Robots:
 
     def __init__(self, scenario: str, width: int, overrides: list[str]):
         """Compile and run one batch, so that later ones are timed without compilation."""
-        self.values = composed([f"scenario={scenario}", "study=any_rare", f"engine.width={width}", *overrides])
+        self.values = compose_values([f"scenario={scenario}", "study=any_rare", f"engine.width={width}", *overrides])
         self.lead = LEADS.get(scenario, LEAD)
         exp = self.scaled_study(1.0)
         first = self.points(exp, plain(exp, 1, 0))
@@ -122,12 +122,12 @@ def plain(exp: Experiment, num: int, before: int) -> Draws:
 
 def adaptive_rounds(exp: Experiment) -> Ask:
     """Generate all rounds of an adaptive study."""
-    search = searches.search(exp.study.axes, exp.study.design, exp.study.seed)
+    search = adaptive_designs.make_search(exp.study.axes, exp.study.design, exp.study.seed)
     draws, every = next(search), []
     while True:
         every.append((yield draws))
         try:
-            draws = search.send(seen(every[-1], draws, exp.study.design.lead))
+            draws = search.send(summarize_round(every[-1], draws, exp.study.design.lead))
         except StopIteration:
             return pd.concat(every, ignore_index=True)
 

@@ -10,7 +10,7 @@ from sweep.controllers.manoeuvres import MANOEUVRES
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import InputError
 from sweep.models.obstacles import OBSTACLES
-from sweep.study.config import compose, composed, experiment
+from sweep.study.config import compose, compose_values, experiment
 
 TOGETHER = ("obstacle", "manoeuvre")  # which have to fit
 CHOICES = [f"{group}={name}" for group in GROUPS if group not in (*TOGETHER, "plan") for name in choices(group)]
@@ -34,8 +34,10 @@ def test_a_class_is_a_choice_without_a_file(group, classes):
 
 
 def test_a_manoeuvre_on_an_obstacle_that_it_is_not_for_is_refused_in_one_line():
-    nominal, fits, refusals = composed([]), set(), {}
-    values = {group: {name: composed([f"{group}={name}"])[group] for name in choices(group)} for group in TOGETHER}
+    nominal, fits, refusals = compose_values([]), set(), {}
+    values = {
+        group: {name: compose_values([f"{group}={name}"])[group] for name in choices(group)} for group in TOGETHER
+    }
     del values["manoeuvre"]["follow"]  # on any obstacle, with a plan that is made for it
     for manoeuvre, obstacle in itertools.product(values["manoeuvre"], values["obstacle"]):
         pair = {"manoeuvre": values["manoeuvre"][manoeuvre], "obstacle": values["obstacle"][obstacle]}

@@ -6,7 +6,7 @@ from scipy.stats import kstest, norm, truncnorm
 from sweep.core.errors import InputError
 from sweep.study import designs
 from sweep.study.config import compose
-from sweep.study.designs import caution
+from sweep.study.designs import warn_of_design
 from sweep.study.study import Study, points
 
 
@@ -195,7 +195,7 @@ def test_a_bad_design_is_refused(table_of, axes, design, message):
 
 def test_a_sobol_design_that_loses_its_balance_is_doubted(nominal):
     def doubt(**design):
-        return caution(parse(nominal, {"f": FRICTION}, design=design).design)
+        return warn_of_design(parse(nominal, {"f": FRICTION}, design=design).design)
 
     assert doubt(kind="sobol", num=64) is None
     assert "not a power of 2" in str(doubt(kind="sobol", num=65))
@@ -216,7 +216,7 @@ def test_distributions_of_scipy_and_a_copula_keep_what_they_promise():
     }
     parsed = designs.parse_axes(axes)
     given = {"num": 4000, "correlation": [["mass", "size", 0.7]]}
-    table = designs.table(parsed, designs.parse_design(given, parsed), 0, lambda path: 1.0)
+    table = designs.design_table(parsed, designs.parse_design(given, parsed), 0, lambda path: 1.0)
     mass, size, grip = (table[path] for path in ("robot.body_mass", "robot.body_length", "contact.friction"))
     assert stats.kstest(mass, stats.gamma(25, scale=0.4).cdf).pvalue > 0.01  # each keeps its own
     assert stats.kstest(size, stats.norm(1.05, 0.02).cdf).pvalue > 0.01
@@ -264,4 +264,4 @@ def test_correlations_that_go_with_no_distribution_tell_how_much_smaller_ones_do
 
 def test_an_axis_has_a_name():
     with pytest.raises(InputError, match=r"study.axes.' ' is not allowed: a name"):
-        designs.check_told({"axes": {"friction": {}, " ": {}}})
+        designs.refuse_ignored_settings({"axes": {"friction": {}, " ": {}}})

@@ -13,8 +13,8 @@ from scipy.stats import norm
 from sweep.analysis import rare
 from sweep.cli.main import main
 from sweep.runs import results, store
-from sweep.study import importance
-from sweep.study.sought import Seen
+from sweep.study import importance_sampling
+from sweep.study.adaptive_sampling import RoundSummary
 
 far = pytest.mark.parametrize("fake_engine", [CliffEngine], indirect=True)
 STUDY = [
@@ -67,12 +67,12 @@ def repeated(d, bounds, num=400, rounds=2, times=200):
 
     found = []
     for seed in range(times):
-        search = importance.search(d, num, 2.5, rounds, seed)
+        search = importance_sampling.search(d, num, 2.5, rounds, seed)
         draws = next(search)
         for _ in range(rounds):
-            draws = search.send(Seen(failed(draws), np.zeros(num)))
+            draws = search.send(RoundSummary(failed(draws), np.zeros(num)))
         found.append(draws.columns["weight"] @ failed(draws) / num)
-        assert draws.columns["weight"].max() <= 1 / importance.PLAIN + 1e-9
+        assert draws.columns["weight"].max() <= 1 / importance_sampling.PLAIN + 1e-9
     return np.array(found)
 
 
@@ -93,7 +93,7 @@ def test_without_a_failure_there_is_a_bound_and_one_heavy_row_is_told():
     design = SimpleNamespace(kind="importance", num=300, rounds=1)
     exp = SimpleNamespace(study=SimpleNamespace(name="some", design=design))
     none = rare.rare(rows, exp)  # pyright: ignore[reportArgumentType]
-    assert none.high == pytest.approx(0.01 / importance.PLAIN, rel=0.02)
+    assert none.high == pytest.approx(0.01 / importance_sampling.PLAIN, rel=0.02)
     assert str(none).endswith("a larger study.design.wide, more draws or wider errors may find some")
     rows.loc[:9, "outcome"] = "failure"
     rows.loc[0, "axis.weight"] = 3.0

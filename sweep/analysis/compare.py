@@ -10,7 +10,7 @@ from sweep.analysis.stats import percent
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
 from sweep.study.columns import LABELS, figure_columns
-from sweep.study.study import identity
+from sweep.study.study import identity_columns
 
 BINS = 3  # regions along an axis
 SECOND = " (B)"  # marks the columns of the second run
@@ -79,7 +79,7 @@ def pair(a: pd.DataFrame, b: pd.DataFrame, by: list[str] | None = None) -> pd.Da
     """
     varied: list[str] = []
     if not by:
-        by = ["point_id"] if a["point_id"].is_unique else identity(a.columns)
+        by = ["point_id"] if a["point_id"].is_unique else identity_columns(a.columns)
         if not a["point_id"].isin(b["point_id"]).any() and _tell_apart(a, b, _varied(a, b)):
             by = varied = _varied(a, b)
     key = [column(a, name) for name in by]

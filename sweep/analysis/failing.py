@@ -32,7 +32,7 @@ def shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     kind, or numbers too many.
     """
     names = [axis.column for axis in numeric(rows, drawn(rows, exp))]
-    if not (exp.study.sought or exp.study.design.kind in FILLING) or not 0 < len(names) <= AXES:
+    if not (exp.study.is_adaptive or exp.study.design.kind in FILLING) or not 0 < len(names) <= AXES:
         raise InputError(f"shares of failing need draws of at most {AXES} numbers")
     plain, failing = _weighted(rows, exp)
     bad, good = (_chosen(weight) for weight in (failing, np.where(rows["outcome"] == "success", plain, 0.0)))
@@ -52,7 +52,7 @@ def shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
 
 def _weighted(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
     """What rows (n,) count for as plain draws, and as failures."""
-    if exp.study.sought:
+    if exp.study.is_adaptive:
         return weights(rows, exp)
     return np.ones(len(rows)), (rows["outcome"] != "success").to_numpy(dtype=float)
 

@@ -7,10 +7,10 @@ import pandas as pd
 
 from sweep.analysis.intervals import CONFIDENCE
 from sweep.core.errors import InputError
-from sweep.study import importance, searches
+from sweep.study import adaptive_designs, importance_sampling
+from sweep.study.adaptive_sampling import replay_search
 from sweep.study.config import Experiment
-from sweep.study.sought import replayed
-from sweep.study.subset import Outcome
+from sweep.study.subset_simulation import Outcome
 
 LARGEST = 0.1  # share of the sum that one row may carry in an estimate that is to be trusted
 LEAST = 0.01  # share of a mode that a cause has to be told
@@ -129,7 +129,7 @@ def rare(rows: pd.DataFrame, exp: Experiment) -> Weighted | Repeated:
 
 def _repeated(rows: pd.DataFrame, exp: Experiment) -> Repeated:
     study = exp.study
-    runs = replayed(searches.search(study.axes, study.design, study.seed), rows, study.design.lead)
+    runs = replay_search(adaptive_designs.make_search(study.axes, study.design, study.seed), rows, study.design.lead)
     if runs is None:
         raise InputError(f"the runs of {study.name} are not at their end: run the rest first")
     return Repeated(study.design.target, tuple(runs))
@@ -152,7 +152,7 @@ def _weighted(rows: pd.DataFrame, exp: Experiment) -> Weighted:
     counts = {"rows": n, "of": len(rows), "failed": int(failed.sum())}
     counts["invalid"] = int((last["outcome"] == "invalid").sum())
     if not total:
-        most = min((1 - (1 - CONFIDENCE) ** (1 / n)) / importance.PLAIN, 1.0)
+        most = min((1 - (1 - CONFIDENCE) ** (1 / n)) / importance_sampling.PLAIN, 1.0)
         return Weighted(0.0, 0.0, most, **counts, largest=0.0, plain=np.nan)
     p = total / n
     variance = max(square / n - p**2, 0.0) / n
@@ -176,8 +176,12 @@ def modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     middle = np.average(x, axis=0, weights=plain)
     spread = np.sqrt(np.average((x - middle) ** 2, axis=0, weights=plain))
     away, failing = (x[here] - middle) / np.where(spread, spread, 1.0), failing[here] / failing.sum()
-    parts = importance.fitted(away, failing)
-    mode, cause, found = importance.modes(parts)[parts.log_density(away).argmax(axis=1)], rows["cause"].iloc[here], []
+    parts = importance_sampling.fit_mixture(away, failing)
+    mode, cause, found = (
+        importance_sampling.modes(parts)[parts.log_density(away).argmax(axis=1)],
+        rows["cause"].iloc[here],
+        [],
+    )
     for one in np.unique(mode):
         its = mode == one
         share, where = failing[its].sum(), np.average(away[its], axis=0, weights=failing[its])

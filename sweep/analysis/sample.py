@@ -40,7 +40,7 @@ def is_sample(rows: pd.DataFrame, exp: Experiment, at: Collection[str] = ()) -> 
 
     Or, with columns `at`, those that have the same values of these.
     """
-    if exp.study.refined or exp.study.sought:
+    if exp.study.is_refined or exp.study.is_adaptive:
         return False
     if exp.study.design.kind in ("saltelli", "morris") and exp.study.design.num:
         return False

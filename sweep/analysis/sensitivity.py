@@ -18,7 +18,7 @@ from sweep.analysis.stats import rates
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
 from sweep.study.config import Experiment
-from sweep.study.designs import INNER, LEVELS, Axis, shares_of
+from sweep.study.designs import INNER, LEVELS, Axis, unit_draws
 
 GOODNESS_TRIALS = 10  # at every value, for a test of how well a fit follows the rates
 
@@ -341,7 +341,7 @@ def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None =
     if whole.sum() < 2:
         raise InputError(f"elementary effects need two complete paths of {length} draws, here: {whole.sum()}")
     chosen = np.repeat(whole, length)
-    shares = shares_of(exp.study.axes, exp.study.design, exp.study.seed)[chosen]
+    shares = unit_draws(exp.study.axes, exp.study.design, exp.study.seed)[chosen]
     problem = {"num_vars": len(axes), "names": [a.column for a in axes], "bounds": [[*INNER]] * len(axes)}
     found = morris.analyze(problem, shares, mean[whole].ravel(), num_levels=LEVELS, seed=0)
     columns = {"mean_size": "mu_star", "error": "mu_star_conf", "mean": "mu", "spread": "sigma"}

@@ -68,7 +68,7 @@ def check(given: argparse.Namespace) -> None:
 def parameters(exp: Experiment, rows: pd.DataFrame) -> list[str]:
     """The columns of the drawn axes. Raises `InputError` where rows are no independent draws of a few numbers."""
     own = exp.study
-    if own.points or own.refined or not own.design.num or own.design.kind != "monte_carlo" or own.replicates > 1:
+    if own.points or own.is_refined or not own.design.num or own.design.kind != "monte_carlo" or own.replicates > 1:
         raise InputError(f"{own.name} has no independent draws: it takes a study of design monte_carlo, one replicate")
     if listed := sensitivity.listed(rows, exp):
         raise InputError(f"axis {listed[0].name} is listed: a region is promised for draws, so give it a distribution")

@@ -248,7 +248,7 @@ def run(argv: list[str]) -> int:
 
         if exp.cluster.kind == "local" and not several:
             place.of_run(exp)
-        if exp.settings.name == "mjx" and not given.dry_run and not exp.cluster.elsewhere:
+        if exp.settings.name == "mjx" and not given.dry_run and not exp.cluster.is_remote:
             devices.begin()
         from sweep.cli.run import Flags, execute  # takes another, which what is wrong need not wait for
 

@@ -32,7 +32,7 @@ def status(given: argparse.Namespace) -> int:
     if done:
         rows, exp = store.read_rows(given.dir), results.kept(given.dir)
         meanings = exp.system.cause_meanings(exp.thresholds)
-        if exp.study.sought:
+        if exp.study.is_adaptive:
             print(headline(rows, exp))
         print(", ".join(f"{number} {outcome}" for outcome, number in rows["outcome"].value_counts().items()))
         for line in causes(rows["cause"], meanings):

@@ -36,7 +36,7 @@ def launch(overrides: list[str], work: Callable[[Experiment], int], own: list[st
     @hydra.main(
         version_base=config.HYDRA_VERSION,
         config_path=f"pkg://{config.CONFIG_MODULE}",
-        config_name=config.primary(overrides),
+        config_name=config.primary_config(overrides),
     )
     def job(composed: DictConfig) -> None:
         try:
@@ -46,7 +46,7 @@ def launch(overrides: list[str], work: Callable[[Experiment], int], own: list[st
             print(f"sweep: {error}", file=sys.stderr)
             codes.append(FAULT)
         except (InputError, OmegaConfBaseException) as error:
-            line = str(error) if isinstance(error, InputError) else config.one_line(error, overrides)
+            line = str(error) if isinstance(error, InputError) else config.format_error(error, overrides)
             print(f"sweep: {line}", file=sys.stderr)
             codes.append(BAD_INPUT)
 
@@ -57,7 +57,7 @@ def launch(overrides: list[str], work: Callable[[Experiment], int], own: list[st
         config.check_choices(overrides)
         job()
     except (HydraException, OmegaConfBaseException, OverflowError, RecursionError) as error:
-        raise InputError(config.one_line(error, overrides)) from None
+        raise InputError(config.format_error(error, overrides)) from None
     finally:
         sys.argv = before
     return max(codes)

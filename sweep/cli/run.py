@@ -33,9 +33,9 @@ from sweep.runs.batches import make_engine
 from sweep.runs.batches import nominal as nominal_batch
 from sweep.runs.nominal_levels import FailingLevel, find_failing_levels
 from sweep.study import designs
-from sweep.study.clusters import Watched, connected
-from sweep.study.config import Experiment, composed, experiment
-from sweep.study.study import check_expect, name_axes, parameter_columns, unit
+from sweep.study.clusters import WorkerReport, connect_lazily
+from sweep.study.config import Experiment, compose_values, experiment
+from sweep.study.study import check_expect, name_axes, parameter_columns, unit_of_column
 from sweep.systems import kind_of
 
 JITTER = ["study=any_jitter"]  # sixteen rollouts that differ by 1e-6
@@ -69,9 +69,9 @@ def execute(exp: Experiment, flags: Flags) -> int:
     if not flags.check:  # which judges nothing by outcomes
         check_expect(exp.study, exp.system, first)
     whole = flags.where is None and flags.limit is None
-    if exp.study.refined:
+    if exp.study.is_refined:
         refine.check(exp.study, first)
-    if line := designs.caution(exp.study.design):
+    if line := designs.warn_of_design(exp.study.design):
         print(f"sweep: {line}", file=sys.stderr)
     if flags.dry_run:
         job = runner.lay_out(exp, folder, first)
@@ -86,8 +86,8 @@ def execute(exp: Experiment, flags: Flags) -> int:
         print(f"sweep: {line}", file=sys.stderr)
         store.log(folder, line)
 
-    watched = Watched(say)
-    with store.locked(folder), connected(exp.cluster, watched) as dispatch:
+    watched = WorkerReport(say)
+    with store.locked(folder), connect_lazily(exp.cluster, watched) as dispatch:
         for line in runner.mend(exp, folder):
             say(line)
         done, start, to_do = 0, time.perf_counter(), jobs(exp, folder, first, whole)
@@ -108,13 +108,13 @@ def execute(exp: Experiment, flags: Flags) -> int:
             print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)
         rows, stored = name_axes(store.read_rows(folder), exp.study.axes), store.read_study(folder)
         size, used = stored["rollouts"], stored["devices"]
-        complete = len(rows) == size and (whole or not exp.study.in_rounds)
+        complete = len(rows) == size and (whole or not exp.study.is_sequential)
     if len(used) > 1:
         print(f"sweep: equal rollouts need not be equal to the last bit on {' and on '.join(used)}", file=sys.stderr)
     print("\n".join([summary(exp, rows), *(f"  {level}" for level in failing or ())]))
-    if exp.study.refined:
+    if exp.study.is_refined:
         print("\n".join(f"refined: {one}" for one in refine.refined(exp, rows)))
-    if exp.study.sought and complete:
+    if exp.study.is_adaptive and complete:
         print(rare.rare(rows, exp))
     print(f"{len(rows)} of {size} planned rollouts are in {folder}")
     return verdict(exp, rows, complete)
@@ -143,9 +143,9 @@ def checked(exp: Experiment, points: pd.DataFrame) -> int:
 
 def jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Iterable[runner.Job]:
     """One after the other, where what to run next depends on what was found; all at once else, or of a part."""
-    if whole and exp.study.refined:
+    if whole and exp.study.is_refined:
         return refine.rounds(exp, folder, first)
-    return sought.rounds(exp, folder) if whole and exp.study.sought else [runner.lay_out(exp, folder, first)]
+    return sought.rounds(exp, folder) if whole and exp.study.is_adaptive else [runner.lay_out(exp, folder, first)]
 
 
 def execute_single(exp: Experiment, flags: Flags) -> int:
@@ -170,7 +170,7 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
     remember_duration(what, time.perf_counter() - start)
     sys.stdout.write(tables.one_rollout(exp, rows.iloc[0]))
     if exp.study.expect and exp.settings.name == "native" and (other := jittered(exp)):
-        with show_wait(f"simulating {exp.scenario} {other.study.most} times, by which native is judged"):
+        with show_wait(f"simulating {exp.scenario} {other.study.max_rollouts} times, by which native is judged"):
             exp, rows = other, runner.run_single(other)
         print(f"sweep: of rollouts that differ by 1e-6 {pooled(rows, exp)}", file=sys.stderr)
     return verdict(exp, rows, complete=True)
@@ -178,7 +178,7 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
 
 def jittered(exp: Experiment) -> Experiment | None:
     """A scenario of the robot by the study of jitter, with its own expectations; None of another system."""
-    values = composed(JITTER)
+    values = compose_values(JITTER)
     if kind_of(values) is not kind_of(exp.values):
         return None
     of = experiment({**exp.values, "study": {**values["study"], "name": f"{exp.scenario}_jitter"}})
@@ -186,7 +186,9 @@ def jittered(exp: Experiment) -> Experiment | None:
         replace(one, at_least=max(0.0, one.at_least - SLACK), at_most=min(1.0, one.at_most + SLACK))
         for one in exp.study.expect
     )
-    return replace(of, study=replace(of.study, expect=expect), settings=replace(of.settings, width=of.study.most))
+    return replace(
+        of, study=replace(of.study, expect=expect), settings=replace(of.settings, width=of.study.max_rollouts)
+    )
 
 
 def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
@@ -212,7 +214,7 @@ def summary(exp: Experiment, rows: pd.DataFrame) -> str:
     lines += [f"  {line}" for line in causes(rows["cause"], exp.system.cause_meanings(exp.thresholds))]
     lines += [f"  {copies}"] if copies else []
     for column in parameter_columns(rows):
-        if rows[column].dtype.kind != "f" and rows[column].nunique() > 1 and not exp.study.sought:
+        if rows[column].dtype.kind != "f" and rows[column].nunique() > 1 and not exp.study.is_adaptive:
             lines += [f"  {column} = {value}: {pooled(part, exp)}" for value, part in rows.groupby(column)]
     return "\n".join(lines)
 
@@ -267,7 +269,7 @@ def axes_table(exp: Experiment) -> str:
             axis.path or "",
             axis.side if axis.path else "",
             str(axis),
-            unit(axis.path, exp.system, exp.settings) if axis.path else "",
+            unit_of_column(axis.path, exp.system, exp.settings) if axis.path else "",
             exp.system.nominal(axis.path, exp.settings) if axis.path else "",
         ]
         for axis in exp.study.axes
@@ -328,7 +330,7 @@ class LiveColumn(ProgressColumn):
 
 
 @contextmanager
-def reporting(name: str, total: int, what: str, watched: Watched | None = None) -> Iterator[runner.Progress]:
+def reporting(name: str, total: int, what: str, watched: WorkerReport | None = None) -> Iterator[runner.Progress]:
     """A live bar on a terminal's standard error, a line now and then elsewhere; with the workers that are `watched`.
 
     `what` is compiled first.

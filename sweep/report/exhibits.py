@@ -90,7 +90,7 @@ def audited(results: Results) -> str:
 
 def effects(results: Results) -> Iterator[Exhibit]:
     """Rate of success along each parameter; of rollouts that were placed by earlier ones it would be misleading."""
-    if results.exp.study.in_rounds:
+    if results.exp.study.is_sequential:
         return
     by = [c for c in results.named if results.rows[c].nunique() <= LINES][:1]
     if results.one_at_a_time:

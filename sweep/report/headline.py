@@ -20,7 +20,7 @@ def headline(rows: pd.DataFrame, exp: Experiment) -> str:
         How many of the rows succeed, with an interval where they are a sample. Of a study that searches for failures
         P(failure) with its interval: its rows are no sample, so that their share of successes is no rate.
     """
-    if not exp.study.sought:
+    if not exp.study.is_adaptive:
         return str(pooled(rows, exp))
     return f"{probability_of_failure(rows, exp)}; {count_placed(rows)}"
 

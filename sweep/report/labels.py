@@ -10,7 +10,7 @@ from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import UNITS, format_unit
 from sweep.study.config import Experiment
 from sweep.study.designs import Axis
-from sweep.study.study import unit
+from sweep.study.study import unit_of_column
 from sweep.systems.base import side_and_path
 
 READ = {end: format_unit(unit) for end, unit in UNITS.items()} | {"deg": "°"}  # units of figures as they are read
@@ -119,7 +119,7 @@ def unit_of(column: str, exp: Experiment) -> str:
     """Unit of a column: of an axis by its parameter, of a figure by the end of its name; empty where it has none."""
     if "." not in column:
         return name_and_unit(column)[1]
-    return format_unit(unit(column, exp.system, exp.settings))
+    return format_unit(unit_of_column(column, exp.system, exp.settings))
 
 
 def heading(column: str, exp: Experiment | None = None) -> str:

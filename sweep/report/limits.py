@@ -4,8 +4,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from sweep.report.cells import Cells, places
+from sweep.study.analytic_limits import Theory
 from sweep.study.config import Experiment
-from sweep.study.theory import Theory
 from sweep.systems.base import side_and_path
 
 STYLES = ("--", "-.", ":")

@@ -64,7 +64,7 @@ def success_map(
             beside(ax, panel, cells, measure)
         else:
             (categories if most == 1 else shares)(ax, panel, cells)
-            text = count_placed(panel) if exp.study.sought else str(pooled(panel, exp)).replace(" (", "\n(", 1)
+            text = count_placed(panel) if exp.study.is_adaptive else str(pooled(panel, exp)).replace(" (", "\n(", 1)
             if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
                 outlines(ax, exp, panel, x, y, cells)
                 text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"

@@ -15,7 +15,7 @@ from sweep.report.labels import beside_axis
 from sweep.report.looks import DOUBTFUL, FAILURE, GOOD
 from sweep.runs import histories, store
 from sweep.runs.results import Results
-from sweep.study.study import identity
+from sweep.study.study import identity_columns
 
 LINES, PANELS = 100, 8  # that are drawn at most: of each outcome, and columns
 LOW, HIGH = 0.1, 0.9  # quantiles that the band lies between
@@ -25,7 +25,7 @@ COLOURS = {"success": GOOD, "failure": FAILURE, "invalid": DOUBTFUL}
 def samples(results: Results) -> pd.DataFrame:
     """The histories of the rows at hand, with their `outcome`."""
     kept = histories.read(results.folder)
-    keys = identity(kept.columns)
+    keys = identity_columns(kept.columns)
     return kept.merge(results.rows[[*keys, "outcome"]], on=keys)
 
 
@@ -38,7 +38,7 @@ def exhibits(results: Results) -> Iterator[Exhibit]:
     found = long.groupby(["column", "outcome", "time_s"], sort=False)["value"]
     parts = {"low": found.quantile(LOW), "median": found.median(), "high": found.quantile(HIGH)}
     table = pd.DataFrame({**parts, "rollouts": found.count()}).reset_index()
-    rollouts = len(kept[identity(kept.columns)].drop_duplicates())
+    rollouts = len(kept[identity_columns(kept.columns)].drop_duplicates())
     caption = (
         f"Over time: {rollouts} of {len(results.rows)} rollouts, a thin line each (at most {LINES} of an outcome), "
         f"their median, and the band that holds {HIGH - LOW:.0%} of those still under way."
@@ -67,7 +67,7 @@ def draw(results: Results, kept: pd.DataFrame, quantiles: pd.DataFrame) -> Figur
 
 def _lines(ax: Axes, kept: pd.DataFrame, name: str, colour: str) -> None:
     """Evenly chosen rollouts, as one picture inside the figure."""
-    groups = [part for _, part in kept.groupby(identity(kept.columns), sort=False)]
+    groups = [part for _, part in kept.groupby(identity_columns(kept.columns), sort=False)]
     lines = [groups[k][["time_s", name]].to_numpy() for k in evenly_spaced_indices(len(groups), LINES)]
     look = mpl.rcParams["lines.linewidth"] / 3
     ax.add_collection(LineCollection(lines, colors=colour, linewidths=look, alpha=0.4, rasterized=True))

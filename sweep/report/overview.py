@@ -11,7 +11,7 @@ from sweep.core.files import path_in, printable_name
 from sweep.report.headline import probability_of_failure
 from sweep.runs import store
 from sweep.runs.results import kept
-from sweep.study.sought import KINDS
+from sweep.study.adaptive_sampling import KINDS
 
 
 def text(folders: list[Path]) -> str:

@@ -74,7 +74,7 @@ def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
         write_atomically(paths[-1], table.to_csv(index=False).encode())
         if len(table) <= LINES:
             texts[f"tables/{name}.tex"], captions[name] = tables.latex(table, results.exp), caption
-    found = rare.rare(results.rows, results.exp) if results.exp.study.sought else None
+    found = rare.rare(results.rows, results.exp) if results.exp.study.is_adaptive else None
     numbers = list(quoted(results, found))
     table = pd.DataFrame([vars(one) for one in numbers])
     write_atomically(out / "data" / "numbers.csv", table.to_csv(index=False).encode())
@@ -148,7 +148,7 @@ def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         shares = ("" if np.isnan(v) else f"{100 * v:.1f}" for v in (one.share, one.low, one.high))
         lines.append((name, one.total, one.invalid, one.success, *shares))
     success = pd.DataFrame(lines, columns=["rollouts", "number", "invalid", "succeed", "%", "from", "to"])
-    if results.exp.study.sought:
+    if results.exp.study.is_adaptive:
         yield "success", "Rollouts that the search placed; their shares are no rates.", success.iloc[:, :4]
     elif (success["from"] == "").all():
         yield "success", "How often rollouts succeed.", success.drop(columns=["from", "to"])
@@ -214,7 +214,7 @@ def quoted(results: Results, found: rare.Weighted | rare.Repeated | None) -> Ite
 
 def beside(results: Results, found: rare.Weighted | rare.Repeated | None) -> str:
     """What has to be said beside the rate of rows that were chosen by what others of them showed."""
-    if results.exp.study.refined:
+    if results.exp.study.is_refined:
         return "Most were run next to the boundary, so that this is not the region's share."
     if not found:
         return ""

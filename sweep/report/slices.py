@@ -50,7 +50,7 @@ def slices(results: Results) -> Iterator[Slice]:
     """
     conditions = [axis.column for axis in sensitivity.listed(results.rows, results.exp)]
     few = len(results.rows) < BINNED and len(conditions) < 2 and not results.exp.study.points
-    if results.one_at_a_time or few or results.exp.study.sought:  # whose rows are no sample that has a rate
+    if results.one_at_a_time or few or results.exp.study.is_adaptive:  # whose rows are no sample that has a rate
         return
     axes = results.listed
     if len(axes) < 2:  # numbers before names, which are read more easily as panels

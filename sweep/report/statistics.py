@@ -28,9 +28,9 @@ def sections(
     listed, drawn = sensitivity.listed(rows, exp), sensitivity.drawn(rows, exp)
     numbers = sensitivity.numeric(rows, listed)
     several = len(rows) > len(rows.drop_duplicates([a.column for a in listed])) if listed else bool(drawn)
-    note = "; most were run next to the boundary, so this is not the region's share" if exp.study.refined else ""
+    note = "; most were run next to the boundary, so this is not the region's share" if exp.study.is_refined else ""
     every = pooled(rows, exp)
-    if exp.study.sought:  # its rows are no sample of what is asked about
+    if exp.study.is_adaptive:  # its rows are no sample of what is asked about
         yield "Probability of failure", headline(rows, exp)
         yield "How rarely it fails", str(rare.rare(rows, exp))
         if len(modes := rare.modes(rows, exp)):
@@ -46,7 +46,7 @@ def sections(
         yield "Share of the draws that succeeds (Clopper-Pearson, or by scrambles)", sensitivity.volume(rows, exp)
     elif several and listed:
         yield "Rate at each condition (Wilson, 95 %)", rates(rows, [a.column for a in listed])
-    if exp.study.refined:
+    if exp.study.is_refined:
         yield "Refinement", "\n".join(map(str, refine.refined(exp, rows)))
     whole = refine.painted(exp, rows) if exp.study.resolution else rows
     if numbers and not several and not one_at_a_time:

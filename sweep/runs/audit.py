@@ -19,13 +19,13 @@ from sweep.core.files import path_in
 from sweep.runs import runner, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment, experiment
-from sweep.study.study import Say, parameter_columns, with_settings
+from sweep.study.study import Logger, parameter_columns, replace_settings
 from sweep.systems.base import Way
 
 AUDIT = "audit"
 
 
-def run(results: Results, number: int, ways: list[str], progress: runner.Progress, say: Say | None = None) -> None:
+def run(results: Results, number: int, ways: list[str], progress: runner.Progress, say: Logger | None = None) -> None:
     """Simulate rollouts again in all `ways`, up to `number` of each of the `samples`. Raises `InputError`.
 
     Without any in all that there are; those in which they cannot be simulated are then left out, and `say` is told why.
@@ -80,7 +80,7 @@ def one_engine(results: Results) -> Experiment:
         if results.rows[column].nunique() > 1:
             raise InputError(f"{column} differs between rows: choose some with --where '{column} == ...'")
     values: dict[str, Any] = {c: results.rows[c].iloc[0] for c in engine}
-    return replace(results.exp, settings=with_settings(results.exp.settings, values))
+    return replace(results.exp, settings=replace_settings(results.exp.settings, values))
 
 
 def samples(results: Results) -> dict[str, np.ndarray]:

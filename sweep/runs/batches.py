@@ -11,7 +11,7 @@ from sweep.core.errors import Fault, InputError
 from sweep.engines.base import Engine
 from sweep.engines.settings import EngineSettings
 from sweep.study.config import Experiment
-from sweep.study.study import ends, identity, is_static, parameter_columns, with_settings
+from sweep.study.study import extreme_points, identity_columns, is_static, parameter_columns, replace_settings
 from sweep.systems.base import Limits, System
 
 
@@ -50,7 +50,7 @@ def with_room(exp: Experiment, table: pd.DataFrame) -> Experiment:
     """
     study = exp.study
     if study.design.num and not study.points and not any(axis.values is not None for axis in study.axes):
-        table = pd.concat([table, ends(study, exp.system, exp.settings)])
+        table = pd.concat([table, extreme_points(study, exp.system, exp.settings)])
     return replace(exp, system=exp.system.with_room(table))
 
 
@@ -63,7 +63,7 @@ def static_values(exp: Experiment, table: pd.DataFrame) -> dict[str, Any]:
 def nominal(exp: Experiment, rows: pd.DataFrame, width: int) -> Batch:
     """What the engine of a group is made from: static values set, swept quantities at their nominal values."""
     statics = static_values(exp, rows)
-    settings = with_settings(exp.settings, statics)
+    settings = replace_settings(exp.settings, statics)
     return Batch(replace(settings, width=width), *exp.system.sides(statics), np.zeros(0, dtype=np.int64))
 
 
@@ -75,7 +75,7 @@ def batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
     swept = {c: rows[c].to_numpy(dtype=float)[slots] for c in parameter_columns(rows) if c not in statics}
     world, belief = exp.system.sides({**statics, **swept})
     streams = rows["stream"].to_numpy()[slots]
-    return Batch(replace(with_settings(exp.settings, statics), width=width), world, belief, streams)
+    return Batch(replace(replace_settings(exp.settings, statics), width=width), world, belief, streams)
 
 
 def plan(exp: Experiment, planned: pd.DataFrame, wanted: pd.DataFrame) -> pd.DataFrame:
@@ -118,7 +118,7 @@ def _cut(table: pd.DataFrame, rows: pd.Index, width: int, first: int) -> int:
 
 def among(rows: pd.DataFrame, others: pd.DataFrame) -> np.ndarray:
     """Which of `rows` are also in `others`."""
-    key = identity(rows.columns)
+    key = identity_columns(rows.columns)
     return pd.MultiIndex.from_frame(rows[key]).isin(pd.MultiIndex.from_frame(others[key]))
 
 
@@ -128,7 +128,7 @@ def _even_width(exp: Experiment, rows: pd.DataFrame) -> int:
     Raises `InputError` where neither is known, and where the nominal plan is impossible.
     """
     start = nominal(exp, rows, exp.settings.width)
-    if exp.cluster.elsewhere and not start.settings.width:
+    if exp.cluster.is_remote and not start.settings.width:
         raise InputError(
             f"cluster = {exp.cluster.kind} needs engine.width, as the workers' devices are not seen from here: "
             "rollouts in a batch, such as 64 for two CPU cores or 32768 for a GPU"

@@ -17,7 +17,7 @@ def draws(exp: Experiment) -> int:
 
 def check(exp: Experiment, folder: Path) -> None:
     """Raise `InputError` where a study has no draws or replicates that can become more."""
-    if exp.study.points or exp.study.refined:
+    if exp.study.points or exp.study.is_refined:
         raise InputError(f"{folder} cannot grow: its points are listed in a file, or chosen by what was found")
     if exp.study.design.num and exp.study.design.kind not in GROWING:
         allowed = " or ".join(GROWING)

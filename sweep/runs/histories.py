@@ -17,7 +17,7 @@ from sweep.runs import store
 from sweep.runs.batches import Batch, make_engine, nominal
 from sweep.runs.manifest import Entry
 from sweep.study.config import Experiment
-from sweep.study.study import identity
+from sweep.study.study import identity_columns
 
 INVALID_ROWS, LAST = 10, 1.0  # rows of a folder whose last states are kept, and how much of them (s)
 MOST = 500_000_000  # numbers that a study may keep, of 4 bytes
@@ -55,7 +55,7 @@ def tabled(
     """`samples` (F, n, c) at `time` (F,) of the n `rows`, one below the other, each up to its end `until` (n,) s."""
     within = (time[None] <= until[:, None]).ravel()
     number = np.repeat(np.arange(len(rows)), len(time))[within]
-    named = rows[identity(rows.columns)].iloc[number].reset_index(drop=True)
+    named = rows[identity_columns(rows.columns)].iloc[number].reset_index(drop=True)
     values = np.moveaxis(samples, 0, 1).reshape(-1, len(columns))[within].astype(np.float32)
     clock = np.tile(time, len(rows))[within]
     return pd.concat([named.assign(time_s=clock), pd.DataFrame(values, columns=list(columns))], axis=1)

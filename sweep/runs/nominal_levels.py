@@ -38,7 +38,7 @@ def find_failing_levels(exp: Experiment) -> list[FailingLevel]:
     Returns:
         The names whose rollout does not succeed, in the order of the axes.
     """
-    if exp.study.points or exp.cluster.elsewhere:
+    if exp.study.points or exp.cluster.is_remote:
         return []
     return [level for axis in exp.study.axes if _lists_names(axis) for level in _failing(exp, axis)]
 

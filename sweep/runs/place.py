@@ -19,8 +19,8 @@ def of_run(exp: Experiment) -> None:
     study = exp.study
     if (exp.out or not study.single) and _rows(exp.folder):
         like_rows_of(exp.folder)
-    elif not study.points and not study.in_rounds and study.most <= exp.system.few(exp.settings):
-        devices.prefer_cpu(f"where {'a rollout ends' if study.most == 1 else 'few rollouts end'} sooner")
+    elif not study.points and not study.is_sequential and study.max_rollouts <= exp.system.few(exp.settings):
+        devices.prefer_cpu(f"where {'a rollout ends' if study.max_rollouts == 1 else 'few rollouts end'} sooner")
 
 
 def like_rows_of(folder: Path) -> None:

@@ -23,8 +23,8 @@ from sweep.runs.batches import Batch, among, batch, forget_engine, halve, make_e
 from sweep.runs.manifest import Entry
 from sweep.study.clusters import Dispatch
 from sweep.study.columns import figure_columns
-from sweep.study.config import Experiment, experiment, flat
-from sweep.study.study import Say, name_axes, points
+from sweep.study.config import Experiment, experiment, values_by_path
+from sweep.study.study import Logger, name_axes, points
 
 # what may change between runs into one folder: which points, and how they are judged; but draws go by one distribution
 FREE = ("study.axes.", "study.design.num", "study.design.runs", "study.points", "study.where", "study.replicates",
@@ -78,7 +78,7 @@ class Job:
 
 
 def wanted_points(
-    exp: Experiment, where: str | None = None, limit: int | None = None, say: Say | None = None
+    exp: Experiment, where: str | None = None, limit: int | None = None, say: Logger | None = None
 ) -> pd.DataFrame:
     """The study's points that match `where`, at most `limit` of them. Raises `InputError` where none is left."""
     table = points(exp.study, exp.system, exp.settings, say=say)
@@ -93,9 +93,9 @@ def unplanned(exp: Experiment, table: pd.DataFrame, wanted: pd.DataFrame) -> int
 
     None are, without a look at each of a million points, where all that the study can have are `wanted`.
     """
-    if exp.study.in_rounds or (exp.study.points and not Path(exp.study.points).is_file()):
+    if exp.study.is_sequential or (exp.study.points and not Path(exp.study.points).is_file()):
         return 0
-    if not exp.study.points and len(wanted) == exp.study.most:
+    if not exp.study.points and len(wanted) == exp.study.max_rollouts:
         return 0
     return int((~among(points(exp.study, exp.system, exp.settings), table)).sum())
 
@@ -164,7 +164,7 @@ def regridded(exp: Experiment, folder: Path) -> list[str]:
     """A line for each axis whose listed values were others in `folder`, which is to hold the points of both."""
     if store.read_points(folder).empty:
         return []
-    there, here = (flat(v["study"]["axes"]) for v in (store.read_study(folder)["config"], exp.values))
+    there, here = (values_by_path(v["study"]["axes"]) for v in (store.read_study(folder)["config"], exp.values))
     return [
         f"note: study.axes.{key} was {there.get(key)} in {folder} and is {here.get(key)} now: "
         "what it has stays and what it lacks is added; out=DIR keeps them apart"
@@ -178,7 +178,7 @@ def fixed(values: Mapping[str, Any]) -> dict[str, Any]:
     whole = values["study"]["design"]["kind"] == "latin_hypercube"  # one draw more changes all of them
     return {
         key: value
-        for key, value in flat(values).items()
+        for key, value in values_by_path(values).items()
         if not key.startswith(FREE)
         or ".distribution" in key
         or key.endswith(".relative")

@@ -12,9 +12,9 @@ import pandas as pd
 from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.runs.runner import Job, lay_out
-from sweep.study import searches
+from sweep.study import adaptive_designs
+from sweep.study.adaptive_sampling import Draws, summarize_round
 from sweep.study.config import Experiment
-from sweep.study.sought import Draws, seen
 from sweep.study.study import points
 
 
@@ -24,7 +24,7 @@ def rounds(exp: Experiment, folder: Path) -> Iterator[Job]:
     All have batches of one width, the best for the smallest rounds, so that the engine compiles once. Raises
     `InputError` where rounds that are there were drawn by other outcomes than there are now.
     """
-    study, search = exp.study, searches.search(exp.study.axes, exp.study.design, exp.study.seed)
+    study, search = exp.study, adaptive_designs.make_search(exp.study.axes, exp.study.design, exp.study.seed)
     draws: Draws = next(search)
     while True:
         table = points(study, exp.system, exp.settings, round_=draws)
@@ -37,7 +37,7 @@ def rounds(exp: Experiment, folder: Path) -> Iterator[Job]:
             exp = replace(exp, settings=replace(exp.settings, width=int(first["width"].iloc[-1])))
         yield lay_out(exp, folder, table)
         try:
-            draws = search.send(seen(store.read_rows(folder), draws, study.design.lead))
+            draws = search.send(summarize_round(store.read_rows(folder), draws, study.design.lead))
         except StopIteration:
             return
 

@@ -28,7 +28,7 @@ Dispatch = Callable[[Work, Iterable[int]], Iterator[Any]]  # results in the orde
 
 
 @dataclass
-class Watched:
+class WorkerReport:
     """What is seen of the workers meanwhile."""
 
     say: Callable[[str], None]  # what a user should know, in one line
@@ -39,10 +39,10 @@ class Watched:
 class Local:
     """In this process, one batch after the other, each on all its devices."""
 
-    elsewhere: ClassVar[bool] = False  # whether workers have other devices than this machine
+    is_remote: ClassVar[bool] = False  # whether workers have other devices than this machine
     kind: str = choice("local", "local")
 
-    def connect(self, _: Watched) -> AbstractContextManager[Dispatch]:
+    def connect(self, _: WorkerReport) -> AbstractContextManager[Dispatch]:
         """The built-in `map` takes a batch when the one before is done."""
         return nullcontext(map)
 
@@ -51,12 +51,12 @@ class Local:
 class DaskLocal:
     """Worker processes on this machine."""
 
-    elsewhere: ClassVar[bool] = False
+    is_remote: ClassVar[bool] = False
     kind: str = choice("dask_local", "dask_local")
     workers: int = count(2, at_least=1)  # processes, each of which simulates one batch at a time
 
     @contextmanager
-    def connect(self, watched: Watched) -> Iterator[Dispatch]:
+    def connect(self, watched: WorkerReport) -> Iterator[Dispatch]:
         """Start the workers; a lost one is started again."""
         distributed = _dask("distributed", self.kind)
         from tornado.ioloop import PeriodicCallback
@@ -77,12 +77,12 @@ class DaskLocal:
 class DaskAddress:
     """Workers of a Dask scheduler that runs already; they need this package and the study's folder under its path."""
 
-    elsewhere: ClassVar[bool] = True
+    is_remote: ClassVar[bool] = True
     kind: str = choice("dask_address", "dask_address")
     address: str = ""  # of a scheduler that runs already, such as tcp://host:8786
 
     @contextmanager
-    def connect(self, watched: Watched) -> Iterator[Dispatch]:
+    def connect(self, watched: WorkerReport) -> Iterator[Dispatch]:
         """Raises `InputError` where no scheduler answers."""
         distributed = _dask("distributed", self.kind)
         if not self.address:
@@ -100,7 +100,7 @@ class DaskAddress:
 class Slurm:
     """One Slurm job for each worker, sent from here; a job that ends early, as by its time limit, is sent again."""
 
-    elsewhere: ClassVar[bool] = True
+    is_remote: ClassVar[bool] = True
     kind: str = choice("slurm", "slurm")
     workers: int = count(2, at_least=1)  # jobs that are sent, each with one worker
     cores: int = count(1, at_least=1)  # processor cores of a job
@@ -114,7 +114,7 @@ class Slurm:
     logs: str = "results/slurm"  # folder of the jobs' output
 
     @contextmanager
-    def connect(self, watched: Watched) -> Iterator[Dispatch]:
+    def connect(self, watched: WorkerReport) -> Iterator[Dispatch]:
         """Send the jobs; Slurm starts them when it can. Raises `InputError` where it never would."""
         distributed, jobqueue = _dask("distributed", self.kind), _dask("dask_jobqueue", self.kind)
         os.makedirs(self.logs, exist_ok=True)
@@ -143,7 +143,7 @@ class Slurm:
 
 
 @contextmanager
-def connected(cluster: "Cluster", watched: Watched) -> Iterator[Dispatch]:
+def connect_lazily(cluster: "Cluster", watched: WorkerReport) -> Iterator[Dispatch]:
     """Hand out batches, connecting to the `cluster` at the first: a finished study sends no job."""
     with ExitStack() as stack:
         connect = cache(lambda: stack.enter_context(cluster.connect(watched)))
@@ -199,7 +199,7 @@ def _security() -> Any:
         raise InputError("cluster needs the package cryptography: pip install 'insect-sweep[cluster]'") from None
 
 
-def _spread(client: Any, watched: Watched, work: Work, batches: Iterable[int]) -> Iterator[Any]:
+def _spread(client: Any, watched: WorkerReport, work: Work, batches: Iterable[int]) -> Iterator[Any]:
     """Let the workers of `client` do it. Raises `Fault` after all others where workers kept dying over a batch."""
     from distributed import KilledWorker, as_completed
 
@@ -217,7 +217,7 @@ def _spread(client: Any, watched: Watched, work: Work, batches: Iterable[int]) -
             seconds, result = future.result(timeout=FETCH)
         except TimeoutError:  # it is on a worker that hangs over another batch
             ready.add(future)
-            watch.unfetched(future)
+            watch.report_unfetched(future)
             watch.look()
             continue
         except KilledWorker as error:
@@ -242,7 +242,7 @@ class _Watch:
     """Which workers are at their batch for too long: they are started again, and their batches go to others."""
 
     client: Any
-    watched: Watched
+    watched: WorkerReport
     numbers: Mapping[str, int]  # of batches, by the key of their task
     took: list[float] = field(default_factory=list)  # s, of finished batches
     tasks: dict[str, set[str]] = field(default_factory=dict)  # that each worker has, the first of them running
@@ -268,7 +268,7 @@ class _Watch:
                 self.give_up(worker, min(self.numbers[key] for key in keys), now - self.since[worker])
         self.tasks = tasks
 
-    def unfetched(self, future: Any) -> None:
+    def report_unfetched(self, future: Any) -> None:
         """A batch is done, and the worker that did it does not tell."""
         now = time.monotonic()
         waited = now - self.asked.setdefault(future.key, now)

@@ -1,4 +1,4 @@
-"""From Hydra's configuration to checked parameters, and from Hydra's errors to one clear line.
+"""Composed configurations as checked experiments, and errors of Hydra as one clear line.
 
 The parameter dataclasses are the schemas: Hydra checks names and types while it composes, `build` checks bounds.
 """
@@ -37,10 +37,11 @@ from sweep.core.groups import GROUPS
 from sweep.core.parameters import build_by_kind, check_value
 from sweep.core.yaml_check import ambiguous_number
 from sweep.engines.settings import EngineSettings
-from sweep.study import designs, sources
+from sweep.study import designs, hydra_sources
 from sweep.study.clusters import Cluster
 from sweep.study.columns import LABELS, PLAN, TIMING
-from sweep.study.designs import keyed, with_side
+from sweep.study.designs import rename_on_to_side
+from sweep.study.distributions import require_keys
 from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep
 from sweep.systems.base import Limits, System
 
@@ -58,7 +59,7 @@ CLASSES: dict[str, type] = {name: group.load() for name, group in GROUPS.items()
 
 @dataclass(frozen=True)
 class Experiment:
-    """A checked configuration: what a run needs to know."""
+    """A checked configuration, made by `experiment`."""
 
     scenario: str
     system: System
@@ -71,28 +72,28 @@ class Experiment:
 
     @property
     def case(self) -> Any:
-        """The nominal world and belief, which only their system knows more of."""
+        """The nominal world and belief, of the type that the system defines."""
         return self.system.case
 
     @property
     def folder(self) -> Path:
-        """Where its rows are kept."""
+        """The folder of its rows."""
         return Path(self.out or f"results/{self.study.name}")
 
 
 def register() -> None:
-    """Tell Hydra the schemas, those of users' modules too, and where files are. Raises `InputError`."""
+    """Register schemas, those of user modules included, and configuration files with Hydra. Raises `InputError`."""
     add_modules(project.modules())
     _register()
     for group, kinds in KINDS.items():
-        sources.SCHEMAS[group] = {kind: partial(_schema, cls) for kind, cls in kinds.items()}
+        hydra_sources.SCHEMAS[group] = {kind: partial(_schema, cls) for kind, cls in kinds.items()}
 
 
 @functools.cache
 def _register() -> None:
-    sources.register()
+    hydra_sources.register()
     for group, cls in CLASSES.items():
-        sources.SCHEMAS[group] = {group: partial(_schema, cls)}
+        hydra_sources.SCHEMAS[group] = {group: partial(_schema, cls)}
     # the whole configuration of a system; what stands open in it is merged in by schemas of its own
     for kind in systems.SYSTEMS.values():
         every = {*systems.COMMON, *kind.keys} - {"out"}
@@ -106,7 +107,7 @@ def _register() -> None:
 
 
 def add_modules(modules: tuple[ModuleType, ...]) -> None:
-    """Add the kinds of users' modules, such as obstacles, to ours. Raises `InputError`."""
+    """Add the obstacles and manoeuvres of user modules to the built-in ones. Raises `InputError`."""
     tables = {name: group.table for name, group in GROUPS.items() if group.in_case and group.kinds}
     for module in modules:
         for group, name in tables.items():
@@ -136,30 +137,30 @@ def _open(node: DictConfig) -> DictConfig:
 
 
 def compose(overrides: list[str]) -> Experiment:
-    """The experiment of command-line `overrides`, for use from Python. Raises `InputError`."""
-    return experiment(composed(overrides))
+    """Compose the experiment of command-line overrides. Raises `InputError`."""
+    return experiment(compose_values(overrides))
 
 
-def composed(overrides: list[str]) -> dict[str, Any]:
-    """Its plain values, of which only names and types are checked. Raises `InputError`."""
+def compose_values(overrides: list[str]) -> dict[str, Any]:
+    """Compose the plain values of command-line overrides, with names and types checked. Raises `InputError`."""
     register()
     try:
         check_choices(overrides)
         with hydra.initialize_config_module(CONFIG_MODULE, version_base=HYDRA_VERSION):
-            return resolve(hydra.compose(primary(overrides), overrides))
+            return resolve(hydra.compose(primary_config(overrides), overrides))
     except (HydraException, OmegaConfBaseException, OverflowError, RecursionError) as error:
-        raise InputError(one_line(error, overrides)) from None
+        raise InputError(format_error(error, overrides)) from None
 
 
-def primary(overrides: list[str]) -> str:
-    """What Hydra composes: the configuration of the system that scenario or study are for. Raises `InputError`."""
-    name = sources.system({key: value for key, _, value in (one.partition("=") for one in overrides)})
+def primary_config(overrides: list[str]) -> str:
+    """Return the name of the configuration that Hydra composes, by the system of the scenario. Raises `InputError`."""
+    name = hydra_sources.system({key: value for key, _, value in (one.partition("=") for one in overrides)})
     require_choice(name, systems.SYSTEMS, f"system = {name}")
     return systems.SYSTEMS[name].config
 
 
 def check_choices(overrides: list[str]) -> None:
-    """Raises `InputError` where a key or a group's choice is no name, which Hydra has no words for."""
+    """Raise `InputError` for overrides whose errors Hydra does not explain, such as a choice that is no name."""
     if nameless := [text for text in overrides if text.lstrip("+~").startswith(("=", "@"))]:
         raise InputError(f"{nameless[0]} cannot be read: group=choice or group.name=value")
     for text in overrides:
@@ -178,32 +179,32 @@ def check_choices(overrides: list[str]) -> None:
 
 
 def resolve(config: DictConfig) -> dict[str, Any]:
-    """Plain values, interpolations of each other resolved. Raises `InputError`."""
-    for key, text in flat(OmegaConf.to_container(config, resolve=False)).items():
+    """Resolve interpolations and return plain values. Raises `InputError`."""
+    for key, text in values_by_path(OmegaConf.to_container(config, resolve=False)).items():
         if isinstance(text, str) and re.search(r"\$\{[^}]*:", text):  # such as oc.env, whose secret would be stored
             raise InputError(f"{key} = {text} is not allowed: an interpolation names another key")
     values: Any = OmegaConf.to_container(config, resolve=True)
-    if made := [key for key in systems.DERIVED if key in flat(values)]:
+    if made := [key for key in systems.DERIVED if key in values_by_path(values)]:
         raise InputError(f"{made[0]} is not allowed: it is made of what the files hold")
     if not isinstance(values.get("study"), dict) or not isinstance(values["study"].get("axes"), dict):
         return values  # which `experiment` refuses
-    designs.check_told(values["study"])
-    axes = with_side(values["study"]["axes"])
+    designs.refuse_ignored_settings(values["study"])
+    axes = rename_on_to_side(values["study"]["axes"])
     if axes != values["study"]["axes"]:
         print("sweep: note: the key `on` of an axis is called `side` now", file=sys.stderr)
     return {**values, "study": {**values["study"], "axes": axes}}
 
 
-def flat(values: Any, path: str = "") -> dict[str, Any]:
-    """Nested plain values by dotted path."""
+def values_by_path(values: Any, path: str = "") -> dict[str, Any]:
+    """Return nested plain values by dotted path."""
     if not isinstance(values, Mapping):
         return {path: values}
     items = ((f"{path}.{key}" if path else str(key), value) for key, value in values.items())
-    return {k: v for key, value in items for k, v in flat(value, key).items()}
+    return {k: v for key, value in items for k, v in values_by_path(value, key).items()}
 
 
 def experiment(values: Mapping[str, Any]) -> Experiment:
-    """Check plain `values` (as composed, or as stored in study.yaml). Raises `InputError`."""
+    """Check plain values, composed or stored in study.yaml, and make the experiment. Raises `InputError`."""
     add_modules(project.modules())
     kind = systems.kind_of(values)
     allowed = (*systems.COMMON, *kind.keys)
@@ -218,14 +219,14 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     if taken := {*PLAN, *LABELS, *TIMING} & {*system.figures}:
         raise InputError(f"a figure called {min(taken)} is not allowed: all rows have a column of that name")
     cluster = build_by_kind(KINDS["cluster"], values["cluster"], "cluster")
-    scenario = keyed("scenario", values["scenario"], _names(ScenarioSchema))
-    asked = keyed("study", values["study"], _names(StudySchema))
+    scenario = require_keys("scenario", values["scenario"], _names(ScenarioSchema))
+    asked = require_keys("study", values["study"], _names(StudySchema))
     chosen = {**dataclasses.asdict(StudySchema()), **asked}  # rows of before a key was there had its default
     single = not (chosen["name"] or chosen["axes"] or chosen["points"] or chosen["replicates"] != 1)
     if single:
         chosen = {**chosen, "expect": scenario["expect"]}
     if isinstance(chosen["axes"], Mapping):
-        chosen["axes"] = designs.spread_out(chosen["axes"], partial(_numbers, system, settings))
+        chosen["axes"] = designs.expand_patterns(chosen["axes"], partial(_numbers, system, settings))
     study = Study.parse({**chosen, "name": chosen["name"] or scenario["name"]}, single)
     check_keep(study, system, settings)
     for theory in study.theory:  # refuses inputs that mean nothing
@@ -246,15 +247,23 @@ def _names(cls: type) -> tuple[str, ...]:
     return tuple(f.name for f in dataclasses.fields(cls))
 
 
-def one_line(error: Exception, overrides: list[str]) -> str:
-    """Hydra's or OmegaConf's error as one line naming the key, the value and what is allowed."""
+def format_error(error: Exception, overrides: list[str]) -> str:
+    """Format an error of Hydra or OmegaConf as one line.
+
+    Args:
+        error: The error.
+        overrides: The command line that was composed.
+
+    Returns:
+        A line that names the key, the value and what is allowed.
+    """
     if isinstance(error, RecursionError):
         return f"{' '.join(overrides)} is not allowed: the files chosen start from each other in a ring"
     group, _, name = ((isinstance(error, MissingConfigException) and error.missing_cfg_file) or "").partition("/")
     if group in GROUPS:
         if name.endswith(".yaml"):
             return f"{group} = {name} is not a file"
-        return f"{group} = {name} is unknown{suggest(name, sources.names(group))}"
+        return f"{group} = {name} is unknown{suggest(name, hydra_sources.choice_names(group))}"
     if isinstance(error, OverrideParseException):
         key, given, value = str(error.override).partition("=")
         quoted = (
@@ -270,7 +279,7 @@ def one_line(error: Exception, overrides: list[str]) -> str:
         allowed = [str(k) for k in cause.parent_node or () if k != "hydra"]  # pyright: ignore[reportGeneralTypeIssues]
         if not allowed and (group := key.partition(".")[0]) in GROUPS:
             return f"{key}{given} is unknown: first a {group} is chosen, {group}=NAME (`sweep list` shows them)"
-        return f"{key}{given} is unknown{hint_whole(key, allowed) or suggest(str(cause.key), allowed)}"
+        return f"{key}{given} is unknown{suggest_paths(key, allowed) or suggest(str(cause.key), allowed)}"
     if isinstance(cause, KeyValidationError):
         return f"{cause.full_key} is not allowed: a name that is no number"
     if isinstance(cause, InterpolationResolutionError):
@@ -284,8 +293,8 @@ def one_line(error: Exception, overrides: list[str]) -> str:
     return ": ".join(line.strip().rstrip(":") for line in str(error).splitlines()[:2] if line.strip())
 
 
-def hint_whole(name: str, groups: Collection[str]) -> str:
-    """The paths of what some of the `groups` call `name`, as a question; empty without."""
+def suggest_paths(name: str, groups: Collection[str]) -> str:
+    """Suggest full paths of a parameter name in some groups, as a question; empty where there is none."""
     every = {group: [cls] for group, cls in CLASSES.items()} | {group: [*own.values()] for group, own in KINDS.items()}
     found = [
         f"{group}.{name}" for group, own in every.items() if group in groups and any(name in _names(cls) for cls in own)

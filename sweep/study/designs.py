@@ -17,16 +17,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.core.errors import InputError, require_choice, suggest
-from sweep.study import sought, subset
-from sweep.study.distributions import Distribution, keyed, listed, number, some
+from sweep.study import adaptive_sampling, subset_simulation
+from sweep.study.distributions import Distribution, format_values, parse_number, parse_values, require_keys
 from sweep.study.distributions import parse as parse_distribution
-from sweep.study.identity import text_hash
+from sweep.study.point_ids import text_hash
 from sweep.systems.base import SIDES
 
 if TYPE_CHECKING:
     import pandas as pd
 
-DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli", "morris", *sought.KINDS)
+DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli", "morris", *adaptive_sampling.KINDS)
 LEVELS, INNER = 4, (0.005, 0.995)  # of a morris design: values of an axis, and the shares that they lie between
 MOST = 20_000_000  # rollouts of a study, whose plan takes 10 GB
 KIND_OF = {"wide": "importance", "rounds": "importance", "share": "subset", "target": "subset", "runs": "subset",
@@ -73,7 +73,7 @@ class Axis:
         return nominal(self.path)
 
     def __str__(self) -> str:
-        what = listed(self.values) if self.values is not None else str(self.distribution)
+        what = format_values(self.values) if self.values is not None else str(self.distribution)
         if self.relative is not None:
             percent = f"{100 * self.relative:g} %" if isinstance(self.relative, float) else self.relative
             return f"nominal x (1 + {percent} x {what})"
@@ -95,20 +95,20 @@ class Design:
     share: float = 0.1  # of subset: of a level's rows that the next one begins with
     target: float = 1e-7  # of subset: the least probability that is looked for
     runs: int = 5  # of subset: independent repetitions, which tell its error
-    lead: str = sought.LEAD  # of subset: column, or sum of some, that shrinks before anything breaks
+    lead: str = adaptive_sampling.LEAD  # of subset: column, or sum of some, that shrinks before anything breaks
     # one, other, coefficient: of pairs of drawn axes, by the normals of a Gaussian copula
     correlation: tuple[Any, ...] = ()
 
     @property
-    def levels(self) -> subset.Levels:
+    def levels(self) -> subset_simulation.Levels:
         """How runs of subset simulation go."""
-        return subset.Levels(self.num, self.share, self.target)
+        return subset_simulation.Levels(self.num, self.share, self.target)
 
 
-def check_told(study: Mapping[str, Any]) -> None:
-    """Raise `InputError` where a study's plain values name what nothing would be made of.
+def refuse_ignored_settings(study: Mapping[str, Any]) -> None:
+    """Raise `InputError` where a newly composed study sets values that its design ignores.
 
-    Folders of earlier versions may have it, so that it is refused only where it is told.
+    Stored studies of earlier versions may have them and stay readable.
     """
     if blank := [name for name in study["axes"] if not str(name).strip()]:
         raise InputError(f"study.axes.{blank[0]!r} is not allowed: a name")
@@ -122,8 +122,8 @@ def check_told(study: Mapping[str, Any]) -> None:
             raise InputError(f"study.design.{key} = {value} is {other}")
 
 
-def with_side(axes: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain axes whose key `side` may have its old name, with the one it has now. Raises `InputError`."""
+def rename_on_to_side(axes: Mapping[str, Any]) -> dict[str, Any]:
+    """Rename the old key `on` of axes to `side`. Raises `InputError` where both are given."""
 
     def renamed(name: str, axis: Mapping[Any, Any]) -> dict[Any, Any]:
         if "side" in axis and any(key in OLD_SIDE for key in axis):
@@ -133,10 +133,15 @@ def with_side(axes: Mapping[str, Any]) -> dict[str, Any]:
     return {name: renamed(name, axis) if isinstance(axis, Mapping) else axis for name, axis in axes.items()}
 
 
-def spread_out(given: Mapping[str, Any], below: Callable[[str], Sequence[str]]) -> dict[str, Any]:
-    """Axes by name, those whose path ends in `.*` as one for each of the numbers `below` it, such as `plan.off.*`.
+def expand_patterns(given: Mapping[str, Any], below: Callable[[str], Sequence[str]]) -> dict[str, Any]:
+    """Expand axes whose path ends in `.*`, such as `plan.off.*`, into one axis for each number below it.
 
-    Raises `InputError` where there are none.
+    Args:
+        given: Plain axes by name.
+        below: Returns the paths of numbers that start with a prefix.
+
+    Raises:
+        InputError: A pattern matches nothing.
     """
     axes = {}
     for name, axis in given.items():
@@ -153,8 +158,8 @@ def spread_out(given: Mapping[str, Any], below: Callable[[str], Sequence[str]]) 
 
 
 def parse_axes(given: Mapping[str, Any]) -> tuple[Axis, ...]:
-    """The axes of a study, by name. Raises `InputError`."""
-    axes = tuple(_axis(f"study.axes.{name}", name, axis) for name, axis in with_side(given).items())
+    """Parse plain axes. Raises `InputError`."""
+    axes = tuple(_axis(f"study.axes.{name}", name, axis) for name, axis in rename_on_to_side(given).items())
     columns = [a.target for a in axes if a.target]
     if len(set(columns)) < len(columns):
         raise InputError(f"study.axes name the same parameter twice: {', '.join(columns)}")
@@ -177,7 +182,7 @@ def parse_axes(given: Mapping[str, Any]) -> tuple[Axis, ...]:
 
 def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     """How the axes that have a distribution are drawn. Raises `InputError`."""
-    given = keyed("study.design", given, tuple(f.name for f in dataclasses.fields(Design)))
+    given = require_keys("study.design", given, tuple(f.name for f in dataclasses.fields(Design)))
     drawn = [a.name for a in axes if a.distribution]
     given["correlation"] = _correlation("study.design.correlation", given.get("correlation") or [], drawn)
     design = Design(**given)
@@ -205,7 +210,7 @@ def _correlation(key: str, given: Any, drawn: list[str]) -> tuple[tuple[str, str
         for name in pair[:2]:
             if name not in drawn:
                 raise InputError(f"{key}: {name} is no drawn axis{suggest(str(name), drawn)}")
-        if not -1 < (share := number(key, pair[2])) < 1:
+        if not -1 < (share := parse_number(key, pair[2])) < 1:
             raise InputError(f"{key} = {share:g} is not allowed: between -1 and 1")
         pairs.append((str(pair[0]), str(pair[1]), share))
     if (least := np.linalg.eigvalsh(_matrix(tuple(pairs), drawn)).min(initial=1.0)) <= 0:
@@ -223,7 +228,7 @@ def _matrix(pairs: tuple[tuple[str, str, float], ...], names: list[str]) -> np.n
     return matrix
 
 
-def caution(design: Design) -> str | None:
+def warn_of_design(design: Design) -> str | None:
     """What is doubtful about a design."""
     if design.kind in ("sobol", "saltelli") and design.num & (design.num - 1):
         return f"study.design.num = {design.num} is not a power of 2: the points of a Sobol sequence lose their balance"
@@ -231,7 +236,7 @@ def caution(design: Design) -> str | None:
 
 
 def _axis(key: str, name: str, given: Any) -> Axis:
-    given = keyed(key, given, AXIS_KEYS)
+    given = require_keys(key, given, AXIS_KEYS)
     side, path, times, relative = (given.get(word) for word in ("side", "path", "times", "relative"))
     if (side := side or "both") not in ("both", *SIDES):
         raise InputError(f"{key}.side = {side!r} is not allowed: one of both, world, belief")
@@ -239,7 +244,7 @@ def _axis(key: str, name: str, given: Any) -> Axis:
         if (text := given.get(word)) is not None and (not isinstance(text, str) or not text):
             raise InputError(f"{key}.{word} = {text!r} is not allowed: {what}")
     if relative is not None and not isinstance(relative, str):
-        relative = number(f"{key}.relative", relative)
+        relative = parse_number(f"{key}.relative", relative)
     if relative is not None and times is not None:
         raise InputError(f"{key} has relative and times: one of them")
     if path is None and (relative is not None or times is not None):
@@ -249,7 +254,7 @@ def _axis(key: str, name: str, given: Any) -> Axis:
     if values is None:
         default = {"kind": "uniform", "from": -1.0, "to": 1.0} if relative is not None else None
         distribution = parse_distribution(f"{key}.distribution", given.get("distribution", default))
-    centre = number(f"{key}.nominal", given.get("nominal", 0.0))
+    centre = parse_number(f"{key}.nominal", given.get("nominal", 0.0))
     if "nominal" in given and path is not None:
         raise InputError(f"{key}.nominal = {centre:g} is not allowed: {path} has its own in the configuration")
     return Axis(name, path, side, values, distribution, relative, times, given.get("with"), centre)
@@ -259,7 +264,7 @@ def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
     """Listed values, or those of a range; None where the axis is drawn."""
     values = given.get("values")
     if values is not None:  # which win over a range, so that a command line can replace a study's range
-        return tuple(some(f"{key}.values", values))
+        return tuple(parse_values(f"{key}.values", values))
     ends = [given.get("from"), given.get("to"), given.get("num")]
     if ends == [None] * 3:
         if given.get("distribution") is None and given.get("relative") is None:
@@ -269,7 +274,7 @@ def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
         raise InputError(f"{key} has a range and a distribution: one of them")
     if lacking := [name for name, end in zip(("from", "to", "num"), ends, strict=True) if end is None]:
         raise InputError(f"{key}.{lacking[0]} is missing: a range has from, to and num")
-    low, high = (number(f"{key}.{name}", end) for name, end in zip(("from", "to"), ends[:2], strict=True))
+    low, high = (parse_number(f"{key}.{name}", end) for name, end in zip(("from", "to"), ends[:2], strict=True))
     if not isinstance(ends[2], int | float) or not 1 <= ends[2] <= MOST or ends[2] != int(ends[2]):
         raise InputError(f"{key}.num = {ends[2]!r} is not allowed: a whole number from 1 to {MOST}")
     if ends[2] == 1 and low != high:
@@ -278,13 +283,13 @@ def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
     return tuple(float(f"{v:.12g}") for v in np.linspace(low, high, int(ends[2])))
 
 
-def table(
+def design_table(
     axes: tuple[Axis, ...],
     design: Design,
     seed: int,
     nominal: Callable[[str], Any],
     grid: "pd.DataFrame | None" = None,
-    round_: sought.Draws | None = None,
+    round_: adaptive_sampling.Draws | None = None,
 ) -> "pd.DataFrame":
     """One row per draw of each grid point: the axes' columns, and `draw`. `nominal` gives a parameter by its path.
 
@@ -297,7 +302,7 @@ def table(
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
     if grid is None:
         grid = _one_at_a_time(listed, nominal) if listed and design.grid == "one_at_a_time" else _grid(listed)
-    shares = shares_of(axes, design, seed) if round_ is None else _spread(round_.shares, drawn, design)
+    shares = unit_draws(axes, design, seed) if round_ is None else _spread(round_.shares, drawn, design)
     draws = {a.name: a.distribution.quantile(shares[:, i]) for i, a in enumerate(drawn) if a.distribution}
     size, count = len(grid), max(len(shares), 1)
     numbers = grid.take(np.repeat(np.arange(size), count)).reset_index(drop=True)
@@ -309,7 +314,7 @@ def table(
     return pd.DataFrame({**columns, "draw": np.tile(np.arange(count) if round_ is None else round_.numbers, size)})
 
 
-def size(axes: tuple[Axis, ...], design: Design) -> int:
+def count_points(axes: tuple[Axis, ...], design: Design) -> int:
     """How many points `table` would have."""
     lengths = [len(a.values) for a in axes if a.values is not None and a.along is None]
     drawn = sum(a.distribution is not None for a in axes)
@@ -342,7 +347,7 @@ def _one_at_a_time(axes: list[Axis], nominal: Callable[[str], Any]) -> "pd.DataF
     return pd.concat(whole).drop_duplicates()  # the arms cross
 
 
-def shares_of(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:
+def unit_draws(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:
     """Numbers (draws, drawn axes) in (0, 1), spread as the design wants: the quantiles that are drawn."""
     drawn = [a for a in axes if a.distribution]
     if not drawn:
@@ -381,12 +386,12 @@ def shares_of(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:
 
 def _spread(shares: np.ndarray, axes: list[Axis], design: Design) -> np.ndarray:
     """Independent shares, with the design's correlations."""
-    shares = np.clip(shares, sought.EDGE, 1 - sought.EDGE)
+    shares = np.clip(shares, adaptive_sampling.EDGE, 1 - adaptive_sampling.EDGE)
     if design.correlation:
         from scipy.special import ndtr, ndtri
 
         root = np.linalg.cholesky(_matrix(design.correlation, [a.name for a in axes]))
-        shares = np.clip(ndtr(ndtri(shares) @ root.T), sought.EDGE, 1 - sought.EDGE)
+        shares = np.clip(ndtr(ndtri(shares) @ root.T), adaptive_sampling.EDGE, 1 - adaptive_sampling.EDGE)
     return shares
 
 

@@ -47,13 +47,13 @@ class Distribution:
                 return values[np.minimum(np.searchsorted(ends, share, side="right"), len(values) - 1)]
             case _:
                 own = {key: value for key, value in self.given.items() if key not in ("from", "to")}
-                frozen = of_scipy(self.kind)(**own)
+                frozen = scipy_distribution(self.kind)(**own)
                 below, above = frozen.cdf(low), frozen.cdf(high)
                 return frozen.ppf(below + share * (above - below))
 
     def __str__(self) -> str:
-        ends = " ".join(f"{key} {short(self.given[key])}" for key in ("from", "to") if key in self.given)
-        others = [f"{key} {short(value)}" for key, value in self.given.items() if key not in ("from", "to")]
+        ends = " ".join(f"{key} {format_value(self.given[key])}" for key in ("from", "to") if key in self.given)
+        others = [f"{key} {format_value(value)}" for key, value in self.given.items() if key not in ("from", "to")]
         return f"{self.kind.replace('_', '-')}, {', '.join([*others, ends] if ends else others)}"
 
 
@@ -65,22 +65,22 @@ def parse(key: str, given: Any) -> Distribution:
         )
     kind = str(given.get("kind"))
     if kind not in DISTRIBUTIONS:
-        if of_scipy(kind) is not None:
+        if scipy_distribution(kind) is not None:
             return _distribution_of_scipy(key, kind, given)
         raise InputError(f"{key}.kind = {kind!r} is unknown{suggest(kind, (*DISTRIBUTIONS, 'any of scipy.stats'))}")
     needed, optional = DISTRIBUTIONS[kind]
-    given = keyed(key, given, ("kind", *needed, *optional))
+    given = require_keys(key, given, ("kind", *needed, *optional))
     for name in needed:
         if name not in given:
             raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(needed)}")
     if kind == "discrete":
-        values, weights = some(f"{key}.values", given["values"]), given.get("weights", [1])
+        values, weights = parse_values(f"{key}.values", given["values"]), given.get("weights", [1])
         if "weights" in given and (not isinstance(weights, list) or len(weights) != len(values)):
             raise InputError(f"{key}.weights = {weights!r} is not allowed: a number for each of {len(values)} values")
-        if min(number(f"{key}.weights", w) for w in weights) < 0 or not sum(weights):
+        if min(parse_number(f"{key}.weights", w) for w in weights) < 0 or not sum(weights):
             raise InputError(f"{key}.weights = {weights!r} is not allowed: none negative, not all zero")
         return Distribution(kind, {k: v for k, v in given.items() if k != "kind"})
-    numbers = {name: number(f"{key}.{name}", given[name]) for name in (*needed, *optional) if name in given}
+    numbers = {name: parse_number(f"{key}.{name}", given[name]) for name in (*needed, *optional) if name in given}
     if numbers.get("std", 1.0) <= 0:
         raise InputError(f"{key}.std = {numbers['std']:g} is not allowed: greater than 0")
     if kind == "log_uniform" and numbers["from"] <= 0:
@@ -90,7 +90,7 @@ def parse(key: str, given: Any) -> Distribution:
     return Distribution(kind, numbers)
 
 
-def of_scipy(kind: str) -> Any:
+def scipy_distribution(kind: str) -> Any:
     """The continuous distribution of scipy.stats that has this name; None without."""
     from scipy import stats  # slow to import
 
@@ -100,18 +100,18 @@ def of_scipy(kind: str) -> Any:
 
 def _distribution_of_scipy(key: str, kind: str, given: Mapping[str, Any]) -> Distribution:
     """One of scipy.stats with its shapes, `loc` and `scale`, as its documentation names them."""
-    shapes = tuple(name.strip() for name in (of_scipy(kind).shapes or "").split(",") if name.strip())
-    given = keyed(key, given, ("kind", *shapes, "loc", "scale", "from", "to"))
+    shapes = tuple(name.strip() for name in (scipy_distribution(kind).shapes or "").split(",") if name.strip())
+    given = require_keys(key, given, ("kind", *shapes, "loc", "scale", "from", "to"))
     for name in shapes:
         if name not in given:
             raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(shapes)}")
-    found = Distribution(kind, {name: number(f"{key}.{name}", v) for name, v in given.items() if name != "kind"})
+    found = Distribution(kind, {name: parse_number(f"{key}.{name}", v) for name, v in given.items() if name != "kind"})
     if not np.isfinite(found.quantile(np.array([0.001, 0.5, 0.999]))).all():
         raise InputError(f"{key} = {found} is not allowed: scipy.stats.{kind} has no such distribution")
     return found
 
 
-def keyed(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
+def require_keys(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
     """`given` as a dict whose keys are all allowed. Raises `InputError`."""
     if not isinstance(given, Mapping):
         raise InputError(f"{path} = {given!r} is not allowed: keys and values (allowed: {', '.join(allowed)})")
@@ -120,7 +120,7 @@ def keyed(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
     return {str(k): v for k, v in given.items()}
 
 
-def some(key: str, values: Any) -> list[Any]:
+def parse_values(key: str, values: Any) -> list[Any]:
     """`values` as a list of numbers or names. Raises `InputError`."""
     if not isinstance(values, list) or not values or any(isinstance(one, list | Mapping | None) for one in values):
         raise InputError(f"{key} = {values!r} is not allowed: a list with at least one value, each a number or a name")
@@ -129,22 +129,24 @@ def some(key: str, values: Any) -> list[Any]:
     return values
 
 
-def number(key: str, value: Any) -> float:
+def parse_number(key: str, value: Any) -> float:
     """`value` as a number. Raises `InputError`."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
         raise InputError(f"{key} = {str(value)[:40]} is not allowed: a number")
     return float(value)
 
 
-def short(value: Any) -> str:
+def format_value(value: Any) -> str:
     """Six digits are enough to tell values apart."""
     if isinstance(value, list | tuple):
-        return listed(tuple(value))
+        return format_values(tuple(value))
     return f"{value:.6g}" if isinstance(value, int | float) else str(value)
 
 
-def listed(values: tuple[Any, ...]) -> str:
+def format_values(values: tuple[Any, ...]) -> str:
     """Values in a row, of many the first and the last."""
     if len(values) <= 4:
-        return ", ".join(map(short, values))
-    return f"{short(values[0])}, {short(values[1])}, ... {short(values[-1])} ({len(values)} values)"
+        return ", ".join(map(format_value, values))
+    return (
+        f"{format_value(values[0])}, {format_value(values[1])}, ... {format_value(values[-1])} ({len(values)} values)"
+    )

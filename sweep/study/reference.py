@@ -53,7 +53,7 @@ def text(name: str) -> str:
         return f"{name}: {project.first_comment(file)}\n\n{file.read_text(encoding='utf-8').rstrip()}"
     head = name.partition(".")[0].partition("=")[0]
     if head in GROUPS and GROUPS[head].numbers:
-        return numbered(head, name.removeprefix(head)[1:])
+        return describe_file_numbers(head, name.removeprefix(head)[1:])
     group, _, kind = name.partition("=")
     if group in every:
         kinds = [kind_of(cls) for cls in every[group]]
@@ -64,7 +64,7 @@ def text(name: str) -> str:
         return "\n\n".join(section(group, cls) for cls in every[group] if kind in ("", kind_of(cls)))
     group, _, key = name.partition(".")
     if group not in every:
-        hint = config.hint_whole(name, every)
+        hint = config.suggest_paths(name, every)
         close = suggest(name if "." not in name else group, every, column_meanings())
         raise InputError(f"{name} is unknown{hint or close}")
     found = [(cls, line) for cls in every[group] for line in parameters(cls) if line["parameter"] == key]
@@ -84,7 +84,7 @@ def choices_of(group: str) -> list[str]:
     return [*project.shipped_files(group), *project.project_files(group)]
 
 
-def numbered(group: str, name: str) -> str:
+def describe_file_numbers(group: str, name: str) -> str:
     """The numbers of a plan, `NAME` or one of them, `NAME.PATH`; without a name all plans. Raises `InputError`."""
     files = {**project.shipped_files(group), **project.project_files(group)}
     if not name:
@@ -122,7 +122,7 @@ def section(group: str, cls: type) -> str:
         f"- `{name}`: {meaning}" for field in dataclasses.fields(cls) for name, meaning in meanings_of(field).items()
     ]
     return "\n\n".join(
-        [f"### {group}{'=' + kind if kind else ''}", about(cls), table, *(["\n".join(names)] if names else [])]
+        [f"### {group}{'=' + kind if kind else ''}", describe_class(cls), table, *(["\n".join(names)] if names else [])]
     )
 
 
@@ -130,7 +130,7 @@ def entry(group: str, cls: type, line: dict[str, str]) -> str:
     """One parameter in words."""
     kind = kind_of(cls)
     beside = f" (of {group}={kind})" if kind else ""
-    rows = [f"{group}.{line['parameter']}{beside}: {line['meaning'] or about(cls).splitlines()[0]}"]
+    rows = [f"{group}.{line['parameter']}{beside}: {line['meaning'] or describe_class(cls).splitlines()[0]}"]
     rows += [f"  {key}: {line[key]}" for key in ("default", "unit", "allowed") if line[key]]
     (field,) = [one for one in dataclasses.fields(cls) if one.name == line["parameter"]]
     rows += [f"    {name}: {meaning}" for name, meaning in meanings_of(field).items()]
@@ -176,7 +176,7 @@ def kind_of(cls: type) -> str:
     return str(found[0]) if found else ""
 
 
-def about(cls: type) -> str:
+def describe_class(cls: type) -> str:
     """What the class says of itself."""
     return inspect.cleandoc(cls.__doc__ or "")
 
@@ -200,11 +200,13 @@ def comments(cls: type) -> dict[str, str]:
         (body,) = ast.parse(code).body
         for node in body.body if isinstance(body, ast.ClassDef) else ():
             if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-                found[node.target.id] = said.get(node.end_lineno or 0, "") or above(node.lineno, said, own_lines)
+                found[node.target.id] = said.get(node.end_lineno or 0, "") or comment_above(
+                    node.lineno, said, own_lines
+                )
     return {name: "" if text.startswith(("fmt:", "pyright:")) else text for name, text in found.items()}
 
 
-def above(line: int, said: dict[int, str], code: list[str]) -> str:
+def comment_above(line: int, said: dict[int, str], code: list[str]) -> str:
     """The comment of the lines just above `line`."""
     parts: list[str] = []
     while (line := line - 1) in said and code[line - 1].lstrip().startswith("#"):

@@ -19,21 +19,21 @@ from sweep.core.errors import InputError, require_choice
 from sweep.core.expressions import AXES, mask
 from sweep.core.parameters import WHOLE, check_value, count, is_within_bounds
 from sweep.engines.settings import EngineSettings
-from sweep.study import designs, searches
+from sweep.study import adaptive_designs, designs
+from sweep.study.adaptive_sampling import KINDS, Draws
+from sweep.study.analytic_limits import Theory
+from sweep.study.analytic_limits import parse as parse_theory
 from sweep.study.columns import LABELS, PLAN, TIMING
 from sweep.study.designs import Axis, Design
-from sweep.study.distributions import keyed
-from sweep.study.identity import DIGITS, point_ids, row_streams, streams
-from sweep.study.sought import KINDS, Draws
-from sweep.study.theory import Theory
-from sweep.study.theory import parse as parse_theory
+from sweep.study.distributions import require_keys
+from sweep.study.point_ids import DIGITS, point_ids, replicate_streams, row_streams
 from sweep.systems.base import Parameter, System, Values
 
 if TYPE_CHECKING:
     import pandas as pd
 
 DTYPES = {"quantity": "float64", "setting": "float64", "count": "int64", "choice": "str"}
-Say = Callable[[str], None]
+Logger = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -95,19 +95,19 @@ class Study(_Plain):
     keep: tuple[str, ...]  # columns whose time histories are kept, see `System.recorded`
 
     @property
-    def refined(self) -> bool:
-        """Whether what to run next depends on what was found."""
+    def is_refined(self) -> bool:
+        """Whether the study refines a map: its next points depend on earlier rows."""
         return self.resolution > 0 or self.budget > 0
 
     @property
-    def sought(self) -> bool:
-        """Whether draws are sought where failures are."""
+    def is_adaptive(self) -> bool:
+        """Whether the study samples failures adaptively."""
         return self.design.kind in KINDS and self.design.num > 0
 
     @property
-    def in_rounds(self) -> bool:
-        """Whether it is run in rounds, each planned by the rows of those before it."""
-        return self.refined or self.sought
+    def is_sequential(self) -> bool:
+        """Whether the study runs in rounds, each of which depends on the rows of earlier rounds."""
+        return self.is_refined or self.is_adaptive
 
     @property
     def noisy(self) -> bool:
@@ -115,9 +115,9 @@ class Study(_Plain):
         return self.replicates > 1 or self.design.num > 0
 
     @property
-    def most(self) -> int:
-        """Rollouts of its axes and draws, those of equal points among them."""
-        return self.replicates * designs.size(self.axes, self.design)
+    def max_rollouts(self) -> int:
+        """Largest number of rollouts, repeated points included."""
+        return self.replicates * designs.count_points(self.axes, self.design)
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], single: bool) -> "Study":
@@ -143,7 +143,7 @@ class Study(_Plain):
         design = designs.parse_design(values["design"], axes)
         source = "scenario" if single else "study"
         if design.kind in KINDS:
-            searches.check(design, axes)
+            adaptive_designs.check(design, axes)
             beside = {"where": values["where"], "points": values["points"], "replicates": values["replicates"] > 1}
             for key in (key for key, value in beside.items() if value):
                 raise InputError(f"study.{key} is not allowed with study.design.kind = {design.kind}")
@@ -155,7 +155,7 @@ class Study(_Plain):
 
 
 def _expectation(key: str, given: Any) -> Expectation:
-    given = keyed(key, given, ("where", "that", "at_least", "at_most"))
+    given = require_keys(key, given, ("where", "that", "at_least", "at_most"))
     for limit in ("at_least", "at_most"):
         value = given.get(limit, 0)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
@@ -169,7 +169,7 @@ def _expectation(key: str, given: Any) -> Expectation:
     return one
 
 
-def unit(column: str, system: System, settings: EngineSettings) -> str:
+def unit_of_column(column: str, system: System, settings: EngineSettings) -> str:
     """Unit of an axis; empty for pure numbers and names."""
     found = "" if column.startswith("axis.") else system.parameter(column, settings).metadata.get("unit", "")
     return "" if found == "-" else found
@@ -230,7 +230,7 @@ def points(
     system: System,
     settings: EngineSettings,
     grid: "pd.DataFrame | None" = None,
-    say: Say | None = None,
+    say: Logger | None = None,
     round_: Draws | None = None,
 ) -> "pd.DataFrame":
     """One row per rollout: axis values, replicate, noise stream and point id. Raises `InputError`.
@@ -241,17 +241,17 @@ def points(
     noise of their own by their values. `grid` takes the place of the study's grid points, and `round_` that of its
     draws (see `designs.table`).
     """
-    rollouts = study.replicates if study.points or grid is not None else study.most
+    rollouts = study.replicates if study.points or grid is not None else study.max_rollouts
     if rollouts > designs.MOST:
         raise InputError(f"study {study.name} has {rollouts} rollouts: at most {designs.MOST} are allowed")
     if study.points:
         design = _from_csv(study.points)
     else:
         told = partial(system.nominal, settings=settings)
-        if study.sought and round_ is None:
+        if study.is_adaptive and round_ is None:
             _check_ends(study, system, settings)
-            round_ = next(searches.search(study.axes, study.design, study.seed))
-        design = designs.table(study.axes, study.design, study.seed, told, grid, round_)
+            round_ = next(adaptive_designs.make_search(study.axes, study.design, study.seed))
+        design = designs.design_table(study.axes, study.design, study.seed, told, grid, round_)
     draw = design.pop("draw") if not study.points else 0
     fields = {c: system.parameter(c, settings) for c in design.columns if not c.startswith("axis.")}
     drawn = [str(axis.target) for axis in study.axes if axis.distribution and axis.path and not study.points]
@@ -281,9 +281,11 @@ def points(
     if study.points:
         table["stream"] = row_streams(study.seed, table)
     else:
-        table["stream"] = streams(study.seed, int(table["replicate"].to_numpy().max(initial=0)) + 1)[table["replicate"]]
+        table["stream"] = replicate_streams(study.seed, int(table["replicate"].to_numpy().max(initial=0)) + 1)[
+            table["replicate"]
+        ]
     table["point_id"] = point_ids(table, system)
-    distinct = table.drop_duplicates(identity(table.columns), ignore_index=True)
+    distinct = table.drop_duplicates(identity_columns(table.columns), ignore_index=True)
     if say and len(distinct) < len(table):
         say(f"{len(table) - len(distinct)} of {len(table)} rollouts are left out: equal to others in {DIGITS} digits")
     return distinct
@@ -303,15 +305,17 @@ def _check(member: Parameter, values: "pd.Series", column: str, exact: bool = Fa
         check_value(member, value, column)
 
 
-def ends(study: Study, system: System, settings: EngineSettings) -> "pd.DataFrame":
+def extreme_points(study: Study, system: System, settings: EngineSettings) -> "pd.DataFrame":
     """Two points at the least and the most that is drawn, at each grid point; empty where nothing is."""
     told = partial(system.nominal, settings=settings)
-    return designs.table(study.axes, study.design, study.seed, told, round_=searches.ends(study.axes))
+    return designs.design_table(
+        study.axes, study.design, study.seed, told, round_=adaptive_designs.extreme_draws(study.axes)
+    )
 
 
 def _check_ends(study: Study, system: System, settings: EngineSettings) -> None:
     """Raise `InputError` where draws in the tails, to which a search may come, are beyond a parameter's bounds."""
-    table = ends(study, system, settings)
+    table = extreme_points(study, system, settings)
     for column in parameter_columns(table):
         try:
             _check(system.parameter(column, settings), table[column], column)
@@ -319,7 +323,7 @@ def _check_ends(study: Study, system: System, settings: EngineSettings) -> None:
             raise InputError(f"{error}; rare draws come to it: give its distribution `from` and `to`") from None
 
 
-def identity(columns: Any) -> list[str]:
+def identity_columns(columns: Any) -> list[str]:
     """The columns that tell one rollout of a study from another: the point, and how it is simulated."""
     return ["point_id", *(c for c in columns if c.startswith("engine."))]
 
@@ -346,7 +350,7 @@ def _from_csv(file: str) -> "pd.DataFrame":
     return table
 
 
-def with_settings(settings: EngineSettings, values: Values) -> EngineSettings:
+def replace_settings(settings: EngineSettings, values: Values) -> EngineSettings:
     """The engine settings of a row."""
     for column, value in values.items():
         if column.startswith("engine."):

@@ -105,7 +105,7 @@ def render(
     plates = [plate(one) for one in (pairs.exhibits if pairs else exhibits(results))]
     typicals = [(one, image(one), list(telling(one, results.exp))) for one in (() if pairs else typical(results))]
     rate = pooled(rows, results.exp)
-    about = data.data(results, chosen) | {"sure": rate.sure, "adaptive": results.exp.study.sought and not pairs}
+    about = data.data(results, chosen) | {"sure": rate.sure, "adaptive": results.exp.study.is_adaptive and not pairs}
     others = [
         style,
         script,
@@ -126,8 +126,8 @@ def render(
         data=Markup(data.as_json(about | ({"name": pairs.name} if pairs else {}))),
         streams=Markup("\n".join(replays.streams)),
         rate=rate,
-        adaptive=results.exp.study.sought and not pairs,
-        headline=headline(rows, results.exp) if results.exp.study.sought else "",
+        adaptive=results.exp.study.is_adaptive and not pairs,
+        headline=headline(rows, results.exp) if results.exp.study.is_adaptive else "",
         sure=rate.sure,
         came=str(kind_of(rows).iloc[0]).replace("_", " ") if len(rows) else "",
         watched=[

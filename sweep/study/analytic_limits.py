@@ -10,7 +10,7 @@ from typing import Any
 from sweep import formulas
 from sweep.core.errors import InputError, require_choice
 from sweep.core.expressions import evaluate
-from sweep.study.distributions import keyed
+from sweep.study.distributions import require_keys
 
 KEYS = ("label", "formula", "output", "of", "inputs", "measured")
 
@@ -48,13 +48,13 @@ class Theory:
 
 def parse(key: str, given: Any) -> Theory:
     """From plain values. Raises `InputError`."""
-    given = keyed(key, given, KEYS)
+    given = require_keys(key, given, KEYS)
     for needed in ("formula", "output", "of"):
         if needed not in given:
             raise InputError(f"{key}.{needed} is missing")
     formula = formulas.find(given["formula"])
     require_choice(given["output"], formula.outputs, f"{key}.output = {given['output']}")
-    inputs = keyed(f"{key}.inputs", given.get("inputs", {}), tuple(entry.name for entry in formula.inputs))
+    inputs = require_keys(f"{key}.inputs", given.get("inputs", {}), tuple(entry.name for entry in formula.inputs))
     return Theory(
         given.get("label", formula.name), formula.name, given["output"], given["of"], inputs, given.get("measured", "")
     )

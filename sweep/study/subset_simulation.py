@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from sweep.study.sought import DIGITS, Draws, Search, Seen
+from sweep.study.adaptive_sampling import DIGITS, Draws, RoundSummary, Search
 
 ACCEPTED = 0.44  # share of proposals that is aimed at
 WIDTH = 0.6  # of the first proposals, in standard deviations
@@ -81,7 +81,7 @@ class Levels:
 
 
 def search(d: int, plan: Levels, runs: int, seed: int) -> Search:
-    """`runs` side by side, whose steps are a round: see `sweep.study.sought`. It returns their `Outcome`s.
+    """`runs` side by side, whose steps are a round: see `sweep.study.adaptive_sampling`. It returns their `Outcome`s.
 
     A run draws the same however many others there are.
     """
@@ -107,7 +107,7 @@ def _together(parts: list[Draws]) -> Draws:
     return Draws(shares, numbers, columns)
 
 
-def _run(d: int, plan: Levels, seed: int, run: int) -> Generator[Draws, Seen, Outcome]:
+def _run(d: int, plan: Levels, seed: int, run: int) -> Generator[Draws, RoundSummary, Outcome]:
     """One run. Its draws are numbered from `run * plan.most` on."""
     rng = np.random.default_rng([seed, run])
     rollouts, width, p, bounds, accepted = 0, WIDTH, 1.0, [], []
@@ -125,7 +125,7 @@ def _run(d: int, plan: Levels, seed: int, run: int) -> Generator[Draws, Seen, Ou
     level = _level(u, asked, (yield asked))
     rollouts += plan.num
     for number in range(1, plan.levels + 1):
-        inside, bound = within(level.lead, plan)
+        inside, bound = next_level(level.lead, plan)
         why = _over(inside, bound, plan, p, number)
         if why is not None:
             return Outcome(p * float(level.failed.mean()), level, tuple(bounds), tuple(accepted), rollouts, why)
@@ -151,7 +151,7 @@ def _run(d: int, plan: Levels, seed: int, run: int) -> Generator[Draws, Seen, Ou
     raise AssertionError("a run has no more levels than `_over` allows")
 
 
-def _level(u: np.ndarray, asked: Draws, seen: Seen) -> Level:
+def _level(u: np.ndarray, asked: Draws, seen: RoundSummary) -> Level:
     """Rows as they were drawn; a lead that is not a number leads nowhere."""
     lead = np.where(seen.failed, -np.inf, np.nan_to_num(seen.lead, nan=np.inf, neginf=np.finfo(float).min))
     return Level(u, asked.numbers, seen.failed, lead)
@@ -166,10 +166,16 @@ def _over(inside: Bool[np.ndarray, " n"], bound: float, plan: Levels, p: float, 
     return f"the lead is {bound:.4g} in all rows of a level: it leads nowhere" if inside.all() else None
 
 
-def within(lead: Float[np.ndarray, " n"], plan: Levels) -> tuple[Bool[np.ndarray, " n"], float]:
-    """Which rows are in the next level, and its bound: the least share by their `lead`.
+def next_level(lead: Float[np.ndarray, " n"], plan: Levels) -> tuple[Bool[np.ndarray, " n"], float]:
+    """Choose the rows of the next level, those with the smallest leads.
 
-    Where many have one lead there, those below it, few as they may be: chains begin from some of them twice.
+    Args:
+        lead: Leads of the rows of this level.
+        plan: Sizes of levels; `plan.chains` rows are wanted.
+
+    Returns:
+        Which rows are in the next level, and the largest lead of it. Where many rows tie at the bound, only those
+        below it, and chains start from some of them twice.
     """
     bound = float(np.sort(lead)[plan.chains - 1])
     inside, below = lead <= bound, lead < bound

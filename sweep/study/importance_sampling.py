@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from sweep.study.sought import DIGITS, Draws, Search
+from sweep.study.adaptive_sampling import DIGITS, Draws, Search
 
 FITTED, WIDE, PLAIN = 0.7, 0.15, 0.15  # shares of a round's draws
 PARTS = 3  # normals that are fitted, at most
@@ -52,7 +52,7 @@ def normal(d: int, width: float, share: float = 1.0) -> Mixture:
 
 
 def search(d: int, num: int, wide: float, rounds: int, seed: int) -> Search:
-    """The first round of draws, and `rounds` after it: see `sweep.study.sought`."""
+    """The first round of draws, and `rounds` after it: see `sweep.study.adaptive_sampling`."""
     from scipy.special import ndtr  # slow to import
 
     mixtures, normals, failures = [normal(d, wide)], [], []
@@ -62,11 +62,11 @@ def search(d: int, num: int, wide: float, rounds: int, seed: int) -> Search:
         shown = yield Draws(ndtr(u), number * num + np.arange(num), columns)
         if number < rounds:
             failures.append(shown.failed)
-            mixtures.append(mixed(np.concatenate(normals)[np.concatenate(failures)], mixtures, wide))
+            mixtures.append(fit_next_proposal(np.concatenate(normals)[np.concatenate(failures)], mixtures, wide))
 
 
 def weights(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture]) -> Float[np.ndarray, " n"]:
-    """Density of plain draws over that of all draws of rounds that are as long as each other."""
+    """Return importance weights: nominal density over the mean density of all rounds, which are equally long."""
     from scipy.special import logsumexp  # slow to import
 
     logs = [logsumexp(mixture.log_density(u), axis=1) for mixture in rounds]
@@ -74,17 +74,23 @@ def weights(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture]) -> Float[np.
     return np.exp(plain + np.log(len(rounds)) - logsumexp(logs, axis=0))
 
 
-def mixed(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture], wide: float) -> Mixture:
-    """What the round after others is drawn from; `u` are all failures of these."""
+def fit_next_proposal(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture], wide: float) -> Mixture:
+    """Fit the proposal of the next round.
+
+    Args:
+        u: All failures so far, in standard-normal coordinates.
+        rounds: Proposals of earlier rounds.
+        wide: Standard deviation of the wide part of the proposal.
+    """
     d = u.shape[1]
     parts = [normal(d, wide, WIDE if len(u) else 1 - PLAIN), normal(d, 1.0, PLAIN)]
     if len(u):
-        found = fitted(u, weights(u, rounds))
+        found = fit_mixture(u, weights(u, rounds))
         parts = [found._replace(share=FITTED * found.share), *parts]
     return Mixture(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
-def fitted(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) -> Mixture:
+def fit_mixture(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) -> Mixture:
     """Up to `PARTS` normals through what failed, by its weights, or by less uneven ones where these leave too little.
 
     Expectation and maximisation, from the heaviest row and those farthest from it; as much is added to each part as
@@ -115,7 +121,7 @@ def fitted(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) -> Mixt
 
 
 def modes(found: Mixture) -> Int[np.ndarray, " k"]:
-    """The number of the mode that each part belongs to: parts between whose middles the density has no dip are one."""
+    """Assign parts of a mixture to modes: parts share a mode where the density has no dip between their means."""
     number, way = np.arange(len(found.share)), np.linspace(0, 1, 21)[:, None]
     for a, b in combinations(range(len(number)), 2):
         density = np.logaddexp.reduce(found.log_density(found.mean[a] + way * (found.mean[b] - found.mean[a])), axis=1)

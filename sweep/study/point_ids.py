@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 DIGITS = 12  # of a number that count
 
 
-def streams(seed: int, replicates: int) -> np.ndarray:
+def replicate_streams(seed: int, replicates: int) -> np.ndarray:
     """The numbers (replicates,) that the noise of each replicate is drawn from; the first ones stay as more come."""
     return (np.random.SeedSequence(seed).generate_state(replicates, np.uint64) >> np.uint64(1)).astype(np.int64)
 

@@ -1,14 +1,14 @@
-"""Designs that seek failures: what they are asked for, and the search for it."""
+"""Designs of adaptive sampling: checks of their settings, and the search that each stands for."""
 
 import numpy as np
 
 from sweep.core.errors import InputError
-from sweep.study import importance, sought, subset
+from sweep.study import adaptive_sampling, importance_sampling, subset_simulation
 from sweep.study.designs import Axis, Design
 
 
 def check(design: Design, axes: tuple[Axis, ...]) -> None:
-    """Raises `InputError` where draws cannot be sought where failures are."""
+    """Raise `InputError` where the settings of an adaptive design are not allowed."""
     if listed := [a.name for a in axes if a.values is not None]:
         raise InputError(f"study.design.kind = {design.kind} is not allowed with listed axes: {', '.join(listed)}")
     if taken := {a.name for a in axes} & {"weight", "round", "run", "level", "step", "chain"}:
@@ -18,27 +18,35 @@ def check(design: Design, axes: tuple[Axis, ...]) -> None:
     for key in ("rounds", "runs"):
         if (value := getattr(design, key)) < 1:
             raise InputError(f"study.design.{key} = {value} is not allowed: at least 1")
-    if not sought.EDGE < design.target < 1:
-        raise InputError(f"study.design.target = {design.target:g} is not allowed: above {sought.EDGE:.2g} and below 1")
+    if not adaptive_sampling.EDGE < design.target < 1:
+        raise InputError(
+            f"study.design.target = {design.target:g} is not allowed: above {adaptive_sampling.EDGE:.2g} and below 1"
+        )
     steps = 1 / design.share if design.share > 0 else 0
     if not 0 < design.share <= 0.5 or abs(steps - round(steps)) > 1e-9:
         raise InputError(f"study.design.share = {design.share:g} is not allowed: 1 over a whole number from 2 on")
     if design.kind == "importance" and design.num < 2:  # of which one alone tells no error
         raise InputError(f"study.design.num = {design.num} is not allowed: at least 2")
-    if design.kind == "subset" and (design.num < subset.FEWEST * steps or design.num % round(steps)):
-        least = f"a multiple of {steps:.0f}, at least {subset.FEWEST * steps:.0f}"
+    if design.kind == "subset" and (design.num < subset_simulation.FEWEST * steps or design.num % round(steps)):
+        least = f"a multiple of {steps:.0f}, at least {subset_simulation.FEWEST * steps:.0f}"
         raise InputError(f"study.design.num = {design.num} is not allowed: {least}, as study.design.share has it")
 
 
-def search(axes: tuple[Axis, ...], design: Design, seed: int) -> sought.Search:
-    """Rounds of draws of a design that seeks failures."""
+def make_search(axes: tuple[Axis, ...], design: Design, seed: int) -> adaptive_sampling.Search:
+    """Make the search of an adaptive design, a generator of rounds of draws.
+
+    Args:
+        axes: Axes of the study; those with a distribution are drawn.
+        design: Its settings, of kind `importance` or `subset`.
+        seed: Seed of all draws.
+    """
     drawn = sum(axis.distribution is not None for axis in axes)
     if design.kind == "subset":
-        return subset.search(drawn, design.levels, design.runs, seed)
-    return importance.search(drawn, design.num, design.wide, design.rounds, seed)
+        return subset_simulation.search(drawn, design.levels, design.runs, seed)
+    return importance_sampling.search(drawn, design.num, design.wide, design.rounds, seed)
 
 
-def ends(axes: tuple[Axis, ...]) -> sought.Draws:
-    """A draw with all axes at their lower ends, and one with all at their upper ones."""
+def extreme_draws(axes: tuple[Axis, ...]) -> adaptive_sampling.Draws:
+    """Return two draws: all axes at their lower ends, and all at their upper ends."""
     drawn = sum(axis.distribution is not None for axis in axes)
-    return sought.Draws(np.repeat([[0.0], [1.0]], drawn, axis=1), np.arange(2), {})
+    return adaptive_sampling.Draws(np.repeat([[0.0], [1.0]], drawn, axis=1), np.arange(2), {})

@@ -62,7 +62,7 @@ class Files(ConfigSource):
         """The names that a group has."""
         if results_filter == ObjectType.GROUP:
             return []
-        return names(config_path)
+        return choice_names(config_path)
 
     def load_config(self, config_path: str) -> ConfigResult:
         """The file as Hydra wants it. Raises `InputError`."""
@@ -75,10 +75,12 @@ class Files(ConfigSource):
         refuse_code(config_path, content, str(header.get("package")))
         if GROUPS[group].whole:
             header["package"] = header.get("package") or "_global_"
-        for other, choice in started_from(group, content):
+        for other, choice in referenced_files(group, content):
             refuse_ring(other, file, choice, (file,))
         if "defaults" not in content:
-            content = whole(group, file, content) if GROUPS[group].whole else part(group, file, content)
+            content = (
+                global_fragment(group, file, content) if GROUPS[group].whole else group_fragment(group, file, content)
+            )
         return ConfigResult(self.provider, self.full_path(), OmegaConf.create(content), header)
 
 
@@ -88,7 +90,7 @@ def schema(group: str, name: str) -> Callable[[], DictConfig] | None:
     return SCHEMAS.get(group, {}).get(name.removesuffix("_schema") if name.endswith("_schema") else kind)
 
 
-class Unexecuted(FileConfigSource):
+class UserFiles(FileConfigSource):
     """Files of a user, such as studies in a `--config-dir`: they choose and set values, and have nothing run."""
 
     def load_config(self, config_path: str) -> ConfigResult:
@@ -135,7 +137,7 @@ def register() -> None:
     """Tell Hydra of both sources."""
     for plugin in (Files, SearchPath):
         Plugins.instance().register(plugin)  # which puts Hydra's own source of files in the place of ours
-    SourcesRegistry.instance().types[Unexecuted.scheme()] = Unexecuted
+    SourcesRegistry.instance().types[UserFiles.scheme()] = UserFiles
 
 
 def read(file: Any, words: bool = False) -> dict[str, Any]:
@@ -158,15 +160,15 @@ def read(file: Any, words: bool = False) -> dict[str, Any]:
     return OmegaConf.to_container(content, resolve=False)  # pyright: ignore[reportReturnType]
 
 
-def whole(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
+def global_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
     """A study or a scenario: what it starts from, its choices, then its values. Its name is its file's unless given."""
-    defaults, values = extended(group, file, content), {}
+    defaults, values = extended_defaults(group, file, content), {}
     for key, value in content.items():
         if key in GROUPS and not isinstance(value, str | Mapping | None):
             raise InputError(f"{file}: {key} = {value!r} is not allowed: the name of a choice, or keys and values")
         choice = value if isinstance(value, str) else value.get("extends") if isinstance(value, Mapping) else None
         if key in GROUPS and key != group and choice is not None:
-            defaults.append({f"override /{key}": chosen(file, key, choice)})
+            defaults.append({f"override /{key}": require_choice_of_group(file, key, choice)})
         if not isinstance(value, str) or key not in GROUPS:
             values[key] = {k: v for k, v in value.items() if k != "extends"} if isinstance(value, Mapping) else value
     about = values.pop(group, None) or {}
@@ -192,23 +194,23 @@ def system(chosen: Mapping[str, str]) -> str:
     return USUAL
 
 
-def part(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
+def group_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of one group, on top of those of the file it extends or of its class."""
     free, kind = GROUPS[group].free, content.get("kind")
     if "extends" not in content and GROUPS[group].kinds and kind not in _kinds(group):
         told = "kind is missing" if kind is None else f"kind = {kind} is unknown"
         raise InputError(f"{file}: {group}.{told}{suggest(str(kind or ''), _kinds(group))}")
-    start = extended(group, file, content) or ([] if free else [f"/{group}/{kind or group}_schema@_here_"])
+    start = extended_defaults(group, file, content) or ([] if free else [f"/{group}/{kind or group}_schema@_here_"])
     return {"defaults": [*start, "_self_"], **{k: v for k, v in content.items() if k != "extends"}}
 
 
-def extended(group: str, file: Any, content: Mapping[str, Any]) -> list[Any]:
+def extended_defaults(group: str, file: Any, content: Mapping[str, Any]) -> list[Any]:
     """The file that this one starts from, or the list of them, as a list of defaults."""
-    names = [chosen(file, group, name) for name in listed(group, content)]
+    names = [require_choice_of_group(file, group, name) for name in extended_names(group, content)]
     return [f"/{group}/{name}@{'_global_' if GROUPS[group].whole else '_here_'}" for name in names]
 
 
-def listed(group: str, content: Mapping[str, Any]) -> list[Any]:
+def extended_names(group: str, content: Mapping[str, Any]) -> list[Any]:
     """What a file extends: in a group without a class of its own it may be several."""
     if "extends" not in content:
         return []
@@ -216,9 +218,9 @@ def listed(group: str, content: Mapping[str, Any]) -> list[Any]:
     return found if GROUPS[group].free and isinstance(found, list) else [found]
 
 
-def started_from(group: str, content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def referenced_files(group: str, content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield group and name of each file that a file starts from, by `extends` or by a list of Hydra's `defaults`."""
-    yield from ((group, name) for name in listed(group, content))
+    yield from ((group, name) for name in extended_names(group, content))
     defaults = content.get("defaults")
     for entry in defaults if isinstance(defaults, list) else ():
         pairs = entry.items() if isinstance(entry, Mapping) else [str(entry).rpartition("/")[::2]]
@@ -240,18 +242,18 @@ def refuse_ring(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None
         raise InputError(f"{' extends '.join(map(str, (*ring, above)))}: a file cannot start from itself")
     if above in ring:  # a ring beyond this file, which is refused where it is read
         return
-    for other, more in started_from(group, read(above, words=GROUPS[group].free)):
+    for other, more in referenced_files(group, read(above, words=GROUPS[group].free)):
         refuse_ring(other, file, more, (*ring, above))
 
 
-def chosen(file: Any, group: str, name: Any) -> str:
+def require_choice_of_group(file: Any, group: str, name: Any) -> str:
     """`name` if it is a file of `group`, or a kind. Raises `InputError`."""
     if not isinstance(name, str) or (project.find_file(group, name) is None and name not in _kinds(group)):
-        raise InputError(f"{file}: {group} = {name} is unknown{suggest(str(name), names(group))}")
+        raise InputError(f"{file}: {group} = {name} is unknown{suggest(str(name), choice_names(group))}")
     return name
 
 
-def names(group: str) -> list[str]:
+def choice_names(group: str) -> list[str]:
     """What may be chosen of a group: files of the project, shipped ones, and kinds."""
     return sorted({*project.project_files(group), *project.shipped_files(group), *_kinds(group)})
 

@@ -1,0 +1,90 @@
+"""Adaptive sampling of failures: each round draws from a proposal fitted to the rows of earlier rounds.
+
+A search is a generator: it yields rounds of draws, receives a summary of each round, and returns its result. It
+depends on the seed and the summaries alone, so an interrupted study continues where it was, and the search can be
+replayed from stored rows.
+"""
+
+from collections.abc import Generator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from sweep.core.errors import InputError
+from sweep.core.expressions import column, evaluate
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+KINDS = ("importance", "subset")
+DIGITS = 6  # decimals of proposals, so that draws are equal on machines whose last bits differ
+EDGE = 2.0**-32  # of quantiles, so that none is infinite
+LEAD = "margin"  # column that subset simulation follows by default
+
+
+class Draws(NamedTuple):
+    """Draws of one round, yielded by a search."""
+
+    shares: Float[np.ndarray, "n d"]  # quantiles, before axes are correlated
+    numbers: Int[np.ndarray, " n"]  # of the draws: each has noise of its own
+    columns: Mapping[str, np.ndarray]  # (n,) what else is kept of each, by the names of axes without a path
+
+
+class RoundSummary(NamedTuple):
+    """Summary of the rollouts of a round, sent to the search."""
+
+    failed: Bool[np.ndarray, " n"]  # invalid ones among them
+    lead: Float[np.ndarray, " n"]  # the smaller, the nearer to failure
+
+    def part(self, where: slice) -> "RoundSummary":
+        """Return the summary of some of the draws."""
+        return RoundSummary(self.failed[where], self.lead[where])
+
+
+Search = Generator[Draws, RoundSummary, Any]
+
+
+def summarize_round(rows: "pd.DataFrame", draws: Draws, lead: str) -> RoundSummary:
+    """Summarize the rows of a round for its search.
+
+    Args:
+        rows: Finished rows, those of the round among them.
+        draws: The n draws of the round.
+        lead: A column, or an expression of columns, that shrinks towards failure.
+
+    Returns:
+        Failures and leads (n,), in the order of the draws.
+
+    Raises:
+        InputError: `lead` is no number of the rows.
+    """
+    here = rows.set_index("replicate").loc[draws.numbers]
+    try:
+        values = evaluate(lead, lambda name: here[column(here, name)].to_numpy())
+        found = np.broadcast_to(np.asarray(values, dtype=float), len(here))
+    except InputError:
+        raise
+    except (SyntaxError, TypeError, ValueError):
+        raise InputError(f"study.design.lead = {lead!r} is not allowed: a column of numbers, such as {LEAD}") from None
+    return RoundSummary((here["outcome"] != "success").to_numpy(), found)
+
+
+def replay_search(search: Search, rows: "pd.DataFrame", lead: str) -> Any:
+    """Run a search again on stored rows.
+
+    Args:
+        search: A new search with the study's seed.
+        rows: Finished rows of the study.
+        lead: As in `summarize_round`.
+
+    Returns:
+        The result of the search; None where rows of a round are missing.
+    """
+    try:
+        draws = next(search)
+        while np.isin(draws.numbers, rows["replicate"]).all():
+            draws = search.send(summarize_round(rows, draws, lead))
+    except StopIteration as end:
+        return end.value
+    return None
