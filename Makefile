@@ -13,7 +13,7 @@ GPU = $(shell nvidia-smi -L >/dev/null 2>&1 && echo ,gpu)
 PYTHONS = $(shell for v in 3.12 3.13; do for p in python$$v $$HOME/.pyenv/versions/$$v*/bin/python; do \
   $$p -c '' 2>/dev/null && echo $$p && break; done; done)
 
-.PHONY: demo baseline shapes test wheel slow slurm lint types docs paper points setup clean
+.PHONY: demo baseline kernels shapes test wheel slow slurm lint types docs paper points setup clean
 
 demo: setup
 	rm -rf results/demo
@@ -52,6 +52,9 @@ types: setup
 paper: setup  # all that research/ shows: JOBS=14 at once for each GPU with 16 cores; QUICK=--quick on two cores, coarser
 	$(BIN)/python jobs/paper.py --jobs $(or $(JOBS),1) $(QUICK)
 	$(BIN)/python research/cited.py
+
+kernels: setup  # how large GPU kernels are: renew it when that is meant to change, and say so in the commit; needs ptxas
+	$(BIN)/python tests/kernel_counts.py
 
 points: setup  # 20 rollouts of a shipped example, by the commit's hash, end as they did
 	$(BIN)/python jobs/check_points.py

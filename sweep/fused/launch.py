@@ -11,7 +11,7 @@ from jaxtyping import Array, Int, UInt32
 
 from sweep.fused import cuda, driver, schedule
 from sweep.fused.randomness import keyed, words
-from sweep.fused.trace import GROUP, Leaf, traced
+from sweep.fused.trace import GROUP, Leaf, Traced, traced
 
 BLOCK = cuda.lanes_of(GROUP) * cuda.WARPS  # rollouts that a block of threads has at least, of robots
 TURNS = 25  # times as many that it has at most
@@ -31,8 +31,11 @@ class Ptx(NamedTuple):
     rollouts: int  # of a block of threads
 
 
+Tick = Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]]  # of a rollout: given, carried, number
+
+
 def compiled(
-    function: Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]],
+    function: Tick,
     given: Any,
     carried: Any,
     over: Callable[[Any], Any],
@@ -48,20 +51,35 @@ def compiled(
     sooner, as each part of it has the legs in lanes.
     """
 
-    def told(given: Any, carried: Any, number: Array) -> tuple[Any, dict[str, Array]]:
+    with cuda.compiler() as compiler:
+        program, printer = printed(function, given, carried, over, ticks, room, width, group, few)
+        text = compiler(printer.text())
+    return Ptx(text, program.given, program.carried, program.recorded, printer.words, ticks, room, printer.rollouts)
+
+
+def printed(
+    function: Tick,
+    given: Any,
+    carried: Any,
+    over: Callable[[Any], Any],
+    ticks: int,
+    room: int,
+    width: int,
+    group: int = GROUP,
+    few: bool = False,
+) -> tuple[Traced, cuda.GpuPrinter]:
+    """The program and its text as LLVM's assembly for a GPU, with the arguments of `compiled`."""
+
+    def recorded(given: Any, carried: Any, number: Array) -> tuple[Any, dict[str, Array]]:
         carried, record = function(given, carried, number)
         return carried, record if room else {}
 
-    with cuda.compiler() as compiler:
-        program = traced(told, given, carried, _laid_out, together=False, group=group)
-        tree = jax.tree.structure(carried)
-        flag = program.carried[over(jax.tree.unflatten(tree, range(tree.num_leaves)))].place
-        sizes = _end(program.given), _end(program.carried), _end([*program.recorded.values()])
-        printed = cuda.GpuPrinter(
-            program.top, schedule.used(program.top), sizes, ticks, flag, room, _turns(width, group), group, few
-        )
-        text, blocks = compiler(printed.text()), printed.rollouts
-    return Ptx(text, program.given, program.carried, program.recorded, printed.words, ticks, room, blocks)
+    program = traced(recorded, given, carried, _laid_out, together=False, group=group)
+    tree = jax.tree.structure(carried)
+    flag = program.carried[over(jax.tree.unflatten(tree, range(tree.num_leaves)))].place
+    sizes = _end(program.given), _end(program.carried), _end([*program.recorded.values()])
+    turns, needed = _turns(width, group), schedule.used(program.top)
+    return program, cuda.GpuPrinter(program.top, needed, sizes, ticks, flag, room, turns, group, few)
 
 
 def run(code: Ptx, given: Any, carried: Any, first: Array, kept: Int[Array, " room"] | None) -> tuple[Any, Any]:

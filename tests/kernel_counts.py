@@ -1,0 +1,136 @@
+"""How large GPU kernels of scenarios are, which tells of lost speed without a GPU.
+
+    python tests/kernel_counts.py          # renews tests/data/kernel_counts.json
+    python tests/kernel_counts.py --show   # prints a table of it
+
+Counts are of the text that the fused compiler prints for a batch of 131,072 rollouts, before LLVM, so that they depend
+on this repository and JAX alone. Registers and spilled bytes are those of NVIDIA's `ptxas` for a Hopper GPU, where it
+is installed; other releases of `ptxas` allocate registers otherwise, so they are compared with those of the same
+release only.
+"""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import jax
+
+from sweep.engines import devices
+from sweep.engines.closed_loop import sensing
+from sweep.engines.mjx import Mjx
+from sweep.fused import cuda, launch
+from sweep.study.config import compose
+
+PATH = Path(__file__).with_name("data") / "kernel_counts.json"
+SCENARIOS = ("walk_tripod", "pole_climb", "ball_balance", "ball_drive", "raft_stand", "corner_full", "ladder_climb")
+WIDTH, TICKS = 131072, 250
+TOLERANCE = 0.02  # relative change of a count that passes
+ARCHITECTURE = "sm_90"  # H100 and H200
+
+Counts = dict[str, int]
+
+
+def kernel_printer(name: str) -> tuple[launch.Traced, cuda.GpuPrinter]:
+    """The program of a scenario's closed loop, and its text for a GPU; nothing is simulated."""
+    exp = compose([f"scenario={name}"])
+    engine = Mjx(replace(exp.settings, width=WIDTH), exp.case, exp.case, exp.thresholds)
+    cases = jax.tree.map(lambda x: jax.ShapeDtypeStruct((), x.dtype), devices.as_arrays((exp.case, exp.case)))
+    key = jax.eval_shape(partial(jax.random.key, 0))
+    plan, carry = jax.eval_shape(partial(engine._start, sensing(exp.case.noise)), *cases, key)
+    return launch.printed(engine._tick, (*cases, plan), carry, lambda carry: carry.over, TICKS, 0, WIDTH)
+
+
+def text_counts(program: launch.Traced, printer: cuda.GpuPrinter) -> Counts:
+    """Sizes of a kernel from its text.
+
+    Returns:
+        `operations`, `loads` and `stores` of a tick, each part of the kernel once; numbers that a rollout `carries`
+        from tick to tick, and those beside them that one part of the kernel hands on to the next.
+    """
+    lines = printer.lines
+    loads, stores = (sum(bool(re.search(word, line)) for line in lines) for word in (r"= load ", r"^store "))
+    carried = sum(leaf.size for leaf in program.carried)
+    return {
+        "operations": sum("=" in line for line in lines) - loads,
+        "loads": loads,
+        "stores": stores,
+        "carried": carried,
+        "handed_on": printer.words - carried,
+    }
+
+
+def ptxas_release() -> str | None:
+    """The release of the installed `ptxas`, or None."""
+    if not shutil.which("ptxas"):
+        return None
+    told = subprocess.run(["ptxas", "--version"], capture_output=True, text=True, check=True).stdout
+    return re.search(r"release ([\d.]+)", told)[1]
+
+
+def register_counts(printer: cuda.GpuPrinter) -> Counts:
+    """Registers of a thread, and bytes that it spills and loads again, by `ptxas`."""
+    with cuda.compiler() as compiler, tempfile.NamedTemporaryFile("w", suffix=".ptx") as file:
+        file.write(compiler(printer.text()))
+        file.flush()
+        command = ["ptxas", "-v", f"-arch={ARCHITECTURE}", file.name, "-o", "/dev/null"]
+        told = subprocess.run(command, capture_output=True, text=True, check=True).stderr
+    patterns = {
+        "registers": r"Used (\d+) registers",
+        "spill_stores_b": r"(\d+) bytes spill stores",
+        "spill_loads_b": r"(\d+) bytes spill loads",
+    }
+    return {name: int(re.search(pattern, told)[1]) for name, pattern in patterns.items()}
+
+
+def scenario_counts(name: str) -> Counts:
+    """All counts of a scenario's kernel; without those of `ptxas` where it is not installed."""
+    program, printer = kernel_printer(name)
+    counts = text_counts(program, printer)
+    return counts | (register_counts(printer) if ptxas_release() else {})
+
+
+def changed_counts(name: str, counts: Counts) -> list[str]:
+    """A line for each count that is more than `TOLERANCE` off the stored one."""
+    stored = json.loads(PATH.read_text())
+    known = stored["scenarios"][name]
+    if "registers" not in counts or ptxas_release() != stored["ptxas"]:
+        known = {key: value for key, value in known.items() if key in text_keys(known)}
+    return [
+        f"{name}: {key} {known[key]} -> {counts[key]} ({counts[key] / max(known[key], 1) - 1:+.1%})"
+        for key in known
+        if abs(counts[key] - known[key]) > TOLERANCE * known[key]
+    ]
+
+
+def text_keys(counts: Counts) -> list[str]:
+    """The counts that need no `ptxas`."""
+    return [key for key in counts if key != "registers" and not key.startswith("spill")]
+
+
+def table() -> str:
+    """The stored counts as a table in Markdown."""
+    scenarios = json.loads(PATH.read_text())["scenarios"]
+    keys = [*next(iter(scenarios.values()))]
+    rows = [[f"`{name}`", *(f"{counts[key]:,}" for key in keys)] for name, counts in scenarios.items()]
+    lines = [["kernel of", *keys], ["---", *["--:"] * len(keys)], *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def main(*args: str) -> None:
+    """Renew the stored counts, or show them."""
+    if args != ("--show",):
+        if not ptxas_release():
+            raise SystemExit("kernel_counts: ptxas is not installed (CUDA's compiler): its counts would be lost")
+        scenarios = {name: scenario_counts(name) for name in SCENARIOS}
+        PATH.write_text(json.dumps({"ptxas": ptxas_release(), "scenarios": scenarios}, indent=1) + "\n")
+    print(table())
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
