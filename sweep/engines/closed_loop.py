@@ -213,7 +213,7 @@ def measure(
     number: Array,
     period: float,
 ) -> tuple[ClosedLoop, Float[Array, " w"]]:
-    """The metrics' part of a tick, and the figures that it is judged by so far, see `stream.update`.
+    """The metrics' part of a tick, and the figures that it is judged by so far, see `accumulator.update`.
 
     A rollout that has rested after its plan, or had its time, is over. One that is to end in motion is over with its
     plan: nobody steps on.
@@ -244,5 +244,5 @@ def measure(
 
 
 def figures_of(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
-    """The row's figures of a rollout as far as it has come, see `stream.figures`; it began with `plan`."""
+    """The row's figures of a rollout as far as it has come, see `accumulator.compute`; it began with `plan`."""
     return accumulator.compute(world, loop.learned.plan or plan, loop.running, loop.tracker.stage)
