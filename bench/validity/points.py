@@ -57,7 +57,7 @@ class Points(ObstacleDefaults):
         for i, (name, body) in enumerate(self.contact_sites):
             spec.body(self.free_bodies[body]).add_site(name=name, pos=np.asarray(self.at[i]))
 
-    def leaves(self) -> dict[str, dict[str, Array]]:
+    def batched_model_fields(self) -> dict[str, dict[str, Array]]:
         """Masses, inertias and points."""
         return {
             "body_mass": dict(zip(self.free_bodies, self.mass, strict=True)),
@@ -69,7 +69,7 @@ class Points(ObstacleDefaults):
         """Nothing that is drawn."""
         return ()
 
-    def load(self, free: FreeState) -> Float[Array, "k 6"]:
+    def external_wrench(self, free: FreeState) -> Float[Array, "k 6"]:
         """The constant forces."""
         return jnp.concatenate([self.force, jnp.zeros_like(self.force)], axis=-1)
 
