@@ -16,12 +16,12 @@ BLOCK = 1 << 14  # numbers of a product that are summed at a time
 COPIED = 4096  # numbers from which stretching without copying is faster
 
 
-def converted(dtype: np.dtype, x: Values) -> Values:
+def convert(dtype: np.dtype, x: Values) -> Values:
     """Numbers of another type."""
     return x.astype(dtype)
 
 
-def reinterpreted(dtype: np.dtype, x: Values) -> Values:
+def reinterpret(dtype: np.dtype, x: Values) -> Values:
     """The same bits as another type of the same size."""
     return x.view(dtype)
 
@@ -65,7 +65,7 @@ def one_minus_square(x: Values) -> Values:
     return (1 - x) * (1 + x)
 
 
-def clamped(low: Values, x: Values, high: Values) -> Values:
+def clamp(low: Values, x: Values, high: Values) -> Values:
     """`x`, or the nearer one of `low` and `high`."""
     return np.minimum(np.maximum(x, low), high)
 
@@ -78,7 +78,7 @@ def polynomial(x: Values, *coefficients: Values) -> Values:
     return total
 
 
-def selected(index: Values, *cases: Values) -> Values:
+def select(index: Values, *cases: Values) -> Values:
     """The case of each index."""
     if len(cases) == 2:
         return np.where(index, cases[1], cases[0])
@@ -91,12 +91,12 @@ def selected(index: Values, *cases: Values) -> Values:
 # where numbers lie; the axes of a random key's words, and that over rollouts, follow those told of
 
 
-def reshaped(rank: int, shape: tuple[int, ...], x: Values) -> Values:
+def reshape(rank: int, shape: tuple[int, ...], x: Values) -> Values:
     """In another order of axes' lengths."""
     return x.reshape(shape + x.shape[rank:])
 
 
-def stretched(places: tuple[int, ...], shape: tuple[int, ...], x: Values) -> Values:
+def broadcast_in_dim(places: tuple[int, ...], shape: tuple[int, ...], x: Values) -> Values:
     """Its axes at `places` of a larger `shape`."""
     rest = x.shape[len(places) :]
     new = [1] * len(shape)
@@ -110,12 +110,12 @@ def stretched(places: tuple[int, ...], shape: tuple[int, ...], x: Values) -> Val
     return result
 
 
-def tiled(times: tuple[int, ...], x: Values) -> Values:
+def tile(times: tuple[int, ...], x: Values) -> Values:
     """Again and again along axes."""
     return np.tile(x, (*times, 1))
 
 
-def turned(order: tuple[int, ...], x: Values) -> Values:
+def transpose(order: tuple[int, ...], x: Values) -> Values:
     """The same numbers, axes in another order."""
     return x.transpose(*order, *range(len(order), x.ndim))
 
@@ -125,7 +125,7 @@ def part(window: tuple[slice, ...], x: Values) -> Values:
     return x[window]
 
 
-def padded(shape: tuple[int, ...], window: tuple[slice, ...], x: Values, value: Values) -> Values:
+def pad(shape: tuple[int, ...], window: tuple[slice, ...], x: Values, value: Values) -> Values:
     """`x` in a window of an array of one value."""
     result = np.empty((*shape, max(x.shape[-1], value.shape[-1])), x.dtype)
     result[...] = value
@@ -133,22 +133,22 @@ def padded(shape: tuple[int, ...], window: tuple[slice, ...], x: Values, value: 
     return result
 
 
-def flipped(axes: tuple[int, ...], x: Values) -> Values:
+def flip(axes: tuple[int, ...], x: Values) -> Values:
     """The same numbers in reverse along axes."""
     return np.flip(x, axes)
 
 
-def joined(axis: int, *parts: Values) -> Values:
+def concatenate(axis: int, *parts: Values) -> Values:
     """One after the other along an axis."""
     return np.concatenate(_of_one_width(parts), axis)
 
 
-def stacked(axis: int, *parts: Values) -> Values:
+def stack(axis: int, *parts: Values) -> Values:
     """Parts side by side along a new axis."""
     return np.stack(_of_one_width(parts), axis)
 
 
-def unstacked(axis: int, x: Values) -> list[Values]:
+def unstack(axis: int, x: Values) -> list[Values]:
     """What lies along an axis."""
     return list(np.moveaxis(x, axis, 0))
 
@@ -166,7 +166,7 @@ def _of_one_width(parts: Sequence[Values]) -> list[Values]:
 # along axes
 
 
-def summed(add: np.ufunc, axes: tuple[int, ...], x: Values) -> Values:
+def sum_terms(add: np.ufunc, axes: tuple[int, ...], x: Values) -> Values:
     """Term by term along axes, of which there is something."""
     kept = [d for d in range(x.ndim) if d not in axes]
     total, *others = x.transpose(*axes, *kept).reshape(-1, *[x.shape[d] for d in kept])
@@ -180,7 +180,7 @@ def extreme(of: np.ufunc, axes: tuple[int, ...], x: Values) -> Values:
     return of.reduce(x, axis=axes)
 
 
-def counted(shape: tuple[int, ...], axis: int, dtype: np.dtype) -> Values:
+def iota(shape: tuple[int, ...], axis: int, dtype: np.dtype) -> Values:
     """The place of every number along an axis."""
     return np.broadcast_to(
         np.arange(shape[axis], dtype=dtype).reshape([-1 if d == axis else 1 for d in range(len(shape) + 1)]),
@@ -193,7 +193,7 @@ def whole(value: Any, dtype: np.dtype) -> Values:
     return np.full(1, value, dtype)
 
 
-def filled(shape: tuple[int, ...], value: Any, x: Values) -> Values:
+def fill(shape: tuple[int, ...], value: Any, x: Values) -> Values:
     """One value, in the place of an array without numbers."""
     return np.full((*shape, 1), value, x.dtype)
 
@@ -221,9 +221,9 @@ class Product(NamedTuple):
     dtype: np.dtype
 
 
-def multiplied(how: Product, a: Values, b: Values) -> Values:
+def dot_general(how: Product, a: Values, b: Values) -> Values:
     """Products of two arrays, summed term by term."""
-    a, b = turned(how.left, a), turned(how.right, b)
+    a, b = transpose(how.left, a), transpose(how.right, b)
     n = how.contracted + how.shared
     a = a.reshape(-1, *a.shape[how.contracted : -1], *[1] * how.free[1], a.shape[-1])
     b = b.reshape(-1, *b.shape[how.contracted : n], *[1] * how.free[0], *b.shape[n:])
@@ -249,7 +249,7 @@ def _products(a: Values, b: Values, result: Values) -> None:
         result += np.multiply(x, y, out=more)
 
 
-def factored(x: Values) -> Values:
+def cholesky(x: Values) -> Values:
     """The lower triangle of Cholesky's, of the last two axes."""
     rest, result = x.copy(), np.zeros_like(x)
     for k in range(x.shape[-2]):
@@ -269,7 +269,7 @@ class Triangle(NamedTuple):
     unit: bool  # its diagonal is of ones
 
 
-def solved(how: Triangle, a: Values, b: Values) -> Values:
+def solve_triangular(how: Triangle, a: Values, b: Values) -> Values:
     """What a triangle makes `b` of, by substitution."""
     if how.transposed == how.left:
         a = a.swapaxes(-3, -2)
@@ -322,7 +322,7 @@ class Places(NamedTuple):
         return found, within
 
 
-def gathered(places: Places, fill: Any, x: Values, indices: Values) -> Values:
+def gather(places: Places, fill: Any, x: Values, indices: Values) -> Values:
     """Windows of `x`; outside of it `fill`, or the nearest if that is None."""
     at, within = places.at(indices)
     if all(i.shape[-1] == 1 for i in at):
@@ -333,7 +333,7 @@ def gathered(places: Places, fill: Any, x: Values, indices: Values) -> Values:
     return result if fill is None else np.where(within, result, np.asarray(fill, x.dtype))
 
 
-def scattered(add: np.ufunc | None, places: Places, clip: bool, x: Values, indices: Values, updates: Values) -> Values:
+def scatter(add: np.ufunc | None, places: Places, clip: bool, x: Values, indices: Values, updates: Values) -> Values:
     """`x` with updates in windows, or added to them; outside of it nothing is done."""
     width = max(y.shape[-1] for y in (x, indices, updates))
     result = np.repeat(x, width, axis=-1) if x.shape[-1] < width else x.copy()
@@ -349,7 +349,7 @@ def scattered(add: np.ufunc | None, places: Places, clip: bool, x: Values, indic
     return result
 
 
-def sliced(sizes: tuple[int, ...], x: Values, *starts: Values) -> Values:
+def dynamic_slice(sizes: tuple[int, ...], x: Values, *starts: Values) -> Values:
     """A window of `x`, put within it."""
     lasts = [n - size for n, size in zip(x.shape, sizes, strict=False)]
     if all(s.shape[-1] == 1 for s in starts):
@@ -359,7 +359,7 @@ def sliced(sizes: tuple[int, ...], x: Values, *starts: Values) -> Values:
     return x[(*at, np.arange(max(i.shape[-1] for i in at)) if x.shape[-1] > 1 else 0)]
 
 
-def updated(x: Values, update: Values, *starts: Values) -> Values:
+def dynamic_update_slice(x: Values, update: Values, *starts: Values) -> Values:
     """`x` with a window replaced, which is put within it."""
     width = max(y.shape[-1] for y in (x, update, *starts))
     result = np.repeat(x, width, axis=-1) if x.shape[-1] < width else x.copy()

@@ -279,7 +279,7 @@ def looped(how: Repetition, *given: Values) -> list[Values]:
         carry = made[: how.carry]
         beside.append(made[how.carry :])
     beside = beside[:: -1 if how.reverse else 1]
-    return [*carry, *(batch_ops.stacked(0, *each) for each in zip(*beside, strict=True))]
+    return [*carry, *(batch_ops.stack(0, *each) for each in zip(*beside, strict=True))]
 
 
 def branched(branches: Sequence[Listing], index: Any, *given: Values) -> list[Values]:
@@ -288,7 +288,7 @@ def branched(branches: Sequence[Listing], index: Any, *given: Values) -> list[Va
     if len(index) == 1:
         return branches[min(max(int(index[0]), 0), len(branches) - 1)].run(given, {})
     each = [branch.run(given, {}) for branch in branches]
-    return [batch_ops.selected(index, *cases) for cases in zip(*each, strict=True)]
+    return [batch_ops.select(index, *cases) for cases in zip(*each, strict=True)]
 
 
 def _taken(x: Any, rank: int) -> Values:

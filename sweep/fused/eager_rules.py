@@ -29,7 +29,7 @@ UFUNCS: dict[str, np.ufunc] = {
 CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
 COMPUTED: dict[str, Callable[..., Any]] = {
     **UFUNCS, "rsqrt": ops.reciprocal_root, "logistic": ops.logistic, "one_minus_square": ops.one_minus_square,
-    "clamp": ops.clamped, "cholesky": ops.factored, "polynomial": ops.polynomial, "select_n": ops.selected,
+    "clamp": ops.clamp, "cholesky": ops.cholesky, "polynomial": ops.polynomial, "select_n": ops.select,
     "erf_inv": ops.erf_inv,
 }  # fmt: skip
 
@@ -56,7 +56,7 @@ def _shift_right_logical(eqn: Any) -> Callable:
 
 
 def _reshape(eqn: Any) -> Callable:
-    return partial(ops.reshaped, len(_shape(eqn.invars[0])), _shape(eqn.outvars[0]))
+    return partial(ops.reshape, len(_shape(eqn.invars[0])), _shape(eqn.outvars[0]))
 
 
 def _broadcast_in_dim(eqn: Any) -> Callable:
@@ -65,7 +65,7 @@ def _broadcast_in_dim(eqn: Any) -> Callable:
         raise Unsupported("broadcast_in_dim to a shape that is not known")
     if int(np.prod(shape)) == int(np.prod(_shape(eqn.invars[0]))):
         return _reshape(eqn)
-    return partial(ops.stretched, places, shape)
+    return partial(ops.broadcast_in_dim, places, shape)
 
 
 def _slice(eqn: Any) -> Callable:
@@ -79,7 +79,7 @@ def _pad(eqn: Any) -> Callable:
         raise Unsupported("pad by less than nothing")
     window = tuple(slice(low, low + (n - 1) * (inner + 1) + 1 if n else low, inner + 1)
                    for (low, _, inner), n in zip(config, lengths, strict=True))  # fmt: skip
-    return partial(ops.padded, _shape(eqn.outvars[0]), window)
+    return partial(ops.pad, _shape(eqn.outvars[0]), window)
 
 
 def _split(eqn: Any) -> Callable:
@@ -87,14 +87,14 @@ def _split(eqn: Any) -> Callable:
 
 
 def _iota(eqn: Any) -> Callable:
-    return partial(ops.counted, _shape(eqn.outvars[0]), eqn.params["dimension"], eqn.outvars[0].aval.dtype)
+    return partial(ops.iota, _shape(eqn.outvars[0]), eqn.params["dimension"], eqn.outvars[0].aval.dtype)
 
 
 def _reduction(eqn: Any) -> Callable:
     name, axes = REDUCTIONS[eqn.primitive.name], tuple(eqn.params["axes"])
     if not all(_shape(eqn.invars[0])):
-        return partial(ops.filled, _shape(eqn.outvars[0]), EMPTY[name])
-    return partial(ops.summed if name in ("add", "mul") else ops.extreme, UFUNCS[name], axes)
+        return partial(ops.fill, _shape(eqn.outvars[0]), EMPTY[name])
+    return partial(ops.sum_terms if name in ("add", "mul") else ops.extreme, UFUNCS[name], axes)
 
 
 def _argmax(of: Callable) -> Callable:
@@ -115,7 +115,7 @@ def _dot_general(eqn: Any) -> Callable:
     free_b = [d for d in range(len(_shape(eqn.invars[1]))) if d not in (*of_b, *batch_b)]
     left, right = (*of_a, *batch_a, *free_a), (*of_b, *batch_b, *free_b)
     free = len(free_a), len(free_b)
-    return partial(ops.multiplied, Product(left, right, len(of_a), len(batch_a), free, eqn.outvars[0].aval.dtype))
+    return partial(ops.dot_general, Product(left, right, len(of_a), len(batch_a), free, eqn.outvars[0].aval.dtype))
 
 
 def _gather(eqn: Any) -> Callable:
@@ -135,7 +135,7 @@ def _gather(eqn: Any) -> Callable:
     if "FILL" in str(eqn.params["mode"]):
         fill = eqn.params["fill_value"]
         fill = outside(out.dtype) if fill is None else fill
-    return partial(ops.gathered, places, fill)
+    return partial(ops.gather, places, fill)
 
 
 def _scatter(add: np.ufunc | None) -> Callable:
@@ -156,7 +156,7 @@ def _scatter(add: np.ufunc | None) -> Callable:
             tuple(d for d in range(len(updates)) if d not in dims.update_window_dims),
             len(updates),
         )
-        return partial(ops.scattered, add, places, "CLIP" in str(eqn.params["mode"]))
+        return partial(ops.scatter, add, places, "CLIP" in str(eqn.params["mode"]))
 
     return rule
 
@@ -165,7 +165,7 @@ def _triangular_solve(eqn: Any) -> Callable:
     left, lower, transposed, unit = (
         bool(eqn.params[name]) for name in ("left_side", "lower", "transpose_a", "unit_diagonal")
     )
-    return partial(ops.solved, Triangle(left, lower, transposed, unit))
+    return partial(ops.solve_triangular, Triangle(left, lower, transposed, unit))
 
 
 def _platform_index(eqn: Any) -> Callable:
@@ -178,19 +178,19 @@ RULES: dict[str, Callable[[Any], Callable[..., Any]]] = {
     "div": _div,
     "round": _round,
     "shift_right_logical": _shift_right_logical,
-    "convert_element_type": lambda eqn: partial(ops.converted, eqn.outvars[0].aval.dtype),
-    "bitcast_convert_type": lambda eqn: partial(ops.reinterpreted, eqn.outvars[0].aval.dtype),
+    "convert_element_type": lambda eqn: partial(ops.convert, eqn.outvars[0].aval.dtype),
+    "bitcast_convert_type": lambda eqn: partial(ops.reinterpret, eqn.outvars[0].aval.dtype),
     "integer_pow": lambda eqn: partial(ops.power, eqn.params["y"]),
     "broadcast_in_dim": _broadcast_in_dim,
     **dict.fromkeys(("reshape", "squeeze", "expand_dims"), _reshape),
-    "tile": lambda eqn: partial(ops.tiled, tuple(eqn.params["reps"])),
-    "transpose": lambda eqn: partial(ops.turned, tuple(eqn.params["permutation"])),
-    "rev": lambda eqn: partial(ops.flipped, tuple(eqn.params["dimensions"])),
+    "tile": lambda eqn: partial(ops.tile, tuple(eqn.params["reps"])),
+    "transpose": lambda eqn: partial(ops.transpose, tuple(eqn.params["permutation"])),
+    "rev": lambda eqn: partial(ops.flip, tuple(eqn.params["dimensions"])),
     "slice": _slice,
     "pad": _pad,
-    "concatenate": lambda eqn: partial(ops.joined, eqn.params["dimension"]),
-    "stack": lambda eqn: partial(ops.stacked, eqn.params["axis"]),
-    "unstack": lambda eqn: partial(ops.unstacked, eqn.params["axis"]),
+    "concatenate": lambda eqn: partial(ops.concatenate, eqn.params["dimension"]),
+    "stack": lambda eqn: partial(ops.stack, eqn.params["axis"]),
+    "unstack": lambda eqn: partial(ops.unstack, eqn.params["axis"]),
     "split": _split,
     "iota": _iota,
     **dict.fromkeys(REDUCTIONS, _reduction),
@@ -198,8 +198,8 @@ RULES: dict[str, Callable[[Any], Callable[..., Any]]] = {
     "argmax": _argmax(np.argmax),
     "argmin": _argmax(np.argmin),
     "dot_general": _dot_general,
-    "dynamic_slice": lambda eqn: partial(ops.sliced, tuple(eqn.params["slice_sizes"])),
-    "dynamic_update_slice": lambda _: ops.updated,
+    "dynamic_slice": lambda eqn: partial(ops.dynamic_slice, tuple(eqn.params["slice_sizes"])),
+    "dynamic_update_slice": lambda _: ops.dynamic_update_slice,
     "gather": _gather,
     "scatter": _scatter(None),
     "scatter-add": _scatter(np.add),
