@@ -35,7 +35,7 @@ class Buoy(Plane):
         body.ipos = [0, 0, 0]
         body.add_freejoint(name="buoy")
 
-    def leaves(self) -> dict[str, dict[str, Array]]:
+    def batched_model_fields(self) -> dict[str, dict[str, Array]]:
         """Mass and inertia."""
         return {"body_mass": {"buoy": jnp.asarray(self.mass)}, "body_inertia": {"buoy": jnp.ones(3)}}
 
@@ -44,7 +44,7 @@ class Buoy(Plane):
         still = jnp.zeros((1, 3))
         return FreeState(jnp.array([[3.0, 0.0, 1.0 + HEAVE]]), jnp.array([[1.0, 0, 0, 0]]), still, still)
 
-    def load(self, free: FreeState) -> Float[Array, "1 6"]:
+    def external_wrench(self, free: FreeState) -> Float[Array, "1 6"]:
         """Spring, and what carries the weight."""
         lift = self.mass * GRAVITY - self.stiffness * (free.position[0, 2] - 1)
         return jnp.zeros((1, 6)).at[0, 2].set(lift)
