@@ -46,8 +46,8 @@ def simulate_errors(exp: Experiment, folder: Path, u: np.ndarray) -> pd.DataFram
     one_noise = np.zeros(len(u), dtype=int)  # for all, so that lines are smooth
     nothing = {"weight": np.ones(len(u)), "round": np.zeros(len(u))}
     table = points(exp.study, exp.system, exp.settings, round_=Draws(ndtr(u), one_noise, nothing))
-    with store.locked(folder):
-        runner.mend(exp, folder)
+    with store.lock_folder(folder):
+        runner.repair_folder(exp, folder)
         runner.run(runner.lay_out(exp, folder, table), lambda rows: print(f"  {len(rows)} rollouts", file=sys.stderr))
     return store.read_rows(folder).set_index("point_id").loc[table["point_id"]].reset_index()
 

@@ -30,7 +30,7 @@ from sweep.core.expressions import column, evaluate
 from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
 from sweep.runs import runner
-from sweep.runs.batches import make_engine, nominal, with_room
+from sweep.runs.batches import make_engine, nominal, with_delay_buffer
 from sweep.study import adaptive_designs
 from sweep.study.adaptive_sampling import Draws, summarize_round
 from sweep.study.config import Experiment, compose_values, experiment
@@ -82,7 +82,7 @@ class Robots:
         self.lead = LEADS.get(scenario, LEAD)
         exp = self.scaled_study(1.0)
         first = self.points(exp, plain(exp, 1, 0))
-        self.exp = with_room(exp, first)
+        self.exp = with_delay_buffer(exp, first)
         start = nominal(self.exp, first.assign(width=width), width)
         self.width, self.engine = width, make_engine(self.exp, start)
         self.device = self.exp.system.device(start.settings)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from sweep.runs import store
-from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, refined
+from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, summarize_panels
 from sweep.study.config import experiment
 
 
@@ -15,7 +15,7 @@ def main(folder: Path, whole: Path) -> None:
     """Print the savings of the refined map, and where it is wrong."""
     exp = experiment(store.read_study(folder)["config"])
     rows = store.read_rows(folder)
-    (found,) = refined(exp, rows)
+    (found,) = summarize_panels(exp, rows)
     grid = store.read_rows(whole)
     truth = np.full(found.grid.shape, MISSING)
     truth[found.grid.places(grid)] = np.where(grid["outcome"] == "success", SUCCEEDS, FAILS)

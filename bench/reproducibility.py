@@ -63,7 +63,7 @@ def compare_folders(way: str, base: Path, other: Path) -> Line:
 def run_interrupted(out: Path) -> None:
     """Run the study, killed after its first part and started again."""
     process = start_study(out, [WIDTH], {}, 0)
-    while not (out / store.STUDY).exists() or not store.finished(out):
+    while not (out / store.STUDY).exists() or not store.finished_batches(out):
         time.sleep(0.05)
     process.send_signal(signal.SIGKILL)
     process.wait()

@@ -40,7 +40,7 @@ def run(overrides: list[str]) -> pd.DataFrame:
 def load(folder: str | PathLike[str], where: str | None = None) -> pd.DataFrame:
     """Rows of a folder, see `sweep.load`."""
     folder = Path(folder)
-    exp = results.kept(folder)
+    exp = results.load_experiment(folder)
     rows = name_axes(store.read_rows(folder), exp.study.axes)
     if where:
         rows = rows[mask(rows, where)].reset_index(drop=True)
@@ -133,7 +133,7 @@ class Accessor:
         if self._rows.empty:
             raise InputError(f"no row of {self._folder} is chosen: nothing to show")
         stored = store.read_study(self._folder)
-        exp = results.kept(self._folder)
+        exp = results.load_experiment(self._folder)
         rows, copies = distinct(name_axes(self._rows, exp.study.axes), exp)
         return results.Results(self._folder, stored, exp, rows, None, len(self._rows), copies)
 

@@ -35,7 +35,7 @@ def start(folder: Path, *overrides: str, fake: bool = True, **environment: str) 
 def wait_for(folder: Path, parts: int, process: subprocess.Popen) -> None:
     """Wait until so many parts are on disk, while `process` runs."""
     deadline = time.monotonic() + 120
-    while len(store.finished(folder)) < parts:
+    while len(store.finished_batches(folder)) < parts:
         if process.poll() is not None or time.monotonic() > deadline:
             process.kill()
             raise AssertionError(process.communicate())

@@ -14,7 +14,7 @@ from small_study import BATCHES, STUDY, content, one_line, start, wait_for, with
 
 from sweep.cli.main import main
 from sweep.core.errors import InputError
-from sweep.runs import histories, repair, store
+from sweep.runs import repair, store, time_series
 from sweep.study import clusters
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
@@ -28,7 +28,7 @@ def test_a_killed_worker_costs_time_only(tmp_path, whole):
     workers = [p for p in psutil.Process(process.pid).children(recursive=True) if "spawn_main" in "".join(p.cmdline())]
     assert len(workers) == 2
     random.Random(1).choice(workers).kill()
-    assert len(store.finished(tmp_path)) < BATCHES
+    assert len(store.finished_batches(tmp_path)) < BATCHES
     out, error = process.communicate(timeout=240)
     assert process.returncode == 0, error
     assert "56 of 56 planned rollouts" in out
@@ -42,7 +42,7 @@ def test_a_batch_that_kills_every_worker_is_named_and_the_others_are_done(tmp_pa
     _, error = process.communicate(timeout=400)
     assert process.returncode == 5
     one_line(error, "1 batches lost their worker", "the same command finishes the rest")
-    assert store.finished(tmp_path) == set(range(BATCHES - 1))
+    assert store.finished_batches(tmp_path) == set(range(BATCHES - 1))
 
 
 @pytest.mark.slow
@@ -51,7 +51,7 @@ def test_workers_keep_histories_and_the_last_states_of_few_invalid_rows(tmp_path
     process = start(tmp_path, *WORKERS, *broken, "study.keep=[tilt_deg]", "study.keep_rows=20")
     _, error = process.communicate(timeout=400)
     assert process.returncode == 0, error
-    assert histories.read(tmp_path)["point_id"].nunique() == 20
+    assert time_series.read(tmp_path)["point_id"].nunique() == 20
     assert len(list((tmp_path / store.LAST_STATES).iterdir())) == 10
     assert not repair.verify(tmp_path)[0]
 

@@ -12,8 +12,8 @@ import sweep
 from sweep.cli.main import main
 from sweep.engines.base import Watch
 from sweep.report import overlay
-from sweep.runs import histories, manifest, results, store
-from sweep.runs.batches import batch, make_engine, nominal, plan
+from sweep.runs import manifest, results, store, time_series
+from sweep.runs.batches import assign_batches, batch, make_engine, nominal
 from sweep.runs.runner import wanted_points
 from sweep.study.config import compose
 
@@ -29,7 +29,7 @@ def folder(fake_engine, tmp_path):
 
 
 def test_the_first_rows_of_a_study_are_kept_over_time(folder, whole):
-    kept, rows = histories.read(folder), content(folder)
+    kept, rows = time_series.read(folder), content(folder)
     assert kept.columns.to_list() == ["point_id", "time_s", "tilt_deg", "base_z_m"]
     assert kept["point_id"].unique().tolist() == rows["point_id"].iloc[:20].tolist()
     assert (kept.groupby("point_id").size() == 20).all()  # 10 s, twice a second
@@ -78,7 +78,7 @@ def test_the_first_invalid_rows_keep_their_last_states(fake_engine, tmp_path):
     rows = content(tmp_path)
     broken = rows[rows["outcome"] == "invalid"]
     assert len(broken) == 17
-    entries = store.beside(tmp_path, store.LAST_STATES)
+    entries = store.list_recordings(tmp_path, store.LAST_STATES)
     assert [e.file.split("/")[1].split("-")[0] for e in entries] == broken["point_id"].iloc[:10].tolist()
     states = store.read_part(tmp_path, entries[0])
     assert states["time_s"].iloc[0] == pytest.approx(9.004)
@@ -88,12 +88,12 @@ def test_the_first_invalid_rows_keep_their_last_states(fake_engine, tmp_path):
 
 
 def test_a_run_without_invalid_rows_simulates_nothing_twice(folder):
-    assert not store.beside(folder, store.LAST_STATES)
+    assert not store.list_recordings(folder, store.LAST_STATES)
     assert not (folder / store.LAST_STATES).exists()
 
 
 def test_what_lies_beside_the_parts_counts_as_they_do(folder, capsys):
-    entry, other = store.beside(folder, store.HISTORIES)[:2]
+    entry, other = store.list_recordings(folder, store.HISTORIES)[:2]
     (folder / entry.file).write_bytes(b"nothing")
     (folder / store.HISTORIES / "stranger.parquet").write_bytes(b"")
     assert main(["verify", str(folder)]) == 4
@@ -110,9 +110,9 @@ def test_what_lies_beside_the_parts_counts_as_they_do(folder, capsys):
 
 
 def test_relabelling_and_putting_parts_together_keep_histories(folder):
-    before = store.beside(folder, store.HISTORIES)
+    before = store.list_recordings(folder, store.HISTORIES)
     assert main(["relabel", str(folder), "slip_max_m<0.02"]) == 0
-    assert store.beside(folder, store.HISTORIES) == before
+    assert store.list_recordings(folder, store.HISTORIES) == before
 
 
 @pytest.mark.slow
@@ -120,7 +120,7 @@ def test_relabelling_and_putting_parts_together_keep_histories(folder):
 def test_rollouts_that_are_watched_are_those_of_the_run(name):
     exp = compose(["study=walk_map", "study.axes.friction.num=4", "study.axes.step.num=2", "engine.width=8",
                    "manoeuvre.steps=1", f"engine={name}"])  # fmt: skip
-    rows = plan(exp, pd.DataFrame(), wanted_points(exp))
+    rows = assign_batches(exp, pd.DataFrame(), wanted_points(exp))
     engine, task = make_engine(exp, nominal(exp, rows, 8)), batch(exp, rows)
     inputs = task.world, task.belief, task.streams
     watch, trace = Watch(("base_z_m", "tilt_deg", "foot1_force_z_n"), 5, 10), engine.trace(*inputs, 6)

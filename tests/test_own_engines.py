@@ -83,7 +83,7 @@ def here(folder, monkeypatch):
 
 def figures(exp, table, **engine):
     """Those of a study's points, in one batch of an engine."""
-    rows = batches.plan(exp, pd.DataFrame(), table).assign(width=len(table))
+    rows = batches.assign_batches(exp, pd.DataFrame(), table).assign(width=len(table))
     task = batches.batch(exp, rows)
     made = exp.system.engine(replace(task.settings, **engine), task.world, task.belief, None)
     return made.run(task.world, task.belief, task.streams)
@@ -94,7 +94,7 @@ def test_both_engines_simulate_the_same_physics(here):
     lift = "study.axes.lift={path: model.body.trunk.gravcomp, side: world, values: [0, 0.3]}"  # none nominally
     near = "study.axes.near={path: model.geom.foot.margin, side: world, values: [0, 0.01]}"
     exp = compose(["study=study.yaml", lift, near, "engine.precision=float64", "noise.white=0.01", "noise.delay=1"])
-    exp = batches.with_room(exp, table := wanted_points(exp))
+    exp = batches.with_delay_buffer(exp, table := wanted_points(exp))
     native, again = (figures(exp, table, name=name) for name in ("native", "mjx"))
     assert native["slip_max_m"].max() > 0.005
     assert native["tilt_max_deg"].max() > 90
@@ -113,7 +113,7 @@ def test_both_engines_simulate_the_same_physics(here):
 def test_warp_simulates_the_same_physics(here):
     """In single precision, on Warp's CPU where there is no GPU; each rollout has fields of its own."""
     exp = compose(["study=study.yaml", "noise.white=0.01", "noise.delay=1"])
-    exp = batches.with_room(exp, table := wanted_points(exp))
+    exp = batches.with_delay_buffer(exp, table := wanted_points(exp))
     native, again = (figures(exp, table, name=name) for name in ("native", "warp"))
     for name in ("base_height_min_m", "tilt_max_deg", "travelled_m", "slip_max_m", "energy_j", "load_max_n"):
         assert len(np.unique(native[name])) > 6

@@ -42,8 +42,8 @@ def here(quad, monkeypatch):
 
 def figures(exp, rows):
     """Those of some rows of a study's points, in a batch of their own."""
-    rows = batches.plan(exp, pd.DataFrame(), rows.reset_index(drop=True)).assign(width=len(rows))
-    exp = batches.with_room(exp, rows)
+    rows = batches.assign_batches(exp, pd.DataFrame(), rows.reset_index(drop=True)).assign(width=len(rows))
+    exp = batches.with_delay_buffer(exp, rows)
     task, start = batches.batch(exp, rows), batches.nominal(exp, rows, len(rows))
     return batches.make_engine(exp, start).run(task.world, task.belief, task.streams)
 
@@ -134,7 +134,7 @@ def test_what_was_killed_goes_on_to_the_same_rows(here):
     wait_for(Path("killed"), 2, process)
     process.kill()
     process.wait()
-    assert len(store.finished(Path("killed"))) < 9
+    assert len(store.finished_batches(Path("killed"))) < 9
     assert main([*asked, "out=killed"]) == main([*asked, "out=through"]) == 0
     pd.testing.assert_frame_equal(content(Path("killed")), content(Path("through")))
 

@@ -9,7 +9,7 @@ from scipy.ndimage import binary_dilation
 import sweep.engines
 from sweep.cli.main import main
 from sweep.runs import refine, store
-from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, bisected, filled, leaves
+from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, bisect_cells, fill_cells, leaves
 from sweep.study.config import compose, experiment
 
 FRICTION = "study.axes.friction={path: contact.friction, side: world, from: 0.05, to: 1.2, num: 9}"
@@ -20,7 +20,7 @@ AXES = ["study=walk_map", "study.expect=[]", FRICTION, STEP]
 def explored(truth, halvings):
     """The points that bisection asks for, told the truth round by round."""
     label = np.full(truth.shape, MISSING)
-    while ((wanted := bisected(label, halvings)) & (label == MISSING)).any():
+    while ((wanted := bisect_cells(label, halvings)) & (label == MISSING)).any():
         label[wanted] = truth[wanted]
     return label
 
@@ -34,7 +34,7 @@ def test_bisection_finds_a_disc_with_ten_times_fewer_points():
     truth = disc(129)
     label = explored(truth, 4)
     assert (label != MISSING).sum() < truth.size / 10
-    assert (filled(label, 4) == truth).all()
+    assert (fill_cells(label, 4) == truth).all()
 
 
 def test_the_cells_that_are_left_tile_the_map_and_only_the_smallest_disagree():
@@ -55,26 +55,26 @@ def test_a_strip_that_leaves_a_cell_through_its_side_is_followed():
     truth[20:23] = SUCCEEDS  # thinner than a cell of the first grid: seen only where it is met
     truth[16:33, 14:18] = SUCCEEDS  # it joins the strip, and meets two points of the first grid
     label = explored(truth, 4)
-    assert (filled(label, 4) == truth).all()
+    assert (fill_cells(label, 4) == truth).all()
 
 
 def test_a_boundary_in_three_dimensions_and_along_one():
     x, y, z = np.meshgrid(*[np.arange(33)] * 3, indexing="ij")
     truth = np.where(x + 2 * y + z < 60, SUCCEEDS, FAILS)
     label = explored(truth, 3)
-    assert (filled(label, 3) == truth).all()
+    assert (fill_cells(label, 3) == truth).all()
     assert (label != MISSING).mean() < 0.5
     line = np.where(np.arange(1025) < 300, SUCCEEDS, FAILS)
     label = explored(line, 10)
     assert (label != MISSING).sum() == 2 + 10
-    assert (filled(label, 10) == line).all()
+    assert (fill_cells(label, 10) == line).all()
 
 
 def test_what_the_first_grid_does_not_meet_is_an_island_that_the_audit_can_meet():
     truth = disc(129)
     truth[1:15, 1:15] = SUCCEEDS
     label = explored(truth, 4)
-    wrong = filled(label, 4) != truth
+    wrong = fill_cells(label, 4) != truth
     assert 0 < wrong.mean() < 14 * 14 / 129**2 + 1e-9
 
 
@@ -98,7 +98,7 @@ def test_a_refined_map_is_the_grid_with_ten_times_fewer_rollouts(tmp_path, capsy
     out = capsys.readouterr().out
     rows = store.read_rows(tmp_path)
     exp = experiment(store.read_study(tmp_path)["config"])
-    (found,) = refine.refined(exp, rows)
+    (found,) = refine.summarize_panels(exp, rows)
     assert found.grid.shape == (129, 129)
     friction, ratio = np.meshgrid(*found.grid.values, indexing="ij")
     truth = np.where(friction < 5 * ratio, FAILS, SUCCEEDS)
@@ -128,7 +128,7 @@ def test_the_walking_map_is_its_whole_grid_with_ten_times_fewer_rollouts(tmp_pat
     for name, overrides in (("refined", []), ("whole", whole)):
         assert main(["run", "study=walk_map_refined", *overrides, f"out={tmp_path / name}"]) == 0
     exp = experiment(store.read_study(tmp_path / "refined")["config"])
-    (found,) = refine.refined(exp, store.read_rows(tmp_path / "refined"))
+    (found,) = refine.summarize_panels(exp, store.read_rows(tmp_path / "refined"))
     grid = store.read_rows(tmp_path / "whole")
     outcome = np.full(found.grid.shape, "missing", dtype=object)
     outcome[found.grid.places(grid)] = grid["outcome"]
@@ -183,7 +183,7 @@ def test_noisy_points_get_rollouts_until_decided_or_the_budget_is_spent(tmp_path
     assert spent.iloc[[0, 1, -2, -1]].max() <= 90  # far from the level, which is at a friction of 0.3
     assert spent[[0.25, 0.35]].min() > 200
     exp = experiment(store.read_study(tmp_path)["config"])
-    (found,) = refine.refined(exp, rows)
+    (found,) = refine.summarize_panels(exp, rows)
     assert found.label.tolist() == [SUCCEEDS] * 3 + [FAILS] * 7
     assert found.undecided == 0
     assert main(["run", *NOISY, "study.level=0.7", "study.budget=210", f"out={tmp_path / 'small'}"]) == 0

@@ -43,7 +43,7 @@ def test_a_study_as_slurm_jobs_survives_a_killed_worker_and_a_cancelled_job(tmp_
     workers[0].kill()
     wait_for(out, 3, process)
     subprocess.run(["scancel", jobs(slurm)[0].split()[0]], env=slurm, check=True)
-    assert len(store.finished(out)) < BATCHES
+    assert len(store.finished_batches(out)) < BATCHES
     _, error = process.communicate(timeout=300)
     assert process.returncode == 0, error
     assert without_progress(error).count("\n") == 1, error

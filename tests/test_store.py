@@ -30,7 +30,7 @@ def test_a_killed_run_restarted_gives_what_an_uninterrupted_one_gives(tmp_path, 
     assert main(["run", *STUDY, f"out={killed}"]) == 2  # locked by the other process
     process.send_signal(signal.SIGKILL)
     process.communicate()
-    done = store.finished(killed)
+    done = store.finished_batches(killed)
     assert 2 <= len(done) < BATCHES
     assert main(["run", *STUDY, f"out={killed}"]) == 0
     pd.testing.assert_frame_equal(content(killed), whole)

@@ -5,7 +5,7 @@ import pytest
 from sweep.cli.main import main
 from sweep.core.expressions import mask
 from sweep.core.parameters import InputError
-from sweep.runs.batches import batch, nominal, plan, with_room
+from sweep.runs.batches import assign_batches, batch, nominal, with_delay_buffer
 from sweep.runs.runner import wanted_points
 from sweep.study.config import compose
 from sweep.study.designs import parse_axes
@@ -22,7 +22,7 @@ def table_of(*overrides):
 
 def test_a_world_axis_never_reaches_the_belief():
     exp, table = table_of(FRICTION, "+study.axes.b={path: contact.friction, values: [0.7]}", "engine.width=4")
-    table = plan(exp, pd.DataFrame(), table)
+    table = assign_batches(exp, pd.DataFrame(), table)
     task = batch(exp, table)
     np.testing.assert_array_equal(task.world.contact.friction, [0.5, 1.0, 1.5, 1.5])  # the last row is repeated
     np.testing.assert_array_equal(task.belief.contact.friction, [0.7] * 4)
@@ -50,7 +50,7 @@ def test_replicates_share_their_noise_across_the_axes():
 def test_static_axes_make_groups_and_batches_belong_to_one():
     engine = "+study.axes.e={path: engine.name, values: [mjx, native]}"
     exp, table = table_of(FRICTION, engine, "study.replicates=5")
-    table = plan(exp, pd.DataFrame(), table)
+    table = assign_batches(exp, pd.DataFrame(), table)
     assert table.groupby("engine.name")["group"].nunique().eq(1).all()
     assert table.groupby("batch")["group"].nunique().eq(1).all()
     assert table["width"].unique().tolist() == [8]  # 15 rows of either engine, at most 8 wide: two even batches
@@ -105,26 +105,26 @@ def test_a_study_that_is_too_large_is_refused_before_it_is_built(overrides):
 
 def test_extending_a_study_keeps_membership_and_slots():
     exp, few = table_of(FRICTION)
-    first = plan(exp, pd.DataFrame(), few)
+    first = assign_batches(exp, pd.DataFrame(), few)
     exp, more = table_of(FRICTION.replace("1.5", "1.5, 2.0, 0.1"))
-    grown = plan(exp, first, more)
+    grown = assign_batches(exp, first, more)
     pd.testing.assert_frame_equal(grown.iloc[:3], first)
     assert grown["batch"].tolist() == [0, 0, 0, 1, 1]
 
 
 def test_the_delay_buffer_has_room_for_the_longest_delay():
     exp, table = table_of("+study.axes.d={path: noise.delay, side: world, values: [0, 3]}")
-    assert with_room(exp, table).case.noise.delay_buffer == 3
+    assert with_delay_buffer(exp, table).case.noise.delay_buffer == 3
     columns = "world.noise.delay", "world.noise.load_delay"
     table = pd.DataFrame([(0.0, 7.0), (5.0, 0.0), (4.0, 4.0)], columns=columns)
-    assert with_room(exp, table).case.noise.delay_buffer == 8
+    assert with_delay_buffer(exp, table).case.noise.delay_buffer == 8
 
 
 def test_the_delay_buffer_has_room_for_all_that_may_be_drawn():
     axis = "+study.axes.d={path: noise.delay, side: world, distribution: {kind: uniform, from: 0, to: 12}}"
     exp, table = table_of(axis, "study.design.num=2")
     assert table["world.noise.delay"].max() < 11
-    assert with_room(exp, table).case.noise.delay_buffer == 12
+    assert with_delay_buffer(exp, table).case.noise.delay_buffer == 12
 
 
 def test_rows_of_a_file_have_noise_of_their_own_wherever_they_stand(tmp_path):
@@ -146,7 +146,7 @@ def test_points_from_a_file_take_the_place_of_the_grid(tmp_path):
     file.write_text("world.contact.friction, manoeuvre.gait\n0.3, tripod\n1, gallop\n1, gallop\n")
     exp, table = table_of("study=walk_map", f"study.points={file}", "study.where=null")
     assert table["world.contact.friction"].tolist() == [0.3, 1.0]
-    assert plan(exp, pd.DataFrame(), table)["group"].tolist() == [0, 1]
+    assert assign_batches(exp, pd.DataFrame(), table)["group"].tolist() == [0, 1]
     file.write_text("contact.friction\n-1\n")
     with pytest.raises(InputError, match=r"contact\.friction = -1 is not allowed"):
         table_of(f"study.points={file}")

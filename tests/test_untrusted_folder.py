@@ -62,7 +62,7 @@ def commands(folder):
 @pytest.mark.parametrize("place", ["part", "beside"])
 def test_a_manifest_names_files_of_the_folder_only(folder, secret, capsys, name, place):
     name = name.format(secret=secret)
-    entry = dataclasses.replace(store.counted(folder)[0], file=name, length=len(SECRET), labels="others")
+    entry = dataclasses.replace(store.current_parts(folder)[0], file=name, length=len(SECRET), labels="others")
     manifest_line = manifest.line(entry if place == "part" else dataclasses.replace(entry, batches=()))
     with (folder / manifest.MANIFEST).open("a") as file:
         file.write(f"{manifest_line}\n")
@@ -79,7 +79,7 @@ def test_a_manifest_names_files_of_the_folder_only(folder, secret, capsys, name,
 
 
 def test_a_manifest_line_with_values_of_other_types_is_one_line(folder, capsys):
-    good = dataclasses.asdict(store.counted(folder)[0])
+    good = dataclasses.asdict(store.current_parts(folder)[0])
     for change in ({"file": 3}, {"batches": ["0"]}, {"length": None}, {"more": 1}):
         text = manifest.json.dumps({**good, **change})
         (folder / manifest.MANIFEST).write_text(f"{manifest.files.digest(text.encode())[:16]} {text}\n")
@@ -90,7 +90,7 @@ def test_a_manifest_line_with_values_of_other_types_is_one_line(folder, capsys):
 @pytest.mark.parametrize("name", [store.STUDY, store.POINTS, manifest.MANIFEST, store.LOG, store.LOCK, "report.html",
                                   "parts", "part"])  # fmt: skip
 def test_a_link_that_leads_out_of_the_folder_is_not_followed(folder, secret, capsys, name):
-    path = folder / (store.counted(folder)[0].file if name == "part" else name)
+    path = folder / (store.current_parts(folder)[0].file if name == "part" else name)
     if name == "parts":
         shutil.move(path, secret.with_name("elsewhere"))
         path.symlink_to(secret.with_name("elsewhere"))
@@ -115,7 +115,7 @@ def test_a_link_that_leads_out_of_the_folder_is_not_followed(folder, secret, cap
 
 
 def test_a_pipe_in_a_folder_is_refused_and_not_waited_for(folder, capsys):
-    for name in (store.POINTS, store.counted(folder)[0].file):
+    for name in (store.POINTS, store.current_parts(folder)[0].file):
         (folder / name).unlink()
         os.mkfifo(folder / name)
         assert main(["table", str(folder)]) == 2
@@ -136,7 +136,7 @@ def test_a_path_in_a_folder_may_be_new_or_linked_within_it(tmp_path):
 def forged(folder, change):
     """The folder with the rows of its first part changed, and a manifest that vouches for them."""
     entries = manifest.read(folder)
-    part = store.counted(folder)[0]
+    part = store.current_parts(folder)[0]
     rows = change(store.read_part(folder, part))
     manifest.rewrite(folder, [one for one in entries if one != part])
     (folder / part.file).unlink()
@@ -168,7 +168,7 @@ def test_rows_that_are_not_those_of_the_plan_are_named_and_made_again(folder, wh
 
 
 def test_verify_counts_planned_rollouts_that_are_not_there(folder, capsys):
-    part = store.counted(folder)[2]
+    part = store.current_parts(folder)[2]
     manifest.rewrite(folder, [one for one in manifest.read(folder) if one != part])
     (folder / part.file).unlink()
     assert main(["verify", str(folder)]) == 0

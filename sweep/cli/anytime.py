@@ -9,7 +9,7 @@ from sweep.analysis.intervals import CONFIDENCE
 from sweep.cli.run import reporting
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
-from sweep.runs import growth, results, store
+from sweep.runs import extend, results, store
 from sweep.study.config import Experiment
 from sweep.study.study import name_axes
 
@@ -36,21 +36,21 @@ def run(given: argparse.Namespace, by: list[str] | None) -> sequential.Verdict:
         raise InputError("--anytime compares two folders: give A and one B")
     folders, conditions = (given.a, given.b[0]), (given.where_a, given.where_b)
     rows = [store.read_rows(folder) for folder in folders]
-    exps = [results.kept(folder) for folder in folders]
+    exps = [results.load_experiment(folder) for folder in folders]
     while True:
         a, b = (named_rows(*one) for one in zip(rows, exps, conditions, strict=True))
         found = sequential.verdict(compare.pair(a, b, by), level)
-        now = max(map(growth.draws, exps))
+        now = max(map(extend.draws, exps))
         if found.decided or given.most is None or now >= given.most:
             return found
         for exp, folder in zip(exps, folders, strict=True):
-            growth.check(exp, folder)
-        a_draw = max(len(rows[0]) // growth.draws(exps[0]), 1)  # rollouts
+            extend.check(exp, folder)
+        a_draw = max(len(rows[0]) // extend.draws(exps[0]), 1)  # rollouts
         number = min(now + max(int(rows[0]["width"].iloc[-1]) // a_draw, now // 4, 1), given.most)
         for k, folder in enumerate(folders):
-            asked = len(rows[k]) * number // growth.draws(exps[k]) - len(rows[k])
+            asked = len(rows[k]) * number // extend.draws(exps[k]) - len(rows[k])
             with reporting(folder.name, asked, f"{exps[k].scenario} for {folder.name}") as report:
-                exps[k] = growth.grow(exps[k], folder, number, report)
+                exps[k] = extend.grow(exps[k], folder, number, report)
             rows[k] = store.read_rows(folder)
 
 

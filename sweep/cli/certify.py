@@ -17,7 +17,7 @@ from sweep.cli.run import reporting
 from sweep.core.errors import InputError
 from sweep.core.files import path_in
 from sweep.report.tables import page_table
-from sweep.runs import growth, results, runner, store
+from sweep.runs import extend, results, runner, store
 from sweep.study.config import Experiment, experiment
 
 MOST_PARAMETERS = 8
@@ -33,7 +33,7 @@ def run(given: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     """
     check(given)
     folder, rows = given.dir, store.read_rows(given.dir)
-    exp = results.kept(folder)
+    exp = results.load_experiment(folder)
     names = parameters(exp, rows)
     order = np.random.default_rng(0).permutation(len(rows))
     learned = values(rows if given.rollouts else rows.iloc[order[::2]], names)
@@ -89,7 +89,7 @@ def drawn(exp: Experiment, folder: Path, seed: int, number: int) -> pd.DataFrame
     """So many rows of the study with another seed, in a `folder` of its own."""
     fresh = seeded(exp, folder, seed, number)
     with reporting("fresh draws", number, f"{exp.scenario} for fresh draws") as report:
-        growth.grow(fresh, folder, number, report)
+        extend.grow(fresh, folder, number, report)
     rows = store.read_rows(folder)
     return rows[rows["replicate"] < number]
 
@@ -121,8 +121,8 @@ def checked(
         "outside": np.flatnonzero(~inside)[:CHECKED],
     }
     chosen = np.unique(np.concatenate(list(kinds.values())))
-    with store.locked(place), reporting("checks", len(chosen), f"{exp.scenario} for checks") as report:
-        runner.mend(again, place)
+    with store.lock_folder(place), reporting("checks", len(chosen), f"{exp.scenario} for checks") as report:
+        runner.repair_folder(again, place)
         runner.run(runner.lay_out(again, place, table.iloc[chosen].reset_index(drop=True)), report)
     rows = store.read_rows(place).set_index("point_id")
     lines = []

@@ -244,10 +244,10 @@ def run(argv: list[str]) -> int:
     several = any(one.startswith(("-m", "--m")) for one in overrides)  # Hydra's --multirun: one process, one choice
 
     def work(exp: "Experiment") -> int:
-        from sweep.runs import place
+        from sweep.runs import device_choice
 
         if exp.cluster.kind == "local" and not several:
-            place.of_run(exp)
+            device_choice.choose_device_for_run(exp)
         if exp.settings.name == "mjx" and not given.dry_run and not exp.cluster.is_remote:
             devices.begin()
         from sweep.cli.run import Flags, execute  # takes another, which what is wrong need not wait for

@@ -27,10 +27,10 @@ def status(given: argparse.Namespace) -> int:
     from sweep.runs import results, store
 
     stored, planned = store.read_study(given.dir), store.read_points(given.dir)
-    done = planned["batch"].isin(store.finished(given.dir)).sum() if len(planned) else 0
+    done = planned["batch"].isin(store.finished_batches(given.dir)).sum() if len(planned) else 0
     print(f"{given.dir}: {done} of {stored['rollouts']} rollouts done, code {stored['commit'] or stored['code']}")
     if done:
-        rows, exp = store.read_rows(given.dir), results.kept(given.dir)
+        rows, exp = store.read_rows(given.dir), results.load_experiment(given.dir)
         meanings = exp.system.cause_meanings(exp.thresholds)
         if exp.study.is_adaptive:
             print(headline(rows, exp))
@@ -53,7 +53,7 @@ def verify(args: argparse.Namespace) -> int:
     print(f"{args.dir}: {sound} part{' is' if sound == 1 else 's are'} sound{remedy}")
     if problems:
         return UNEXPECTED
-    planned, done = store.read_points(args.dir), store.finished(args.dir)
+    planned, done = store.read_points(args.dir), store.finished_batches(args.dir)
     if len(planned) and (there := int(planned["batch"].isin(done).sum())) < len(planned):
         print(f"{args.dir}: {there} of {len(planned)} planned rollouts are there")
     if args.simulate is None:
@@ -70,7 +70,7 @@ def matching(folder: Path, condition: str | None) -> "pd.DataFrame":
     from sweep.runs import results, store
     from sweep.study.study import name_axes
 
-    rows = name_axes(store.read_rows(folder), results.kept(folder).study.axes)
+    rows = name_axes(store.read_rows(folder), results.load_experiment(folder).study.axes)
     found = rows[mask(rows, condition)].reset_index(drop=True) if condition else rows
     if len(found) < len(rows) and found.empty:
         print(f"sweep: none of {len(rows)} rows of {folder} matches {condition!r}", file=sys.stderr)
@@ -104,7 +104,7 @@ def show_table(given: argparse.Namespace) -> int:
 
     if given.format == "parquet" and not given.output:
         raise InputError("--format parquet needs a file: -o FILE")
-    exp = results.kept(given.dir)
+    exp = results.load_experiment(given.dir)
     content = tables.render(matching(given.dir, given.where), given.format, names(given.columns), exp)
     if given.output:
         save(given.output, content)
@@ -125,7 +125,7 @@ def show_statistics(given: argparse.Namespace) -> int:
         column(rows, given.figure)
     if not 0 < given.level < 1:
         raise InputError(f"--level = {given.level:g} is not allowed: between 0 and 1")
-    exp = results.kept(given.dir)
+    exp = results.load_experiment(given.dir)
     if given.figure and exp.study.design.kind not in ("saltelli", "morris"):
         raise InputError("--figure is for sensitivity: it needs a study with study.design.kind=saltelli or morris")
     terminal.print_markdown(statistics.render(rows, exp, given.level, given.figure), kept=("share", "low", "high"))
@@ -142,7 +142,7 @@ def draw_report(given: argparse.Namespace) -> int:
     from sweep.core.expressions import column
     from sweep.core.progress import show_counts
     from sweep.report import chosen, maps, page, replays, typical
-    from sweep.runs import place, results
+    from sweep.runs import device_choice, results
 
     if given.replays < 0:
         raise InputError(f"--replays = {given.replays} is not allowed: at least 0")
@@ -155,7 +155,7 @@ def draw_report(given: argparse.Namespace) -> int:
     if given.pictures:
         typical.draw(found)
     if given.replays:
-        place.like_rows_of(given.dir)
+        device_choice.choose_device_for_folder(given.dir)
         with show_counts(again, 0, given.replays) as report:
             replays.make(found, chosen.chosen(found, given.replays), report)
     print(page.write(found, path_in(folder, "report.html"), chosen=columns))
@@ -168,14 +168,14 @@ def draw_pairs(given: argparse.Namespace, a: "Results", folder: Path) -> int:
     """The page of the same points in two folders."""
     from sweep.core.progress import show_counts
     from sweep.report import page, pairs
-    from sweep.runs import place, results
+    from sweep.runs import device_choice, results
 
     if given.pictures or given.x or given.y:
         raise InputError("--pictures, --x and --y are of one study")
     b = results.read(given.b, given.where)
     found, table = pairs.joined(a, b)
     if given.replays:
-        place.like_rows_of(given.dir)
+        device_choice.choose_device_for_folder(given.dir)
         with show_counts(again, 0, given.replays) as report:
             pairs.simulated(a, b, given.replays, report)
     about = page.Pairs(
@@ -216,7 +216,7 @@ def export_results(given: argparse.Namespace) -> int:
             raise InputError("--where and --serif are of --paper: a crate has the whole study")
         store.read_study(given.dir)  # before it is held, which would make it
         # nothing is added while it is copied, nor ever to what cannot be written
-        with store.locked(given.dir) if os.access(given.dir, os.W_OK) else nullcontext():
+        with store.lock_folder(given.dir) if os.access(given.dir, os.W_OK) else nullcontext():
             print(crate.write(results.read(given.dir), given.crate, given.license, given.zip, given.author))
         return DONE
     if given.zip or given.author or given.license != LICENSE:
@@ -242,9 +242,9 @@ def compare_results(given: argparse.Namespace) -> int:
             raise InputError(f"--{name} = {value:g} is for --anytime")
     if given.anytime:
         from sweep.cli import anytime
-        from sweep.runs import place
+        from sweep.runs import device_choice
 
-        place.like_rows_of(given.a)
+        device_choice.choose_device_for_folder(given.a)
         print(anytime.run(given, names(given.by)))
         return DONE
     a, differ, broken = matching(given.a, given.where_a), [], []
@@ -268,9 +268,9 @@ def certify_results(given: argparse.Namespace) -> int:
     import json
 
     from sweep.cli import certify
-    from sweep.runs import place
+    from sweep.runs import device_choice
 
-    place.like_rows_of(given.dir)
+    device_choice.choose_device_for_folder(given.dir)
     text, found = certify.run(given)
     print(text)
     if given.output:
@@ -282,12 +282,12 @@ def audit_results(given: argparse.Namespace) -> int:
     """Flips among rollouts next to the boundary and successes elsewhere, simulated again."""
     from sweep.cli import run as app
     from sweep.report import tables
-    from sweep.runs import audit, place, results
+    from sweep.runs import audit, device_choice, results
 
     if given.points < 1:
         raise InputError(f"--points = {given.points} is not allowed: at least 1")
     found = results.read(given.dir, given.where)
-    place.like_rows_of(given.dir)
+    device_choice.choose_device_for_folder(given.dir)
     ways = names(given.ways) or []
     most = 2 * given.points * len(ways or found.exp.system.ways)
     with app.reporting("audit", most, f"{found.exp.scenario} in other ways") as report:
@@ -301,11 +301,11 @@ def relabel(given: argparse.Namespace) -> int:
     from sweep.report.headline import headline
     from sweep.runs import results, runner, store
 
-    exp = results.kept(given.dir)
+    exp = results.load_experiment(given.dir)
     changes = dict(map(exp.system.limit, given.thresholds))
     if len(changes) < len(given.thresholds):
         raise InputError(f"a threshold is given twice: {' '.join(given.thresholds)}")
-    with store.locked(given.dir):
+    with store.lock_folder(given.dir):
         runner.relabel(given.dir, {**exp.values["outcome"], **changes})
     print(headline(store.read_rows(given.dir), exp))
     return DONE

@@ -12,7 +12,7 @@ from sweep.core.errors import InputError
 from sweep.core.progress import show_wait
 from sweep.engines.base import same_bits
 from sweep.report import crate, replays
-from sweep.runs import place, repair, results, store
+from sweep.runs import device_choice, repair, results, store
 from sweep.runs.results import Results
 from sweep.study.columns import figure_columns
 
@@ -54,7 +54,7 @@ def report_simulated_again(results: Results, number: int, seed: int = 0, toleran
     Returns:
         4 where an outcome or a metric changed, else 0.
     """
-    place.like_rows_of(results.folder)
+    device_choice.choose_device_for_folder(results.folder)
     number = min(number, len(results.rows))
     rows = results.rows.sample(number, random_state=seed)
     lines: list[dict[str, Any]] = []

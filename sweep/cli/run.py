@@ -28,7 +28,7 @@ from sweep.core.progress import (
 )
 from sweep.report import tables
 from sweep.report.headline import headline
-from sweep.runs import histories, probe, refine, runner, sought, store
+from sweep.runs import adaptive_rounds, axis_check, refine, runner, store, time_series
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import nominal as nominal_batch
 from sweep.runs.nominal_levels import FailingLevel, find_failing_levels
@@ -75,7 +75,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         print(f"sweep: {line}", file=sys.stderr)
     if flags.dry_run:
         job = runner.lay_out(exp, folder, first)
-        for line in runner.regridded(exp, folder):
+        for line in runner.describe_changed_axes(exp, folder):
             print(f"sweep: {line}", file=sys.stderr)
         print("\n".join([forecast(job), *map(str, failing_levels(exp))]))
         return DONE
@@ -87,11 +87,11 @@ def execute(exp: Experiment, flags: Flags) -> int:
         store.log(folder, line)
 
     watched = WorkerReport(say)
-    with store.locked(folder), connect_lazily(exp.cluster, watched) as dispatch:
-        for line in runner.mend(exp, folder):
+    with store.lock_folder(folder), connect_lazily(exp.cluster, watched) as dispatch:
+        for line in runner.repair_folder(exp, folder):
             say(line)
         done, start, to_do = 0, time.perf_counter(), jobs(exp, folder, first, whole)
-        for line in runner.regridded(exp, folder):
+        for line in runner.describe_changed_axes(exp, folder):
             say(line)
         failing = None
         for job in to_do:
@@ -113,7 +113,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         print(f"sweep: equal rollouts need not be equal to the last bit on {' and on '.join(used)}", file=sys.stderr)
     print("\n".join([summary(exp, rows), *(f"  {level}" for level in failing or ())]))
     if exp.study.is_refined:
-        print("\n".join(f"refined: {one}" for one in refine.refined(exp, rows)))
+        print("\n".join(f"refined: {one}" for one in refine.summarize_panels(exp, rows)))
     if exp.study.is_adaptive and complete:
         print(rare.rare(rows, exp))
     print(f"{len(rows)} of {size} planned rollouts are in {folder}")
@@ -133,7 +133,7 @@ def checked(exp: Experiment, points: pd.DataFrame) -> int:
         return f"{exp.study.name}: {done} rollouts simulated to see whether its axes act"
 
     with show_counts(words, 0) as told:
-        found = probe.run(exp, points, told)
+        found = axis_check.run(exp, points, told)
     for line in found.lines(exp):
         print(f"sweep: {line}", file=sys.stderr)
     dead = len({one.column for one in found.dead if one.whole})
@@ -145,7 +145,9 @@ def jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Ite
     """One after the other, where what to run next depends on what was found; all at once else, or of a part."""
     if whole and exp.study.is_refined:
         return refine.rounds(exp, folder, first)
-    return sought.rounds(exp, folder) if whole and exp.study.is_adaptive else [runner.lay_out(exp, folder, first)]
+    return (
+        adaptive_rounds.rounds(exp, folder) if whole and exp.study.is_adaptive else [runner.lay_out(exp, folder, first)]
+    )
 
 
 def execute_single(exp: Experiment, flags: Flags) -> int:
@@ -227,7 +229,7 @@ def forecast(job: runner.Job) -> str:
     text = f"{job.exp.study.name}: {len(missing)} of {len(job.table)} rollouts to run ({', '.join(parts) or 'none'})"
     if len(missing):
         text += f"{memory(job, missing)}, {duration(job, missing)}, {format_compile_estimate(program(job.exp))}"
-    if count := histories.size(job.exp, job.table):
+    if count := time_series.size(job.exp, job.table):
         kept, columns = min(job.exp.study.keep_rows, len(job.table)), ", ".join(job.exp.study.keep)
         text += f"\ntime histories of {kept} rollouts ({columns}): about {4 * count / 2**20:.1f} MiB before compression"
     return f"{text}\n{axes_table(job.exp)}" if job.exp.study.axes and not job.exp.study.points else text
@@ -252,7 +254,7 @@ def duration(job: runner.Job, missing: pd.DataFrame) -> str:
 def pace(folder: Path, job: runner.Job) -> float | None:
     """Wall time of a rollout (s) in the last batch of `folder`, if its scenario, engine and device are those here."""
     try:
-        stored, done = store.read_study(folder), store.counted(folder)
+        stored, done = store.read_study(folder), store.current_parts(folder)
         config, exp = stored["config"], job.exp
         same = (config["scenario"]["name"], config["engine"]["name"]) == (exp.scenario, exp.settings.name)
         same &= exp.system.device(exp.settings) in stored["devices"]

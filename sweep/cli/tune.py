@@ -91,7 +91,7 @@ def main(args: list[str]) -> int:
            "config": store.digest(exp.values), "code": search_version()}  # fmt: skip
     where.parent.mkdir(parents=True, exist_ok=True)
     log = where.with_name(f"{where.name}.log")
-    tuning.known(log, how)  # refuses before what is slow
+    tuning.resume_log(log, how)  # refuses before what is slow
     best, slopes = searched(score, seen, first, sizes, how, log)
     left = {f"{name} {when}": score.margins(at, draws)
             for name, draws in zip(DRAWS, (seen, others), strict=True)

@@ -20,7 +20,7 @@ from sweep.core.progress import show_wait
 from sweep.engines.base import Trace
 from sweep.report import page, replays
 from sweep.report.page.stage import Shown, replays_of
-from sweep.runs import batches, place, results, runner, store
+from sweep.runs import batches, device_choice, results, runner, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment, compose
 from sweep.trace.sampling import finite_frames
@@ -111,7 +111,7 @@ def traces(what: list[str]) -> Iterator[Trace]:
     """The rollout that is asked for, with enough frames to look smooth. Raises `InputError`."""
     if store.STUDY in names_in(what[0]):
         found, at = row_of(*folder_and_point(what))
-        place.like_rows_of(found.folder)
+        device_choice.choose_device_for_folder(found.folder)
         again = replays.again(found.exp, found.rows.iloc[[at]], store.read_points(found.folder), SMOOTH)
     else:
         exp, planned = single(what)
@@ -132,7 +132,7 @@ def stored(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
     for of, at, title in wanted:
         row = of.rows.iloc[at]
         if not replays.path(of.folder, row).exists():
-            place.like_rows_of(of.folder)
+            device_choice.choose_device_for_folder(of.folder)
             with show_wait(f"simulating {row['point_id']} of {of.folder} again"):
                 replays.make(of, of.rows.iloc[[at]].assign(why=""))
         if not (kept := replays.read(of.folder, row)):
@@ -195,6 +195,6 @@ def single(overrides: list[str]) -> tuple[Experiment, pd.DataFrame]:
     exp = compose(overrides)
     if not exp.study.single:
         raise InputError(f"{exp.study.name} is a study: run it, then sweep view DIR ID shows one of its rows")
-    place.of_run(exp)
+    device_choice.choose_device_for_run(exp)
     exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
-    return exp, batches.plan(exp, pd.DataFrame(), runner.wanted_points(exp))
+    return exp, batches.assign_batches(exp, pd.DataFrame(), runner.wanted_points(exp))

@@ -47,7 +47,7 @@ def success_map(
     x, y = map_axes(rows, chosen)
     exp = experiment(stored["config"])
     guessed = exp.study.resolution > 0 and {x, y} == {a.column for a in refine.lattice(exp.study).axes}
-    rows = refine.painted(exp, rows) if guessed else rows.assign(known=True)
+    rows = refine.paint_cells(exp, rows) if guessed else rows.assign(known=True)
     rows, cells = place_cells(rows, x, y)
     panels = list(split(rows, x, y, exp=exp))
     counts = [panel.groupby([x, y]).size() for _, panel in panels]
@@ -227,7 +227,7 @@ def coloured(ax: Axes, values: np.ma.MaskedArray, cells: Cells, **style: Any) ->
 def outlines(ax: Axes, exp: Experiment, painted: pd.DataFrame, x: str, y: str, cells: Cells) -> None:
     """The cells that refinement ended with, over a map of `painted` rows (see `refine.painted`); those run as dots."""
     rows = painted[painted["known"]]
-    for panel in refine.refined(exp, rows):
+    for panel in refine.summarize_panels(exp, rows):
         columns = [a.column for a in panel.grid.axes]
         for power, corners in enumerate(panel.cells if panel.rollouts else ()):
             (left, right), (low, high) = (

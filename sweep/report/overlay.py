@@ -13,7 +13,7 @@ from sweep.core.spacing import evenly_spaced_indices
 from sweep.report.exhibit import Exhibit
 from sweep.report.labels import beside_axis
 from sweep.report.looks import DOUBTFUL, FAILURE, GOOD
-from sweep.runs import histories, store
+from sweep.runs import store, time_series
 from sweep.runs.results import Results
 from sweep.study.study import identity_columns
 
@@ -24,14 +24,14 @@ COLOURS = {"success": GOOD, "failure": FAILURE, "invalid": DOUBTFUL}
 
 def samples(results: Results) -> pd.DataFrame:
     """The histories of the rows at hand, with their `outcome`."""
-    kept = histories.read(results.folder)
+    kept = time_series.read(results.folder)
     keys = identity_columns(kept.columns)
     return kept.merge(results.rows[[*keys, "outcome"]], on=keys)
 
 
 def exhibits(results: Results) -> Iterator[Exhibit]:
     """What was kept over time: quantiles of every column at every moment, among an outcome's rollouts under way."""
-    if not results.exp.study.keep or not store.beside(results.folder, store.HISTORIES):
+    if not results.exp.study.keep or not store.list_recordings(results.folder, store.HISTORIES):
         return
     kept = samples(results)
     long = kept.melt(["outcome", "time_s"], list(results.exp.study.keep), "column")

@@ -10,7 +10,7 @@ from sweep.core.errors import InputError
 from sweep.core.files import path_in, printable_name
 from sweep.report.headline import probability_of_failure
 from sweep.runs import store
-from sweep.runs.results import kept
+from sweep.runs.results import load_experiment
 from sweep.study.adaptive_sampling import KINDS
 
 
@@ -40,7 +40,7 @@ def line(folder: Path) -> dict[str, str]:
     found, config = rate(outcome), stored["config"]
     succeed = percent(found.share) if found.valid else ""
     if config["study"]["design"]["kind"] in KINDS and config["study"]["design"]["num"]:
-        succeed = probability_of_failure(store.read_rows(folder), kept(folder)) if found.total else ""
+        succeed = probability_of_failure(store.read_rows(folder), load_experiment(folder)) if found.total else ""
     return {
         "folder": name,
         "study": config["study"]["name"] or config["scenario"]["name"],

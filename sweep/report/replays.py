@@ -52,7 +52,7 @@ def again(
     `planned` are all points of the study, `rows` some of them with the slots that they were simulated in.
     """
     devices.configure()  # the CPU counts as several devices from then on
-    exp = batches.with_room(exp, planned)
+    exp = batches.with_delay_buffer(exp, planned)
     for _, part in laid_out(rows, devices.default_width()).groupby(["group", "batch", "width"]):
         order = np.zeros(int(part["width"].iloc[0]), dtype=int)
         order[part["slot"]] = np.arange(len(part))

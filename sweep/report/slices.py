@@ -61,7 +61,7 @@ def slices(results: Results) -> Iterator[Slice]:
         others = [c for c in axes if c not in (x, y) and c in results.numeric]
         if results.exp.study.resolution and not others:
             note = f"each cell as its corners; {len(results.rows)} were run (dots), most of them next to the boundary"
-            yield Slice(x, y, None, refine.painted(results.exp, results.rows), note, refined=True)
+            yield Slice(x, y, None, refine.paint_cells(results.exp, results.rows), note, refined=True)
             continue
         section = cut(results, x, y, others)
         yield section if filled(section) else counted(results, x, y, others)

@@ -47,8 +47,8 @@ def sections(
     elif several and listed:
         yield "Rate at each condition (Wilson, 95 %)", rates(rows, [a.column for a in listed])
     if exp.study.is_refined:
-        yield "Refinement", "\n".join(map(str, refine.refined(exp, rows)))
-    whole = refine.painted(exp, rows) if exp.study.resolution else rows
+        yield "Refinement", "\n".join(map(str, refine.summarize_panels(exp, rows)))
+    whole = refine.paint_cells(exp, rows) if exp.study.resolution else rows
     if numbers and not several and not one_at_a_time:
         found = sensitivity.grid_volume(whole, exp)
         share, low, high = map(percent, (found.share, found.low, found.high))

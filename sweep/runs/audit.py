@@ -53,8 +53,8 @@ def run(results: Results, number: int, ways: list[str], progress: runner.Progres
             if say:
                 say(f"audit: {name} is left out: {error}")
             continue
-        with store.locked(again.folder):
-            runner.mend(again, again.folder)
+        with store.lock_folder(again.folder):
+            runner.repair_folder(again, again.folder)
             runner.run(runner.lay_out(again, again.folder, table), progress)
 
 
@@ -122,7 +122,7 @@ def done(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
     """The ways that `results` were audited in, with the pairs of rollouts before and again."""
     folder = path_in(results.folder, AUDIT)
     for way in results.exp.system.ways:
-        if path_in(folder, f"{way}/{store.STUDY}").exists() and store.finished(folder / way):
+        if path_in(folder, f"{way}/{store.STUDY}").exists() and store.finished_batches(folder / way):
             again = store.read_rows(folder / way)
             before = results.rows[results.rows["point_id"].isin(again["point_id"])]
             if before.empty:  # other rows were chosen than those that were audited

@@ -43,7 +43,7 @@ def forget_engine() -> None:
     _engine.cache_clear()
 
 
-def with_room(exp: Experiment, table: pd.DataFrame) -> Experiment:
+def with_delay_buffer(exp: Experiment, table: pd.DataFrame) -> Experiment:
     """Its system with memory, such as a delay's, long enough for every point of `table`.
 
     And for whatever else may be drawn, so that more draws compile nothing anew.
@@ -78,11 +78,11 @@ def batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
     return Batch(replace(replace_settings(exp.settings, statics), width=width), world, belief, streams)
 
 
-def plan(exp: Experiment, planned: pd.DataFrame, wanted: pd.DataFrame) -> pd.DataFrame:
+def assign_batches(exp: Experiment, planned: pd.DataFrame, wanted: pd.DataFrame) -> pd.DataFrame:
     """`planned` rows as they are, then those of `wanted` that are new, in groups and batches of their own."""
     table = wanted
     if not planned.empty:
-        table = pd.concat([planned, wanted[~among(wanted, planned)]], ignore_index=True)
+        table = pd.concat([planned, wanted[~isin_points(wanted, planned)]], ignore_index=True)
     static = list(static_values(exp, table))
     table = table.assign(group=table.groupby(static, sort=False).ngroup() if static else 0)
     first = int(planned["batch"].max()) + 1 if len(planned) else 0
@@ -116,7 +116,7 @@ def _cut(table: pd.DataFrame, rows: pd.Index, width: int, first: int) -> int:
     return first + -(-len(rows) // width)
 
 
-def among(rows: pd.DataFrame, others: pd.DataFrame) -> np.ndarray:
+def isin_points(rows: pd.DataFrame, others: pd.DataFrame) -> np.ndarray:
     """Which of `rows` are also in `others`."""
     key = identity_columns(rows.columns)
     return pd.MultiIndex.from_frame(rows[key]).isin(pd.MultiIndex.from_frame(others[key]))

@@ -112,7 +112,7 @@ def rewrite(folder: Path, entries: Iterable[Entry]) -> None:
     files.write_atomically(files.path_in(folder, MANIFEST), "".join(f"{line(entry)}\n" for entry in entries).encode())
 
 
-def judged(entries: Sequence[Entry], labels: str) -> list[Entry]:
+def select_current_parts(entries: Sequence[Entry], labels: str) -> list[Entry]:
     """The parts judged by the thresholds `labels`, in the order of their batches, each batch once."""
     seen: set[int] = set()
     found = []

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from sweep.runs.batches import make_engine, nominal, with_room
+from sweep.runs.batches import make_engine, nominal, with_delay_buffer
 from sweep.runs.runner import simulate
 from sweep.study.config import Experiment
 from sweep.study.designs import Axis, Design
@@ -53,7 +53,7 @@ def _failing(exp: Experiment, axis: Axis) -> Iterator[FailingLevel]:
     alone = {"axes": (axis,), "design": Design(), "replicates": 1, "where": None, "resolution": 0.0, "budget": 0}
     exp = replace(exp, study=replace(exp.study, **alone, keep=()))
     table = points(exp.study, exp.system, exp.settings).assign(width=1)
-    exp = with_room(exp, table)
+    exp = with_delay_buffer(exp, table)
     meanings = exp.system.cause_meanings(exp.thresholds)
     for place, value in enumerate(table[axis.column]):
         row = table.iloc[[place]]

@@ -170,13 +170,13 @@ def labels(study: Study, counts: Counts) -> np.ndarray:
 def known_points(study: Study, grid: Lattice, counts: Counts) -> np.ndarray:
     """Lattice points (bool) that bisection, and after it the audit, wants to know; some may still be missing."""
     label = labels(study, counts)
-    wanted = bisected(label, grid.halvings)
+    wanted = bisect_cells(label, grid.halvings)
     if not study.audit or (wanted & (label == MISSING)).any():
         return wanted
-    return wanted | audited(study, wanted)
+    return wanted | expand_audit_points(study, wanted)
 
 
-def audited(study: Study, wanted: np.ndarray) -> np.ndarray:
+def expand_audit_points(study: Study, wanted: np.ndarray) -> np.ndarray:
     """`study.audit` random lattice points among those that bisection left out."""
     order = np.random.default_rng([study.seed, 1]).permutation(wanted.size)
     chosen = np.zeros(wanted.size, dtype=bool)
@@ -184,7 +184,7 @@ def audited(study: Study, wanted: np.ndarray) -> np.ndarray:
     return chosen.reshape(wanted.shape)
 
 
-def bisected(label: np.ndarray, halvings: int) -> np.ndarray:
+def bisect_cells(label: np.ndarray, halvings: int) -> np.ndarray:
     """Points (bool) wanted by halving cells that disagree, as far as the labels of wanted points are there.
 
     A cell disagrees where both a success and a failure are known in it or on its border, so that a boundary which
@@ -231,7 +231,7 @@ def leaves(seen: np.ndarray, halvings: int) -> tuple[np.ndarray, ...]:
     return (np.argwhere(whole), *reversed(found))
 
 
-def filled(label: np.ndarray, halvings: int) -> np.ndarray:
+def fill_cells(label: np.ndarray, halvings: int) -> np.ndarray:
     """Labels of all lattice points: a cell whose corners are known and which does not disagree is all alike."""
     guess = label.copy()
     for size in (2**k for k in range(1, halvings + 1)):
@@ -286,16 +286,16 @@ class Refined:
         return text
 
 
-def refined(exp: Experiment, rows: pd.DataFrame) -> list[Refined]:
+def summarize_panels(exp: Experiment, rows: pd.DataFrame) -> list[Refined]:
     """What is known after refinement, panel by panel."""
     found, grid = [], lattice(exp.study)
     for names, part in panels(exp.study, rows):
         counts = _counts(grid, part)
         label = labels(exp.study, counts)
-        wanted = bisected(label, grid.halvings)
+        wanted = bisect_cells(label, grid.halvings)
         seen = np.where(wanted, label, MISSING)
-        promised, cells = filled(seen, grid.halvings), leaves(seen, grid.halvings)
-        audit = audited(exp.study, wanted) & (label >= FAILS) & (promised >= FAILS)
+        promised, cells = fill_cells(seen, grid.halvings), leaves(seen, grid.halvings)
+        audit = expand_audit_points(exp.study, wanted) & (label >= FAILS) & (promised >= FAILS)
         missed = int((label != promised)[audit].sum())
         undecided = int(_undecided(exp.study, counts).sum()) if exp.study.noisy else 0
         known = counts.total > 0
@@ -305,7 +305,7 @@ def refined(exp: Experiment, rows: pd.DataFrame) -> list[Refined]:
     return found
 
 
-def painted(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
+def paint_cells(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
     """`rows` with `known` set, and a row without it for every lattice point that its cell promises.
 
     A failure that was filled in has the cause of the nearest one that was run.
@@ -313,7 +313,7 @@ def painted(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
     from scipy.ndimage import distance_transform_edt
 
     parts = [rows.assign(known=True)]
-    for panel, (_, part) in zip(refined(exp, rows), panels(exp.study, rows), strict=True):
+    for panel, (_, part) in zip(summarize_panels(exp, rows), panels(exp.study, rows), strict=True):
         guessed = ~panel.known & (panel.label >= FAILS)
         if part.empty or not guessed.any():
             continue

@@ -53,7 +53,7 @@ def mend(folder: Path, study: str, labels: str) -> list[str]:
     kept = [entry for entry in entries if entry.file == store.POINTS]
     left = [entry for entry in entries if entry.batches and entry.labels != labels]  # by a relabelling that was killed
     planned = _planned(folder, entries)
-    for entry in (*manifest.judged(entries, labels), *filter(_is_beside, entries)):
+    for entry in (*manifest.select_current_parts(entries, labels), *filter(_is_beside, entries)):
         if problem := _problem(folder, entry, planned):
             remedy = "its rollouts are simulated again" if entry.batches else "`sweep replay` shows its rollouts again"
             lines.append(f"{folder / entry.file} is damaged ({problem}): {remedy}")
@@ -168,7 +168,7 @@ def compact(folder: Path, planned: pd.DataFrame) -> None:
 
     Killed at any moment it leaves all rows where the manifest says, and perhaps files that `mend` removes.
     """
-    parts = store.counted(folder)
+    parts = store.current_parts(folder)
     merged = {}
     for run in _runs(parts, planned):
         if len(run) >= FEW:

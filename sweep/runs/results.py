@@ -76,7 +76,7 @@ class Results:
         return {cause: words for cause, words in meanings.items() if cause in found}
 
 
-def kept(folder: Path) -> Experiment:
+def load_experiment(folder: Path) -> Experiment:
     """The experiment of `folder`. Raises `InputError`, which names the version of one that this one cannot read."""
     stored = store.read_study(folder)
     try:
@@ -87,7 +87,7 @@ def kept(folder: Path) -> Experiment:
 
 def read(folder: Path, where: str | None = None) -> Results:
     """Finished rows of `folder` that match `where`, copies of noise-free ones left out. Raises `InputError`."""
-    stored, exp = store.read_study(folder), kept(folder)
+    stored, exp = store.read_study(folder), load_experiment(folder)
     rows = name_axes(store.read_rows(folder), exp.study.axes)
     done = len(rows)
     if where:

@@ -18,8 +18,18 @@ from sweep.core.expressions import mask
 from sweep.core.files import path_in
 from sweep.core.outcomes import INVALID
 from sweep.engines.base import Engine
-from sweep.runs import histories, manifest, repair, store
-from sweep.runs.batches import Batch, among, batch, forget_engine, halve, make_engine, nominal, plan, with_room
+from sweep.runs import manifest, repair, store, time_series
+from sweep.runs.batches import (
+    Batch,
+    assign_batches,
+    batch,
+    forget_engine,
+    halve,
+    isin_points,
+    make_engine,
+    nominal,
+    with_delay_buffer,
+)
 from sweep.runs.manifest import Entry
 from sweep.study.clusters import Dispatch
 from sweep.study.columns import figure_columns
@@ -64,7 +74,7 @@ class Job:
 
     def missing(self) -> list[int]:
         """Batches that are asked for and not on disk."""
-        return sorted(self.wanted - store.finished(self.folder))
+        return sorted(self.wanted - store.finished_batches(self.folder))
 
     @cached_property
     def _places(self) -> dict[int, np.ndarray]:
@@ -88,7 +98,7 @@ def wanted_points(
     return table.reset_index(drop=True)
 
 
-def unplanned(exp: Experiment, table: pd.DataFrame, wanted: pd.DataFrame) -> int:
+def count_unplanned(exp: Experiment, table: pd.DataFrame, wanted: pd.DataFrame) -> int:
     """How many of the study's points `table` leaves out, as after `--limit`; 0 where they are not known beforehand.
 
     None are, without a look at each of a million points, where all that the study can have are `wanted`.
@@ -97,7 +107,7 @@ def unplanned(exp: Experiment, table: pd.DataFrame, wanted: pd.DataFrame) -> int
         return 0
     if not exp.study.points and len(wanted) == exp.study.max_rollouts:
         return 0
-    return int((~among(points(exp.study, exp.system, exp.settings), table)).sum())
+    return int((~isin_points(points(exp.study, exp.system, exp.settings), table)).sum())
 
 
 def lay_out(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
@@ -108,13 +118,15 @@ def lay_out(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
         if differ := set(planned.columns) ^ {*wanted.columns, "group", "batch", "slot", "width"}:
             raise InputError(f"{folder} holds a study with other axes ({', '.join(sorted(differ))}): give out=DIR")
     every = pd.concat([planned, wanted], ignore_index=True)
-    exp = with_room(exp, every)
-    table = plan(exp, planned, wanted)
-    histories.size(exp, table)
-    return Job(exp, folder, table, set(table.loc[among(table, wanted), "batch"]), unplanned(exp, table, wanted))
+    exp = with_delay_buffer(exp, every)
+    table = assign_batches(exp, planned, wanted)
+    time_series.size(exp, table)
+    return Job(
+        exp, folder, table, set(table.loc[isin_points(table, wanted), "batch"]), count_unplanned(exp, table, wanted)
+    )
 
 
-def mend(exp: Experiment, folder: Path) -> list[str]:
+def repair_folder(exp: Experiment, folder: Path) -> list[str]:
     """Make `folder`, which is locked, whole again, as far as `exp` and what is left of it tell; a line for each repair.
 
     Raises `InputError` where it holds another study.
@@ -135,7 +147,7 @@ def mend(exp: Experiment, folder: Path) -> list[str]:
     lines = repair.mend(folder, study, labels)
     planned = store.read_points(folder)
     if stored is None and len(planned):
-        job, found = Job(with_room(exp, planned), folder, planned, set()), Tally()
+        job, found = Job(with_delay_buffer(exp, planned), folder, planned, set()), Tally()
         for group, rows in planned.groupby("group"):
             start = nominal(job.exp, rows, int(rows["width"].iloc[0]))
             found.stages[int(group)] = list(make_engine(job.exp, start).stages)  # pyright: ignore[reportArgumentType]
@@ -146,7 +158,7 @@ def mend(exp: Experiment, folder: Path) -> list[str]:
 
 def refuse_other(stored: Mapping[str, Any], exp: Experiment, folder: Path) -> None:
     """Raise `InputError` where a folder holds rows that would not belong with those of `exp`."""
-    there, here = fixed(stored["config"]), fixed(exp.values)
+    there, here = immutable_settings(stored["config"]), immutable_settings(exp.values)
     newer = stored["code"] != provenance.code_version()  # which may have parameters that the other does not
     for key in sorted({*there} & {*here} if newer else {*there, *here}):
         if there.get(key) != here.get(key):
@@ -160,7 +172,7 @@ def refuse_other(stored: Mapping[str, Any], exp: Experiment, folder: Path) -> No
         )
 
 
-def regridded(exp: Experiment, folder: Path) -> list[str]:
+def describe_changed_axes(exp: Experiment, folder: Path) -> list[str]:
     """A line for each axis whose listed values were others in `folder`, which is to hold the points of both."""
     if store.read_points(folder).empty:
         return []
@@ -173,7 +185,7 @@ def regridded(exp: Experiment, folder: Path) -> list[str]:
     ]
 
 
-def fixed(values: Mapping[str, Any]) -> dict[str, Any]:
+def immutable_settings(values: Mapping[str, Any]) -> dict[str, Any]:
     """What may not change between runs into one folder, by dotted path."""
     whole = values["study"]["design"]["kind"] == "latin_hypercube"  # one draw more changes all of them
     return {
@@ -188,7 +200,7 @@ def fixed(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def study_id(values: Mapping[str, Any]) -> str:
     """Digest of what all rows of a folder share: configuration and code."""
-    return store.digest([fixed(values), provenance.code_version()])
+    return store.digest([immutable_settings(values), provenance.code_version()])
 
 
 def labels_id(values: Mapping[str, Any]) -> str:
@@ -213,11 +225,11 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
         store.write_points(folder, job.table)
         tight: list[Done] = []  # batches that found too little memory
         work = partial(on_worker, folder.resolve(), uuid4().hex, provenance.code_version())
-        for done in dispatch(work, announced(job, missing, found, tight)):
+        for done in dispatch(work, announce_batches(job, missing, found, tight)):
             if done.entry is None:
                 tight.append(done)
                 continue
-            rows = accepted(job, done, done.entry)
+            rows = accept_part(job, done, done.entry)
             if done.device not in found.devices:
                 found.devices.append(done.device)
                 describe(job, found)
@@ -225,12 +237,12 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
             store.log(folder, f"batch {done.batch}: {len(rows)} rollouts, {rows['wall_s'].sum():.1f} s on {where}")
             progress(rows)
         if tight:
-            job = narrower(job, tight)
+            job = halve_width(job, tight)
     repair.compact(folder, job.table)
     return job
 
 
-def accepted(job: Job, done: "Done", entry: Entry) -> pd.DataFrame:
+def accept_part(job: Job, done: "Done", entry: Entry) -> pd.DataFrame:
     """What is told of the rows that a worker wrote; from now on they count.
 
     Raises `Fault` where they are not those asked for.
@@ -247,13 +259,13 @@ def accepted(job: Job, done: "Done", entry: Entry) -> pd.DataFrame:
 def within_bounds(folder: Path, beside: tuple[Entry, ...]) -> list[Entry]:
     """Those of `beside` that are to be kept: workers that do not know of each other may find too many invalid rows."""
     last = [entry for entry in beside if entry.file.startswith(f"{store.LAST_STATES}/")]
-    room = histories.INVALID_ROWS - len(store.beside(folder, store.LAST_STATES)) if last else 0
+    room = time_series.INVALID_ROWS - len(store.list_recordings(folder, store.LAST_STATES)) if last else 0
     for entry in last[room:]:
         path_in(folder, entry.file).unlink(missing_ok=True)
     return [entry for entry in beside if entry not in last[room:]]
 
 
-def announced(job: Job, missing: list[int], found: Tally, tight: Collection["Done"]) -> Iterator[int]:
+def announce_batches(job: Job, missing: list[int], found: Tally, tight: Collection["Done"]) -> Iterator[int]:
     """`missing` batches, each group described before its first; those in the group and width of `tight` are left out.
 
     An impossible plan is thus refused here, before a worker sees it.
@@ -271,10 +283,10 @@ def announced(job: Job, missing: list[int], found: Tally, tight: Collection["Don
                 yield number
 
 
-def narrower(job: Job, tight: list["Done"]) -> Job:
+def halve_width(job: Job, tight: list["Done"]) -> Job:
     """`job` with the missing batches in the group and width of `tight` planned anew, at half the width."""
     crowded = job.rows([done.batch for done in tight])[["group", "width"]].drop_duplicates()
-    left = job.table[~job.table["batch"].isin(store.finished(job.folder))]
+    left = job.table[~job.table["batch"].isin(store.finished_batches(job.folder))]
     batches = left.merge(crowded, on=["group", "width"])["batch"].unique().tolist()
     table = halve(job.table, batches, tight[0].devices)
     for done in tight:
@@ -313,7 +325,9 @@ def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
         finished, table = simulate(job.exp, engine, rows)
         # by what the rows were judged by, whatever the command believes by now
         entry = store.write_part(folder, finished, job.study, job.labels)
-        beside = histories.write(folder, job.study, number, table, ended(job, engine, rows, finished))
+        beside = time_series.write(
+            folder, job.study, number, table, last_states_of_invalid_rows(job, engine, rows, finished)
+        )
     except MemoryError:
         pass
     if entry is None:  # after the handler, whose error holds on to the arrays
@@ -321,13 +335,15 @@ def on_worker(folder: Path, version: str, code: str, number: int) -> Done:
     return Done(number, host, job.exp.system.device(start.settings), engine.devices, entry, beside)
 
 
-def ended(job: Job, engine: Engine, rows: pd.DataFrame, finished: pd.DataFrame) -> list[pd.DataFrame]:
+def last_states_of_invalid_rows(
+    job: Job, engine: Engine, rows: pd.DataFrame, finished: pd.DataFrame
+) -> list[pd.DataFrame]:
     """The last states of a batch's invalid rows, as long as the folder has few of them, listed yet or not."""
     if not (finished["outcome"] == INVALID).any():
         return []
-    room = histories.INVALID_ROWS - len(list(path_in(job.folder, store.LAST_STATES).glob("*.parquet")))
+    room = time_series.INVALID_ROWS - len(list(path_in(job.folder, store.LAST_STATES).glob("*.parquet")))
     try:
-        return histories.last_states(job.exp, engine, batch(job.exp, rows), finished, room) if room > 0 else []
+        return time_series.last_states(job.exp, engine, batch(job.exp, rows), finished, room) if room > 0 else []
     except MemoryError:  # the rows are there all the same
         return []
 
@@ -335,7 +351,7 @@ def ended(job: Job, engine: Engine, rows: pd.DataFrame, finished: pd.DataFrame) 
 @lru_cache(maxsize=1)
 def _plan_of(folder: Path, version: str) -> Job:
     table = store.read_points(folder)
-    return Job(with_room(experiment(store.read_study(folder)["config"]), table), folder, table, set())
+    return Job(with_delay_buffer(experiment(store.read_study(folder)["config"]), table), folder, table, set())
 
 
 def describe(job: Job, found: Tally) -> None:
@@ -347,8 +363,8 @@ def describe(job: Job, found: Tally) -> None:
 
 def simulate(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame | None]:
     """The finished rows of one batch: points, figures, outcome, and the wall time of a rollout (s); and histories."""
-    task, slots, samples = batch(exp, rows), histories.kept(exp, rows), None
-    watched = histories.watch(exp, task.settings)
+    task, slots, samples = batch(exp, rows), time_series.recorded_slots(exp, rows), None
+    watched = time_series.watch(exp, task.settings)
     start = time.perf_counter()
     if len(slots):
         figures, samples = engine.histories(task.world, task.belief, task.streams, slots, watched)
@@ -361,14 +377,14 @@ def simulate(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple[pd.Da
     finished = pd.concat([done, pd.DataFrame(columns), pd.DataFrame(labels)], axis=1).assign(wall_s=wall / len(rows))
     if samples is None:
         return finished, None
-    return finished, histories.of_batch(finished, slots, samples, watched, task.settings.control_period)
+    return finished, time_series.batch_table(finished, slots, samples, watched, task.settings.control_period)
 
 
 def lay_out_single(exp: Experiment) -> tuple[Experiment, pd.DataFrame]:
     """One batch that is not stored, such as a nominal rollout. Raises `InputError` where its plan is impossible."""
     exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
-    table = plan(exp, pd.DataFrame(), wanted_points(exp))
-    return with_room(exp, table), table
+    table = assign_batches(exp, pd.DataFrame(), wanted_points(exp))
+    return with_delay_buffer(exp, table), table
 
 
 def run_single(exp: Experiment) -> pd.DataFrame:
@@ -389,7 +405,7 @@ def relabel(folder: Path, outcome: Mapping[str, Any]) -> None:
     stored = store.read_study(folder)
     config = {**stored["config"], "outcome": dict(outcome)}
     exp, labels = experiment(config), labels_id(config)
-    before = store.counted(folder)
+    before = store.current_parts(folder)
     if labels == stored["labels"]:
         return
     repair.forget(folder, [e for e in manifest.read(folder) if e.batches and e not in before])  # of one that was killed
@@ -409,5 +425,5 @@ def load_point(folder: Path, point: str) -> tuple[Batch, int, pd.Series]:
     """
     table = store.read_points(folder)
     row = store.find_row(store.read_rows(folder), point, folder)
-    exp = with_room(experiment(store.read_study(folder)["config"]), table)
+    exp = with_delay_buffer(experiment(store.read_study(folder)["config"]), table)
     return batch(exp, table[table["batch"] == row["batch"]]), int(row["slot"]), row

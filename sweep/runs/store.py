@@ -48,7 +48,7 @@ def refuse_strangers(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path) -> Iterator[None]:
     """Hold `folder` for this process, making it where missing and clearing what a killed one left half-written.
 
     Raises `InputError` where it cannot be written or another process has it.
@@ -192,7 +192,7 @@ def _written(folder: Path, name: str, table: pa.Table, about: Entry) -> Entry:
     return entry
 
 
-def beside(folder: Path, place: str) -> list[Entry]:
+def list_recordings(folder: Path, place: str) -> list[Entry]:
     """The listed files of a place beside the parts; of several of one name the last, as of a batch done again.
 
     Raises `InputError`.
@@ -201,18 +201,18 @@ def beside(folder: Path, place: str) -> list[Entry]:
     return list({entry.file.rpartition("-")[0]: entry for entry in listed}.values())
 
 
-def counted(folder: Path) -> list[Entry]:
+def current_parts(folder: Path) -> list[Entry]:
     """The parts that hold a folder's rows: those of its manifest, judged by its thresholds. Raises `InputError`."""
     if not path_in(folder, STUDY).exists():
         return []
     if not path_in(folder, manifest.MANIFEST).exists() and any(path_in(folder, PARTS).glob("*.parquet")):
         raise InputError(f"{folder / manifest.MANIFEST} is missing: `sweep run` as before mends it")
-    return manifest.judged(manifest.read(folder), read_study(folder)["labels"])
+    return manifest.select_current_parts(manifest.read(folder), read_study(folder)["labels"])
 
 
-def finished(folder: Path) -> set[int]:
+def finished_batches(folder: Path) -> set[int]:
     """Numbers of the batches that are on disk. Raises `InputError`."""
-    return {batch for entry in counted(folder) for batch in entry.batches}
+    return {batch for entry in current_parts(folder) for batch in entry.batches}
 
 
 def read_part(folder: Path, entry: Entry) -> pd.DataFrame:
@@ -256,11 +256,11 @@ def read_rows(folder: Path) -> pd.DataFrame:
 def read_parts(folder: Path, columns: list[str] | None = None) -> list[pa.Table]:
     """All parts, in the order of their batches, also where a run puts them together meanwhile. Raises `InputError`."""
     while True:
-        parts = counted(folder)
+        parts = current_parts(folder)
         try:
             return [read_table(folder, entry, columns) for entry in parts]
         except InputError:
-            if counted(folder) == parts:
+            if current_parts(folder) == parts:
                 raise
 
 

@@ -82,7 +82,7 @@ def search(
         import cma
     except ImportError:
         raise InputError("sweep tune needs the package cma: pip install 'insect-sweep[tune]'") from None
-    told = known(log, how)
+    told = resume_log(log, how)
     options = {"popsize": how["population"], "seed": how["seed"], "verbose": -9, "ftarget": ENOUGH, "tolx": LEAST}
     strategy = cma.CMAEvolutionStrategy(np.zeros(len(first)), 1.0, options)
     best, least = first, np.inf
@@ -92,7 +92,7 @@ def search(
             found = np.array(told[k])
         else:
             found = scores(first + steps * asked)
-            keep(log, found.tolist())
+            append_log(log, found.tolist())
         strategy.tell(list(asked), found.tolist())
         if found.min() < least:
             best, least = first + steps * asked[found.argmin()], float(found.min())
@@ -135,7 +135,7 @@ def fit(
     is what descends; a draw counts no more than `FAR`: one that is out of reach says more than all others. `log`
     keeps steps, from the last of which an interrupted search goes on. Raises `InputError` where it is of another one.
     """
-    told = known(log, how)
+    told = resume_log(log, how)
     done, least, *parts = told[-1] if told else (0, np.inf, *np.zeros((4, len(first))))
     now = ByGradients(done, least, *map(np.array, parts))
     while now.done < how["generations"]:
@@ -145,7 +145,7 @@ def fit(
         mean = float(np.mean(np.minimum(np.nan_to_num(lack, nan=UNKNOWN), UNKNOWN)))
         now = now.next(mean, gradients.mean(axis=0) + 2 * RIDGE * now.at)
         if now.done % EVERY == 0 or now.done == how["generations"]:
-            keep(log, [now.done, now.least, *(part.tolist() for part in now[2:])])
+            append_log(log, [now.done, now.least, *(part.tolist() for part in now[2:])])
         progress(now.done, now.least)
     return first + steps * now.best
 
@@ -167,7 +167,7 @@ def follow(
     interrupted search goes on. Raises `InputError` where it is of another search.
     """
     spread = np.maximum(np.abs(shares).max(axis=0), 1e-12)
-    by, told = shares / spread, known(log, how)
+    by, told = shares / spread, resume_log(log, how)
     radius, at = told[-1] if told else (RADIUS, np.zeros((len(steps), len(spread))))
     at = np.array(at)  # first steps, in draws of the largest shares
     least = cost(lacking(steps * (by @ at.T))).mean()
@@ -181,7 +181,7 @@ def follow(
         else:
             break
         least, at, radius = found, to, min(1.5 * tried, WIDEST)
-        keep(log, [radius, at.tolist()])
+        append_log(log, [radius, at.tolist()])
     return steps[:, None] * at / spread
 
 
@@ -222,7 +222,7 @@ def program(lack: np.ndarray, slope: np.ndarray, by: np.ndarray, at: np.ndarray,
     return up - down
 
 
-def known(log: Path, how: Mapping[str, Any]) -> list[Any]:
+def resume_log(log: Path, how: Mapping[str, Any]) -> list[Any]:
     """What a log keeps of a search, which it begins to here. Raises `InputError` where it is of another one."""
     begun = json.dumps({key: value for key, value in how.items() if key != "generations"})
     try:
@@ -236,6 +236,6 @@ def known(log: Path, how: Mapping[str, Any]) -> list[Any]:
     return told
 
 
-def keep(log: Path, found: list[Any]) -> None:
+def append_log(log: Path, found: list[Any]) -> None:
     """Add what was found to a log, as a line."""
     append_line(log, json.dumps(found))

@@ -22,8 +22,8 @@ from sweep.engines.settings import EngineSettings
 from sweep.engines.states import offered
 from sweep.models import scene
 from sweep.models.case import Case
-from sweep.runs import place, results, store
-from sweep.runs.batches import make_engine, nominal, with_room
+from sweep.runs import device_choice, results, store
+from sweep.runs.batches import make_engine, nominal, with_delay_buffer
 from sweep.runs.runner import load_point
 from sweep.study.columns import LABELS
 from sweep.study.config import experiment
@@ -53,12 +53,12 @@ def main(args: list[str]) -> int:
     """Run the command with the arguments after `replay`; the exit status. Raises `InputError`."""
     options = _parser().parse_args(args)
     _check(options)
-    system = results.kept(options.folder).system
+    system = results.load_experiment(options.folder).system
     for name in SHOWN:
         if getattr(options, name) and name not in system.shown:
             shown = ", ".join(f"--{one}" for one in sorted(system.shown))
             raise InputError(f"--{name} is not allowed: such rollouts are shown by {shown}, and what study.keep keeps")
-    place.like_rows_of(options.folder)
+    device_choice.choose_device_for_folder(options.folder)
     with show_wait(f"simulating {options.point} of {options.folder} in its batch"):
         result = replay(options.folder, options.point)
     print(comparison(result))
@@ -93,7 +93,7 @@ def replay(folder: Path, point: str) -> Replay:
     task, slot, row = load_point(folder, point)
     table, stored = store.read_points(folder), store.read_study(folder)
     config = stored["config"]
-    exp = with_room(experiment(config), table)
+    exp = with_delay_buffer(experiment(config), table)
     start = nominal(exp, table.loc[table["batch"] == row["batch"]], len(task.streams))
     engine = make_engine(exp, start)
     trace = engine.trace(task.world, task.belief, task.streams, slot)

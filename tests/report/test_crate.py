@@ -67,7 +67,7 @@ def test_a_crate_has_the_study_and_says_how_it_was_made(study, tmp_path, capsys)
 
 def test_a_study_that_a_run_adds_to_is_no_crate(study, tmp_path, capsys):
     pytest.importorskip("rocrate")
-    with store.locked(study):
+    with store.lock_folder(study):
         assert main(["export", str(study), "--crate", str(tmp_path / "crate")]) == 2
     assert "in use by another sweep process" in capsys.readouterr().err
     assert not (tmp_path / "crate").exists()

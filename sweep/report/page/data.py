@@ -162,7 +162,7 @@ def refined_cells(results: Results) -> dict[str, Any] | None:
         return None
     found, axes = [], ()
     rows = results.rows.reset_index(drop=True)
-    for panel, (_, part) in zip(refine.refined(results.exp, rows), refine.panels(study, rows), strict=True):
+    for panel, (_, part) in zip(refine.summarize_panels(results.exp, rows), refine.panels(study, rows), strict=True):
         axes = panel.grid.axes
         if len(axes) != 2:
             return None

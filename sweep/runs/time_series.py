@@ -29,7 +29,7 @@ def watch(exp: Experiment, settings: EngineSettings) -> Watch:
     return Watch(exp.study.keep, every, exp.study.keep_rows)
 
 
-def kept(exp: Experiment, rows: pd.DataFrame) -> np.ndarray:
+def recorded_slots(exp: Experiment, rows: pd.DataFrame) -> np.ndarray:
     """The slots of those of a batch's planned `rows`, numbered as in the plan, that the study keeps histories of."""
     return np.flatnonzero(rows.index < exp.study.keep_rows) if exp.study.keep else np.zeros(0, int)
 
@@ -49,7 +49,7 @@ def size(exp: Experiment, table: pd.DataFrame) -> int:
     return count
 
 
-def tabled(
+def to_table(
     rows: pd.DataFrame, samples: np.ndarray, time: np.ndarray, until: np.ndarray, columns: Sequence[str]
 ) -> pd.DataFrame:
     """`samples` (F, n, c) at `time` (F,) of the n `rows`, one below the other, each up to its end `until` (n,) s."""
@@ -61,13 +61,13 @@ def tabled(
     return pd.concat([named.assign(time_s=clock), pd.DataFrame(values, columns=list(columns))], axis=1)
 
 
-def of_batch(
+def batch_table(
     finished: pd.DataFrame, slots: np.ndarray, samples: np.ndarray, watched: Watch, period: float
 ) -> pd.DataFrame:
     """The histories of the rows of a batch in `slots`, by the control `period` (s)."""
     rows = finished.iloc[slots]
     time = period * watched.every * (1 + np.arange(len(samples)))
-    return tabled(rows, samples, time, rows["duration_s"].to_numpy() + period / 2, watched.columns)
+    return to_table(rows, samples, time, rows["duration_s"].to_numpy() + period / 2, watched.columns)
 
 
 def last_states(exp: Experiment, engine: Engine, task: Batch, finished: pd.DataFrame, room: int) -> list[pd.DataFrame]:
@@ -85,13 +85,13 @@ def last_states(exp: Experiment, engine: Engine, task: Batch, finished: pd.DataF
         end = row["t_cause_s"].fillna(row["duration_s"]).to_numpy() + period / 2
         chosen = time > end - LAST
         after = end + period  # one tick more
-        tables.append(tabled(row, samples[chosen, k : k + 1], time[chosen], after, watched.columns))
+        tables.append(to_table(row, samples[chosen, k : k + 1], time[chosen], after, watched.columns))
     return tables
 
 
 def read(folder: Path) -> pd.DataFrame:
     """The histories kept in `folder`: which row (`point_id`), `time_s`, the study's columns. Raises `InputError`."""
-    entries = store.beside(folder, store.HISTORIES)
+    entries = store.list_recordings(folder, store.HISTORIES)
     if not entries:
         raise InputError(f"{folder} holds no time histories: run the study with study.keep=[tilt_deg]")
     return pd.concat([store.read_part(folder, entry) for entry in entries], ignore_index=True)

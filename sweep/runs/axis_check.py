@@ -17,7 +17,7 @@ import pandas as pd
 from sweep.core.errors import InputError
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.engines.base import Figures
-from sweep.runs.batches import batch, forget_engine, make_engine, nominal, with_room
+from sweep.runs.batches import batch, forget_engine, make_engine, nominal, with_delay_buffer
 from sweep.study.config import Experiment
 from sweep.study.study import is_static, parameter_columns
 
@@ -72,7 +72,7 @@ def run(exp: Experiment, table: pd.DataFrame, told: Callable[[int], None] = lamb
 
     `told` is called with the rollouts that are done.
     """
-    exp = with_room(exp, table)
+    exp = with_delay_buffer(exp, table)
     varied = [c for c in parameter_columns(table) if table[c].nunique() > 1]
     if not varied:
         raise InputError(f"--check: {exp.study.name} varies nothing")

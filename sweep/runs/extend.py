@@ -34,7 +34,7 @@ def grow(exp: Experiment, folder: Path, number: int, progress: runner.Progress) 
     own: dict[str, Any] = dict(exp.values["study"])
     own |= {"design": {**own["design"], "num": number}} if exp.study.design.num else {"replicates": number}
     more = experiment({**exp.values, "study": own, "out": str(folder)})
-    with store.locked(folder):
-        runner.mend(more, folder)
+    with store.lock_folder(folder):
+        runner.repair_folder(more, folder)
         runner.run(runner.lay_out(more, folder, runner.wanted_points(more)), progress)
     return more
