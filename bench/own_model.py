@@ -33,7 +33,7 @@ from mujoco.rollout import Rollout
 from sweep.cli.main import main as sweep
 from sweep.engines.settings import EngineSettings
 from sweep.study.config import compose
-from sweep.systems.own import Own, batch
+from sweep.systems.mujoco_model import MujocoModel, batch
 
 REPETITIONS = 5
 THREADS = len(os.sched_getaffinity(0))
@@ -65,7 +65,7 @@ def shortest_times(ways: Ways) -> Found:
     return {name: (min(one[name][0] for one in rounds), min(one[name][1] for one in rounds)) for name in ways}
 
 
-def native(own: Own, controls: np.ndarray, n: int) -> Ways:
+def native(own: MujocoModel, controls: np.ndarray, n: int) -> Ways:
     """Return `mujoco.rollout`, which records the state but no metrics."""
     model = own.model
     ctrl = np.repeat(controls, count_steps(own) // len(controls), axis=0)
@@ -78,7 +78,7 @@ def native(own: Own, controls: np.ndarray, n: int) -> Ways:
     return {"mujoco.rollout": lambda: pool.rollout(model, data, np.tile(start, (n, 1)), np.tile(ctrl, (n, 1, 1)))}
 
 
-def on_mjx(own: Own, controls: np.ndarray, n: int) -> Ways:
+def on_mjx(own: MujocoModel, controls: np.ndarray, n: int) -> Ways:
     """Return MJX loops of as many steps from the keyframe, with the policy's controls and with standing ones."""
     from mujoco import mjx
 
@@ -104,7 +104,7 @@ def on_mjx(own: Own, controls: np.ndarray, n: int) -> Ways:
     return {"mjx.step": stepped(walk), "mjx.step, standing": stepped(still)}
 
 
-def run_testspeed(own: Own, n: int) -> Found:
+def run_testspeed(own: MujocoModel, n: int) -> Found:
     """Return the times of `mjx-testspeed`, which starts from the model's default pose."""
     from mujoco import mjx
 
@@ -116,15 +116,15 @@ def run_testspeed(own: Own, n: int) -> Found:
     return {"mjx-testspeed": (found, np.nan)}
 
 
-def on_warp(own: Own, controls: np.ndarray, n: int) -> Ways:
+def on_warp(own: MujocoModel, controls: np.ndarray, n: int) -> Ways:
     """Return MuJoCo Warp loops without JAX, as `on_mjx`, with as much memory for contacts as the engine has."""
     import warp  # pyright: ignore[reportMissingImports]
     from mujoco.mjx.third_party import mujoco_warp
 
-    from sweep.systems.own.mjx import room
+    from sweep.systems.mujoco_model.mjx import warp_buffer_sizes
 
     model, start = mujoco_warp.put_model(own.model), keyframe_data(own)
-    data = mujoco_warp.put_data(own.model, start, nworld=n, **room(own.model, n))
+    data = mujoco_warp.put_data(own.model, start, nworld=n, **warp_buffer_sizes(own.model, n))
     qpos, qvel = warp.clone(data.qpos), warp.clone(data.qvel)
     once: Callable[[], Any] = partial(mujoco_warp.step, model, data)
     once()  # compiles
@@ -151,12 +151,12 @@ def on_warp(own: Own, controls: np.ndarray, n: int) -> Ways:
     return {"mujoco_warp.step": stepped(controls), "mujoco_warp.step, standing": stepped(still)}
 
 
-def count_steps(own: Own) -> int:
+def count_steps(own: MujocoModel) -> int:
     """Return the number of physics steps of a rollout."""
-    return round(own.about.duration / own.model.opt.timestep)
+    return round(own.config.duration / own.model.opt.timestep)
 
 
-def keyframe_data(own: Own) -> mujoco.MjData:
+def keyframe_data(own: MujocoModel) -> mujoco.MjData:
     """Return the model's data at the keyframe."""
     data = mujoco.MjData(own.model)
     mujoco.mj_resetDataKeyframe(own.model, data, own.keyframe)
@@ -179,11 +179,11 @@ def rows(engine: str, times: Found, steps: int) -> Iterator[dict[str, Any]]:
         }
 
 
-def make_task(name: str, width: int, seconds: str, *more: str) -> tuple[Own, Any, Task]:
+def make_task(name: str, width: int, seconds: str, *more: str) -> tuple[MujocoModel, Any, Task]:
     """Return a system, its engine, and the rollouts to run."""
     exp = compose(["scenario=own", f"engine.name={name}", f"model.duration={seconds}", *more])
     own = exp.system
-    assert isinstance(own, Own)
+    assert isinstance(own, MujocoModel)
     task = (*own.sides({}), np.zeros(width, np.int64))
     return own, own.engine(replace(exp.settings, width=width), *task[:2], None), task
 
@@ -201,7 +201,7 @@ def measure_engine(name: str, width: int, seconds: str) -> Iterator[dict[str, An
     _, played, _ = make_task(name, width, seconds, "model.controller=played:policy")
     found = shortest_times({
         name: lambda: engine.run(*task),
-        f"{name}, its start": lambda: batch.begin(own, EngineSettings(), *task).energy(),
+        f"{name}, its start": lambda: batch.start_batch(own, EngineSettings(), *task).energy(),
         **{"native": native, "mjx": on_mjx, "warp": on_warp}[name](own, controls, width),
         f"{name}, played": lambda: played.run(*task),
     })  # fmt: skip

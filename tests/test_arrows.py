@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sweep.systems.hexapod import Hexapod
-from sweep.systems.own import Own
+from sweep.systems.mujoco_model import MujocoModel
 
 PACKAGE = Path(__file__).parents[1] / "sweep"
 # from the ground up: a room knows those before it; modules beside the rooms, which users import, know all of them
@@ -28,10 +28,10 @@ BELOW_RUNS = (
 ROOMS = (*BELOW_RUNS, "runs", "trace", "report", "cli", "")
 # a controller and a model of a user's own; one rollout's surfaces; physics measured alone
 JAX_ABOVE_ENGINES = {
-    "sweep.systems.own.batch",
-    "sweep.systems.own.policy",
+    "sweep.systems.mujoco_model.batch",
+    "sweep.systems.mujoco_model.policy",
     "sweep.systems.exported",
-    "sweep.systems.own.mjx",
+    "sweep.systems.mujoco_model.mjx",
     "sweep.cli.template_model.trot",
     "sweep.trace.contact_forces",
     "sweep.cli.bench",
@@ -50,8 +50,8 @@ FILES_BELOW_RUNS = {
     "sweep.study.study",
     "sweep.systems.base",
     "sweep.systems.hexapod",
-    "sweep.systems.own",
-    "sweep.systems.own.files",
+    "sweep.systems.mujoco_model",
+    "sweep.systems.mujoco_model.files",
 }
 
 
@@ -125,7 +125,7 @@ def test_studies_know_systems_by_their_contract(place):
 
 def test_nothing_asks_which_system_it_has():
     """What one can and another cannot is a part of the contract; their classes are named where they are made."""
-    classes = {Hexapod.__name__, Own.__name__}
+    classes = {Hexapod.__name__, MujocoModel.__name__}
     others = {name: ast.parse(path.read_text()) for name, path in MODULES.items() if room(name) != "systems"}
     found = {
         name

@@ -55,7 +55,7 @@ def test_flips_tell_how_far_the_boundary_moves(fake_engine, tmp_path, capsys):
     assert elsewhere["flips"].max() > 5
     table = every[every["drawn"] == "next to the boundary"].set_index("simulated")
     assert (table["rollouts"] == near.sum()).all()
-    moved = {WAYS[way].words: shift for way, shift in
+    moved = {WAYS[way].description: shift for way, shift in
              (("again", 0), ("half_step", 0.03), ("float64", 0.005), ("other_engine", 0))}  # fmt: skip
     for name, shift in moved.items():
         assert table.loc[name, "flips"] == ((friction < needed) & (friction + shift >= needed) & near).sum(), name

@@ -12,7 +12,7 @@ from sweep.cli.main import main
 from sweep.models.scene import native_model
 from sweep.runs import store
 from sweep.study.config import compose
-from sweep.systems.exported import controller
+from sweep.systems.exported import make_controller
 
 FIELDS = ("body_mass", "body_inertia", "body_pos", "body_quat", "geom_size", "geom_friction", "geom_pos", "site_pos",
           "dof_armature", "dof_damping", "actuator_biasprm", "actuator_forcerange")  # fmt: skip
@@ -51,7 +51,7 @@ def test_what_a_controller_of_an_own_model_cannot_do_is_refused(tmp_path, monkey
 
 def test_its_controller_is_one_program_whose_state_keeps_its_shape():
     exp = compose(["scenario=walk_tripod"])
-    made, key = controller(exp.case, exp.settings, exp.thresholds), jax.random.PRNGKey(0)
+    made, key = make_controller(exp.case, exp.settings, exp.thresholds), jax.random.PRNGKey(0)
     seen = jax.ShapeDtypeStruct((25 + 24 + 6 + 3 + 3 * 12 + 3 * 6 + 18,), np.float32)  # with the ends of twelve links
     _, state, _ = jax.eval_shape(made.begin, made.parameters, key)
     angles, after = jax.eval_shape(made.policy, made.parameters, seen, state, key)

@@ -19,7 +19,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.runs import audit, batches, results, store
 from sweep.runs.runner import wanted_points
 from sweep.study.config import compose
-from sweep.systems.own import Own, fields, mjx
+from sweep.systems.mujoco_model import MujocoModel, fields, mjx
 
 HOPPER = """<mujoco><option timestep="0.002" integrator="Euler"/>
 <worldbody>
@@ -174,7 +174,7 @@ def test_an_audit_tells_robot_from_simulator(here, capsys):
     assert main(["audit", "whole", "--points", "3"]) == 0
     found = audit.table(results.read(Path("whole")))
     assert list(found["simulated"].unique()) == [
-        way.words for way in results.read(Path("whole")).exp.system.ways.values()
+        way.description for way in results.read(Path("whole")).exp.system.audit_variants.values()
     ]
     before = store.read_rows(Path("whole")).set_index("point_id")["travelled_m"]
     moved = {}
@@ -307,19 +307,19 @@ def test_what_mjx_has_no_field_for_is_no_axis_of_its(here, capsys):
 
 
 def test_where_mjx_parts_from_c_is_told(here, capsys):
-    assert not [*_engine("Euler").cautions()]
-    (line,) = _engine("implicitfast").cautions()
+    assert not [*_engine("Euler").known_differences()]
+    (line,) = _engine("implicitfast").known_differences()
     assert "model.option.integrator=Euler" in line
     joints = '<joint joint="hip" coef="1"/>' * 2
     tendon = f'<tendon><fixed name="t" armature="0.1">{joints}</fixed></tendon>'
     Path("coupled.xml").write_text(HOPPER.replace("<actuator>", f"{tendon}<actuator>"))
-    (line,) = _engine("Euler", "model.mjcf=coupled.xml").cautions()
+    (line,) = _engine("Euler", "model.mjcf=coupled.xml").known_differences()
     assert "armature of tendons" in line
 
 
 def _engine(integrator, *more):
     system = compose(["study=study.yaml", f"model.option.integrator={integrator}", *more]).system
-    assert isinstance(system, Own)
+    assert isinstance(system, MujocoModel)
     return system.engine(EngineSettings(name="mjx"), *system.sides({}), None)
 
 

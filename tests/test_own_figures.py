@@ -14,7 +14,7 @@ from mujoco.batch import MODEL_FIELDS, Batch
 from sweep.cli.main import main
 from sweep.core.errors import InputError
 from sweep.runs import store
-from sweep.systems.own import fields, files
+from sweep.systems.mujoco_model import fields, files
 
 PAGE = (Path(__file__).parents[1] / "docs/own_model.md").read_text(encoding="utf-8")
 SLED = """<mujoco><option timestep="1e-3" integrator="Euler" iterations="{}"/>{}<worldbody>
@@ -26,7 +26,7 @@ SLED = """<mujoco><option timestep="1e-3" integrator="Euler" iterations="{}"/>{}
 <actuator><motor name="push" site="push" refsite="world" gear="0 1 0 0 0 0"/>
 <motor name="wheel" joint="wheel"/></actuator>
 <sensor><touch name="under" site="under"/></sensor></mujoco>"""
-STUDY = """system: own
+STUDY = """system: mujoco
 model: {{mjcf: sled.xml, controller: "shove:policy", duration: 0.5, direction: [0, 2, 0],
         collisions: [under], feet: [under]}}
 outcome: {{slow: speed_mps < 0.1{}}}
@@ -87,7 +87,7 @@ def test_a_lack_of_room_for_contacts_is_invalid(here):
     Path("boxes.xml").write_text(f'<mujoco><size memory="50K"/>{world}</mujoco>')
     Path("still.py").write_text(PUSH.replace("[4.0, 0.0]", "[]"))
     Path("boxes.yaml").write_text(
-        "system: own\nmodel: {mjcf: boxes.xml, controller: 'still:policy', duration: 0.1}\nstudy: {name: boxes}\n"
+        "system: mujoco\nmodel: {mjcf: boxes.xml, controller: 'still:policy', duration: 0.1}\nstudy: {name: boxes}\n"
         "outcome: {up: energy_gained_j > 1}\n"
     )
     assert main(["run", "study=boxes.yaml", "study.invalid_max=1", "out=boxes"]) == 0
@@ -167,13 +167,13 @@ def test_every_field_of_a_batch_is_a_path_or_the_page_says_why_not():
     things = [(f"model.{kind}.{THINGS[kind]}", numbers) for kind, numbers in fields.VARIED.items()]
     for thing, numbers in [*things, ("model.option", fields.OPTIONS)]:
         for name, one in numbers.items():
-            usual = fields.whole(model, one.field)
+            usual = fields.field_values(model, one.field)
             size = usual.size if thing == "model.option" else usual[0].size
             names = one.names or (fields.XYZ if one.compiled else [*map(str, range(size))])
             path = f"{thing}.{name}" + (f".{names[size - 1]}" if size > 1 else "")
             nominal, batch = fields.parameter(model, path).default, Batch(model, 2)
             fields.write(batch, {path: np.array([nominal, nominal + 0.25])}, lambda: spec)
-            same, other = (fields.whole(batch.get_model(k), one.field) for k in (0, 1))
+            same, other = (fields.field_values(batch.get_model(k), one.field) for k in (0, 1))
             np.testing.assert_array_equal(same, usual, err_msg=path)
             assert list(other[other != usual]) == [nominal + 0.25], path
             paths.add(one.field)
@@ -188,7 +188,7 @@ def test_every_field_of_a_batch_is_a_path_or_the_page_says_why_not():
         for row in re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE)
         for pattern in re.findall("`([^`]+)`", row)
     ]
-    whole_numbers = {name for name in MODEL_FIELDS if fields.whole(model, name).dtype.kind != "f"}
+    whole_numbers = {name for name in MODEL_FIELDS if fields.field_values(model, name).dtype.kind != "f"}
     for name in MODEL_FIELDS - whole_numbers:
         assert any(fnmatch(name, pattern) for pattern in told) != (name in paths), name
     assert not [pattern for pattern in told if not any(fnmatch(name, pattern) for name in MODEL_FIELDS)]
@@ -211,7 +211,7 @@ def cart():
     Path("robot.urdf").write_text(URDF.format("trunk"))
     Path("still.py").write_text(PUSH.replace("[4.0, 0.0]", "[]"))
     Path("falls.yaml").write_text(
-        "system: own\nmodel: {mjcf: robot.urdf, controller: 'still:policy', duration: 0.5}\nstudy: {name: falls}\n"
+        "system: mujoco\nmodel: {mjcf: robot.urdf, controller: 'still:policy', duration: 0.5}\nstudy: {name: falls}\n"
         "outcome: {up: energy_gained_j > 1}\n"
     )
 
@@ -282,6 +282,6 @@ def test_a_controller_is_as_its_file_is_now_and_in_this_project(here, monkeypatc
             f"def policy(belief, observation, state, key):\n    return {number}, state\n"
         )
         monkeypatch.chdir(folder)
-        found = files.controller("steered:policy")
+        found = files.load_controller("steered:policy")
         assert found.policy({}, None, (), None) == (number, ())
-        assert files.controller("steered:policy").policy is found.policy  # and compiled once
+        assert files.load_controller("steered:policy").policy is found.policy  # and compiled once

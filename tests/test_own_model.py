@@ -18,7 +18,7 @@ from sweep.engines import devices
 from sweep.runs import batches, results, store
 from sweep.runs.runner import wanted_points
 from sweep.study.config import compose
-from sweep.systems.own import batch, fields, outcome
+from sweep.systems.mujoco_model import batch, fields, outcome
 
 PAGE = (Path(__file__).parents[1] / "docs/own_model.md").read_text(encoding="utf-8")
 CODE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -227,7 +227,7 @@ def test_figures_of_a_fall_are_those_of_mechanics(tmp_path, monkeypatch):
 
 def test_outcomes_are_told_by_what_holds_first():
     names = ("height_m", "way_m")
-    conditions = outcome.parse(
+    conditions = outcome.parse_conditions(
         {"goal": "way_m >= 2", "fell": "height_m < 0.2", "late": "way_m < 1 and height_m > 0"}, names
     )
     figures = {"height_m": np.array([0.3, 0.1, 0.3, 0.1, 0.3]), "way_m": np.array([3.0, 3.0, 1.5, 0.5, 0.5]),

@@ -41,7 +41,7 @@ def study(tmp_path, monkeypatch):
         Path("model.xml").write_text(model)
         Path(f"{name}.py").write_text(controller)
         Path("study.yaml").write_text(
-            f"system: own\nmodel: {{mjcf: model.xml, controller: '{name}:policy', observe: [qpos, qvel],\n"
+            f"system: mujoco\nmodel: {{mjcf: model.xml, controller: '{name}:policy', observe: [qpos, qvel],\n"
             "  duration: 0.2}\n"
             f"outcome: {{goal: duration_s > 0}}\nstudy:\n  axes:\n    x: {{{axis}}}\n"
         )

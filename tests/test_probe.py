@@ -9,7 +9,7 @@ from fake_engine import FakeEngine
 
 from sweep.cli.main import main
 from sweep.study.config import compose
-from sweep.systems.hexapod import flat
+from sweep.systems.hexapod import flatten_case
 
 SITES, GEOMS, BELIEFS = 400, 300, 300
 SHELF = "".join(f'<geom name="g{k}" size="1" contype="0" conaffinity="0"/>' for k in range(GEOMS))
@@ -28,7 +28,7 @@ def begin(belief, key):
 def policy(belief, seen, state, key):
     return jnp.array([belief["load"] * belief["reach"] * jnp.sin(40 * state["time"])]), {"time": state["time"] + 0.02}
 """
-HEAD = """system: own
+HEAD = """system: mujoco
 model: {mjcf: slider.xml, controller: "swing:policy", duration: 0.1}
 outcome: {far: travelled_m > 9}
 study:
@@ -190,7 +190,9 @@ class Differing(FakeEngine):
 @pytest.mark.parametrize("fake_engine", [Differing], indirect=True)
 def test_what_an_engine_has_no_use_for_is_told_of_the_robot(fake_engine, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    every = [(path, value) for path, value in flat(compose(["scenario=walk_tripod"]).case.robot, "robot") if value]
+    every = [
+        (path, value) for path, value in flatten_case(compose(["scenario=walk_tripod"]).case.robot, "robot") if value
+    ]
     dead = {path: (value, 1.01 * value) for path, value in every if isinstance(value, float)}
     live = {"contact.friction": (0.1, 0.2)}
     half = {"contact.stiffness": (3e4, 4e4), "engine.native_time_step": (1e-3, 5e-4)}

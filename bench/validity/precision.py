@@ -29,7 +29,7 @@ from sweep.models.legs import JOINT_Q, N_LEGS
 from sweep.models.robot import total_mass
 from sweep.study.config import compose
 from sweep.systems import exported
-from sweep.systems.own.mjx import CARRIED, CONSTRAINTS, CONTACTS
+from sweep.systems.mujoco_model.mjx import CARRIED, CONSTRAINTS, CONTACTS
 from validity import peers, points, robot, simulation
 from validity.scenes import History, Scene, error, kick_on_slope, slides_then_rolls
 from validity.tables import short
@@ -124,7 +124,7 @@ def _alone(case: Case, q: np.ndarray) -> points.Batch:
 
 
 def _mjcf(case: Case) -> Callable[[], mujoco.MjModel]:
-    return lambda: exported.spec(case, compose(["engine=native"]).settings).compile()
+    return lambda: exported.make_spec(case, compose(["engine=native"]).settings).compile()
 
 
 def scene(of: Scene) -> Task:

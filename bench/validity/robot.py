@@ -27,7 +27,7 @@ from sweep.models.legs import JOINT_Q, JOINT_V, N_LEGS
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.robot import total_mass
 from sweep.study.config import compose
-from sweep.systems.own.mjx import CONSTRAINTS, CONTACTS
+from sweep.systems.mujoco_model.mjx import CONSTRAINTS, CONTACTS
 from validity.simulation import simulate
 
 SECONDS, RAMP = 1.0, 0.4

@@ -44,7 +44,7 @@ def main(args: list[str]) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     exp = compose(parser.parse_known_args(args)[1])
-    if why := exp.system.lacks.get("export-model"):
+    if why := exp.system.unsupported_commands.get("export-model"):
         raise InputError(f"export-model is not allowed: {why}")
     if not exp.study.single:
         raise InputError("study is not allowed: one scenario is exported, whose numbers are axes again")
@@ -52,8 +52,8 @@ def main(args: list[str]) -> int:
         raise InputError("out is missing: a new or empty folder")
     exported.check(exp.case)
     folder, module = Path(exp.values["out"]), f"{exp.scenario}_policy"
-    about = exported.scenario(exp.case, exp.settings, exp.thresholds, "robot.mjb", f"{module}:policy")
-    spec = exported.spec(exp.case, exp.settings)
+    about = exported.make_scenario(exp.case, exp.settings, exp.thresholds, "robot.mjb", f"{module}:policy")
+    spec = exported.make_spec(exp.case, exp.settings)
     model, case = spec.compile(), {key: value for key, value in exp.values.items() if key != "out"}
     texts = {
         "sweep.yaml": "# A sweep project, written by `sweep export-model`\nmodules: []\n",

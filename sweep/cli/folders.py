@@ -289,7 +289,7 @@ def audit_results(given: argparse.Namespace) -> int:
     found = results.read(given.dir, given.where)
     device_choice.choose_device_for_folder(given.dir)
     ways = names(given.ways) or []
-    most = 2 * given.points * len(ways or found.exp.system.ways)
+    most = 2 * given.points * len(ways or found.exp.system.audit_variants)
     with app.reporting("audit", most, f"{found.exp.scenario} in other ways") as report:
         audit.run(found, given.points, ways, report, lambda line: print(f"sweep: {line}", file=sys.stderr))
     terminal.print_markdown(tables.page_table(audit.table(found)) + "\n")

@@ -29,7 +29,7 @@ from sweep.models.plan_table import SLOPES, Content
 from sweep.runs import store, tuning
 from sweep.study.config import Experiment, compose
 from sweep.study.study import parameter_columns, points
-from sweep.systems.base import side_and_path
+from sweep.systems.base import split_side
 from sweep.tune.score import APART, MANOEUVRE, MOMENTS, SAME, Aim, Score, shares, stacked, worst
 
 DIGITS, SLOPE_DIGITS = 4, 3  # to which numbers are rounded, and slopes
@@ -56,7 +56,7 @@ def main(args: list[str]) -> int:
         if getattr(given, flag) < least:
             raise InputError(f"--{flag} = {getattr(given, flag)} is not allowed: at least {least}")
     exp = compose(overrides)
-    if why := exp.system.lacks.get("tune"):
+    if why := exp.system.unsupported_commands.get("tune"):
         raise InputError(f"tune is not allowed: {why}")
     case, where = exp.case, Path(exp.out or "")
     if not isinstance(case.manoeuvre, plan_table.TabulatedManoeuvre):
@@ -126,7 +126,7 @@ def drawn_sizes(exp: Experiment) -> dict[str, float]:
 
     Numbers follow shares of sizes, which one that is nought has none of. Raises `InputError` where there are none.
     """
-    told = {side_and_path(column)[1] for column in parameter_columns(points(exp.study, exp.system, exp.settings))}
+    told = {split_side(column)[1] for column in parameter_columns(points(exp.study, exp.system, exp.settings))}
     at = plan_table.plan_content(exp.case).get(SLOPES, {}).get(plan_table.AT, {})
     drawn = [path for path in sorted(told) if path.partition(".")[0] in plan_table.SIZED]
     found = {path: size for path in drawn if (size := at.get(path, float(plan_table.parameter_value(exp.case, path))))}

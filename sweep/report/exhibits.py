@@ -219,7 +219,10 @@ def audits(results: Results) -> Iterator[Exhibit]:
     if len(x_y) < 2 or not found:
         return
     columns = ["point_id", *x_y, "outcome", f"outcome{SECOND}"]
-    parts = [pairs[columns].assign(simulated=results.exp.system.ways[way].words) for way, pairs in found.items()]
+    parts = [
+        pairs[columns].assign(simulated=results.exp.system.audit_variants[way].description)
+        for way, pairs in found.items()
+    ]
     data = pd.concat(parts, ignore_index=True)
     caption = (
         "Rollouts next to the boundary and successes elsewhere, simulated again: a dot where the outcome is the same, "
@@ -260,7 +263,7 @@ def thresholds(results: Results) -> dict[str, float]:
 
 def judged_first(results: Results) -> list[str]:
     """Figures that differ between rollouts, those with a threshold first."""
-    judged, silent = thresholds(results), results.exp.system.silent
+    judged, silent = thresholds(results), results.exp.system.bookkeeping_metrics
     names = [c for c in figure_columns(results.rows) if c not in silent and results.rows[c].dtype.kind == "f"]
     names = [c for c in names if results.rows[c].max() > results.rows[c].min()]
     return sorted(names, key=lambda c: c not in judged)

@@ -11,7 +11,7 @@ from sweep.core.parameters import UNITS, format_unit
 from sweep.study.config import Experiment
 from sweep.study.designs import Axis
 from sweep.study.study import unit_of_column
-from sweep.systems.base import side_and_path
+from sweep.systems.base import split_side
 
 READ = {end: format_unit(unit) for end, unit in UNITS.items()} | {"deg": "°"}  # units of figures as they are read
 
@@ -50,7 +50,7 @@ def axis_words(column: str, exp: Experiment | None = None) -> str:
 
 def path_words(column: str, parts: int = 1) -> str:
     """The last `parts` of a path in words: `world.contact.friction` -> `friction (world)`; `.name` does not count."""
-    side, path = side_and_path(column)
+    side, path = split_side(column)
     words = " ".join(path.removesuffix(".name").split(".")[-parts:]).replace("_", " ")
     return words if side == "both" else f"{words} ({side})"
 

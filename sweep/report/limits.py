@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from sweep.report.cells import Cells, places
 from sweep.study.analytic_limits import Theory
 from sweep.study.config import Experiment
-from sweep.systems.base import side_and_path
+from sweep.systems.base import split_side
 
 STYLES = ("--", "-.", ":")
 
@@ -19,7 +19,7 @@ def curve(theory: Theory, exp: Experiment, rows: pd.DataFrame, along: str) -> pd
     found = []
     for value, group in rows.groupby(along):
         agreed = group.loc[:, group.nunique() == 1].iloc[0]
-        here = {side_and_path(str(name))[1]: one for name, one in agreed.items()}
+        here = {split_side(str(name))[1]: one for name, one in agreed.items()}
 
         def value_of(path: str, here: dict = here) -> float:
             return here[path] if path in here else exp.system.nominal(path, exp.settings)
@@ -32,7 +32,7 @@ def draw(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, cells: C
     """Draw the limits of either parameter of a map of `rows`, each with its label."""
     for theory, style in zip(exp.study.theory, STYLES, strict=False):
         for across, along in ((x, y), (y, x)):
-            if side_and_path(across)[1] != theory.of or rows[along].dtype.kind not in "fi":
+            if split_side(across)[1] != theory.of or rows[along].dtype.kind not in "fi":
                 continue
             found = curve(theory, exp, rows, along)
             pairs = (found["limit"], found["along"]) if across == x else (found["along"], found["limit"])

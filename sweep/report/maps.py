@@ -124,7 +124,7 @@ def split(
 def kinds_in(rows: pd.DataFrame, exp: Experiment) -> list[str]:
     """Success and causes of failure among `rows`, in the order of their definition."""
     found = set(rows["cause"])
-    causes = [cause for cause in exp.system.causes if cause in found and cause not in exp.system.doubts]
+    causes = [cause for cause in exp.system.causes if cause in found and cause not in exp.system.invalid_causes]
     return [SUCCESS] * bool((rows["outcome"] == SUCCESS).any()) + causes
 
 

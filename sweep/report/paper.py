@@ -205,7 +205,7 @@ def quoted(results: Results, found: rare.Weighted | rare.Repeated | None) -> Ite
             yield Number(name + word, float(value), f"{value:.4g}", f"{word.lower()} of {axis}", None)
     won = rows[rows["outcome"] == "success"]
     for figure in figure_columns(rows):
-        if figure in results.exp.system.silent or won.empty or won[figure].dtype.kind != "f":
+        if figure in results.exp.system.bookkeeping_metrics or won.empty or won[figure].dtype.kind != "f":
             continue
         for word, value in (("Median", won[figure].median()), ("Min", won[figure].min()), ("Max", won[figure].max())):
             what = f"{word.lower()} of {figure}"

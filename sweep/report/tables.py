@@ -16,7 +16,7 @@ from sweep.report.labels import name_and_unit, path_words, unique_headings, uniq
 from sweep.runs.results import Results
 from sweep.study.columns import LABELS, figure_columns
 from sweep.study.config import Experiment
-from sweep.systems.base import side_and_path
+from sweep.systems.base import split_side
 
 SIGNS = {"°": r"\textdegree{}", "·": r"$\cdot$", "⁴": r"\textsuperscript{4}", r"a\_r": "$a_r$"}
 SHARES = ("share", "low", "high")  # of tables of rates; without a share, low and high are numbers of their own
@@ -113,7 +113,7 @@ def one_rollout(exp: Experiment, row: pd.Series) -> str:
     if row["outcome"] != "success":
         lines.append(("cause", str(row["cause"]), f"in stage {row['stage']}"))
     for name in figure_columns(row.to_frame().T):
-        if name in exp.system.silent:
+        if name in exp.system.bookkeeping_metrics:
             continue
         words, unit = name_and_unit(name)
         lines.append((words, text(row[name]), unit))
@@ -128,7 +128,7 @@ def parameters(results: Results) -> Iterator[dict[str, Any]]:
     paths = {axis.column: axis.path or "" for axis in results.exp.study.axes}
     for name in results.axes:
         values = results.rows[name]
-        side, path = side_and_path(name)
+        side, path = split_side(name)
         path = paths.get(name, path)
         listed = [text(v) for v in sorted(values.unique())]
         extent = ", ".join(listed) if len(listed) <= 6 else f"{listed[0]} to {listed[-1]}"

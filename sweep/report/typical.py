@@ -35,7 +35,9 @@ def typical(results: Results) -> Iterator[Typical]:
     """The medoid of each cause, then that of the successes: least distant from all others in standardised figures."""
     rows = results.rows
     kinds = kind_of(rows)
-    columns = [c for c in figure_columns(rows) if c not in results.exp.system.silent and rows[c].dtype.kind == "f"]
+    columns = [
+        c for c in figure_columns(rows) if c not in results.exp.system.bookkeeping_metrics and rows[c].dtype.kind == "f"
+    ]
     for kind in [*results.causes_seen, SUCCESS]:
         own = rows[(kinds == kind).to_numpy()]
         if len(own):

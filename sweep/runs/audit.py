@@ -20,7 +20,7 @@ from sweep.runs import runner, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment, experiment
 from sweep.study.study import Logger, parameter_columns, replace_settings
-from sweep.systems.base import Way
+from sweep.systems.base import AuditVariant
 
 AUDIT = "audit"
 
@@ -30,7 +30,7 @@ def run(results: Results, number: int, ways: list[str], progress: runner.Progres
 
     Without any in all that there are; those in which they cannot be simulated are then left out, and `say` is told why.
     """
-    known = results.exp.system.ways
+    known = results.exp.system.audit_variants
     for way in ways:
         if way not in known:
             raise InputError(f"--ways {way} is unknown (allowed: {', '.join(known)})")
@@ -58,7 +58,7 @@ def run(results: Results, number: int, ways: list[str], progress: runner.Progres
             runner.run(runner.lay_out(again, again.folder, table), progress)
 
 
-def _again(exp: Experiment, way: Way, points: pd.DataFrame, folder: Path) -> tuple[Experiment, pd.DataFrame]:
+def _again(exp: Experiment, way: AuditVariant, points: pd.DataFrame, folder: Path) -> tuple[Experiment, pd.DataFrame]:
     """The study in another way, and its points. Raises `InputError` where they cannot be simulated in it."""
     settings = replace(way.change(exp.settings), width=0)  # so few rollouts have a width of their own
     changed = {}
@@ -121,7 +121,7 @@ def boundary(results: Results) -> np.ndarray:
 def done(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
     """The ways that `results` were audited in, with the pairs of rollouts before and again."""
     folder = path_in(results.folder, AUDIT)
-    for way in results.exp.system.ways:
+    for way in results.exp.system.audit_variants:
         if path_in(folder, f"{way}/{store.STUDY}").exists() and store.finished_batches(folder / way):
             again = store.read_rows(folder / way)
             before = results.rows[results.rows["point_id"].isin(again["point_id"])]
@@ -142,6 +142,6 @@ def table(results: Results) -> pd.DataFrame:
             found = compare.flips(of_kind)
             share = found.flipped / found.tested if found.tested else np.nan
             counts = len(points), found.pairs, found.pairs - found.tested, found.flipped
-            lines.append((results.exp.system.ways[way].words, kind, *counts, share, *found.interval()))
+            lines.append((results.exp.system.audit_variants[way].description, kind, *counts, share, *found.interval()))
     columns = ["simulated", "drawn", "of", "rollouts", "invalid", "flips", "share", "low", "high"]
     return pd.DataFrame(lines, columns=columns)

@@ -58,7 +58,7 @@ class Found:
                 "arguments, or the engine adds up in any order: no rollout can be repeated, no dead axis be told"
             )
         for (column, first, last, whole), engines in self.dead.items():
-            why = exp.system.idle(column, replace(exp.settings, name=engines[0]))
+            why = exp.system.inactive_reason(column, replace(exp.settings, name=engines[0]))
             between = f"from {_said(first)} to {_said(last)}"
             says = f"{column} changes nothing" + (
                 f" on {' and '.join(engines)}" if len(engines) < len(self.engines) else ""

@@ -51,7 +51,7 @@ def with_delay_buffer(exp: Experiment, table: pd.DataFrame) -> Experiment:
     study = exp.study
     if study.design.num and not study.points and not any(axis.values is not None for axis in study.axes):
         table = pd.concat([table, extreme_points(study, exp.system, exp.settings)])
-    return replace(exp, system=exp.system.with_room(table))
+    return replace(exp, system=exp.system.with_delay_buffer(table))
 
 
 def static_values(exp: Experiment, table: pd.DataFrame) -> dict[str, Any]:

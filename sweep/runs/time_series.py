@@ -76,7 +76,7 @@ def last_states(exp: Experiment, engine: Engine, task: Batch, finished: pd.DataF
     The batch is simulated once more, so that a batch without such rows takes no longer for it.
     """
     slots = np.flatnonzero(finished["outcome"] == INVALID)[:room]
-    watched = Watch(tuple(exp.system.recorded), 1, INVALID_ROWS)
+    watched = Watch(tuple(exp.system.history_columns), 1, INVALID_ROWS)
     _, samples = engine.histories(task.world, task.belief, task.streams, slots, watched)
     period = task.settings.control_period
     time, tables = period * (1 + np.arange(len(samples))), []

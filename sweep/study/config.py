@@ -155,8 +155,7 @@ def compose_values(overrides: list[str]) -> dict[str, Any]:
 def primary_config(overrides: list[str]) -> str:
     """Return the name of the configuration that Hydra composes, by the system of the scenario. Raises `InputError`."""
     name = hydra_sources.system({key: value for key, _, value in (one.partition("=") for one in overrides)})
-    require_choice(name, systems.SYSTEMS, f"system = {name}")
-    return systems.SYSTEMS[name].config
+    return systems.find_kind(name).config
 
 
 def check_choices(overrides: list[str]) -> None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sweep.systems.base import SIDES, System, side_and_path
+from sweep.systems.base import SIDES, System, split_side
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,7 +33,7 @@ def point_ids(table: "pd.DataFrame", system: System) -> np.ndarray:
     nominal. How a row is simulated plays no part. Of what a
     system came to have later only what is not as by default counts: else the ids are those of before there was any.
     """
-    paths = [path for side, path in map(side_and_path, table.columns) if path.partition(".")[0] in system.groups]
+    paths = [path for side, path in map(split_side, table.columns) if path.partition(".")[0] in system.groups]
     nominal = {f"{side}.{path}": value for side in SIDES for path, value in system.inputs(paths)}
     varied: dict[str, str] = {}
     for column in sorted(table.columns, key=lambda c: c.startswith(tuple(f"{s}." for s in SIDES))):  # a side's own win
@@ -44,7 +44,7 @@ def point_ids(table: "pd.DataFrame", system: System) -> np.ndarray:
             varied |= {f"{side}.{column}": column for side in SIDES}
     parts = [_hashes(key, np.asarray([value])) for key, value in nominal.items() if key not in varied]
     parts += [_hashes(key, table[column].to_numpy()) for key, column in varied.items()]
-    for path, value in system.unsaid(paths):
+    for path, value in system.default_inputs(paths):
         parts += [-_hashes(f"{side}.{path}", np.asarray([value])) for side in SIDES]
     parts.append(_hashes("replicate", table["replicate"].to_numpy()))
     total = np.zeros(len(table), np.uint64)

@@ -203,7 +203,7 @@ def parameter_columns(table: "pd.DataFrame") -> list[str]:
 def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
     """Raise `InputError` where time histories are asked for that there are none of."""
     for name in study.keep:
-        require_choice(name, system.recorded, f"study.keep: {name}")
+        require_choice(name, system.history_columns, f"study.keep: {name}")
     ticks = 1 / (settings.control_period * study.keep_rate)
     if study.keep and (round(ticks) < 1 or abs(ticks - round(ticks)) > 1e-6):
         rate = f"a whole fraction of the control rate, {1 / settings.control_period:g} a second"

@@ -1,45 +1,55 @@
-"""What can be studied: each system has a place here, which alone knows more of it than the contract in `base`."""
+"""The systems that studies simulate; only this table knows which there are, all else uses the contract in `base`."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from sweep.core.errors import require_choice
 from sweep.core.groups import GROUPS
 from sweep.systems.base import Kinds, Nominal
 
 COMMON = ("scenario", "study", "cluster", "out")  # keys of every configuration
 DERIVED = ("model.content",)  # keys that a stored one has besides
 
-USUAL = "hexapod"  # where a scenario names no `system`
+USUAL = "hexapod"  # the system of a scenario that names none
+FORMER_NAMES = {"own": "mujoco"}  # words for a system that older scenarios have
 
 
-class Kind(NamedTuple):
-    """A kind of system, as a scenario names it."""
+class SystemKind(NamedTuple):
+    """How the configuration of a system is composed and read; an entry of `SYSTEMS`."""
 
-    config: str  # what Hydra composes it from
-    keys: tuple[str, ...]  # of its configuration, beside the common ones
-    free: tuple[str, ...] = ()  # of these, those that may be left out
-    open: tuple[str, ...] = ()  # those whose parts the system alone knows
+    config: str  # name of Hydra's primary configuration
+    keys: tuple[str, ...]  # keys of its configuration, beside the common ones
+    free: tuple[str, ...] = ()  # the keys that may be left out
+    open: tuple[str, ...] = ()  # the keys whose parts only the system knows
 
     def nominal(self, values: Mapping[str, Any], kinds: Kinds) -> Nominal:
-        """The system that plain configuration `values` speak of, all of them checked. Raises `InputError`.
+        """Build the system at its nominal parameters from a plain configuration.
 
-        `kinds` are the classes that a group's `kind` chooses from, those of users too.
+        Args:
+            values: the resolved configuration.
+            kinds: the classes that a group's `kind` chooses from, users' classes included.
+
+        Returns:
+            The system with engine settings and thresholds, all checked.
+
+        Raises:
+            InputError: a key or a value is not allowed.
         """
-        if self.config == "own":
-            from sweep.systems import own as system  # which is not loaded for another
+        if self.config == "mujoco":
+            from sweep.systems import mujoco_model as system  # which is not loaded for another
         else:
             from sweep.systems import hexapod as system
         return system.nominal(values, kinds)
 
 
 SYSTEMS = {
-    "own": Kind(
-        "own",
+    "mujoco": SystemKind(
+        "mujoco",
         ("model", "controller", "noise", "engine", "outcome"),
         ("controller", "noise"),
         ("model", "controller", "noise", "outcome"),
     ),
-    "hexapod": Kind(
+    "hexapod": SystemKind(
         "config",
         tuple(name for name in GROUPS if name not in COMMON),
         tuple(name for name, group in GROUPS.items() if group.free),
@@ -47,8 +57,15 @@ SYSTEMS = {
 }
 
 
-def kind_of(values: Mapping[str, Any]) -> Kind:
-    """The kind of system that plain configuration `values` speak of: the one whose first key is among them."""
+def find_kind(name: str) -> SystemKind:
+    """The system that a scenario names, by its present or its former name. Raises `InputError`."""
+    name = FORMER_NAMES.get(name, name)
+    require_choice(name, SYSTEMS, f"system = {name}")
+    return SYSTEMS[name]
+
+
+def kind_of(values: Mapping[str, Any]) -> SystemKind:
+    """The system of a plain configuration: the one whose first key the configuration has."""
     return next((kind for kind in SYSTEMS.values() if kind.keys[0] in values), SYSTEMS[USUAL])
 
 

@@ -25,10 +25,10 @@ Kinds = Mapping[str, Mapping[str, type]]  # classes by group and kind
 Limits = Any  # of figures, by which a system judges
 
 
-class Way(NamedTuple):
+class AuditVariant(NamedTuple):
     """A way to simulate that should make no difference, see `sweep audit`."""
 
-    words: str
+    description: str
     change: Callable[[EngineSettings], EngineSettings] = lambda settings: settings
     columns: Mapping[str, Callable[[Any], Any]] = MappingProxyType({})  # other values of parameters, of each row's own
 
@@ -60,7 +60,7 @@ class System(Protocol):
         ...
 
     @property
-    def doubts(self) -> Collection[str]:
+    def invalid_causes(self) -> Collection[str]:
         """The causes for which a rollout is invalid rather than failed."""
         ...
 
@@ -70,27 +70,27 @@ class System(Protocol):
         ...
 
     @property
-    def silent(self) -> Collection[str]:
+    def bookkeeping_metrics(self) -> Collection[str]:
         """Figures that outcomes are derived from and that say nothing beside them."""
         ...
 
     @property
-    def recorded(self) -> Collection[str]:
+    def history_columns(self) -> Collection[str]:
         """Columns of time histories."""
         ...
 
     @property
-    def shown(self) -> Collection[str]:
+    def replay_formats(self) -> Collection[str]:
         """As what `sweep replay` can show a rollout: its options."""
         ...
 
     @property
-    def lacks(self) -> Mapping[str, str]:
+    def unsupported_commands(self) -> Mapping[str, str]:
         """Commands that it has no use for, with why."""
         ...
 
     @property
-    def ways(self) -> Mapping[str, Way]:
+    def audit_variants(self) -> Mapping[str, AuditVariant]:
         """Ways in which `sweep audit` simulates rollouts again, by name."""
         ...
 
@@ -114,11 +114,11 @@ class System(Protocol):
         """All that physically tells one rollout from another, by path, nominal; `paths` are varied."""
         ...
 
-    def unsaid(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    def default_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Of these, the values at which an input plays no part in a point's id."""
         ...
 
-    def idle(self, column: str, settings: EngineSettings) -> str:
+    def inactive_reason(self, column: str, settings: EngineSettings) -> str:
         """Why a column may change nothing, in words; empty where nothing is known."""
         ...
 
@@ -134,7 +134,7 @@ class System(Protocol):
         """World and belief with `values`, numbers or arrays over a batch: common ones first, then each side's own."""
         ...
 
-    def with_room(self, table: "pd.DataFrame") -> Self:
+    def with_delay_buffer(self, table: "pd.DataFrame") -> Self:
         """Itself with memory, such as a delay's, that is long enough for all points of `table`."""
         ...
 
@@ -142,7 +142,7 @@ class System(Protocol):
         """A compiled engine for sides of this structure. Raises `InputError` where there is none."""
         ...
 
-    def few(self, settings: EngineSettings) -> int:
+    def cpu_threshold(self, settings: EngineSettings) -> int:
         """Rollouts that end on the CPU before a GPU has begun; 0 where none are known to."""
         ...
 
@@ -177,18 +177,18 @@ class Nominal(NamedTuple):
     system: System
     settings: EngineSettings
     limits: Limits
-    told: Mapping[str, Any] = {}  # values that the configuration is to say from now on
+    derived_values: Mapping[str, Any] = {}  # values that the configuration is to say from now on
 
 
-def side_and_path(column: str) -> tuple[str, str]:
+def split_side(column: str) -> tuple[str, str]:
     """`world.contact.friction` -> (`world`, `contact.friction`)."""
     side, _, path = column.partition(".")
     return (side, path) if side in SIDES else ("both", column)
 
 
-def by_side(values: Values) -> dict[str, dict[str, Any]]:
+def values_by_side(values: Values) -> dict[str, dict[str, Any]]:
     """The values of each side by path: common ones first, then its own; what is the engine's is left out."""
-    placed = [(*side_and_path(column), value) for column, value in values.items() if not column.startswith("engine.")]
+    placed = [(*split_side(column), value) for column, value in values.items() if not column.startswith("engine.")]
     return {
         side: {path: value for here in ("both", side) for on, path, value in placed if on == here} for side in SIDES
     }

@@ -31,7 +31,7 @@ from sweep.models.legs import JOINT_V, JOINTS, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import body_poses, surface_at
 from sweep.models.robot import link_names
 from sweep.models.scene import native_spec
-from sweep.systems.hexapod import assign, flat
+from sweep.systems.hexapod import assign, flatten_case
 
 BELIEVED = "robot", "drive", "contact", "obstacle", "manoeuvre"  # groups whose quantities the controller is told
 
@@ -64,7 +64,7 @@ def check(case: Case) -> None:
             raise InputError(reason)
 
 
-def spec(case: Case, settings: EngineSettings) -> mujoco.MjSpec:
+def make_spec(case: Case, settings: EngineSettings) -> mujoco.MjSpec:
     """The model of the robot's native engine, whose controls are angles of joints, with sensors that MJX has, too."""
     made = native_spec(case, settings.native_time_step)
     made.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_ENERGY)
@@ -91,9 +91,9 @@ def _links(case: Case) -> list[str]:
     return [f"{link}{leg + 1}" for leg in range(N_LEGS) for link in link_names(case.robot)]
 
 
-def scenario(case: Case, settings: EngineSettings, limits: Thresholds, model: str, controller: str) -> Any:
+def make_scenario(case: Case, settings: EngineSettings, limits: Thresholds, model: str, controller: str) -> Any:
     """What an own model's scenario says, for files of these names: the robot's own causes, but for doubts."""
-    sensors = [sensor.name for sensor in spec(case, settings).sensors]
+    sensors = [sensor.name for sensor in make_spec(case, settings).sensors]
     seconds = GRACE * float(np.sum(np.asarray(nominal_plan(case).duration))) + REST
     about = {
         "mjcf": model,
@@ -103,7 +103,7 @@ def scenario(case: Case, settings: EngineSettings, limits: Thresholds, model: st
         "command": "ramped",
         "observe": ["qpos", "qvel", *sensors],
     }
-    return {"system": "own", "model": about, "outcome": dict(_conditions(case, limits))}
+    return {"system": "mujoco", "model": about, "outcome": dict(_conditions(case, limits))}
 
 
 def _conditions(case: Case, limits: Thresholds) -> Iterator[tuple[str, str]]:
@@ -116,10 +116,12 @@ def _conditions(case: Case, limits: Thresholds) -> Iterator[tuple[str, str]]:
             yield name, f"{cause.metric} {'<' if cause.below else '>'} {limit!r}"
 
 
-def controller(case: Case, settings: EngineSettings, limits: Thresholds) -> Controller:
+def make_controller(case: Case, settings: EngineSettings, limits: Thresholds) -> Controller:
     """Plan, tracker and judge of a case; what is believed is simulated, as far as its figures tell."""
     period = settings.control_period
-    numbers = {path: value for path, value in flat(case, "") if isinstance(value, float) and abs(value) < LARGEST}
+    numbers = {
+        path: value for path, value in flatten_case(case, "") if isinstance(value, float) and abs(value) < LARGEST
+    }
     numbers = {path: value for path, value in numbers.items() if path.startswith(BELIEVED)}
     measured = {name: what for metric in metrics.applicable_metrics(case) for name, what in metric.columns.items()}
 
@@ -140,7 +142,7 @@ def controller(case: Case, settings: EngineSettings, limits: Thresholds) -> Cont
 
     def policy(belief: Mapping[str, Array], seen: Array, state: Any, key: Array) -> tuple[Array, Any]:
         own, plan, loop, tick = believed(belief), state["plan"], state["loop"], state["tick"]
-        now, _ = measure(own, plan, limits, loop, state["command"], summary(own, seen, period), tick - 1, period)
+        now, _ = measure(own, plan, limits, loop, state["command"], summarize_tick(own, seen, period), tick - 1, period)
         loop = jax.tree.map(lambda a, b: jnp.where(tick > 0, a, b), now, loop)
         loop, command = act(own, own, plan, loop, tick, period)
         angles = loop.servo.target + loop.servo.torque / own.drive.stiffness
@@ -153,7 +155,7 @@ def controller(case: Case, settings: EngineSettings, limits: Thresholds) -> Cont
     return Controller(begin, policy, figures, numbers, measured)
 
 
-def summary(case: Case, seen: Float[Array, " k"], period: float) -> Tick:
+def summarize_tick(case: Case, seen: Float[Array, " k"], period: float) -> Tick:
     """What the metrics want of a tick, of what is observed at its end."""
     count, drive = len(_links(case)), case.drive
     sizes = 25, 24, N_LEGS, 3, 3 * count, 3 * N_LEGS, N_JOINTS

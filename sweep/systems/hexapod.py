@@ -30,7 +30,7 @@ from sweep.models.obstacles import OBSTACLES
 from sweep.models.obstacles.surface import Obstacle
 from sweep.models.obstacles.user_obstacle import check_user_obstacle
 from sweep.models.plan_table import DIRECTIONS, FORTH, WAY, Content, PlanTable, ReversibleManoeuvre, TabulatedManoeuvre
-from sweep.systems.base import SIDES, Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
+from sweep.systems.base import SIDES, AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,17 +47,17 @@ RANDOM: dict[str, float | str] = {
 }
 RANDOM["control.calibrate"] = "none"
 WAYS = {
-    "again": Way("as before, in batches of another width"),
-    "half_step": Way(
+    "again": AuditVariant("as before, in batches of another width"),
+    "half_step": AuditVariant(
         "half the time step",
         lambda s: replace(s, time_step=s.time_step / 2, native_time_step=s.native_time_step / 2),
     ),
-    "float64": Way("in double precision", lambda s: replace(s, precision="float64")),
-    "other_engine": Way(
+    "float64": AuditVariant("in double precision", lambda s: replace(s, precision="float64")),
+    "other_engine": AuditVariant(
         "on the other engine",
         lambda s: replace(s, name="native" if s.name == "mjx" else "mjx", solid=False),
     ),
-    "solid": Way("with solid bodies, on native", lambda s: replace(s, name="native", solid=True)),
+    "solid": AuditVariant("with solid bodies, on native", lambda s: replace(s, name="native", solid=True)),
 }
 
 
@@ -70,19 +70,19 @@ class Hexapod:
     groups = tuple(f.name for f in dataclasses.fields(Case))
     causes = outcome.MEANING
     cause_meanings = staticmethod(outcome.cause_meanings)
-    doubts = tuple(outcome.INVALID_CAUSES)
+    invalid_causes = tuple(outcome.INVALID_CAUSES)
     figures = frozenset({*outcome.COLUMNS, *outcome.BOOKKEEPING})
-    silent = frozenset(outcome.BOOKKEEPING | {"finite", "finished", "end_stage"})
-    shown = ("mcap", "states", "model", "plot", "png", "video")
-    lacks = MappingProxyType({})
-    ways = WAYS
+    bookkeeping_metrics = frozenset(outcome.BOOKKEEPING | {"finite", "finished", "end_stage"})
+    replay_formats = ("mcap", "states", "model", "plot", "png", "video")
+    unsupported_commands = MappingProxyType({})
+    audit_variants = WAYS
     device = staticmethod(run_id.device)
     run_id = staticmethod(run_id.run_id)
     judge = staticmethod(outcome.classify)
     why = staticmethod(outcome.explain_cause)
 
     @property
-    def recorded(self) -> tuple[str, ...]:
+    def history_columns(self) -> tuple[str, ...]:
         """Columns of states in such a world, see `System`."""
         return tuple(offered(self.case))
 
@@ -97,7 +97,7 @@ class Hexapod:
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
         """A field of the case or of the engine's settings, or a plan's number, see `System`."""
-        side, path = side_and_path(column)
+        side, path = split_side(column)
         if path.startswith("plan."):
             if side == "world":
                 raise InputError(f"axis {column} varies nothing: plans are made of what is believed")
@@ -110,12 +110,12 @@ class Hexapod:
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
         """What case, settings or plan have, see `System`."""
-        if side_and_path(column)[1].startswith("plan."):
+        if split_side(column)[1].startswith("plan."):
             return self.parameter(column, settings).default
         return getattr(*self._owner(column, settings))
 
     def _owner(self, column: str, settings: EngineSettings) -> tuple[Any, str]:
-        side, path = side_and_path(column)
+        side, path = split_side(column)
         owner: Any = self.case
         groups = [*self.groups] + (["engine"] if side == "both" else [])
         *above, last = path.split(".")
@@ -135,17 +135,17 @@ class Hexapod:
 
     def inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """All fields of the case, and what the plan says, see `System`."""
-        yield from flat(self.case, "")
-        yield from _said(self.case, plan_table.plan_content(self.case))
+        yield from flatten_case(self.case, "")
+        yield from _plan_inputs(self.case, plan_table.plan_content(self.case))
 
-    def unsaid(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    def default_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Of `control`, of errors of the feet's load and of the plan's numbers what is as by default.
 
         The ids are thus those of before there were any.
         """
-        yield from flat(Control(), "control")
-        yield from ((path, value) for path, value in flat(Noise(), "noise") if path.startswith(LATER))
-        yield from _said(self.case, plan_table.own_plan_content(self.case))
+        yield from flatten_case(Control(), "control")
+        yield from ((path, value) for path, value in flatten_case(Noise(), "noise") if path.startswith(LATER))
+        yield from _plan_inputs(self.case, plan_table.own_plan_content(self.case))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
         """Refuse sizes of a wrong unit, robots that cannot be built, and steps that are too long, see `System`."""
@@ -166,8 +166,8 @@ class Hexapod:
 
     def _check_built(self, table: "pd.DataFrame") -> None:
         """Raise `InputError` for the first row whose robot or obstacle is too small for MuJoCo, whatever the engine."""
-        world = [c for c in table.columns if side_and_path(c)[0] != "belief"]
-        varied = [c for c in world if side_and_path(c)[1].startswith(("robot.", "obstacle."))]
+        world = [c for c in table.columns if split_side(c)[0] != "belief"]
+        varied = [c for c in world if split_side(c)[1].startswith(("robot.", "obstacle."))]
         sizes = [c for c in varied if table[c].dtype.kind == "f"]
         if not sizes:
             return
@@ -194,15 +194,15 @@ class Hexapod:
                 f"{damping:g} N s/m over {stiffness:g} N/m"
             )
 
-    def few(self, settings: EngineSettings) -> int:
+    def cpu_threshold(self, settings: EngineSettings) -> int:
         """See `System`: where this package compiles, a full tile for each core."""
         from sweep.fused.llvm import LANES  # whose library what is wrong need not wait for
 
         return LANES * devices.cores() if settings.fusible else 0
 
-    def idle(self, column: str, settings: EngineSettings) -> str:
+    def inactive_reason(self, column: str, settings: EngineSettings) -> str:
         """Of errors that only the world has, see `System`."""
-        side, path = side_and_path(column)
+        side, path = split_side(column)
         if side == "world" and path.startswith(("manoeuvre.", "control.")):
             return "plans are made of what is believed"
         if other := next((engine for engine, own in ALONE.items() if path in own and engine != settings.name), ""):
@@ -219,15 +219,15 @@ class Hexapod:
 
     def sides(self, values: Values) -> tuple[Case, Case]:
         """Two cases, see `System`."""
-        sides = by_side(values).values()
+        sides = values_by_side(values).values()
         world, belief = (reduce(lambda case, one: assign(case, *one), own.items(), self.case) for own in sides)
         return world, belief
 
-    def with_room(self, table: "pd.DataFrame") -> "Hexapod":
+    def with_delay_buffer(self, table: "pd.DataFrame") -> "Hexapod":
         """With memory for the longest delay, see `System`."""
 
         def of(name: str) -> Any:
-            columns = [c for c in table.columns if side_and_path(c)[1] == f"noise.{name}"]
+            columns = [c for c in table.columns if split_side(c)[1] == f"noise.{name}"]
             return table[columns].max(axis=1) if columns else getattr(self.case.noise, name)
 
         longest = np.max(np.maximum(of("delay") + of("load_delay"), of("body_delay")))
@@ -260,7 +260,7 @@ class Hexapod:
 
 
 def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
-    """See `sweep.systems.Kind`."""
+    """See `sweep.systems.SystemKind`."""
     classes = {"engine": EngineSettings, "outcome": Thresholds}
     classes |= {name: group.load() for name, group in GROUPS.items() if group.in_case and group.one_class}
     parts = {group: build(cls, values[group], group) for group, cls in classes.items()}
@@ -335,7 +335,7 @@ def _of_side(
 
 def _check_size(column: str, member: Parameter, value: Any) -> None:
     """Raise `InputError` where robot or obstacle is so large that a unit must be wrong."""
-    group, nominal = side_and_path(column)[1].partition(".")[0], member.default
+    group, nominal = split_side(column)[1].partition(".")[0], member.default
     if group not in SIZED or member.metadata.get("unit") != "m" or not isinstance(nominal, float):
         return
     if nominal >= SMALLEST and value > LARGEST * nominal:
@@ -344,7 +344,7 @@ def _check_size(column: str, member: Parameter, value: Any) -> None:
         raise InputError(f"{column} = {value:g} is not allowed: is it {meant:g} m? ({allowed})")
 
 
-def _said(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
+def _plan_inputs(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
     """A plan's numbers by path, and all its words and formulas as one."""
     places = case.obstacle.charts
     found = plan_table.numbers_by_path(plan, places).items()
@@ -353,12 +353,12 @@ def _said(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
     yield "plan", json.dumps(words)
 
 
-def flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+def flatten_case(value: Any, path: str) -> Iterator[tuple[str, Any]]:
     """What a case consists of, by path, but for a plan's numbers."""
     if isinstance(value, PlanTable):
-        return  # see `_said`
+        return  # see `_plan_inputs`
     if dataclasses.is_dataclass(value):
         for member in dataclasses.fields(value):
-            yield from flat(getattr(value, member.name), f"{path}.{member.name}" if path else member.name)
+            yield from flatten_case(getattr(value, member.name), f"{path}.{member.name}" if path else member.name)
     else:
         yield path, value

@@ -55,8 +55,8 @@ def main(args: list[str]) -> int:
     _check(options)
     system = results.load_experiment(options.folder).system
     for name in SHOWN:
-        if getattr(options, name) and name not in system.shown:
-            shown = ", ".join(f"--{one}" for one in sorted(system.shown))
+        if getattr(options, name) and name not in system.replay_formats:
+            shown = ", ".join(f"--{one}" for one in sorted(system.replay_formats))
             raise InputError(f"--{name} is not allowed: such rollouts are shown by {shown}, and what study.keep keeps")
     device_choice.choose_device_for_folder(options.folder)
     with show_wait(f"simulating {options.point} of {options.folder} in its batch"):

@@ -18,7 +18,7 @@ from sweep.report.labels import column_meaning, kind_of, meaning, unique_words, 
 from sweep.report.looks import FAILURE, GOOD, look_of
 from sweep.runs import refine
 from sweep.runs.results import Results
-from sweep.systems.base import side_and_path
+from sweep.systems.base import split_side
 from sweep.trace.mcap import plain
 
 ROWS, SAMPLE = 40_000, 20_000  # with more rows than that the page has a sample of them, and maps of densities
@@ -108,7 +108,7 @@ def kinds_of(results: Results) -> list[dict[str, Any]]:
             "count": int(counts[name]),
             "colour": look_of(name).colour,
             "shape": look_of(name).shape.round(3).ravel().tolist(),
-            "outcome": "success" if name == "success" else "invalid" if name in system.doubts else "failure",
+            "outcome": "success" if name == "success" else "invalid" if name in system.invalid_causes else "failure",
         }
         for name in [*known, *sorted(set(counts.index) - set(known))]
     ]
@@ -143,7 +143,7 @@ def split(values: np.ndarray) -> bytes:
 def curves(results: Results, rows: pd.DataFrame) -> Any:
     """The limits of `study.theory` over pairs of parameters."""
     for theory in results.exp.study.theory:
-        for of in [c for c in results.numeric if side_and_path(c)[1] == theory.of]:
+        for of in [c for c in results.numeric if split_side(c)[1] == theory.of]:
             for along in [c for c in results.numeric if c != of]:
                 found = limits.curve(theory, results.exp, rows, along)
                 yield {

@@ -4,17 +4,17 @@ import mujoco
 import numpy as np
 
 from sweep.engines.settings import EngineSettings
-from sweep.systems.base import side_and_path
-from sweep.systems.own import fields
-from sweep.systems.own.subject import Subject
+from sweep.systems.base import split_side
+from sweep.systems.mujoco_model import fields
+from sweep.systems.mujoco_model.model_spec import ModelSpec
 
 CONDIM = {"slide": 3, "spin": 4, "roll": 6}  # of contacts, from which a friction counts
 SENSED, FREE = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtJoint.mjJNT_FREE
 
 
-def why(own: Subject, column: str, settings: EngineSettings) -> str:
-    """Why a column may change nothing; empty where nothing is known: see `System.idle`."""
-    side, path = side_and_path(column)
+def explain_inactive(own: ModelSpec, column: str, settings: EngineSettings) -> str:
+    """Why a column may change nothing; empty where nothing is known: see `System.inactive_reason`."""
+    side, path = split_side(column)
     root = path.partition(".")[0]
     if root == "noise":
         return "errors are those of the world" if side == "belief" else ""
@@ -24,7 +24,7 @@ def why(own: Subject, column: str, settings: EngineSettings) -> str:
         return ""
     if side == "belief":
         return "" if path in own.controller.believes.values() else "the controller is not told of it (BELIEVES)"
-    kind, number, _, what = fields.thing(own.model, path)
+    kind, number, _, what = fields.find_element(own.model, path)
     if kind == fields.OPTION:
         return _option(own.model, what)
     return _geom(own.model, number, what) if kind == "geom" else _other(own.model, kind, number, what.partition(".")[0])

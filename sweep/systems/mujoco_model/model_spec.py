@@ -11,11 +11,11 @@ from sweep.core.errors import InputError, require_choice
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.engines.settings import EngineSettings
 from sweep.systems.base import Parameter, Values
-from sweep.systems.own import fields, files
+from sweep.systems.mujoco_model import fields, files
 
 
 @dataclass(frozen=True)
-class About:
+class ModelConfig:
     """What the configuration's `model` says."""
 
     mjcf: str = ""  # file, from the project's folder
@@ -52,32 +52,32 @@ class Side:
 
     values: tuple[tuple[str, Any], ...] = ()
 
-    def of(self, root: str) -> dict[str, Any]:
+    def select_group(self, root: str) -> dict[str, Any]:
         """The values whose paths start with `root`."""
         return {path: value for path, value in self.values if path.startswith(f"{root}.")}
 
 
 @dataclass(frozen=True)
-class Subject:
+class ModelSpec:
     """A model and its controller, nominal."""
 
-    about: About
+    config: ModelConfig
     numbers: tuple[tuple[str, float], ...]  # `noise.*` and `controller.*` by path
-    room: int = 0  # ticks of delay
+    delay_buffer: int = 0  # ticks of delay
 
     @cached_property
     def model(self) -> mujoco.MjModel:
         """As MuJoCo compiles it, with the configuration's options."""
-        return fields.with_options(files.model(self.about.mjcf), dict(self.about.option))
+        return fields.with_options(files.load_model(self.config.mjcf), dict(self.config.option))
 
     def source(self) -> mujoco.MjSpec:
         """What the model is compiled from."""
-        return files.source(self.about.mjcf)
+        return files.load_spec(self.config.mjcf)
 
     @cached_property
     def controller(self) -> files.Policy:
         """What the controller's module says."""
-        return files.controller(self.about.controller)
+        return files.load_controller(self.config.controller)
 
     @cached_property
     def ranges(self) -> dict[str, Parameter]:
@@ -85,14 +85,14 @@ class Subject:
         return NOISE | {f"controller.{name}": quantity(value, "") for name, value in self.controller.parameters.items()}
 
     @property
-    def base(self) -> int | None:
+    def base_address(self) -> int | None:
         """Place in `qpos` of the first free joint."""
         free = np.flatnonzero(self.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
         return int(self.model.jnt_qposadr[free[0]]) if len(free) else None
 
-    def touches(self, key: str) -> list[int]:
+    def touch_sensors(self, key: str) -> list[int]:
         """Numbers of the touch sensors that `feet` or `collisions` names. Raises `InputError`."""
-        names, sensors = getattr(self.about, key), [*self.parts][2:]  # which follow qpos and qvel
+        names, sensors = getattr(self.config, key), [*self.state_slices][2:]  # which follow qpos and qvel
         for name in names:
             require_choice(name, sensors, f"model.{key}: {name}")
             if self.model.sensor(name).type != int(mujoco.mjtSensor.mjSENS_TOUCH):
@@ -102,7 +102,7 @@ class Subject:
     @property
     def keyframe(self) -> int:
         """Its number; -1 for the model's own pose. Raises `InputError`."""
-        names, name = [self.model.key(k).name for k in range(self.model.nkey)], self.about.keyframe
+        names, name = [self.model.key(k).name for k in range(self.model.nkey)], self.config.keyframe
         if name:
             require_choice(name, names, f"model.keyframe = {name}")
         return names.index(name) if name else -1
@@ -112,7 +112,7 @@ class Subject:
         return namespace(qpos).concatenate([qpos, qvel, sensors], axis=1)
 
     @cached_property
-    def parts(self) -> dict[str, slice]:
+    def state_slices(self) -> dict[str, slice]:
         """Where in that state are `qpos`, `qvel` and sensors by name."""
         model, first = self.model, self.model.nq + self.model.nv
         found = {"qpos": slice(0, model.nq), "qvel": slice(model.nq, first)}
@@ -120,33 +120,33 @@ class Subject:
         named = {k: name for k in range(model.nsensor) if (name := model.sensor(k).name)}
         return found | {name: slice(starts[k], starts[k] + sizes[k]) for k, name in named.items()}
 
-    def named(self, state: Any) -> dict[str, Any]:
+    def split_state(self, state: Any) -> dict[str, Any]:
         """The parts of one state (s,) by name."""
-        return {name: state[place] for name, place in self.parts.items()}
+        return {name: state[place] for name, place in self.state_slices.items()}
 
-    def observed(self, state: Any) -> Any:
+    def observe_state(self, state: Any) -> Any:
         """What one controller would be told (k,) without errors, of a state (s,)."""
         if self.controller.observe:
-            return self.controller.observe(self.named(state))
-        return namespace(state).concatenate([state[place] for place in self.told_of])
+            return self.controller.observe(self.split_state(state))
+        return namespace(state).concatenate([state[place] for place in self.observed_slices])
 
     @cached_property
-    def told_of(self) -> list[slice]:
+    def observed_slices(self) -> list[slice]:
         """What of the state is observed. Raises `InputError`."""
-        model, names = self.model, self.about.observe
+        model, names = self.model, self.config.observe
         if names and self.controller.observe:
             raise InputError("model.observe is not allowed beside the controller's own function `observe`")
         for name in names:
-            require_choice(name, self.parts, f"model.observe: {name}")
+            require_choice(name, self.state_slices, f"model.observe: {name}")
         usual = slice(model.nq + model.nv if model.nsensordata else 0, None)
-        return [self.parts[name] for name in names] or [usual]
+        return [self.state_slices[name] for name in names] or [usual]
 
-    def told(self, values: Values) -> dict[str, Any]:
+    def believed_values(self, values: Values) -> dict[str, Any]:
         """What the controller believes by its own names: its own numbers and the model's, `values` by path if given."""
         paths = {**self.controller.believes, **{name: f"controller.{name}" for name in self.controller.parameters}}
-        return {name: values[path] if path in values else self.usual(path) for name, path in paths.items()}
+        return {name: values[path] if path in values else self.nominal_value(path) for name, path in paths.items()}
 
-    def usual(self, path: str) -> Any:
+    def nominal_value(self, path: str) -> Any:
         """The nominal value of a parameter. Raises `InputError` where there is none."""
         numbers = dict(self.numbers)
         return numbers[path] if path in numbers else fields.parameter(self.model, path).default
@@ -154,10 +154,10 @@ class Subject:
     def record(self, qpos: np.ndarray, qvel: np.ndarray) -> dict[str, np.ndarray]:
         """Columns of time histories, of positions (n, nq) and velocities (n, nv)."""
         columns = {}
-        if (at := self.base) is not None:
+        if (at := self.base_address) is not None:
             columns = {f"base_{axis}_m": qpos[:, at + k] for k, axis in enumerate("xyz")}
             upright = self.model.qpos0[at + 3 : at + 7]
-            columns["tilt_deg"] = angle(level(qpos[:, at + 3 : at + 7], upright))
+            columns["tilt_deg"] = angle_deg(cosine_of_tilt(qpos[:, at + 3 : at + 7], upright))
         columns |= {f"qpos_{k}": qpos[:, k] for k in range(self.model.nq)}
         return columns | {f"qvel_{k}": qvel[:, k] for k in range(self.model.nv)}
 
@@ -167,19 +167,19 @@ def namespace(array: Any) -> Any:
     return array.__array_namespace__()
 
 
-def level(quat: Any, start: Any) -> Any:
+def cosine_of_tilt(quat: Any, start: Any) -> Any:
     """Cosine of the angle between upward axes of two orientations (..., 4), each as it stands in the world."""
-    a, b = (up(namespace(quat).moveaxis(one, -1, 0)) for one in (quat, start))
+    a, b = (up_axis(namespace(quat).moveaxis(one, -1, 0)) for one in (quat, start))
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def up(quat: Any) -> tuple[Any, Any, Any]:
+def up_axis(quat: Any) -> tuple[Any, Any, Any]:
     """The upward axis of an orientation (4, ...), each of its components (...)."""
     w, x, y, z = quat
     return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
 
 
-def angle(cosine: Any) -> Any:
+def angle_deg(cosine: Any) -> Any:
     """In degrees, of a cosine that may be beyond 1 by rounding."""
     xp = namespace(cosine)
     return xp.degrees(xp.arccos(xp.clip(cosine, -1, 1)))

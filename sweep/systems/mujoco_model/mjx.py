@@ -23,9 +23,9 @@ from sweep.core.errors import InputError
 from sweep.engines import devices
 from sweep.engines.base import Figures, Watch
 from sweep.engines.settings import EngineSettings
-from sweep.systems.own import batch, fields, figures
-from sweep.systems.own.engine import RECORDED, Found, Frame, OwnEngine, unsolved
-from sweep.systems.own.subject import Side, Subject
+from sweep.systems.mujoco_model import batch, fields, metrics
+from sweep.systems.mujoco_model.engine import RECORDED, BatchResult, ModelEngine, TickSample, find_unsolved_steps
+from sweep.systems.mujoco_model.model_spec import ModelSpec, Side
 
 with redirect_stdout(io.StringIO()):  # it prints which of its parts are not installed
     from mujoco import mjx
@@ -61,12 +61,12 @@ INSTEAD = {  # by a part of what MJX says
 }
 
 
-class OwnMjx(OwnEngine):
+class MjxModelEngine(ModelEngine):
     """See `Engine`. Raises `InputError` where MJX cannot simulate the model, or would leave a part of it out."""
 
     dynamics = "mjx"
 
-    def __init__(self, own: Subject, settings: EngineSettings):
+    def __init__(self, own: ModelSpec, settings: EngineSettings):
         self._impl = "warp" if settings.name == "warp" else "jax"  # as MJX calls it
         if (warp := self._impl == "warp") and find_spec("warp") is None:
             how = "pip install 'insect-sweep[warp]'"
@@ -74,19 +74,19 @@ class OwnMjx(OwnEngine):
         if warp and settings.precision != "float32":
             raise InputError(f"engine.precision = {settings.precision} is not allowed: warp reckons in float32")
         super().__init__(own, settings)
-        self._limited = [] if warp else limited(self._model)
+        self._limited = [] if warp else limited_contact_dims(self._model)
         self._compared = False  # with C MuJoCo
         self._placed: dict[Any, tuple[Any, Any]] = {}  # MJX's model and data of a batch's shape
         if own.controller.batched:
-            raise self._refused("a controller of NumPy's or a network is no part of its program", "one of JAX's, ")
+            raise self._refusal("a controller of NumPy's or a network is no part of its program", "one of JAX's, ")
         with self._within():
             self._check()
         # made once: a function of its own in every run would be traced and compiled anew
         each = self._programs.begin_one, self._programs.enter_one, self._programs.finish_one
         self._first, self._enter, self._finish = (jax.jit(jax.vmap(one)) for one in each)
-        self._ticks = jax.jit(self._ticked, donate_argnums=2)
+        self._ticks = jax.jit(self._run_ticks, donate_argnums=2)
 
-    def cautions(self) -> Iterator[str]:
+    def known_differences(self) -> Iterator[str]:
         """Where MJX is known to part from C MuJoCo, each a line."""
         model = self._model
         if model.nplugin:
@@ -102,7 +102,7 @@ class OwnMjx(OwnEngine):
             return
         if (model.tendon_armature[model.tendon_num > 1] != 0).any():
             yield "mjx has armature of tendons between branches of a body, C MuJoCo does not: the two may differ"
-        if numeric(model, "max_geom_pairs") is not None:
+        if custom_numeric(model, "max_geom_pairs") is not None:
             yield "mjx leaves contacts out beyond the model's max_geom_pairs, and does not tell which rollouts had more"
 
     def _check(self) -> None:
@@ -111,8 +111,8 @@ class OwnMjx(OwnEngine):
         parts = template, template._impl, template.opt, getattr(template.opt, "_impl", None)
         has = {name for part in parts if part for name in vars(part)}.difference(UNUSED[self._impl])
         for what, name in SILENT.items():
-            if name.removeprefix("opt.") not in has and np.any(fields.whole(self._model, name)):
-                raise self._refused(f"MJX leaves out {what}", "a model without, ")
+            if name.removeprefix("opt.") not in has and np.any(fields.field_values(self._model, name)):
+                raise self._refusal(f"MJX leaves out {what}", "a model without, ")
 
     def _template(self, model: mujoco.MjModel) -> Any:
         """MJX's model. Raises `InputError` where it cannot simulate it."""
@@ -123,21 +123,21 @@ class OwnMjx(OwnEngine):
         except (NotImplementedError, ValueError) as error:
             said = " ".join(str(error).split())
             instead = next((words for part, words in INSTEAD.items() if part in said), "")
-            raise self._refused(f"MJX has no {said.rstrip('.')}", f"{instead}, " if instead else "") from None
+            raise self._refusal(f"MJX has no {said.rstrip('.')}", f"{instead}, " if instead else "") from None
         return template
 
-    def _refused(self, why: str, instead: str) -> InputError:
+    def _refusal(self, why: str, instead: str) -> InputError:
         """One line, of what is to be changed."""
         return InputError(f"engine.name = {self._settings.name} is not allowed: {why} ({instead}or engine=native)")
 
-    def vary(self, paths: Iterable[str]) -> Iterable[str]:
-        """Refuse what MJX does not vary; cautions beside it, see `OwnEngine`."""
-        written = [(path, place.field) for path in paths for place in fields.resolved(self._model, path)[1]]
-        template = self._template(shaped(self._model, {name: 1.0 for _, name in written if name in SHAPING}))
+    def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
+        """Refuse what MJX does not vary; cautions beside it, see `ModelEngine`."""
+        written = [(path, place.field) for path in paths for place in fields.resolve(self._model, path)[1]]
+        template = self._template(with_features(self._model, {name: 1.0 for _, name in written if name in SHAPING}))
         for path, name in written:
-            if name in UNUSED[self._impl] or not hasattr(leaf(template, name), "at"):
-                raise self._refused(f"MJX has no {name.removeprefix('opt.')}, which {path} varies", "other axes, ")
-        return self.cautions()
+            if name in UNUSED[self._impl] or not hasattr(model_leaf(template, name), "at"):
+                raise self._refusal(f"MJX has no {name.removeprefix('opt.')}, which {path} varies", "other axes, ")
+        return self.known_differences()
 
     def run(self, world: Side, belief: Side, streams: np.ndarray) -> Figures:
         """Metrics of a batch; the engine's first one is compared with C MuJoCo before, see `_cross_check`."""
@@ -167,9 +167,9 @@ class OwnMjx(OwnEngine):
                          for one in (world, belief))  # fmt: skip
         few = [Side(tuple((path, x[rows] if np.ndim(x) else x) for path, x in one.values)) for one in (world, belief)]
         with self._within():
-            reference = batch.begin(own, self._settings, few[0], few[1], streams[rows])
+            reference = batch.start_batch(own, self._settings, few[0], few[1], streams[rows])
             activation = reference.batch.bind("act")
-            _, fixed, carry, _, _ = self._begun(world, belief, streams)
+            _, fixed, carry, _, _ = self._start(world, belief, streams)
             before = None
             for tick in range(COMPARED):
                 qpos, qvel, act = (np.asarray(carry["now"][name], float)[rows] for name in ("qpos", "qvel", "act"))
@@ -181,8 +181,8 @@ class OwnMjx(OwnEngine):
                 before = ctrl
                 steps = reference.batch.rollout(self._substeps, controls, record=RECORDED)
                 ends = np.asarray(carry["now"]["qvel"], float)[rows], np.asarray(steps["qvel"][:, -1], float)
-                solved = ~unsolved(self._model, steps).any(axis=1)  # else the solver's error is what differs
-                self._compare(tick, *(((end - qvel) / own.about.period)[solved] for end in ends))
+                solved = ~find_unsolved_steps(self._model, steps).any(axis=1)  # else the solver's error is what differs
+                self._compare(tick, *(((end - qvel) / own.config.period)[solved] for end in ends))
         self._compared = True
 
     def _nominal_first(self, path: str, values: Any) -> Any:
@@ -190,7 +190,7 @@ class OwnMjx(OwnEngine):
         if not np.ndim(values):
             return values
         values = np.array(values)
-        values[0] = self._own.usual(path)
+        values[0] = self._own.nominal_value(path)
         return values
 
     def _compare(self, tick: int, here: np.ndarray, there: np.ndarray) -> None:
@@ -209,17 +209,17 @@ class OwnMjx(OwnEngine):
         )
 
     @devices.memory()
-    def _simulate(self, world: Side, belief: Side, streams: np.ndarray, slots: Any = (), every: int = 1) -> Found:
+    def _simulate(self, world: Side, belief: Side, streams: np.ndarray, slots: Any = (), every: int = 1) -> BatchResult:
         own, frames = self._own, []
         with self._within():
-            begun, fixed, carry, ticks, at_first = self._begun(world, belief, streams)
+            begun, fixed, carry, ticks, at_first = self._start(world, belief, streams)
             given = fixed[3]
             longest, chunk = int(ticks.max(initial=0)), every if len(slots) else CHUNK
             for k in range(0, longest, chunk):
                 carry = self._ticks(fixed, min(chunk, longest - k), carry)
                 if len(slots) and k + every <= longest:
                     last = carry["ctrl"], carry["now"]["qpos"], carry["now"]["qvel"], carry["force"]
-                    frames.append(Frame((k + every) * own.about.period, *(np.asarray(x)[slots] for x in last)))
+                    frames.append(TickSample((k + every) * own.config.period, *(np.asarray(x)[slots] for x in last)))
             measured = self._finish(given, carry["carried"], carry["seen"])
         measured = {name: np.asarray(values, float) for name, values in measured.items()}
         last, (wrong, full) = carry["sofar"], (np.asarray(carry[name]) for name in ("wrong", "full"))
@@ -227,20 +227,20 @@ class OwnMjx(OwnEngine):
         found = self._meter.figures(last, begun.mass, gained, wrong, full) | measured
         return found, frames, [begun.batch.get_model(int(slot)) for slot in slots]
 
-    def _begun(
+    def _start(
         self, world: Side, belief: Side, streams: np.ndarray
-    ) -> tuple[batch.AtStart, tuple[Any, ...], dict[str, Any], np.ndarray, np.ndarray]:
+    ) -> tuple[batch.BatchStart, tuple[Any, ...], dict[str, Any], np.ndarray, np.ndarray]:
         """A batch before its first tick: rollouts, what `_ticked` has fixed and carries, ticks (n,), energy (n,) in J.
 
         To be called in the engine's precision.
         """
         own, n = self._own, len(streams)
-        begun = batch.begin(own, self._settings, world, belief, streams)
+        begun = batch.start_batch(own, self._settings, world, belief, streams)
         given = jax.device_put(begun.given)
         start, state, duration = self._first(given)
         at_first = begun.energy(start)
         seen = jnp.asarray(own.state(begun.qpos, begun.qvel, begun.sensors), float)
-        ticks = batch.ticks(own, duration)
+        ticks = batch.count_ticks(own, duration)
         template, data, leaves = self._put(begun)
         now = {name: jnp.broadcast_to(getattr(data, name), (n, *getattr(data, name).shape)) for name in CARRIED}
         now |= {"qpos": jnp.asarray(begun.qpos, float), "qvel": jnp.asarray(begun.qvel, float)}
@@ -258,28 +258,28 @@ class OwnMjx(OwnEngine):
         limits = {name: jnp.asarray(rows, float) for name, rows in begun.limits.items()}
         return begun, (template, data, leaves, given, limits), carry, ticks, at_first
 
-    def _put(self, begun: batch.AtStart) -> tuple[Any, Any, dict[str, Array]]:
+    def _put(self, begun: batch.BatchStart) -> tuple[Any, Any, dict[str, Array]]:
         """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""
-        n, rows = begun.batch.nsim, batch.differing(begun.batch)
+        n, rows = begun.batch.nsim, batch.differing_fields(begun.batch)
         most = {name: np.abs(rows[name]).max(axis=0) for name in SHAPING if name in rows}
         shape = n, *((name, values.tobytes()) for name, values in most.items())
         if shape not in self._placed:  # on the device; the last is kept, which mostly is the next one
-            model = shaped(self._model, most)
+            model = with_features(self._model, most)
             data = mujoco.MjData(model)
             if self._own.keyframe >= 0:
                 mujoco.mj_resetDataKeyframe(model, data, self._own.keyframe)
-            rooms = room(model, n) if self._impl == "warp" else {}
+            rooms = warp_buffer_sizes(model, n) if self._impl == "warp" else {}
             placed = mjx.put_model(model, impl=self._impl), mjx.put_data(model, data, impl=self._impl, **rooms)
             self._placed = {shape: placed}
         template, data = self._placed[shape]
         leaves = {}
         for name, values in rows.items():
             values = np.maximum(values, LEAST) if name in RUBBING else values
-            if hasattr(one := leaf(template, name), "at"):  # others it works out itself, or `check` refuses them
+            if hasattr(one := model_leaf(template, name), "at"):  # others it works out itself, or `check` refuses them
                 leaves[name] = jnp.asarray(values.reshape(n, *one.shape), float)
         return template, data, leaves
 
-    def _ticked(self, fixed: tuple[Any, ...], count: Array, carry: Mapping[str, Any]) -> dict[str, Any]:
+    def _run_ticks(self, fixed: tuple[Any, ...], count: Array, carry: Mapping[str, Any]) -> dict[str, Any]:
         """What goes on after `count` more ticks: states, figures, and controls and forces (n, nu) of the last one.
 
         What is `fixed` are MJX's model and data, leaves by row, what controllers are given, and limits (n, ..., 2).
@@ -290,8 +290,8 @@ class OwnMjx(OwnEngine):
             model = template.tree_replace(rows)
             after = mjx.step(model, data.replace(**now, ctrl=ctrl))
             own = {"actuator_velocity": after._impl}
-            told = {name: getattr(own.get(name, after), name) for name in figures.STEPS}
-            told["full"], told["unsolved"] = self._doubted(model, after)
+            told = {name: getattr(own.get(name, after), name) for name in metrics.STEPS}
+            told["full"], told["unsolved"] = self._invalid_flags(model, after)
             return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED}, told
 
         def tick(carry: Mapping[str, Any]) -> dict[str, Any]:
@@ -318,7 +318,7 @@ class OwnMjx(OwnEngine):
 
         return jax.lax.fori_loop(0, count, lambda _, carry: tick(carry), carry)
 
-    def _doubted(self, model: Any, data: Any) -> tuple[Array, Array]:
+    def _invalid_flags(self, model: Any, data: Any) -> tuple[Array, Array]:
         """Whether a step of MJX's model was short of room, and whether it is unsolved."""
         if self._impl == "warp":
             from mujoco.mjx.third_party.mujoco_warp import OverflowType
@@ -326,43 +326,43 @@ class OwnMjx(OwnEngine):
             lacking = OverflowType.ALL & ~OverflowType.ITERATIONS & ~OverflowType.LS_ITERATIONS
             full = jnp.any(data._impl.overflow & int(lacking) > 0)
             return full, jnp.max(data._impl.solver_niter) >= self._model.opt.iterations
-        contact, forces = data._impl.contact, (getattr(data, name) for name in figures.BALANCE)
+        contact, forces = data._impl.contact, (getattr(data, name) for name in metrics.BALANCE)
         near = contact.dist < contact.includemargin
         full = jnp.array([False, *(near[np.asarray(contact.dim) == dim].all() for dim in self._limited)]).any()
-        return full, figures.unbalanced(mjx.full_m(model, data), *forces)
+        return full, metrics.is_unbalanced(mjx.full_m(model, data), *forces)
 
 
-def numeric(model: mujoco.MjModel, name: str) -> np.ndarray | None:
+def custom_numeric(model: mujoco.MjModel, name: str) -> np.ndarray | None:
     """What a model's file has for MJX under a name, a view."""
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     return None if number < 0 else model.numeric_data[model.numeric_adr[number] :][:1]
 
 
-def limited(model: mujoco.MjModel) -> list[int]:
+def limited_contact_dims(model: mujoco.MjModel) -> list[int]:
     """Dimensions of contacts of which MJX keeps some and leaves others out: by a model's `max_contact_points`."""
     whole = copy(model)
-    if (most := numeric(whole, "max_contact_points")) is None:
+    if (most := custom_numeric(whole, "max_contact_points")) is None:
         return []
     room, most[:] = int(most[0]), -1
     dims, counts = np.unique(mjx.make_data(whole)._impl.contact.dim, return_counts=True)
     return [int(dim) for dim, count in zip(dims, counts, strict=True) if 0 <= room < count]
 
 
-def leaf(model: Any, name: str) -> Any:
+def model_leaf(model: Any, name: str) -> Any:
     """What MJX's model has by a name of `mujoco.batch`; None where it has none but in a part of Warp's own."""
-    owner, name = fields.located(model, name)
+    owner, name = fields.locate_field(model, name)
     return vars(owner).get(name)
 
 
-def shaped(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
+def with_features(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
     """A model for a program that has all that is 0 for it, and not for a rollout; `most` of it by field."""
     model = copy(model)
     for name, values in most.items():
-        setattr(*fields.located(model, name), np.broadcast_to(values, fields.whole(model, name).shape))
+        setattr(*fields.locate_field(model, name), np.broadcast_to(values, fields.field_values(model, name).shape))
     model.flg_gravcomp |= "body_gravcomp" in most
     return model
 
 
-def room(model: mujoco.MjModel, n: int) -> dict[str, int]:
+def warp_buffer_sizes(model: mujoco.MjModel, n: int) -> dict[str, int]:
     """What n of Warp's rollouts have for contacts, all together, and for constraints, each."""
     return {"naconmax": CONTACTS * n, "njmax": CONSTRAINTS * CONTACTS + model.njnt + 2 * model.nv}

@@ -50,22 +50,22 @@ class Policy(NamedTuple):
     observe: Callable[..., Any] | None = None  # what the policy is told, of all that can be observed by name
 
 
-def place() -> Path:
+def project_folder() -> Path:
     """Where a project's files are named from."""
     return project.root() or Path.cwd()
 
 
-def model(mjcf: str) -> mujoco.MjModel:
+def load_model(mjcf: str) -> mujoco.MjModel:
     """The compiled model of a file, MJCF or URDF. Raises `InputError`."""
-    file = _found("mjcf", mjcf, ".xml")
+    file = _require_file("mjcf", mjcf, ".xml")
     return _compiled(file, file.stat().st_mtime_ns)
 
 
-def _found(key: str, name: str, suffix: str) -> Path:
+def _require_file(key: str, name: str, suffix: str) -> Path:
     """The file that `model.KEY` names. Raises `InputError`."""
-    file = place() / name
+    file = project_folder() / name
     if not name or not file.is_file():
-        near = [str(f.relative_to(place())) for f in sorted(place().glob(f"**/*{suffix}"))[:50]]
+        near = [str(f.relative_to(project_folder())) for f in sorted(project_folder().glob(f"**/*{suffix}"))[:50]]
         raise InputError(f"model.{key} = {name!r} is not a file{suggest(name, near) if near else ''}")
     return file
 
@@ -79,7 +79,7 @@ def _compiled(file: Path, changed: int) -> mujoco.MjModel:
     except (ValueError, RuntimeError) as error:
         reason, near = " ".join(str(error).split()), ""
         if lost := re.search(r"opening file '(?:.*/)?([^/']+)'", reason):
-            there = {one.name for one in place().rglob(f"*{Path(lost[1]).suffix}")}
+            there = {one.name for one in project_folder().rglob(f"*{Path(lost[1]).suffix}")}
             near = suggest(lost[1], there) if there else ""
         raise InputError(f"model.mjcf = {file.name} does not compile: {reason}{near}") from None
     if not made.nv:
@@ -87,9 +87,9 @@ def _compiled(file: Path, changed: int) -> mujoco.MjModel:
     return made
 
 
-def source(mjcf: str) -> mujoco.MjSpec:
+def load_spec(mjcf: str) -> mujoco.MjSpec:
     """What a model is compiled from. Raises `InputError` where that is not known."""
-    file = place() / mjcf
+    file = project_folder() / mjcf
     if file.suffix == BINARY:
         raise InputError(f"model.mjcf = {mjcf} is compiled: sizes and places of geoms vary in MJCF or URDF only")
     return _source(file, file.stat().st_mtime_ns)
@@ -107,9 +107,9 @@ def _source(file: Path, changed: int) -> mujoco.MjSpec:
     return spec
 
 
-def parts(mjcf: str) -> list[Path]:
+def list_files(mjcf: str) -> list[Path]:
     """A model's file, and all that it names: meshes, textures, heights, other files."""
-    main = place() / mjcf
+    main = project_folder() / mjcf
     found, folders = [main], {""}
     for file in found:  # which grows
         every = [one.attrib for one in ElementTree.parse(file).iter()] if file.suffix in (".xml", ".urdf") else []
@@ -124,15 +124,15 @@ def parts(mjcf: str) -> list[Path]:
     return found
 
 
-def digest(compiled: mujoco.MjModel) -> str:
+def digest_model(compiled: mujoco.MjModel) -> str:
     """Of all numbers of a model, its meshes among them."""
     return hashlib.blake2b(model_bytes(compiled), digest_size=8).hexdigest()
 
 
-def controller(name: str) -> Policy:
+def load_controller(name: str) -> Policy:
     """The functions that `module:policy` names, or the network of a file. Raises `InputError`."""
     if name.endswith(ONNX):
-        file = _found("controller", name, ONNX)
+        file = _require_file("controller", name, ONNX)
         files = sorted(file.parent.glob(f"{file.name}*"))  # a large network's weights
         policy = _network(name, str(file), max(one.stat().st_mtime_ns for one in files))
         digest = f"{_digest(files)}-{metadata.version('onnxruntime')}"
@@ -148,7 +148,7 @@ def controller(name: str) -> Policy:
     if not callable(policy := getattr(module, function, None)):
         own = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise InputError(f"model.controller = {name}: {function} is unknown{suggest(function, own)}")
-    files = [place() / str(file) for file in getattr(module, "FILES", ())]
+    files = [project_folder() / str(file) for file in getattr(module, "FILES", ())]
     for file in files:
         if not file.is_file():
             raise InputError(f"model.controller = {name}: FILES has {file.name}, which is not a file")
@@ -213,7 +213,7 @@ def _module(told: str, name: str) -> ModuleType:
 
     A process that goes on may know it as it was, or one of another project.
     """
-    here, old, read = place(), sys.modules.get(name), _READ.get(name)
+    here, old, read = project_folder(), sys.modules.get(name), _READ.get(name)
     sys.path[:] = [str(here), *(path for path in sys.path if path != str(here))]
     if old and read and read != (here, _digest(project.sources(old))) and read[0] in Path(old.__file__ or "").parents:
         package = name.partition(".")[0]

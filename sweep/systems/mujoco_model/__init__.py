@@ -20,11 +20,11 @@ from sweep.core.errors import InputError, require_choice
 from sweep.core.parameters import build, check_value, quantity
 from sweep.engines import run_id
 from sweep.engines.settings import EngineSettings
-from sweep.systems.base import Kinds, Nominal, Parameter, Values, Way, by_side, side_and_path
-from sweep.systems.own import fields, figures, files, idle, outcome
-from sweep.systems.own.engine import OwnEngine, OwnNative
-from sweep.systems.own.outcome import Condition
-from sweep.systems.own.subject import About, Settings, Side, Subject
+from sweep.systems.base import AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
+from sweep.systems.mujoco_model import fields, files, inactive_parameters, metrics, outcome
+from sweep.systems.mujoco_model.engine import ModelEngine, NativeModelEngine
+from sweep.systems.mujoco_model.model_spec import ModelConfig, ModelSpec, Settings, Side
+from sweep.systems.mujoco_model.outcome import Condition
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,58 +34,60 @@ AXES = ("name", "width", "precision")  # what an own model's engine has of the s
 ALLOWED = (*AXES, "control_period", "cross_check")
 OTHER = {"elliptic": "pyramidal", "pyramidal": "elliptic"}
 WAYS = {
-    "again": Way("as before, in batches of another width"),
-    "half_step": Way("half the time step", columns={"model.option.timestep": lambda step: step / 2}),
-    "float64": Way("in double precision", lambda s: replace(s, precision="float64")),
-    "other_engine": Way("on the other engine", lambda s: replace(s, name="mjx" if s.name == "native" else "native")),
-    "other_cone": Way("with the other friction cone", columns={"model.option.cone": OTHER.get}),
+    "again": AuditVariant("as before, in batches of another width"),
+    "half_step": AuditVariant("half the time step", columns={"model.option.timestep": lambda step: step / 2}),
+    "float64": AuditVariant("in double precision", lambda s: replace(s, precision="float64")),
+    "other_engine": AuditVariant(
+        "on the other engine", lambda s: replace(s, name="mjx" if s.name == "native" else "native")
+    ),
+    "other_cone": AuditVariant("with the other friction cone", columns={"model.option.cone": OTHER.get}),
 }
 
 
 @dataclass(frozen=True)
-class Own(Subject):
+class MujocoModel(ModelSpec):
     """A model and its controller: a `System`."""
 
     conditions: tuple[Condition, ...] = ()
 
     case = Side()
     groups = ("model", "controller", "noise")
-    doubts = (*outcome.DOUBTS, outcome.UNTRUSTED)
-    silent = frozenset(outcome.DOUBTS)
-    shown = ("mcap", "png", "video")
-    lacks = MappingProxyType(
+    invalid_causes = (*outcome.INVALID_CAUSES, outcome.UNTRUSTED)
+    bookkeeping_metrics = frozenset(outcome.INVALID_CAUSES)
+    replay_formats = ("mcap", "png", "video")
+    unsupported_commands = MappingProxyType(
         {"tune": "its controller's numbers are axes (controller.*)", "export-model": "it is an own model already"}
     )
-    ways = MappingProxyType(WAYS)
+    audit_variants = MappingProxyType(WAYS)
     device = staticmethod(run_id.device)
-    idle = idle.why
+    inactive_reason = inactive_parameters.explain_inactive
     judge = staticmethod(outcome.judge)
 
     @property
     def causes(self) -> dict[str, str]:
         """Its scenario's conditions, and what makes a rollout doubtful, see `System`."""
-        return {one.cause: one.sentence for one in self.conditions} | outcome.DOUBTS
+        return {one.cause: one.sentence for one in self.conditions} | outcome.INVALID_CAUSES
 
     def cause_meanings(self, limits: tuple[Condition, ...]) -> dict[str, str]:
         """The conditions of the scenario, which have their thresholds in them, see `System`."""
-        return {one.cause: one.sentence for one in limits} | outcome.DOUBTS
+        return {one.cause: one.sentence for one in limits} | outcome.INVALID_CAUSES
 
     @property
     def figures(self) -> tuple[str, ...]:
         """Those of any model, and its controller's own, see `System`."""
-        return (*figures.names(self), *self.controller.measured)
+        return (*metrics.metric_names(self), *self.controller.measured)
 
     @property
-    def recorded(self) -> tuple[str, ...]:
+    def history_columns(self) -> tuple[str, ...]:
         """Columns of its positions and velocities, see `System`."""
         return tuple(self.record(self.model.qpos0[None], np.zeros((1, self.model.nv))))
 
     def files(self) -> dict[str, Path]:
         """See `System`: those of the model and of the controller."""
-        if _content(self) != self.about.content:
+        if _content_digest(self) != self.config.content:
             raise InputError("the model or its controller is not as it was when the study was run")
-        found, place = {}, files.place().resolve()
-        for file in (*files.parts(self.about.mjcf), *self.controller.files):
+        found, place = {}, files.project_folder().resolve()
+        for file in (*files.list_files(self.config.mjcf), *self.controller.files):
             if not file.resolve().is_relative_to(place):
                 raise InputError(f"{file} is not allowed: a crate has files of the project only")
             found[str(file.resolve().relative_to(place))] = file
@@ -93,12 +95,12 @@ class Own(Subject):
 
     def words(self, settings: EngineSettings) -> dict[str, str]:
         """Its files, engine and step, see `System`."""
-        about = {"model": self.about.mjcf, "controller": self.about.controller, "engine": settings.name}
+        about = {"model": self.config.mjcf, "controller": self.config.controller, "engine": settings.name}
         return {**about, "step": f"{1000 * self.model.opt.timestep:g} ms"}
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
         """A field of the model, or a number of controller, noise or engine, see `System`."""
-        path = side_and_path(column)[1]
+        path = split_side(column)[1]
         require_choice(root := path.partition(".")[0], (*self.groups, "engine"), f"axis {column} names nothing: {root}")
         if root == "model":
             found = fields.parameter(self.model, path)
@@ -108,7 +110,7 @@ class Own(Subject):
         require_choice(path, {**self.ranges, **those}, f"axis {column} names nothing: {path}")
         if root == "engine":
             return those[path]
-        return dataclasses.field(default=self.usual(path), metadata=self.ranges[path].metadata)
+        return dataclasses.field(default=self.nominal_value(path), metadata=self.ranges[path].metadata)
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
         """What the model or its settings have, see `System`."""
@@ -117,19 +119,19 @@ class Own(Subject):
 
     def inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """See `System`: the model as a whole, and what is varied of it."""
-        about = self.about
+        about = self.config
         yield from self.numbers
         yield "model", about.content
         yield "model.rollout", repr((about.period, about.duration, about.keyframe, about.observe, about.command))
-        yield from self.unsaid(paths)
+        yield from self.default_inputs(paths)
 
-    def few(self, settings: EngineSettings) -> int:
+    def cpu_threshold(self, settings: EngineSettings) -> int:
         """See `System`: what XLA makes for a core is not known to be sooner."""
         return 0
 
-    def unsaid(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    def default_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """See `System`: a model's number that is varied counts where it is not that of the model."""
-        yield from ((path, self.usual(path)) for path in paths if path.startswith("model."))
+        yield from ((path, self.nominal_value(path)) for path in paths if path.startswith("model."))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
         """Refuse axes that vary nothing, a controller that is none, and an engine that is none for the model."""
@@ -139,11 +141,11 @@ class Own(Subject):
                 raise InputError(f"axis {column} varies nothing: the belief alone has the controller's own numbers")
         shaping = [c for c in columns if self.parameter(c, settings).metadata["role"] != "quantity"]
         distinct: list[Any] = table[shaping].drop_duplicates().to_dict("records") if shaping else [{}]
-        varied = {path for side, path in map(side_and_path, columns) if side != "belief" and path.startswith("model.")}
+        varied = {path for side, path in map(split_side, columns) if side != "belief" and path.startswith("model.")}
         for values in distinct:
             ways = {c.removeprefix("engine."): value for c, value in values.items() if c.startswith("engine.")}
             made = self.engine(replace(settings, **ways), *self.sides(values), limits=None)
-            for line in made.vary(fields.by_rollout(self.model, dict.fromkeys(varied))):
+            for line in made.check_varied(fields.select_quantities(self.model, dict.fromkeys(varied))):
                 _note(line)
         self.engine(settings, *self.sides({}), limits=None).check_start()
 
@@ -153,28 +155,32 @@ class Own(Subject):
 
     def sides(self, values: Values) -> tuple[Side, Side]:
         """Values by path, of either side, see `System`."""
-        world, belief = (Side(tuple(own.items())) for own in by_side(values).values())
+        world, belief = (Side(tuple(own.items())) for own in values_by_side(values).values())
         return world, belief
 
-    def with_room(self, table: "pd.DataFrame") -> "Own":
+    def with_delay_buffer(self, table: "pd.DataFrame") -> "MujocoModel":
         """With memory for the longest delay, see `System`."""
-        varied = [table[c].max() for c in table.columns if side_and_path(c)[1] == "noise.delay"]
-        return replace(self, room=math.ceil(max([self.usual("noise.delay"), *varied])))
+        varied = [table[c].max() for c in table.columns if split_side(c)[1] == "noise.delay"]
+        return replace(self, delay_buffer=math.ceil(max([self.nominal_value("noise.delay"), *varied])))
 
-    def engine(self, settings: EngineSettings, world: Side, belief: Side, limits: Any) -> OwnEngine:
+    def engine(self, settings: EngineSettings, world: Side, belief: Side, limits: Any) -> ModelEngine:
         """C MuJoCo's, or MJX's by either name, see `System`."""
-        model = world.of("model")
-        shared = {path: value for path, value in model.items() if path not in fields.by_rollout(self.model, model)}
-        own = replace(self, about=replace(self.about, option=(*self.about.option, *shared.items())))
+        model = world.select_group("model")
+        shared = {
+            path: value for path, value in model.items() if path not in fields.select_quantities(self.model, model)
+        }
+        own = replace(self, config=replace(self.config, option=(*self.config.option, *shared.items())))
         if settings.name == "native":
-            return OwnNative(own, settings)
-        from sweep.systems.own.mjx import OwnMjx  # slow to import
+            return NativeModelEngine(own, settings)
+        from sweep.systems.mujoco_model.mjx import MjxModelEngine  # slow to import
 
-        return OwnMjx(own, settings)
+        return MjxModelEngine(own, settings)
 
     def run_id(self, settings: EngineSettings) -> str:
         """See `System`: on native nothing of width or threads changes bits."""
-        return run_id.run_id(replace(settings, width=0) if settings.name == "native" else settings, _content(self))
+        return run_id.run_id(
+            replace(settings, width=0) if settings.name == "native" else settings, _content_digest(self)
+        )
 
     def limit(self, text: str) -> tuple[str, str]:
         """See `System`: `goal=travelled_m >= 1`."""
@@ -196,26 +202,26 @@ class Own(Subject):
 
 
 def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
-    """See `sweep.systems.Kind`."""
-    about = _about(values["model"])
+    """See `sweep.systems.SystemKind`."""
+    about = _parse_model(values["model"])
     settings, usual = build(Settings, values["engine"], "engine"), Settings()
     for field in dataclasses.fields(usual):
         if field.name not in ALLOWED and getattr(settings, field.name) != getattr(usual, field.name):
             raise InputError(f"engine.{field.name} is not allowed: the model's file says how it is simulated")
-    own, groups = Own(about, ()), {group: values.get(group) or {} for group in ("noise", "controller")}
+    own, groups = MujocoModel(about, ()), {group: values.get(group) or {} for group in ("noise", "controller")}
     asked = {f"{group}.{name}": value for group, given in groups.items() for name, value in given.items()}
     for path in asked:
         require_choice(path, own.ranges, path)
     numbers = tuple((path, check_value(one, asked.get(path, one.default), path)) for path, one in own.ranges.items())
-    _ = own.told_of, own.keyframe  # which refuse unknown names
-    conditions = outcome.parse(values.get("outcome") or {}, own.figures)
-    content = about.content or _content(own)
-    own = replace(own, about=replace(about, content=content), numbers=numbers, conditions=conditions)
+    _ = own.observed_slices, own.keyframe  # which refuse unknown names
+    conditions = outcome.parse_conditions(values.get("outcome") or {}, own.figures)
+    content = about.content or _content_digest(own)
+    own = replace(own, config=replace(about, content=content), numbers=numbers, conditions=conditions)
     settings, told = replace(settings, control_period=about.period), {**values["model"], "content": content}
     return Nominal(own, settings, conditions, {"model": told})
 
 
-def _about(given: Mapping[str, Any]) -> About:
+def _parse_model(given: Mapping[str, Any]) -> ModelConfig:
     """What a configuration's `model` says, checked."""
     said = {key: value for key, value in given.items() if value is not None}
     for key in ("mjcf", "controller", "keyframe"):
@@ -228,21 +234,24 @@ def _about(given: Mapping[str, Any]) -> About:
         if key != "observe" and len({*names}) < len(names):
             raise InputError(f"model.{key} = {names!r} is not allowed: each name once")
         said[key] = tuple(names)
-    direction, option = said.get("direction", About.direction), said.get("option", {})
+    direction, option = said.get("direction", ModelConfig.direction), said.get("option", {})
     along = direction if isinstance(direction, list | tuple) else ()
     along = tuple(check_value(quantity(0.0, ""), one, "model.direction") for one in along)
     if len(along) != 3 or not any(along):
         raise InputError(f"model.direction = {direction!r} is not allowed: along the world's axes, as [1, 0, 0]")
     if not isinstance(option, Mapping):
         raise InputError(f"model.option = {option!r} is not allowed: names and values, such as {{cone: elliptic}}")
-    model, paths = files.model(said.get("mjcf", "")), {f"model.option.{name}": value for name, value in option.items()}
+    model, paths = (
+        files.load_model(said.get("mjcf", "")),
+        {f"model.option.{name}": value for name, value in option.items()},
+    )
     options = tuple((path, check_value(fields.parameter(model, path), value, path)) for path, value in paths.items())
-    about = build(About, {**said, "direction": along, "option": options}, "model")
+    about = build(ModelConfig, {**said, "direction": along, "option": options}, "model")
     if about.duration < about.period:
         allowed = f"at least model.period, {about.period:g} s"
         raise InputError(f"model.duration = {about.duration:g} is not allowed: {allowed}")
     return about
 
 
-def _content(own: Own) -> str:
-    return f"{files.digest(own.model)}-{own.controller.digest}"
+def _content_digest(own: MujocoModel) -> str:
+    return f"{files.digest_model(own.model)}-{own.controller.digest}"

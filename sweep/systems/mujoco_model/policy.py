@@ -16,13 +16,13 @@ from jaxtyping import Array
 
 from sweep.core.errors import WRONG, InputError, format_user_exception
 from sweep.fused.numbers import worked_out
-from sweep.systems.own.batch import AtStart, ticks
-from sweep.systems.own.subject import Subject
+from sweep.systems.mujoco_model.batch import BatchStart, count_ticks
+from sweep.systems.mujoco_model.model_spec import ModelSpec
 
 TILE = 64
 
 
-def _drawn(key: Array, like: Array) -> Array:
+def _draw_normal(key: Array, like: Array) -> Array:
     """Normal numbers, the same in any precision."""
     return jax.random.normal(key, like.shape, jnp.float32).astype(like.dtype)
 
@@ -37,7 +37,7 @@ class ControllerPrograms:
     `sofar` is None at first.
     """
 
-    def __init__(self, own: Subject, belief: Mapping[str, Any]):
+    def __init__(self, own: ModelSpec, belief: Mapping[str, Any]):
         control, self._own = own.controller, own
         self._begin = control.begin or (lambda belief, key: (None, (), None))
         # what is batched is called with what this gives
@@ -45,7 +45,7 @@ class ControllerPrograms:
         self._measure = control.measure or (lambda sofar, told: ())
         figures = control.figures or (lambda *given: {})
         self._figures = figures if control.measure else lambda belief, state, sofar: figures(belief, state)
-        self._tried(self._check, belief)
+        self._call_user_code(self._check, belief)
 
         def each(one: Callable[..., Any]) -> Callable[..., Any]:  # of a tile's rollouts
             return lambda *rows: jax.lax.map(lambda row: one(*row), rows)
@@ -61,20 +61,20 @@ class ControllerPrograms:
 
     def enter_one(self, given: Mapping[str, Any], state: Any, now: Array, ticks: Array) -> dict[str, Any]:
         """What one rollout carries from tick to tick, of its `state` and the model's (s,) at first."""
-        key, seen = jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 1), self._own.observed(now)
-        bias, late = given["bias"] * _drawn(key, seen), jnp.tile(seen, (self._own.room + 1, 1))
-        sofar = self._measure(None, self._own.named(now))
+        key, seen = jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 1), self._own.observe_state(now)
+        bias, late = given["bias"] * _draw_normal(key, seen), jnp.tile(seen, (self._own.delay_buffer + 1, 1))
+        sofar = self._measure(None, self._own.split_state(now))
         return {"state": state, "late": late, "bias": bias, "tick": jnp.int32(0), "ticks": ticks, "sofar": sofar}
 
     def tick_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> tuple[Array, Any]:
         """Controls (nu,) of one rollout, or what it is told (k,), and what it carries on, after a state (s,)."""
-        tick, seen = carried["tick"], self._own.observed(now)
+        tick, seen = carried["tick"], self._own.observe_state(now)
         own, noise = jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 2 + tick))
         late = jnp.concatenate([seen[None], carried["late"][:-1]])
-        told = late[given["delay"]] + carried["bias"] + given["white"] * _drawn(noise, seen)
+        told = late[given["delay"]] + carried["bias"] + given["white"] * _draw_normal(noise, seen)
         ctrl, state = self._policy(given["belief"], told, carried["state"], own)
         new = {"late": late, "tick": tick + 1, "sofar": self._measured(carried, now)}
-        return ctrl, {**carried, **new, "state": _until(tick < carried["ticks"], state, carried["state"])}
+        return ctrl, {**carried, **new, "state": _freeze_ended(tick < carried["ticks"], state, carried["state"])}
 
     def finish_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> dict[str, Array]:
         """The controller's own figures of one rollout that ends with a state (s,), by name."""
@@ -82,66 +82,66 @@ class ControllerPrograms:
 
     def _measured(self, carried: Any, now: Array) -> Any:
         """What is measured so far; a rollout that is over has its end in it already."""
-        new = self._measure(carried["sofar"], self._own.named(now))
+        new = self._measure(carried["sofar"], self._own.split_state(now))
         within = (carried["tick"] > 0) & (carried["tick"] <= carried["ticks"])  # the start is in it
-        return _until(within, new, carried["sofar"])
+        return _freeze_ended(within, new, carried["sofar"])
 
-    def check_start(self, begun: AtStart) -> None:
+    def check_start(self, begun: BatchStart) -> None:
         """Raise `InputError` where the first controls are not finite, or a second call gives others.
 
         The calls are for the nominal start; one of a batched controller lies between the two that must agree.
         """
 
         def found(function: Callable[..., Any], *more: Any) -> Any:  # without compiling it
-            return self._tried(worked_out, lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
+            return self._call_user_code(worked_out, lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
 
         first = jax.tree.map(lambda rows: rows[0], begun.given)
         start, state, duration = found(self.begin_one)
-        ticks(self._own, duration)
+        count_ticks(self._own, duration)
         if start is not None and not np.isfinite(start).all():
-            raise self._wrong("begins at positions that are not finite")
+            raise self._error("begins at positions that are not finite")
         begun.energy(start)
         now = self._own.state(begun.qpos, begun.qvel, begun.sensors)[0]
         ctrl, _ = found(self.tick_one, found(self.enter_one, state, now, np.int32(1)), now)
         told = np.tile(ctrl, (TILE, 1))
-        controls = np.array(self.controlled(told))
+        controls = np.array(self.compute_controls(told))
         if not np.isfinite(controls).all():
-            raise self._wrong("gives controls that are not finite at the nominal start")
+            raise self._error("gives controls that are not finite at the nominal start")
         if not self._own.controller.batched:
             return
         with contextlib.suppress(InputError):  # it may have no answer to what no rollout observes
-            self.controlled(told + 1)
-        again = np.asarray(self.controlled(told))
+            self.compute_controls(told + 1)
+        again = np.asarray(self.compute_controls(told))
         if not np.array_equal(controls, again):
             row, one = np.argwhere(controls != again)[0]
-            raise self._wrong(
+            raise self._error(
                 f"gives {controls[row, one]:.4g}, then {again[row, one]:.4g} for the same observations: a global that "
                 "keeps a state, or draws, mixes rollouts. A controller of JAX keeps a state of each rollout: "
                 "policy(belief, observation, state, key) -> (controls, state)"
             )
 
-    def _wrong(self, what: str) -> InputError:
+    def _error(self, what: str) -> InputError:
         """One line that says what a controller does wrong."""
-        return InputError(f"model.controller = {self._own.about.controller} {what}")
+        return InputError(f"model.controller = {self._own.config.controller} {what}")
 
-    def _tried(self, function: Callable[..., Any], *given: Any) -> Any:
+    def _call_user_code(self, function: Callable[..., Any], *given: Any) -> Any:
         """What a user's function gives; whatever it raises as an `InputError`."""
         try:
             return function(*given)
         except InputError:
             raise
         except WRONG as error:
-            raise self._wrong(f"fails: {format_user_exception(error)}") from None
+            raise self._error(f"fails: {format_user_exception(error)}") from None
 
-    def controlled(self, told: np.ndarray) -> np.ndarray:
+    def compute_controls(self, told: np.ndarray) -> np.ndarray:
         """Controls (n, nu) of what the program gives (n, ...): they are it, or what a batched controller is told."""
         if not self._own.controller.batched:
             return told
         told, controls = np.array(told), self._own.model.nu
-        ctrl = self._tried(lambda: np.asarray(self._own.controller.policy(told)))
+        ctrl = self._call_user_code(lambda: np.asarray(self._own.controller.policy(told)))
         if ctrl.shape != (len(told), controls) or ctrl.dtype.kind not in "fiu":
             wanted = f"numbers ({len(told)}, {controls}) are wanted of ({len(told)}, {told.shape[1]})"
-            raise self._wrong(f"gives {ctrl.dtype} {ctrl.shape}: {wanted}")
+            raise self._error(f"gives {ctrl.dtype} {ctrl.shape}: {wanted}")
         return ctrl
 
     def _check(self, belief: Mapping[str, Any]) -> None:
@@ -149,10 +149,10 @@ class ControllerPrograms:
         own, model, key = self._own, self._own.model, jax.random.key(0)
         now = jnp.zeros(model.nq + model.nv + model.nsensordata)
         start, state, duration = jax.eval_shape(self._begin, belief, key)
-        seen = jax.eval_shape(own.observed, now)
+        seen = jax.eval_shape(own.observe_state, now)
         ctrl, after = jax.eval_shape(self._policy, belief, seen, state, key)
-        sofar = jax.eval_shape(lambda: self._measure(None, own.named(now)))
-        more = jax.eval_shape(self._measure, sofar, own.named(now))
+        sofar = jax.eval_shape(lambda: self._measure(None, own.split_state(now)))
+        more = jax.eval_shape(self._measure, sofar, own.split_state(now))
         found = jax.eval_shape(self._figures, belief, after, sofar)
         shape = getattr(ctrl, "shape", type(ctrl).__name__)
 
@@ -171,20 +171,20 @@ class ControllerPrograms:
             (duration is not None and duration.shape, f"lasts {getattr(duration, 'shape', '')}: one number is wanted"),
         ):  # fmt: skip
             if wrong:
-                raise self._wrong(what)
+                raise self._error(what)
         told = {"observes": seen, "gives controls": None if own.controller.batched else ctrl, "begins at": start,
                 "lasts": duration}  # fmt: skip
         for what, one in told.items():
             if one is not None and not jnp.isdtype(one.dtype, ("real floating", "integral")):
-                raise self._wrong(f"{what} {one.dtype} {one.shape}: numbers are wanted")
+                raise self._error(f"{what} {one.dtype} {one.shape}: numbers are wanted")
         if {*found} != {*own.controller.measured} or any(one.shape or one.dtype.kind == "c" for one in found.values()):
             has = ", ".join(f"{name} {one.dtype} {one.shape}" for name, one in found.items())
-            raise self._wrong(f"has figures {has}: numbers are wanted, named in FIGURES")
+            raise self._error(f"has figures {has}: numbers are wanted, named in FIGURES")
         if own.controller.batched:
-            self.controlled(np.zeros((TILE, seen.shape[0]), jnp.zeros(0).dtype))
+            self.compute_controls(np.zeros((TILE, seen.shape[0]), jnp.zeros(0).dtype))
 
 
-def _until(going: Array, new: Any, old: Any) -> Any:
+def _freeze_ended(going: Array, new: Any, old: Any) -> Any:
     """`new` while a rollout is `going`, what it ended with from then on."""
     return jax.tree.map(lambda a, b: jnp.where(going, a, b), new, old)
 
@@ -206,7 +206,7 @@ class Rollouts:
     def tick(self, now: np.ndarray) -> np.ndarray:
         """Controls (n, nu) at the next tick, after states (n, s)."""
         parts, self._carried = zip(*self._of_tiles(self._programs.tick, now), strict=True)
-        return self._joined([self._programs.controlled(one) for one in parts])
+        return self._joined([self._programs.compute_controls(one) for one in parts])
 
     def finish(self, now: np.ndarray) -> dict[str, np.ndarray]:
         """The controllers' own figures, (n,) by name, of states (n, s) at the end."""

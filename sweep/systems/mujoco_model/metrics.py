@@ -7,7 +7,7 @@ import numpy as np
 
 from sweep.core.constants import GRAVITY, LOADED
 from sweep.engines.base import Figures
-from sweep.systems.own.subject import Subject, angle, level, namespace
+from sweep.systems.mujoco_model.model_spec import ModelSpec, angle_deg, cosine_of_tilt, namespace
 
 STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")  # what a step tells
 BALANCE = ("qacc", "qfrc_smooth", "qfrc_constraint")  # of which `unbalanced` is made, beside M
@@ -16,24 +16,24 @@ Tree = dict[str, Any]
 BALANCED = 0.01  # share of the forces, up to which those of a step are in balance
 
 
-class Meter:
+class MetricAccumulator:
     """Figures of n rollouts of a model, told of every tick; those of a base or of touch sensors where there are any.
 
     What is measured so far is a tree of arrays (n, ...), of NumPy or of JAX as those are that it is told of.
     """
 
-    def __init__(self, own: Subject):
+    def __init__(self, own: ModelSpec):
         model = own.model
-        self._base, self._step = own.base, model.opt.timestep
-        self._along = np.array(own.about.direction) / np.linalg.norm(own.about.direction)
+        self._base, self._step = own.base_address, model.opt.timestep
+        self._along = np.array(own.config.direction) / np.linalg.norm(own.config.direction)
         self._left = np.cross([0.0, 0.0, 1.0], self._along) if self._along[:2].any() else np.array([0.0, 1.0, 0.0])
         self._left /= np.linalg.norm(self._left)
         self._forced = np.flatnonzero(model.actuator_forcelimited)
         joints = np.flatnonzero(model.jnt_limited.astype(bool) & (model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)))
         self._joints, self._places = joints, model.jnt_qposadr[joints]
-        self._touch = model.sensor_adr[feet := own.touches("feet")]
+        self._touch = model.sensor_adr[feet := own.touch_sensors("feet")]
         self._sites = model.sensor_objid[feet]
-        self._collide = model.sensor_adr[own.touches("collisions")]
+        self._collide = model.sensor_adr[own.touch_sensors("collisions")]
 
     def start(self, qpos: Any, qvel: Any) -> Tree:
         """What is measured at first, of positions (n, nq) and velocities (n, nv)."""
@@ -60,11 +60,11 @@ class Meter:
         if at is not None:
             upright = slice(at + 3, at + 7)
             most["depth"] = -qpos[..., at + 2].min(axis=1)
-            most["tilt"] = angle(level(qpos[..., upright], sofar["start"][:, None, upright]).min(axis=1))
+            most["tilt"] = angle_deg(cosine_of_tilt(qpos[..., upright], sofar["start"][:, None, upright]).min(axis=1))
         if len(self._forced):
-            sums["full"] = at_end(force[..., self._forced], limits["actuator_forcerange"][:, self._forced])
+            sums["full"] = share_at_limit(force[..., self._forced], limits["actuator_forcerange"][:, self._forced])
         if len(self._joints):
-            sums["ends"] = at_end(qpos[..., self._places], limits["jnt_range"][:, self._joints])
+            sums["ends"] = share_at_limit(qpos[..., self._places], limits["jnt_range"][:, self._joints])
         if len(self._collide):
             touch = steps["sensordata"][..., self._collide].sum(axis=2)
             sums |= {"touched": (touch > 0).sum(axis=1), "impulse": touch.sum(axis=1)}
@@ -114,15 +114,15 @@ class Meter:
         return {**found, "not_finite": (~finite).astype(float), "buffer_full": full.astype(float)}
 
 
-def names(own: Subject) -> tuple[str, ...]:
+def metric_names(own: ModelSpec) -> tuple[str, ...]:
     """The figures that its rollouts have."""
-    meter, one = Meter(own), np.ones(1)
+    meter, one = MetricAccumulator(own), np.ones(1)
     still = own.model.qpos0[None], np.zeros((1, own.model.nv))
     return tuple(meter.figures(meter.start(*still), one, one, one == 0, one == 0))
 
 
 @np.errstate(invalid="ignore", over="ignore")
-def unbalanced(mass: Any, qacc: Any, smooth: Any, constraint: Any) -> Any:
+def is_unbalanced(mass: Any, qacc: Any, smooth: Any, constraint: Any) -> Any:
     """Which steps (...) a solver left unsolved: of M a = f + Jᵀλ more than a small share does not hold.
 
     `mass` is M (..., nv, nv), `smooth` f and `constraint` Jᵀλ (..., nv). Each of their numbers counts by its own
@@ -136,7 +136,7 @@ def unbalanced(mass: Any, qacc: Any, smooth: Any, constraint: Any) -> Any:
     return left > BALANCED * (smooth + constraint)
 
 
-def at_end(values: Any, range_: Any) -> Any:
+def share_at_limit(values: Any, range_: Any) -> Any:
     """Shares (n,) of values (n, s, k) that are at an end of their ranges (n, k, 2), summed over s."""
     low, high = namespace(values).moveaxis(range_[:, None], -1, 0)
     room = (1 - LIMITED) * (high - low)

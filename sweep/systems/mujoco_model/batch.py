@@ -10,11 +10,11 @@ from mujoco.batch import MODEL_FIELDS, Batch
 from sweep.core.errors import InputError
 from sweep.engines import devices
 from sweep.engines.settings import EngineSettings
-from sweep.systems.own import fields
-from sweep.systems.own.subject import Side, Subject
+from sweep.systems.mujoco_model import fields
+from sweep.systems.mujoco_model.model_spec import ModelSpec, Side
 
 
-class AtStart(NamedTuple):
+class BatchStart(NamedTuple):
     """n rollouts at their first tick."""
 
     batch: Batch  # at the keyframe
@@ -42,21 +42,21 @@ class AtStart(NamedTuple):
         return np.where(finite, found.sum(axis=1), np.nan)
 
 
-def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, streams: np.ndarray) -> AtStart:
+def start_batch(own: ModelSpec, settings: EngineSettings, world: Side, belief: Side, streams: np.ndarray) -> BatchStart:
     """Rollouts of a batch of two sides. Raises `InputError` where MuJoCo makes no batch of such a model."""
     n, number = len(streams), np.dtype(settings.precision).type
     try:
         batch = Batch(own.model, n, devices.cores())
     except ValueError as error:  # as of bodies that sleep
         reason = " ".join(str(error).split())
-        raise InputError(f"model.mjcf = {own.about.mjcf} cannot be simulated in batches: {reason}") from None
+        raise InputError(f"model.mjcf = {own.config.mjcf} cannot be simulated in batches: {reason}") from None
     qpos, qvel, sensors = (batch.bind(name) for name in ("qpos", "qvel", "sensordata"))
     # bound before the reset: what is bound after it is zero until the next call
-    varied = fields.by_rollout(own.model, world.of("model"))
+    varied = fields.select_quantities(own.model, world.select_group("model"))
     fields.write(batch, {path: np.broadcast_to(value, (n,)) for path, value in varied.items()}, own.source)
     batch.reset(keyframe=own.keyframe, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-    noise = {**dict(own.numbers), **world.of("noise")}
-    told = own.told({**belief.of("model"), **belief.of("controller")})
+    noise = {**dict(own.numbers), **world.select_group("noise")}
+    told = own.believed_values({**belief.select_group("model"), **belief.select_group("controller")})
     given = {
         "belief": {name: np.broadcast_to(number(value), (n,)) for name, value in told.items()},
         "delay": np.broadcast_to(np.rint(noise["noise.delay"]).astype(np.int32), (n,)),
@@ -64,26 +64,26 @@ def begin(own: Subject, settings: EngineSettings, world: Side, belief: Side, str
         "key": np.asarray(jax.random.key_data(devices.keys(streams))),
     }
     limits = {name: batch.expand(name) for name in ("actuator_forcerange", "jnt_range")}
-    return AtStart(batch, qpos, qvel, sensors, given, batch.expand("body_mass").sum(axis=1), limits)
+    return BatchStart(batch, qpos, qvel, sensors, given, batch.expand("body_mass").sum(axis=1), limits)
 
 
-def ticks(own: Subject, duration: Any) -> np.ndarray:
+def count_ticks(own: ModelSpec, duration: Any) -> np.ndarray:
     """Control ticks (n,) of rollouts whose controllers would end them after a `duration` (n,) in s.
 
     Raises `InputError` where one is shorter than a tick.
     """
-    found = np.rint(np.minimum(np.asarray(duration, float), own.about.duration) / own.about.period)
+    found = np.rint(np.minimum(np.asarray(duration, float), own.config.duration) / own.config.period)
     for short in np.ravel(duration)[~(np.ravel(found) >= 1)]:
-        wanted = f"at least a tick of {own.about.period:g} s is wanted"
-        raise InputError(f"model.controller = {own.about.controller} lasts {short:g} s: {wanted}")
+        wanted = f"at least a tick of {own.config.period:g} s is wanted"
+        raise InputError(f"model.controller = {own.config.controller} lasts {short:g} s: {wanted}")
     return found.astype(int)
 
 
-def differing(batch: Batch) -> dict[str, np.ndarray]:
+def differing_fields(batch: Batch) -> dict[str, np.ndarray]:
     """The fields in which a batch's models differ from its own, (n, ...): what was written, and what follows."""
     found = {name: batch._expanded_values(name) for name in MODEL_FIELDS if not name.startswith("opt.")}
     return {
         name: rows
         for name, rows in sorted((batch._expanded | found).items())
-        if rows is not None and rows.dtype.kind == "f" and (rows != fields.whole(batch.model, name)).any()
+        if rows is not None and rows.dtype.kind == "f" and (rows != fields.field_values(batch.model, name)).any()
     }

@@ -41,7 +41,7 @@ class Place(NamedTuple):
     sign: float = 1.0
 
 
-class Thing(NamedTuple):
+class Element(NamedTuple):
     """What a path names a number of."""
 
     kind: str
@@ -143,12 +143,12 @@ def parameter(model: mujoco.MjModel, path: str) -> Parameter:
         return count(getattr(model.opt, name), at_least=COUNTED[name], at_most=10_000)
     if name == TIMESTEP:
         return setting(model.opt.timestep, "s", above=0, at_most=0.1)
-    numbers, places = resolved(model, path)
-    value = places[0].sign * float(whole(model, numbers.field).flat[places[0].flat])
+    numbers, places = resolve(model, path)
+    value = places[0].sign * float(field_values(model, numbers.field).flat[places[0].flat])
     return quantity(value, numbers.unit, at_least=numbers.at_least)
 
 
-def by_rollout(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str, Any]:
+def select_quantities(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str, Any]:
     """Of `values` by path those in which the models of a batch may differ."""
     return {path: value for path, value in values.items() if parameter(model, path).metadata["role"] == "quantity"}
 
@@ -167,12 +167,12 @@ def write(batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.M
 
     `source` gives what the model was compiled from.
     """
-    made = {path: value for path, value in values.items() if resolved(batch.model, path)[0].compiled}
+    made = {path: value for path, value in values.items() if resolve(batch.model, path)[0].compiled}
     if made:
         _compile(batch, made, source())
     for path in values.keys() - made.keys():
         value = np.asarray(values[path])
-        for field, flat, sign in resolved(batch.model, path)[1]:
+        for field, flat, sign in resolve(batch.model, path)[1]:
             rows = batch.expand(field).reshape(batch.nsim, -1)
             if field == "body_mass":
                 inertia = batch.expand("body_inertia").reshape(batch.nsim, -1, 3)
@@ -184,8 +184,8 @@ def write(batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.M
 
 def check(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, path: str) -> None:
     """Raise `InputError` where a path names a number that cannot vary in the model that `source` gives."""
-    kind, number, name, what = thing(model, path)
-    geom = source().geom(name) if resolved(model, path)[0].compiled else None
+    kind, number, name, what = find_element(model, path)
+    geom = source().geom(name) if resolve(model, path)[0].compiled else None
     for wrong, why in (
         (kind == "body" and what == "mass" and not model.body_mass[number],
          "the body has no mass in the file, so no inertia to scale"),
@@ -205,36 +205,38 @@ def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> 
     for k, row in enumerate(rows):
         spec = source.copy()
         for path, value in zip(values, row, strict=True):
-            (place,) = resolved(model, path)[1]
-            getattr(spec.geom(thing(model, path).name), place.field.removeprefix("geom_"))[place.flat % 3] = value
+            (place,) = resolve(model, path)[1]
+            getattr(spec.geom(find_element(model, path).name), place.field.removeprefix("geom_"))[place.flat % 3] = (
+                value
+            )
         other = spec.compile()
         for name in names:
-            new = None if name.startswith("opt.") else whole(other, name)
-            if new is not None and new.dtype.kind in "fi" and (new != whole(model, name)).any():
+            new = None if name.startswith("opt.") else field_values(other, name)
+            if new is not None and new.dtype.kind in "fi" and (new != field_values(model, name)).any():
                 batch.expand(name)[which == k] = new
 
 
-def thing(model: mujoco.MjModel, path: str) -> Thing:
+def find_element(model: mujoco.MjModel, path: str) -> Element:
     """What a path names a number of. Raises `InputError` where there is no such thing."""
     root, _, rest = path.partition(".")
     kind, _, rest = rest.partition(".")
     require_choice(kind if root == ROOT else root, (*VARIED, OPTION), f"axis {path} names nothing: {kind or root}")
     if kind == OPTION:
-        return Thing(kind, 0, "", rest)
+        return Element(kind, 0, "", rest)
     parts = rest.split(".")
     heads = [".".join(parts[:k]) for k in range(len(parts), 0, -1)]  # names may have points in them, too
     for name in filter(None, heads):
         if (number := mujoco.mj_name2id(model, KINDS[kind], name)) >= 0:
-            return Thing(kind, number, name, rest.removeprefix(name).removeprefix("."))
-    count = len(whole(model, next(iter(VARIED[kind].values())).field))
+            return Element(kind, number, name, rest.removeprefix(name).removeprefix("."))
+    count = len(field_values(model, next(iter(VARIED[kind].values())).field))
     names = (mujoco.mj_id2name(model, KINDS[kind], k) for k in range(count))
     near = suggest(parts[0], filter(None, names))
     raise InputError(f"axis {path} names nothing: no {kind} is called {parts[0]}{near}")
 
 
-def resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
+def resolve(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
     """What a path varies, and the places that it writes. Raises `InputError`."""
-    kind, number, _, what = thing(model, path)
+    kind, number, _, what = find_element(model, path)
     if kind == "actuator" and what in SERVO:
         return _servo(model, path, what, number)
     varied = OPTIONS | SETTINGS if kind == OPTION else VARIED[kind]
@@ -257,8 +259,8 @@ def resolved(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
 def _places(model: mujoco.MjModel, kind: str, number: int, field: str) -> tuple[int, list[int]]:
     """How many numbers a thing has in a field, and where the first of them is: one of each freedom of a joint."""
     if kind == OPTION:
-        return whole(model, field).size, [0]
-    size = whole(model, field)[0].size
+        return field_values(model, field).size, [0]
+    size = field_values(model, field)[0].size
     if kind != "joint" or field.startswith("jnt_"):
         return size, [number * size]
     freedoms = [*map(int, np.flatnonzero(model.dof_jntid == number))]
@@ -272,15 +274,15 @@ def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[Nu
     if model.actuator_biastype[number] != int(mujoco.mjtBias.mjBIAS_AFFINE) or gain[0] != -bias[1]:
         what = "the actuator is no position servo: gainprm.0 and biasprm.0, .1, .2"
         raise InputError(f"axis {path} names nothing: {what}")
-    places = [Place(field, number * whole(model, field)[0].size + k, sign) for field, k, sign in SERVO[word]]
+    places = [Place(field, number * field_values(model, field)[0].size + k, sign) for field, k, sign in SERVO[word]]
     return Numbers("", 0.0, field=places[0].field), places
 
 
-def located(model: Any, field: str) -> tuple[Any, str]:
+def locate_field(model: Any, field: str) -> tuple[Any, str]:
     """What has a field that `mujoco.batch` calls so, a model or its options, and the field's name there."""
     return (model.opt, field[4:]) if field.startswith("opt.") else (model, field)
 
 
-def whole(model: mujoco.MjModel, field: str) -> np.ndarray:
+def field_values(model: mujoco.MjModel, field: str) -> np.ndarray:
     """A field of a model by the name that `mujoco.batch` has for it."""
-    return np.asarray(getattr(*located(model, field)))
+    return np.asarray(getattr(*locate_field(model, field)))

@@ -12,7 +12,7 @@ from sweep.core.expressions import evaluate, evaluate_condition
 from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
 
 GOAL, MISSED, UNTRUSTED = "goal", "goal_missed", "untrusted"
-DOUBTS = {  # figures that are 1 where they hold
+INVALID_CAUSES = {  # figures that are 1 where they hold
     "not_finite": "a number of the simulation or of the controller was not finite",
     "buffer_full": "MuJoCo's room for contacts or constraints was full",
 }
@@ -56,7 +56,7 @@ class Condition(NamedTuple):
         return np.minimum(left / (abs(value) or 1.0), 1.0)
 
 
-def parse(given: Mapping[str, Any], figures: Collection[str]) -> tuple[Condition, ...]:
+def parse_conditions(given: Mapping[str, Any], figures: Collection[str]) -> tuple[Condition, ...]:
     """The conditions of a configuration in its order, but doubt first and the goal last. Raises `InputError`."""
 
     def look_up(name: str) -> np.ndarray:
@@ -65,7 +65,7 @@ def parse(given: Mapping[str, Any], figures: Collection[str]) -> tuple[Condition
 
     found = []
     for key, text in given.items():
-        if key in (*DOUBTS, MISSED, UNTRUSTED, SUCCESS, FAILURE) or not str(key).isidentifier():
+        if key in (*INVALID_CAUSES, MISSED, UNTRUSTED, SUCCESS, FAILURE) or not str(key).isidentifier():
             raise InputError(f"outcome.{key} is not allowed: a name of your own for a failure, {GOAL} or {INVALID}")
 
         evaluate_condition(str(text), look_up, f"outcome.{key} = {text!r}", "'tilt_max_deg > 60'")
@@ -80,7 +80,7 @@ def judge(
     figures: Mapping[str, np.ndarray], limits: tuple[Condition, ...], stages: Sequence[str]
 ) -> dict[str, np.ndarray]:
     """The labels of each row: doubts first, then the first condition that holds; see `System.judge`."""
-    every = [*(Condition(name, "", f"{name} > 0") for name in DOUBTS), *limits]
+    every = [*(Condition(name, "", f"{name} > 0") for name in INVALID_CAUSES), *limits]
     causes, keys = np.array([(one.cause, one.key) for one in every], dtype=object).T
     holds = np.stack([one.holds(figures) for one in every])
     any_held, first = holds.any(axis=0), holds.argmax(axis=0)

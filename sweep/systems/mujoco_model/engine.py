@@ -17,15 +17,15 @@ from sweep.core.errors import InputError
 from sweep.engines import devices
 from sweep.engines.base import Figures, Trace, Watch, single_joints, substeps
 from sweep.engines.settings import EngineSettings
-from sweep.systems.own import batch, figures
-from sweep.systems.own.policy import ControllerPrograms, Rollouts
-from sweep.systems.own.subject import Side, Subject
+from sweep.systems.mujoco_model import batch, metrics
+from sweep.systems.mujoco_model.model_spec import ModelSpec, Side
+from sweep.systems.mujoco_model.policy import ControllerPrograms, Rollouts
 
 FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]  # others are worse
-RECORDED = (*figures.STEPS, "solver_niter", "M", *figures.BALANCE)
+RECORDED = (*metrics.STEPS, "solver_niter", "M", *metrics.BALANCE)
 
 
-class Frame(NamedTuple):
+class TickSample(NamedTuple):
     """What is recorded at the end of a tick, of some rollouts."""
 
     time: float
@@ -35,28 +35,28 @@ class Frame(NamedTuple):
     force: np.ndarray
 
 
-Found = tuple[Figures, list[Frame], list[mujoco.MjModel]]  # of a batch; of some slots of it
+BatchResult = tuple[Figures, list[TickSample], list[mujoco.MjModel]]  # of a batch; of some slots of it
 
 
-class OwnEngine:
+class ModelEngine:
     """An `Engine`, but for `dynamics` and for the way from one tick to the next. Raises `InputError`."""
 
     stages: tuple[str, ...] = ("run",)  # there are no others
     dynamics: str
     devices = 1  # threads share it
 
-    def __init__(self, own: Subject, settings: EngineSettings):
+    def __init__(self, own: ModelSpec, settings: EngineSettings):
         devices.configure()
         self._own, self._settings, self._model = own, settings, own.model
-        self.duration = own.about.duration
+        self.duration = own.config.duration
         self.width = settings.width or (devices.CPU_WIDTH if settings.name == "native" else devices.default_width())
-        period, step = own.about.period, self._model.opt.timestep
+        period, step = own.config.period, self._model.opt.timestep
         allowed = f"a multiple of {step:g} s, the model's time step"
         self._substeps = substeps(period, step, f"model.period = {period:g} is not allowed: {allowed}")
         ramp = (1 + np.arange(self._substeps)) / self._substeps  # what a command counts for, beside the one before
-        self._shares = ramp if own.about.command == "ramped" else np.ones(self._substeps)
-        self._meter = figures.Meter(own)
-        belief = {name: np.dtype(settings.precision).type(value) for name, value in own.told({}).items()}
+        self._shares = ramp if own.config.command == "ramped" else np.ones(self._substeps)
+        self._meter = metrics.MetricAccumulator(own)
+        belief = {name: np.dtype(settings.precision).type(value) for name, value in own.believed_values({}).items()}
         with self._within():
             self._programs = ControllerPrograms(own, belief)
 
@@ -68,15 +68,15 @@ class OwnEngine:
                 yield
         except SimulationError as error:
             reason = " ".join(str(error).split())
-            raise InputError(f"model.mjcf = {self._own.about.mjcf} cannot be simulated: {reason}") from None
+            raise InputError(f"model.mjcf = {self._own.config.mjcf} cannot be simulated: {reason}") from None
 
     def check_start(self) -> None:
         """Raise `InputError` where the controller's first controls are not finite, all being nominal."""
-        begun = batch.begin(self._own, self._settings, Side(), Side(), np.zeros(1, np.int64))
+        begun = batch.start_batch(self._own, self._settings, Side(), Side(), np.zeros(1, np.int64))
         with self._within():
             self._programs.check_start(begun)
 
-    def vary(self, paths: Iterable[str]) -> Iterable[str]:
+    def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
         """Raise `InputError` where models cannot differ in what `paths` name; what is to be known before, as lines."""
         return ()
 
@@ -108,29 +108,29 @@ class OwnEngine:
         traces = []
         for k, slot in enumerate(slots):
             row = {name: values[slot] for name, values in found.items()}
-            within = time <= row["duration_s"] + self._own.about.period / 2
+            within = time <= row["duration_s"] + self._own.config.period / 2
             ctrl, qpos, qvel, force = (values[within, k] for values in recorded)
-            base, model, count = self._own.base, models[k], int(within.sum())
+            base, model, count = self._own.base_address, models[k], int(within.sum())
             pose = np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)) if base is None else qpos[:, base : base + 7]
-            moved = time[within], qpos, qvel, ctrl, force @ levers(model)
+            moved = time[within], qpos, qvel, ctrl, force @ joint_levers(model)
             none = np.zeros((count, 0, 3))  # of feet
             judged = np.zeros(count, int), np.full(count, np.nan), np.full(count, "")
             traces.append(Trace(world, belief, model, *moved, none, none, none, pose, *judged, self.stages, row))
         return traces
 
-    def _simulate(self, world: Side, belief: Side, streams: np.ndarray, slots: Any = (), every: int = 1) -> Found:
+    def _simulate(self, world: Side, belief: Side, streams: np.ndarray, slots: Any = (), every: int = 1) -> BatchResult:
         """Figures of a batch; of the rollouts in `slots` frames at one in `every` ticks, and their models."""
         raise NotImplementedError
 
 
-def levers(model: mujoco.MjModel) -> np.ndarray:
+def joint_levers(model: mujoco.MjModel) -> np.ndarray:
     """How much of an actuator's force (nu, J) each of the `single_joints` has, of those that drive one."""
     joints, kind = single_joints(model), int(mujoco.mjtTrn.mjTRN_JOINT)
     driven = (model.actuator_trnid[:, :1] == joints) & (model.actuator_trntype[:, None] == kind)
     return driven * model.actuator_gear[:, :1]
 
 
-class OwnNative(OwnEngine):
+class NativeModelEngine(ModelEngine):
     """The engine on C MuJoCo, whose bits are the same on all cores."""
 
     dynamics = "C MuJoCo"
@@ -141,20 +141,20 @@ class OwnNative(OwnEngine):
         with super()._within(), devices.on_cpu():
             yield
 
-    def _simulate(self, world: Side, belief: Side, streams: np.ndarray, slots: Any = (), every: int = 1) -> Found:
+    def _simulate(self, world: Side, belief: Side, streams: np.ndarray, slots: Any = (), every: int = 1) -> BatchResult:
         own, n = self._own, len(streams)
         # figures of a tick are worked out, on one core, while the next one is simulated on all of them
         with self._within(), ThreadPoolExecutor(1) as aside:
-            begun = batch.begin(own, self._settings, world, belief, streams)
+            begun = batch.start_batch(own, self._settings, world, belief, streams)
             qpos, qvel, seen = begun.qpos, begun.qvel, begun.sensors
             rollouts = Rollouts(self._programs, begun.given, n)
             before_all = begun.energy(rollouts.start)
-            ticks = batch.ticks(own, rollouts.duration)
+            ticks = batch.count_ticks(own, rollouts.duration)
             rollouts.enter(own.state(qpos, qvel, seen), ticks)
             sofar = aside.submit(self._meter.start, qpos.copy(), qvel.copy())
 
             def measured(sofar: Any, steps: Any, going: np.ndarray) -> dict[str, Any]:
-                steps = {**steps, "unsolved": unsolved(self._model, steps)}
+                steps = {**steps, "unsolved": find_unsolved_steps(self._model, steps)}
                 return self._meter.update(sofar, steps, begun.limits, going)
 
             broken, frames, before = np.zeros(n, dtype=bool), [], None
@@ -174,7 +174,7 @@ class OwnNative(OwnEngine):
                 sofar = aside.submit(measured, sofar.result(), steps, going)
                 if len(slots) and (k + 1) % every == 0:
                     last = (steps[name][slots, -1] for name in ("qpos", "qvel", "actuator_force"))
-                    frames.append(Frame((k + 1) * own.about.period, ctrl[slots], *last))
+                    frames.append(TickSample((k + 1) * own.config.period, ctrl[slots], *last))
             own_figures = rollouts.finish(own.state(qpos, qvel, seen))
         warned = begun.batch.warning[:, :, 0] > 0
         full, broken = warned[:, FULL].any(axis=1), broken | np.delete(warned, FULL, axis=1).any(axis=1)
@@ -184,16 +184,16 @@ class OwnNative(OwnEngine):
         return found | own_figures, frames, [begun.batch.get_model(int(slot)) for slot in slots]
 
 
-def unsolved(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) -> np.ndarray:
+def find_unsolved_steps(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) -> np.ndarray:
     """Which steps (n, s) took all of the solver's iterations and are not solved by them.
 
     What PGS and noslip find balances whatever it is, so that of theirs the iterations alone are known.
     """
     found = steps["solver_niter"].reshape(*steps["M"].shape[:2], -1).max(axis=2) >= model.opt.iterations
     if found.any() and model.opt.solver != int(mujoco.mjtSolver.mjSOL_PGS) and not model.opt.noslip_iterations:
-        inertia, *forces = (steps[name][found] for name in ("M", *figures.BALANCE))
+        inertia, *forces = (steps[name][found] for name in ("M", *metrics.BALANCE))
         row, column = np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind
         mass = np.zeros((len(inertia), model.nv, model.nv))  # of which the lower triangle is recorded
         mass[:, row, column] = mass[:, column, row] = inertia
-        found[found] = figures.unbalanced(mass, *forces)
+        found[found] = metrics.is_unbalanced(mass, *forces)
     return found
