@@ -77,8 +77,8 @@ def test_another_controller_is_paired_by_what_both_vary():
     b = rows_of("fsf", **varied).assign(point_id=["q0", "q1", "q2"])
     pairs = compare.pair(a, b.iloc[::-1])
     assert compare.flips(pairs).lost == 1
-    assert comparison.paired_by(pairs) == " of equal world.contact.friction, replicate"
-    assert comparison.paired_by(compare.pair(a, a)) == ""
+    assert comparison.name_pair_columns(pairs) == " of equal world.contact.friction, replicate"
+    assert comparison.name_pair_columns(compare.pair(a, a)) == ""
     with pytest.raises(InputError, match=r"--by world\.contact\.friction, replicate\)"):
         compare.pair(a, b.assign(replicate=0))
     with pytest.raises(InputError, match=r"no row of A has .* \(other columns to pair by: none that both vary\)"):

@@ -105,7 +105,7 @@ def show_table(given: argparse.Namespace) -> int:
     if given.format == "parquet" and not given.output:
         raise InputError("--format parquet needs a file: -o FILE")
     exp = results.load_experiment(given.dir)
-    content = tables.render(matching(given.dir, given.where), given.format, names(given.columns), exp)
+    content = tables.render_table(matching(given.dir, given.where), given.format, names(given.columns), exp)
     if given.output:
         save(given.output, content)
     else:
@@ -128,7 +128,9 @@ def show_statistics(given: argparse.Namespace) -> int:
     exp = results.load_experiment(given.dir)
     if given.figure and exp.study.design.kind not in ("saltelli", "morris"):
         raise InputError("--figure is for sensitivity: it needs a study with study.design.kind=saltelli or morris")
-    terminal.print_markdown(statistics.render(rows, exp, given.level, given.figure), kept=("share", "low", "high"))
+    terminal.print_markdown(
+        statistics.render_statistics(rows, exp, given.level, given.figure), kept=("share", "low", "high")
+    )
     return DONE
 
 
@@ -141,7 +143,7 @@ def draw_report(given: argparse.Namespace) -> int:
     """The page, and the success map where there are two parameters to draw it over."""
     from sweep.core.expressions import column
     from sweep.core.progress import show_counts
-    from sweep.report import chosen, maps, page, replays, typical
+    from sweep.report import maps, page, replay_selection, replays, representative
     from sweep.runs import device_choice, results
 
     if given.replays < 0:
@@ -153,12 +155,12 @@ def draw_report(given: argparse.Namespace) -> int:
     if columns:
         maps.map_axes(found.rows, columns)  # refuses before anything is written
     if given.pictures:
-        typical.draw(found)
+        representative.draw_pictures(found)
     if given.replays:
         device_choice.choose_device_for_folder(given.dir)
         with show_counts(again, 0, given.replays) as report:
-            replays.make(found, chosen.chosen(found, given.replays), report)
-    print(page.write(found, path_in(folder, "report.html"), chosen=columns))
+            replays.make_replays(found, replay_selection.choose_replays(found, given.replays), report)
+    print(page.write_page(found, path_in(folder, "report.html"), chosen=columns))
     for path in pictures(found, folder, columns):
         print(path)
     return DONE
@@ -173,19 +175,19 @@ def draw_pairs(given: argparse.Namespace, a: "Results", folder: Path) -> int:
     if given.pictures or given.x or given.y:
         raise InputError("--pictures, --x and --y are of one study")
     b = results.read(given.b, given.where)
-    found, table = pairs.joined(a, b)
+    found, table = pairs.join_pairs(a, b)
     if given.replays:
         device_choice.choose_device_for_folder(given.dir)
         with show_counts(again, 0, given.replays) as report:
-            pairs.simulated(a, b, given.replays, report)
-    about = page.Pairs(
-        f"{a.name} and {b.name}" if a.name != b.name else f"{a.name} twice",
-        pairs.headline(table, given.dir, given.b),
-        list(pairs.exhibits(found, table)),
-        list(pairs.tables(table)),
+            pairs.replay_flipped_pairs(a, b, given.replays, report)
+    about = page.PairsContent(
+        f"{a.name} and {b.name}" if a.name != b.name else f"{a.name}: two runs",
+        pairs.pairs_headline(table, given.dir, given.b),
+        list(pairs.difference_figure(found, table)),
+        list(pairs.pairs_tables(table)),
     )
     path = path_in(folder, f"report_{given.b.resolve().name}.html")
-    print(page.write(found, path, shown=list(pairs.shown(a, b)), pairs=about))
+    print(page.write_page(found, path, shown=list(pairs.read_pair_replays(a, b)), pairs=about))
     return DONE
 
 
@@ -195,9 +197,9 @@ def pictures(found: "Results", folder: Path, chosen: tuple[str, ...]) -> list[Pa
     from sweep.report import draws, maps
 
     with plot_style():
-        if draws.shown(found) and not chosen:
-            name, figure = "draws", draws.draw(found)
-        elif chosen or len(maps.independent(found.rows)) > 1:
+        if draws.has_draws_figure(found) and not chosen:
+            name, figure = "draws", draws.draw_overview(found)
+        elif chosen or len(maps.independent_parameters(found.rows)) > 1:
             name, figure = "map", maps.success_map(found.rows, found.stored, chosen)
         else:
             return []
@@ -217,11 +219,11 @@ def export_results(given: argparse.Namespace) -> int:
         store.read_study(given.dir)  # before it is held, which would make it
         # nothing is added while it is copied, nor ever to what cannot be written
         with store.lock_folder(given.dir) if os.access(given.dir, os.W_OK) else nullcontext():
-            print(crate.write(results.read(given.dir), given.crate, given.license, given.zip, given.author))
+            print(crate.write_crate(results.read(given.dir), given.crate, given.license, given.zip, given.author))
         return DONE
     if given.zip or given.author or given.license != LICENSE:
         raise InputError("--zip, --author and --license are of --crate")
-    for path in paper.write(results.read(given.dir, given.where), given.paper, given.serif):
+    for path in paper.write_paper(results.read(given.dir, given.where), given.paper, given.serif):
         print(path)
     return DONE
 
@@ -253,9 +255,9 @@ def compare_results(given: argparse.Namespace) -> int:
         pairs = compare.pair(a, b, names(given.by))
         if len(given.b) > 1:
             print(f"{chr(10) if number else ''}{given.a} and {folder}")
-        terminal.print_markdown(comparison.text(pairs, len(a), len(b), names(given.regions)) + "\n")
+        terminal.print_markdown(comparison.comparison_text(pairs, len(a), len(b), names(given.regions)) + "\n")
         differ.append(compare.differences(pairs).assign(**({"B": str(folder)} if len(given.b) > 1 else {})))
-        broken += comparison.broken(pairs, len(a), given.tolerance, given.figures)
+        broken += comparison.find_violations(pairs, len(a), given.tolerance, given.figures)
     if given.output:
         save(given.output, pd.concat(differ).to_csv(index=False).encode())
     for line in broken:

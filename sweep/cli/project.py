@@ -60,7 +60,7 @@ def show(given: argparse.Namespace) -> int:
     if given.dir:
         from sweep.report import overview
 
-        terminal.print_markdown(overview.text(given.dir) + "\n")
+        terminal.print_markdown(overview.overview_text(given.dir) + "\n")
         return DONE
     for group in GROUPS:
         print(f"{group}=")

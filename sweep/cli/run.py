@@ -170,7 +170,7 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
     with show_wait(words):
         rows = runner.run_single(exp)
     remember_duration(what, time.perf_counter() - start)
-    sys.stdout.write(tables.one_rollout(exp, rows.iloc[0]))
+    sys.stdout.write(tables.rollout_table(exp, rows.iloc[0]))
     if exp.study.expect and exp.settings.name == "native" and (other := jittered(exp)):
         with show_wait(f"simulating {exp.scenario} {other.study.max_rollouts} times, by which native is judged"):
             exp, rows = other, runner.run_single(other)

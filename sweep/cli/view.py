@@ -19,7 +19,7 @@ from sweep.core.files import path_in
 from sweep.core.progress import show_wait
 from sweep.engines.base import Trace
 from sweep.report import page, replays
-from sweep.report.page.stage import Shown, replays_of
+from sweep.report.page.replay_data import ShownReplay, read_shown_replays
 from sweep.runs import batches, device_choice, results, runner, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment, compose
@@ -49,7 +49,7 @@ def main(args: list[str]) -> int:
     path = options.output or (
         path_in(Path(options.what[0]), "view.html") if of_folder else PAGES / f"{found.exp.scenario}.html"
     )
-    print(page.write(found, path, shown=shown, opened=1 + bool(options.beside)))
+    print(page.write_page(found, path, shown=shown, opened=1 + bool(options.beside)))
     if screen():
         webbrowser.open(path.resolve().as_uri())
     return DONE
@@ -112,14 +112,14 @@ def traces(what: list[str]) -> Iterator[Trace]:
     if store.STUDY in names_in(what[0]):
         found, at = row_of(*folder_and_point(what))
         device_choice.choose_device_for_folder(found.folder)
-        again = replays.again(found.exp, found.rows.iloc[[at]], store.read_points(found.folder), SMOOTH)
+        again = replays.simulate_again(found.exp, found.rows.iloc[[at]], store.read_points(found.folder), SMOOTH)
     else:
         exp, planned = single(what)
-        again = replays.again(exp, planned, planned, SMOOTH)
+        again = replays.simulate_again(exp, planned, planned, SMOOTH)
     return (trace for _, trace, _ in again)
 
 
-def stored(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
+def stored(what: list[str], beside: list[str]) -> tuple[Results, list[ShownReplay]]:
     """A study's results, and the replays of its page with those asked for first. Raises `InputError`."""
     folder, point = folder_and_point(what)
     found, first = row_of(folder, point)
@@ -131,15 +131,15 @@ def stored(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
     shown = []
     for of, at, title in wanted:
         row = of.rows.iloc[at]
-        if not replays.path(of.folder, row).exists():
+        if not replays.replay_path(of.folder, row).exists():
             device_choice.choose_device_for_folder(of.folder)
             with show_wait(f"simulating {row['point_id']} of {of.folder} again"):
-                replays.make(of, of.rows.iloc[[at]].assign(why=""))
-        if not (kept := replays.read(of.folder, row)):
+                replays.make_replays(of, of.rows.iloc[[at]].assign(why=""))
+        if not (kept := replays.read_replay(of.folder, row)):
             raise InputError(f"{row['point_id']} of {of.folder} ends otherwise here, or at once: sweep replay says how")
-        shown.append(Shown(at if of.folder == found.folder else -1, row, kept, title))
+        shown.append(ShownReplay(at if of.folder == found.folder else -1, row, kept, title))
     seen = {one.row["point_id"] for one in shown}
-    return found, [*shown, *(one for one in replays_of(found) if one.row["point_id"] not in seen)]
+    return found, [*shown, *(one for one in read_shown_replays(found) if one.row["point_id"] not in seen)]
 
 
 def folder_and_point(what: list[str]) -> tuple[str, str]:
@@ -156,7 +156,7 @@ def row_of(folder: str, point: str) -> tuple[Results, int]:
     return found, int((found.rows["point_id"] == row["point_id"]).to_numpy().argmax())
 
 
-def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
+def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[ShownReplay]]:
     """One rollout of a configuration, and a second one of it with some other values. Raises `InputError`."""
     rows, shown = [], []
     exp, stages = None, {}
@@ -164,7 +164,7 @@ def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
         one, planned = single(overrides)
         exp = exp or one
         with show_wait(f"simulating {' '.join(overrides)}"):
-            found = next(replays.again(one, planned, planned), None)
+            found = next(replays.simulate_again(one, planned, planned), None)
         if found is None:
             raise InputError(f"{one.scenario} cannot be shown")
         row, trace, labels = found
@@ -175,7 +175,9 @@ def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
             raise InputError(f"{one.scenario} ends at once: {row['cause']}")
         stages[str(len(rows))] = list(trace.stages)
         shown.append(
-            Shown(len(rows), row, replays.content(row, trace), " ".join(overrides[len(what) :]) or one.scenario)
+            ShownReplay(
+                len(rows), row, replays.replay_content(row, trace), " ".join(overrides[len(what) :]) or one.scenario
+            )
         )
         rows.append(row)
     assert exp is not None

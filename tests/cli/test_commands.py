@@ -62,7 +62,7 @@ def test_a_study_from_run_to_table_and_map(capsys, tmp_path):
     assert "slip max [m]" in capsys.readouterr().out
     assert main(["stats", "results/walk_map"]) == 0
     statistics = capsys.readouterr().out
-    assert "Share of the grid's box that succeeds" in statistics
+    assert "Share of the grid's volume that succeeds" in statistics
     # success where friction > 5 ratio, of ratios 0.03, 0.115, 0.2; 0.8167 is the friction nearest to the nominal one
     assert "| manoeuvre.half_step_ratio | above  | 0.1       | 0.115      | 0.2        | 0.015    | 2 " in statistics
     assert main(["report", "results/walk_map"]) == 0

@@ -3,8 +3,8 @@ import { alongOf, drawFrame, scaleOf, uneven, whole } from "./axes.js";
 import { binsOf, clipped, distanceOf, gridOf, smirnov } from "./data.js";
 import { byId, cssOf, element, offer, optionsOf, pointerOn, sheetOf, straight } from "./dom.js";
 import { clamp, grouped, packRgb, rgbOf, shortly, wilson } from "./numbers.js";
-import { glyphOf, paintKind, pixelsOf, stampAt, stampOf } from "./paint.js";
-import { narrow } from "./state.js";
+import { glyphOf, paintKind, pixelsOf, stampAt, stampOf } from "./raster.js";
+import { narrow } from "./selection.js";
 
 /** @import { Along, Scale } from "./axes.js" */
 /** @import { Column, Table } from "./data.js" */

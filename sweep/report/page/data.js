@@ -217,7 +217,8 @@ function columnOf(told, values) {
   const label = clipped(told.label);
   const title = told.unit ? `${label} [${told.unit}]` : label;
   const names = told.names ? told.names.map(clipped) : null;
-  return { ...told, label, title, names, values, low, high };
+  const path = told.path ?? ""; // a page that an earlier version wrote has none
+  return { ...told, label, title, path, names, values, low, high };
 }
 
 /**
