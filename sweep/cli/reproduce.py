@@ -20,7 +20,7 @@ TOLERANCE = 1e-3  # relative, within which metrics count as reproduced
 SHOWN = 3  # metrics of a row that are named
 
 
-def run(args: argparse.Namespace) -> int:
+def reproduce_crate(args: argparse.Namespace) -> int:
     """Simulate rows of a crate again; exit code 4 where an outcome or a metric changed. Raises `InputError`.
 
     A crate that has code runs only with `--trust`; without it the code is listed.
@@ -110,5 +110,5 @@ def format_summary(table: pd.DataFrame, tolerance: float) -> str:
     equal, changed = int(table["equal"].sum()), int((table["changed"] != "").sum())
     return (
         f"{len(table)} rollouts simulated again: {equal} equal to the last bit, {len(table) - equal - changed} within "
-        f"{tolerance:g} in every metric, {changed} not; {int(table['flips'].sum())} end otherwise"
+        f"{tolerance:g} in every metric, {changed} not; {int(table['flips'].sum())} have another outcome"
     )

@@ -39,7 +39,7 @@ def test_a_scenario_shows_its_outcome_and_leaves_no_files(capsys, tmp_path):
 
 def test_a_study_from_run_to_table_and_map(capsys, tmp_path):
     assert main(["run", *SMALL, "--dry-run"]) == 0
-    plan = "12 of 12 rollouts to run (2 batches of 6), 2.0 KiB kept a rollout, time unknown before a first batch"
+    plan = "12 of 12 rollouts to run (2 batches of 6), 2.0 KiB of memory per rollout, time unknown until a first batch"
     told = capsys.readouterr().out
     assert plan in told
     assert re.search(r"compile time unknown: not measured|about \d+ s to compile", told)  # tests share a cache
@@ -47,7 +47,7 @@ def test_a_study_from_run_to_table_and_map(capsys, tmp_path):
     assert main(["run", *SMALL]) == 0
     assert "12 of 12 planned rollouts are in results/walk_map" in capsys.readouterr().out
     assert main(["run", *SMALL, "out=results/else", "--dry-run"]) == 0
-    assert " s by the pace of results/walk_map" in capsys.readouterr().out
+    assert " s at the speed of results/walk_map" in capsys.readouterr().out
     assert main(["status", "results/walk_map"]) == 0
     told = capsys.readouterr().out
     assert "12 of 12 rollouts done" in told

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from fake_engine import FakeEngine
 
-from sweep.cli.folders import pictures
+from sweep.cli.folders import save_pictures
 from sweep.cli.main import main
 from sweep.report import draws, figures, maps, sections
 from sweep.report.page import data
@@ -163,7 +163,7 @@ def test_a_study_of_any_design_is_told(design, fake_engine, tmp_path):
 def test_points_from_a_file_are_told(points, fake_engine, tmp_path):
     ran(tmp_path / "study", *of_points(points, tmp_path))
     told(tmp_path / "study")
-    assert isinstance(pictures(results.read(tmp_path / "study"), tmp_path, ()), list)
+    assert isinstance(save_pictures(results.read(tmp_path / "study"), tmp_path, ()), list)
 
 
 @pytest.mark.parametrize(
