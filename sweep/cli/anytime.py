@@ -40,7 +40,11 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
     exps = [results.load_experiment(folder) for folder in folders]
     while True:
         a, b = (named_rows(*one) for one in zip(rows, exps, conditions, strict=True))
-        found = sequential.verdict(compare.pair(a, b, by), level)
+        pairs = compare.pair(a, b, by)
+        if (unit := compare.independent_unit_of_pairs(pairs, exps[0])) is None:
+            what = "are no sample: they were chosen, as those of a grid, or placed where failures are"
+            raise InputError(f"--anytime needs draws, or noisy replicates of one point: the points of {args.a} {what}")
+        found = sequential.verdict(pairs, level, unit)
         now = max(map(extend.draws, exps))
         if found.decided or args.most is None or now >= args.most:
             return found

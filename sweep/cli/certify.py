@@ -12,6 +12,7 @@ import pandas as pd
 
 from sweep.analysis import certify, sensitivity
 from sweep.analysis.intervals import clopper_pearson
+from sweep.analysis.sampling_units import Unit, independent_unit
 from sweep.analysis.stats import percent
 from sweep.cli.run import report_progress
 from sweep.core.errors import InputError
@@ -72,7 +73,8 @@ def check_arguments(args: argparse.Namespace) -> None:
 def drawn_parameters(exp: Experiment, rows: pd.DataFrame) -> list[str]:
     """Columns of the drawn axes. Raises `InputError` where rows are not independent draws of a few numbers."""
     own = exp.study
-    if own.points or own.is_refined or not own.design.num or own.design.kind != "monte_carlo" or own.replicates > 1:
+    unit = independent_unit(own)
+    if unit != Unit.DRAW or own.design.kind != "monte_carlo" or own.replicates > 1 or own.is_refined:
         raise InputError(f"{own.name} has no independent draws: it takes a study of design monte_carlo, one replicate")
     if listed := sensitivity.listed(rows, exp):
         raise InputError(

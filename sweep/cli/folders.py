@@ -168,6 +168,7 @@ def draw_report(args: argparse.Namespace) -> int:
 
 def draw_pairs(args: argparse.Namespace, a: "Results", folder: Path) -> int:
     """Write the page that compares two folders."""
+    from sweep.analysis import compare
     from sweep.core.progress import show_counts
     from sweep.report import page, pairs
     from sweep.runs import device_choice, results
@@ -176,15 +177,16 @@ def draw_pairs(args: argparse.Namespace, a: "Results", folder: Path) -> int:
         raise InputError("--pictures, --x and --y are of one study")
     b = results.read(args.b, args.where)
     found, table = pairs.join_pairs(a, b)
+    unit = compare.independent_unit_of_pairs(table, a.exp)
     if args.replays:
         device_choice.choose_device_for_folder(args.dir)
         with show_counts(progress_of_replays, 0, args.replays) as report:
             pairs.replay_flipped_pairs(a, b, args.replays, report)
     about = page.PairsContent(
         f"{a.name} and {b.name}" if a.name != b.name else f"{a.name}: two runs",
-        pairs.pairs_headline(table, args.dir, args.b),
+        pairs.pairs_headline(table, args.dir, args.b, unit),
         list(pairs.difference_figure(found, table)),
-        list(pairs.pairs_tables(table)),
+        list(pairs.pairs_tables(table, unit)),
     )
     path = path_in(folder, f"report_{args.b.resolve().name}.html")
     print(page.write_page(found, path, shown=list(pairs.read_pair_replays(a, b)), pairs=about))
@@ -234,6 +236,7 @@ def compare_results(args: argparse.Namespace) -> int:
 
     from sweep.analysis import compare
     from sweep.report import comparison
+    from sweep.runs import results
 
     if not 0 <= args.tolerance <= 1:
         raise InputError(f"--tolerance = {args.tolerance:g} is not allowed: a share from 0 to 1")
@@ -255,7 +258,9 @@ def compare_results(args: argparse.Namespace) -> int:
         pairs = compare.pair(a, b, parse_names(args.by))
         if len(args.b) > 1:
             print(f"{chr(10) if number else ''}{args.a} and {folder}")
-        terminal.print_markdown(comparison.comparison_text(pairs, len(a), len(b), parse_names(args.regions)) + "\n")
+        unit = compare.independent_unit_of_pairs(pairs, results.load_experiment(args.a))
+        text = comparison.comparison_text(pairs, len(a), len(b), parse_names(args.regions), unit)
+        terminal.print_markdown(text + "\n")
         differ.append(compare.differences(pairs).assign(**({"B": str(folder)} if len(args.b) > 1 else {})))
         broken += comparison.find_violations(pairs, len(a), args.tolerance, args.figures)
     if args.output:

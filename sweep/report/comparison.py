@@ -1,5 +1,6 @@
 """Text of `sweep compare`: how the outcomes of paired rollouts differ."""
 
+import numpy as np
 import pandas as pd
 
 from sweep.analysis import compare
@@ -12,7 +13,9 @@ from sweep.report.tables import page_table
 SHOWN = 12  # pairs and figures of a list; `--output` has them all
 
 
-def comparison_text(pairs: pd.DataFrame, a: int, b: int, regions: list[str] | None = None) -> str:
+def comparison_text(
+    pairs: pd.DataFrame, a: int, b: int, regions: list[str] | None = None, unit: np.ndarray | None = None
+) -> str:
     """Describe how outcomes differ between two runs, by region and by cause, and which metrics changed most.
 
     Args:
@@ -20,18 +23,23 @@ def comparison_text(pairs: pd.DataFrame, a: int, b: int, regions: list[str] | No
         a: rows of the first run, before pairing.
         b: rows of the second run, before pairing.
         regions: parameters that divide the pairs into regions; by default the first two that are numbers.
+        unit: independent unit of each pair (n,); None where pairs are no sample, so that no p-value is given.
 
     Raises:
         InputError: a region is not a parameter.
     """
     parts = [
         f"{len(pairs)} pairs{name_pair_columns(pairs)}; {a - len(pairs)} rows of A and {b - len(pairs)} of B have none",
-        str(compare.flips(pairs)),
+        str(compare.flips(pairs, unit)),
     ]
     axes = [find_parameter(pairs, name) for name in regions] if regions else default_regions(pairs)
     if compare.changed(pairs).any():
         if axes:
-            parts += ["", f"By region ({', '.join(map(axis_words, axes))}):", page_table(compare.regions(pairs, axes))]
+            parts += [
+                "",
+                f"By region ({', '.join(map(axis_words, axes))}):",
+                page_table(compare.regions(pairs, axes, unit)),
+            ]
         parts += ["", "What became what:", page_table(compare.causes(pairs))]
         parts += ["", "Pairs that differ:", page_table(compare.differences(pairs).head(SHOWN))]
     drift = compare.drift(pairs)

@@ -59,10 +59,9 @@ def draws_figure(results: Results) -> Iterator[StudyFigure]:
     if not {"success", "failure"} <= set(results.rows["outcome"]):
         text += "Below: the rollouts over the first parameters."
     else:
-        text += (
-            "Below: how differently successes and failures are distributed along each parameter (Kolmogorov-Smirnov "
-        )
-        text += "distance; grey where p > 0.05), and the rollouts over the two parameters with the largest distance."
+        grey = "; grey where p > 0.05" if rank_parameters(results)["p"].notna().any() else ""
+        text += "Below: how differently successes and failures are distributed along each parameter "
+        text += f"(Kolmogorov-Smirnov distance{grey}), and the rollouts over the two with the largest distance."
     table = results.rows[[*columns, *LABELS, "point_id"]]
     yield StudyFigure("draws", "Draws", text, table, lambda: draw_overview(results))
 
@@ -125,7 +124,7 @@ def draw_parallel_axes(ax: Axes, results: Results, columns: list[str]) -> None:
 def draw_ranking(ax: Axes, ranked: pd.DataFrame, results: Results) -> None:
     """Draw how strongly each parameter is related to failure."""
     names = [axis_words(name, results.exp) for name in ranked["axis"]]
-    ax.barh(names, ranked["distance"], color=["#00649E" if p <= 0.05 else "0.75" for p in ranked["p"]])
+    ax.barh(names, ranked["distance"], color=["0.75" if p > 0.05 else "#00649E" for p in ranked["p"]])
     ax.invert_yaxis()
     ax.set_xlim(0, 1)
     ax.set_xlabel("distance of successes\nand failures")

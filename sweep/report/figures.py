@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
 from sweep.analysis.sample import is_sample
+from sweep.analysis.sampling_units import draw_interval_method, draw_numbers, interval_method
 from sweep.analysis.stats import binned, percent, rate, rates
 from sweep.core.plot_style import COLUMN, PAGE, fit_ticks, legend_below, new_figure, use_whole_ticks
 from sweep.report import draws, sections, time_series_plots
@@ -55,13 +56,11 @@ def map_figures(results: Results) -> Iterator[StudyFigure]:
         if "total" not in table:
             caption = f"Single rollouts{', ' + one.note if one.note else ''}."
         else:
-            sure = "confidence sequence" if results.exp.study.budget else "Wilson interval"
+            method = draw_interval_method(results.exp.study)
+            sure = f", between the ends of its 95 % interval ({method})" if table["low"].notna().any() else ""
             low, high = table["total"].min(), table["total"].max()
             many = f"{low}" if low == high else f"{low} to {high}"
-            caption = (
-                f"Rate of success of {many} rollouts a cell{', ' + one.note if one.note else ''}, "
-                f"between the ends of its 95 % {sure}."
-            )
+            caption = f"Rate of success of {many} rollouts a cell{', ' + one.note if one.note else ''}{sure}."
         left_out = count_invalid(one.rows[one.rows["known"]] if one.refined else one.rows, "hatched")
         yield StudyFigure(
             f"map-{number}",
@@ -100,9 +99,9 @@ def effects_figure(results: Results) -> Iterator[StudyFigure]:
     if results.one_at_a_time:
         by, table = [], sensitivity.along(results.rows, results.exp)
         caption = (
-            "Rate of success at each value of one parameter, the others nominal, with its 95 % Wilson interval; "
-            "dotted: logistic fit of the error on either side of the nominal value, "
-            f"unless the rates reject it (p < {REJECTED:g})."
+            "Rate of success at each value of one parameter, the others nominal, with its 95 % interval "
+            f"({interval_method(results.exp.study)}); dotted: logistic fit of the error on either side of the nominal "
+            f"value, unless the rates reject it (p < {REJECTED:g})."
             if results.exp.study.noisy
             else "Whether a rollout succeeds at each value of one parameter, the others nominal."
         )
@@ -112,7 +111,8 @@ def effects_figure(results: Results) -> Iterator[StudyFigure]:
             value = results.rows[axis]
             if value.nunique() > EFFECT_VALUES:
                 value, in_bins = binned(value, EFFECT_BINS), True
-            found = rates(results.rows.assign(value=value), [*by, "value"]).assign(axis=axis)
+            draws = draw_numbers(results.rows, results.exp)
+            found = rates(results.rows.assign(value=value), [*by, "value"], unit=draws).assign(axis=axis)
             if not is_sample(results.rows, results.exp, (axis, *by)):
                 found[["low", "high"]] = np.nan
             tables.append(found)
@@ -121,7 +121,8 @@ def effects_figure(results: Results) -> Iterator[StudyFigure]:
             return
         table = pd.concat(tables, ignore_index=True)
         sure = table.groupby("axis")["low"].agg(lambda low: low.notna().any())
-        interval = ", with its 95 % Wilson interval" + ("" if sure.all() else " where these are drawn")
+        method = draw_interval_method(results.exp.study)
+        interval = f", with its 95 % interval ({method})" + ("" if sure.all() else " where these are drawn")
         where = f"in {EFFECT_BINS} bins of equal width" if in_bins else "at each value"
         if in_bins and len(tables) > 1:
             where += f", or at each value where there are at most {EFFECT_VALUES},"
@@ -161,7 +162,8 @@ def _draw_fits(results: Results, spots: dict[str, Axes]) -> None:
             if (most := np.abs(away[here]).max(initial=0)) > 0:
                 success = rows["outcome"].to_numpy()[here] == "success"
                 fit = sensitivity.logistic(np.abs(away[here]), success)
-                if sensitivity.goodness(fit, np.abs(away[here]), success) < REJECTED:
+                unit = draw_numbers(rows[here], results.exp)
+                if sensitivity.goodness(fit, np.abs(away[here]), success, unit) < REJECTED:
                     continue
                 size = np.linspace(0, most, 50)
                 spots[axis.column].plot(centre + sign * size, fit.probability(size)[0], ":", color="0.3", linewidth=1)

@@ -52,24 +52,26 @@ def join_pairs(a: Results, b: Results) -> tuple[Results, pd.DataFrame]:
     return replace(a, rows=rows), pairs
 
 
-def pairs_headline(pairs: pd.DataFrame, a: Path, b: Path) -> str:
+def pairs_headline(pairs: pd.DataFrame, a: Path, b: Path, unit: np.ndarray | None = None) -> str:
     """Say in a sentence how many outcomes differ, and whether chance explains it.
 
     Args:
         pairs: paired rows.
         a: folder of the first study.
         b: folder of the second study.
+        unit: independent unit of each pair (n,); None where pairs are no sample.
     """
-    return f"A is {a}, B is {b}: {len(pairs):,} pairs{name_pair_columns(pairs)}. {compare.flips(pairs)}."
+    return f"A is {a}, B is {b}: {len(pairs):,} pairs{name_pair_columns(pairs)}. {compare.flips(pairs, unit)}."
 
 
-def pairs_tables(pairs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield tables of pairs by region, by cause, and of those that differ."""
+def pairs_tables(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Yield tables of pairs by region, with p-values by independent `unit` (n,), by cause, and of those that differ."""
     if not compare.changed(pairs).any():
         return
     if axes := default_regions(pairs):
         words = " and ".join(map(axis_words, axes))
-        yield f"Flips by region of {words} (McNemar's p, and corrected for so many)", compare.regions(pairs, axes)
+        test = "" if unit is None else " (McNemar's p, and corrected for so many)"
+        yield f"Flips by region of {words}{test}", compare.regions(pairs, axes, unit)
     yield "What became what", compare.causes(pairs)
     yield "Pairs that differ", compare.differences(pairs).head(LISTED)
 

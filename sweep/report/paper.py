@@ -15,6 +15,7 @@ import pandas as pd
 
 from sweep.analysis import rare
 from sweep.analysis.sample import is_sample, pooled
+from sweep.analysis.sampling_units import interval_method
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
 from sweep.core.files import write_atomically
@@ -110,6 +111,7 @@ def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
         escape=escape_latex,
         tables=captions,
         sample=is_sample(results.rows, results.exp),
+        method=escape_latex(interval_method(results.exp.study)),
         beside=caveat(results, found),
         adaptive=found is not None,
     )
@@ -157,13 +159,14 @@ def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         one = pooled(part, results.exp)
         shares = ("" if np.isnan(v) else f"{100 * v:.1f}" for v in (one.share, one.low, one.high))
         lines.append((name, one.total, one.invalid, one.success, *shares))
+    method = interval_method(results.exp.study)
     success = pd.DataFrame(lines, columns=["rollouts", "number", "invalid", "succeed", "%", "from", "to"])
     if results.exp.study.is_adaptive:
         yield "success", "Rollouts that the search placed; their shares are no rates.", success.iloc[:, :4]
     elif (success["from"] == "").all():
         yield "success", "How often rollouts succeed.", success.drop(columns=["from", "to"])
     else:
-        yield "success", r"How often rollouts succeed, with 95\,\% Wilson intervals of what is a sample.", success
+        yield "success", f"How often rollouts succeed, with 95\\,\\% intervals of what is a sample ({method}).", success
     if results.causes_seen:
         counts = [
             (c.replace("_", " "), words, int((rows["cause"] == c).sum())) for c, words in results.causes_seen.items()
@@ -199,8 +202,9 @@ def quotable_numbers(results: Results, found: rare.Weighted | rare.Repeated | No
     if not found:
         yield _percent(start + "Rate", one.share, share, valid)
     if not np.isnan(one.low):
-        yield _percent(start + "RateLow", one.low, f"lower end of the 95 % Wilson interval of the {share}", valid)
-        yield _percent(start + "RateHigh", one.high, f"upper end of the 95 % Wilson interval of the {share}", valid)
+        interval = f"end of the 95 % interval ({interval_method(results.exp.study)}) of the {share}"
+        yield _percent(start + "RateLow", one.low, f"lower {interval}", valid)
+        yield _percent(start + "RateHigh", one.high, f"upper {interval}", valid)
     yield _percent(start + "InvalidRate", one.invalid_share, 'share of outcome == "invalid"', None)
     if found:
         for name, value in zip(("", "Low", "High"), (found.probability, *found.interval), strict=True):

@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 
 from sweep.analysis import sensitivity
 from sweep.analysis.intervals import anytime, wilson
+from sweep.analysis.sample import is_sample
+from sweep.analysis.sampling_units import draw_numbers
 from sweep.analysis.stats import binned, rates
 from sweep.core.plot_style import COLUMN, PAGE, new_figure, wrap_text
 from sweep.core.spacing import evenly_spaced_indices
@@ -125,10 +127,11 @@ def draw_section(results: Results, chosen: Section) -> Figure:
     x, y = chosen.x, chosen.y
     rows, cells = place_cells(chosen.rows, x, y)
     panels = list(split_panels(rows, x, y, (chosen.beside,) if chosen.beside else (), exp=results.exp))
-    tables = [cell_rates(results, panel, ["x", "y"]) for _, panel in panels]
+    tables = [cell_rates(results, panel, ["x", "y"], [x, y]) for _, panel in panels]
     single = max(table["total"].max() for table in tables) == 1
-    shown = [""] if single else ["low", "share", "high"]
-    columns = min(len(panels), 2) if single else 3
+    sample = any(table["low"].notna().any() for table in tables)
+    shown = [""] if single else ["low", "share", "high"] if sample else ["share"]
+    columns = min(len(panels), 2) if len(shown) == 1 else 3
     lines = -(-len(panels) * len(shown) // columns)
     figure = new_figure(2.2 * lines + 0.6, PAGE if columns > 1 else COLUMN)
     axes = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel()
@@ -169,9 +172,22 @@ def draw_section(results: Results, chosen: Section) -> Figure:
     return figure
 
 
-def cell_rates(results: Results, rows: pd.DataFrame, by: list[str]) -> pd.DataFrame:
-    """Rate of success of each cell; the intervals of a study with a budget hold under its stopping rule."""
-    return rates(rows, by, anytime if results.exp.study.budget else wilson)
+def cell_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[str]) -> pd.DataFrame:
+    """Rate of success of each cell, with the interval that the design calls for.
+
+    Args:
+        results: The study.
+        rows: Its rows, or those of a refined map: cells that were filled in have no draw.
+        by: Columns of the cells.
+        axes: Columns of the axes that these are made from.
+
+    Returns:
+        The table of `stats.rates`; `low` and `high` are NaN where the rows of a cell are no sample.
+    """
+    study = results.exp.study
+    unit = draw_numbers(rows, results.exp) if rows["replicate"].notna().all() else None
+    table = rates(rows, by, anytime if study.budget else wilson, unit)
+    return table if is_sample(rows, results.exp, axes) else table.assign(low=np.nan, high=np.nan)
 
 
 def section_data(results: Results, chosen: Section) -> pd.DataFrame:
@@ -180,7 +196,7 @@ def section_data(results: Results, chosen: Section) -> pd.DataFrame:
     named = [c for c in rows if "." in str(c) and rows[c].dtype.kind not in "fi" and rows[c].nunique() > 1]
     named = [c for c in named if c not in (chosen.x, chosen.y)]
     by = [*named, *([chosen.beside] if chosen.beside else []), chosen.x, chosen.y]
-    table = cell_rates(results, rows, by)
+    table = cell_rates(results, rows, by, by)
     if (table["total"] > 1).any():
         return table
     return rows[[*by, "outcome", "cause", "point_id"]].sort_values(by, ignore_index=True)

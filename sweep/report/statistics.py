@@ -8,7 +8,8 @@ import pandas as pd
 
 from sweep.analysis import failing, rare, screening, sensitivity
 from sweep.analysis.sample import distinct, pooled
-from sweep.analysis.stats import percent, rates
+from sweep.analysis.sampling_units import condition_rates, interval_method
+from sweep.analysis.stats import percent
 from sweep.core.errors import InputError
 from sweep.report.headline import headline
 from sweep.report.labels import heading
@@ -44,17 +45,18 @@ def statistics_sections(
     yield "Rate of success", f"{every}{note}{'; ' if copies else ''}{copies}"
     one_at_a_time = bool(numbers) and exp.study.design.grid == "one_at_a_time"
     if one_at_a_time:
-        sure = " (Wilson, 95 %)" if exp.study.noisy else ""
+        sure = f" ({interval_method(exp.study)}, 95 %)" if exp.study.noisy else ""
         yield f"Rate along each axis, the others nominal{sure}", sensitivity.along(rows, exp)
     elif drawn and exp.study.design.kind != "morris":
-        yield (
-            "Share of the draws that succeed (Clopper-Pearson, or by the spread of scrambles)",
-            sensitivity.volume(rows, exp),
-        )
+        method = interval_method(exp.study).replace("Wilson", "Clopper-Pearson")
+        yield f"Share of the draws that succeed ({method}, 95 %)", sensitivity.volume(rows, exp)
     elif several and listed:
-        yield "Rate at each condition (Wilson, 95 %)", rates(rows, [a.column for a in listed])
+        title = f"Rate at each condition ({interval_method(exp.study)}, 95 %)"
+        yield title, condition_rates(rows, exp, [a.column for a in listed])
     if exp.study.is_refined:
         yield "Refinement", "\n".join(map(str, refine.summarize_panels(exp, rows)))
+    if exp.study.resolution and len(effects := refine.effects(exp, rows)):
+        yield "What matters in the map's cells (total Sobol index)", effects
     whole = refine.paint_cells(exp, rows) if exp.study.resolution else rows
     if numbers and not several and not one_at_a_time:
         found = sensitivity.grid_volume(whole, exp)

@@ -145,7 +145,7 @@ def test_only_what_is_drawn_at_one_condition_has_an_interval(fake_engine, tmp_pa
     several = "," in listed
     assert sure.get("world.contact.friction", {True}) == {True}  # at each of its values steps are drawn
     assert sure["manoeuvre.half_step_ratio"] == {not several}
-    assert ("Wilson interval where these are drawn." in shown.caption) == several
+    assert ("interval (Wilson) where these are drawn." in shown.caption) == several
     text = page.render_page(found)
     assert ("Without an interval: which points are counted was chosen" in text) == several
     assert f'"sure":{str(not several).lower()}' in text

@@ -20,8 +20,9 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from PIL import Image
 
+from sweep.analysis.expectations import broken
 from sweep.analysis.sample import pooled
-from sweep.analysis.stats import broken
+from sweep.analysis.sampling_units import has_independent_rows, interval_method
 from sweep.core.files import path_in, write_atomically
 from sweep.core.plot_style import plot_style
 from sweep.report import tables
@@ -121,8 +122,11 @@ def render_page(
         for one in (() if pairs else find_representatives(results))
     ]
     rate = pooled(rows, results.exp)
+    # the script's own intervals and tests take every row as independent
+    independent = not pairs and has_independent_rows(rows, results.exp)
     about = data.page_data(results, chosen) | {
-        "sure": rate.sure,
+        "sure": rate.sure and independent,
+        "independent": independent,
         "adaptive": results.exp.study.is_adaptive and not pairs,
     }
     others = [
@@ -148,6 +152,9 @@ def render_page(
         adaptive=results.exp.study.is_adaptive and not pairs,
         headline=headline(rows, results.exp) if results.exp.study.is_adaptive else "",
         sure=rate.sure,
+        independent=independent,
+        refined_effects=bool(about["effects"]),
+        method=interval_method(results.exp.study),
         came=str(outcome_kind(rows).iloc[0]).replace("_", " ") if len(rows) else "",
         watched=[
             (one.title, one.row["cause"] or one.row["outcome"]) for one in shown or () if results.exp.study.single
@@ -181,7 +188,7 @@ def check_expectations(results: Results) -> Iterator[tuple[str, str]]:
     """Yield what the study expects of its rows, and `met` or what was found instead."""
     for one in results.exp.study.expect:
         where = f" where {one.where}" if one.where else ""
-        lines = broken((one,), results.rows)
+        lines = broken((one,), results.rows, results.exp)
         yield f"{one.that}{where}: a share from {one.at_least:g} to {one.at_most:g}", lines[0] if lines else "met"
 
 

@@ -98,8 +98,10 @@ import { clamp } from "./numbers.js";
  * @property {number} digits
  * @property {string} block
  * @property {boolean} one_at_a_time whether each parameter was varied alone
- * @property {boolean} sure whether all rows together have an interval
+ * @property {boolean} sure whether every row is an independent draw, so that all of them have an interval
+ * @property {boolean} independent whether a test may take every row as independent
  * @property {boolean} adaptive whether rollouts were placed by a search for failures: their shares are no rates
+ * @property {Record<string, number> | null} effects of a refined map, by column
  * @property {string[]} start
  * @property {Theory[]} theory
  * @property {Mesh | null} refined_cells

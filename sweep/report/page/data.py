@@ -84,6 +84,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         "start": [c for c in (*chosen, *first) if c in (*axes, *figures)][:2],
         "theory": list(limit_curves(results, rows)),
         "refined_cells": refined_cells(results) if len(rows) == len(results.rows) else None,
+        "effects": cell_effects(results),
         "densities": list(count_densities(results, kinds)) if len(rows) < len(results.rows) else [],
     }
 
@@ -185,6 +186,14 @@ def refined_cells(results: Results) -> dict[str, Any] | None:
     cells = np.concatenate(found) if found else np.zeros((0, 4), int)
     cells = cells[(cells >= 0).all(axis=1)]
     return {"axes": [axis.column for axis in axes], "block": encode_text(cells.astype("<i4").tobytes())}
+
+
+def cell_effects(results: Results) -> dict[str, float] | None:
+    """Total Sobol indices by column on the cells of a refined map, whose rows were placed at the boundary."""
+    if not results.exp.study.resolution:
+        return None
+    table = refine.effects(results.exp, results.rows)
+    return dict(zip(table["axis"], table["total"].tolist(), strict=True))
 
 
 def count_densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
