@@ -81,9 +81,13 @@ def _kernel(values: pd.Series, plain: np.ndarray, at: np.ndarray) -> Float[np.nd
     """
     if values.dtype.kind in "fi":
         x = values.to_numpy(dtype=float)
-        u = _quantiles(x, plain, x[at])
-        apart = np.abs(u[:, None] - u[None])
-        return 1 + (u[:, None] - 0.5) * (u[None] - 0.5) + (apart**2 - apart + 1 / 6) / 2
+        below, upto = _quantiles(x, plain, x[at])
+        u, width = (below + upto) / 2, upto - below
+        distance = np.abs(u[:, None] - u[None])
+        # a listed value stands for all quantiles of its step: their mean, which keeps the kernel's mean at 1
+        distance = np.where(distance == 0, width[:, None] / 3, distance)
+        square = (u[:, None] - u[None]) ** 2 + (width[:, None] ** 2 + width[None] ** 2) / 12
+        return 1 + (u[:, None] - 0.5) * (u[None] - 0.5) + (square - distance + 1 / 6) / 2
     codes, levels = pd.factorize(values)
     weight = np.bincount(codes, plain, len(levels)) / plain.sum()
     equal = (codes[at][:, None] == codes[at][None]) / np.maximum(weight[codes[at]], 1e-12)[None]
@@ -103,12 +107,12 @@ def _chosen(weight: np.ndarray) -> np.ndarray:
     return places[some(len(places), MOST)]
 
 
-def _quantiles(values: np.ndarray, weight: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """The share of plain draws below `at`."""
+def _quantiles(values: np.ndarray, weight: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The shares of plain draws below `at`, and up to it."""
     order = np.argsort(values, kind="stable")
     below = np.concatenate([[0.0], np.cumsum(weight[order])]) / weight.sum()
     low, high = (below[np.searchsorted(values[order], at, side=side)] for side in ("left", "right"))
-    return (low + high) / 2
+    return low, high
 
 
 def _left_out(weight: np.ndarray, unit: np.ndarray) -> Float[np.ndarray, "n g"]:
