@@ -26,7 +26,7 @@ def speed(name: str, width: int) -> str:
     settings = replace(exp.settings, width=width or devices.default_width())
     engine = Mjx(settings, exp.case, exp.case, exp.thresholds)
     world = replace(exp.case, contact=replace(exp.case.contact, friction=np.linspace(0.6, 1.0, settings.width)))
-    with program_cache.unused():
+    with program_cache.without_cache():
         start = time.perf_counter()
         (world, belief, keys), programs, *_ = engine._prepare(
             world, exp.case, np.zeros(settings.width, int), None, 1, None

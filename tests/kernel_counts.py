@@ -43,7 +43,7 @@ def kernel_printer(name: str) -> tuple[launch.Traced, cuda.GpuPrinter]:
     cases = jax.tree.map(lambda x: jax.ShapeDtypeStruct((), x.dtype), devices.as_arrays((exp.case, exp.case)))
     key = jax.eval_shape(partial(jax.random.key, 0))
     plan, carry = jax.eval_shape(partial(engine._start, sensing(exp.case.noise)), *cases, key)
-    return launch.printed(engine._tick, (*cases, plan), carry, lambda carry: carry.over, TICKS, 0, WIDTH)
+    return launch.print_program(engine._tick, (*cases, plan), carry, lambda carry: carry.is_over, TICKS, 0, WIDTH)
 
 
 def text_counts(program: launch.Traced, printer: cuda.GpuPrinter) -> Counts:

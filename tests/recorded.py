@@ -74,7 +74,7 @@ def record_plan(name: str, count: int = DRAWS) -> dict[str, np.ndarray]:
             for path, values in drawn.items():
                 case = assign(case, path, float(values[k]))
             try:
-                plan = drop_idle_lifts(eager.worked_out(partial(without_forces, case)))
+                plan = drop_idle_lifts(eager.evaluate_constants(partial(without_forces, case)))
             except InputError:
                 sums.append(np.full_like(sums[0], np.nan))
                 continue

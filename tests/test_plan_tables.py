@@ -14,7 +14,7 @@ from recorded import without_forces
 from sweep.cli.main import main
 from sweep.core import project
 from sweep.core.errors import InputError
-from sweep.fused.eager import worked_out
+from sweep.fused.eager import evaluate_constants
 from sweep.models.plan_table import (
     GROUP,
     PlanTable,
@@ -160,7 +160,7 @@ def test_a_shipped_plan_says_where_its_numbers_come_from(name):
 
 
 def same(one, other):
-    one, other = (worked_out(partial(without_forces, case)) for case in (one, other))
+    one, other = (evaluate_constants(partial(without_forces, case)) for case in (one, other))
     assert one.names == other.names
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), one, other)
 
@@ -208,7 +208,7 @@ def test_a_part_that_is_repeated_is_its_moves_again_and_again(lab):
         return ", ".join(f"{k}.all: {PAIRS % (k * step + more, 0.5 + k * step, k * step - 0.5)}" for k in (1, 2))
 
     again = case(f"repeat: 1 + 1, all: {PAIRS % ('step * (k + 1)', 'step * (k + 1) + 0.5', 'step * (k + 1) - 0.5')}")
-    assert worked_out(partial(without_forces, again)).names == ("stand", "on.1.all", "on.2.all", "halt")
+    assert evaluate_constants(partial(without_forces, again)).names == ("stand", "on.1.all", "on.2.all", "halt")
     same(again, case(written(0.05)))
     same(assign(again, "plan.sizes.step", 0.04), case(written(0.04)))
     same(assign(again, "plan.on.all.base.ahead", 0.07), case(written(0.05, 0.02)))  # the first, and others by as much

@@ -13,7 +13,7 @@ from sweep.dynamics.step import PhysicsState, from_components, state_at_rest, st
 from sweep.engines import devices, physics
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.fused import launch
-from sweep.fused.kernel import Kernel, compiled
+from sweep.fused.kernel import Kernel, compile_function
 from sweep.models.case import Case
 from sweep.models.drive import position_mode
 
@@ -170,7 +170,7 @@ def _on_cpu(
     tick: Tick, shapes: tuple[Any, Any], given: Any, states: PhysicsState, ticks: int, kept: np.ndarray
 ) -> Running:
     start = time.perf_counter()
-    kernel = Kernel(compiled(tick, *shapes))
+    kernel = Kernel(compile_function(tick, *shapes))
     seconds = time.perf_counter() - start
 
     def advance() -> Record:

@@ -1,4 +1,4 @@
-"""`sweep run` from a checked experiment on: runner, progress and summary."""
+"""What `sweep run` does with a checked experiment: the runner, with its progress and its summary."""
 
 import sys
 import time
@@ -13,9 +13,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.text import Text
 
 from sweep.analysis import rare
-from sweep.analysis.expectations import broken
 from sweep.analysis.sample import distinct, pooled
-from sweep.analysis.stats import causes, rate
+from sweep.analysis.stats import broken, causes, rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.core.errors import InputError
 from sweep.core.progress import (
@@ -45,7 +44,7 @@ SLACK = 0.2  # share of them that may end otherwise than the scenario expects
 
 @dataclass(frozen=True)
 class Flags:
-    """Flags of `sweep run` that Hydra does not handle."""
+    """The flags of `sweep run` that are not Hydra's."""
 
     dry_run: bool = False
     check: bool = False
@@ -54,18 +53,7 @@ class Flags:
 
 
 def execute(exp: Experiment, flags: Flags) -> int:
-    """Run an experiment.
-
-    Args:
-        exp: checked experiment.
-        flags: flags of the command line.
-
-    Returns:
-        Exit code, see `sweep run --help`.
-
-    Raises:
-        InputError: flags do not fit the experiment, or the folder belongs to another study.
-    """
+    """Run one experiment; its exit code."""
     if exp.study.single:
         for flag, value in (("--limit", flags.limit), ("--where", flags.where)):
             if value is not None:
@@ -92,7 +80,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         print("\n".join([forecast(job), *map(str, failing_levels(exp))]))
         return DONE
     if flags.check:
-        return check_axes(exp, first)
+        return checked(exp, first)
 
     def say(line: str) -> None:
         print(f"sweep: {line}", file=sys.stderr)
@@ -102,7 +90,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
     with store.lock_folder(folder), connect_lazily(exp.cluster, watched) as dispatch:
         for line in runner.repair_folder(exp, folder):
             say(line)
-        done, start, to_do = 0, time.perf_counter(), plan_jobs(exp, folder, first, whole)
+        done, start, to_do = 0, time.perf_counter(), jobs(exp, folder, first, whole)
         for line in runner.describe_changed_axes(exp, folder):
             say(line)
         failing = None
@@ -110,7 +98,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
             todo = len(job.rows(job.missing()))
             if todo and failing is None:
                 failing = failing_levels(exp)
-            with report_progress(exp.study.name, todo, program_text(exp), watched) as report:
+            with reporting(exp.study.name, todo, program(exp), watched) as report:
                 job = runner.run(job, report, dispatch)
             done += todo
         seconds = time.perf_counter() - start
@@ -122,10 +110,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         size, used = stored["rollouts"], stored["devices"]
         complete = len(rows) == size and (whole or not exp.study.is_sequential)
     if len(used) > 1:
-        print(
-            f"sweep: rows come from {' and '.join(used)}, on which equal rollouts may differ in the last bit",
-            file=sys.stderr,
-        )
+        print(f"sweep: equal rollouts need not be equal to the last bit on {' and on '.join(used)}", file=sys.stderr)
     print("\n".join([summary(exp, rows), *(f"  {level}" for level in failing or ())]))
     if exp.study.is_refined:
         print("\n".join(f"refined: {one}" for one in refine.summarize_panels(exp, rows)))
@@ -141,23 +126,23 @@ def failing_levels(exp: Experiment) -> list[FailingLevel]:
         return find_failing_levels(exp)
 
 
-def check_axes(exp: Experiment, points: pd.DataFrame) -> int:
-    """Check whether every axis has an effect and a rollout is repeatable; exit code 4 where not."""
+def checked(exp: Experiment, points: pd.DataFrame) -> int:
+    """Whether every axis acts, and a rollout comes out alike twice; exit code 4 where not."""
 
     def words(done: int) -> str:
-        return f"{exp.study.name}: {done} rollouts simulated to check that its axes have an effect"
+        return f"{exp.study.name}: {done} rollouts simulated to see whether its axes act"
 
     with show_counts(words, 0) as told:
         found = axis_check.run(exp, points, told)
     for line in found.lines(exp):
         print(f"sweep: {line}", file=sys.stderr)
     dead = len({one.column for one in found.dead if one.whole})
-    print(f"{exp.study.name}: {found.axes - dead} of {found.axes} axes have an effect (in {found.rollouts} rollouts)")
+    print(f"{exp.study.name}: {found.axes - dead} of {found.axes} axes act (in {found.rollouts} rollouts)")
     return DONE if found.sound else UNEXPECTED
 
 
-def plan_jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Iterable[runner.Job]:
-    """Jobs of the study: one after the other where results decide what runs next, else a single one."""
+def jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Iterable[runner.Job]:
+    """One after the other, where what to run next depends on what was found; all at once else, or of a part."""
     if whole and exp.study.is_refined:
         return refine.rounds(exp, folder, first)
     return (
@@ -166,18 +151,18 @@ def plan_jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -
 
 
 def execute_single(exp: Experiment, flags: Flags) -> int:
-    """Simulate one nominal rollout and print its outcome and metrics.
+    """One nominal rollout: its outcome and figures on the standard output.
 
-    On the native engine, whose last bits differ between hosts, expectations are judged by jittered rollouts.
+    On native, whose last bits hosts do not share, what the scenario expects is counted over jittered ones.
     """
     if exp.study.keep:
         raise InputError("study.keep keeps time histories beside a study's rows: give study=NAME or out=DIR")
     check_expect(exp.study, exp.system)
     if flags.dry_run:
         runner.lay_out_single(exp)
-        print(f"{exp.scenario}: 1 rollout on {exp.settings.name}, {format_compile_estimate(program_text(exp))}")
+        print(f"{exp.scenario}: 1 rollout on {exp.settings.name}, {format_compile_estimate(program(exp))}")
         return DONE
-    what, start = program_text(exp), time.perf_counter()
+    what, start = program(exp), time.perf_counter()
 
     def words() -> str:
         return f"compiling {what}, then simulating{format_last_duration(what)}{format_running_parts(what)}"
@@ -185,18 +170,16 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
     with show_wait(words):
         rows = runner.run_single(exp)
     remember_duration(what, time.perf_counter() - start)
-    sys.stdout.write(tables.rollout_table(exp, rows.iloc[0]))
-    if exp.study.expect and exp.settings.name == "native" and (other := jitter_experiment(exp)):
-        with show_wait(
-            f"simulating {exp.scenario} {other.study.max_rollouts} times to judge its expectations on the native engine"
-        ):
+    sys.stdout.write(tables.one_rollout(exp, rows.iloc[0]))
+    if exp.study.expect and exp.settings.name == "native" and (other := jittered(exp)):
+        with show_wait(f"simulating {exp.scenario} {other.study.max_rollouts} times, by which native is judged"):
             exp, rows = other, runner.run_single(other)
         print(f"sweep: of rollouts that differ by 1e-6 {pooled(rows, exp)}", file=sys.stderr)
     return verdict(exp, rows, complete=True)
 
 
-def jitter_experiment(exp: Experiment) -> Experiment | None:
-    """The scenario with the jitter study's axes and its own expectations; None for another system."""
+def jittered(exp: Experiment) -> Experiment | None:
+    """A scenario of the robot by the study of jitter, with its own expectations; None of another system."""
     values = compose_values(JITTER)
     if kind_of(values) is not kind_of(exp.values):
         return None
@@ -211,7 +194,7 @@ def jitter_experiment(exp: Experiment) -> Experiment | None:
 
 
 def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
-    """Exit code of finished rows; prints a line for each expectation that is not met."""
+    """Exit code of finished `rows`, with a line for everything that is not as it should be."""
     found = rate(rows["outcome"])
     if found.invalid_share > exp.study.invalid_max:
         allowed = f"{exp.study.invalid_max:.1%} allowed"
@@ -220,14 +203,14 @@ def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
     if exp.study.expect and not complete:
         print("sweep: expectations are checked when the whole study is done", file=sys.stderr)
         return DONE
-    lines = broken(exp.study.expect, rows, exp)
+    lines = broken(exp.study.expect, rows)
     for line in lines:
         print(f"sweep: {line}", file=sys.stderr)
     return UNEXPECTED if lines else DONE
 
 
 def summary(exp: Experiment, rows: pd.DataFrame) -> str:
-    """The headline of the study, its causes, and the rate for each value of a named parameter; copies count once."""
+    """The rate of success, overall and for each named alternative such as an engine; copies are counted once."""
     rows, copies = distinct(rows, exp)
     lines = [f"{exp.study.name}: {headline(rows, exp)}"]
     lines += [f"  {line}" for line in causes(rows["cause"], exp.system.cause_meanings(exp.thresholds))]
@@ -239,38 +222,37 @@ def summary(exp: Experiment, rows: pd.DataFrame) -> str:
 
 
 def forecast(job: runner.Job) -> str:
-    """Describe what a run would do: rollouts, batches, memory, and the time if an earlier batch is known."""
+    """What a run would do: rollouts, batches, memory, and the time where an earlier batch tells it."""
     missing = job.rows(job.missing())
     sizes = missing.groupby(["group", "width"])["batch"].nunique()
     parts = [f"{count} batch{'es' * (count > 1)} of {width}" for (_, width), count in sizes.items()]  # pyright: ignore[reportGeneralTypeIssues]
     text = f"{job.exp.study.name}: {len(missing)} of {len(job.table)} rollouts to run ({', '.join(parts) or 'none'})"
     if len(missing):
-        text += f"{memory_text(job, missing)}, {duration_text(job, missing)}, "
-        text += format_compile_estimate(program_text(job.exp))
+        text += f"{memory(job, missing)}, {duration(job, missing)}, {format_compile_estimate(program(job.exp))}"
     if count := time_series.size(job.exp, job.table):
         kept, columns = min(job.exp.study.keep_rows, len(job.table)), ", ".join(job.exp.study.keep)
         text += f"\ntime histories of {kept} rollouts ({columns}): about {4 * count / 2**20:.1f} MiB before compression"
     return f"{text}\n{axes_table(job.exp)}" if job.exp.study.axes and not job.exp.study.points else text
 
 
-def memory_text(job: runner.Job, missing: pd.DataFrame) -> str:
-    """Memory that a rollout needs, of the first group."""
+def memory(job: runner.Job, missing: pd.DataFrame) -> str:
+    """What a rollout keeps in memory, of the first group."""
     rows = missing[missing["group"] == missing["group"].iloc[0]]
     size = make_engine(job.exp, nominal_batch(job.exp, rows, int(rows["width"].iloc[0]))).rollout_bytes()
-    return f", {size / 1024:.1f} KiB of memory per rollout" if size else ""
+    return f", {size / 1024:.1f} KiB kept a rollout" if size else ""
 
 
-def duration_text(job: runner.Job, missing: pd.DataFrame) -> str:
-    """Estimated time of the `missing` rollouts, by the last batch of this study or of a similar one beside it."""
+def duration(job: runner.Job, missing: pd.DataFrame) -> str:
+    """The time that `missing` rollouts take by the last batch of this study, or of the latest like it beside it."""
     beside = sorted(job.folder.parent.glob(f"*/{store.STUDY}"), key=lambda p: p.stat().st_mtime, reverse=True)
     for folder in (job.folder, *(path.parent for path in beside)):
-        if (seconds := seconds_per_rollout(folder, job)) is not None:
-            return f"about {len(missing) * seconds:.0f} s at the speed of {folder}"
-    return f"time unknown until a first batch has run, such as --limit {missing['width'].iloc[0]}"
+        if (seconds := pace(folder, job)) is not None:
+            return f"about {len(missing) * seconds:.0f} s by the pace of {folder}"
+    return f"time unknown before a first batch, as by --limit {missing['width'].iloc[0]}"
 
 
-def seconds_per_rollout(folder: Path, job: runner.Job) -> float | None:
-    """Wall time per rollout (s) in the last batch of `folder`; None unless scenario, engine and device are the same."""
+def pace(folder: Path, job: runner.Job) -> float | None:
+    """Wall time of a rollout (s) in the last batch of `folder`, if its scenario, engine and device are those here."""
     try:
         stored, done = store.read_study(folder), store.current_parts(folder)
         config, exp = stored["config"], job.exp
@@ -282,7 +264,7 @@ def seconds_per_rollout(folder: Path, job: runner.Job) -> float | None:
 
 
 def axes_table(exp: Experiment) -> str:
-    """Table of the axes: parameter, side, values, unit and nominal value."""
+    """What is varied: parameter, side, values, unit and nominal value."""
     lines = [
         [
             axis.name,
@@ -298,8 +280,8 @@ def axes_table(exp: Experiment) -> str:
     return table.to_markdown(index=False, disable_numparse=True)
 
 
-def program_text(exp: Experiment) -> str:
-    """What is compiled before the first batch."""
+def program(exp: Experiment) -> str:
+    """What has to be compiled before the first batch, in words."""
     kind = exp.settings.name if exp.study.single else f"batches of {exp.study.name} on {exp.settings.name}"
     return f"{exp.scenario} for {kind}"
 
@@ -350,8 +332,11 @@ class LiveColumn(ProgressColumn):
 
 
 @contextmanager
-def report_progress(name: str, total: int, what: str, watched: WorkerReport | None = None) -> Iterator[runner.Progress]:
-    """Show progress: a bar on a terminal, else a line now and then. `what` is compiled first."""
+def reporting(name: str, total: int, what: str, watched: WorkerReport | None = None) -> Iterator[runner.Progress]:
+    """A live bar on a terminal's standard error, a line now and then elsewhere; with the workers that are `watched`.
+
+    `what` is compiled first.
+    """
     console = Console(stderr=True)
     start, done, good, pace = time.perf_counter(), 0, 0, Pace(total)
     # numbers first: a narrow terminal cuts the end of the line off

@@ -12,7 +12,7 @@ from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan, stage_end_stances
 from sweep.controllers.posture import joint_targets
 from sweep.core.errors import InputError
-from sweep.fused.numbers import worked_out
+from sweep.fused.numbers import evaluate_constants
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import FreeState
 
@@ -54,7 +54,7 @@ def require_within_reach(belief: Case, stances: Callable[[], Mapping[str, Stance
         many = jax.tree.map(lambda *leaves: jnp.stack(leaves), *named.values())
         return jax.vmap(lambda stance: joint_targets(belief.robot, stance)[1])(many)
 
-    lacks = worked_out(shortfalls)
+    lacks = evaluate_constants(shortfalls)
     if not lacks.max() <= 0:
         stage, foot = np.unravel_index(lacks.argmax(), lacks.shape)
         raise InputError(f"{prefix}foot {foot + 1} is {lacks.max():.3f} m out of reach {words[stage]}")

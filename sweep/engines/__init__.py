@@ -12,7 +12,7 @@ def make(settings: EngineSettings, world: Case, belief: Case, limits: Thresholds
     `world` and `belief` give its structure, and plain numbers for a nominal plan; `limits` say when to note a cause.
     """
     if world.control.calibrate == "simulated":
-        from sweep.engines.calibrating import Calibrating
+        from sweep.engines.calibration_rollout import Calibrating
 
         return Calibrating(make, settings, world, belief, limits or Thresholds())
     if settings.name == "native":

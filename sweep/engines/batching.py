@@ -13,7 +13,7 @@ from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
 from sweep.core.progress import timed_part
-from sweep.engines import base, devices, planning, prelude, program_cache
+from sweep.engines import base, devices, planning, pre_rollout, program_cache
 from sweep.engines.base import Figures, NoTrace, Trace
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import accumulator, outcome
@@ -42,7 +42,7 @@ def _nominal_plan(belief: Case, kind: np.dtype) -> Plan:
 
 def _planned(belief: Case) -> Plan:
     with timed_part("nominal plan"):
-        plan = planning.worked_out(lambda: belief.manoeuvre.plan(belief))
+        plan = planning.evaluate_plan(lambda: belief.manoeuvre.plan(belief))
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(plan)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
         raise InputError(f"{kinds} has no plan for the sizes given: a foothold or a path is out of the robot's reach")
@@ -95,7 +95,7 @@ class Batched:
         self.substeps = substeps(settings)
         with devices.precision(settings):
             plan = nominal_plan(belief)
-            prelude.check(world, belief, plan)
+            pre_rollout.check(world, belief, plan)
         self.stages, self.duration = plan.names, float(GRACE * np.sum(np.asarray(plan.duration)))
         self._searches = plan.layer(Feedforward) is not None  # for planned forces
         self._replans = world.control.replan != "never"

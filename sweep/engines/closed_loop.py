@@ -99,7 +99,7 @@ def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = 
     """
     free = free_start_state(world.obstacle) if free is None else free
     joints, _ = joint_targets(belief.robot, plan.start)
-    start = displaced(world.execution, plan.start)
+    start = apply_placement_error(world.execution, plan.start)
     feet = feet_in_world(world.robot, start.position, start.quat, joints)
     ground = _beneath(world.obstacle, feet, rotate(start.quat, jnp.array([0.0, 0.0, 1.0])), body_poses(free))
     along = jnp.array([0.0, 0.0, 1.0]) if world.obstacle.free_bodies else ground.normal[jnp.argmax(ground.depth)]
@@ -133,7 +133,7 @@ def _beneath(obstacle: Obstacle, feet: Float[Array, "6 3"], up: Float[Array, " 3
     )
 
 
-def displaced(execution: Execution, start: Stance) -> Stance:
+def apply_placement_error(execution: Execution, start: Stance) -> Stance:
     """The start with the errors of the robot's placement."""
     position = start.position + point(execution.start_x, execution.start_y, 0.0)
     turn = rotation_about_vertical(jnp.asarray(execution.start_yaw, float))

@@ -180,7 +180,7 @@ def split(tree: Any, over: jax.sharding.Mesh) -> Any:
     return jax.tree.map(laid_out, tree)
 
 
-def placed(tree: Any, over: jax.sharding.Mesh) -> Any:
+def put_on_devices(tree: Any, over: jax.sharding.Mesh) -> Any:
     """Arrays of a batch, laid out as `split` has them."""
     return jax.device_put(tree, jax.tree.map(lambda x: x.sharding, split(tree, over)))
 

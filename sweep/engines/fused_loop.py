@@ -17,7 +17,7 @@ from sweep.engines import devices
 from sweep.engines.base import Watch
 from sweep.engines.planning import Planning
 from sweep.engines.settings import EngineSettings
-from sweep.engines.states import watched
+from sweep.engines.states import select_columns
 from sweep.fused import eager
 from sweep.fused.arrays import Unsupported
 from sweep.fused.eager import Eager
@@ -31,7 +31,7 @@ class Going(NamedTuple):
     tiles: Tiles
 
     @property
-    def over(self) -> np.ndarray:
+    def is_over(self) -> np.ndarray:
         """Which rollouts have ended."""
         return self.tiles.look(lambda carried: carried.loop.running.over)
 
@@ -62,14 +62,14 @@ class Fused(NamedTuple):
         record = carry.tiles.advance(tick, self.ticks, kept)
         if record is None or self.watch is None:
             return carry, record
-        return carry, watched(world, record, self.watch.columns)
+        return carry, select_columns(world, record, self.watch.columns)
 
     def finish(self, world: Case, plans: Plan, carry: Going) -> dict[str, Array]:
         """Figures of a batch that has gone through its ticks."""
         return self.end(world, plans, carry.tiles.leave())
 
 
-def of_one(arrays: tuple[Case, Case, Array], batch: Any) -> tuple[tuple[Case, Case, Plan], Any]:
+def single_rollout_shapes(arrays: tuple[Case, Case, Array], batch: Any) -> tuple[tuple[Case, Case, Plan], Any]:
     """The form of what a rollout is given, and of what it carries on; a `batch` has plans and the latter."""
 
     def one(x: Any, axes: int) -> jax.ShapeDtypeStruct:
@@ -83,7 +83,7 @@ def of_one(arrays: tuple[Case, Case, Array], batch: Any) -> tuple[tuple[Case, Ca
 def eager_or(by_xla: Callable[[], Compiled], function: Callable[..., Any], *given: Any) -> Eager | Compiled:
     """A function that is run a few times for a batch, of `given` shapes of a rollout; XLA's where it has to be."""
     try:
-        return eager.traced(function, *given)
+        return eager.trace(function, *given)
     except Unsupported:
         return by_xla()
 

@@ -35,11 +35,11 @@ from sweep.engines.closed_loop import (
     sensing,
     start_state,
 )
-from sweep.engines.fused_loop import Fused, of_one
+from sweep.engines.fused_loop import Fused, single_rollout_shapes
 from sweep.engines.planning import Planning
-from sweep.engines.prelude import prepared
+from sweep.engines.pre_rollout import prepare_belief
 from sweep.engines.settings import EngineSettings
-from sweep.engines.states import offered, watched
+from sweep.engines.states import available_columns, select_columns
 from sweep.fused import driver, kernel, launch
 from sweep.fused.eager import Eager
 from sweep.fused.kernel import Code, Kernel
@@ -55,7 +55,7 @@ class Carry(NamedTuple):
     loop: ClosedLoop
 
     @property
-    def over(self) -> Array:
+    def is_over(self) -> Array:
         """Whether nothing is to come."""
         return self.loop.running.over
 
@@ -73,14 +73,14 @@ class Mjx(Batched):
 
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
         super().__init__(settings, world, belief, limits)
-        self.dynamics = physics.taken(settings)
+        self.dynamics = physics.dynamics_name(settings)
         self.width = settings.width or devices.default_width()
         self._mesh = devices.mesh(self.width)
         self.devices = jax.device_count()
         self.fused = _fused(settings)
         with devices.precision(settings):
             self.topology = dynamics.topology(world)
-            self.physics = physics.make(settings, self.topology)
+            self.physics = physics.make_physics(settings, self.topology)
 
     def rollout_bytes(self) -> int:
         """See `Engine`; nothing is compiled for it."""
@@ -120,7 +120,7 @@ class Mjx(Batched):
                 first = (every - 1 - tick) % every
                 records.append(jax.tree.map(lambda x, first=first: np.asarray(x)[first::every][:, places], record))
                 # on the host: among devices it would take their collective operations, which can hang
-                over = np.asarray(carry.over)
+                over = np.asarray(carry.is_over)
                 if np.all(over if slots is None or watch else over[slots]):
                     break
             figures = programs.finish(world, plans, carry).items()
@@ -188,12 +188,14 @@ class Mjx(Batched):
         again: Eager | Compiled | None = None,
         machine: driver.GpuKernel | None = None,
     ) -> XlaPrograms | Fused:
-        begin, end = Planning.of(start, searches), fused_loop.ready(finish, self.width)
+        begin, end = Planning.from_programs(start, searches), fused_loop.ready(finish, self.width)
         if not isinstance(chunk, Code):
             if machine:
-                driver.add(machine)
+                driver.add_kernel(machine)
             compiled = isinstance(start, Compiled)
-            return XlaPrograms(begin if compiled else lambda *of: devices.placed(begin(*of), self._mesh), chunk, end)
+            return XlaPrograms(
+                begin if compiled else lambda *of: devices.put_on_devices(begin(*of), self._mesh), chunk, end
+            )
         new = again and fused_loop.ready(again, self.width)
         return Fused(begin, Kernel(chunk), end, new, self._chunk_ticks, self.width, None)
 
@@ -226,14 +228,16 @@ class Mjx(Batched):
 
         recorded = (split, PartitionSpec(None, devices.BATCH))
         with ThreadPoolExecutor() as pool:
-            batch, started = planning.begun(
+            batch, started = planning.start_compilation(
                 pool, partial(self._start, sensors_are), arrays, many, self._searches, self._few
             )
             plans, carry = devices.split(batch, self._mesh)
             if self._by_host:
                 with timed_part("closed loop"):
                     lanes = kernel.tile(self.width, devices.cores())
-                    chunked = pool.submit(kernel.begun(self._tick, *of_one(arrays, batch), lanes=lanes))
+                    chunked = pool.submit(
+                        kernel.start_compilation(self._tick, *single_rollout_shapes(arrays, batch), lanes=lanes)
+                    )
                     finished = self._compile_finish(arrays, batch, on_devices)
                     again = self._compile_again(arrays, batch, on_devices)
                     return *started(), chunked.result(), finished, again
@@ -245,7 +249,7 @@ class Mjx(Batched):
             with timed_part("closed loop"):
                 chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
                 finished = self._compile_finish(arrays, batch, on_devices)
-                return *started(), chunked.result(), finished, None, key and driver.made(key)
+                return *started(), chunked.result(), finished, None, key and driver.finished_kernel(key)
 
     def _compile_again(
         self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
@@ -253,7 +257,7 @@ class Mjx(Batched):
         """What plans again, if anything does."""
         if not self._replans:
             return None
-        (_, belief, plan), carry = of_one(arrays, batch)
+        (_, belief, plan), carry = single_rollout_shapes(arrays, batch)
         plans, carries = devices.split(batch, self._mesh)
 
         def by_xla() -> Compiled:
@@ -279,7 +283,7 @@ class Mjx(Batched):
         with timed_part("figures"):
             if not self._few:
                 return by_xla()
-            (world, _, plan), carry = of_one(arrays, batch)
+            (world, _, plan), carry = single_rollout_shapes(arrays, batch)
             return fused_loop.eager_or(by_xla, self._finish, world, plan, carry)
 
     def _fused_chunk(
@@ -287,7 +291,7 @@ class Mjx(Batched):
     ) -> tuple[Callable, str]:
         """A second of the batch that a GPU has, as one kernel, and its key; see `_chunk`."""
         room = 0 if kept is None else len(kept) // self._mesh.size
-        form, over, width = of_one(arrays, batch), lambda carry: carry.over, self._local
+        form, over, width = single_rollout_shapes(arrays, batch), lambda carry: carry.is_over, self._local
         code = launch.compiled(self._tick, *form, over, self._chunk_ticks, room, width, few=self._few)
 
         def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:
@@ -296,7 +300,7 @@ class Mjx(Batched):
             carry, record = launch.run(code, (world, belief, plans), carry, first, kept)
             if watch is None or record is None:
                 return carry, record
-            return carry, watched(self._nominal[0], record, watch.columns)
+            return carry, select_columns(self._nominal[0], record, watch.columns)
 
         return chunk, driver.key(code.text)
 
@@ -304,7 +308,7 @@ class Mjx(Batched):
         self, arrays: tuple[Case, Case, Array], batch: Any, kept: Array | None, watch: Watch | None
     ) -> tuple[Callable, None]:
         """A second of the batch that a device has, of which some rollouts may be recorded: columns, or all there is."""
-        axes, columns = devices.axes(arrays[:2]), offered(self._nominal[0])
+        axes, columns = devices.axes(arrays[:2]), available_columns(self._nominal[0])
         last = jax.tree.map(lambda _: -1, (*axes, batch[0]))  # batch axes of what has been put `_batch_last`
         tick = batch_last_vmap(self._tick, (last, -1, None), devices.reuse_from())
 
@@ -327,7 +331,7 @@ class Mjx(Batched):
         return chunk, None
 
     def _start(self, sensors_are: Sensing, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
-        known, plan, learned = prepared(world, belief, key)
+        known, plan, learned = prepare_belief(world, belief, key)
         start = start_state(world, known, plan, start_at_rest(world))
         state = state_at_rest(self.topology, start.qpos)._replace(v=start.qvel)
         energy = self.physics.energy(world, state)

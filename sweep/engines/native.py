@@ -42,9 +42,9 @@ from sweep.engines.closed_loop import (
 )
 from sweep.engines.physics import push_force
 from sweep.engines.planning import Planning
-from sweep.engines.prelude import prepared
+from sweep.engines.pre_rollout import prepare_belief
 from sweep.engines.settings import EngineSettings
-from sweep.engines.states import watched
+from sweep.engines.states import select_columns
 from sweep.fused import kernel
 from sweep.fused.eager import Eager
 from sweep.fused.kernel import Code, Kernel, Tiles
@@ -158,7 +158,7 @@ class Native(Batched):
     ) -> tuple[Figures, np.ndarray]:
         """Figures, and columns over time, see `Engine`."""
         figures, parts = self._simulate(world, belief, streams, slots, watch.every)
-        return figures, np.concatenate([watched(self._nominal[0], part, watch.columns) for part in parts])
+        return figures, np.concatenate([select_columns(self._nominal[0], part, watch.columns) for part in parts])
 
     def _simulate(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
@@ -248,7 +248,7 @@ class Native(Batched):
             start, searches, tick, *rest = parts
             finish, again = (one and fused_loop.ready(one, self.width) for one in rest)
             tick = Kernel(tick) if isinstance(tick, Code) else tick
-            self._programs[form] = NativePrograms(Planning.of(start, searches), tick, finish, again)
+            self._programs[form] = NativePrograms(Planning.from_programs(start, searches), tick, finish, again)
         return self._programs[form]
 
     @fused_loop.or_what_is_missing
@@ -257,7 +257,7 @@ class Native(Batched):
         axes, period = devices.axes((world, belief)), self.settings.control_period
 
         def start(world: Case, belief: Case, key: Array) -> tuple[Plan, tuple[Between, Start]]:
-            known, plan, learned = prepared(world, belief, key)
+            known, plan, learned = prepare_belief(world, belief, key)
             state = start_state(world, known, plan)
             loop = init(world, known, plan, state, jnp.zeros(()), key, learned, sensors_are)
             nothing = jnp.zeros(len(accumulator.tick_metrics(world)), plan.duration.dtype)
@@ -274,9 +274,9 @@ class Native(Batched):
 
         by_host = self.fused and jax.default_backend() == "cpu"
         with ThreadPoolExecutor() as pool:
-            batch, started = planning.begun(pool, start, arrays, many, self._searches, by_host)
+            batch, started = planning.start_compilation(pool, start, arrays, many, self._searches, by_host)
             plans, (between, _) = batch
-            (one, known, plan), now = fused_loop.of_one(arrays, (plans, between))
+            (one, known, plan), now = fused_loop.single_rollout_shapes(arrays, (plans, between))
 
             def made(name: str, function: Callable, given: tuple, of_one: tuple, axes: tuple) -> Eager | Compiled:
                 def by_xla() -> Compiled:
@@ -287,7 +287,7 @@ class Native(Batched):
 
             with timed_part("closed loop"):
                 if self.fused:
-                    ticks = pool.submit(kernel.begun(tick, (one, known, plan), now))
+                    ticks = pool.submit(kernel.start_compilation(tick, (one, known, plan), now))
                 else:
                     rows = jax.vmap(lambda *of: tick(*of)[0], in_axes=((*axes, 0), 0, None))
                     ticks = pool.submit(jax.jit(rows).lower((world, belief, plans), between, 0).compile)

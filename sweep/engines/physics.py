@@ -29,14 +29,14 @@ from sweep.models.obstacles.surface import BodyPoses
 from sweep.models.robot import link_names
 
 
-def taken(settings: EngineSettings) -> str:
+def dynamics_name(settings: EngineSettings) -> str:
     """The smooth dynamics that `settings` mean."""
     return "arrowhead" if settings.dynamics == "auto" else settings.dynamics
 
 
-def make(settings: EngineSettings, top: Topology) -> "Physics":
+def make_physics(settings: EngineSettings, top: Topology) -> "Physics":
     """The physics of a scenario."""
-    if taken(settings) == "arrowhead":
+    if dynamics_name(settings) == "arrowhead":
         return Physics(settings, batching.substeps(settings), tree.tree_dynamics)
     with redirect_stdout(io.StringIO()):  # MJX is slow to import, and prints that
         from sweep.dynamics import mjx

@@ -37,7 +37,7 @@ class Planning(NamedTuple):
     searches: dict[str, Kernel]
 
     @classmethod
-    def of(cls, program: Eager | Compiled, searches: dict[str, Code]) -> "Planning":
+    def from_programs(cls, program: Eager | Compiled, searches: dict[str, Code]) -> "Planning":
         """From the programs that are kept of it on disk."""
         return cls(program, {name: Kernel(code) for name, code in searches.items()})
 
@@ -49,7 +49,7 @@ class Planning(NamedTuple):
         return self.program(len(keys), world, belief, keys, apart=apart)
 
 
-def begun(
+def start_compilation(
     pool: Executor, start: Start, arrays: tuple[Any, Any, Array], many: Callable[[Start], Start], forced: bool,
     by_host: bool,
 ) -> tuple[Any, Callable[[], Parts]]:  # fmt: skip
@@ -60,34 +60,34 @@ def begun(
     """
     if by_host:
         with suppress(Unsupported), timed_part("plan"):
-            program = eager.traced(start, *of_one(arrays), apart=forces.SEARCHES)
-            return batched(program.form, len(arrays[2])), lambda: (program, _searches(program))
+            program = eager.trace(start, *single_rollout_shapes(arrays), apart=forces.SEARCHES)
+            return batch_shapes(program.form, len(arrays[2])), lambda: (program, _searches(program))
     lowered = jax.jit(many(start)).lower(*arrays)
-    program = compiling(pool, "plan", lowered, devices.plan_options(forced))
+    program = compile_in_pool(pool, "plan", lowered, devices.plan_options(forced))
     return lowered.out_info, lambda: (program.result(), {})
 
 
-def worked_out(function: Callable[[], Any]) -> Any:
+def evaluate_plan(function: Callable[[], Any]) -> Any:
     """What a function of plain numbers gives, which may search for forces."""
 
     def searched(name: str, *asked: Shaped[np.ndarray, "n ... 1"]) -> Float[np.ndarray, "n 6 3 1"]:
         forms = tuple(jax.ShapeDtypeStruct(x.shape[:-1], x.dtype) for x in asked)
         return _searched(Kernel(_search(forces.SEARCHES[name], forms)), *asked)
 
-    return eager.worked_out(function, {name: partial(searched, name) for name in forces.SEARCHES})
+    return eager.evaluate_constants(function, {name: partial(searched, name) for name in forces.SEARCHES})
 
 
-def of_one(arrays: Any) -> Any:
+def single_rollout_shapes(arrays: Any) -> Any:
     """The form of a rollout's worlds, beliefs and keys, of a batch's."""
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct((), x.dtype), arrays)
 
 
-def batched(form: Any, width: int) -> Any:
+def batch_shapes(form: Any, width: int) -> Any:
     """The form of a batch of what has this form in a rollout."""
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct((width, *x.shape), x.dtype), form)
 
 
-def compiling(
+def compile_in_pool(
     pool: Executor, name: str, program: jax.stages.Lowered, options: dict[str, Any] | None = None
 ) -> Future[Compiled]:
     """XLA compiles a program, told as the part `name`, while Python goes on."""
@@ -113,7 +113,7 @@ def _search(least: Effort, asked: tuple[jax.ShapeDtypeStruct, ...]) -> Code:
 
     sought = _sought([jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in asked])
     with timed_part("search for forces"):
-        return kernel.compiled(tick, sought, _nothing(sought.pose.arm))
+        return kernel.compile_function(tick, sought, _nothing(sought.pose.arm))
 
 
 def _sought(leaves: Any) -> ForceProblem:

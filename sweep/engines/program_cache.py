@@ -53,7 +53,7 @@ def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequen
         file = folder / f"{_key(made_of, devices)}.programs"
         if (found := _load(file, devices)) is not None:
             return found
-        with unused(), timed_compilation():
+        with without_cache(), timed_compilation():
             made = compiled()
     try:
         _store(file, pickle.dumps([_saved(part) for part in made]))
@@ -63,7 +63,7 @@ def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequen
 
 
 @contextlib.contextmanager
-def unused() -> Iterator[None]:
+def without_cache() -> Iterator[None]:
     """Inside, nothing is kept or found, by JAX neither; one thread at a time.
 
     A program for a CPU that JAX has from a file of its own lacks functions when it is kept once more.

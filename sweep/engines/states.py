@@ -15,7 +15,7 @@ Record = Mapping[str, Any]  # see `batching.record`; components first, so that w
 Column = Callable[[Record], Any]
 
 
-def offered(world: Case) -> dict[str, Column]:
+def available_columns(world: Case) -> dict[str, Column]:
     """All columns of a kind of world. `qpos_k` and `qvel_k` are MuJoCo's; forces are on the robot, in world axes."""
     bodies = len(world.obstacle.free_bodies)
     columns: dict[str, Column] = {f"base_{axis}_m": partial(_number, "qpos", (k,)) for k, axis in enumerate("xyz")}
@@ -29,9 +29,9 @@ def offered(world: Case) -> dict[str, Column]:
     return columns
 
 
-def watched(world: Case, record: Record, names: Sequence[str]) -> Any:
+def select_columns(world: Case, record: Record, names: Sequence[str]) -> Any:
     """Columns (samples, rollouts, names) of a record (samples, rollouts, ...), of NumPy or of JAX as that is."""
-    columns, xp = offered(world), np if isinstance(record["qpos"], np.ndarray) else jnp
+    columns, xp = available_columns(world), np if isinstance(record["qpos"], np.ndarray) else jnp
     last = {name: xp.moveaxis(x, (0, 1), (-2, -1)) for name, x in record.items()}
     return xp.stack([xp.asarray(columns[name](last)) for name in names], axis=-1)
 

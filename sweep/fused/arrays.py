@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.fused.operations import fold, simplified
+from sweep.fused.operations import fold, simplify
 from sweep.fused.program import At, Node, OneOf, Over, Program, Region, Store, is_uniform, value_of
 
 EMPTY = {"add": 0, "mul": 1, "or": False, "and": True, "max": -np.inf, "min": np.inf}  # of no numbers at all
@@ -45,14 +45,14 @@ class Arrays:
     def constant(self, value: Any) -> Array:
         """A constant array, of numbers that are known."""
         value = np.asarray(value)
-        return filled(value.shape, lambda at: self.program.const(value[at], value.dtype.name))
+        return build_array(value.shape, lambda at: self.program.const(value[at], value.dtype.name))
 
     def op(self, name: str, dtype: str, *args: Node) -> Node:
         """An operation on numbers, simplified."""
         if all(x.op == "const" for x in args):
             value = fold(name, dtype, [value_of(x) for x in args])
             return self.program.const(tuple(value) if np.ndim(value) else value, dtype)
-        if (simple := simplified(name, args)) is not None:
+        if (simple := simplify(name, args)) is not None:
             return simple
         if name == "neg" and args[0].op == "neg":
             return args[0].args[0]
@@ -64,7 +64,7 @@ class Arrays:
         shape = whole[0].shape
         axis = next((a for a in range(len(shape)) if shape[a] == self.group and self._over_legs(whole, a)), None)
         if axis is None:
-            return filled(shape, lambda at: self.op(name, dtype, *(x[at] for x in whole)))
+            return build_array(shape, lambda at: self.op(name, dtype, *(x[at] for x in whole)))
         whole = [np.moveaxis(x, axis, -1) for x in whole]
         result = np.empty(whole[0].shape, object)
         for at in np.ndindex(result.shape[:-1]):
@@ -85,7 +85,7 @@ class Arrays:
         legs = next((k for k, a in enumerate(axes) if x.shape[a] == self.group and self._over_legs([x], a)), None)
         shape = tuple(x.shape[d] for d in kept)
         if legs is None:  # maybe for the legs at once, along an axis that is kept
-            parts = along(rows.reshape(*shape, -1), -1)
+            parts = slices_along(rows.reshape(*shape, -1), -1)
             return reduce(lambda total, one: self.lift(name, [total, one], np.dtype(dtype).name), parts)
         rows = np.moveaxis(rows, len(kept) + legs, -1)
 
@@ -101,7 +101,7 @@ class Arrays:
                 else self._fold(name, [whole] * self.group)
             )
 
-        return filled(shape, total)
+        return build_array(shape, total)
 
     def _fold(self, name: str, row: list[Node]) -> Node:
         total = row[0]
@@ -129,7 +129,7 @@ class Arrays:
         if node.op == "const":
             return [self.program.const(value, node.dtype) for value in value_of(node)]
         if node.op in ("load", "gather"):
-            places = node.told(At).each(self.group)
+            places = node.attribute(At).each(self.group)
             return [self.program.node(node.op, node.args, node.dtype, place, leg=False) for place in places]
         return [self.program.node("part", (node,), node.dtype, OneOf(k), leg=False) for k in range(self.group)]
 
@@ -168,8 +168,8 @@ class Arrays:
             same = all(x.op == "const" for x in row)
             return self.program.const(tuple(value_of(x) for x in row), first.dtype) if same else None
         if first.op in ("load", "gather"):
-            region, index, depth, _ = first.told(At)
-            step = second.told(At).first - index
+            region, index, depth, _ = first.attribute(At)
+            step = second.attribute(At).first - index
             for k, x in enumerate(row):
                 if x.op != first.op or x.args != first.args or x.extra != At(region, index + k * step, depth, 0):
                     return None
@@ -182,10 +182,10 @@ class Arrays:
         """A number in memory, as it is in the block at `depth`."""
         return self.program.node("load", (), region.dtype, At(region, index, depth, 0), leg=False)
 
-    def loaded(self, region: Any, shape: tuple, depth: int) -> Array:
+    def load_array(self, region: Any, shape: tuple, depth: int) -> Array:
         """An array in memory, as it is in the block at `depth`."""
         at = np.arange(math.prod(shape)).reshape(shape)
-        return filled(shape, lambda i: self.load(region, int(at[i]), depth))
+        return build_array(shape, lambda i: self.load(region, int(at[i]), depth))
 
     def save(self, region: Region | None, x: Array | RowUpdate, items: list[Any]) -> None:
         """Have an array put into memory; what is there already is left."""
@@ -195,8 +195,8 @@ class Arrays:
             stores = self._stores(region, x.new[0, ...])
             items.extend(replace(store, row=x.row, stride=x.new.size) for store in stores)
             return
-        for store in self._stores(region, self.whole(x)):
-            unchanged = store.value.op == "load" and store.value.told(At)[:2] == (region, store.index)
+        for store in self._stores(region, self.resolve_update(x)):
+            unchanged = store.value.op == "load" and store.value.attribute(At)[:2] == (region, store.index)
             if not unchanged:
                 items.append(store)
 
@@ -219,7 +219,7 @@ class Arrays:
         """Region, first place and depth of an array that lies in memory as it is."""
         if not x.size or x.flat[0].op != "load":
             return None
-        region, first, depth, _ = x.flat[0].told(At)
+        region, first, depth, _ = x.flat[0].attribute(At)
         lies = all(n.op == "load" and n.extra == At(region, first + k, depth, 0) for k, n in enumerate(x.flat))
         return (region, first, depth) if lies else None
 
@@ -228,7 +228,7 @@ class Arrays:
     def pick(self, x: Array, starts: Sequence[Node], sizes: Sequence[int]) -> Array:
         """The part of `x` of `sizes` that begins at `starts`, which are put within it."""
         last = [n - size for n, size in zip(x.shape, sizes, strict=True)]
-        starts = [self.within(s, most) for s, most in zip(starts, last, strict=True)]
+        starts = [self.clamp_index(s, most) for s, most in zip(starts, last, strict=True)]
         moving = [d for d, s in enumerate(starts) if s.op != "const"]
         known = tuple(slice(0, None) if d in moving else slice(int(value_of(s)), int(value_of(s)) + sizes[d])
                       for d, s in enumerate(starts))  # fmt: skip
@@ -243,7 +243,7 @@ class Arrays:
                 place = term if place is None else self.op("add", "int32", place, term)
             at = np.arange(x.size).reshape(x.shape)[known]
             at = at[tuple(slice(0, sizes[d]) for d in range(x.ndim))]
-            return filled(at.shape, lambda i: self.program.node(
+            return build_array(at.shape, lambda i: self.program.node(
                 "gather", (place,), region.dtype, At(region, first + int(at[i]), depth, 0), leg=False))  # fmt: skip
         x = x[known]
         many = 1
@@ -255,7 +255,7 @@ class Arrays:
             x = self.choose(np.full(windows[0].shape, starts[d], object), windows)
         return x
 
-    def whole(self, x: Array | RowUpdate) -> Array:
+    def resolve_update(self, x: Array | RowUpdate) -> Array:
         """The array itself: every number that a row may replace is chosen by the row's number."""
         if not isinstance(x, RowUpdate):
             return x
@@ -294,7 +294,7 @@ class Arrays:
             x[window] = new if here is None else self.lift(
                 "select", [np.full(update.shape, here, object), new, x[window]], dtype)  # fmt: skip
 
-    def within(self, start: Node, most: int) -> Node:
+    def clamp_index(self, start: Node, most: int) -> Node:
         """A place from 0 to `most`."""
         if start.dtype != "int32":
             start = self.op("convert", "int32", start)
@@ -302,7 +302,7 @@ class Arrays:
         return self.op("min", "int32", self.op("max", "int32", start, zero), top)
 
 
-def filled(shape: tuple, at: Callable[[tuple], Any]) -> Array:
+def build_array(shape: tuple, at: Callable[[tuple], Any]) -> Array:
     """An array of what `at` gives for each index."""
     out = np.empty(shape, object)
     for i in np.ndindex(shape):
@@ -310,13 +310,13 @@ def filled(shape: tuple, at: Callable[[tuple], Any]) -> Array:
     return out
 
 
-def along(x: Array, axis: int) -> list[Array]:
+def slices_along(x: Array, axis: int) -> list[Array]:
     """The parts of an array along an axis."""
     moved = np.moveaxis(x, axis, 0)
     return [moved[k, ...] for k in range(len(moved))]
 
 
-def stacked(arrays: Sequence[Array], axis: int = 0) -> Array:
+def stack(arrays: Sequence[Array], axis: int = 0) -> Array:
     """Arrays along a new axis."""
     return np.stack(list(arrays), axis) if arrays else np.empty(0, object)
 

@@ -188,7 +188,7 @@ def iota(shape: tuple[int, ...], axis: int, dtype: np.dtype) -> Values:
     )
 
 
-def whole(value: Any, dtype: np.dtype) -> Values:
+def full(value: Any, dtype: np.dtype) -> Values:
     """A single number, the same for all rollouts."""
     return np.full(1, value, dtype)
 
@@ -301,7 +301,7 @@ class Places(NamedTuple):
     batch: tuple[int, ...]  # axes of the result that go through indices
     rank: int  # of the result
 
-    def at(self, indices: Values) -> tuple[list[Values], Values]:
+    def resolve(self, indices: Values) -> tuple[list[Values], Values]:
         """For each axis of the array where every number of the result lies, and whether its window lies within."""
         count = indices.shape[:-2]
         shape = [1] * self.rank
@@ -324,7 +324,7 @@ class Places(NamedTuple):
 
 def gather(places: Places, fill: Any, x: Values, indices: Values) -> Values:
     """Windows of `x`; outside of it `fill`, or the nearest if that is None."""
-    at, within = places.at(indices)
+    at, within = places.resolve(indices)
     if all(i.shape[-1] == 1 for i in at):
         result = x[(*np.broadcast_arrays(*[i[..., 0] for i in at]), slice(None))]
     else:
@@ -337,7 +337,7 @@ def scatter(add: np.ufunc | None, places: Places, clip: bool, x: Values, indices
     """`x` with updates in windows, or added to them; outside of it nothing is done."""
     width = max(y.shape[-1] for y in (x, indices, updates))
     result = np.repeat(x, width, axis=-1) if x.shape[-1] < width else x.copy()
-    at, within = places.at(indices)
+    at, within = places.resolve(indices)
     *at, within, updates = np.broadcast_arrays(*at, np.arange(width), within | clip, updates)
     chosen = within.all() or within
     into, new = (tuple(at), updates) if chosen is True or chosen is np.True_ else (

@@ -146,7 +146,7 @@ class GpuPrinter(Text):
         ready = {}  # by the number of a node, words for the next parts
         for key, (word, step, node, _, apart) in self.kept.items():
             if self.home[key] is part and apart and isinstance(key, int):
-                for k, x in enumerate(alone.of(node)):
+                for k, x in enumerate(alone.values_by_leg(node)):
                     ready.setdefault(x.number, []).append((word + k * step, x))
         done: set[int] = set()
         for k, item in enumerate(alone.items):
@@ -177,8 +177,8 @@ class GpuPrinter(Text):
         stored: dict[int | Place, Kept] = {}
         for part in parts:
             for node in lanes.operands(part, self.needed):
-                if node.op == "load" and not self._is_outer(node.told(At).region):
-                    key, leg = (place := self._row(*node.told(At)[:2])[0]), place in self.rows
+                if node.op == "load" and not self._is_outer(node.attribute(At).region):
+                    key, leg = (place := self._row(*node.attribute(At)[:2])[0]), place in self.rows
                 elif node.op not in ANEW:
                     key, leg = node.number, node.leg
                 else:
@@ -197,7 +197,7 @@ class GpuPrinter(Text):
             node, region = store.value, store.region
             key, leg = node.number, node.leg
             if node.op == "load":
-                key = self._row(*node.told(At)[:2])[0]
+                key = self._row(*node.attribute(At)[:2])[0]
                 leg = key in self.rows
             fixed = self._is_outer(region) and not region.record and not store.row
             if self.home.get(key) is part and leg == node.leg and fixed:
@@ -305,13 +305,13 @@ class GpuPrinter(Text):
         theirs from different warps would go different ways: they wait for each other for ever.
         """
         if node.op in ANEW or node.op == "count":
-            return self.counts[node.told(Count).depth] if node.op == "count" else self.value(node)
+            return self.counts[node.attribute(Count).depth] if node.op == "count" else self.value(node)
         args = [self._uniform(x) for x in node.args]
         return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
 
     def _changed(self, items: Iterable[Any]) -> Iterator[Place]:
         """Places in inner memory where something is stored, each once."""
-        stores = (x for item in items for x in (item, *lanes.within(item)) if isinstance(x, Store))
+        stores = (x for item in items for x in (item, *lanes.items_inside(item)) if isinstance(x, Store))
         yield from dict.fromkeys(self._place(x.region, x.index) for x in stores if not self._is_outer(x.region))
 
     # memory
@@ -450,10 +450,10 @@ class GpuPrinter(Text):
         if node.op == "const" and not node.leg:
             return self.literal(value_of(node))
         if node.op == "handed_on":
-            return self._handed_on(*node.told(HandedOn))
+            return self._handed_on(*node.attribute(HandedOn))
         if node.op not in ANEW:
             return self.names.get(node.number) or self._handed_on(node.number)
-        if node.op == "load" and not self._is_outer(node.told(At).region):
+        if node.op == "load" and not self._is_outer(node.attribute(At).region):
             return self._now(node)
         key = node.number, "memory"
         if key not in self.found:
@@ -463,7 +463,7 @@ class GpuPrinter(Text):
 
     def _now(self, node: Node) -> str:
         """A number of inner memory, which is no memory here."""
-        region, index, _, _ = node.told(At)
+        region, index, _, _ = node.attribute(At)
         (first, leg), there = self._row(region, index), self._place(region, index)
         if self.alone:
             return self.here.get(there) or self._handed_on(first, leg)
@@ -472,7 +472,7 @@ class GpuPrinter(Text):
         return value if whole else self._shuffled(value, region.dtype, self._lane(leg))
 
     def _load(self, node: Node) -> str:
-        region, index, _, step = node.told(At)
+        region, index, _, step = node.attribute(At)
         base = self._base(region)
         offset = (self._start_of(region) + index) * self.row
         return self._read(region.dtype, self._leg(base, step) if node.leg else base, offset)
@@ -509,7 +509,7 @@ class GpuPrinter(Text):
 
     def _over_legs(self, node: Node) -> str:
         """Opposite legs first, then the pairs in order."""
-        value, kinds, op = self.value(node.args[0]), [node.dtype] * 2, node.told(Over).op
+        value, kinds, op = self.value(node.args[0]), [node.dtype] * 2, node.attribute(Over).op
         pair = self.arithmetic(op, node.dtype, [value, self._shuffled(value, node.dtype, "%across")], kinds)
         total = self._shuffled(pair, node.dtype, self._lane(0))
         for k in range(1, self.group // 2):
@@ -521,14 +521,14 @@ class GpuPrinter(Text):
         """A node from its operands."""
         match node.op:
             case "gather":
-                region, index, _, step = node.told(At)
+                region, index, _, step = node.attribute(At)
                 base = self._base(region)
                 place = self.emit(f"mul i32 {self.value(node.args[0])}, {self.row}")
                 offset = self.emit(f"add i32 {place}, {(self._start_of(region) + index) * self.row}")
                 return self._read(region.dtype, self._leg(base, step) if node.leg else base, offset)
             case "part":
                 whole = node.args[0]
-                return self._shuffled(self.value(whole), whole.dtype, self._lane(node.told(OneOf).leg))
+                return self._shuffled(self.value(whole), whole.dtype, self._lane(node.attribute(OneOf).leg))
             case "pack":
                 value, kind = self.value(node.args[-1]), TYPES[node.dtype]
                 for k in range(self.group - 2, -1, -1):
@@ -538,7 +538,7 @@ class GpuPrinter(Text):
             case "over_legs":
                 return self._over_legs(node)
             case "count":
-                return self.counts[node.told(Count).depth]
+                return self.counts[node.attribute(Count).depth]
             case _ if node.op in INTRINSICS and node.op not in NATIVE:
                 raise Unsupported(f"{node.op} of {node.dtype} on a GPU")
             case _:

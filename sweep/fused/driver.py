@@ -170,19 +170,19 @@ def version() -> int:
     return found.value
 
 
-def begin(text: str) -> str:
+def start_translation(text: str) -> str:
     """Have PTX translated in a thread; its key."""
     if (name := key(text)) not in _made:
         _made[name] = _pool.submit(_translated, text)
     return name
 
 
-def made(name: str) -> GpuKernel:
+def finished_kernel(name: str) -> GpuKernel:
     """What has been translated. Raises `Unsupported` with what is wrong."""
     return GpuKernel(name, _made[name].result())
 
 
-def add(kernel: GpuKernel) -> None:
+def add_kernel(kernel: GpuKernel) -> None:
     """Have it at hand for calls, as it was kept."""
     _made[kernel.key] = done = Future()
     done.set_result(kernel.code)
@@ -221,7 +221,7 @@ def _launched(call: Call) -> None:
         at = context.value, call.key
         if at not in _loaded:
             module, kernel = ctypes.c_void_p(), ctypes.c_void_p()
-            _do("cuModuleLoadData", ctypes.byref(module), made(call.key).code)
+            _do("cuModuleLoadData", ctypes.byref(module), finished_kernel(call.key).code)
             _do("cuModuleGetFunction", ctypes.byref(kernel), module, ENTRY)
             _loaded[at] = kernel
         _do("cuLaunchKernel", _loaded[at], *size, stream, operands, None)

@@ -18,7 +18,7 @@ from sweep.fused.arrays import Unsupported
 from sweep.fused.batch_ops import Values
 from sweep.fused.eager_rules import COMPUTED, RULES
 from sweep.fused.interpret import CALLS
-from sweep.fused.randomness import is_key, keyed, words
+from sweep.fused.randomness import is_key, key_words, restore_keys
 
 ALIAS = frozenset(("stop_gradient", "copy", "optimization_barrier", "random_wrap", "random_unwrap"))
 
@@ -72,16 +72,16 @@ class Eager(NamedTuple):
         Leaves with one axis more than traced differ among them. What was set apart is done by functions of arrays whose
         last axis is over rollouts.
         """
-        leaves = jax.tree.leaves(words(given))
+        leaves = jax.tree.leaves(key_words(given))
         taken = [_taken(np.asarray(x, one.dtype), one.ndim) for x, one in zip(leaves, self.given, strict=True)]
         with np.errstate(all="ignore"):
             made = self.steps.run(taken, apart or {})
         rows = [np.moveaxis(np.broadcast_to(x, (*x.shape[:-1], width)), -1, 0) for x in made]
         forms, tree = jax.tree.flatten(self.form)
-        return jax.tree.unflatten(tree, [keyed(x, form) for x, form in zip(rows, forms, strict=True)])
+        return jax.tree.unflatten(tree, [restore_keys(x, form) for x, form in zip(rows, forms, strict=True)])
 
 
-def traced(function: Callable[..., Any], *given: Any, apart: Collection[str] = ()) -> Eager:
+def trace(function: Callable[..., Any], *given: Any, apart: Collection[str] = ()) -> Eager:
     """A function of trees like `given`: shapes, or arrays of one rollout. Raises `Unsupported`.
 
     Calls of jitted functions of the names `apart` are set apart: others take their place as it is run.
@@ -89,9 +89,9 @@ def traced(function: Callable[..., Any], *given: Any, apart: Collection[str] = (
     leaves, tree = jax.tree.flatten(given)
 
     def flat(*of: Any) -> Any:
-        return function(*jax.tree.unflatten(tree, [keyed(x, like) for x, like in zip(of, leaves, strict=True)]))
+        return function(*jax.tree.unflatten(tree, [restore_keys(x, like) for x, like in zip(of, leaves, strict=True)]))
 
-    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in words(leaves)]
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in key_words(leaves)]
     program, made = jax.make_jaxpr(flat, return_shape=True)(*shapes)
     writer = Writer(apart)
     with np.errstate(all="ignore"):
@@ -102,13 +102,13 @@ def traced(function: Callable[..., Any], *given: Any, apart: Collection[str] = (
     return Eager(steps, shapes, made, asked)
 
 
-def worked_out(function: Callable[[], Any], apart: Mapping[str, Callable[..., Any]] | None = None) -> Any:
+def evaluate_constants(function: Callable[[], Any], apart: Mapping[str, Callable[..., Any]] | None = None) -> Any:
     """What a function of plain numbers gives, also while another one is traced; XLA works out what has no rule.
 
     `apart`: what does the calls of jitted functions of these names.
     """
     try:
-        program = traced(function, apart=apart or {})
+        program = trace(function, apart=apart or {})
     except Unsupported:
         with jax.ensure_compile_time_eval():
             made = jax.jit(function, compiler_options={"xla_backend_optimization_level": 0})()
@@ -238,7 +238,7 @@ class Writer:
         n_consts = len(args) - n_carry - n_xs
         body, consts = self._inner(inner, args[:n_consts])
         how = Repetition(body, length, eqn.params["reverse"], len(consts), n_carry)
-        return self.do(partial(looped, how), [*consts, *args[n_consts:]], len(eqn.outvars))
+        return self.do(partial(run_scan, how), [*consts, *args[n_consts:]], len(eqn.outvars))
 
     def _cond(self, args: list[int], eqn: Any) -> Sequence[int]:
         """One of the branches where all rollouts go the same way, else what each of them takes of all."""
@@ -248,7 +248,7 @@ class Writer:
             branch = branches[min(max(int(self.known[index][0]), 0), len(branches) - 1)]
             return self.write(branch.jaxpr, branch.consts, operands)
         each = tuple(self._inner(branch, ())[0] for branch in branches)
-        return self.do(partial(branched, each), args, len(eqn.outvars))
+        return self.do(partial(run_switch, each), args, len(eqn.outvars))
 
     def _inner(self, closed: Any, first: Sequence[int]) -> tuple[Listing, list[int]]:
         """An inner program, which has those of its `first` operands that are known, and the others of these."""
@@ -270,7 +270,7 @@ class Repetition(NamedTuple):
     carry: int  # and those that a step changes; the others are looked at row by row
 
 
-def looped(how: Repetition, *given: Values) -> list[Values]:
+def run_scan(how: Repetition, *given: Values) -> list[Values]:
     """What is carried in the end, and what each step gives beside it."""
     consts, carry, rows = given[: how.consts], given[how.consts :][: how.carry], given[how.consts + how.carry :]
     beside = []
@@ -282,7 +282,7 @@ def looped(how: Repetition, *given: Values) -> list[Values]:
     return [*carry, *(batch_ops.stack(0, *each) for each in zip(*beside, strict=True))]
 
 
-def branched(branches: Sequence[Listing], index: Any, *given: Values) -> list[Values]:
+def run_switch(branches: Sequence[Listing], index: Any, *given: Values) -> list[Values]:
     """What the branch of an index gives, or for each rollout that of its own."""
     index = index.astype(int)
     if len(index) == 1:

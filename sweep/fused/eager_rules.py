@@ -11,7 +11,7 @@ from sweep.fused import batch_ops as ops
 from sweep.fused.arrays import EMPTY, Unsupported
 from sweep.fused.batch_ops import Places, Product, Triangle
 from sweep.fused.operations import COMPARE, REDUCTIONS
-from sweep.fused.rules import outside
+from sweep.fused.rules import out_of_bounds_value
 
 UFUNCS: dict[str, np.ufunc] = {
     **COMPARE,
@@ -134,7 +134,7 @@ def _gather(eqn: Any) -> Callable:
     fill = None
     if "FILL" in str(eqn.params["mode"]):
         fill = eqn.params["fill_value"]
-        fill = outside(out.dtype) if fill is None else fill
+        fill = out_of_bounds_value(out.dtype) if fill is None else fill
     return partial(ops.gather, places, fill)
 
 
@@ -171,7 +171,7 @@ def _triangular_solve(eqn: Any) -> Callable:
 def _platform_index(eqn: Any) -> Callable:
     if None not in eqn.params["platforms"]:
         raise Unsupported("what is for some platforms alone")
-    return partial(ops.whole, eqn.params["platforms"].index(None), eqn.outvars[0].aval.dtype)
+    return partial(ops.full, eqn.params["platforms"].index(None), eqn.outvars[0].aval.dtype)
 
 
 RULES: dict[str, Callable[[Any], Callable[..., Any]]] = {

@@ -12,7 +12,7 @@ import numpy as np
 from jax.extend import core
 
 from sweep.fused import maths
-from sweep.fused.arrays import Array, Arrays, RowUpdate, Unsupported, filled, stacked
+from sweep.fused.arrays import Array, Arrays, RowUpdate, Unsupported, build_array, stack
 from sweep.fused.operations import REDUCTIONS
 from sweep.fused.program import At, Branch, Count, Node, Region, is_uniform, value_of
 from sweep.fused.rules import MANY, RULES
@@ -57,7 +57,7 @@ class Interpreter(Arrays):
         out = eqn.outvars[0].aval
         if name in ALIAS and ALIAS[name] is None:
             return args
-        args = [self.whole(x) for x in args]
+        args = [self.resolve_update(x) for x in args]
         if name in ("scan", "cond"):
             return getattr(self, name)(args, eqn)
         if rule := MANY.get(name):
@@ -70,16 +70,16 @@ class Interpreter(Arrays):
             return [rule(self, *args, out=out, **params)]
         single = all(v.aval.dtype == np.float32 for v in eqn.invars)
         if expansion := maths.EXPANSIONS.get(name) or (single and maths.SINGLE.get(name)):
-            return [self.written(expansion, args, [v.aval.dtype for v in eqn.invars])]
+            return [self.trace_expansion(expansion, args, [v.aval.dtype for v in eqn.invars])]
         if name in maths.SINGLE:
             return [self.lift(name, args, out.dtype.name)]
         raise Unsupported(name)
 
-    def written(self, function: Callable, args: Sequence[Array], dtypes: Sequence[Any]) -> Array:
+    def trace_expansion(self, function: Callable, args: Sequence[Array], dtypes: Sequence[Any]) -> Array:
         """What `function` gives, which is written in other primitives."""
         shapes = [jax.ShapeDtypeStruct(x.shape, dtype) for x, dtype in zip(args, dtypes, strict=True)]
         traced = jax.make_jaxpr(function)(*shapes)
-        return self.whole(self.evaluate(traced.jaxpr, traced.consts, args)[0])
+        return self.resolve_update(self.evaluate(traced.jaxpr, traced.consts, args)[0])
 
     def scan(self, args: list[Array], eqn: Any) -> list[Array]:
         """A loop, written out where it is short."""
@@ -96,20 +96,20 @@ class Interpreter(Arrays):
             for k in reversed(steps) if eqn.params["reverse"] else steps:
                 results = self.evaluate(inner, closed.consts, [*consts, *carry, *(x[k, ...] for x in xs)])
                 carry = results[:n_carry]
-                ys.append([self.whole(y) for y in results[n_carry:]])
+                ys.append([self.resolve_update(y) for y in results[n_carry:]])
             ys = ys[::-1] if eqn.params["reverse"] else ys
-            return [*carry, *(stacked(each) for each in zip(*ys, strict=True))]
+            return [*carry, *(stack(each) for each in zip(*ys, strict=True))]
         outside = len(self.program.blocks) - 1
         regions = [self._saved(x, outside + 1) for x in carry]
         tables = [self._saved(x, outside + 1) for x in xs]
         with self.program.loop(length) as body:
             count = self.program.node("count", (), "int32", Count(body.depth))
-            state = [self.loaded(r, x.shape, body.depth) for r, x in zip(regions, carry, strict=True)]
+            state = [self.load_array(r, x.shape, body.depth) for r, x in zip(regions, carry, strict=True)]
             here = [self._looked_up(r, x.shape[1:], count) for r, x in zip(tables, xs, strict=True)]
             results = self.evaluate(inner, closed.consts, [*consts, *state, *here])
             for region, result in zip(regions, results, strict=True):
                 self.save(region, result, body.stores)
-        return [self.loaded(r, x.shape, outside) for r, x in zip(regions, carry, strict=True)]
+        return [self.load_array(r, x.shape, outside) for r, x in zip(regions, carry, strict=True)]
 
     def _saved(self, x: Array, depth: int) -> Region | None:
         """Memory that holds `x` from here on."""
@@ -123,7 +123,7 @@ class Interpreter(Arrays):
         size = math.prod(shape)
         place = self.op("mul", "int32", count, self.program.const(size, "int32"))
         at = np.arange(size).reshape(shape)
-        return filled(shape, lambda i: self._gathered(region, int(at[i]), place))
+        return build_array(shape, lambda i: self._gathered(region, int(at[i]), place))
 
     def _gathered(self, region: Region, index: int, place: Node) -> Node:
         return self.program.node("gather", (place,), region.dtype, At(region, index, region.depth, 0), leg=False)
@@ -136,7 +136,7 @@ class Interpreter(Arrays):
             branch = branches[int(value_of(which))]
             return self.evaluate(branch.jaxpr, branch.consts, operands)
         if not is_uniform(which):
-            each = [map(self.whole, self.evaluate(b.jaxpr, b.consts, operands)) for b in branches]
+            each = [map(self.resolve_update, self.evaluate(b.jaxpr, b.consts, operands)) for b in branches]
             return [self.choose(index, list(values)) for values in zip(*each, strict=True)]
         depth = len(self.program.blocks) - 1
         shapes = [v.aval for v in eqn.outvars]
@@ -149,7 +149,7 @@ class Interpreter(Arrays):
                     self.save(region, result, block.stores)
             blocks.append(block)
         self.program.add(Branch(which, blocks))
-        return [self.loaded(r, s.shape, depth) for r, s in zip(regions, shapes, strict=True)]
+        return [self.load_array(r, s.shape, depth) for r, s in zip(regions, shapes, strict=True)]
 
 
 def _operations(jaxpr: Any) -> int:

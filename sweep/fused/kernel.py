@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.fused import llvm, schedule
-from sweep.fused.randomness import is_key, words
-from sweep.fused.trace import GROUP, Leaf, Traced, traced
+from sweep.fused.randomness import is_key, key_words
+from sweep.fused.trace import GROUP, Leaf, Traced, trace_program
 
 ALIGN = llvm.ALIGN
 
@@ -38,28 +38,30 @@ def tile(width: int, cores: int) -> int:
     return llvm.NARROW if width <= llvm.NARROW * cores else llvm.LANES
 
 
-def printed(
+def print_program(
     function: Tick, given: Any, carried: Any, group: int = GROUP, lanes: int = llvm.LANES
 ) -> tuple[Traced, llvm.CpuPrinter]:
     """A program, and its text as LLVM's assembly; see `traced`. What is given and carried share a memory, in bytes."""
-    program = traced(function, given, carried, partial(_laid_out, lanes), together=True, group=group)
-    order = schedule.order(program.top, schedule.used(program.top))
+    program = trace_program(function, given, carried, partial(_laid_out, lanes), together=True, group=group)
+    order = schedule.order(program.top, schedule.used_nodes(program.top))
     return program, llvm.CpuPrinter(order, schedule.slots(order), group, lanes)
 
 
-def compiled(function: Tick, given: Any, carried: Any, group: int = GROUP, lanes: int = llvm.LANES) -> Code:
+def compile_function(function: Tick, given: Any, carried: Any, group: int = GROUP, lanes: int = llvm.LANES) -> Code:
     """The program of a function, made at once, see `begun`."""
-    return begun(function, given, carried, group, lanes)()
+    return start_compilation(function, given, carried, group, lanes)()
 
 
-def begun(function: Tick, given: Any, carried: Any, group: int = GROUP, lanes: int = llvm.LANES) -> Callable[[], Code]:
+def start_compilation(
+    function: Tick, given: Any, carried: Any, group: int = GROUP, lanes: int = llvm.LANES
+) -> Callable[[], Code]:
     """The rest of `compiled` once its text is there: most of the time, without Python, which can go on meanwhile."""
-    program, text = printed(function, given, carried, group, lanes)
+    program, text = print_program(function, given, carried, group, lanes)
     form = jax.tree.map(is_key, carried)
 
     def rest() -> Code:
         target = llvm.machine()
-        machine = llvm.compiled(text.text(target.triple), target)
+        machine = llvm.compile_text(text.text(target.triple), target)
         return Code(machine, program.given, program.carried, program.recorded, text.scratch, form, lanes)
 
     return rest
@@ -75,7 +77,7 @@ def _laid_out(lanes: int, shapes: Sequence[Any], start: int) -> tuple[list[Leaf]
     leaves = []
     for x in shapes:
         leaves.append(Leaf(start, tuple(x.shape), np.dtype(x.dtype).name))
-        start += llvm.rounded(_size(leaves[-1], lanes))
+        start += llvm.round_up(_size(leaves[-1], lanes))
     return leaves, start
 
 
@@ -84,7 +86,7 @@ class Kernel:
 
     def __init__(self, code: Code):
         self.code = code
-        self._kept, address = llvm.loaded(code.machine, llvm.machine())
+        self._kept, address = llvm.load_machine_code(code.machine, llvm.machine())
         self.run = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3, *[ctypes.c_int64] * 3)(address)
 
     def enter(self, given: Any, carried: Any, width: int) -> "Tiles":
@@ -110,7 +112,7 @@ class Tiles:
     def put(self, leaves: Sequence[Leaf], tree: Any) -> None:
         """Values of a batch, or one for all of it; the last tile's idle lanes repeat the last rollout."""
         lanes = self.code.lanes
-        for leaf, given in zip(leaves, jax.tree.leaves(words(tree)), strict=True):
+        for leaf, given in zip(leaves, jax.tree.leaves(key_words(tree)), strict=True):
             values, whole = np.asarray(given), _within(self.memory, leaf, lanes)
             if values.ndim == len(leaf.shape):
                 whole[...] = values.reshape(1, leaf.size, 1)
@@ -173,7 +175,7 @@ def _aligned(rows: int, size: int) -> np.ndarray:
 
 def _end(leaves: Sequence[Leaf], lanes: int) -> int:
     """Bytes up to where arrays end that lie one after the other."""
-    return max((leaf.place + llvm.rounded(_size(leaf, lanes)) for leaf in leaves), default=ALIGN)
+    return max((leaf.place + llvm.round_up(_size(leaf, lanes)) for leaf in leaves), default=ALIGN)
 
 
 def _within(memory: np.ndarray, leaf: Leaf, lanes: int) -> np.ndarray:

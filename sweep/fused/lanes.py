@@ -81,10 +81,10 @@ def rows(top: Block, needed: set[int], group: int) -> tuple[Rows, list[Region]]:
         if isinstance(x, Store) and x.value.leg:
             uses.append((x.region, x.index, x.step))
         elif isinstance(x, Node) and x.number in needed and x.op == "load" and x.leg:
-            region, index, _, step = x.told(At)
+            region, index, _, step = x.attribute(At)
             uses.append((region, index, step))
-        elif isinstance(x, Node) and x.number in needed and x.op == "gather" and x.told(At).region.place < 0:
-            memory[x.told(At).region] = None
+        elif isinstance(x, Node) and x.number in needed and x.op == "gather" and x.attribute(At).region.place < 0:
+            memory[x.attribute(At).region] = None
         if isinstance(x, Store) and x.row and x.region.place < 0:
             memory[x.region] = None
     for region, index, step in uses:
@@ -104,7 +104,7 @@ def parts(block: Block, needed: set[int], last: Region | None, group: int, few: 
     home: dict[int | Region, int] = {}
     for k, part in enumerate(made):
         home |= {item.number: k for item in part.items if isinstance(item, Node)}
-        home |= {x.region: k for item in part.items for x in (item, *within(item)) if isinstance(x, Store)}
+        home |= {x.region: k for item in part.items for x in (item, *items_inside(item)) if isinstance(x, Store)}
     asked: dict[Any, int] = {}  # the last part that reads a place, or by place somewhere in a region
     for k, part in enumerate(made):
         for node in operands(part, needed):
@@ -118,7 +118,7 @@ def parts(block: Block, needed: set[int], last: Region | None, group: int, few: 
         if store.row:  # it may be any row of the region
             places += [place for place in asked if isinstance(place, tuple) and place[0] is store.region]
         free = max(asked.get(place, 0) for place in (*places, store.region))
-        of = store.value.told(At).region if store.value.op == "load" else store.value.number
+        of = store.value.attribute(At).region if store.value.op == "load" else store.value.number
         k = len(made) - 1 if store in late else max(free, home.get(of, 0))
         made[k].stores.append(store)
     return [part for part in made if part.items or part.stores]
@@ -129,7 +129,7 @@ def _by_legs(stores: Sequence[Store], rows: Rows, group: int) -> list[Store]:
     found: dict[tuple[Region, Place], list[Store | None]] = {}
     for store in stores:
         if store.value.op == "load" and not store.value.leg and not store.row:
-            region, index, _, _ = store.value.told(At)
+            region, index, _, _ = store.value.attribute(At)
             if row := rows.get((region, index)):
                 found.setdefault((store.region, (region, row[0])), [None] * group)[row[2]] = store
     made, done = [], set()
@@ -138,7 +138,7 @@ def _by_legs(stores: Sequence[Store], rows: Rows, group: int) -> list[Store]:
         step = whole[1].index - whole[0].index if len(whole) == group else 0
         if step > 0 and [store.index - whole[0].index for store in whole] == [k * step for k in range(group)]:
             like = whole[0].value
-            at = At(region, first, like.told(At).depth, rows[region, first][1])
+            at = At(region, first, like.attribute(At).depth, rows[region, first][1])
             value = Node("load", (), at, like.dtype, True, (like.number, "legs"), like.block)
             made.append(replace(whole[0], value=value, step=step))
             done |= {id(store) for store in whole}
@@ -177,7 +177,7 @@ def _around_branches(block: Block, needed: set[int]) -> list[Any]:
     early: list[Any] = []
     for item in tail:
         operands = _operands(item, needed) or [item]
-        if item in branches or any(x in late or (x.op == "load" and x.told(At).region in late) for x in operands):
+        if item in branches or any(x in late or (x.op == "load" and x.attribute(At).region in late) for x in operands):
             late |= {item, *_written(item)}
         elif isinstance(item, Node) and all(_is_input(x, block) or x in plain for x in operands):
             plain.add(item)
@@ -195,13 +195,13 @@ def _around_branches(block: Block, needed: set[int]) -> list[Any]:
 
 def _written(item: Any) -> set[Region]:
     """The regions that a branch or loop writes to."""
-    return {x.region for x in within(item) if isinstance(x, Store)}
+    return {x.region for x in items_inside(item) if isinstance(x, Store)}
 
 
 def _operands(item: Any, needed: set[int] | None = None) -> list[Node]:
     """All that an item of a block is worked out from, what is in a branch with it; all operations by default."""
-    nodes = [x for x in (item, *within(item)) if isinstance(x, Node) and (needed is None or x.number in needed)]
-    stored = [x.value for x in within(item) if isinstance(x, Store)]
+    nodes = [x for x in (item, *items_inside(item)) if isinstance(x, Node) and (needed is None or x.number in needed)]
+    stored = [x.value for x in items_inside(item) if isinstance(x, Store)]
     return [*(arg for x in nodes for arg in x.args), *stored, *([item.index] if isinstance(item, Branch) else [])]
 
 
@@ -211,7 +211,7 @@ def _is_input(node: Node, block: Block) -> bool:
 
 
 def _is_outer_load(node: Node) -> bool:
-    return node.op == "load" and node.told(At).region.place >= 0
+    return node.op == "load" and node.attribute(At).region.place >= 0
 
 
 def _with_operands(items: list[Any], tail: list[Any], needed: set[int], among: set[Any]) -> set[Any]:
@@ -220,18 +220,18 @@ def _with_operands(items: list[Any], tail: list[Any], needed: set[int], among: s
     for item in reversed(tail):
         if item in found or not found.isdisjoint(_written(item)):
             operands = _operands(item, needed)
-            read = {x.told(At).region for x in operands if x.op == "load"}
+            read = {x.attribute(At).region for x in operands if x.op == "load"}
             found |= {item} | among.intersection(operands) | among.intersection(read)
     return found
 
 
 def _of_legs(branch: Branch, needed: set[int]) -> bool:
     """Whether most of it is one operation for the legs."""
-    nodes = [x for x in within(branch) if isinstance(x, Node) and x.number in needed and x.op not in ANEW]
+    nodes = [x for x in items_inside(branch) if isinstance(x, Node) and x.number in needed and x.op not in ANEW]
     return 2 * sum(x.leg for x in nodes) > len(nodes)
 
 
-def within(item: Any) -> Iterator[Any]:
+def items_inside(item: Any) -> Iterator[Any]:
     """All that is in a loop or branch."""
     for block in [item.body] if isinstance(item, Loop) else item.blocks if isinstance(item, Branch) else ():
         yield from inside(block)
@@ -240,7 +240,7 @@ def within(item: Any) -> Iterator[Any]:
 def operands(part: Part, needed: set[int]) -> Iterator[Node]:
     """What all of a part is worked out from, inner blocks with it, but for what branches go by."""
     for one in [*part.items, *part.stores]:
-        for item in (one, *within(one)):
+        for item in (one, *items_inside(one)):
             if isinstance(item, Node) and item.number in needed:
                 yield from (item, *item.args) if item.op == "gather" else item.args
             elif isinstance(item, Store):
@@ -250,7 +250,7 @@ def operands(part: Part, needed: set[int]) -> Iterator[Node]:
 def _places(node: Node, group: int) -> list[Any]:
     if node.op not in ("load", "gather"):
         return []
-    region, index, _, step = node.told(At)
+    region, index, _, step = node.attribute(At)
     if node.op == "gather":
         return [region]
     return [(region, index + k * step) for k in (range(group) if node.leg else (0,))]
@@ -276,7 +276,7 @@ class Alone:
         for k, item in enumerate(self.items):
             for node in _operands(item):
                 read |= dict.fromkeys(_places(node, self.group), k)
-            for node in (item, *within(item)):
+            for node in (item, *items_inside(item)):
                 if isinstance(node, Node) and node.op == "gather":
                     read |= dict.fromkeys(_places(node, self.group), k)
         for store in self.stores:
@@ -288,16 +288,16 @@ class Alone:
                 early.setdefault(max(k, made[store.value.number]), []).append(store)
         return early
 
-    def of(self, node: Node) -> list[Node]:
+    def values_by_leg(self, node: Node) -> list[Node]:
         """What a node has become: one for each leg, or one."""
         if node.number not in self.made:
             if not node.leg:
                 return [node]
             match node.op:
                 case "const":
-                    extras = [Const((bits,)) for bits in node.told(Const).bits]
+                    extras = [Const((bits,)) for bits in node.attribute(Const).bits]
                 case "load":
-                    extras = node.told(At).each(self.group)
+                    extras = node.attribute(At).each(self.group)
                 case _:  # of another part
                     extras = [HandedOn(node.number, k) for k in range(self.group)]
             op = node.op if node.op in ANEW else "handed_on"
@@ -314,17 +314,17 @@ class Alone:
         if isinstance(item, Loop):
             return [Loop(item.length, self._block(item.body, needed))]
         if isinstance(item, Branch):
-            return [Branch(self.of(item.index)[0], [self._block(block, needed) for block in item.blocks])]
-        args = [self.of(x) for x in item.args]
+            return [Branch(self.values_by_leg(item.index)[0], [self._block(block, needed) for block in item.blocks])]
+        args = [self.values_by_leg(x) for x in item.args]
         match item.op:
             case "pack":
                 self.made[item.number] = [x[0] for x in args]
                 return []
             case "part":
-                self.made[item.number] = [args[0][item.told(OneOf).leg]]
+                self.made[item.number] = [args[0][item.attribute(OneOf).leg]]
                 return []
             case "over_legs":  # opposite legs first, then the pairs in order
-                x, made, half, op = args[0], [], self.group // 2, item.told(Over).op
+                x, made, half, op = args[0], [], self.group // 2, item.attribute(Over).op
                 for k in range(half):
                     made.append(self._node(item, op, (x[k], x[k + half]), None, k))
                 for k in range(1, half):
@@ -349,5 +349,5 @@ class Alone:
         return made
 
     def _store(self, store: Store) -> list[Store]:
-        each = enumerate(self.of(store.value))
+        each = enumerate(self.values_by_leg(store.value))
         return [replace(store, index=store.index + k * store.step, value=x, step=0) for k, x in each]

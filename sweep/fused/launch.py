@@ -10,8 +10,8 @@ from jax import lax
 from jaxtyping import Array, Int, UInt32
 
 from sweep.fused import cuda, driver, schedule
-from sweep.fused.randomness import keyed, words
-from sweep.fused.trace import GROUP, Leaf, Traced, traced
+from sweep.fused.randomness import key_words, restore_keys
+from sweep.fused.trace import GROUP, Leaf, Traced, trace_program
 
 BLOCK = cuda.lanes_of(GROUP) * cuda.WARPS  # rollouts that a block of threads has at least, of robots
 TURNS = 25  # times as many that it has at most
@@ -45,19 +45,19 @@ def compiled(
     group: int = GROUP,
     few: bool = False,
 ) -> Ptx:
-    """See `traced`. `over` picks the array of what is carried that tells a rollout without anything to come.
+    """See `trace_program`. `over` picks the array of what is carried that tells a rollout without anything to come.
 
     Blocks have as many rollouts as make use of all multiprocessors, of a batch of `width`; with `few` it is compiled
     sooner, as each part of it has the legs in lanes.
     """
 
     with cuda.compiler() as compiler:
-        program, printer = printed(function, given, carried, over, ticks, room, width, group, few)
+        program, printer = print_program(function, given, carried, over, ticks, room, width, group, few)
         text = compiler(printer.text())
     return Ptx(text, program.given, program.carried, program.recorded, printer.words, ticks, room, printer.rollouts)
 
 
-def printed(
+def print_program(
     function: Tick,
     given: Any,
     carried: Any,
@@ -74,11 +74,11 @@ def printed(
         carried, record = function(given, carried, number)
         return carried, record if room else {}
 
-    program = traced(recorded, given, carried, _laid_out, together=False, group=group)
+    program = trace_program(recorded, given, carried, _laid_out, together=False, group=group)
     tree = jax.tree.structure(carried)
     flag = program.carried[over(jax.tree.unflatten(tree, range(tree.num_leaves)))].place
     sizes = _end(program.given), _end(program.carried), _end([*program.recorded.values()])
-    turns, needed = _turns(width, group), schedule.used(program.top)
+    turns, needed = _turns(width, group), schedule.used_nodes(program.top)
     return program, cuda.GpuPrinter(program.top, needed, sizes, ticks, flag, room, turns, group, few)
 
 
@@ -103,7 +103,7 @@ def run(code: Ptx, given: Any, carried: Any, first: Array, kept: Int[Array, " ro
         operands += [places, jnp.zeros((code.ticks, code.room + 1, numbers), jnp.uint32)]
     moved, *record = call(code, operands)
     rows = moved.transpose(0, 2, 1).reshape(-1, code.words)[:width]
-    after = [keyed(_got(rows, leaf), x) for leaf, x in zip(code.carried, like, strict=True)]
+    after = [restore_keys(_got(rows, leaf), x) for leaf, x in zip(code.carried, like, strict=True)]
     after = jax.tree.unflatten(tree, after)
     if kept is None:
         return after, None
@@ -114,7 +114,7 @@ def run(code: Ptx, given: Any, carried: Any, first: Array, kept: Int[Array, " ro
 def call(code: Ptx, operands: Sequence[Array]) -> Sequence[Array]:
     """The operands that the kernel changes: state, and records where there are any."""
     changed = [2] if len(operands) == 3 else [2, 4]
-    return driver.call(driver.begin(code.text), 32 * cuda.WARPS, operands, changed)
+    return driver.call(driver.start_translation(code.text), 32 * cuda.WARPS, operands, changed)
 
 
 def _turns(width: int, group: int) -> int:
@@ -147,7 +147,7 @@ def _packed(
         rows = width if x.ndim > len(leaf.shape) else 1
         return jnp.broadcast_to(bits.reshape(rows, leaf.size), (width, leaf.size))
 
-    columns = [column(x, leaf) for x, leaf in zip(words(list(values)), leaves, strict=True)]
+    columns = [column(x, leaf) for x, leaf in zip(key_words(list(values)), leaves, strict=True)]
     columns.append(jnp.zeros((width, size - sum(x.shape[1] for x in columns)), jnp.uint32))
     rows = jnp.pad(jnp.concatenate(columns, axis=1), ((0, rollouts - width), (0, 0)), mode="edge")
     return rows.reshape(-1, code.rollouts, size).transpose(0, 2, 1)

@@ -23,7 +23,7 @@ def row(dtype: str, lanes: int) -> int:
     return lanes * np.dtype(dtype).itemsize
 
 
-def rounded(size: int) -> int:
+def round_up(size: int) -> int:
     """Bytes after which memory is aligned again."""
     return -(-size // ALIGN) * ALIGN
 
@@ -41,11 +41,11 @@ class CpuPrinter(Text):
         self.names: dict[int, str] = {}
         self.counts: dict[int, str] = {}  # of the loops that are open, by depth
         self.row = lanes * slots.size
-        self.scratch = rounded(slots.count * self.group * self.row)
+        self.scratch = round_up(slots.count * self.group * self.row)
         self.places: dict[Region, int] = {}
         for region in sorted((r for r in regions(top) if r.place < 0), key=id):
             self.places[region] = self.scratch
-            self.scratch += rounded(region.size * self.size(region.dtype))
+            self.scratch += round_up(region.size * self.size(region.dtype))
         self._order(top)
 
     def text(self, triple: str) -> str:
@@ -117,7 +117,7 @@ class CpuPrinter(Text):
         self.lines.append(f"%{name}_k = phi i64 [0, %{before}], [%{name}_n, %{name}]")
         totals = []
         for k, node in enumerate(sums):
-            op = node.told(Over).op
+            op = node.attribute(Over).op
             first = FIRST[op]
             if not np.issubdtype(node.dtype, np.floating) and not isinstance(first, bool):
                 first = {"add": 0, "mul": 1, "max": np.iinfo(node.dtype).min, "min": np.iinfo(node.dtype).max}[op]
@@ -126,7 +126,7 @@ class CpuPrinter(Text):
         for node in turn.nodes:
             if node.op == "over_legs":
                 k = sums.index(node)
-                op = node.told(Over).op
+                op = node.attribute(Over).op
                 total = self.arithmetic(op, node.dtype, [totals[k], leg.value(node.args[0])], [node.dtype] * 2)
                 self.emit(
                     f"select i1 true, {self.vector(node.dtype)} {total}, {self.vector(node.dtype)} {total}",
@@ -182,7 +182,7 @@ class CpuPrinter(Text):
         if node.op == "const":
             return self.literal(value_of(node)[k])
         if node.op == "load":
-            region, index, _, step = node.told(At)
+            region, index, _, step = node.attribute(At)
             base, place = self.base(region)
             return self.get(region.dtype, base, str(place + (index + k * step) * self.size(region.dtype)))
         return self.get(node.dtype, "%scratch", str(self.slot(node) + k * self.row))
@@ -204,7 +204,7 @@ class CpuPrinter(Text):
 
     def gather(self, node: Node, place: str, offset: str) -> str:
         """From a place of each rollout's own, `offset` bytes further on."""
-        region = node.told(At).region
+        region = node.attribute(At).region
         base, _ = self.base(region)
         size, wide = self.size(region.dtype), self.vector("int64")
         lanes = ", ".join(f"i64 {k * np.dtype(region.dtype).itemsize}" for k in range(self.lanes))
@@ -233,19 +233,19 @@ class CpuPrinter(Text):
         """A node from its operands."""
         match node.op:
             case "load":
-                region, index, _, _ = node.told(At)
+                region, index, _, _ = node.attribute(At)
                 base, place = self.base(region)
                 return self.get(region.dtype, base, str(place + index * self.size(region.dtype)))
             case "gather":
-                region, index, _, step = node.told(At)
+                region, index, _, step = node.attribute(At)
                 _, place = self.base(region)
                 offset = place + index * self.size(region.dtype)
                 at = leg.offset(step * self.size(region.dtype), offset) if leg and node.leg else str(offset)
                 return self.gather(node, args[0], at)
             case "part":
-                return self.part(node.args[0], node.told(OneOf).leg)
+                return self.part(node.args[0], node.attribute(OneOf).leg)
             case "count":
-                return self._whole(self.counts[node.told(Count).depth])
+                return self._whole(self.counts[node.attribute(Count).depth])
             case "tick":
                 return self._whole(self.emit(f"add i64 {self.counts[1]}, %first"))
             case _:
@@ -292,7 +292,7 @@ class Leg:
                 value = printer.emit(f"select i1 {test}, {kind} {printer.literal(values[k])}, {kind} {value}")
             return value
         if node.op == "load":
-            region, index, _, step = node.told(At)
+            region, index, _, step = node.attribute(At)
             base, place = printer.base(region)
             size = printer.size(region.dtype)
             return printer.get(region.dtype, base, self.offset(step * size, place + index * size))
@@ -314,14 +314,14 @@ def machine() -> llvm.TargetMachine:
     return target.create_target_machine(llvm.get_host_cpu_name(), features, opt=2, codemodel="default", jit=True)
 
 
-def compiled(text: str, target: llvm.TargetMachine) -> bytes:
+def compile_text(text: str, target: llvm.TargetMachine) -> bytes:
     """Machine code of a module, as an object file."""
     module = llvm.parse_assembly(text)
     module.verify()
     return target.emit_object(module)
 
 
-def loaded(code: bytes, target: llvm.TargetMachine) -> tuple[Any, int]:
+def load_machine_code(code: bytes, target: llvm.TargetMachine) -> tuple[Any, int]:
     """What keeps `run` in this process, and its address."""
     jit = llvm.create_lljit_compiler(target, use_jit_link=True, suppress_errors=False)
     library = llvm.JITLibraryBuilder().add_object_img(code).export_symbol("run").add_current_process()

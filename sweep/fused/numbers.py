@@ -4,8 +4,8 @@ from collections.abc import Callable
 from typing import Any
 
 
-def worked_out(function: Callable[[], Any]) -> Any:
+def evaluate_constants(function: Callable[[], Any]) -> Any:
     """What a function of plain numbers gives, as `eager.worked_out` has it."""
     from sweep.fused import eager
 
-    return eager.worked_out(function)
+    return eager.evaluate_constants(function)

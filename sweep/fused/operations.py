@@ -43,7 +43,7 @@ def fold(name: str, dtype: str, values: Sequence[Any]) -> Any:
     return np.asarray(result, dtype)
 
 
-def simplified(name: str, args: Sequence[Node]) -> Node | None:
+def simplify(name: str, args: Sequence[Node]) -> Node | None:
     """An operand that the result equals, if one is plain to see: to the bit but for the sign of zero, of NaN too."""
     known = [_plain(x) for x in args]
     match name, known:

@@ -71,7 +71,7 @@ class Node:
         self.op, self.args, self.extra, self.dtype, self.leg, self.number = op, args, extra, dtype, leg, number
         self.block = block
 
-    def told[T](self, kind: type[T]) -> T:
+    def attribute[T](self, kind: type[T]) -> T:
         """Its `extra`, which has to be of a class."""
         assert isinstance(self.extra, kind), f"{self.op} has {self.extra}"
         return self.extra
@@ -222,5 +222,5 @@ def _bits(value: Any, dtype: str) -> bytes:
 
 def value_of(node: Node) -> Any:
     """The number of a constant; an array of six where it has one for each leg."""
-    found = np.frombuffer(b"".join(node.told(Const).bits), node.dtype)
+    found = np.frombuffer(b"".join(node.attribute(Const).bits), node.dtype)
     return found if node.leg else found[0]

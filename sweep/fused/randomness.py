@@ -17,7 +17,7 @@ ROUNDS = ((13, 15, 26, 6), (17, 29, 16, 24))
 PARITY = 0x1BD11BDA
 
 
-def words(tree: Any) -> Any:
+def key_words(tree: Any) -> Any:
     """Arrays, or their shapes, with random keys as the words that they are."""
 
     def one(x: Any) -> Any:
@@ -28,7 +28,7 @@ def words(tree: Any) -> Any:
     return jax.tree.map(one, tree)
 
 
-def keyed(x: Any, like: Any) -> Any:
+def restore_keys(x: Any, like: Any) -> Any:
     """Words as a random key, where it is like one."""
     return jax.random.wrap_key_data(x) if is_key(like) else x
 
@@ -97,7 +97,7 @@ def rules() -> dict[str, Callable]:
                 raise Unsupported("random numbers of several keys at once")
             if params.get("bit_width", 32) != 32:
                 raise Unsupported(f"random words of {params['bit_width']} bits")
-            made = self.written(
+            made = self.trace_expansion(
                 lambda *xs: function(*xs, **params), [_words(keys), *args], ["uint32", *["uint32"] * len(args)]
             )
             return _pairs(made) if is_key(out) else made

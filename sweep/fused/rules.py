@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sweep.fused import randomness
-from sweep.fused.arrays import Array, Arrays, Unsupported, along, stacked
+from sweep.fused.arrays import Array, Arrays, Unsupported, slices_along, stack
 
 
 def _convert(self: Arrays, x: Array, out: Any, **_: Any) -> Array:
@@ -87,7 +87,7 @@ def _dot_general(self: Arrays, a: Array, b: Array, out: Any, dimension_numbers: 
 def _argmax(better: str) -> Callable:
     def rule(self: Arrays, x: Array, out: Any, axes: tuple, **_: Any) -> Array:
         (axis,) = axes
-        rows = along(x, axis)
+        rows = slices_along(x, axis)
         best, index = rows[0], np.broadcast_to(self.constant(np.zeros((), out.dtype)), rows[0].shape)
         for k in range(1, len(rows)):
             if x.flat[0].dtype == "bool":
@@ -106,11 +106,11 @@ def _argmax(better: str) -> Callable:
 
 def _cumulative(name: str) -> Callable:
     def rule(self: Arrays, x: Array, out: Any, axis: int, reverse: bool) -> Array:
-        rows = along(x, axis)
+        rows = slices_along(x, axis)
         rows = rows[::-1] if reverse else rows
         for k in range(1, len(rows)):
             rows[k] = self.lift(name, [rows[k - 1], rows[k]], out.dtype.name)
-        return np.moveaxis(stacked(rows[::-1] if reverse else rows), 0, axis)
+        return np.moveaxis(stack(rows[::-1] if reverse else rows), 0, axis)
 
     return rule
 
@@ -120,7 +120,7 @@ def _dynamic_slice(self: Arrays, x: Array, *starts: Array, out: Any, slice_sizes
 
 
 def _dynamic_update_slice(self: Arrays, x: Array, update: Array, *starts: Array, out: Any) -> Array:
-    within = [self.within(s[()], n - m) for s, n, m in zip(starts, x.shape, update.shape, strict=True)]
+    within = [self.clamp_index(s[()], n - m) for s, n, m in zip(starts, x.shape, update.shape, strict=True)]
     return self.update(x, update, dict(enumerate(within)))
 
 
@@ -152,7 +152,9 @@ def _gather(
                 for test, edge in (("ge", 0), ("le", n - size)):
                     ok = self.op(test, "bool", s, self.program.const(edge, s.dtype))
                     inside = self.op("and", "bool", inside, ok)
-            fill = self.constant(np.asarray(outside(out.dtype) if fill_value is None else fill_value, out.dtype))
+            fill = self.constant(
+                np.asarray(out_of_bounds_value(out.dtype) if fill_value is None else fill_value, out.dtype)
+            )
             cases = [np.full(found.shape, inside, object), found, np.broadcast_to(fill, found.shape)]
             found = self.lift("select", cases, out.dtype.name)
         place: list[Any] = [slice(None)] * len(out.shape)
@@ -170,7 +172,7 @@ def _platform_index(self: Arrays, out: Any, platforms: tuple) -> Array:
     return self.constant(np.asarray(platforms.index(None), out.dtype))
 
 
-def outside(dtype: np.dtype) -> Any:
+def out_of_bounds_value(dtype: np.dtype) -> Any:
     """What JAX gives for a place outside."""
     if dtype.kind == "f":
         return np.nan
@@ -205,7 +207,7 @@ def _scatter(combine: str | None) -> Callable:
             update = update.reshape(sizes)
             starts = {d: indices[(*at, k)] for k, d in enumerate(dims.scatter_dims_to_operand_dims)}
             if "CLIP" in str(mode):
-                starts = {d: self.within(s, x.shape[d] - sizes[d]) for d, s in starts.items()}
+                starts = {d: self.clamp_index(s, x.shape[d] - sizes[d]) for d, s in starts.items()}
             self.put(result, update, starts, combine)
         return result
 
@@ -213,7 +215,7 @@ def _scatter(combine: str | None) -> Callable:
 
 
 def _unstack(args: list[Array], eqn: Any) -> list[Array]:
-    return along(args[0], eqn.params["axis"])
+    return slices_along(args[0], eqn.params["axis"])
 
 
 def _split(args: list[Array], eqn: Any) -> list[Array]:
@@ -240,7 +242,7 @@ RULES: dict[str, Callable] = {
     "slice": _slice,
     "pad": _pad,
     "concatenate": lambda self, *xs, out, dimension: np.concatenate(xs, dimension),
-    "stack": lambda self, *xs, out, axis: stacked(xs, axis),
+    "stack": lambda self, *xs, out, axis: stack(xs, axis),
     "iota": _iota,
     "dot_general": _dot_general,
     "argmax": _argmax("gt"),

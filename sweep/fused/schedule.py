@@ -88,7 +88,7 @@ def _turns(nodes: list[Node]) -> Iterator[Turn]:
         yield turns[number]
 
 
-def used(block: Block) -> set[int]:
+def used_nodes(block: Block) -> set[int]:
     """Numbers of the nodes that results and inner blocks need."""
     needed: set[int] = set()
     pending = list(_roots(block))

@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from sweep.fused.interpret import Interpreter
 from sweep.fused.program import Block, Count, Program, Region
-from sweep.fused.randomness import keyed, words
+from sweep.fused.randomness import key_words, restore_keys
 
 GROUP = 6  # of a robot: its legs
 
@@ -41,7 +41,7 @@ class Traced(NamedTuple):
 Layout = Callable[[Sequence[Any], int], tuple[list[Leaf], int]]  # arrays one after the other, and where the last ends
 
 
-def traced(
+def trace_program(
     function: Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]],
     given: Any,
     carried: Any,
@@ -59,11 +59,11 @@ def traced(
 
     def flat(*leaves: Array) -> Any:
         before = jax.tree.unflatten(tree, leaves[:n])
-        now = jax.tree.unflatten(other, [keyed(x, like) for x, like in zip(leaves[n:-1], second, strict=True)])
+        now = jax.tree.unflatten(other, [restore_keys(x, like) for x, like in zip(leaves[n:-1], second, strict=True)])
         moved, record = function(before, now, leaves[-1])
-        return jax.tree.leaves(words(moved)), record
+        return jax.tree.leaves(key_words(moved)), record
 
-    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in words([*first, *second])]
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in key_words([*first, *second])]
     jaxpr, (moved, record) = jax.make_jaxpr(flat, return_shape=True)(*shapes, jax.ShapeDtypeStruct((), jnp.int32))
     both = [(old.shape, new.shape) for old, new in zip(shapes[n:], moved, strict=True)]
     if changed := [f"{old} to {new}" for old, new in both if old != new]:
@@ -79,7 +79,7 @@ def traced(
                for leaves, depth, told in ((constant, 0, False), (moving, 1, False), (recorded, 1, True))]  # fmt: skip
     with program.loop(None) as body:
         tick = np.full((), program.node("tick", (), "int32", Count(1)), object)
-        inputs = [interpreter.loaded(region, leaf.shape, region.depth)
+        inputs = [interpreter.load_array(region, leaf.shape, region.depth)
                   for group, leaves in zip(regions[:2], (constant, moving), strict=True)
                   for region, leaf in zip(group, leaves, strict=True)]  # fmt: skip
         results = interpreter.evaluate(jaxpr.jaxpr, jaxpr.consts, [*inputs, tick])

@@ -1,4 +1,4 @@
-"""How the poses of a simulated calibration went, which `sweep.engines.calibrating` tells of a rollout of their own."""
+"""Metrics of the poses of a simulated calibration; see `sweep.engines.calibration_rollout`."""
 
 from sweep.metrics.metric import Cause, Metric
 

@@ -92,7 +92,7 @@ def wanted_points(
 ) -> pd.DataFrame:
     """The study's points that match `where`, at most `limit` of them. Raises `InputError` where none is left."""
     table = points(exp.study, exp.system, exp.settings, say=say)
-    table = table[mask(name_axes(table, exp.study.axes), where)].head(limit)
+    table = table[mask(name_axes(table, exp.study.axes), where)].iloc[:limit]
     if table.empty:
         raise InputError(f"no point of {exp.study.name} is left to run")
     return table.reset_index(drop=True)

@@ -22,7 +22,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import LARGEST
 from sweep.engines.batching import nominal_plan
 from sweep.engines.closed_loop import GRACE, act, figures_of, init, measure, sensing, start_state, truth
-from sweep.engines.prelude import prepared
+from sweep.engines.pre_rollout import prepare_belief
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.metric import GOAL, REST, Tick
 from sweep.metrics.outcome import Thresholds, threshold_value
@@ -133,7 +133,7 @@ def make_controller(case: Case, settings: EngineSettings, limits: Thresholds) ->
 
     def begin(belief: Mapping[str, Array], key: Array) -> tuple[Array, Any, Array]:
         own = believed(belief)
-        _, plan, _ = prepared(own, own, key)
+        _, plan, _ = prepare_belief(own, own, key)
         start = start_state(own, own, plan)
         loop = init(own, own, plan, start, jnp.zeros(()), key, LearnedState(), sensors_are="exact")
         _, command = act(own, own, plan, loop, jnp.int32(0), period)

@@ -19,7 +19,7 @@ from sweep.core.parameters import build, build_by_kind
 from sweep.engines import devices, run_id
 from sweep.engines.base import Engine
 from sweep.engines.settings import EngineSettings
-from sweep.engines.states import offered
+from sweep.engines.states import available_columns
 from sweep.metrics import outcome
 from sweep.metrics.outcome import Thresholds
 from sweep.models import plan_table, scene
@@ -84,7 +84,7 @@ class Hexapod:
     @property
     def history_columns(self) -> tuple[str, ...]:
         """Columns of states in such a world, see `System`."""
-        return tuple(offered(self.case))
+        return tuple(available_columns(self.case))
 
     def files(self) -> dict[str, Path]:
         """See `System`: all is in the configuration."""

@@ -19,7 +19,7 @@ from sweep.core.plot_style import save_figure
 from sweep.core.progress import show_counts, show_wait
 from sweep.engines.base import Trace, same_bits
 from sweep.engines.settings import EngineSettings
-from sweep.engines.states import offered
+from sweep.engines.states import available_columns
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.runs import device_choice, results, store
@@ -109,7 +109,7 @@ def replay(folder: Path, point: str) -> Replay:
 def states(trace: Trace) -> pd.DataFrame:
     """One row a control tick, one column a number, see `offered`."""
     record = {name: np.moveaxis(getattr(trace, name), 0, -1) for name in ("qpos", "qvel", "joint_torque", "foot_force")}
-    columns = {name: np.asarray(column(record)) for name, column in offered(trace.world).items()}
+    columns = {name: np.asarray(column(record)) for name, column in available_columns(trace.world).items()}
     return pd.DataFrame({"time_s": trace.time, "stage": [trace.stages[k] for k in trace.stage], **columns})
 
 

@@ -10,7 +10,7 @@ import pytest
 from sweep.controllers.observation import Observation, init_sensors, observe
 from sweep.core.rotations import exponential, multiply
 from sweep.engines.closed_loop import sensing
-from sweep.fused.trace import Leaf, traced
+from sweep.fused.trace import Leaf, trace_program
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
 
@@ -90,7 +90,7 @@ def test_the_longest_delay_that_may_be_asked_for_can_be_fused():
     def somewhere(arrays, _):
         return [Leaf(0, x.shape, np.dtype(x.dtype).name) for x in arrays], 0
 
-    traced(tick, one, sensors, somewhere, together=False, group=6)  # else it raises `Unsupported`
+    trace_program(tick, one, sensors, somewhere, together=False, group=6)  # else it raises `Unsupported`
 
 
 def test_biases_stay_and_noise_does_not():

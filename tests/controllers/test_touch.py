@@ -21,7 +21,7 @@ from sweep.controllers.tracker import init
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
 from sweep.engines import make
-from sweep.engines.prelude import places, prepared
+from sweep.engines.pre_rollout import places, prepare_belief
 from sweep.models.frames import WORLD
 from sweep.models.noise import Noise
 from sweep.models.obstacles.ball import Ball
@@ -112,7 +112,7 @@ def test_a_foot_is_told_to_stand_as_deep_as_planned_in_the_surface_that_it_felt(
 
 def test_a_foot_that_finds_a_height_lower_than_cautiously_planned_stands_as_deep_in_it():
     case = compose(["scenario=walk_kerb", "control=learn", "control.calibrate=none", "control.caution=2"]).case
-    _, plan, learned = prepared(case, case, jax.random.key(0))
+    _, plan, learned = prepare_belief(case, case, jax.random.key(0))
     stage = len(plan.names) - 1
     higher = np.asarray(plan.foothold[stage] - case.manoeuvre.plan(case).foothold[stage])[:, 2]
     assert np.all(higher > 2e-3)

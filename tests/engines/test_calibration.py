@@ -8,7 +8,7 @@ import pytest
 
 from sweep.controllers.calibration import learnable_sizes
 from sweep.core.errors import InputError
-from sweep.engines import devices, make, prelude
+from sweep.engines import devices, make, pre_rollout
 from sweep.study.config import compose
 
 STAND = ["scenario=walk_tripod", "manoeuvre=stand", "control=calibrate"]
@@ -30,7 +30,7 @@ def learned(*overrides):
     case = compose([*STAND, *overrides]).case
     world = wrong(case, ROBOTS)
     over = (devices.axes(world), None, 0)
-    calibrate = jax.vmap(lambda *of_one: prelude.prepared(*of_one)[2].calibration, in_axes=over)
+    calibrate = jax.vmap(lambda *of_one: pre_rollout.prepare_belief(*of_one)[2].calibration, in_axes=over)
     arrays = devices.as_arrays(world), devices.as_arrays(case), devices.keys(np.arange(ROBOTS))
     found = jax.jit(calibrate)(*arrays)
     true = [getattr(world.robot, n) for n in learnable_sizes(case.robot)]

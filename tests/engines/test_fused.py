@@ -63,7 +63,7 @@ def test_under_native_the_controller_is_that_of_xla_which_takes_what_has_no_rule
         raise Unsupported("sort")
 
     fused, by_itself = figures()
-    monkeypatch.setattr("sweep.fused.kernel.begun", without)
+    monkeypatch.setattr("sweep.fused.kernel.start_compilation", without)
     monkeypatch.setattr("sweep.engines.program_cache._folder", lambda: None)
     xla, still = figures()
     assert by_itself

@@ -251,7 +251,7 @@ def test_a_walk_is_that_of_the_cpu(monkeypatch, few):
     given, tick = (world, belief, program.start(world, belief, keys)[0]), engine._tick
     _, carry = program.begin(world, belief, keys)
     one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:] if x.ndim else (), x.dtype), (given, carry))
-    code = launch.compiled(tick, *one, lambda carry: carry.over, 2, WIDTH, WIDTH, few=few)
+    code = launch.compiled(tick, *one, lambda carry: carry.is_over, 2, WIDTH, WIDTH, few=few)
     gpu, _ = launch.run(code, given, carry, jnp.int32(0), jnp.arange(WIDTH))
     _, going = program.start(world, belief, keys)
     going.tiles.advance(0, 2)
@@ -295,9 +295,11 @@ def test_few_rollouts_begin_and_end_as_on_a_cpu_and_their_kernel_is_kept_beside_
             carry, _ = programs.chunk(world, belief, plans, carry, 0, kept)
         return programs.finish(world, plans, carry)
 
-    handler = driver.handler(lambda call: launched.append(driver.made(call.key).code))  # changes nothing
+    handler = driver.handler(lambda call: launched.append(driver.finished_kernel(call.key).code))  # changes nothing
     jax.ffi.register_ffi_target("idle", jax.ffi.pycapsule(handler), platform="cpu")
-    monkeypatch.setattr(launch, "call", lambda code, of: driver.call(driver.begin(code.text), 1, of, [2], "idle"))
+    monkeypatch.setattr(
+        launch, "call", lambda code, of: driver.call(driver.start_translation(code.text), 1, of, [2], "idle")
+    )
     monkeypatch.setattr(driver, "_translated", lambda text: translated.append(text) or b"machine code")
     begun = ended(0)
     monkeypatch.setattr(program_cache, "_folder", lambda: tmp_path)

@@ -34,8 +34,8 @@ def many(one):
 def begun(arrays):
     """What a batch starts with where all is the host's."""
     with ThreadPoolExecutor() as pool:
-        form, parts = planning.begun(pool, start, arrays, many, forced=True, by_host=True)
-        return form, Planning.of(*parts())
+        form, parts = planning.start_compilation(pool, start, arrays, many, forced=True, by_host=True)
+        return form, Planning.from_programs(*parts())
 
 
 def test_forces_are_those_that_xla_finds():

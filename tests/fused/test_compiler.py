@@ -25,7 +25,7 @@ def both(function, *batch, group=6):
     one = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in batch]
 
     def fused(lanes: int):
-        code = kernel.compiled(
+        code = kernel.compile_function(
             lambda given, carried, k: (carried, function(*given)), one, [jnp.zeros(())], group, lanes
         )
         tiles = kernel.Kernel(code).enter(list(batch), [jnp.zeros(WIDTH)], WIDTH)
@@ -136,7 +136,7 @@ def ring(size: int):
 def test_a_row_is_stored_at_a_computed_address(shape):
     size, ticks, tick = 5, 12, ring(5)
     delays, start = jnp.arange(WIDTH) % size, (some(size, *shape), some(*shape, seed=1))
-    code = kernel.compiled(tick, delays[0], jax.tree.map(lambda x: x[0], start))
+    code = kernel.compile_function(tick, delays[0], jax.tree.map(lambda x: x[0], start))
     record = kernel.Kernel(code).enter(delays, start, WIDTH).advance(0, ticks, np.arange(WIDTH))
     assert record is not None
     for k in range(WIDTH):
@@ -149,7 +149,7 @@ def test_a_row_is_stored_at_a_computed_address(shape):
 
 def test_a_longer_ring_buffer_takes_no_more_instructions():
     def instructions(size: int) -> int:
-        _, printer = kernel.printed(ring(size), jnp.int32(0), (jnp.zeros((size, 6, 3)), jnp.zeros((6, 3))))
+        _, printer = kernel.print_program(ring(size), jnp.int32(0), (jnp.zeros((size, 6, 3)), jnp.zeros((6, 3))))
         return len(printer.lines)
 
     assert instructions(100) == instructions(4)
@@ -161,7 +161,7 @@ def test_a_replaced_row_that_is_used_at_once_is_looked_up():
         return table, {"new": new, "doubled": 2 * new}
 
     start = some(3, 2)
-    code = kernel.compiled(tick, jnp.float32(0), start[0])
+    code = kernel.compile_function(tick, jnp.float32(0), start[0])
     tiles = kernel.Kernel(code).enter(jnp.ones(WIDTH), start, WIDTH)
     record = tiles.advance(0, 4, np.arange(WIDTH))
     assert record is not None
@@ -175,9 +175,10 @@ def test_a_batch_keeps_the_program_that_it_goes_through():
     """In a process of its own, which ended in a segmentation fault."""
     code = """if True:
         import gc, jax, jax.numpy as jnp
-        from sweep.fused.kernel import Kernel, compiled
+        from sweep.fused.kernel import Kernel, compile_function
         one = jnp.zeros(()) 
-        tiles = Kernel(compiled(lambda given, carried, k: (carried + given, {}), one, one)).enter(one + 2, one[None], 1)
+        code = compile_function(lambda given, carried, k: (carried + given, {}), one, one)
+        tiles = Kernel(code).enter(one + 2, one[None], 1)
         gc.collect()
         tiles.advance(0, 3)
         print(tiles.leave())
@@ -268,7 +269,7 @@ def test_what_is_carried_keeps_its_shapes_or_is_refused():
     """Else ticks would write beyond the memory that a batch began with."""
     given, carried = jnp.zeros(()), (jnp.zeros(2), jnp.zeros(()))
     with pytest.raises(TypeError, match=r"shapes: \(2,\) to \(3,\)$"):
-        kernel.compiled(lambda given, carried, k: ((jnp.zeros(3), carried[1] + given), {}), given, carried)
+        kernel.compile_function(lambda given, carried, k: ((jnp.zeros(3), carried[1] + given), {}), given, carried)
 
 
 def test_what_has_no_rule_is_named():
@@ -289,7 +290,7 @@ def test_a_group_may_have_another_size(group):
     for name, values in fused.items():
         np.testing.assert_allclose(values, xla[name], rtol=1e-5, atol=1e-6, err_msg=name)
     one = jax.ShapeDtypeStruct(x.shape[1:], x.dtype)
-    program, _ = kernel.printed(lambda given, carried, k: (carried, moved(given)), one, jnp.zeros(()), group)
+    program, _ = kernel.print_program(lambda given, carried, k: (carried, moved(given)), one, jnp.zeros(()), group)
     roots = [n for n in inside(program.top) if isinstance(n, Node) and n.op == "sqrt"]
     assert [n.leg for n in roots] == [True]
 
@@ -301,7 +302,7 @@ def test_rows_that_are_alike_leave_the_others_one_operation_for_the_legs():
     fused, xla = both(rooted, x := abs(some(6)))
     np.testing.assert_allclose(fused["x"], xla["x"], rtol=1e-6)
     one = jax.ShapeDtypeStruct(x.shape[1:], x.dtype)
-    program, _ = kernel.printed(lambda given, carried, k: (carried, rooted(given)), one, jnp.zeros(()))
+    program, _ = kernel.print_program(lambda given, carried, k: (carried, rooted(given)), one, jnp.zeros(()))
     roots = [n for n in inside(program.top) if isinstance(n, Node) and n.op == "sqrt"]
     assert sorted(n.leg for n in roots) == [False, True]
 

@@ -1,4 +1,4 @@
-"""The page's script and style as one text each, and the policy that lets only them run."""
+"""The page's script and style: one text each from the files beside this, and the policy that lets them alone run."""
 
 import base64
 import hashlib
@@ -12,8 +12,8 @@ EXPORT = re.compile(r"^export (?=(?:async )?(?:function\*?|const|class) )", re.M
 
 
 @cache
-def bundle_script() -> str:
-    """All modules as one script, each after those that it imports; names are unique across modules."""
+def bundle() -> str:
+    """All modules as one script, each after those that it imports; their names are of one piece."""
     sources = {
         file.name: file.read_text(encoding="utf-8")
         for file in files(__package__).iterdir()
@@ -25,19 +25,19 @@ def bundle_script() -> str:
 
 @cache
 def style_sheet() -> str:
-    """The content of the page's style sheet."""
+    """The page's style, as it is in its file."""
     return (files(__package__) / "style.css").read_text(encoding="utf-8")
 
 
-def content_security_policy(style: str, script: str) -> str:
+def policy(style: str, script: str) -> str:
     """A content security policy: no network, and only this style and this script.
 
     Styles of single elements are allowed, as figures have them, and data URLs of pictures.
     """
     rules = {
         "default-src": "'none'",
-        "script-src": hash_source(script),
-        "style-src": hash_source(style),
+        "script-src": digest(script),
+        "style-src": digest(style),
         "style-src-attr": "'unsafe-inline'",
         "img-src": "data:",
         "base-uri": "'none'",
@@ -46,6 +46,6 @@ def content_security_policy(style: str, script: str) -> str:
     return "; ".join(f"{name} {value}" for name, value in rules.items())
 
 
-def hash_source(text: str) -> str:
-    """The hash by which a content security policy allows a text."""
+def digest(text: str) -> str:
+    """What a policy calls a text by."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.core.errors import WRONG, InputError, format_user_exception
-from sweep.fused.numbers import worked_out
+from sweep.fused.numbers import evaluate_constants
 from sweep.systems.mujoco_model.batch import BatchStart, count_ticks
 from sweep.systems.mujoco_model.model_spec import ModelSpec
 
@@ -93,7 +93,9 @@ class ControllerPrograms:
         """
 
         def found(function: Callable[..., Any], *more: Any) -> Any:  # without compiling it
-            return self._call_user_code(worked_out, lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
+            return self._call_user_code(
+                evaluate_constants, lambda: function(*jax.tree.map(jnp.asarray, (first, *more)))
+            )
 
         first = jax.tree.map(lambda rows: rows[0], begun.given)
         start, state, duration = found(self.begin_one)

@@ -8,7 +8,7 @@ from sweep.controllers.validation import are_plain_numbers
 from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
 from sweep.formulas.raft_statics import raft_equilibrium
-from sweep.fused.numbers import worked_out
+from sweep.fused.numbers import evaluate_constants
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.raft import CORNERS, WATER_DENSITY, Raft
@@ -48,7 +48,7 @@ def require_floating(belief: Case, offset: tuple[float, float]) -> None:
     if not are_plain_numbers(belief.robot, belief.obstacle, belief.manoeuvre):
         return
     freeboard, draught = map(
-        float, worked_out(lambda: freeboard_and_draught(belief, offset, 0.5 * belief.robot.body_length))
+        float, evaluate_constants(lambda: freeboard_and_draught(belief, offset, 0.5 * belief.robot.body_length))
     )
     if freeboard > 0 and draught > 0:
         return

@@ -20,7 +20,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import IDENTITY
 from sweep.formulas.ball_reach import max_ball
-from sweep.fused.numbers import worked_out
+from sweep.fused.numbers import evaluate_constants
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.charts import Number
@@ -107,7 +107,7 @@ class BallClimb(BesideBall):
         numbers = (robot.thigh, robot.shin, highest, robot.body_width, belief.contact.friction)
         if not are_plain_numbers(numbers, radius):
             return
-        most = float(worked_out(lambda: max_ball(*numbers).R))
+        most = float(evaluate_constants(lambda: max_ball(*numbers).R))
         if not radius <= most:
             raise InputError(
                 f"obstacle.radius = {radius:g} is not allowed: at most {most:.2f} m can be climbed by legs of "

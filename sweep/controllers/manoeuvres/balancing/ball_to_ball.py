@@ -30,7 +30,7 @@ from sweep.controllers.validation import are_plain_numbers, require_within_reach
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
-from sweep.fused.numbers import worked_out
+from sweep.fused.numbers import evaluate_constants
 from sweep.models.case import Case
 from sweep.models.frames import body_frame
 from sweep.models.legs import LEGS
@@ -195,7 +195,7 @@ class BallToBall(OnBall, ByParts):
             plan = compile_plan(stance_on_ball(belief, stand_pose(belief, self)), self.transfer_stages(belief), 0.0)
             return plan, mass_centre_margins(belief.robot, stage_end_stances(plan, start()), next_support(plan.swing))
 
-        plan, inside = worked_out(plan_and_margins)
+        plan, inside = evaluate_constants(plan_and_margins)
         require_within_reach(belief, lambda: stances_at_stage_ends(plan, start()), f"{self.kind}: ")
         inside = inside.min(axis=0)
         if not inside.min() >= self.spare:

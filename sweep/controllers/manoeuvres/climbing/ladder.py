@@ -21,7 +21,7 @@ from sweep.controllers.validation import are_plain_numbers, require_within_reach
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.ladder import ladder as statics
-from sweep.fused.numbers import worked_out
+from sweep.fused.numbers import evaluate_constants
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.charts import point
@@ -111,7 +111,7 @@ class LadderClimb(PlannedForces):
                 f"obstacle.rungs = {ladder.rungs} is not allowed: at least {needs} for the moves of part climb"
             )
         grips = [contact.friction * grip for grip in (ladder.floor_grip, ladder.wall_grip)]
-        bears = worked_out(lambda: statics(jnp.asarray(ladder.lean), *map(jnp.asarray, grips)).chi_max)
+        bears = evaluate_constants(lambda: statics(jnp.asarray(ladder.lean), *map(jnp.asarray, grips)).chi_max)
         mass = float(total_mass(robot))
         load = (mass + ladder.mass * ladder.centre / ladder.length) / (mass + ladder.mass)
         if not bears >= load:

@@ -15,7 +15,7 @@ from sweep.controllers.calibration import MOVES, PoseMeasurements, learnable_siz
 from sweep.controllers.calibration_poses import HOLD, MOVE, CalibrationPoses, held_pose_index
 from sweep.core.errors import InputError
 from sweep.core.outcomes import FAILURE, INVALID
-from sweep.engines import batching, devices, prelude
+from sweep.engines import batching, devices, pre_rollout
 from sweep.engines.base import Engine, Figures, NoTrace, Trace, Watch
 from sweep.engines.batching import require_trace
 from sweep.engines.settings import EngineSettings
@@ -43,7 +43,7 @@ class Calibrating:
         self, make: Callable[..., Engine], settings: EngineSettings, world: Case, belief: Case, limits: Thresholds
     ):
         self.settings, self.limits = settings, limits
-        prelude.check_level(belief, batching.nominal_plan(belief), world.control.calibrate)
+        pre_rollout.check_level(belief, batching.nominal_plan(belief), world.control.calibrate)
         others = {name: None for name in world.manoeuvre.goal if name not in CalibrationPoses.goal}
         self._limits = replace(limits, **others)  # pyright: ignore[reportArgumentType]
         self._poses = make(settings, _in_poses(world), _in_poses(belief), self._limits)
@@ -153,7 +153,7 @@ def _learner(given: tuple[Case, Case, PoseMeasurements]) -> Callable[..., Any]:
     """What rollouts like `given` learn of what really was in their poses: sizes by name, and figures."""
 
     def learned(world: Case, belief: Case, true: PoseMeasurements, key: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-        found = prelude.calibrated(world, belief, true, key)
+        found = pre_rollout.calibrate_from_poses(world, belief, true, key)
         return {name: getattr(found.robot, name) for name in learnable_sizes(found.robot)}, calibration.learned_sizes(
             found
         )

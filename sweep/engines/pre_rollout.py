@@ -28,12 +28,12 @@ FLAT = 1e-5  # within which ground is the floor, z = 0
 ERRORS, PLACES = 1, 2  # folded into a rollout's key to draw the errors of calibration, and of the bodies' places
 
 
-def prepared(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, LearnedState]:
+def prepare_belief(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, LearnedState]:
     """What is believed from the start on, the plan that follows, what was learned for it; `key` is the rollout's."""
     plan, control = belief.manoeuvre.plan(belief), world.control
     if control.calibrate == "none" and control.touch == "none":
         return belief, plan, LearnedState()
-    seen = measured(world, start_state(world, belief, plan), key)
+    seen = measure_poses(world, start_state(world, belief, plan), key)
     learned = LearnedState()
     if control.calibrate != "none":
         calibrated = calibration.estimate_sizes(control, belief.noise, belief.robot, _ground(belief, plan.start), seen)
@@ -73,7 +73,7 @@ def check(world: Case, belief: Case, plan: Plan) -> None:
 
 def check_level(belief: Case, plan: Plan, calibrate: str) -> None:
     """Raises `InputError` where a robot that is to calibrate itself does not start with all feet on one plane."""
-    if not planning.worked_out(lambda: _starts_level(belief, plan.start)):
+    if not planning.evaluate_plan(lambda: _starts_level(belief, plan.start)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
         asked = f"control.calibrate = {calibrate} is not allowed"
         raise InputError(f"{asked}: {kinds} does not start with all feet on the floor")
@@ -107,7 +107,7 @@ def places(world: Case, key: Array) -> Float[Array, "k 3"]:
     return free.position + bias + noise.body_position_noise / jnp.sqrt(world.control.samples) * draws
 
 
-def measured(world: Case, start: Start, key: Array) -> PoseMeasurements:
+def measure_poses(world: Case, start: Start, key: Array) -> PoseMeasurements:
     """What the sensors of a rollout say of the poses, their biases those of its key.
 
     The feet come down to the ground where the robot starts, and slip a little from pose to pose. A foot that a pose
@@ -122,10 +122,10 @@ def measured(world: Case, start: Start, key: Array) -> PoseMeasurements:
     feet = feet + control.slip * (slips - up) + HEIGHT * up
     position, turned = calibration.base_poses(control, Stance(feet[0], start.qpos[:3], quat))
     angles, shortfall = jax.vmap(joint_targets, (None, 0))(world.robot, Stance(feet, position, turned))
-    return sensed(world, PoseMeasurements(position, turned, angles, shortfall <= 0), key)
+    return add_sensor_errors(world, PoseMeasurements(position, turned, angles, shortfall <= 0), key)
 
 
-def sensed(world: Case, true: PoseMeasurements, key: Array) -> PoseMeasurements:
+def add_sensor_errors(world: Case, true: PoseMeasurements, key: Array) -> PoseMeasurements:
     """What the sensors of a rollout make of `true` means in each pose, their biases those of its key."""
     noise, bias = world.noise, draw_biases(world.noise, jax.random.split(key)[0])
     draws = jax.random.normal(_drawn(key)[1], (len(MOVES), 24), float) / jnp.sqrt(world.control.samples)
@@ -138,10 +138,10 @@ def sensed(world: Case, true: PoseMeasurements, key: Array) -> PoseMeasurements:
     )
 
 
-def calibrated(world: Case, belief: Case, true: PoseMeasurements, key: Array) -> CalibrationResult:
+def calibrate_from_poses(world: Case, belief: Case, true: PoseMeasurements, key: Array) -> CalibrationResult:
     """What a rollout's robot learns of its sizes where `true` is what really was in the poses."""
     start = belief.manoeuvre.plan(belief).start
-    seen = sensed(world, true, key)
+    seen = add_sensor_errors(world, true, key)
     return calibration.estimate_sizes(world.control, belief.noise, belief.robot, _ground(belief, start), seen)
 
 

@@ -1,4 +1,4 @@
-"""Figures of studies, with captions and the numbers that they show."""
+"""Exhibits: figures with captions and their numbers."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
-class StudyFigure:
-    """A plot with its caption and data; the page and the paper draw it when they need it."""
+class Exhibit:
+    """A figure, what it shows in words, and the numbers it is drawn from."""
 
     key: str  # for file names and anchors
     title: str
