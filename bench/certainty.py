@@ -79,8 +79,8 @@ def phases(failures: str, root: Path) -> Iterator[list[str]]:
         parts = [folder, folder / certify.FRESH, folder / certify.AGAIN]
         rows = [store.read_rows(part) for part in parts if part.exists()]  # nothing is checked where nothing is found
         learning, fresh = rows[:2]
-        names = certify.parameters(experiment(store.read_study(folder)["config"]), learning)
-        known, new = certify.values(learning, names), certify.values(fresh, names)
+        names = certify.drawn_parameters(experiment(store.read_study(folder)["config"]), learning)
+        known, new = certify.parameters_and_failures(learning, names), certify.parameters_and_failures(fresh, names)
         most, least = float(failures), fewest(float(failures), CONFIDENCE) / len(fresh)
         times = [time.perf_counter()]
         score = learn(promise.shapes[0], *known, least)

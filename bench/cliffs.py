@@ -23,7 +23,7 @@ import shared
 from sweep.core.constants import LOADED
 from sweep.core.provenance import version_record
 from sweep.engines.base import Trace
-from sweep.report.replays import again
+from sweep.report.replays import simulate_again
 from sweep.runs import store
 from sweep.study.config import Experiment
 
@@ -111,7 +111,7 @@ def measure(scenario: str, args: argparse.Namespace, known: dict[str, Any]) -> N
     ends = refine_cliffs(exp, folder, [every[k] for k in steep], towards[steep])
     both = pd.concat(ends, ignore_index=True)
     period = exp.settings.control_period
-    traces = {row["point_id"]: t for row, t, _ in again(exp, both, store.read_points(folder), rate=1 / period)}
+    traces = {row["point_id"]: t for row, t, _ in simulate_again(exp, both, store.read_points(folder), rate=1 / period)}
     told = []
     for two in ends:
         two = two.sort_values("margin", ascending=False)

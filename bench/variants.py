@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from mujoco import mjx
 
-from sweep.cli.bench import timed
+from sweep.cli.bench import measure_seconds
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics
 from sweep.engines import batching, devices
@@ -34,7 +34,7 @@ def variants(nominal: Case, count: int) -> Case:
 
 def seconds(work: Callable[[], object]) -> float:
     """Return the shortest of three runs (s)."""
-    return min(timed(lambda: jax.block_until_ready(work())) for _ in range(3))
+    return min(measure_seconds(lambda: jax.block_until_ready(work())) for _ in range(3))
 
 
 def main() -> None:

@@ -42,7 +42,7 @@ from sweep.core.outcomes import SUCCESS
 from sweep.core.plot_style import plot_style
 from sweep.core.provenance import code_version
 from sweep.report import maps
-from sweep.report.exhibits import exhibits, judged_first
+from sweep.report.figures import list_figures, metrics_with_threshold_first
 from sweep.runs import results
 from sweep.runs.results import Results
 
@@ -238,7 +238,7 @@ def picture(found: Results, target: dict[str, Any], path: Path) -> None:
     """Draw the map of a study, or another plot of its page."""
     if key := target.get("exhibit"):
         with plot_style():
-            next(one for one in exhibits(found) if one.key == key).draw().savefig(path, dpi=DPI)
+            next(one for one in list_figures(found) if one.key == key).draw().savefig(path, dpi=DPI)
     else:
         with plot_style():
             axes = maps.map_axes(found.rows, tuple(target.get("map", ())))
@@ -288,7 +288,7 @@ def along(found: Results, axis: str) -> list[list[Any]]:
 def extremes(found: Results) -> dict[str, list[float]]:
     """Return the least and greatest value of every metric that varies, over successful rollouts."""
     rows = found.rows[found.rows["outcome"] == SUCCESS]
-    names = [name for name in judged_first(found) if rows[name].notna().any()]
+    names = [name for name in metrics_with_threshold_first(found) if rows[name].notna().any()]
     return {name: [float(f"{end:.4g}") for end in (rows[name].min(), rows[name].max())] for name in names}
 
 
@@ -330,7 +330,7 @@ def causes(rows: pd.DataFrame) -> dict[str, int]:
 
 def cells(found: Results, chosen: tuple[str, ...]) -> dict[str, Any] | None:
     """Successes and valid rollouts in each cell of a grid over the axes of the map; None where there is no grid."""
-    axes = maps.independent(found.rows, chosen)
+    axes = maps.independent_parameters(found.rows, chosen)
     if len(axes) < 2 or found.one_at_a_time:
         return None
     x, y = axes

@@ -22,7 +22,7 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.ledges import Ledges
 from sweep.models.robot import total_mass
 from sweep.report import maps
-from sweep.report.looks import INK
+from sweep.report.outcome_style import INK
 from sweep.runs import results
 from sweep.runs.results import Results
 from sweep.trace.layout import LEG_COLORS

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from markupsafe import escape
 
-from sweep.report.page.script import bundle, policy, style_sheet
+from sweep.report.page.script import bundle_script, content_security_policy, style_sheet
 
 EXAMPLES = Path(__file__).parent / "examples"
 PARTS = (
@@ -21,8 +21,8 @@ PARTS = (
 
 def renewed(text: str) -> str:
     """A page with the script and style of today, and the policy that lets them alone run."""
-    style, script = style_sheet(), bundle()
-    for pattern, part in zip(PARTS, (script, style, str(escape(policy(style, script)))), strict=True):
+    style, script = style_sheet(), bundle_script()
+    for pattern, part in zip(PARTS, (script, style, str(escape(content_security_policy(style, script)))), strict=True):
         text, count = re.subn(pattern, lambda _, part=part: part, text, flags=re.DOTALL)
         assert count == 1, f"{count} times {pattern}"
     return text

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 
 from sweep.core.plot_style import legend_below, new_figure, plot_style
-from sweep.report.looks import LOOKS
+from sweep.report.outcome_style import LOOKS
 
 RESEARCH = Path(__file__).parent
 ENGINES = (

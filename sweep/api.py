@@ -13,8 +13,8 @@ from sweep.analysis.sample import distinct
 from sweep.core.errors import InputError
 from sweep.core.expressions import AXES, mask
 from sweep.core.plot_style import plot_style
-from sweep.report import draws, maps, overlay, page
-from sweep.report.labels import unit_of
+from sweep.report import draws, maps, page, time_series_plots
+from sweep.report.labels import column_unit
 from sweep.runs import results, store
 from sweep.study.config import Experiment, compose
 from sweep.study.study import name_axes
@@ -83,14 +83,14 @@ class Accessor:
     def draws(self) -> Figure:
         """Every draw, what matters, and where they fail. Raises `InputError`."""
         found = self._results()
-        if not draws.columns_of(found):
+        if not draws.drawn_columns(found):
             raise InputError(f"{self._folder} has no axis with a distribution of numbers: draw a map")
         with plot_style():
-            return draws.draw(found)
+            return draws.draw_overview(found)
 
     def histories(self) -> pd.DataFrame:
         """What `study.keep` kept of these rows: `point_id`, `outcome`, `time_s`, its columns. Raises `InputError`."""
-        return overlay.samples(self._results())
+        return time_series_plots.load_samples(self._results())
 
     def to_xarray(self) -> "xarray.Dataset":
         """These rows on the grid of the axes that were listed, with a dimension `replicate` where points repeat.
@@ -116,7 +116,7 @@ class Accessor:
 
     def report(self) -> Page:
         """The page that `sweep report` writes; `str()` of it is the HTML."""
-        return Page(page.render(self._results()))
+        return Page(page.render_page(self._results()))
 
     def replay(self, row: Any = 0) -> "Replay":
         """The rollout of the row with that label, simulated again in its batch.
@@ -139,5 +139,5 @@ class Accessor:
 
 
 def _tidy(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
-    rows.attrs = {"study": exp.study.name, "units": {c: unit for c in rows if (unit := unit_of(str(c), exp))}}
+    rows.attrs = {"study": exp.study.name, "units": {c: unit for c in rows if (unit := column_unit(str(c), exp))}}
     return rows

@@ -5,7 +5,7 @@ from small_study import one_line
 
 from sweep.analysis import compare
 from sweep.cli.main import main
-from sweep.report import exhibits, page
+from sweep.report import figures, page
 from sweep.runs import audit, results, store
 from sweep.systems.hexapod import WAYS
 
@@ -61,12 +61,12 @@ def test_flips_tell_how_far_the_boundary_moves(fake_engine, tmp_path, capsys):
         assert table.loc[name, "flips"] == ((friction < needed) & (friction + shift >= needed) & near).sum(), name
     assert table["flips"].max() > 5
     assert "half the time step" in capsys.readouterr().out
-    html = page.render(results.read(tmp_path))
+    html = page.render_page(results.read(tmp_path))
     assert f"<td>successes elsewhere</td><td>{wins.sum()}</td><td>{wins.sum()}</td>" in html
     assert 'id="audit"' in html
     at = table.loc["half the time step"]
     assert f"{at['flips']:.0f} of {near.sum()} half the time step (at most {100 * at['high']:.1f} %)" in html
-    (shown,) = exhibits.audits(results.read(tmp_path))
+    (shown,) = figures.audit_figure(results.read(tmp_path))
     shown.data.loc[:4, f"outcome{compare.SECOND}"] = "invalid"  # of rollouts that did not flip
     for ax, (_, part) in zip(shown.draw().axes, every.groupby("simulated", sort=False), strict=False):
         marks = {line.get_marker(): len(line.get_xdata()) for line in ax.lines}

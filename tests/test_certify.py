@@ -8,7 +8,7 @@ from fake_engine import FakeEngine
 from scipy.stats import binom
 
 from sweep.analysis import certify
-from sweep.cli.certify import told
+from sweep.cli.certify import format_certificate
 from sweep.cli.main import main
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
@@ -144,7 +144,10 @@ def test_draws_of_which_none_fails_leave_regions_in_no_order(fake_engine, tmp_pa
     assert main(["certify", "d"]) == 0
     out = capsys.readouterr().out
     assert "it is the largest there is" in out
-    assert "none of the rows to learn from failed, so that regions are in no order: wider draws tell more" in out
+    assert (
+        "none of the rows to learn from failed, so that nothing orders the regions: draw from wider distributions"
+        in out
+    )
 
 
 def test_nothing_is_simulated_where_all_rows_to_learn_from_fail(fake_engine, tmp_path, monkeypatch, capsys):
@@ -160,7 +163,9 @@ def test_a_small_promise_keeps_its_digits():
     x = np.linspace(0, 1, 80_000)[:, None]
     fails = x[:, 0] > 0.9
     found = certified("box", (x[::2], fails[::2]), (x[1::2], fails[1::2]), 1e-4, 0.95)
-    assert "with a confidence of 95 % at most 0.01 % of the study's draws" in told(found, "box", ["friction"])
+    assert "with a confidence of 95 % at most 0.01 % of the study's draws" in format_certificate(
+        found, "box", ["friction"]
+    )
 
 
 @pytest.mark.parametrize(

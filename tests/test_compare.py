@@ -1,3 +1,4 @@
+import itertools
 import shutil
 
 import numpy as np
@@ -24,13 +25,13 @@ def rows_of(outcomes, **columns):
 
 def test_flips_are_counted_and_tested_among_valid_pairs():
     pairs = compare.pair(rows_of("ssssssssfi" + "s"), rows_of("sfffffffss" + "i").sample(frac=1, random_state=0))
-    found = compare.flips(pairs)
+    found = compare.flips(pairs, np.arange(len(pairs)))
     assert (found.pairs, found.tested, found.lost, found.gained, found.flipped) == (11, 9, 7, 1, 8)
     assert (found.invalid_a, found.invalid_b, found.invalid_both) == (1, 1, 0)
     assert found.changed == pytest.approx(10 / 11)
     assert found.p == pytest.approx(2 * (1 + 8) / 2**8)  # two-sided binomial, 1 or fewer of 8
     # Clopper, Pearson: the ends at which 8 or more, and 8 or fewer, of 9 have a probability of 2.5 %
-    low, high = found.interval()
+    low, high = found.low, found.high
     assert 9 * low**8 * (1 - low) + low**9 == pytest.approx(0.025)
     assert high**9 == pytest.approx(0.975)
 
@@ -40,8 +41,19 @@ def test_the_exact_test_keeps_its_level():
     flipped = np.arange(5, 45)
     lost = np.random.default_rng(0).binomial(flipped, 0.5, (25, 40))
     counts = [(k, n - k) for row in lost.tolist() for k, n in zip(row, flipped.tolist(), strict=True)]
-    tests = [compare.Flips(100, k, other, 0, 0, 0, 0).p for k, other in counts]
+    tests = [compare.sign_flip_p(np.repeat([1, -1], pair)) for pair in counts]
     assert 0 < np.mean(np.array(tests) <= 0.05) <= 0.05
+
+
+def test_several_pairs_of_a_draw_are_one_trial_of_the_test():
+    """Signs of whole draws are flipped: the p-value is that of all sign patterns, counted one by one."""
+    differences = np.array([3, 2, -1, 2, 0, 1, 3])
+    signs = np.array(list(itertools.product([-1, 1], repeat=7)))
+    exact = np.mean(np.abs(signs @ differences) >= differences.sum())
+    assert compare.sign_flip_p(differences) == pytest.approx(exact)
+    a, b = rows_of("ssssffss" * 4), rows_of("fsffsfss" * 4)
+    pairs, rows = compare.pair(a, b), np.repeat(np.arange(8), 4)
+    assert compare.flips(pairs, rows).p > compare.flips(pairs, np.arange(32)).p
 
 
 def test_regions_tell_where_outcomes_flip():
@@ -49,7 +61,9 @@ def test_regions_tell_where_outcomes_flip():
     axes = {"contact.friction": x, "drive.damping": y}
     a = rows_of(["s"] * 144, **axes)
     b = rows_of(np.where((x < 1 / 3) & (y < 1 / 3), "f", "s"), **axes)
-    table = compare.regions(compare.pair(a, b), list(axes))
+    pairs = compare.pair(a, b)
+    table = compare.regions(pairs, list(axes), np.arange(144))
+    assert "p" not in compare.regions(pairs, list(axes))  # of a grid
     assert (len(table), table["pairs"].sum()) == (9, 144)
     flipped = table[table["flips"] > 0]
     assert flipped["contact.friction"].tolist() == ["0 to 0.2727"]
@@ -77,8 +91,8 @@ def test_another_controller_is_paired_by_what_both_vary():
     b = rows_of("fsf", **varied).assign(point_id=["q0", "q1", "q2"])
     pairs = compare.pair(a, b.iloc[::-1])
     assert compare.flips(pairs).lost == 1
-    assert comparison.paired_by(pairs) == " of equal world.contact.friction, replicate"
-    assert comparison.paired_by(compare.pair(a, a)) == ""
+    assert comparison.name_pair_columns(pairs) == " of equal world.contact.friction, replicate"
+    assert comparison.name_pair_columns(compare.pair(a, a)) == ""
     with pytest.raises(InputError, match=r"--by world\.contact\.friction, replicate\)"):
         compare.pair(a, b.assign(replicate=0))
     with pytest.raises(InputError, match=r"no row of A has .* \(other columns to pair by: none that both vary\)"):
@@ -99,7 +113,7 @@ def test_two_folders_on_the_command_line(fake_engine, tmp_path, monkeypatch, cap
     shutil.copytree("a", "same")
     capsys.readouterr()
     assert main(["compare", "a", "same", "--figures", "0"]) == 0
-    assert "0 of 30 flip (0.0 %, 95 % interval 0.0 % to 11.6 %)" in capsys.readouterr().out
+    assert "0 of 30 flip (0.0 %): 0 succeed only in A" in capsys.readouterr().out
     assert main(["compare", "a", "b", "-o", "flips.csv"]) == 4  # the same figures, a stricter threshold
     out, err = capsys.readouterr()
     flips = pd.read_csv("flips.csv")

@@ -4,7 +4,7 @@ import re
 import pytest
 from small_study import one_line
 
-from sweep.cli.choices import choices
+from sweep.cli.choices import shipped_choices
 from sweep.cli.main import main
 from sweep.controllers.manoeuvres import MANOEUVRES
 from sweep.core.groups import GROUPS
@@ -13,7 +13,7 @@ from sweep.models.obstacles import OBSTACLES
 from sweep.study.config import compose, compose_values, experiment
 
 TOGETHER = ("obstacle", "manoeuvre")  # which have to fit
-CHOICES = [f"{group}={name}" for group in GROUPS if group not in (*TOGETHER, "plan") for name in choices(group)]
+CHOICES = [f"{group}={name}" for group in GROUPS if group not in (*TOGETHER, "plan") for name in shipped_choices(group)]
 CHOICES.remove("engine=warp")  # of own models alone
 
 
@@ -29,14 +29,15 @@ def test_every_config_file_composes(choice):
 
 @pytest.mark.parametrize(("group", "classes"), [("obstacle", OBSTACLES), ("manoeuvre", MANOEUVRES)])
 def test_a_class_is_a_choice_without_a_file(group, classes):
-    assert set(classes) <= set(choices(group))
-    assert all(choices(group).values())
+    assert set(classes) <= set(shipped_choices(group))
+    assert all(shipped_choices(group).values())
 
 
 def test_a_manoeuvre_on_an_obstacle_that_it_is_not_for_is_refused_in_one_line():
     nominal, fits, refusals = compose_values([]), set(), {}
     values = {
-        group: {name: compose_values([f"{group}={name}"])[group] for name in choices(group)} for group in TOGETHER
+        group: {name: compose_values([f"{group}={name}"])[group] for name in shipped_choices(group)}
+        for group in TOGETHER
     }
     del values["manoeuvre"]["follow"]  # on any obstacle, with a plan that is made for it
     for manoeuvre, obstacle in itertools.product(values["manoeuvre"], values["obstacle"]):

@@ -1,4 +1,4 @@
-"""`sweep export-model`: the robot as an own model, by files of its own, and what it cannot be."""
+"""`sweep export-model`: export the built-in robot as a MuJoCo model, by files of its own, and what it cannot be."""
 
 from pathlib import Path
 

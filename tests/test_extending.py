@@ -26,7 +26,7 @@ BLOCK = re.compile(r"(?:^`(?P<path>[^`]+)`\n\n)?^```(?P<kind>\w+)\n(?P<text>.*?)
 SAID = {  # by the commands of a page
     "A robot": ["long_legs            The base robot, thighs and shins a fifth longer", "| walk_tripod "],
     "A formula": ["v = 0.", "0.15"],
-    "An exhibit": ["report.html"],
+    "A figure of a study": ["report.html"],
     "A metric": ["base_speed_max_mps", "m/s", "| base speed max"],
     "A plan": [
         "pole_top_high        As pole_top",
@@ -117,7 +117,7 @@ def test_a_page_followed_to_the_letter_adds_what_it_says(title, checkout):
             (checkout / path).parent.mkdir(exist_ok=True)
             (checkout / path).write_text(text)
     assert all(part in said for part in SAID[title]), said
-    if title == "An exhibit":
+    if title == "A figure of a study":
         assert "Median and largest slip" in (checkout / "results/slips/report.html").read_text()
 
 

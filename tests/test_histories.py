@@ -11,7 +11,7 @@ from small_study import STUDY, content, one_line
 import sweep
 from sweep.cli.main import main
 from sweep.engines.base import Watch
-from sweep.report import overlay
+from sweep.report import time_series_plots
 from sweep.runs import manifest, results, store, time_series
 from sweep.runs.batches import assign_batches, batch, make_engine, nominal
 from sweep.runs.runner import wanted_points
@@ -41,13 +41,13 @@ def test_the_first_rows_of_a_study_are_kept_over_time(folder, whole):
 
 def test_a_report_lays_histories_over_each_other(folder):
     found = results.read(folder)
-    (exhibit,) = overlay.exhibits(found)
-    table = exhibit.data
+    (figure,) = time_series_plots.time_series_figure(found)
+    table = figure.data
     first = table[(table["column"] == "tilt_deg") & (table["time_s"] == 0.5)]
     assert first["rollouts"].sum() == 20
     assert (first["median"] == 0.5).all()
-    assert "20 of 56 rollouts" in exhibit.caption
-    assert len(exhibit.draw().axes) == 2
+    assert "20 of 56 rollouts" in figure.caption
+    assert len(figure.draw().axes) == 2
     assert main(["report", str(folder)]) == 0
     assert "Over time" in (folder / "report.html").read_text()
 

@@ -79,7 +79,7 @@ def test_of_a_thousand_dead_axes_none_is_unsaid(here, capsys):
     pd.DataFrame(levels).to_csv("points.csv", index=False)
     code, out, found, err = checked({"b": LIVE["b"]}, capsys, "--points", "points.csv")
     assert code == 4, err
-    assert "4 of 1004 axes act" in out
+    assert "4 of 1004 axes have an effect" in out
     assert {c for c, (where, _) in found.items() if not where} == {*dead, *told}
     assert found["model.site.s7.pos.x"][1] == "no sensor is at the site"
     assert found["model.geom.g7.friction.slide"][1] == "geom `g7` collides with nothing"
@@ -103,14 +103,14 @@ def test_of_a_thousand_dead_axes_none_is_unsaid(here, capsys):
 def test_a_dead_axis_is_told_with_why(here, capsys, axis, why):
     code, out, found, _ = checked({"x": axis}, capsys)
     assert (code, len(found)) == (4, 1)
-    assert "0 of 1 axes act" in out
+    assert "0 of 1 axes have an effect" in out
     assert why in next(iter(found.values()))[1]
 
 
 def test_a_part_of_an_axis_may_be_dead(here, capsys):
     code, out, found, _ = checked(LIVE, capsys)
     assert (code, len(found)) == (0, 1)
-    assert "6 of 6 axes act" in out
+    assert "6 of 6 axes have an effect" in out
     assert found["model.geom.box.friction.slide"] == (
         " from 0.2 to 0.45",
         "of two that meet the larger counts: geom `floor` has 0.5",
@@ -123,7 +123,7 @@ def test_what_has_priority_is_told(here, capsys):
     code, out, found, _ = checked(axes, capsys)
     assert (code, list(found)) == (4, ["model.geom.floor.friction.slide"])
     assert found["model.geom.floor.friction.slide"][1] == "geom `box` has priority"
-    assert "1 of 2 axes act" in out
+    assert "1 of 2 axes have an effect" in out
 
 
 def test_a_controller_that_is_no_function_of_its_arguments_is_found(here, capsys):
@@ -149,7 +149,7 @@ def test_axes_of_the_robot_are_tried_too(tmp_path, monkeypatch, capsys):
     )
     assert main(["run", "study=s.yaml", "--check"]) == 4
     out, err = capsys.readouterr()
-    assert "2 of 5 axes act" in out
+    assert "2 of 5 axes have an effect" in out
     assert "world.manoeuvre.half_step_ratio changes nothing: plans are made of what is believed" in err
     for dead in ("belief.contact.friction", "world.noise.load_noise"):
         assert f"{dead} changes nothing: no figure differs by a bit from " in err
@@ -170,7 +170,7 @@ def test_axes_are_tried_on_every_engine_of_a_study(here, capsys):
     pd.DataFrame(rows).to_csv("points.csv", index=False)
     code, out, found, _ = checked({"b": LIVE["b"]}, capsys, "--points", "points.csv")
     assert code == 4
-    assert "2 of 203 axes act" in out
+    assert "2 of 203 axes have an effect" in out
     assert {*found} == {*dead, "model.actuator.slide.gear.0 on mjx"}
 
 
@@ -201,7 +201,7 @@ def test_what_an_engine_has_no_use_for_is_told_of_the_robot(fake_engine, capsys,
     pd.DataFrame(rows).to_csv("points.csv", index=False)
     assert main(["run", "scenario=walk_tripod", "study=walk_map", "--points", "points.csv", "--check"]) == 4
     out, err = capsys.readouterr()
-    assert f"2 of {len(dead) + 4} axes act" in out
+    assert f"2 of {len(dead) + 4} axes have an effect" in out
     told = re.findall(r"^sweep: (\S+) changes nothing(?: on (\w+))?: (.*)$", err, re.MULTILINE)
     assert {(c, on) for c, on, _ in told} == {*((c, "") for c in dead), *zip(half, ("native", "mjx"), strict=True)}
     assert {why for *_, why in told if not why.startswith("no figure")} == {"it is one of native"}

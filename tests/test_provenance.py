@@ -109,7 +109,7 @@ def test_another_processor_is_another_run_and_said(tmp_path, monkeypatch, capsys
     monkeypatch.setattr(provenance, "processor", lambda: "another processor")
     assert run_id(settings) != here
     assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
-    assert "need not be equal to the last bit on" in (error := capsys.readouterr().err)
+    assert "on which equal rollouts may differ in the last bit" in (error := capsys.readouterr().err)
     assert "another processor" in error
     assert content(tmp_path)["run_id"].nunique() == 2
 

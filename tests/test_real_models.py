@@ -49,5 +49,5 @@ def test_a_model_of_others_runs_as_it_is(tmp_path, monkeypatch, capsys, package,
     rows = store.read_rows(Path("out")).iloc[0]
     np.testing.assert_allclose(rows["travelled_m"], own.qpos[0] - model.qpos0[0], atol=1e-6)
     assert main(["run", "study=study.yaml", "--check"]) == 0
-    assert "2 of 2 axes act" in capsys.readouterr().out
+    assert "2 of 2 axes have an effect" in capsys.readouterr().out
     assert main(["report", "out"]) == 0

@@ -115,7 +115,7 @@ def test_a_refined_map_is_the_grid_with_ten_times_fewer_rollouts(tmp_path, capsy
     assert len(counted) == 1
     assert main(["stats", str(tmp_path)]) == 0
     share = (truth == SUCCEEDS).mean()
-    assert f"{100 * share:.0f}." in capsys.readouterr().out.split("grid's box that succeeds")[1].split("%")[0]
+    assert f"{100 * share:.0f}." in capsys.readouterr().out.split("grid's volume that succeeds")[1].split("%")[0]
     assert main(["run", *AXES, *refining, f"out={tmp_path}"]) == 0  # nothing is left to run
     assert len(store.read_rows(tmp_path)) == len(rows)
 

@@ -7,7 +7,7 @@ import pytest
 from sweep.analysis import screening, sensitivity
 from sweep.analysis.stats import rates
 from sweep.core.errors import InputError
-from sweep.report.statistics import sections
+from sweep.report.statistics import statistics_sections
 from sweep.study.config import compose
 from sweep.study.study import Study, points
 
@@ -216,7 +216,7 @@ def test_any_draws_tell_which_axes_matter(study):
     moved = screening.pawn(rows, exp, "y_m").set_index("axis")
     assert moved["median"]["robot.shin"] > moved["median"]["robot.thigh"] > moved["by_chance"].iloc[0]
     assert moved["median"]["robot.body_mass"] == pytest.approx(moved["by_chance"].iloc[0], abs=0.05)
-    titles = [title for title, _ in sections(rows, exp)]
+    titles = [title for title, _ in statistics_sections(rows, exp)]
     assert titles[-2:] == ["PAWN indices of success", "First Sobol indices (RBD-FAST) of success"]
     with pytest.raises(InputError, match="need 100 valid draws"):
         screening.pawn(rows.head(50), exp)

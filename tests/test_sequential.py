@@ -84,7 +84,8 @@ def test_what_cannot_grow_is_told(fake_engine, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     study = ["run", "study=walk_map", "study.axes.friction.num=6", "study.axes.step.num=5", "study.expect=[]"]
     assert main([*study, "out=a"]) == main([*study, "out=b"]) == 0
-    assert main(["compare", "a", "b", "--anytime", "--most", "50"]) == 2
-    assert "cannot grow: it has neither draws nor replicates" in capsys.readouterr().err
+    for more in ([], ["--most", "50"]):
+        assert main(["compare", "a", "b", "--anytime", *more]) == 2
+        assert "the points of a are no sample: they were chosen, as those of a grid" in capsys.readouterr().err
     assert main(["compare", "a", "b", "--most", "50"]) == 2
     assert "--most = 50 is for --anytime" in capsys.readouterr().err

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sweep.cli.main import main
-from sweep.cli.tune import changed, drawn_sizes
+from sweep.cli.tune import drawn_sizes, plan_content
 from sweep.core.errors import InputError
 from sweep.models import plan_table
 from sweep.models.plan_table import evaluate_plan, numbers_by_path
@@ -140,7 +140,7 @@ def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, c
     assert main([*search, "out=plans/mine.yaml"]) == 2
     assert "mine.yaml.log is of another search" in capsys.readouterr().err
     assert main([*asked, "--free", "top.centre.lift", "--generations", "1", "out=plans/other.yaml"]) == 4
-    assert "nothing better was found, and plans/other.yaml is left as it was" in capsys.readouterr().err
+    assert "no better plan was found; plans/other.yaml is unchanged" in capsys.readouterr().err
 
 
 def test_a_formula_is_free_with_a_step_and_raised_to_what_is_found():
@@ -151,7 +151,7 @@ def test_a_formula_is_free_with_a_step_and_raised_to_what_is_found():
     }
     assert free_numbers(plan_table.plan_values(case), [f"{path}=0.1"], formulas) == {path: 0.1}
     found = {path: formulas[path] + 0.01, "climb.up.middle.base.above": formulas["climb.up.middle.base.above"] + 1e-5}
-    content = changed(case, found)
+    content = plan_content(case, found)
     assert content["climb"]["up.rear"]["rear"]["side"] == [0, "upright - reach + 0.01"]
     assert content["climb"]["up.middle"] == plan_table.plan_content(case)["climb"]["up.middle"]
     longer = replace(case, robot=replace(case.robot, body_length=1.06))  # which it goes on to follow

@@ -1,15 +1,17 @@
 """The same points run twice (another engine, version or controller): what changed, where, is it more than chance?"""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
+from sweep.analysis import sampling_units
 from sweep.analysis.intervals import clopper_pearson
-from sweep.analysis.stats import percent
+from sweep.analysis.stats import percent, rates
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
 from sweep.study.columns import LABELS, figure_columns
+from sweep.study.config import Experiment
 from sweep.study.study import identity_columns
 
 BINS = 3  # regions along an axis
@@ -27,6 +29,9 @@ class Flips:
     invalid_a: int  # in A alone
     invalid_b: int  # in B alone
     invalid_both: int
+    p: float = np.nan  # McNemar's exact test, by independent unit; NaN where pairs are no sample
+    low: float = np.nan  # of the 95 % interval of the share of flips among tested pairs
+    high: float = np.nan
 
     @property
     def tested(self) -> int:
@@ -43,27 +48,15 @@ class Flips:
         """Share of all pairs that flipped or became valid or invalid."""
         return (self.flipped + self.invalid_a + self.invalid_b) / self.pairs
 
-    @property
-    def p(self) -> float:
-        """McNemar's exact test: how likely so uneven flips are if either direction were equally likely."""
-        from scipy.stats import binomtest
-
-        return float(binomtest(self.lost, self.flipped).pvalue) if self.flipped else 1.0
-
-    def interval(self) -> tuple[float, float]:
-        """Exact 95 % interval (Clopper, Pearson) of the share of flips among tested pairs; NaN without any."""
-        if not self.tested:
-            return np.nan, np.nan
-        low, high = map(float, clopper_pearson(self.flipped, self.tested))
-        return low, high
-
     def __str__(self) -> str:
         if not self.tested:
             return f"none of {self.pairs} pairs is valid in both"
-        share, (low, high) = percent(self.flipped / self.tested), map(percent, self.interval())
+        sample = not np.isnan(self.p)
+        interval = f", 95 % interval {percent(self.low)} to {percent(self.high)}" if sample else ""
+        test = f" (McNemar p = {self.p:.2g})" if sample else ""
         return (
-            f"{self.flipped} of {self.tested} flip ({share}, 95 % interval {low} to {high}): "
-            f"{self.lost} succeed only in A, {self.gained} only in B (McNemar p = {self.p:.2g}); "
+            f"{self.flipped} of {self.tested} flip ({percent(self.flipped / self.tested)}{interval}): "
+            f"{self.lost} succeed only in A, {self.gained} only in B{test}; "
             f"{self.recaused} fail of another cause; "
             f"invalid: {self.invalid_a} only in A, {self.invalid_b} only in B, {self.invalid_both} in both"
         )
@@ -119,22 +112,60 @@ def axes(pairs: pd.DataFrame) -> list[str]:
     return [c for c in pairs.columns if "." in c and not c.endswith(SECOND)]
 
 
-def flips(pairs: pd.DataFrame) -> Flips:
-    """How outcomes differ between the runs."""
+def independent_unit_of_pairs(pairs: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
+    """Number of the independent unit of each pair (n,), by the experiment of A; None where pairs are no sample."""
+    return sampling_units.pair_units(pairs[[c for c in pairs if not str(c).endswith(SECOND)]], exp)
+
+
+def flips(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Flips:
+    """How outcomes differ between the runs.
+
+    Args:
+        pairs: Pairs of rows (n), see `pair`.
+        unit: Independent unit of each pair (n,), see `sampling_units.unit_numbers`: only pairs of different units are
+            independent. None where the pairs are no sample, such as those of a grid: there is no p-value then.
+
+    Returns:
+        The counts; with `unit` also McNemar's p-value and the interval of the share of flips. Where units have several
+        pairs, the test flips the sign of each unit's difference, and the interval is Korn and Graubard's.
+    """
     first, second = pairs["outcome"].to_numpy(), pairs[f"outcome{SECOND}"].to_numpy()
     invalid, invalid_b = first == "invalid", second == "invalid"
     won, won_b = first == "success", second == "success"
     fail = (first == "failure") & (second == "failure")
     other = pairs["cause"].to_numpy() != pairs[f"cause{SECOND}"].to_numpy()
-    counts = (
-        won & (second == "failure"),
-        (first == "failure") & won_b,
-        fail & other,
-        invalid & ~invalid_b,
-        ~invalid & invalid_b,
-        invalid & invalid_b,
-    )
-    return Flips(len(pairs), *(int(np.sum(c)) for c in counts))
+    lost, gained = won & (second == "failure"), (first == "failure") & won_b
+    counts = (lost, gained, fail & other, invalid & ~invalid_b, ~invalid & invalid_b, invalid & invalid_b)
+    found = Flips(len(pairs), *(int(np.sum(c)) for c in counts))
+    valid = ~invalid & ~invalid_b
+    if unit is None or not valid.any():
+        return found
+    outcome = np.where(lost | gained, "success", np.where(valid, "failure", "invalid"))  # a flip is what is counted
+    ends = rates(pd.DataFrame({"outcome": outcome}), [], clopper_pearson, unit).iloc[0]
+    _, codes = np.unique(unit, return_inverse=True)
+    difference = np.bincount(codes, lost.astype(int) - gained.astype(int))
+    return replace(found, p=sign_flip_p(difference.astype(int)), low=float(ends["low"]), high=float(ends["high"]))
+
+
+def sign_flip_p(differences: np.ndarray) -> float:
+    """The exact p-value of a sum of independent whole numbers, each as likely with either sign.
+
+    Of differences of one it is McNemar's exact test.
+    """
+    sizes, counts = np.unique(np.abs(differences[differences != 0]), return_counts=True)
+    if not len(sizes):
+        return 1.0
+    from scipy.stats import binom, binomtest
+
+    if len(sizes) == 1:
+        return float(binomtest(int((differences > 0).sum()), int(counts[0])).pvalue)
+    law = np.ones(1)  # of the number of steps above the least sum, 2 each
+    for size, count in zip(sizes, counts, strict=True):
+        steps = np.zeros(size * count + 1)
+        steps[::size] = binom.pmf(np.arange(count + 1), count, 0.5)
+        law = np.convolve(law, steps)
+    sums = 2 * np.arange(len(law)) - (len(law) - 1)
+    return float(min(law[np.abs(sums) >= abs(differences.sum())].sum(), 1.0))
 
 
 def changed(pairs: pd.DataFrame) -> np.ndarray:
@@ -142,15 +173,24 @@ def changed(pairs: pd.DataFrame) -> np.ndarray:
     return (pairs["outcome"] != pairs[f"outcome{SECOND}"]).to_numpy()
 
 
-def regions(pairs: pd.DataFrame, axes: list[str], bins: int = BINS) -> pd.DataFrame:
+def regions(pairs: pd.DataFrame, axes: list[str], unit: np.ndarray | None = None, bins: int = BINS) -> pd.DataFrame:
     """Flips in each region: the crossed thirds (or the values, where there are few) of `axes`.
 
-    `p` is McNemar's exact test, `p_holm` the same corrected for the number of regions.
+    Args:
+        pairs: Pairs of rows (n), see `pair`.
+        axes: Columns of the varied parameters.
+        unit: Independent unit of each pair (n,), see `flips`; None where they are no sample.
+        bins: Regions along an axis.
+
+    Returns:
+        A row for each region. With `unit` also `p`, McNemar's exact test, and `p_holm`, the same corrected for the
+        number of regions.
     """
     groups = [_binned(pairs[axis], bins) for axis in axes]
     table = []
-    for _, part in pairs.groupby(groups, observed=True):
-        found = flips(part)
+    for _, places in pairs.groupby(groups, observed=True).indices.items():
+        part = pairs.iloc[places]
+        found = flips(part, None if unit is None else unit[places])
         where = {axis: _extent(part[axis]) for axis in axes}
         invalid = found.pairs - found.tested
         table.append(
@@ -165,7 +205,7 @@ def regions(pairs: pd.DataFrame, axes: list[str], bins: int = BINS) -> pd.DataFr
             }
         )
     result = pd.DataFrame(table)
-    return result.assign(p_holm=_holm(result["p"].to_numpy()))
+    return result.drop(columns="p") if unit is None else result.assign(p_holm=_holm(result["p"].fillna(1).to_numpy()))
 
 
 def _binned(values: pd.Series, bins: int) -> pd.Series:

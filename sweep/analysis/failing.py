@@ -15,39 +15,83 @@ from jaxtyping import Float
 
 from sweep.analysis.intervals import CONFIDENCE
 from sweep.analysis.rare import weights
-from sweep.analysis.sample import FILLING, some
-from sweep.analysis.sensitivity import drawn, numeric
+from sweep.analysis.sample import some
+from sweep.analysis.sampling_units import PLAIN, draw_numbers
+from sweep.analysis.sensitivity import drawn, listed
 from sweep.core.errors import InputError
 from sweep.study.config import Experiment
 
 MOST, FEWEST = 600, 20  # rows of either kind that are looked at
 AXES = 10  # of which all sets are gone through
+LEAST = 1e-4  # share that is told: a listed axis that does nothing has one of rounding errors
 GROUPS = 10  # of rows, one of which is left out at a time to tell the error
 
 
 def shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
-    """The share of each drawn number in failing, with its 95 % error, and what it tells `alone`; the largest first.
+    """The share of each varied parameter in failing, with its 95 % interval; the largest first.
 
-    Shares sum to 1. Invalid rollouts count as failures. Raises `InputError` where rows are no draws, too few of either
-    kind, or numbers too many.
+    Invalid rollouts count as failures.
+
+    Args:
+        rows: Rows of a study with draws.
+        exp: Its experiment.
+
+    Returns:
+        A row for each axis, drawn or listed, a number or a name: `share` (shares sum to 1), NaN where its error is as
+        large as itself; `low` and `high`, the ends of its interval; `alone`, the share of what all axes tell that it
+        tells on its own; the numbers of `failures` and `successes` that were looked at.
+
+    Raises:
+        InputError: Rows are no draws, axes are too many, there are too few rows of either kind, or no share is larger
+            than its error.
     """
-    names = [axis.column for axis in numeric(rows, drawn(rows, exp))]
-    if not (exp.study.is_adaptive or exp.study.design.kind in FILLING) or not 0 < len(names) <= AXES:
+    axes = [axis for axis in (*listed(rows, exp), *drawn(rows, exp)) if axis.along is None]
+    plain_draws = exp.study.design.kind in PLAIN and exp.study.design.num > 0
+    if not (exp.study.is_adaptive or plain_draws) or not 0 < len(axes) <= AXES:
         raise InputError(f"shares of failing need draws of at most {AXES} numbers")
     plain, failing = _weighted(rows, exp)
     bad, good = (_chosen(weight) for weight in (failing, np.where(rows["outcome"] == "success", plain, 0.0)))
     if min(len(bad), len(good)) < FEWEST:
         raise InputError(f"shares of failing need {FEWEST} failures and successes, here: {len(bad)} and {len(good)}")
-    x = rows[names].to_numpy(dtype=float)
     here = np.concatenate([bad, good])
-    u = np.stack([_quantiles(x[:, k], plain, x[here, k]) for k in range(len(names))], axis=1)
-    apart = dict(_distances(u, _left_out(failing[bad]), _left_out(plain[good])))
-    found = np.stack([_shapley(apart, k, len(names)) for k in range(len(names))])
+    kernels = np.stack([_kernel(rows[axis.column], plain, here) for axis in axes], axis=2)
+    # rows of one draw are no evidence of their likeness
+    unit = np.arange(len(here)) if exp.study.is_adaptive else draw_numbers(rows, exp)[here]
+    left_out = _left_out(np.concatenate([failing[bad], plain[good]]), unit)
+    apart = dict(_distances(kernels, left_out[: len(bad)], left_out[len(bad) :], unit))
+    found = np.stack([_shapley(apart, k, len(axes)) for k in range(len(axes))])
     found = found / found.sum(axis=0)
-    alone = np.stack([apart[frozenset([k])] for k in range(len(names))]) / apart[frozenset(range(len(names)))]
-    table = {"axis": names, "share": found[:, 0], "error": _error(found), "alone": alone[:, 0]}
+    alone = np.stack([apart[frozenset([k])] for k in range(len(axes))]) / apart[frozenset(range(len(axes)))]
+    share, error = found[:, 0], _error(found)
+    certain = share > np.maximum(error, LEAST)
+    if not certain.any():
+        raise InputError("no share of failing is larger than its error: more failures may tell")
+    table = {"axis": [axis.column for axis in axes], "share": np.where(certain, share, np.nan)}
+    table |= {"low": np.clip(share - error, 0, 1), "high": np.clip(share + error, 0, 1), "alone": alone[:, 0]}
     counts = {"failures": len(bad), "successes": len(good)}
-    return pd.DataFrame({**table, **counts}).sort_values("share", ascending=False, ignore_index=True)
+    order = np.argsort(-share, kind="stable")
+    return pd.DataFrame({**table, **counts}).iloc[order].reset_index(drop=True)
+
+
+def _kernel(values: pd.Series, plain: np.ndarray, at: np.ndarray) -> Float[np.ndarray, "n n"]:
+    """How alike some rows are in one parameter; its mean over plain draws is 1.
+
+    Of a number it is the kernel of the first Sobolev space on (0, 1), of its quantiles. Of a name it is the likeness of
+    equal ones, scaled so that a name and a number have as much to tell.
+    """
+    if values.dtype.kind in "fi":
+        x = values.to_numpy(dtype=float)
+        below, upto = _quantiles(x, plain, x[at])
+        u, width = (below + upto) / 2, upto - below
+        distance = np.abs(u[:, None] - u[None])
+        # a listed value stands for all quantiles of its step: their mean, which keeps the kernel's mean at 1
+        distance = np.where(distance == 0, width[:, None] / 3, distance)
+        square = (u[:, None] - u[None]) ** 2 + (width[:, None] ** 2 + width[None] ** 2) / 12
+        return 1 + (u[:, None] - 0.5) * (u[None] - 0.5) + (square - distance + 1 / 6) / 2
+    codes, levels = pd.factorize(values)
+    weight = np.bincount(codes, plain, len(levels)) / plain.sum()
+    equal = (codes[at][:, None] == codes[at][None]) / np.maximum(weight[codes[at]], 1e-12)[None]
+    return 1 + (equal - 1) / (6 * max(len(levels) - 1, 1))
 
 
 def _weighted(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
@@ -63,42 +107,45 @@ def _chosen(weight: np.ndarray) -> np.ndarray:
     return places[some(len(places), MOST)]
 
 
-def _quantiles(values: np.ndarray, weight: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """The share of plain draws below `at`."""
+def _quantiles(values: np.ndarray, weight: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The shares of plain draws below `at`, and up to it."""
     order = np.argsort(values, kind="stable")
     below = np.concatenate([[0.0], np.cumsum(weight[order])]) / weight.sum()
     low, high = (below[np.searchsorted(values[order], at, side=side)] for side in ("left", "right"))
-    return (low + high) / 2
+    return low, high
 
 
-def _left_out(weight: np.ndarray) -> Float[np.ndarray, "n g"]:
-    """Weights that sum to 1: of all rows, and with one group after the other left out."""
-    group = np.random.default_rng(0).permutation(len(weight)) % GROUPS
-    parts = np.stack([weight, *(np.where(group == k, 0.0, weight) for k in range(GROUPS))], axis=1)
-    return parts / parts.sum(axis=0)
+def _left_out(weight: np.ndarray, unit: np.ndarray) -> Float[np.ndarray, "n g"]:
+    """Weights (n,) of all rows, and with one group of independent units after the other left out."""
+    _, codes = np.unique(unit, return_inverse=True)
+    group = (np.random.default_rng(0).permutation(codes.max() + 1) % GROUPS)[codes]
+    return np.stack([weight, *(np.where(group == k, 0.0, weight) for k in range(GROUPS))], axis=1)
 
 
 def _distances(
-    u: Float[np.ndarray, "n d"], bad: Float[np.ndarray, "b g"], good: Float[np.ndarray, "c g"]
+    kernels: Float[np.ndarray, "n n d"],
+    bad: Float[np.ndarray, "b g"],
+    good: Float[np.ndarray, "c g"],
+    unit: np.ndarray,
 ) -> Iterator[tuple[frozenset[int], np.ndarray]]:
-    """For each set of numbers the squared distance (g,) of failures, the first rows, from successes: without bias.
+    """For each set of parameters the squared distance (g,) of failures, the first rows, from successes: without bias.
 
-    The kernel of a number is that of the first Sobolev space on (0, 1): its mean is 1, so that a number which means
-    nothing changes no distance.
+    Only pairs of rows of different units (n,) count. As the mean of a kernel is 1, a parameter that means nothing
+    changes no distance.
     """
-    b, d = len(bad), u.shape[1]
-    apart = np.abs(u[:, None] - u[None])
-    kernels = 1 + (u[:, None] - 0.5) * (u[None] - 0.5) + (apart**2 - apart + 1 / 6) / 2
-
-    def within(kernel: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        own = np.diagonal(kernel) @ weight**2
-        return (((kernel @ weight) * weight).sum(axis=0) - own) / (1 - (weight**2).sum(axis=0))
-
+    b, d = len(bad), kernels.shape[2]
+    other = (unit[:, None] != unit[None]).astype(float)
+    blocks = ((slice(0, b), slice(0, b)), (slice(b, None), slice(b, None)), (slice(0, b), slice(b, None)))
+    weights = ((bad, bad), (good, good), (bad, good))
+    totals = [((other[block] @ right) * left).sum(axis=0) for block, (left, right) in zip(blocks, weights, strict=True)]
     for size in range(d + 1):
         for chosen in combinations(range(d), size):
-            kernel = np.prod(kernels[:, :, list(chosen)], axis=2)
-            across = ((kernel[:b, b:] @ good) * bad).sum(axis=0)
-            yield frozenset(chosen), within(kernel[:b, :b], bad) + within(kernel[b:, b:], good) - 2 * across
+            kernel = np.prod(kernels[:, :, list(chosen)], axis=2) * other
+            failures, successes, across = (
+                ((kernel[block] @ right) * left).sum(axis=0) / total
+                for block, (left, right), total in zip(blocks, weights, totals, strict=True)
+            )
+            yield frozenset(chosen), failures + successes - 2 * across
 
 
 def _shapley(value: dict[frozenset[int], np.ndarray], k: int, d: int) -> np.ndarray:

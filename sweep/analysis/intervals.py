@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 CONFIDENCE = 0.95
+FEW_UNITS = 5  # with fewer that have the rarer outcome, the variance between them is no estimate
 
 
 class Interval(NamedTuple):
@@ -31,15 +32,65 @@ def clopper_pearson(success: ArrayLike, trials: ArrayLike, level: float = CONFID
 
     k, n = np.asarray(success, float), np.asarray(trials, float)
     tail = (1 - level) / 2
-    low = np.where(k > 0, betaincinv(np.maximum(k, 1), n - k + 1, tail), 0.0)
-    return Interval(low, np.where(k < n, betaincinv(k + 1, np.maximum(n - k, 1), 1 - tail), 1.0))
+    low = np.where(k > 0, betaincinv(np.where(k > 0, k, 1), n - k + 1, tail), 0.0)
+    return Interval(low, np.where(k < n, betaincinv(k + 1, np.where(k < n, n - k, 1), 1 - tail), 1.0))
+
+
+def korn_graubard(
+    success: ArrayLike,
+    trials: ArrayLike,
+    squares: ArrayLike,
+    units: ArrayLike,
+    telling: ArrayLike,
+    level: float = CONFIDENCE,
+) -> Interval:
+    """The interval of a rate of trials that come in units, such as the replicates of a draw.
+
+    It is Clopper and Pearson's for as many independent trials as tell as much (Korn and Graubard 1998): the variance is
+    that between units, with Student's quantile for so many. Where fewer than `FEW_UNITS` units have the rarer outcome
+    their variance says little, so that a unit counts as one trial at most.
+
+    Args:
+        success: Number of successes k.
+        trials: Number of trials n, of the same shape.
+        squares: Sum over units of (k_u - p n_u)^2, where p = k / n.
+        units: Number of units with a trial.
+        telling: Number of units with the rarer outcome: the least of those with a success and those with a failure.
+        level: Confidence.
+
+    Returns:
+        Lower and upper end; the whole of 0 to 1 where there are fewer than two units.
+    """
+    from scipy.stats import t
+
+    counts = (np.asarray(v, float) for v in (success, trials, squares, units, telling))
+    k, n, squares, m, rare = np.broadcast_arrays(*counts)
+    p, size = np.where(n > 0, k / np.maximum(n, 1), 0.0), n.copy()
+    spread = (m > 1) & (squares > 0)
+    variance = m[spread] / (m[spread] - 1) * squares[spread] / n[spread] ** 2
+    quantiles = t.ppf(0.5 + level / 2, n[spread] - 1) / t.ppf(0.5 + level / 2, m[spread] - 1)
+    size[spread] = np.minimum(p[spread] * (1 - p[spread]) / variance * quantiles**2, n[spread])
+    size = np.where(m > 1, np.where(rare < FEW_UNITS, np.minimum(size, m), size), 0.0)
+    return clopper_pearson(p * size, size, level)
+
+
+def student(values: ArrayLike, level: float = CONFIDENCE) -> tuple[float, float]:
+    """The interval of a mean by Student's law, from independent values (n,); NaN where all of them are equal."""
+    from scipy.stats import t
+
+    x = np.asarray(values, float)
+    if len(x) < 2 or not np.ptp(x) > 0:
+        return np.nan, np.nan
+    half = t.ppf(0.5 + level / 2, len(x) - 1) * x.std(ddof=1) / np.sqrt(len(x))
+    return float(x.mean() - half), float(x.mean() + half)
 
 
 def anytime(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE) -> Interval:
     """A confidence sequence: with probability `level` it covers after every trial, so that one may stop when it suits.
 
     Robbins' mixture of likelihood ratios B(k + 1/2, n - k + 1/2) / B(1/2, 1/2) / (p^k (1 - p)^(n - k)) is a martingale
-    of mean 1 at the true p; Ville's inequality keeps it below 1 / (1 - level).
+    of mean 1 at the true p; Ville's inequality keeps it below 1 / (1 - level). A trial may also be a share between 0
+    and 1, such as that of a draw's replicates: the ratio is convex in it, so that its mean is 1 at most.
     """
     from scipy.special import betaln, xlog1py, xlogy
 

@@ -7,11 +7,10 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import sensitivity
+from sweep.analysis.sampling_units import condition_rates
 from sweep.analysis.stats import Rate, rate
 from sweep.study.config import Experiment
 from sweep.study.study import parameter_columns
-
-FILLING = ("monte_carlo", "latin_hypercube", "sobol")  # designs whose rows are plain draws, evenly over a box
 
 
 def some(number: int, most: int) -> np.ndarray:
@@ -40,7 +39,7 @@ def is_sample(rows: pd.DataFrame, exp: Experiment, at: Collection[str] = ()) -> 
 
     Or, with columns `at`, those that have the same values of these.
     """
-    if exp.study.is_refined or exp.study.is_adaptive:
+    if exp.study.is_adaptive or (exp.study.is_refined and not at):
         return False
     if exp.study.design.kind in ("saltelli", "morris") and exp.study.design.num:
         return False
@@ -52,4 +51,8 @@ def is_sample(rows: pd.DataFrame, exp: Experiment, at: Collection[str] = ()) -> 
 def pooled(rows: pd.DataFrame, exp: Experiment) -> Rate:
     """The rate of success of all rows together, with an interval only where they are a sample."""
     found = rate(rows["outcome"])
-    return found if is_sample(rows, exp) else dataclasses.replace(found, low=np.nan, high=np.nan)
+    ends = (np.nan, np.nan)
+    if found.valid and is_sample(rows, exp):
+        one = condition_rates(rows, exp, []).iloc[0]
+        ends = float(one["low"]), float(one["high"])
+    return dataclasses.replace(found, low=ends[0], high=ends[1])

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from sweep.analysis.sample import FILLING
+from sweep.analysis.sampling_units import PLAIN, draw_numbers
 from sweep.analysis.sensitivity import drawn, listed, measured, numeric
 from sweep.core.errors import InputError
 from sweep.study.config import Experiment
@@ -50,11 +50,15 @@ def _sample(
 ) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Drawn axes, their numbers (n, d), and what came of them (n,), of valid rollouts."""
     names = [axis.column for axis in numeric(rows, drawn(rows, exp))]
-    if exp.study.design.kind not in FILLING or not names:
-        raise InputError(f"{what} a study with draws of design.kind = {', '.join(FILLING)}")
+    if exp.study.design.kind not in PLAIN or not names:
+        raise InputError(f"{what} a study with draws of design.kind = {', '.join(PLAIN)}")
     if conditions := listed(rows, exp):
         raise InputError(f"{what} one grid point: choose among {', '.join(a.column for a in conditions)}")
     value = measured(rows, figure)
+    if exp.study.replicates > 1:  # a draw counts once, by the mean of its valid replicates
+        draws = draw_numbers(rows, exp)
+        value = value.groupby(draws).transform("mean")[~pd.Series(draws).duplicated().to_numpy()]
+        rows = rows.loc[value.index]
     valid = value.notna()
     if valid.sum() < LEAST or value[valid].nunique() < 2:
         raise InputError(f"{what} {LEAST} valid draws of values that vary, here: {valid.sum()}")

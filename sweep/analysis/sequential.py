@@ -46,24 +46,15 @@ class Verdict:
     """What the pairs say up to the first at which it is decided; up to the last where it is not."""
 
     level: float
-    pairs: int  # that are valid in both runs
+    pairs: int  # independent ones that are valid in both runs
     left: int  # valid pairs after the deciding one: they were not needed
     invalid: int  # pairs passed over
-    lost: int  # succeed in A, fail in B
+    lost: int  # A succeeds more often than B
     gained: int
-    both: int  # succeed in both
+    a: float  # pairs in which A succeeds; of several rows of a draw their share
+    b: float
     log_e: float
     decided: bool
-
-    @property
-    def a(self) -> int:
-        """Pairs in which A succeeds."""
-        return self.both + self.lost
-
-    @property
-    def b(self) -> int:
-        """Pairs in which B succeeds."""
-        return self.both + self.gained
 
     def __str__(self) -> str:
         if not self.pairs:
@@ -90,22 +81,34 @@ class Verdict:
         return "\n".join(lines)
 
 
-def verdict(pairs: pd.DataFrame, level: float = CONFIDENCE) -> Verdict:
-    """Go through `pairs` (of `compare.pair`) by replicate, as they were drawn, and stop where it is decided.
+def verdict(pairs: pd.DataFrame, level: float = CONFIDENCE, unit: np.ndarray | None = None) -> Verdict:
+    """Go through pairs in the order of their draws, and stop where the evidence decides.
 
-    Pairs with an invalid rollout tell nothing of A and B, and are passed over.
+    Pairs with an invalid rollout say nothing about A and B, and are left out. Where a unit has several pairs, it counts
+    once: for the run that succeeds more often in it.
+
+    Args:
+        pairs: Pairs of rows (n), see `compare.pair`.
+        level: Confidence.
+        unit: Independent unit of each pair (n,), see `sampling_units.pair_units`, numbered in the order of the draws.
+            None: each pair is one, in the order of `replicate`.
     """
-    pairs = pairs.sort_values("replicate", kind="stable") if "replicate" in pairs else pairs
+    each = pairs["replicate"].to_numpy() if "replicate" in pairs else np.arange(len(pairs))
+    own = each if unit is None else unit
     first, second = pairs["outcome"].to_numpy(), pairs[f"outcome{SECOND}"].to_numpy()
     valid = (first != "invalid") & (second != "invalid")
-    won, won_b = first[valid] == "success", second[valid] == "success"
-    lost, gained, both = (np.cumsum(hit) for hit in (won & ~won_b, ~won & won_b, won & won_b))
+    won = pd.DataFrame({"a": first[valid] == "success", "b": second[valid] == "success"})
+    shares = won.groupby(own[valid]).mean()  # in the order of the units
+    a, b = shares["a"].to_numpy(), shares["b"].to_numpy()
+    lost, gained = np.cumsum(a > b), np.cumsum(b > a)
     evidence = log_evidence(lost, gained)
     over = evidence >= -np.log(1 - level)
     decided = bool(over.any())
     n = int(over.argmax()) + 1 if decided else len(over)
     if not n:
-        return Verdict(level, 0, 0, len(pairs), 0, 0, 0, 0.0, False)
-    passed = int(np.flatnonzero(valid)[n - 1]) + 1 - n if decided else int((~valid).sum())
-    b, c, wins = (int(count[n - 1]) for count in (lost, gained, both))
-    return Verdict(level, n, len(over) - n, passed, b, c, wins, float(evidence[n - 1]), decided)
+        return Verdict(level, 0, 0, len(pairs), 0, 0, 0.0, 0.0, 0.0, False)
+    left_out = np.unique(own[~valid & ~np.isin(own, shares.index)])
+    if decided:
+        left_out = left_out[left_out < shares.index[n - 1]]
+    counts = int(lost[n - 1]), int(gained[n - 1]), float(a[:n].sum()), float(b[:n].sum())
+    return Verdict(level, n, len(over) - n, len(left_out), *counts, float(evidence[n - 1]), decided)

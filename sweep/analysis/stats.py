@@ -7,9 +7,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from sweep.analysis.intervals import Interval, wilson
-from sweep.core.expressions import mask
-from sweep.study.study import Expectation
+from sweep.analysis.intervals import Interval, anytime, korn_graubard, wilson
 
 
 @dataclass(frozen=True)
@@ -70,37 +68,79 @@ def rate(outcome: pd.Series) -> Rate:
 
 
 def rates(
-    rows: pd.DataFrame, by: list[str], interval: Callable[[ArrayLike, ArrayLike], Interval] = wilson
+    rows: pd.DataFrame,
+    by: list[str],
+    interval: Callable[[ArrayLike, ArrayLike], Interval] = wilson,
+    unit: np.ndarray | None = None,
 ) -> pd.DataFrame:
-    """Rate of success for each combination of values of the columns `by`, a row each, as `rate` gives for one."""
+    """Rate of success for each combination of values of some columns, with its 95 % interval.
+
+    Args:
+        rows: Rows of a study (n).
+        by: Columns that form the groups; one group without any.
+        interval: From successes and trials to the interval, where rows are independent.
+        unit: Independent unit of each row (n,), see `sampling_units`. Where a group has several valid rows of a unit,
+            its interval is Korn and Graubard's, or of `anytime` that of the units' shares. None: rows are independent.
+
+    Returns:
+        A row for each group: the columns `by`, `total`, `invalid`, `success`, `valid`, `share`, `low`, `high`.
+    """
     flags = rows[by].assign(invalid=rows["outcome"] == "invalid", success=rows["outcome"] == "success")
     columns = {"total": ("success", "size"), "invalid": ("invalid", "sum"), "success": ("success", "sum")}
     table = flags.groupby(by or (lambda _: 0), sort=True, observed=True).agg(**columns).reset_index(drop=not by)
     valid = table["total"] - table["invalid"]
-    low, high = (end.where(valid > 0) for end in map(pd.Series, interval(table["success"], valid)))
-    return table.assign(valid=valid, share=table["success"] / valid.where(valid > 0), low=low, high=high)
+    share = table["success"] / valid.where(valid > 0)
+    ends = interval(table["success"], valid)
+    if unit is not None:
+        here = ~flags["invalid"].to_numpy()
+        group = flags.groupby(by, sort=True, observed=True).ngroup().to_numpy() if by else np.zeros(len(flags), int)
+        ends = _ends_by_unit(group[here], np.asarray(unit)[here], flags["success"].to_numpy()[here], interval, ends)
+    low, high = (end.where(valid > 0) for end in map(pd.Series, ends))
+    return table.assign(valid=valid, share=share, low=low, high=high)
+
+
+def _ends_by_unit(
+    group: np.ndarray,
+    unit: np.ndarray,
+    success: np.ndarray,
+    interval: Callable[[ArrayLike, ArrayLike], Interval],
+    ends: Interval,
+) -> Interval:
+    """The intervals of groups, with those whose rows depend on each other by their independent units.
+
+    Args:
+        group: Number of the group of each valid row (n,).
+        unit: Number of its independent unit (n,).
+        success: Whether it succeeded (n,).
+        interval: From successes and trials to the interval, where rows are independent.
+        ends: That interval of each group (g,).
+    """
+    number = len(ends.low)
+    _, codes = np.unique(unit, return_inverse=True)
+    pair, place = np.unique(group * (codes.max(initial=0) + 1) + codes, return_inverse=True)
+    size, won = np.bincount(place), np.bincount(place, success)
+    if size.max(initial=0) <= 1:
+        return ends
+    of = pair // (codes.max() + 1)
+
+    def total(values: np.ndarray) -> np.ndarray:
+        return np.bincount(of, values, number)
+
+    units, trials, successes = total(np.ones(len(of))), total(size), total(won)
+    if interval is anytime:
+        own = anytime(total(won / size), units)
+    else:
+        share = successes / np.maximum(trials, 1)
+        telling = np.minimum(total(won > 0), total(won < size))
+        own = korn_graubard(successes, trials, total((won - share[of] * size) ** 2), units, telling)
+    clustered = trials > units
+    return Interval(np.where(clustered, own.low, ends.low), np.where(clustered, own.high, ends.high))
 
 
 def causes(cause: pd.Series, meanings: Mapping[str, str]) -> list[str]:
     """A line for each cause in a column of them, the most frequent first: how many rollouts, and what it means."""
     counts = cause[cause != ""].value_counts()
     return [f"{number:,} {name}: {meanings[str(name)]}" for name, number in counts.items()]
-
-
-def broken(expectations: tuple[Expectation, ...], rows: pd.DataFrame) -> list[str]:
-    """One line for every expectation that `rows` do not meet. Raises `InputError` on a bad condition."""
-    lines = []
-    valid = rows[rows["outcome"] != "invalid"]
-    for one in expectations:
-        among = valid[mask(valid, one.where)]
-        what = f"share of {one.that}" + (f" where {one.where}" if one.where else "")
-        if among.empty:
-            lines.append(f"expected a {what}, but no valid rollout matches")
-            continue
-        share = float(mask(among, one.that).mean())
-        if not one.at_least <= share <= one.at_most:
-            lines.append(f"expected {what} from {one.at_least:g} to {one.at_most:g}, got {share:.4g} of {len(among)}")
-    return lines
 
 
 def binned(values: pd.Series, most: int) -> pd.Series:

@@ -1,4 +1,4 @@
-"""`python -m sweep.cli`: the command where it is not on the PATH."""
+"""`python -m sweep.cli`: the command `sweep` where it is not on the PATH."""
 
 from sweep.cli.main import main
 

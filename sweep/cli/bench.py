@@ -1,7 +1,7 @@
-"""How fast the walking map is simulated: the engine on both dynamics, and C MuJoCo, in one run.
+"""`sweep bench`: speed of the walking map by engine and dynamics, and of C MuJoCo, in one run.
 
-What it takes before the second batch is measured apart, with nothing kept from earlier processes: compiling, and on a
-GPU the driver's translation at the first launch.
+The time before the second batch is measured separately, without the compilation cache: compiling, and on a GPU the
+driver's translation at the first launch.
 """
 
 import argparse
@@ -27,13 +27,13 @@ MOST_NATIVE = 128  # rollouts for the row of C MuJoCo, the slowest
 MEASURED = "walk_tripod over walk_map: controller, physics and metrics of whole rollouts; env-steps are physics steps"
 
 
-def show(given: argparse.Namespace) -> int:
-    """`sweep bench`: a line as soon as it is measured, then all as a table."""
+def run_bench(args: argparse.Namespace) -> int:
+    """Print each line as soon as it is measured, then all of them as a table."""
     for name in ("rollouts", "width"):
-        if getattr(given, name) < 0:
-            raise InputError(f"--{name} = {getattr(given, name)} is not allowed: at least 0")
+        if getattr(args, name) < 0:
+            raise InputError(f"--{name} = {getattr(args, name)} is not allowed: at least 0")
     lines = []
-    for line in table(compose(["scenario=walk_tripod"]).case, given.rollouts, given.width, tuple(given.rows)):
+    for line in measure_rows(compose(["scenario=walk_tripod"]).case, args.rollouts, args.width, tuple(args.rows)):
         print(f"{line['engine']} {line['dynamics']}: {line['env-steps/s']:.4g} env-steps/s", file=sys.stderr)
         lines.append(line)
     print(MEASURED)
@@ -41,8 +41,8 @@ def show(given: argparse.Namespace) -> int:
     return DONE
 
 
-def table(nominal: Case, rollouts: int, width: int, rows: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """One line for each of `rows`, `nominal` walking; width 0 is the device's best, rollouts 0 one batch of them."""
+def measure_rows(nominal: Case, rollouts: int, width: int, rows: tuple[str, ...]) -> Iterator[dict[str, Any]]:
+    """Yield a line for each of `rows`; width 0 is the device's best, rollouts 0 one batch of them."""
     for name in rows:
         settings = EngineSettings(
             width=width if name != "native" else 0,
@@ -54,8 +54,8 @@ def table(nominal: Case, rollouts: int, width: int, rows: tuple[str, ...]) -> It
         yield line
 
 
-def walk_map(nominal: Case, rollouts: int, width: int) -> list[tuple[Case, Case]]:
-    """Worlds and beliefs of batches of `width` over the grid of walk_map, as fine as `rollouts` points need."""
+def walk_map_batches(nominal: Case, rollouts: int, width: int) -> list[tuple[Case, Case]]:
+    """Worlds and beliefs of batches of `width` over the grid of walk_map, with at least `rollouts` points."""
     rows = max(1, round((rollouts * 17 / 33) ** 0.5))
     friction, ratio = np.meshgrid(np.linspace(0.05, 1.2, -(-rollouts // rows)), np.linspace(0.03, 0.2, rows))
     slots = np.minimum(np.arange(-(-rollouts // width) * width), rollouts - 1).reshape(-1, width)
@@ -68,18 +68,18 @@ def walk_map(nominal: Case, rollouts: int, width: int) -> list[tuple[Case, Case]
 
 
 def _engine(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str, Any]:
-    """A line of the table: controller, physics and metrics; each slot of a batch simulates all of its seconds."""
+    """Measure a line of the table: controller, physics and metrics of whole rollouts."""
     engine = make(settings, nominal, nominal, Thresholds())
     rollouts = rollouts or engine.width
     if settings.name == "native":
         rollouts = min(rollouts, MOST_NATIVE)
-    batches = walk_map(nominal, rollouts, engine.width)
+    batches = walk_map_batches(nominal, rollouts, engine.width)
     streams = np.zeros(engine.width, int)
 
     def simulate(batch: tuple[Case, Case]) -> float:
         return float(np.max(engine.run(*batch, streams)["duration_s"]))
 
-    first = timed(lambda: simulate(batches[0]))
+    first = measure_seconds(lambda: simulate(batches[0]))
     start = time.perf_counter()
     seconds = sum(simulate(batch) for batch in batches)
     wall = time.perf_counter() - start
@@ -100,7 +100,7 @@ def _engine(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str,
     }
 
 
-def timed(work: Callable[[], object]) -> float:
+def measure_seconds(work: Callable[[], object]) -> float:
     """Wall time that `work` takes (s)."""
     start = time.perf_counter()
     work()

@@ -1,4 +1,4 @@
-"""What each group of the configuration may be: files, and classes that need none; read as text, which is quick."""
+"""The choices of each configuration group, read as text so that nothing slow is imported."""
 
 import ast
 import re
@@ -11,15 +11,15 @@ from sweep.core.groups import GROUPS
 PACKAGE = Path(__file__).parents[1]
 
 
-def choices(group: str) -> dict[str, str]:
-    """Those that ship: their names, and what the first comment of the file or the first sentence of the class says."""
+def shipped_choices(group: str) -> dict[str, str]:
+    """Choices that come with the package, with the first comment of their file or the first sentence of their class."""
     found = _classes(PACKAGE / GROUPS[group].sources) if GROUPS[group].kinds else {}
     found |= {name: project.first_comment(file) for name, file in project.shipped_files(group).items()}
     return dict(sorted(found.items()))
 
 
 def refuse_unknown(overrides: list[str]) -> None:
-    """Raise `InputError` where `group=name` names no choice: at once, as Hydra and the simulator take a second to load.
+    """Raise `InputError` where `group=name` names no choice, before Hydra and the simulator are imported.
 
     Names that only they know, such as those of a project's modules, are left to them.
     """
@@ -32,13 +32,13 @@ def refuse_unknown(overrides: list[str]) -> None:
         if name.endswith(".yaml") or project.module_names():
             continue
         try:
-            require_choice(name, {**choices(group), **project.project_files(group)}, f"{group} = {name}")
+            require_choice(name, {**shipped_choices(group), **project.project_files(group)}, f"{group} = {name}")
         except InputError as error:
-            raise InputError(f"{error}{no_project()}") from None
+            raise InputError(f"{error}{outside_of_project()}") from None
 
 
-def no_project() -> str:
-    """The end of a message about an unknown choice outside of a project; empty in one."""
+def outside_of_project() -> str:
+    """End of a message about an unknown choice where no project is found; empty in a project."""
     return "" if project.root() else "; this folder is in no project: there is no sweep.yaml in it or above it"
 
 
@@ -54,14 +54,14 @@ def _refuse_bare_words(overrides: list[str]) -> None:
     for word in overrides:
         if not re.fullmatch(r"\w[\w-]*", word):
             continue
-        fits = [group for group in GROUPS if word in {**choices(group), **project.project_files(group)}]
+        fits = [group for group in GROUPS if word in {**shipped_choices(group), **project.project_files(group)}]
         if fits:
             raise InputError(f"{word} is not allowed: did you mean {' or '.join(f'{group}={word}' for group in fits)}?")
-        raise InputError(f"{word} cannot be read: group=choice or group.name=value{no_project()}")
+        raise InputError(f"{word} cannot be read: group=choice or group.name=value{outside_of_project()}")
 
 
 def _classes(module: Path) -> dict[str, str]:
-    """Of a folder or a file, by the default of their field `kind`."""
+    """Classes of a folder or a file, by the default of their field `kind`."""
     found = {}
     for file in module.rglob("*.py") if module.is_dir() else [module.with_suffix(".py")]:
         for node in ast.parse(file.read_text(encoding="utf-8")).body:

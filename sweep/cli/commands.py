@@ -1,4 +1,4 @@
-"""The commands and their arguments, and `sweep run`. Heavy imports wait until a command needs them."""
+"""The commands with their arguments, and `sweep run`. Slow imports wait until a command needs them."""
 
 import argparse
 import os
@@ -24,7 +24,7 @@ WHOLE = {  # commands that parse their own arguments: the modules with their `ma
     "view": ("sweep.cli.view", "watch a rollout on its page"),
     "replay": ("sweep.trace.replay", "record one rollout of a study again"),
     "tune": ("sweep.cli.tune", "search the numbers of a plan"),
-    "export-model": ("sweep.cli.export_model", "the robot as an own model"),
+    "export-model": ("sweep.cli.export_model", "export the built-in robot as a MuJoCo model"),
     "formula": ("sweep.cli.formula", "evaluate a closed-form result of the sources"),
 }
 RUN_HELP = f"""groups: {", ".join(GROUPS)}
@@ -41,20 +41,20 @@ exit codes:
   130 interrupted"""
 
 
-def execute(args: list[str]) -> int:
-    """Run the command that `args` begin with; its exit code. Raises `InputError`."""
-    if strange := [word for word in args if printable_name(word) != word]:
+def execute(argv: list[str]) -> int:
+    """Run the command that `argv` begins with and return its exit code. Raises `InputError`."""
+    if strange := [word for word in argv if printable_name(word) != word]:
         raise InputError(f"{printable_name(strange[0])} is not allowed: letters in UTF-8")
-    if args and args[0] == "run":
-        return run(args[1:])
-    if args and args[0] in WHOLE:
-        return import_module(WHOLE[args[0]][0]).main(args[1:])
-    given = parser().parse_args(args)
-    return given.command(given)
+    if argv and argv[0] == "run":
+        return run_command(argv[1:])
+    if argv and argv[0] in WHOLE:
+        return import_module(WHOLE[argv[0]][0]).main(argv[1:])
+    args = parser().parse_args(argv)
+    return args.command(args)
 
 
 def parser() -> Arguments:
-    """Commands and their arguments."""
+    """The parser of all commands."""
     top = Arguments(prog="sweep", description="Batch experiments with six-legged robots.")
     top.add_argument("--version", action="version", version=f"sweep {VERSION}")
     commands = top.add_subparsers(required=True, metavar="command")
@@ -78,7 +78,9 @@ def parser() -> Arguments:
     new = command("init", project.init, "make a project: a folder for studies, robots and modules of your own")
     new.add_argument("dir", help="a new or empty folder")
     new.add_argument("--model", action="store_true", help="for a model and a controller of your own, docs/own_model.md")
-    choices = command("list", project.show, "scenarios, studies, robots and the other groups; or folders of results")
+    choices = command(
+        "list", project.list_choices, "scenarios, studies, robots and the other groups; or folders of results"
+    )
     choices.add_argument("dir", type=Path, nargs="*", help="folders of studies, such as results/: a line for each")
     about = command(
         "describe",
@@ -90,7 +92,7 @@ def parser() -> Arguments:
     words = command("completion", project.completion, "completion for bash", 'eval "$(sweep completion)"  # in .bashrc')
     words.add_argument("--line", help=argparse.SUPPRESS)
     words.set_defaults(flags=lambda: flags_of(commands))
-    of_results("status", folders.status, "how far a study is")
+    of_results("status", folders.status, "progress and outcomes of a study")
     verify = of_results(
         "verify",
         folders.verify,
@@ -100,17 +102,19 @@ def parser() -> Arguments:
     verify.add_argument(
         "--simulate", type=int, metavar="N", help="simulate N stored rows again; exit code 4 if a metric changed"
     )
-    table = of_results("table", folders.show_table, "the rows of a study as a table")
+    table = of_results("table", folders.show_table, "print the rows of a study as a table")
     table.add_argument("--format", choices=("csv", "markdown", "latex", "parquet"), default="markdown")
     table.add_argument("--where", help="only rows that match, such as 'friction > 0.8 and outcome == \"failure\"'")
     table.add_argument("--columns", help="only these columns, separated by commas")
     table.add_argument("-o", "--output", type=Path, help="write to this file instead of the standard output")
-    stats = of_results("stats", folders.show_statistics, "rates, volume, margins, tolerance and sensitivity of a study")
+    stats = of_results(
+        "stats", folders.show_statistics, "print rates, volume, margins, tolerance and sensitivity of a study"
+    )
     stats.add_argument("--where", help="only rows that match")
     stats.add_argument("--level", type=float, default=0.9, help="probability of success for the tolerance (0.9)")
     stats.add_argument("--figure", help="Sobol indices or elementary effects of this column instead of success")
     report = of_results(
-        "report", folders.draw_report, "a page about the study, report.html, and its map, map.png and map.svg"
+        "report", folders.draw_report, "write a page about the study, report.html, and its map, map.png and map.svg"
     )
     report.add_argument(
         "b",
@@ -123,37 +127,41 @@ def parser() -> Arguments:
     report.add_argument("--y", help="parameter up the map")
     report.add_argument("--where", help="only rows that match")
     report.add_argument(
-        "--replays", type=int, default=0, metavar="N", help="simulate the N most telling rollouts again"
+        "--replays",
+        type=int,
+        default=0,
+        metavar="N",
+        help="simulate the N most informative rollouts again, for replays",
     )
-    report.add_argument("--pictures", action="store_true", help="simulate typical rollouts again for their pictures")
+    report.add_argument("--pictures", action="store_true", help="simulate representative rollouts again, for pictures")
     report.add_argument("-o", "--output", type=Path, help="folder for page and map instead of DIR")
-    export = of_results("export", folders.export_results, "a study for others' programs")
+    export = of_results("export", folders.export_results, "export a study for a paper, or as a crate for archives")
     export.add_argument("--paper", type=Path, metavar="FOLDER", help="LaTeX tables, figures, numbers, data")
     export.add_argument(
         "--crate", type=Path, metavar="FOLDER", help="an RO-Crate: rows, configuration, pictures, how they were made"
     )
-    export.add_argument("--zip", action="store_true", help="the crate as FOLDER.zip, as archives take it")
+    export.add_argument("--zip", action="store_true", help="write the crate as FOLDER.zip")
     export.add_argument(
         "--license", default=folders.LICENSE, metavar="ADDRESS", help="licence of the crate's data (CC-BY-4.0)"
     )
     export.add_argument("--where", help="only rows that match")
-    export.add_argument("--serif", action="store_true", help="letters of figures with serifs")
+    export.add_argument("--serif", action="store_true", help="use a font with serifs in figures")
     again = command(
         "reproduce",
-        later("reproduce", "run"),
-        "simulate rows of a crate again: which metrics and outcomes are equal here",
+        lazy_command("reproduce", "reproduce_crate"),
+        "simulate rows of a crate again on this machine, and compare them",
         "sweep reproduce walk_map.zip --rows 50",
     )
     again.add_argument("crate", type=Path, help="what `sweep export DIR --crate` wrote: a folder or an archive")
     again.add_argument("--trust", action="store_true", help="run the code that the crate has, such as its controller")
-    again.add_argument("--rows", type=int, default=20, help="how many, drawn at random (20)")
-    again.add_argument("--seed", type=int, default=0, help="of their draw (0)")
-    again.add_argument("--tolerance", type=float, default=1e-3, help="relative, within which figures are alike (0.001)")
+    again.add_argument("--rows", type=int, default=20, help="how many rows, drawn at random (20)")
+    again.add_argument("--seed", type=int, default=0, help="seed of that choice (0)")
+    again.add_argument("--tolerance", type=float, default=1e-3, help="relative tolerance of metrics (0.001)")
     export.add_argument("--author", default="", metavar="NAME", help="who ran the study, for the crate")
     compare = command(
         "compare",
         folders.compare_results,
-        "the same points in two folders: which outcomes differ, and where",
+        "compare the same points in two folders: which outcomes differ, and where",
         "sweep compare results/before results/after --tolerance 0.01 --figures 0.1",
     )
     compare.add_argument(
@@ -168,50 +176,50 @@ def parser() -> Arguments:
     compare.add_argument("--figures", type=float, metavar="SHARE", help="largest typical relative change of a figure")
     compare.add_argument("-o", "--output", type=Path, help="write the pairs that differ as CSV")
     compare.add_argument(
-        "--anytime", action="store_true", help="which succeeds more often: evidence that holds however often one looks"
+        "--anytime", action="store_true", help="which one succeeds more often; valid however often you look"
     )
-    compare.add_argument("--level", type=float, help="how sure --anytime has to be (0.95)")
+    compare.add_argument("--level", type=float, help="confidence of --anytime (0.95)")
     compare.add_argument(
         "--most",
         type=int,
         metavar="N",
         help="with --anytime: simulate more draws in both, up to N, until it is decided",
     )
-    sure = of_results(
+    certify = of_results(
         "certify",
         folders.certify_results,
-        "the largest region of drawn parameters in which failures are promised to be rare",
+        "find the largest region of drawn parameters in which failures are guaranteed to be rare",
         "sweep certify results/draws --failures 1e-2 --confidence 0.95 --rollouts 4096",
     )
-    sure.add_argument("--failures", type=float, default=1e-2, help="largest probability of failing in it (0.01)")
-    sure.add_argument("--confidence", type=float, default=0.95, help="that the promise holds (0.95)")
-    sure.add_argument("--shape", choices=("box", "ellipsoid", "score"), default="box", help="of the region (box)")
-    sure.add_argument(
-        "--rollouts", type=int, metavar="N", help="simulate N fresh draws to test with; else half of the rows do"
+    certify.add_argument("--failures", type=float, default=1e-2, help="largest probability of failing in it (0.01)")
+    certify.add_argument("--confidence", type=float, default=0.95, help="confidence of the guarantee (0.95)")
+    certify.add_argument("--shape", choices=("box", "ellipsoid", "score"), default="box", help="of the region (box)")
+    certify.add_argument(
+        "--rollouts", type=int, metavar="N", help="test with N fresh draws; without it, half of the rows are used"
     )
-    sure.add_argument("-o", "--output", type=Path, help="write the certificate as JSON")
+    certify.add_argument("-o", "--output", type=Path, help="write the certificate as JSON")
     audit = of_results(
         "audit",
         folders.audit_results,
-        "rollouts at the boundary and successes again: at half the time step, in other ways",
+        "simulate rollouts next to the boundary, and successes, again: at half the time step, and so on",
     )
     audit.add_argument("--points", type=int, default=32, help="how many of each, drawn at random (32)")
     audit.add_argument(
         "--ways", help="separated by commas: again, half_step, float64, other_engine, solid; without it all"
     )
     audit.add_argument("--where", help="only rows that match")
-    judge = of_results(
+    thresholds = of_results(
         "relabel",
         folders.relabel,
-        "judge stored rollouts by other thresholds, without simulating",
+        "apply other thresholds to stored rollouts, without simulating",
         "sweep relabel results/walk_map 'slip_max_m<0.02' 'tilt_max_deg<15'",
     )
     wanted = "such as 'slip_max_m<0.02'; of an own model a condition, 'goal=travelled_m >= 1'"
-    judge.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help=wanted)
+    thresholds.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help=wanted)
     bench = command(
-        "bench", later("bench", "show"), "how fast the walking map is simulated here, by engine and dynamics"
+        "bench", lazy_command("bench", "run_bench"), "measure simulation speed on this machine, by engine and dynamics"
     )
-    bench.add_argument("--rollouts", type=int, default=0, help="of each row; 0: one batch")
+    bench.add_argument("--rollouts", type=int, default=0, help="rollouts of each row; 0: one batch")
     bench.add_argument("--width", type=int, default=0, help="rollouts in a batch; 0: the device's best")
     bench.add_argument("--rows", nargs="+", choices=BENCH, default=list(BENCH), help="which of them")
     for name, (_, text) in WHOLE.items():
@@ -219,16 +227,16 @@ def parser() -> Arguments:
     return top
 
 
-def later(module: str, name: str) -> Callable[[argparse.Namespace], int]:
-    """A command of a module that is imported as it is called."""
-    return lambda given: getattr(import_module(f"sweep.cli.{module}"), name)(given)
+def lazy_command(module: str, name: str) -> Callable[[argparse.Namespace], int]:
+    """A command whose module is imported when it is called."""
+    return lambda args: getattr(import_module(f"sweep.cli.{module}"), name)(args)
 
 
-def run(argv: list[str]) -> int:
-    """`sweep run`: our own flags are taken out, the rest is Hydra's."""
-    given, overrides = run_parser().parse_known_args(argv)
-    if given.limit is not None and given.limit < 1:
-        raise InputError(f"--limit = {given.limit} is not allowed: at least 1")
+def run_command(argv: list[str]) -> int:
+    """Run `sweep run`: parse its own flags and leave the rest to Hydra."""
+    args, overrides = run_parser().parse_known_args(argv)
+    if args.limit is not None and args.limit < 1:
+        raise InputError(f"--limit = {args.limit} is not allowed: at least 1")
     for group in GROUPS:
         if len(chosen := [one for one in overrides if one.startswith(f"{group}=")]) > 1:
             raise InputError(f"{group} is chosen twice: {' '.join(chosen)}")
@@ -237,8 +245,8 @@ def run(argv: list[str]) -> int:
     from sweep.cli.launch import launch  # takes a second to import
     from sweep.engines import devices
 
-    if given.points is not None:
-        quoted = given.points.replace("\\", "\\\\").replace("'", "\\'")
+    if args.points is not None:
+        quoted = args.points.replace("\\", "\\\\").replace("'", "\\'")
         overrides.append(f"study.points='{quoted}'")
 
     several = any(one.startswith(("-m", "--m")) for one in overrides)  # Hydra's --multirun: one process, one choice
@@ -248,17 +256,17 @@ def run(argv: list[str]) -> int:
 
         if exp.cluster.kind == "local" and not several:
             device_choice.choose_device_for_run(exp)
-        if exp.settings.name == "mjx" and not given.dry_run and not exp.cluster.is_remote:
+        if exp.settings.name == "mjx" and not args.dry_run and not exp.cluster.is_remote:
             devices.begin()
         from sweep.cli.run import Flags, execute  # takes another, which what is wrong need not wait for
 
-        return execute(exp, Flags(given.dry_run, given.check, given.limit, given.where))
+        return execute(exp, Flags(args.dry_run, args.check, args.limit, args.where))
 
     return launch(overrides, work, flags(run_parser()))
 
 
 def run_parser() -> Arguments:
-    """Our own flags of `sweep run`, and its help."""
+    """Parser of the flags of `sweep run`, and its help."""
     own = Arguments(
         prog="sweep run",
         others=lambda _: True,  # Hydra's
@@ -270,8 +278,12 @@ def run_parser() -> Arguments:
         epilog=RUN_HELP,
     )
     own.add_argument("--version", action="version", version=f"sweep {VERSION}")
-    own.add_argument("--dry-run", action="store_true", help="only say how many rollouts, in which batches")
-    own.add_argument("--check", action="store_true", help="only try whether each axis acts; 4 if one does not")
+    own.add_argument(
+        "--dry-run", action="store_true", help="only print how many rollouts and batches would run, and the axes"
+    )
+    own.add_argument(
+        "--check", action="store_true", help="only check that each axis has an effect; exit code 4 if one has none"
+    )
     own.add_argument("--limit", type=int, metavar="N", help="only the first N points of the study")
     own.add_argument("--where", metavar="CONDITION", help="only points that match, such as 'friction > 0.8'")
     own.add_argument("--points", metavar="FILE.csv", help="points from a table whose columns are parameters")
@@ -279,6 +291,6 @@ def run_parser() -> Arguments:
 
 
 def flags_of(commands: "argparse._SubParsersAction[Arguments]") -> dict[str, list[str]]:
-    """The commands and their flags."""
+    """Flags of each command."""
     parsers = {**commands.choices, "run": run_parser()}
     return {name: [flag for flag in flags(sub) if flag.startswith("--")] for name, sub in parsers.items()}

@@ -34,7 +34,7 @@ begin, policy, figures, PARAMETERS, FIGURES = controller(exp.case, exp.settings,
 
 
 def main(args: list[str]) -> int:
-    """Run the command with the arguments after `export-model`; the exit status. Raises `InputError`."""
+    """Run `sweep export-model` with the arguments after its name; return the exit code. Raises `InputError`."""
     parser = Arguments(
         others=no_flag,
         prog="sweep export-model",

@@ -1,4 +1,4 @@
-"""The commands on folders of results that have no module of their own. Heavy imports wait until one needs them."""
+"""Commands on folders of results. Slow imports wait until a command needs them."""
 
 import argparse
 import os
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 LICENSE = "https://spdx.org/licenses/CC-BY-4.0"
 
 
-def status(given: argparse.Namespace) -> int:
-    """Planned, done, and how it went so far."""
+def status(args: argparse.Namespace) -> int:
+    """Print how many rollouts are planned and done, and their outcomes."""
     from sweep.analysis.stats import causes
     from sweep.report.headline import headline
     from sweep.runs import results, store
 
-    stored, planned = store.read_study(given.dir), store.read_points(given.dir)
-    done = planned["batch"].isin(store.finished_batches(given.dir)).sum() if len(planned) else 0
-    print(f"{given.dir}: {done} of {stored['rollouts']} rollouts done, code {stored['commit'] or stored['code']}")
+    stored, planned = store.read_study(args.dir), store.read_points(args.dir)
+    done = planned["batch"].isin(store.finished_batches(args.dir)).sum() if len(planned) else 0
+    print(f"{args.dir}: {done} of {stored['rollouts']} rollouts done, code {stored['commit'] or stored['code']}")
     if done:
-        rows, exp = store.read_rows(given.dir), results.load_experiment(given.dir)
+        rows, exp = store.read_rows(args.dir), results.load_experiment(args.dir)
         meanings = exp.system.cause_meanings(exp.thresholds)
         if exp.study.is_adaptive:
             print(headline(rows, exp))
@@ -64,8 +64,8 @@ def verify(args: argparse.Namespace) -> int:
     return report_simulated_again(results.read(args.dir), args.simulate)
 
 
-def matching(folder: Path, condition: str | None) -> "pd.DataFrame":
-    """Rows of a study that match `condition`."""
+def read_matching_rows(folder: Path, condition: str | None) -> "pd.DataFrame":
+    """Rows of a study that meet a condition."""
     from sweep.core.expressions import mask
     from sweep.runs import results, store
     from sweep.study.study import name_axes
@@ -77,15 +77,15 @@ def matching(folder: Path, condition: str | None) -> "pd.DataFrame":
     return found
 
 
-def names(text: str | None) -> list[str] | None:
-    """A list of names as it is given: `a, b` -> [`a`, `b`]."""
+def parse_names(text: str | None) -> list[str] | None:
+    """`a, b` -> [`a`, `b`]."""
     return [name.strip() for name in text.split(",")] if text else None
 
 
-def save(path: Path, content: bytes) -> None:
-    """Write what `-o` asks for; `-` is the standard output.
+def save_output(path: Path, content: bytes) -> None:
+    """Write the output that `-o` names; `-` is the standard output.
 
-    Raises `InputError` where it is a file that a folder's rows are read from, or its log.
+    Raises `InputError` where the file is part of a study's folder.
     """
     from sweep.runs import manifest, store
 
@@ -97,215 +97,222 @@ def save(path: Path, content: bytes) -> None:
     write_atomically(Path("/dev/stdout") if path == Path("-") else path, content)
 
 
-def show_table(given: argparse.Namespace) -> int:
-    """Rows as csv, markdown, latex or parquet."""
+def show_table(args: argparse.Namespace) -> int:
+    """Print or write rows as CSV, Markdown, LaTeX or Parquet."""
     from sweep.report import tables
     from sweep.runs import results
 
-    if given.format == "parquet" and not given.output:
+    if args.format == "parquet" and not args.output:
         raise InputError("--format parquet needs a file: -o FILE")
-    exp = results.load_experiment(given.dir)
-    content = tables.render(matching(given.dir, given.where), given.format, names(given.columns), exp)
-    if given.output:
-        save(given.output, content)
+    exp = results.load_experiment(args.dir)
+    content = tables.render_table(read_matching_rows(args.dir, args.where), args.format, parse_names(args.columns), exp)
+    if args.output:
+        save_output(args.output, content)
     else:
         kept, elsewhere = ("outcome", "cause"), "`--columns` chooses others, a file has all"
         terminal.print_markdown(content.decode(), kept, elsewhere)
     return DONE
 
 
-def show_statistics(given: argparse.Namespace) -> int:
-    """What the rows say in numbers."""
+def show_statistics(args: argparse.Namespace) -> int:
+    """Print the statistics of a study."""
     from sweep.core.expressions import column
     from sweep.report import statistics
     from sweep.runs import results
 
-    rows = matching(given.dir, given.where)
-    if given.figure:
-        column(rows, given.figure)
-    if not 0 < given.level < 1:
-        raise InputError(f"--level = {given.level:g} is not allowed: between 0 and 1")
-    exp = results.load_experiment(given.dir)
-    if given.figure and exp.study.design.kind not in ("saltelli", "morris"):
+    rows = read_matching_rows(args.dir, args.where)
+    if args.figure:
+        column(rows, args.figure)
+    if not 0 < args.level < 1:
+        raise InputError(f"--level = {args.level:g} is not allowed: between 0 and 1")
+    exp = results.load_experiment(args.dir)
+    if args.figure and exp.study.design.kind not in ("saltelli", "morris"):
         raise InputError("--figure is for sensitivity: it needs a study with study.design.kind=saltelli or morris")
-    terminal.print_markdown(statistics.render(rows, exp, given.level, given.figure), kept=("share", "low", "high"))
+    terminal.print_markdown(
+        statistics.render_statistics(rows, exp, args.level, args.figure), kept=("share", "low", "high")
+    )
     return DONE
 
 
-def again(done: int, of: int) -> str:
-    """How many rollouts are simulated once more, in words."""
+def progress_of_replays(done: int, of: int) -> str:
+    """Progress of simulating rollouts again."""
     return f"{done} of {of} rollouts simulated again"
 
 
-def draw_report(given: argparse.Namespace) -> int:
-    """The page, and the success map where there are two parameters to draw it over."""
+def draw_report(args: argparse.Namespace) -> int:
+    """Write the page of a study, and its map or its overview of draws."""
     from sweep.core.expressions import column
     from sweep.core.progress import show_counts
-    from sweep.report import chosen, maps, page, replays, typical
+    from sweep.report import maps, page, replay_selection, replays, representative
     from sweep.runs import device_choice, results
 
-    if given.replays < 0:
-        raise InputError(f"--replays = {given.replays} is not allowed: at least 0")
-    found, folder = results.read(given.dir, given.where), given.output or given.dir
-    if given.b:
-        return draw_pairs(given, found, folder)
-    columns = tuple(column(found.rows, name) for name in (given.x, given.y) if name)
+    if args.replays < 0:
+        raise InputError(f"--replays = {args.replays} is not allowed: at least 0")
+    found, folder = results.read(args.dir, args.where), args.output or args.dir
+    if args.b:
+        return draw_pairs(args, found, folder)
+    columns = tuple(column(found.rows, name) for name in (args.x, args.y) if name)
     if columns:
         maps.map_axes(found.rows, columns)  # refuses before anything is written
-    if given.pictures:
-        typical.draw(found)
-    if given.replays:
-        device_choice.choose_device_for_folder(given.dir)
-        with show_counts(again, 0, given.replays) as report:
-            replays.make(found, chosen.chosen(found, given.replays), report)
-    print(page.write(found, path_in(folder, "report.html"), chosen=columns))
-    for path in pictures(found, folder, columns):
+    if args.pictures:
+        representative.draw_pictures(found)
+    if args.replays:
+        device_choice.choose_device_for_folder(args.dir)
+        with show_counts(progress_of_replays, 0, args.replays) as report:
+            replays.make_replays(found, replay_selection.choose_replays(found, args.replays), report)
+    print(page.write_page(found, path_in(folder, "report.html"), chosen=columns))
+    for path in save_pictures(found, folder, columns):
         print(path)
     return DONE
 
 
-def draw_pairs(given: argparse.Namespace, a: "Results", folder: Path) -> int:
-    """The page of the same points in two folders."""
+def draw_pairs(args: argparse.Namespace, a: "Results", folder: Path) -> int:
+    """Write the page that compares two folders."""
+    from sweep.analysis import compare
     from sweep.core.progress import show_counts
     from sweep.report import page, pairs
     from sweep.runs import device_choice, results
 
-    if given.pictures or given.x or given.y:
+    if args.pictures or args.x or args.y:
         raise InputError("--pictures, --x and --y are of one study")
-    b = results.read(given.b, given.where)
-    found, table = pairs.joined(a, b)
-    if given.replays:
-        device_choice.choose_device_for_folder(given.dir)
-        with show_counts(again, 0, given.replays) as report:
-            pairs.simulated(a, b, given.replays, report)
-    about = page.Pairs(
-        f"{a.name} and {b.name}" if a.name != b.name else f"{a.name} twice",
-        pairs.headline(table, given.dir, given.b),
-        list(pairs.exhibits(found, table)),
-        list(pairs.tables(table)),
+    b = results.read(args.b, args.where)
+    found, table = pairs.join_pairs(a, b)
+    unit = compare.independent_unit_of_pairs(table, a.exp)
+    if args.replays:
+        device_choice.choose_device_for_folder(args.dir)
+        with show_counts(progress_of_replays, 0, args.replays) as report:
+            pairs.replay_flipped_pairs(a, b, args.replays, report)
+    about = page.PairsContent(
+        f"{a.name} and {b.name}" if a.name != b.name else f"{a.name}: two runs",
+        pairs.pairs_headline(table, args.dir, args.b, unit),
+        list(pairs.difference_figure(found, table)),
+        list(pairs.pairs_tables(table, unit)),
     )
-    path = path_in(folder, f"report_{given.b.resolve().name}.html")
-    print(page.write(found, path, shown=list(pairs.shown(a, b)), pairs=about))
+    path = path_in(folder, f"report_{args.b.resolve().name}.html")
+    print(page.write_page(found, path, shown=list(pairs.read_pair_replays(a, b)), pairs=about))
     return DONE
 
 
-def pictures(found: "Results", folder: Path, chosen: tuple[str, ...]) -> list[Path]:
-    """The map of a study of conditions, or of the two parameters that are `chosen`; for draws the picture of draws."""
+def save_pictures(found: "Results", folder: Path, chosen: tuple[str, ...]) -> list[Path]:
+    """Save the map of a study of conditions, or over two `chosen` parameters; for draws, the overview of draws."""
     from sweep.core.plot_style import plot_style, save_figure
     from sweep.report import draws, maps
 
     with plot_style():
-        if draws.shown(found) and not chosen:
-            name, figure = "draws", draws.draw(found)
-        elif chosen or len(maps.independent(found.rows)) > 1:
+        if draws.has_draws_figure(found) and not chosen:
+            name, figure = "draws", draws.draw_overview(found)
+        elif chosen or len(maps.independent_parameters(found.rows)) > 1:
             name, figure = "map", maps.success_map(found.rows, found.stored, chosen)
         else:
             return []
     return [save_figure(figure, path_in(folder, f"{name}.{form}"), dpi=200) for form in ("png", "svg")]
 
 
-def export_results(given: argparse.Namespace) -> int:
-    """The bundle for a paper, or the crate."""
+def export_results(args: argparse.Namespace) -> int:
+    """Export a study for a paper, or as a crate."""
     from sweep.report import crate, paper
     from sweep.runs import results, store
 
-    if bool(given.paper) == bool(given.crate):
+    if bool(args.paper) == bool(args.crate):
         raise InputError("export wants one of --paper FOLDER and --crate FOLDER")
-    if given.crate:
-        if given.where or given.serif:
+    if args.crate:
+        if args.where or args.serif:
             raise InputError("--where and --serif are of --paper: a crate has the whole study")
-        store.read_study(given.dir)  # before it is held, which would make it
+        store.read_study(args.dir)  # before it is held, which would make it
         # nothing is added while it is copied, nor ever to what cannot be written
-        with store.lock_folder(given.dir) if os.access(given.dir, os.W_OK) else nullcontext():
-            print(crate.write(results.read(given.dir), given.crate, given.license, given.zip, given.author))
+        with store.lock_folder(args.dir) if os.access(args.dir, os.W_OK) else nullcontext():
+            print(crate.write_crate(results.read(args.dir), args.crate, args.license, args.zip, args.author))
         return DONE
-    if given.zip or given.author or given.license != LICENSE:
+    if args.zip or args.author or args.license != LICENSE:
         raise InputError("--zip, --author and --license are of --crate")
-    for path in paper.write(results.read(given.dir, given.where), given.paper, given.serif):
+    for path in paper.write_paper(results.read(args.dir, args.where), args.paper, args.serif):
         print(path)
     return DONE
 
 
-def compare_results(given: argparse.Namespace) -> int:
-    """Flips of outcome between a folder and each of the others; exit code 4 where they are more than tolerated."""
+def compare_results(args: argparse.Namespace) -> int:
+    """Compare a folder with others; exit code 4 where outcomes or metrics differ by more than the user tolerates."""
     import pandas as pd
 
     from sweep.analysis import compare
     from sweep.report import comparison
+    from sweep.runs import results
 
-    if not 0 <= given.tolerance <= 1:
-        raise InputError(f"--tolerance = {given.tolerance:g} is not allowed: a share from 0 to 1")
-    if given.figures is not None and not given.figures >= 0:
-        raise InputError(f"--figures = {given.figures:g} is not allowed: at least 0")
+    if not 0 <= args.tolerance <= 1:
+        raise InputError(f"--tolerance = {args.tolerance:g} is not allowed: a share from 0 to 1")
+    if args.figures is not None and not args.figures >= 0:
+        raise InputError(f"--figures = {args.figures:g} is not allowed: at least 0")
     for name in ("most", "level"):
-        if (value := getattr(given, name)) is not None and not given.anytime:
+        if (value := getattr(args, name)) is not None and not args.anytime:
             raise InputError(f"--{name} = {value:g} is for --anytime")
-    if given.anytime:
+    if args.anytime:
         from sweep.cli import anytime
         from sweep.runs import device_choice
 
-        device_choice.choose_device_for_folder(given.a)
-        print(anytime.run(given, names(given.by)))
+        device_choice.choose_device_for_folder(args.a)
+        print(anytime.compare_anytime(args, parse_names(args.by)))
         return DONE
-    a, differ, broken = matching(given.a, given.where_a), [], []
-    for number, folder in enumerate(given.b):
-        b = matching(folder, given.where_b)
-        pairs = compare.pair(a, b, names(given.by))
-        if len(given.b) > 1:
-            print(f"{chr(10) if number else ''}{given.a} and {folder}")
-        terminal.print_markdown(comparison.text(pairs, len(a), len(b), names(given.regions)) + "\n")
-        differ.append(compare.differences(pairs).assign(**({"B": str(folder)} if len(given.b) > 1 else {})))
-        broken += comparison.broken(pairs, len(a), given.tolerance, given.figures)
-    if given.output:
-        save(given.output, pd.concat(differ).to_csv(index=False).encode())
+    a, differ, broken = read_matching_rows(args.a, args.where_a), [], []
+    for number, folder in enumerate(args.b):
+        b = read_matching_rows(folder, args.where_b)
+        pairs = compare.pair(a, b, parse_names(args.by))
+        if len(args.b) > 1:
+            print(f"{chr(10) if number else ''}{args.a} and {folder}")
+        unit = compare.independent_unit_of_pairs(pairs, results.load_experiment(args.a))
+        text = comparison.comparison_text(pairs, len(a), len(b), parse_names(args.regions), unit)
+        terminal.print_markdown(text + "\n")
+        differ.append(compare.differences(pairs).assign(**({"B": str(folder)} if len(args.b) > 1 else {})))
+        broken += comparison.find_violations(pairs, len(a), args.tolerance, args.figures)
+    if args.output:
+        save_output(args.output, pd.concat(differ).to_csv(index=False).encode())
     for line in broken:
         print(f"sweep: {line}", file=sys.stderr)
     return UNEXPECTED if broken else DONE
 
 
-def certify_results(given: argparse.Namespace) -> int:
-    """The region, what is promised of it, and a check of it; exit code 4 where none is certified."""
+def certify_results(args: argparse.Namespace) -> int:
+    """Certify a region, print the guarantee and a check of it; exit code 4 where no region is certified."""
     import json
 
     from sweep.cli import certify
     from sweep.runs import device_choice
 
-    device_choice.choose_device_for_folder(given.dir)
-    text, found = certify.run(given)
+    device_choice.choose_device_for_folder(args.dir)
+    text, found = certify.certify_region(args)
     print(text)
-    if given.output:
-        save(given.output, f"{json.dumps(found, indent=1)}\n".encode())
+    if args.output:
+        save_output(args.output, f"{json.dumps(found, indent=1)}\n".encode())
     return DONE if found["certified"] else UNEXPECTED
 
 
-def audit_results(given: argparse.Namespace) -> int:
-    """Flips among rollouts next to the boundary and successes elsewhere, simulated again."""
+def audit_results(args: argparse.Namespace) -> int:
+    """Simulate rollouts next to the boundary, and successes elsewhere, again in other ways, and print how many flip."""
     from sweep.cli import run as app
     from sweep.report import tables
     from sweep.runs import audit, device_choice, results
 
-    if given.points < 1:
-        raise InputError(f"--points = {given.points} is not allowed: at least 1")
-    found = results.read(given.dir, given.where)
-    device_choice.choose_device_for_folder(given.dir)
-    ways = names(given.ways) or []
-    most = 2 * given.points * len(ways or found.exp.system.audit_variants)
-    with app.reporting("audit", most, f"{found.exp.scenario} in other ways") as report:
-        audit.run(found, given.points, ways, report, lambda line: print(f"sweep: {line}", file=sys.stderr))
+    if args.points < 1:
+        raise InputError(f"--points = {args.points} is not allowed: at least 1")
+    found = results.read(args.dir, args.where)
+    device_choice.choose_device_for_folder(args.dir)
+    ways = parse_names(args.ways) or []
+    most = 2 * args.points * len(ways or found.exp.system.audit_variants)
+    with app.report_progress("audit", most, f"{found.exp.scenario} in other ways") as report:
+        audit.run(found, args.points, ways, report, lambda line: print(f"sweep: {line}", file=sys.stderr))
     terminal.print_markdown(tables.page_table(audit.table(found)) + "\n")
     return DONE
 
 
-def relabel(given: argparse.Namespace) -> int:
-    """New thresholds, or conditions, for stored figures."""
+def relabel(args: argparse.Namespace) -> int:
+    """Apply new thresholds or conditions to the stored metrics."""
     from sweep.report.headline import headline
     from sweep.runs import results, runner, store
 
-    exp = results.load_experiment(given.dir)
-    changes = dict(map(exp.system.limit, given.thresholds))
-    if len(changes) < len(given.thresholds):
-        raise InputError(f"a threshold is given twice: {' '.join(given.thresholds)}")
-    with store.lock_folder(given.dir):
-        runner.relabel(given.dir, {**exp.values["outcome"], **changes})
-    print(headline(store.read_rows(given.dir), exp))
+    exp = results.load_experiment(args.dir)
+    changes = dict(map(exp.system.limit, args.thresholds))
+    if len(changes) < len(args.thresholds):
+        raise InputError(f"a threshold is given twice: {' '.join(args.thresholds)}")
+    with store.lock_folder(args.dir):
+        runner.relabel(args.dir, {**exp.values["outcome"], **changes})
+    print(headline(store.read_rows(args.dir), exp))
     return DONE

@@ -1,4 +1,4 @@
-"""`sweep run` as a Hydra application: from the command line to a checked experiment, or a line that says why not."""
+"""`sweep run` as a Hydra application: compose the configuration, or say in a line why it cannot be."""
 
 import os
 import sys
@@ -22,14 +22,14 @@ ONE_OF = ("run", "multirun", "cfg", "info", "shell_completion")  # of what Hydra
 COMPLETED = ("install=", "uninstall=", "query=")  # what its completion is told
 
 
-def launch(overrides: list[str], work: Callable[[Experiment], int], own: list[str]) -> int:
-    """Do the `work` with what `overrides` compose; its exit code, the largest one of a Hydra multirun.
+def launch(overrides: list[str], work: Callable[[Experiment], int], run_flags: list[str]) -> int:
+    """Compose the configuration and run `work` on it; return the exit code, the largest one of a Hydra multirun.
 
-    Raises `InputError`, of a flag that is unknown with the closest of Hydra's and of our `own`.
+    Raises `InputError`; for an unknown flag it names the closest of Hydra's and of our own `run_flags`.
     """
     if not any(one.startswith(("-", "hydra", "+hydra", "~hydra")) for one in overrides):
         return work(config.compose(overrides))  # Hydra's application would compose it twice
-    check_flags(overrides, own)
+    check_flags(overrides, run_flags)
     config.register()
     codes = [DONE]
 
@@ -63,20 +63,20 @@ def launch(overrides: list[str], work: Callable[[Experiment], int], own: list[st
     return max(codes)
 
 
-def check_flags(overrides: list[str], own: list[str]) -> None:
+def check_flags(overrides: list[str], run_flags: list[str]) -> None:
     """Raise `InputError` where Hydra would print its usage."""
     parser = get_args_parser()
 
     def error(message: str) -> NoReturn:
-        raise usage_error(message, "sweep run", [*flags(parser), *own])
+        raise usage_error(message, "sweep run", [*flags(parser), *run_flags])
 
     parser.error = error
-    given = parser.parse_args(overrides)
-    if len(both := [flag for flag in ONE_OF if getattr(given, flag)]) > 1:
+    args = parser.parse_args(overrides)
+    if len(both := [flag for flag in ONE_OF if getattr(args, flag)]) > 1:
         raise InputError(f"--{both[0]} and --{both[1].replace('_', '-')} are not allowed together")
-    if given.resolve and not given.cfg:
+    if args.resolve and not args.cfg:
         raise InputError("--resolve is for --cfg")
-    if given.shell_completion and not any(one.startswith(COMPLETED) for one in given.overrides):
+    if args.shell_completion and not any(one.startswith(COMPLETED) for one in args.overrides):
         raise InputError(f"--shell-completion wants {', '.join(COMPLETED)} and a shell; `sweep completion` is ours")
-    if (file := given.experimental_rerun) and not Path(file).is_file():
+    if (file := args.experimental_rerun) and not Path(file).is_file():
         raise InputError(f"--experimental-rerun = {file} is not a file")

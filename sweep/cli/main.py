@@ -1,4 +1,4 @@
-"""The command `sweep`. What it imports at first is little, so that an early Ctrl-C finds it ready."""
+"""Entry point of the command `sweep`. It imports little at first, so that an early Ctrl-C is handled."""
 
 import atexit
 import errno
@@ -21,7 +21,7 @@ def main(argv: list[str] | None = None) -> int:
     if argv is None:  # this process is the command's own
         interrupts.watch_interrupts()
     if sys.stdout is sys.__stdout__:  # not of a notebook, or of a test
-        streams.bear()
+        streams.protect_streams()
     try:
         from sweep.cli import commands  # takes a tenth of a second
         from sweep.core import project

@@ -20,7 +20,7 @@ TOLERANCE = 1e-3  # relative, within which metrics count as reproduced
 SHOWN = 3  # metrics of a row that are named
 
 
-def run(args: argparse.Namespace) -> int:
+def reproduce_crate(args: argparse.Namespace) -> int:
     """Simulate rows of a crate again; exit code 4 where an outcome or a metric changed. Raises `InputError`.
 
     A crate that has code runs only with `--trust`; without it the code is listed.
@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--tolerance = {args.tolerance:g} is not allowed: at least 0")
     if not 0 <= args.seed < 2**32:
         raise InputError(f"--seed = {args.seed} is not allowed: at least 0 and below 2^32")
-    with crate.opened(args.crate) as folder:
+    with crate.open_crate(args.crate) as folder:
         if (code := crate.code_in(folder)) and not args.trust:
             print("\n".join(code))
             raise InputError(f"{args.crate} has code of its own, listed above: read it, then give --trust to run it")
@@ -59,7 +59,7 @@ def report_simulated_again(results: Results, number: int, seed: int = 0, toleran
     rows = results.rows.sample(number, random_state=seed)
     lines: list[dict[str, Any]] = []
     with show_wait(lambda: f"{len(lines)} of {number} rollouts simulated again"):
-        for row, trace, labels in replays.again(results.exp, rows, store.read_points(results.folder)):
+        for row, trace, labels in replays.simulate_again(results.exp, rows, store.read_points(results.folder)):
             lines.append(compare_row(row, trace.figures, labels, tolerance))
     table = pd.DataFrame(lines)
     print(format_summary(table, tolerance))
@@ -110,5 +110,5 @@ def format_summary(table: pd.DataFrame, tolerance: float) -> str:
     equal, changed = int(table["equal"].sum()), int((table["changed"] != "").sum())
     return (
         f"{len(table)} rollouts simulated again: {equal} equal to the last bit, {len(table) - equal - changed} within "
-        f"{tolerance:g} in every metric, {changed} not; {int(table['flips'].sum())} end otherwise"
+        f"{tolerance:g} in every metric, {changed} not; {int(table['flips'].sum())} have another outcome"
     )

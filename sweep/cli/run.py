@@ -1,4 +1,4 @@
-"""What `sweep run` does with a checked experiment: the runner, with its progress and its summary."""
+"""`sweep run` from a checked experiment on: runner, progress and summary."""
 
 import sys
 import time
@@ -13,8 +13,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.text import Text
 
 from sweep.analysis import rare
+from sweep.analysis.expectations import broken
 from sweep.analysis.sample import distinct, pooled
-from sweep.analysis.stats import broken, causes, rate
+from sweep.analysis.stats import causes, rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.core.errors import InputError
 from sweep.core.progress import (
@@ -44,7 +45,7 @@ SLACK = 0.2  # share of them that may end otherwise than the scenario expects
 
 @dataclass(frozen=True)
 class Flags:
-    """The flags of `sweep run` that are not Hydra's."""
+    """Flags of `sweep run` that Hydra does not handle."""
 
     dry_run: bool = False
     check: bool = False
@@ -53,7 +54,18 @@ class Flags:
 
 
 def execute(exp: Experiment, flags: Flags) -> int:
-    """Run one experiment; its exit code."""
+    """Run an experiment.
+
+    Args:
+        exp: checked experiment.
+        flags: flags of the command line.
+
+    Returns:
+        Exit code, see `sweep run --help`.
+
+    Raises:
+        InputError: flags do not fit the experiment, or the folder belongs to another study.
+    """
     if exp.study.single:
         for flag, value in (("--limit", flags.limit), ("--where", flags.where)):
             if value is not None:
@@ -80,7 +92,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         print("\n".join([forecast(job), *map(str, failing_levels(exp))]))
         return DONE
     if flags.check:
-        return checked(exp, first)
+        return check_axes(exp, first)
 
     def say(line: str) -> None:
         print(f"sweep: {line}", file=sys.stderr)
@@ -90,7 +102,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
     with store.lock_folder(folder), connect_lazily(exp.cluster, watched) as dispatch:
         for line in runner.repair_folder(exp, folder):
             say(line)
-        done, start, to_do = 0, time.perf_counter(), jobs(exp, folder, first, whole)
+        done, start, to_do = 0, time.perf_counter(), plan_jobs(exp, folder, first, whole)
         for line in runner.describe_changed_axes(exp, folder):
             say(line)
         failing = None
@@ -98,7 +110,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
             todo = len(job.rows(job.missing()))
             if todo and failing is None:
                 failing = failing_levels(exp)
-            with reporting(exp.study.name, todo, program(exp), watched) as report:
+            with report_progress(exp.study.name, todo, program_text(exp), watched) as report:
                 job = runner.run(job, report, dispatch)
             done += todo
         seconds = time.perf_counter() - start
@@ -110,7 +122,10 @@ def execute(exp: Experiment, flags: Flags) -> int:
         size, used = stored["rollouts"], stored["devices"]
         complete = len(rows) == size and (whole or not exp.study.is_sequential)
     if len(used) > 1:
-        print(f"sweep: equal rollouts need not be equal to the last bit on {' and on '.join(used)}", file=sys.stderr)
+        print(
+            f"sweep: rows come from {' and '.join(used)}, on which equal rollouts may differ in the last bit",
+            file=sys.stderr,
+        )
     print("\n".join([summary(exp, rows), *(f"  {level}" for level in failing or ())]))
     if exp.study.is_refined:
         print("\n".join(f"refined: {one}" for one in refine.summarize_panels(exp, rows)))
@@ -126,23 +141,23 @@ def failing_levels(exp: Experiment) -> list[FailingLevel]:
         return find_failing_levels(exp)
 
 
-def checked(exp: Experiment, points: pd.DataFrame) -> int:
-    """Whether every axis acts, and a rollout comes out alike twice; exit code 4 where not."""
+def check_axes(exp: Experiment, points: pd.DataFrame) -> int:
+    """Check whether every axis has an effect and a rollout is repeatable; exit code 4 where not."""
 
     def words(done: int) -> str:
-        return f"{exp.study.name}: {done} rollouts simulated to see whether its axes act"
+        return f"{exp.study.name}: {done} rollouts simulated to check that its axes have an effect"
 
     with show_counts(words, 0) as told:
         found = axis_check.run(exp, points, told)
     for line in found.lines(exp):
         print(f"sweep: {line}", file=sys.stderr)
     dead = len({one.column for one in found.dead if one.whole})
-    print(f"{exp.study.name}: {found.axes - dead} of {found.axes} axes act (in {found.rollouts} rollouts)")
+    print(f"{exp.study.name}: {found.axes - dead} of {found.axes} axes have an effect (in {found.rollouts} rollouts)")
     return DONE if found.sound else UNEXPECTED
 
 
-def jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Iterable[runner.Job]:
-    """One after the other, where what to run next depends on what was found; all at once else, or of a part."""
+def plan_jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Iterable[runner.Job]:
+    """Jobs of the study: one after the other where results decide what runs next, else a single one."""
     if whole and exp.study.is_refined:
         return refine.rounds(exp, folder, first)
     return (
@@ -151,18 +166,18 @@ def jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Ite
 
 
 def execute_single(exp: Experiment, flags: Flags) -> int:
-    """One nominal rollout: its outcome and figures on the standard output.
+    """Simulate one nominal rollout and print its outcome and metrics.
 
-    On native, whose last bits hosts do not share, what the scenario expects is counted over jittered ones.
+    On the native engine, whose last bits differ between hosts, expectations are judged by jittered rollouts.
     """
     if exp.study.keep:
         raise InputError("study.keep keeps time histories beside a study's rows: give study=NAME or out=DIR")
     check_expect(exp.study, exp.system)
     if flags.dry_run:
         runner.lay_out_single(exp)
-        print(f"{exp.scenario}: 1 rollout on {exp.settings.name}, {format_compile_estimate(program(exp))}")
+        print(f"{exp.scenario}: 1 rollout on {exp.settings.name}, {format_compile_estimate(program_text(exp))}")
         return DONE
-    what, start = program(exp), time.perf_counter()
+    what, start = program_text(exp), time.perf_counter()
 
     def words() -> str:
         return f"compiling {what}, then simulating{format_last_duration(what)}{format_running_parts(what)}"
@@ -170,16 +185,18 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
     with show_wait(words):
         rows = runner.run_single(exp)
     remember_duration(what, time.perf_counter() - start)
-    sys.stdout.write(tables.one_rollout(exp, rows.iloc[0]))
-    if exp.study.expect and exp.settings.name == "native" and (other := jittered(exp)):
-        with show_wait(f"simulating {exp.scenario} {other.study.max_rollouts} times, by which native is judged"):
+    sys.stdout.write(tables.rollout_table(exp, rows.iloc[0]))
+    if exp.study.expect and exp.settings.name == "native" and (other := jitter_experiment(exp)):
+        with show_wait(
+            f"simulating {exp.scenario} {other.study.max_rollouts} times to judge its expectations on the native engine"
+        ):
             exp, rows = other, runner.run_single(other)
         print(f"sweep: of rollouts that differ by 1e-6 {pooled(rows, exp)}", file=sys.stderr)
     return verdict(exp, rows, complete=True)
 
 
-def jittered(exp: Experiment) -> Experiment | None:
-    """A scenario of the robot by the study of jitter, with its own expectations; None of another system."""
+def jitter_experiment(exp: Experiment) -> Experiment | None:
+    """The scenario with the jitter study's axes and its own expectations; None for another system."""
     values = compose_values(JITTER)
     if kind_of(values) is not kind_of(exp.values):
         return None
@@ -194,7 +211,7 @@ def jittered(exp: Experiment) -> Experiment | None:
 
 
 def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
-    """Exit code of finished `rows`, with a line for everything that is not as it should be."""
+    """Exit code of finished rows; prints a line for each expectation that is not met."""
     found = rate(rows["outcome"])
     if found.invalid_share > exp.study.invalid_max:
         allowed = f"{exp.study.invalid_max:.1%} allowed"
@@ -203,14 +220,14 @@ def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
     if exp.study.expect and not complete:
         print("sweep: expectations are checked when the whole study is done", file=sys.stderr)
         return DONE
-    lines = broken(exp.study.expect, rows)
+    lines = broken(exp.study.expect, rows, exp)
     for line in lines:
         print(f"sweep: {line}", file=sys.stderr)
     return UNEXPECTED if lines else DONE
 
 
 def summary(exp: Experiment, rows: pd.DataFrame) -> str:
-    """The rate of success, overall and for each named alternative such as an engine; copies are counted once."""
+    """The headline of the study, its causes, and the rate for each value of a named parameter; copies count once."""
     rows, copies = distinct(rows, exp)
     lines = [f"{exp.study.name}: {headline(rows, exp)}"]
     lines += [f"  {line}" for line in causes(rows["cause"], exp.system.cause_meanings(exp.thresholds))]
@@ -222,37 +239,38 @@ def summary(exp: Experiment, rows: pd.DataFrame) -> str:
 
 
 def forecast(job: runner.Job) -> str:
-    """What a run would do: rollouts, batches, memory, and the time where an earlier batch tells it."""
+    """Describe what a run would do: rollouts, batches, memory, and the time if an earlier batch is known."""
     missing = job.rows(job.missing())
     sizes = missing.groupby(["group", "width"])["batch"].nunique()
     parts = [f"{count} batch{'es' * (count > 1)} of {width}" for (_, width), count in sizes.items()]  # pyright: ignore[reportGeneralTypeIssues]
     text = f"{job.exp.study.name}: {len(missing)} of {len(job.table)} rollouts to run ({', '.join(parts) or 'none'})"
     if len(missing):
-        text += f"{memory(job, missing)}, {duration(job, missing)}, {format_compile_estimate(program(job.exp))}"
+        text += f"{memory_text(job, missing)}, {duration_text(job, missing)}, "
+        text += format_compile_estimate(program_text(job.exp))
     if count := time_series.size(job.exp, job.table):
         kept, columns = min(job.exp.study.keep_rows, len(job.table)), ", ".join(job.exp.study.keep)
         text += f"\ntime histories of {kept} rollouts ({columns}): about {4 * count / 2**20:.1f} MiB before compression"
     return f"{text}\n{axes_table(job.exp)}" if job.exp.study.axes and not job.exp.study.points else text
 
 
-def memory(job: runner.Job, missing: pd.DataFrame) -> str:
-    """What a rollout keeps in memory, of the first group."""
+def memory_text(job: runner.Job, missing: pd.DataFrame) -> str:
+    """Memory that a rollout needs, of the first group."""
     rows = missing[missing["group"] == missing["group"].iloc[0]]
     size = make_engine(job.exp, nominal_batch(job.exp, rows, int(rows["width"].iloc[0]))).rollout_bytes()
-    return f", {size / 1024:.1f} KiB kept a rollout" if size else ""
+    return f", {size / 1024:.1f} KiB of memory per rollout" if size else ""
 
 
-def duration(job: runner.Job, missing: pd.DataFrame) -> str:
-    """The time that `missing` rollouts take by the last batch of this study, or of the latest like it beside it."""
+def duration_text(job: runner.Job, missing: pd.DataFrame) -> str:
+    """Estimated time of the `missing` rollouts, by the last batch of this study or of a similar one beside it."""
     beside = sorted(job.folder.parent.glob(f"*/{store.STUDY}"), key=lambda p: p.stat().st_mtime, reverse=True)
     for folder in (job.folder, *(path.parent for path in beside)):
-        if (seconds := pace(folder, job)) is not None:
-            return f"about {len(missing) * seconds:.0f} s by the pace of {folder}"
-    return f"time unknown before a first batch, as by --limit {missing['width'].iloc[0]}"
+        if (seconds := seconds_per_rollout(folder, job)) is not None:
+            return f"about {len(missing) * seconds:.0f} s at the speed of {folder}"
+    return f"time unknown until a first batch has run, such as --limit {missing['width'].iloc[0]}"
 
 
-def pace(folder: Path, job: runner.Job) -> float | None:
-    """Wall time of a rollout (s) in the last batch of `folder`, if its scenario, engine and device are those here."""
+def seconds_per_rollout(folder: Path, job: runner.Job) -> float | None:
+    """Wall time per rollout (s) in the last batch of `folder`; None unless scenario, engine and device are the same."""
     try:
         stored, done = store.read_study(folder), store.current_parts(folder)
         config, exp = stored["config"], job.exp
@@ -264,7 +282,7 @@ def pace(folder: Path, job: runner.Job) -> float | None:
 
 
 def axes_table(exp: Experiment) -> str:
-    """What is varied: parameter, side, values, unit and nominal value."""
+    """Table of the axes: parameter, side, values, unit and nominal value."""
     lines = [
         [
             axis.name,
@@ -280,8 +298,8 @@ def axes_table(exp: Experiment) -> str:
     return table.to_markdown(index=False, disable_numparse=True)
 
 
-def program(exp: Experiment) -> str:
-    """What has to be compiled before the first batch, in words."""
+def program_text(exp: Experiment) -> str:
+    """What is compiled before the first batch."""
     kind = exp.settings.name if exp.study.single else f"batches of {exp.study.name} on {exp.settings.name}"
     return f"{exp.scenario} for {kind}"
 
@@ -332,11 +350,8 @@ class LiveColumn(ProgressColumn):
 
 
 @contextmanager
-def reporting(name: str, total: int, what: str, watched: WorkerReport | None = None) -> Iterator[runner.Progress]:
-    """A live bar on a terminal's standard error, a line now and then elsewhere; with the workers that are `watched`.
-
-    `what` is compiled first.
-    """
+def report_progress(name: str, total: int, what: str, watched: WorkerReport | None = None) -> Iterator[runner.Progress]:
+    """Show progress: a bar on a terminal, else a line now and then. `what` is compiled first."""
     console = Console(stderr=True)
     start, done, good, pace = time.perf_counter(), 0, 0, Pace(total)
     # numbers first: a narrow terminal cuts the end of the line off

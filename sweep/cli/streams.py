@@ -1,4 +1,4 @@
-"""The standard streams where they are closed or full, or their reader has gone: what a command does is done."""
+"""Protect the standard streams against closed descriptors, full disks and readers that have gone."""
 
 import io
 import os
@@ -6,8 +6,8 @@ import sys
 from typing import TextIO
 
 
-class Borne(io.TextIOWrapper):
-    """A standard stream that goes nowhere once it has failed; of what is no `loss` `OSError` is raised, once."""
+class SafeStream(io.TextIOWrapper):
+    """A standard stream that is discarded after its first error. An error other than a `loss` is raised once."""
 
     def __init__(self, number: int, name: str, stream: TextIO | None, loss: type[OSError]) -> None:
         # kept, as it would close what it shares with this
@@ -22,7 +22,7 @@ class Borne(io.TextIOWrapper):
         self.told, self.loss = name, loss
 
     def write(self, text: str, /) -> int:
-        """All of `text`, or the first that fails."""
+        """Write `text`, or discard it after an error."""
         try:
             return super().write(text)
         except OSError as error:
@@ -30,7 +30,7 @@ class Borne(io.TextIOWrapper):
             return len(text)
 
     def flush(self) -> None:
-        """What is written goes out."""
+        """Flush the stream, or discard it after an error."""
         try:
             super().flush()
         except OSError as error:
@@ -45,15 +45,18 @@ class Borne(io.TextIOWrapper):
             raise error
 
 
-def bear() -> None:
-    """Have this process's streams borne: what its errors and notes meet is no error, nor that the output has no reader.
+def protect_streams() -> None:
+    """Replace this process's standard streams, so that errors on them do not end a command.
 
-    A number that is closed would go to the next file that is opened, and what is said into it.
+    Closed descriptors are opened on /dev/null; otherwise the next file would take their number and receive our
+    messages.
     """
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # which takes the lowest number that is free
-    sys.stdout = Borne(1, "standard output", sys.stdout, BrokenPipeError)  # a reader, such as `head`, has seen enough
-    sys.stderr = Borne(2, "standard error", sys.stderr, OSError)
+    sys.stdout = SafeStream(
+        1, "standard output", sys.stdout, BrokenPipeError
+    )  # a reader, such as `head`, has seen enough
+    sys.stderr = SafeStream(2, "standard error", sys.stderr, OSError)

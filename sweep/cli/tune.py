@@ -1,4 +1,4 @@
-"""`sweep tune`: search the numbers of a plan for a robot, an obstacle and draws of one's own."""
+"""`sweep tune`: search the numbers of a plan for a robot, an obstacle and draws of the user."""
 
 import argparse
 import dataclasses
@@ -48,83 +48,85 @@ examples:
   sweep tune scenario=pole_top plan=plans/mine.yaml study=pole_sizes --check"""
 
 
-def main(args: list[str]) -> int:
+def main(argv: list[str]) -> int:
     """Run the command with the arguments after `tune`; the exit status. Raises `InputError`."""
     devices.configure()
-    given, overrides = parser().parse_known_args(args)
+    args, overrides = parser().parse_known_args(argv)
     for flag, least in LEAST.items():
-        if getattr(given, flag) < least:
-            raise InputError(f"--{flag} = {getattr(given, flag)} is not allowed: at least {least}")
+        if getattr(args, flag) < least:
+            raise InputError(f"--{flag} = {getattr(args, flag)} is not allowed: at least {least}")
     exp = compose(overrides)
     if why := exp.system.unsupported_commands.get("tune"):
         raise InputError(f"tune is not allowed: {why}")
     case, where = exp.case, Path(exp.out or "")
     if not isinstance(case.manoeuvre, plan_table.TabulatedManoeuvre):
         raise InputError(f"manoeuvre.kind = {case.manoeuvre.kind} has its numbers in no file")
-    if not given.check and where.suffix != ".yaml":
+    if not args.check and where.suffix != ".yaml":
         raise InputError(f"out = {exp.out or ''} is not allowed: the file of the plan, such as plans/mine.yaml")
     numbers, own = plan_table.plan_values(case), manoeuvre_numbers(case)
-    patterns = given.free or ["*"]
+    patterns = args.free or ["*"]
     beside = [text for text in patterns if text.startswith(f"{MANOEUVRE}.")]
     steps = tuning.free_numbers(
         numbers, [text for text in patterns if text not in beside], plan_table.formula_values(case)
     )
     steps |= tuning.free_numbers(own, beside)
     numbers |= own
-    if given.follow and beside:
+    if args.follow and beside:
         raise InputError(f"--free = {beside[0]} is not allowed with --follow: only a plan's numbers follow sizes")
-    sizes = drawn_sizes(exp) if given.follow else {}
-    method = "linear programs, to follow sizes" if given.follow else "gradients" if given.gradients else "CMA-ES"
-    aims, width = [aim(text) for text in given.need], given.population if method == "CMA-ES" else 1
-    score = Score(case, list(steps), aims, given.stages or ["*"], moments(given.moments), given.forces, width)
+    sizes = drawn_sizes(exp) if args.follow else {}
+    method = "linear programs, to follow sizes" if args.follow else "gradients" if args.gradients else "CMA-ES"
+    aims, width = [parse_aim(text) for text in args.need], args.population if method == "CMA-ES" else 1
+    score = Score(case, list(steps), aims, args.stages or ["*"], parse_moments(args.moments), args.forces, width)
     seen, others = (stacked(*tuning.draws(exp, exp.study.seed + k)) for k in (0, 1))
     first = np.array([numbers[path] for path in steps])
-    if given.check:
+    if args.check:
         print(
-            table(score, {name: score.margins(first, draws) for name, draws in zip(DRAWS, (seen, others), strict=True)})
+            margins_table(
+                score, {name: score.margins(first, draws) for name, draws in zip(DRAWS, (seen, others), strict=True)}
+            )
         )
         return DONE
-    sizes = felt(exp, score, first, seen, sizes) if sizes else {}
-    how = {"overrides": sorted(overrides), "free": steps, "stages": given.stages, "need": given.need,
-           "moments": given.moments, "forces": given.forces, "seed": given.seed, "population": given.population,
-           "follow": given.follow, "gradients": given.gradients, "generations": given.generations,
+    sizes = sizes_that_matter(exp, score, first, seen, sizes) if sizes else {}
+    how = {"overrides": sorted(overrides), "free": steps, "stages": args.stages, "need": args.need,
+           "moments": args.moments, "forces": args.forces, "seed": args.seed, "population": args.population,
+           "follow": args.follow, "gradients": args.gradients, "generations": args.generations,
            "config": store.digest(exp.values), "code": search_version()}  # fmt: skip
     where.parent.mkdir(parents=True, exist_ok=True)
     log = where.with_name(f"{where.name}.log")
     tuning.resume_log(log, how)  # refuses before what is slow
-    best, slopes = searched(score, seen, first, sizes, how, log)
+    best, slopes = round_solution(score, seen, first, sizes, how, log)
     left = {f"{name} {when}": score.margins(at, draws)
             for name, draws in zip(DRAWS, (seen, others), strict=True)
             for when, at in (("before", first), ("after", best + shares(draws, sizes) @ slopes.T))}  # fmt: skip
     ends = (left[f"{DRAWS[0]} {when}"] for when in ("before", "after"))
-    was, now = (float(tuning.cost(score.lacking(x)).mean() if given.follow else score.lacks(x)) for x in ends)
-    told = table(score, left)
+    was, now = (float(tuning.cost(score.lacking(x)).mean() if args.follow else score.lacks(x)) for x in ends)
+    told = margins_table(score, left)
     print(f"score {was:.4g} before, {now:.4g} after\n{told}")
     if not now < was:
-        print(f"sweep: nothing better was found, and {where} is left as it was", file=sys.stderr)
+        print(f"sweep: no better plan was found; {where} is unchanged", file=sys.stderr)
         return UNEXPECTED
     head = [f"{len(steps)} numbers searched for by {method}: score {was:.4g} before, {now:.4g} after",
-            f"sweep tune {shlex.join(args)}", f"least margins over draws of seed {exp.study.seed}, and over others of "
+            f"sweep tune {shlex.join(argv)}", f"least margins over draws of seed {exp.study.seed}, and over others of "
             f"seed {exp.study.seed + 1}:", *told.splitlines()]  # fmt: skip
     found = dict(zip(steps, best.tolist(), strict=True))
     settings = [f"{path}={found.pop(path):g}" for path in own if path in found]
     head += ["to be run with " + " ".join(settings)] if settings else []
-    content = followed(changed(case, found), steps, slopes, sizes)
-    write_atomically(where, file_of(case, content, head).encode())
+    content = add_slopes(plan_content(case, found), steps, slopes, sizes)
+    write_atomically(where, plan_file(case, content, head).encode())
     if settings:
         print(head[-1])
-    if given.simulate:
-        lines = [simulated(overrides, where, settings, seed) for seed in (exp.study.seed, exp.study.seed + 1)]
+    if args.simulate:
+        lines = [compare_plans(overrides, where, settings, seed) for seed in (exp.study.seed, exp.study.seed + 1)]
         print("\n".join(lines))
-        write_atomically(where, file_of(case, content, [*head, *lines]).encode())
+        write_atomically(where, plan_file(case, content, [*head, *lines]).encode())
     print(where)
     return DONE
 
 
 def drawn_sizes(exp: Experiment) -> dict[str, float]:
-    """Sizes of robot and obstacle that the experiment's study draws, those where its plan's numbers hold.
+    """Sizes of robot and obstacle that the study draws, at which the plan's numbers hold.
 
-    Numbers follow shares of sizes, which one that is nought has none of. Raises `InputError` where there are none.
+    Numbers follow relative changes, so sizes of zero are left out. Raises `InputError` where no size is drawn.
     """
     told = {split_side(column)[1] for column in parameter_columns(points(exp.study, exp.system, exp.settings))}
     at = plan_table.plan_content(exp.case).get(SLOPES, {}).get(plan_table.AT, {})
@@ -136,11 +138,13 @@ def drawn_sizes(exp: Experiment) -> dict[str, float]:
     return found
 
 
-def felt(
+def sizes_that_matter(
     exp: Experiment, score: Score, numbers: np.ndarray, seen: Case, sizes: Mapping[str, float]
 ) -> dict[str, float]:
-    """Those of `sizes` that margins feel as far as the draws go: slopes in others, as in masses without forces, would
-    be of chance, and carry far where they are drawn farther. Raises `InputError` where there are none.
+    """Sizes that change a margin over the range of the draws.
+
+    Slopes along other sizes, such as masses without forces, would be chance and extrapolate badly. Raises `InputError`
+    where no size matters.
     """
     off = shares(seen, sizes)
     alone = 1 + np.vstack([np.diag(np.abs(off).max(axis=0)), np.zeros((max(1, len(off) - len(sizes)), len(sizes)))])
@@ -152,10 +156,10 @@ def felt(
     return found
 
 
-def searched(
+def round_solution(
     score: Score, seen: Case, first: np.ndarray, sizes: Mapping[str, float], how: Mapping[str, Any], log: Path
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers (n,), and slopes (n, k) by which they follow sizes, rounded; with a bar that tells how far it is."""
+    """Search, with a progress bar; return rounded numbers (n,) and the slopes (n, k) by which they follow sizes."""
     scale = np.array(list(how["free"].values()))
     shown = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
                      console=Console(stderr=True))  # fmt: skip
@@ -182,16 +186,16 @@ def searched(
     return np.round(best, DIGITS), np.zeros((len(first), 0))
 
 
-def simulated(overrides: list[str], file: Path, settings: list[str], seed: int) -> str:
-    """How many draws of a seed succeed by the plan before and by that of the file and its settings of the manoeuvre.
+def compare_plans(overrides: list[str], file: Path, settings: list[str], seed: int) -> str:
+    """Simulate draws of a seed with the plan before and after tuning; return how many succeed, as text.
 
-    They are run in the file's folder.
+    Results are stored beside the plan's file.
     """
     from sweep.cli import run  # slow to import
 
-    given, rates = [text for text in overrides if not text.startswith("out=")], {}
+    words, rates = [text for text in overrides if not text.startswith("out=")], {}
     for when, more in (("before", []), ("after", [f"plan={file}", *settings])):
-        kept = [text for text in given if not (more and text.startswith("plan="))]
+        kept = [text for text in words if not (more and text.startswith("plan="))]
         folder = file.with_suffix(".draws") / f"{when}-{seed}"
         run.execute(compose([*kept, *more, f"study.seed={seed}", f"out={folder}"]), run.Flags())
         rates[when] = rate(store.read_rows(folder)["outcome"])
@@ -200,23 +204,25 @@ def simulated(overrides: list[str], file: Path, settings: list[str], seed: int) 
 
 
 def parser() -> Arguments:
-    """The command's own flags."""
+    """Parser of the flags of `sweep tune`."""
     made = Arguments(
         prog="sweep tune", others=no_flag, allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter,
         usage="sweep tune [group=choice ...] [group.name=value ...] out=FILE.yaml [flags]", epilog=EPILOG,
-        description="Search the numbers of a plan, until its margins are as they should be in all draws of a study.",
+        description="Search the numbers of a plan until its margins reach their targets in all draws of a study.",
     )  # fmt: skip
     made.add_argument(
         "--free", action="append", metavar="PATTERN[=STEP]", help="numbers to search (all but formulas), first step"
     )
     made.add_argument("--stages", action="append", metavar="PATTERN", help="stages to judge (all)")
-    made.add_argument("--need", action="append", default=[], metavar="MARGIN[@STAGES]=VALUE", help="what is aimed at")
-    made.add_argument("--forces", action="store_true", help="search forces that hold the robot, too")
+    made.add_argument(
+        "--need", action="append", default=[], metavar="MARGIN[@STAGES]=VALUE", help="value that a margin should reach"
+    )
+    made.add_argument("--forces", action="store_true", help="also search forces that hold the robot")
     way = made.add_mutually_exclusive_group()
     way.add_argument("--gradients", action="store_true", help="by gradients, not CMA-ES: for many numbers")
     way.add_argument("--follow", action="store_true", help="have numbers follow the sizes that the study draws")
     made.add_argument("--simulate", action="store_true", help="run both draws by the plans before and after")
-    made.add_argument("--check", action="store_true", help="only tell the margins of the plan as it is")
+    made.add_argument("--check", action="store_true", help="only print the margins of the plan as it is")
     made.add_argument(
         "--moments",
         action="append",
@@ -230,8 +236,8 @@ def parser() -> Arguments:
     return made
 
 
-def aim(text: str) -> Aim:
-    """`MARGIN[@STAGES]=VALUE`. Raises `InputError`."""
+def parse_aim(text: str) -> Aim:
+    """Parse `MARGIN[@STAGES]=VALUE`. Raises `InputError`."""
     name, _, value = text.partition("=")
     margin, _, pattern = name.partition("@")
     try:
@@ -242,8 +248,8 @@ def aim(text: str) -> Aim:
     raise InputError(f"--need = {text} is not allowed: MARGIN=VALUE or MARGIN@STAGES=VALUE, a number")
 
 
-def moments(texts: Iterable[str]) -> list[tuple[str, int]]:
-    """Patterns of stages, and at how many moments each is judged; the last one that names a stage counts.
+def parse_moments(texts: Iterable[str]) -> list[tuple[str, int]]:
+    """Parse patterns of stages with the number of moments at which each is judged; the last match counts.
 
     Raises `InputError`.
     """
@@ -257,14 +263,14 @@ def moments(texts: Iterable[str]) -> list[tuple[str, int]]:
 
 
 def manoeuvre_numbers(case: Case) -> dict[str, float]:
-    """Numbers of the manoeuvre's own, by path, which may be searched for beside those of its plan."""
+    """Numbers of the manoeuvre by path; they may be searched beside those of its plan."""
     found = {f.name: getattr(case.manoeuvre, f.name) for f in dataclasses.fields(case.manoeuvre)  # pyright: ignore[reportArgumentType]
              if f.metadata.get("role") == "quantity"}  # fmt: skip
     return {f"{MANOEUVRE}.{name}": float(value) for name, value in found.items() if value is not None}
 
 
-def table(score: Score, found: Mapping[str, Mapping[str, np.ndarray]]) -> str:
-    """The least of each margin (m, rad/s), and where it is that of the last column."""
+def margins_table(score: Score, found: Mapping[str, Mapping[str, np.ndarray]]) -> str:
+    """Smallest value of each margin (m, rad/s), and the stage where it occurs in the last column."""
     lines = {name: worst(margins) for name, margins in found.items()}
     last = list(found.values())[-1]
     where = {key: score.stages[int(np.argmin(last[key].min(axis=0)))] for key in next(iter(lines.values()))}
@@ -272,8 +278,8 @@ def table(score: Score, found: Mapping[str, Mapping[str, np.ndarray]]) -> str:
     return shown.rename_axis("margin").to_markdown(floatfmt=".4g")
 
 
-def changed(case: Case, changes: Mapping[str, float]) -> Content:
-    """What the case says of its plan, with other numbers; formulas that have not moved stay as they are."""
+def plan_content(case: Case, changes: Mapping[str, float]) -> Content:
+    """Content of the plan's file with other numbers; formulas whose value did not change stay."""
     formulas = plan_table.formula_values(case)
     for path, value in changes.items():
         if round(value - formulas.get(path, math.inf), DIGITS):
@@ -281,8 +287,8 @@ def changed(case: Case, changes: Mapping[str, float]) -> Content:
     return plan_table.plan_content(case)
 
 
-def followed(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes: Mapping[str, float]) -> Content:
-    """`content` whose numbers at `paths` follow sizes by `slopes` (n, k) besides."""
+def add_slopes(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes: Mapping[str, float]) -> Content:
+    """Add slopes to a plan's content, by which the numbers at `paths` follow sizes."""
     if not sizes:
         return content
     part = {**content.get(SLOPES, {})}
@@ -297,8 +303,8 @@ def followed(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes: 
     return {**content, SLOPES: part}
 
 
-def file_of(case: Case, content: Content, head: list[str]) -> str:
-    """A file of the group `plan` that says this, over the manoeuvre's own plan, with comments at its head."""
+def plan_file(case: Case, content: Content, head: list[str]) -> str:
+    """Text of a plan's file: differences to the manoeuvre's own plan, below comments."""
     assert isinstance(case.manoeuvre, plan_table.TabulatedManoeuvre)
     said = plan_table.differences(plan_table.own_plan_content(case), content)
     own = case.manoeuvre.own_plan

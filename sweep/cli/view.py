@@ -1,4 +1,4 @@
-"""`sweep view`: watch one rollout, or two in step, on the page of its study or in MuJoCo's viewer."""
+"""`sweep view`: watch one rollout, or two side by side, on the page or in MuJoCo's viewer."""
 
 import argparse
 import os
@@ -19,7 +19,7 @@ from sweep.core.files import path_in
 from sweep.core.progress import show_wait
 from sweep.engines.base import Trace
 from sweep.report import page, replays
-from sweep.report.page.stage import Shown, replays_of
+from sweep.report.page.replay_data import ShownReplay, read_shown_replays
 from sweep.runs import batches, device_choice, results, runner, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment, compose
@@ -30,33 +30,33 @@ PAGES = Path("results") / "view"  # of rollouts that belong to no folder
 
 
 def main(args: list[str]) -> int:
-    """Run the command with the arguments after `view`; the exit status. Raises `InputError`."""
+    """Run `sweep view` with the arguments after its name; return the exit code. Raises `InputError`."""
     options = parser().parse_args(args)
     for name in (options.what[0], *options.beside[:-1][:1]):  # one word alone is a row of the same folder
-        if "=" not in name and store.STUDY not in names_in(name):
+        if "=" not in name and store.STUDY not in file_names(name):
             raise InputError(f"{name} is neither a folder of results nor group.name=value")
     if options.mujoco:
-        if not screen():
+        if not has_screen():
             raise InputError("--mujoco needs a screen: DISPLAY is not set. Without it the page shows the same")
         with show_wait(f"simulating {' '.join(options.what)}"):
-            trace = next(traces(options.what), None)
+            trace = next(record_traces(options.what), None)
         if trace is None:
             raise InputError(f"{' '.join(options.what)} cannot be shown")
         play(trace)
         return DONE
-    of_folder = store.STUDY in names_in(options.what[0])
-    found, shown = (stored if of_folder else fresh)(options.what, options.beside)
+    of_folder = store.STUDY in file_names(options.what[0])
+    found, shown = (open_study if of_folder else simulate_configuration)(options.what, options.beside)
     path = options.output or (
         path_in(Path(options.what[0]), "view.html") if of_folder else PAGES / f"{found.exp.scenario}.html"
     )
-    print(page.write(found, path, shown=shown, opened=1 + bool(options.beside)))
-    if screen():
+    print(page.write_page(found, path, shown=shown, opened=1 + bool(options.beside)))
+    if has_screen():
         webbrowser.open(path.resolve().as_uri())
     return DONE
 
 
 def parser() -> Arguments:
-    """The arguments of `sweep view`."""
+    """Parser of the arguments of `sweep view`."""
     made = Arguments(
         prog="sweep view",
         description="Watch a rollout: simulate it and open its page, which plays it.",
@@ -74,13 +74,13 @@ def parser() -> Arguments:
         default=[],
         help="a second rollout in step with it: another row, the same of another folder, or other values",
     )
-    made.add_argument("--mujoco", action="store_true", help="MuJoCo's own viewer in place of the page")
+    made.add_argument("--mujoco", action="store_true", help="show MuJoCo's own viewer instead of the page")
     made.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page's file")
     return made
 
 
-def screen() -> bool:
-    """Whether there is one to show things on."""
+def has_screen() -> bool:
+    """Whether a screen is connected."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
@@ -102,44 +102,46 @@ def play(trace: Trace) -> None:
             time.sleep(HOLD)
 
 
-def names_in(folder: str) -> list[str]:
-    """What a folder holds; nothing where it is none."""
+def file_names(folder: str) -> list[str]:
+    """Names of the files in a folder; empty where it is no folder."""
     return os.listdir(folder) if os.path.isdir(folder) else []
 
 
-def traces(what: list[str]) -> Iterator[Trace]:
-    """The rollout that is asked for, with enough frames to look smooth. Raises `InputError`."""
-    if store.STUDY in names_in(what[0]):
-        found, at = row_of(*folder_and_point(what))
+def record_traces(what: list[str]) -> Iterator[Trace]:
+    """Record the rollout that the user names, with enough frames to look smooth. Raises `InputError`."""
+    if store.STUDY in file_names(what[0]):
+        found, at = find_row(*folder_and_point(what))
         device_choice.choose_device_for_folder(found.folder)
-        again = replays.again(found.exp, found.rows.iloc[[at]], store.read_points(found.folder), SMOOTH)
+        again = replays.simulate_again(found.exp, found.rows.iloc[[at]], store.read_points(found.folder), SMOOTH)
     else:
-        exp, planned = single(what)
-        again = replays.again(exp, planned, planned, SMOOTH)
+        exp, planned = compose_single(what)
+        again = replays.simulate_again(exp, planned, planned, SMOOTH)
     return (trace for _, trace, _ in again)
 
 
-def stored(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
-    """A study's results, and the replays of its page with those asked for first. Raises `InputError`."""
+def open_study(what: list[str], beside: list[str]) -> tuple[Results, list[ShownReplay]]:
+    """Read a study's results and the replays of its page, those that the user names first. Raises `InputError`."""
     folder, point = folder_and_point(what)
-    found, first = row_of(folder, point)
+    found, first = find_row(folder, point)
     wanted = [(found, first, "")]
     if beside:
-        other = beside[0] if store.STUDY in names_in(beside[0]) else folder
+        other = beside[0] if store.STUDY in file_names(beside[0]) else folder
         named = beside[-1] if len(beside) > 1 or other == folder else str(found.rows["point_id"].iloc[first])
-        wanted.append((*row_of(other, named), "" if other == folder else str(other)))
+        wanted.append((*find_row(other, named), "" if other == folder else str(other)))
     shown = []
     for of, at, title in wanted:
         row = of.rows.iloc[at]
-        if not replays.path(of.folder, row).exists():
+        if not replays.replay_path(of.folder, row).exists():
             device_choice.choose_device_for_folder(of.folder)
             with show_wait(f"simulating {row['point_id']} of {of.folder} again"):
-                replays.make(of, of.rows.iloc[[at]].assign(why=""))
-        if not (kept := replays.read(of.folder, row)):
-            raise InputError(f"{row['point_id']} of {of.folder} ends otherwise here, or at once: sweep replay says how")
-        shown.append(Shown(at if of.folder == found.folder else -1, row, kept, title))
+                replays.make_replays(of, of.rows.iloc[[at]].assign(why=""))
+        if not (kept := replays.read_replay(of.folder, row)):
+            raise InputError(
+                f"{row['point_id']} of {of.folder} has another outcome here, or ends at once: see sweep replay"
+            )
+        shown.append(ShownReplay(at if of.folder == found.folder else -1, row, kept, title))
     seen = {one.row["point_id"] for one in shown}
-    return found, [*shown, *(one for one in replays_of(found) if one.row["point_id"] not in seen)]
+    return found, [*shown, *(one for one in read_shown_replays(found) if one.row["point_id"] not in seen)]
 
 
 def folder_and_point(what: list[str]) -> tuple[str, str]:
@@ -149,22 +151,22 @@ def folder_and_point(what: list[str]) -> tuple[str, str]:
     return what[0], what[1]
 
 
-def row_of(folder: str, point: str) -> tuple[Results, int]:
-    """Results of a folder, and the place of a point among their rows. Raises `InputError`."""
+def find_row(folder: str, point: str) -> tuple[Results, int]:
+    """Results of a folder, and the index of a point among their rows. Raises `InputError`."""
     found = results.read(Path(folder))
     row = store.find_row(store.read_rows(Path(folder)), point, Path(folder))
     return found, int((found.rows["point_id"] == row["point_id"]).to_numpy().argmax())
 
 
-def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
-    """One rollout of a configuration, and a second one of it with some other values. Raises `InputError`."""
+def simulate_configuration(what: list[str], beside: list[str]) -> tuple[Results, list[ShownReplay]]:
+    """Simulate one rollout of a configuration, and optionally a second one with other values. Raises `InputError`."""
     rows, shown = [], []
     exp, stages = None, {}
     for overrides in [what, [*what, *beside]][: 1 + bool(beside)]:
-        one, planned = single(overrides)
+        one, planned = compose_single(overrides)
         exp = exp or one
         with show_wait(f"simulating {' '.join(overrides)}"):
-            found = next(replays.again(one, planned, planned), None)
+            found = next(replays.simulate_again(one, planned, planned), None)
         if found is None:
             raise InputError(f"{one.scenario} cannot be shown")
         row, trace, labels = found
@@ -175,7 +177,9 @@ def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
             raise InputError(f"{one.scenario} ends at once: {row['cause']}")
         stages[str(len(rows))] = list(trace.stages)
         shown.append(
-            Shown(len(rows), row, replays.content(row, trace), " ".join(overrides[len(what) :]) or one.scenario)
+            ShownReplay(
+                len(rows), row, replays.replay_content(row, trace), " ".join(overrides[len(what) :]) or one.scenario
+            )
         )
         rows.append(row)
     assert exp is not None
@@ -190,7 +194,7 @@ def fresh(what: list[str], beside: list[str]) -> tuple[Results, list[Shown]]:
     return Results(Path(exp.scenario), about, exp, table, None, len(rows)), shown
 
 
-def single(overrides: list[str]) -> tuple[Experiment, pd.DataFrame]:
+def compose_single(overrides: list[str]) -> tuple[Experiment, pd.DataFrame]:
     """The experiment of one rollout, and its plan. Raises `InputError` where it is a study."""
     exp = compose(overrides)
     if not exp.study.single:

@@ -1,4 +1,4 @@
-"""The cells of a map over two parameters: where values lie, which may be unevenly spaced."""
+"""Cells of a map over two parameters, whose values may be unevenly spaced or names."""
 
 from typing import NamedTuple
 
@@ -44,13 +44,13 @@ def place_cells(rows: pd.DataFrame, x: str, y: str) -> tuple[pd.DataFrame, Cells
 
 
 def evenly_spaced(values: np.ndarray) -> bool:
-    """Whether cells can have the width of their values' distance without some being too thin to see."""
+    """Whether cells as wide as the gaps between values would all be wide enough to see."""
     gaps = np.diff(values)
     return len(gaps) == 0 or float(gaps.max()) < 3 * float(gaps.min())
 
 
-def edges(values: np.ndarray) -> np.ndarray:
-    """Cell borders: half-way between values, or counted where the values are uneven."""
+def cell_edges(values: np.ndarray) -> np.ndarray:
+    """Borders of cells: half-way between values, or of equal width where the values are uneven."""
     if not evenly_spaced(values):
         return np.arange(len(values) + 1) - 0.5
     half = np.diff(values) / 2 if len(values) > 1 else np.array([0.5 * abs(values[0]) or 0.5])
@@ -60,8 +60,8 @@ def edges(values: np.ndarray) -> np.ndarray:
     return np.concatenate([[first], values[:-1] + half[: len(values) - 1], [values[-1] + half[-1]]])
 
 
-def not_below_zero(ax: Axes) -> None:
-    """End both axes at zero where what is drawn does not go below it: a friction of -0.05 would be nonsense."""
+def end_axes_at_zero(ax: Axes) -> None:
+    """Let both axes end at zero where no value is negative: a friction of -0.05 makes no sense."""
     for low, start, set_limit in (
         (ax.dataLim.x0, ax.get_xlim()[0], ax.set_xlim),
         (ax.dataLim.y0, ax.get_ylim()[0], ax.set_ylim),
@@ -71,27 +71,27 @@ def not_below_zero(ax: Axes) -> None:
 
 
 def mark_values(ax: Axes, cells: Cells) -> None:
-    """Name the values of uneven axes, and those that are names, cell by cell."""
+    """Label the values of uneven axes, and names, cell by cell."""
     for axis, values, names in ((ax.xaxis, cells.x, cells.x_names), (ax.yaxis, cells.y, cells.y_names)):
         if names:
             axis.set_ticks(values, [name.replace("_", " ") for name in names])
         elif not evenly_spaced(values):
             named = evenly_spaced_indices(len(values), NAMED)
-            axis.set_ticks(named, [number(float(values[k])) for k in named])
+            axis.set_ticks(named, [format_number(float(values[k])) for k in named])
     if len(cells.x) > SIDE_BY_SIDE and (cells.x_names or not evenly_spaced(cells.x)):
         ax.tick_params(axis="x", labelrotation=60)
 
 
-def number(value: float, size: int = 4) -> str:
-    """A number of `size` digits beside an axis or in LaTeX: `0.125`, `20,000`, `$2.5·10^{-7}$`."""
+def format_number(value: float, size: int = 4) -> str:
+    """A number beside an axis or in LaTeX, with `size` digits: `0.125`, `20,000`, `$2.5·10^{-7}$`."""
     digits, _, power = f"{value:.{size}g}".partition("e")
     if not power:
         return digits
     return f"{value:,.0f}" if 0 < int(power) < 6 else rf"${digits}\cdot10^{{{int(power)}}}$"
 
 
-def places(numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Where `numbers` lie on an axis with cells of `values`; nan outside those that are uneven."""
+def axis_places(numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Positions of numbers along an axis with cells of `values`; NaN outside of an uneven axis."""
     if evenly_spaced(values):
         return numbers
     return np.interp(numbers, values, np.arange(len(values)), left=np.nan, right=np.nan)

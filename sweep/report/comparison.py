@@ -1,5 +1,6 @@
-"""What `sweep compare` says about pairs of rollouts."""
+"""Text of `sweep compare`: how the outcomes of paired rollouts differ."""
 
+import numpy as np
 import pandas as pd
 
 from sweep.analysis import compare
@@ -12,16 +13,33 @@ from sweep.report.tables import page_table
 SHOWN = 12  # pairs and figures of a list; `--output` has them all
 
 
-def text(pairs: pd.DataFrame, a: int, b: int, regions: list[str] | None = None) -> str:
-    """Flips, by region and by cause, and what else changed; `a` and `b` are the numbers of rows before pairing."""
+def comparison_text(
+    pairs: pd.DataFrame, a: int, b: int, regions: list[str] | None = None, unit: np.ndarray | None = None
+) -> str:
+    """Describe how outcomes differ between two runs, by region and by cause, and which metrics changed most.
+
+    Args:
+        pairs: paired rows, see `compare.pair`.
+        a: rows of the first run, before pairing.
+        b: rows of the second run, before pairing.
+        regions: parameters that divide the pairs into regions; by default the first two that are numbers.
+        unit: independent unit of each pair (n,); None where pairs are no sample, so that no p-value is given.
+
+    Raises:
+        InputError: a region is not a parameter.
+    """
     parts = [
-        f"{len(pairs)} pairs{paired_by(pairs)}; {a - len(pairs)} rows of A and {b - len(pairs)} of B have none",
-        str(compare.flips(pairs)),
+        f"{len(pairs)} pairs{name_pair_columns(pairs)}; {a - len(pairs)} rows of A and {b - len(pairs)} of B have none",
+        str(compare.flips(pairs, unit)),
     ]
-    axes = [parameter(pairs, name) for name in regions] if regions else default_regions(pairs)
+    axes = [find_parameter(pairs, name) for name in regions] if regions else default_regions(pairs)
     if compare.changed(pairs).any():
         if axes:
-            parts += ["", f"By region ({', '.join(map(axis_words, axes))}):", page_table(compare.regions(pairs, axes))]
+            parts += [
+                "",
+                f"By region ({', '.join(map(axis_words, axes))}):",
+                page_table(compare.regions(pairs, axes, unit)),
+            ]
         parts += ["", "What became what:", page_table(compare.causes(pairs))]
         parts += ["", "Pairs that differ:", page_table(compare.differences(pairs).head(SHOWN))]
     drift = compare.drift(pairs)
@@ -32,13 +50,13 @@ def text(pairs: pd.DataFrame, a: int, b: int, regions: list[str] | None = None) 
     return "\n".join(parts)
 
 
-def paired_by(pairs: pd.DataFrame) -> str:
-    """In which columns they agree, if nobody said so and they do not have their points in common."""
+def name_pair_columns(pairs: pd.DataFrame) -> str:
+    """The columns that pairs agree in, where they were chosen automatically; empty where points were paired."""
     return f" of equal {', '.join(pairs.attrs['by'])}" if pairs.attrs["by"] else ""
 
 
-def parameter(pairs: pd.DataFrame, name: str) -> str:
-    """The parameter that `name` means. Raises `InputError` where it is another column."""
+def find_parameter(pairs: pd.DataFrame, name: str) -> str:
+    """Find the parameter that a user means. Raises `InputError` where it is another column."""
     found = column(pairs, name)
     if found not in (allowed := compare.axes(pairs)):
         raise InputError(f"{name} is not a parameter{suggest(name, allowed)}")
@@ -50,8 +68,15 @@ def default_regions(pairs: pd.DataFrame) -> list[str]:
     return [c for c in compare.axes(pairs) if pairs[c].dtype.kind in "fi" and pairs[c].nunique() > 1][:2]
 
 
-def broken(pairs: pd.DataFrame, a: int, tolerance: float, figures: float | None) -> list[str]:
-    """A line for each way in which the runs differ by more than is tolerated."""
+def find_violations(pairs: pd.DataFrame, a: int, tolerance: float, figures: float | None) -> list[str]:
+    """List what differs by more than the user tolerates, a line each.
+
+    Args:
+        pairs: paired rows, see `compare.pair`.
+        a: rows of the first run, each of which needs a pair.
+        tolerance: largest share of pairs whose outcome may differ.
+        figures: largest typical relative change of a metric; None: any.
+    """
     found, lines = compare.flips(pairs), []
     if found.changed > tolerance:
         lines.append(f"outcomes of {percent(found.changed)} of the pairs differ, {percent(tolerance)} tolerated")

@@ -1,4 +1,4 @@
-"""`sweep export --crate`: a study as a Process Run Crate, an RO-Crate: rows, plan, configuration, pictures."""
+"""Export a study as a Process Run Crate (an RO-Crate): rows, plan, configuration, pictures."""
 
 import contextlib
 import io
@@ -17,7 +17,7 @@ from sweep.core import project
 from sweep.core.errors import InputError
 from sweep.core.files import digest, path_in, write_atomically
 from sweep.core.version import VERSION
-from sweep.report.page import dates
+from sweep.report.page import run_dates
 from sweep.runs import manifest, store
 from sweep.runs.results import Results
 
@@ -41,10 +41,21 @@ MEANINGS = {
 }
 
 
-def write(results: Results, out: Path, license_: str, zipped: bool, author: str = "") -> Path:
-    """Write the crate of a study as the folder `out`, or as `out`.zip. Raises `InputError` where `rocrate` is missing.
+def write_crate(results: Results, out: Path, license_: str, zipped: bool, author: str = "") -> Path:
+    """Write the crate of a study.
 
-    `license_` is the address of the licence of the data, `author` the name of who ran the study.
+    Args:
+        results: study with its folder.
+        out: new or empty folder; the archive is `out`.zip.
+        license_: address of the licence of the data.
+        zipped: whether to write an archive instead of a folder.
+        author: who ran the study; empty: not said.
+
+    Returns:
+        The folder or the archive.
+
+    Raises:
+        InputError: `rocrate` is not installed, `out` is not empty, or `license_` is no address.
     """
     try:
         from rocrate.rocrate import ROCrate
@@ -57,7 +68,7 @@ def write(results: Results, out: Path, license_: str, zipped: bool, author: str 
     if out.exists() and any(out.iterdir()):
         raise InputError(f"{out} is not an empty folder")
     crate = ROCrate(version="1.1")  # which the profile is of
-    described(crate, results, license_, author)
+    describe_study(crate, results, license_, author)
     if zipped:
         path = out.with_name(f"{out.name}.zip")
         write_atomically(path, b"".join(crate.stream_zip()))
@@ -70,8 +81,8 @@ def write(results: Results, out: Path, license_: str, zipped: bool, author: str 
     return out
 
 
-def described(crate: "ROCrate", results: Results, license_: str, author: str) -> None:
-    """Add to a crate the files of a study, the program that made them, and how."""
+def describe_study(crate: "ROCrate", results: Results, license_: str, author: str) -> None:
+    """Add to a crate the files of a study, the program that made them, and how it was run."""
     from rocrate.model.contextentity import ContextEntity
     from rocrate.model.person import Person
     from rocrate.model.softwareapplication import SoftwareApplication
@@ -87,16 +98,19 @@ def described(crate: "ROCrate", results: Results, license_: str, author: str) ->
     root["license"] = {"@id": license_}
     crate.datePublished = datetime.now(UTC).replace(microsecond=0)
     given = [
-        crate.add_file(path_in(folder, name), f"{STUDY}/{name}", properties=about(name))
+        crate.add_file(path_in(folder, name), f"{STUDY}/{name}", properties=describe_file(name))
         for name in (store.STUDY, store.POINTS)
     ]
     if read := exp.system.files():
         sources = {**read, project.FILE: io.StringIO("modules: []\n")}
-        given += [crate.add_file(file, f"{PROJECT}/{name}", properties=about(name, "what is simulated"))
+        given += [crate.add_file(file, f"{PROJECT}/{name}", properties=describe_file(name, "what is simulated"))
                   for name, file in sources.items()]  # fmt: skip
-    made = [crate.add_file(path_in(folder, name), f"{STUDY}/{name}", properties=about(name)) for name in kept(folder)]
+    made = [
+        crate.add_file(path_in(folder, name), f"{STUDY}/{name}", properties=describe_file(name))
+        for name in list_stored_files(folder)
+    ]
     made += [
-        crate.add_file(path_in(folder, name), name, properties=about(name))
+        crate.add_file(path_in(folder, name), name, properties=describe_file(name))
         for name in PICTURES
         if path_in(folder, name).exists()
     ]
@@ -108,7 +122,7 @@ def described(crate: "ROCrate", results: Results, license_: str, author: str) ->
     ]  # fmt: skip
     program = programs[0]
     program["softwareRequirements"] = programs[1:]
-    began, ended = dates(folder)
+    began, ended = run_dates(folder)
     run = {
         "name": f"simulation of {results.name}",
         "description": f"on {'; '.join(stored['devices'])}; `sweep reproduce` of this crate simulates rows of it again",
@@ -122,16 +136,16 @@ def described(crate: "ROCrate", results: Results, license_: str, author: str) ->
         root["author"] = action["agent"] = crate.add(Person(crate, "#author", properties={"name": author}))
 
 
-def kept(folder: Path) -> Iterator[str]:
-    """The files beside configuration and plan that count in a study's folder."""
+def list_stored_files(folder: Path) -> Iterator[str]:
+    """Files of a study's folder that belong to the study, apart from its plan and configuration."""
     yield manifest.MANIFEST
     if path_in(folder, store.LOG).exists():
         yield store.LOG
     yield from (entry.file for entry in manifest.read(folder) if entry.file != store.POINTS)
 
 
-def about(name: str, meaning: str = "") -> dict[str, Any]:
-    """What a crate says of a file."""
+def describe_file(name: str, meaning: str = "") -> dict[str, Any]:
+    """Name, meaning and media type of a file, as a crate says them."""
     kind = {".parquet": "application/vnd.apache.parquet", ".yaml": "application/yaml"}.get(Path(name).suffix)
     other = "finished rows" if name.endswith(".parquet") else f"picture of the study, {name}"
     form = kind or mimetypes.guess_type(name)[0] or "text/plain"
@@ -139,7 +153,7 @@ def about(name: str, meaning: str = "") -> dict[str, Any]:
 
 
 @contextlib.contextmanager
-def opened(path: Path) -> Iterator[Path]:
+def open_crate(path: Path) -> Iterator[Path]:
     """Unpack a crate where it is an archive; nothing of it is imported.
 
     Args:

@@ -1,4 +1,4 @@
-"""Words and units for columns."""
+"""Labels and units of columns."""
 
 import re
 from collections import Counter
@@ -16,13 +16,13 @@ from sweep.systems.base import split_side
 READ = {end: format_unit(unit) for end, unit in UNITS.items()} | {"deg": "°"}  # units of figures as they are read
 
 
-def kind_of(rows: pd.DataFrame) -> pd.Series:
-    """What came of each row: `success`, or the cause."""
+def outcome_kind(rows: pd.DataFrame) -> pd.Series:
+    """Outcome of each row: `success`, or the name of the cause."""
     return rows["cause"].astype(object).where(rows["outcome"] != SUCCESS, SUCCESS).astype(str)
 
 
-def meaning(kind: str, exp: Experiment) -> str:
-    """A cause, or success, in a sentence."""
+def kind_meaning(kind: str, exp: Experiment) -> str:
+    """What success, or a cause, means, in a sentence."""
     nothing = "no cause of failure occurred, and nothing that makes a rollout invalid"
     return exp.system.cause_meanings(exp.thresholds).get(kind, nothing)
 
@@ -45,7 +45,7 @@ def axis_words(column: str, exp: Experiment | None = None) -> str:
         `radius / body length`. Without `exp`, or for a column of no axis, the last part of the path.
     """
     axis = next((axis for axis in exp.study.axes if axis.column == column), None) if exp else None
-    return path_words(column) if axis is None else named_words(axis)
+    return path_words(column) if axis is None else axis_name_words(axis)
 
 
 def path_words(column: str, parts: int = 1) -> str:
@@ -55,7 +55,7 @@ def path_words(column: str, parts: int = 1) -> str:
     return words if side == "both" else f"{words} ({side})"
 
 
-def named_words(axis: Axis) -> str:
+def axis_name_words(axis: Axis) -> str:
     """The name of an axis in words, with what its numbers are where they are no values of its path, and its side."""
     words = axis.name.replace("_", " ")
     if axis.path and axis.times:
@@ -99,37 +99,45 @@ def column_meaning(column: str, exp: Experiment) -> str:
     """A parameter's column and its unit, for what is shown on hover; empty for other columns."""
     if "." not in column:
         return ""
-    unit = unit_of(column, exp)
+    unit = column_unit(column, exp)
     return f"{column} [{unit}]" if unit else column
 
 
-def with_value(column: str, value: object, exp: Experiment | None = None) -> str:
+def label_with_value(column: str, value: object, exp: Experiment | None = None) -> str:
     """`obstacle.mass` at 50.0 -> `mass 50 kg`."""
     shown = f"{value:.4g}" if isinstance(value, float) else str(value)
-    unit_there = unit_of(column, exp) if exp else ""
+    unit_there = column_unit(column, exp) if exp else ""
     return " ".join(part for part in (axis_words(column, exp), shown, unit_there) if part)
 
 
-def beside_axis(column: str, exp: Experiment | None = None) -> str:
-    """The heading of a column as a figure has it, `c1` and `a_r` with an index."""
+def axis_title(column: str, exp: Experiment | None = None) -> str:
+    """Heading of a column beside an axis of a figure; `c1` and `a_r` get an index."""
     return re.sub(r"\b([a-z])(?:(\d)|_(\w))\b", r"$\1_\2\3$", heading(column, exp))
 
 
-def unit_of(column: str, exp: Experiment) -> str:
-    """Unit of a column: of an axis by its parameter, of a figure by the end of its name; empty where it has none."""
+def column_unit(column: str, exp: Experiment) -> str:
+    """Unit of a column as a reader sees it.
+
+    Args:
+        column: a parameter, whose unit is its own, or a metric, whose unit is at the end of its name.
+        exp: experiment of the study.
+
+    Returns:
+        The unit, such as `N·m`; empty for pure numbers and names.
+    """
     if "." not in column:
         return name_and_unit(column)[1]
     return format_unit(unit_of_column(column, exp.system, exp.settings))
 
 
 def heading(column: str, exp: Experiment | None = None) -> str:
-    """Words and unit, for a table or beside an axis; without `exp` the units of parameters are not known."""
+    """Label with unit, for a table or beside an axis. Without `exp`, units of parameters are unknown."""
     words, known = words_and_unit(column, exp)
     return f"{words} [{known}]" if known else words
 
 
 def words_and_unit(column: str, exp: Experiment | None = None) -> tuple[str, str]:
-    """Words for a column, and its unit apart."""
+    """Label of a column, and its unit."""
     if "." not in column:
         return name_and_unit(column)
-    return axis_words(column, exp), unit_of(column, exp) if exp else ""
+    return axis_words(column, exp), column_unit(column, exp) if exp else ""

@@ -1,4 +1,4 @@
-"""Where it succeeds: a map over two parameters, one panel for each combination of the named alternatives."""
+"""Maps of success over two parameters, with a panel for each combination of further names."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
@@ -23,11 +23,11 @@ from sweep.core.expressions import column
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError
 from sweep.core.plot_style import LETTERS, PAGE, legend_below, wrap_text
-from sweep.report import limits
-from sweep.report.cells import Cells, edges, mark_values, place_cells, places
+from sweep.report import analytic_curves
+from sweep.report.cells import Cells, axis_places, cell_edges, mark_values, place_cells
 from sweep.report.headline import count_placed
-from sweep.report.labels import beside_axis, with_value
-from sweep.report.looks import INVALID, ink_on, look_of, marker
+from sweep.report.labels import axis_title, label_with_value
+from sweep.report.outcome_style import INVALID, find_look, glyph_ink, marker_path
 from sweep.runs import refine
 from sweep.study.config import Experiment, experiment
 
@@ -37,57 +37,72 @@ OUTLINED, GLYPHS, BOXES = 4000, 40, 20_000
 GLYPH = 3.2  # points across, of a glyph whose radius is one
 
 
-def success_map(
-    rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str, ...] = (), called: str = ""
-) -> Figure:
-    """The figure, its title `called` or the study's name; `chosen` names the two parameters. Raises `InputError`.
+def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str, ...] = (), title: str = "") -> Figure:
+    """Draw a map of success.
 
-    With one rollout a cell its colour is the outcome or the cause of failure, with more it is the rate of success.
+    With one rollout a cell, colours are outcomes and causes; with more, the rate of success.
+
+    Args:
+        rows: rows of the study.
+        stored: content of its study.yaml.
+        chosen: names of the two parameters; those that are missing are chosen automatically.
+        title: of the figure; the study's name by default.
+
+    Raises:
+        InputError: fewer than two parameters vary.
     """
     x, y = map_axes(rows, chosen)
     exp = experiment(stored["config"])
     guessed = exp.study.resolution > 0 and {x, y} == {a.column for a in refine.lattice(exp.study).axes}
     rows = refine.paint_cells(exp, rows) if guessed else rows.assign(known=True)
     rows, cells = place_cells(rows, x, y)
-    panels = list(split(rows, x, y, exp=exp))
+    panels = list(split_panels(rows, x, y, exp=exp))
     counts = [panel.groupby([x, y]).size() for _, panel in panels]
     most = max(int(count.max()) for count in counts)
-    measured = limits.measured(exp, rows)
+    measured = analytic_curves.measured_metrics(exp, rows)
     columns = len(panels) * (1 + len(measured))
     figure, axes = plt.subplots(
         1, columns, figsize=(max(PAGE, 0.6 + 3 * columns), 3.6), squeeze=False, sharey=True, layout="constrained"
     )
     plt.close(figure)  # else a notebook shows it once more at the end of the cell
     room = 72 * (figure.get_size_inches()[0] - 1) / columns
-    for ax, (measure, (title, panel)) in zip(axes[0], product([None, *measured], panels), strict=True):
+    for ax, (measure, (heads, panel)) in zip(axes[0], product([None, *measured], panels), strict=True):
         if measure:
-            beside(ax, panel, cells, measure)
+            draw_metric(ax, panel, cells, measure)
         else:
-            (categories if most == 1 else shares)(ax, panel, cells)
+            (draw_outcomes if most == 1 else draw_rates)(ax, panel, cells)
             text = count_placed(panel) if exp.study.is_adaptive else str(pooled(panel, exp)).replace(" (", "\n(", 1)
             if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
-                outlines(ax, exp, panel, x, y, cells)
+                draw_refined_cells(ax, exp, panel, x, y, cells)
                 text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"
-            title = [*title, text]
+            heads = [*heads, text]
         mark_values(ax, cells)
-        ax.set_title("\n".join(wrap_text(one, room) for one in title))
-        ax.set_xlabel(beside_axis(x, exp))
-        limits.draw(ax, exp, panel, x, y, cells)
-    axes[0, 0].set_ylabel(beside_axis(y, exp))
+        ax.set_title("\n".join(wrap_text(one, room) for one in heads))
+        ax.set_xlabel(axis_title(x, exp))
+        analytic_curves.draw_limits(ax, exp, panel, x, y, cells)
+    axes[0, 0].set_ylabel(axis_title(y, exp))
     lines, _ = axes[0, 0].get_legend_handles_labels()
     invalid = bool((rows["outcome"] == "invalid").any())
-    legend(figure, kinds_in(rows, exp) if most == 1 else [], glyphed(cells), invalid, lines)
+    draw_legend(figure, kinds_in(rows, exp) if most == 1 else [], has_room_for_glyphs(cells), invalid, lines)
     if most > 1:
         scale = ScalarMappable(Normalize(0, 1), "cividis")
-        figure.colorbar(scale, ax=axes, label=f"rate of success, n = {spread(counts)} a cell", shrink=0.8)
-    name = called or stored["config"]["study"]["name"] or stored["config"]["scenario"]["name"]
+        figure.colorbar(scale, ax=axes, label=f"rate of success, n = {count_range(counts)} a cell", shrink=0.8)
+    name = title or stored["config"]["study"]["name"] or stored["config"]["scenario"]["name"]
     figure.suptitle(wrap_text(name.replace("_", " "), 72 * figure.get_size_inches()[0] - 2 * LETTERS))
     return figure
 
 
 def map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
-    """The two parameters of a map: the chosen ones, then the first `independent` ones. Raises `InputError`."""
-    found = independent(rows, chosen)
+    """Choose the parameters across and upwards of a map.
+
+    Args:
+        rows: rows of the study.
+        chosen: names of parameters that the user asks for, at most two.
+
+    Raises:
+        InputError: fewer than two parameters vary, or a chosen column is no parameter.
+    """
+    found = independent_parameters(rows, chosen)
     if len(set(found)) < 2:
         raise InputError(f"a map needs two varied parameters, here: {', '.join(found) or 'none'}")
     if words := [one for one in found if rows[one].dtype.kind not in "fi" and "." not in one]:
@@ -95,10 +110,16 @@ def map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
     return found[0], found[1]
 
 
-def independent(rows: pd.DataFrame, chosen: tuple[str, ...] = ()) -> list[str]:
-    """At most two parameters that do not follow from one another: the chosen ones, then numbers, then names.
+def independent_parameters(rows: pd.DataFrame, chosen: tuple[str, ...] = ()) -> list[str]:
+    """List at most two parameters that do not determine each other.
 
-    Of points of a table that are all alone, each parameter follows from any.
+    Args:
+        rows: rows of the study.
+        chosen: names of parameters that come first.
+
+    Returns:
+        Columns: the chosen ones, then numbers, then names. In a table of points that are all different, each parameter
+        determines all others.
     """
     varied = [c for c in rows.columns if "." in c and rows[c].nunique() > 1]
     found = [column(rows, name) for name in chosen]
@@ -108,17 +129,17 @@ def independent(rows: pd.DataFrame, chosen: tuple[str, ...] = ()) -> list[str]:
     return found[:2]
 
 
-def split(
+def split_panels(
     rows: pd.DataFrame, x: str, y: str, also: tuple[str, ...] = (), exp: Experiment | None = None
 ) -> Iterator[tuple[list[str], pd.DataFrame]]:
-    """Panels, with their titles: one for each combination of varied names and values of `also`."""
+    """Divide rows into panels, one for each combination of names and of values of `also`, with titles."""
     named = [c for c in rows.columns if "." in c and c not in (x, y) and rows[c].dtype.kind not in "fi"]
     named = [*(c for c in named if rows[c].nunique() > 1), *also]
     if not named:
         yield [], rows
         return
     for values, panel in rows.groupby(named, sort=False):
-        yield [with_value(str(c), v, exp) for c, v in zip(named, values, strict=True)], panel
+        yield [label_with_value(str(c), v, exp) for c, v in zip(named, values, strict=True)], panel
 
 
 def kinds_in(rows: pd.DataFrame, exp: Experiment) -> list[str]:
@@ -128,66 +149,68 @@ def kinds_in(rows: pd.DataFrame, exp: Experiment) -> list[str]:
     return [SUCCESS] * bool((rows["outcome"] == SUCCESS).any()) + causes
 
 
-def spread(counts: list[pd.Series]) -> str:
+def count_range(counts: list[pd.Series]) -> str:
     """Smallest and largest number of rollouts in a cell."""
     low, high = min(int(c.min()) for c in counts), max(int(c.max()) for c in counts)
     return str(low) if low == high else f"{low}-{high}"
 
 
-def categories(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
-    """Cells coloured by outcome and cause."""
+def draw_outcomes(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
+    """Colour cells by outcome and cause."""
     kind = pd.Categorical(rows["cause"].where(rows["outcome"] == "failure", "success"))
-    palette = ListedColormap([look_of(one).colour for one in kind.categories])
-    paint(ax, rows.assign(value=kind.codes.astype(float)), cells, cmap=palette, vmin=-0.5, vmax=palette.N - 0.5)
-    if glyphed(cells):
-        glyphs(ax, rows[rows["outcome"] == "failure"], cells)
+    palette = ListedColormap([find_look(one).colour for one in kind.categories])
+    draw_cell_values(
+        ax, rows.assign(value=kind.codes.astype(float)), cells, cmap=palette, vmin=-0.5, vmax=palette.N - 0.5
+    )
+    if has_room_for_glyphs(cells):
+        draw_glyphs(ax, rows[rows["outcome"] == "failure"], cells)
 
 
-def glyphed(cells: Cells) -> bool:
-    """Whether cells have room for a glyph."""
+def has_room_for_glyphs(cells: Cells) -> bool:
+    """Whether cells are large enough for a glyph."""
     return max(len(cells.x), len(cells.y)) <= GLYPHS
 
 
-def glyphs(ax: Axes, failed: pd.DataFrame, cells: Cells) -> None:
-    """The shape of its cause in each cell, for those who cannot tell the colours."""
-    middles = [(edges(values)[1:] + edges(values)[:-1]) / 2 for values in cells[:2]]
+def draw_glyphs(ax: Axes, failed: pd.DataFrame, cells: Cells) -> None:
+    """Draw the shape of its cause in each failed cell, for readers who cannot tell the colours apart."""
+    middles = [(cell_edges(values)[1:] + cell_edges(values)[:-1]) / 2 for values in cells[:2]]
     for cause, part in failed.groupby("cause"):
-        up, across = places_in(part, cells)
-        stamp(ax, str(cause), middles[0][across], middles[1][up])
+        up, across = cell_indices(part, cells)
+        draw_glyph_at(ax, str(cause), middles[0][across], middles[1][up])
 
 
-def stamp(ax: Axes, cause: str, x: np.ndarray, y: np.ndarray) -> None:
-    """The glyph of a cause at places of the axes."""
-    look = glyph(cause)
+def draw_glyph_at(ax: Axes, cause: str, x: np.ndarray, y: np.ndarray) -> None:
+    """Draw the glyph of a cause at several places."""
+    look = cause_glyph(cause)
     style: dict[str, Any] = {"marker": look.get_marker(), "color": look.get_color(), "linewidths": 0}
     ax.scatter(x, y, s=look.get_markersize() ** 2, rasterized=True, **style)
 
 
-def glyph(cause: str) -> Line2D:
-    """The shape of a cause as legends show it, in the ink that is seen on its colour."""
-    look = look_of(cause)
-    style: dict[str, Any] = {"marker": marker(cause), "markersize": GLYPH * np.abs(look.shape).max()}
-    return Line2D([], [], linestyle="", color=ink_on(look.colour), markeredgewidth=0, **style)
+def cause_glyph(cause: str) -> Line2D:
+    """The shape of a cause, in a colour that contrasts with its cell."""
+    look = find_look(cause)
+    style: dict[str, Any] = {"marker": marker_path(cause), "markersize": GLYPH * np.abs(look.shape).max()}
+    return Line2D([], [], linestyle="", color=glyph_ink(look.colour), markeredgewidth=0, **style)
 
 
-def runs(grid: np.ndarray, cells: Cells) -> Iterator[tuple[tuple[tuple[float, float], float, float], Any]]:
-    """Corner, width and height of each run of equal cells of a line, and what they hold."""
-    x, y = edges(cells.x).tolist(), edges(cells.y).tolist()
+def equal_runs(grid: np.ndarray, cells: Cells) -> Iterator[tuple[tuple[tuple[float, float], float, float], Any]]:
+    """Corner, width and height of each run of equal cells in a line, and their value."""
+    x, y = cell_edges(cells.x).tolist(), cell_edges(cells.y).tolist()
     for j, line in enumerate(grid):
         starts = np.flatnonzero(np.r_[True, line[1:] != line[:-1]]).tolist()
         for start, end in zip(starts, [*starts[1:], len(line)], strict=True):
             yield ((x[start], y[j]), x[end] - x[start], y[j + 1] - y[j]), line[start]
 
 
-def places_in(rows: pd.DataFrame, cells: Cells) -> tuple[np.ndarray, np.ndarray]:
+def cell_indices(rows: pd.DataFrame, cells: Cells) -> tuple[np.ndarray, np.ndarray]:
     """Line and column of the cell of each row."""
     return np.searchsorted(cells.y, rows["y"]), np.searchsorted(cells.x, rows["x"])
 
 
-def means(rows: pd.DataFrame, cells: Cells, name: str) -> np.ma.MaskedArray:
-    """The mean of a column over the rows of each cell that have a number, masked where none has."""
+def cell_means(rows: pd.DataFrame, cells: Cells, name: str) -> np.ma.MaskedArray:
+    """Mean of a column over the rows of each cell, masked where no row has a number."""
     own = rows[rows[name].notna()]
-    at = np.ravel_multi_index(places_in(own, cells), (len(cells.y), len(cells.x)))
+    at = np.ravel_multi_index(cell_indices(own, cells), (len(cells.y), len(cells.x)))
     size = len(cells.x) * len(cells.y)
     number = np.bincount(at, minlength=size)
     total = np.bincount(at, own[name].to_numpy(dtype=float), minlength=size)
@@ -195,18 +218,20 @@ def means(rows: pd.DataFrame, cells: Cells, name: str) -> np.ma.MaskedArray:
     return mean.reshape(len(cells.y), len(cells.x))
 
 
-def shares(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
-    """Cells coloured by the share of successes among valid rollouts."""
-    paint(ax, rows.assign(value=(rows["outcome"] == "success").astype(float)), cells, cmap="cividis", vmin=0, vmax=1)
+def draw_rates(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
+    """Colour cells by the rate of success among valid rollouts."""
+    draw_cell_values(
+        ax, rows.assign(value=(rows["outcome"] == "success").astype(float)), cells, cmap="cividis", vmin=0, vmax=1
+    )
 
 
-def paint(ax: Axes, rows: pd.DataFrame, cells: Cells, **style: Any) -> None:
-    """The mean value of the valid rows of each cell; hatching where there are invalid ones."""
+def draw_cell_values(ax: Axes, rows: pd.DataFrame, cells: Cells, **style: Any) -> None:
+    """Colour cells by the mean value of their valid rows, and hatch those with invalid ones."""
     invalid = rows["outcome"] == "invalid"
-    coloured(ax, means(rows[~invalid], cells, "value"), cells, **style)
+    draw_cells(ax, cell_means(rows[~invalid], cells, "value"), cells, **style)
     doubtful = np.zeros((len(cells.y), len(cells.x)), dtype=bool)
-    doubtful[places_in(rows[invalid], cells)] = True
-    boxes = [box for box, broken in runs(doubtful, cells) if broken] if invalid.any() else []
+    doubtful[cell_indices(rows[invalid], cells)] = True
+    boxes = [box for box, broken in equal_runs(doubtful, cells) if broken] if invalid.any() else []
     if doubtful.size <= OUTLINED:
         for box in boxes:
             ax.add_patch(Rectangle(*box, fill=False, hatch="////", linewidth=0.4))
@@ -216,46 +241,46 @@ def paint(ax: Axes, rows: pd.DataFrame, cells: Cells, **style: Any) -> None:
         ax.add_patch(PathPatch(path, fill=False, hatch="////", linewidth=0))
 
 
-def coloured(ax: Axes, values: np.ma.MaskedArray, cells: Cells, **style: Any) -> Any:
-    """Cells by their values: drawn one by one with white outlines, or where they are many as one image."""
-    x, y = edges(cells.x), edges(cells.y)
+def draw_cells(ax: Axes, values: np.ma.MaskedArray, cells: Cells, **style: Any) -> Any:
+    """Draw cells coloured by value, with outlines; many cells become one image."""
+    x, y = cell_edges(cells.x), cell_edges(cells.y)
     if values.size > OUTLINED:
         return ax.pcolorfast(x, y, values, **style)
     return ax.pcolormesh(x, y, values, edgecolors="white", linewidth=0.4, **style)
 
 
-def outlines(ax: Axes, exp: Experiment, painted: pd.DataFrame, x: str, y: str, cells: Cells) -> None:
-    """The cells that refinement ended with, over a map of `painted` rows (see `refine.painted`); those run as dots."""
+def draw_refined_cells(ax: Axes, exp: Experiment, painted: pd.DataFrame, x: str, y: str, cells: Cells) -> None:
+    """Outline the cells of a refined map, and mark the rows that were simulated with dots."""
     rows = painted[painted["known"]]
     for panel in refine.summarize_panels(exp, rows):
         columns = [a.column for a in panel.grid.axes]
         for power, corners in enumerate(panel.cells if panel.rollouts else ()):
             (left, right), (low, high) = (
-                [places(panel.grid.values[k][corners[:, k] + step], values) for step in (0, 2**power)]
+                [axis_places(panel.grid.values[k][corners[:, k] + step], values) for step in (0, 2**power)]
                 for k, values in zip(map(columns.index, (x, y)), cells[:2], strict=True)
             )
             boxes = np.stack([[left, low], [right, low], [right, high], [left, high]]).transpose(2, 0, 1)
             ax.add_collection(PolyCollection(list(boxes), facecolor="none", edgecolor="0.35", linewidth=0.3))
-    dots = [places(rows[c].to_numpy(), values) for c, values in zip((x, y), cells[:2], strict=True)]
+    dots = [axis_places(rows[c].to_numpy(), values) for c, values in zip((x, y), cells[:2], strict=True)]
     ax.plot(*dots, ".", markersize=1.5, color="black")
 
 
-def beside(ax: Axes, rows: pd.DataFrame, cells: Cells, name: str) -> None:
-    """A measured figure in the same cells, of rollouts that succeed."""
-    colours = coloured(ax, means(rows[rows["outcome"] == "success"], cells, name), cells)
-    ax.figure.colorbar(colours, ax=ax, label=f"{beside_axis(name)}, where it succeeds", shrink=0.8)
+def draw_metric(ax: Axes, rows: pd.DataFrame, cells: Cells, name: str) -> None:
+    """Colour cells by a metric of the successful rollouts."""
+    colours = draw_cells(ax, cell_means(rows[rows["outcome"] == "success"], cells, name), cells)
+    ax.figure.colorbar(colours, ax=ax, label=f"{axis_title(name)}, where it succeeds", shrink=0.8)
 
 
-def legend(figure: Figure, kinds: Sequence[str], shaped: bool, invalid: bool, lines: Sequence[Artist]) -> None:
-    """What the colours and glyphs of cells, the hatching and the lines mean; `shaped` where cells have glyphs."""
+def draw_legend(figure: Figure, kinds: Sequence[str], shaped: bool, invalid: bool, lines: Sequence[Artist]) -> None:
+    """Explain colours, glyphs, hatching and curves below a map."""
     glyphs = {kind: kind if shaped and kind != SUCCESS else "" for kind in kinds}
-    handles: list[Any] = [cell(kind.replace("_", " "), look_of(kind).colour, glyphs[kind]) for kind in kinds]
+    handles: list[Any] = [legend_cell(kind.replace("_", " "), find_look(kind).colour, glyphs[kind]) for kind in kinds]
     if invalid:
         handles.append(Patch(facecolor=INVALID, edgecolor="black", hatch="////", label="invalid"))
     legend_below(figure, [*handles, *lines])
 
 
-def cell(label: str, colour: str, cause: str = "") -> tuple[Line2D, ...]:
-    """A cell of a map in a legend, and the glyph of its cause over it."""
+def legend_cell(label: str, colour: str, cause: str = "") -> tuple[Line2D, ...]:
+    """A cell of a map in a legend, with the glyph of its cause."""
     square = Line2D([], [], linestyle="", marker="s", markersize=LETTERS, color=colour, label=label)
-    return (square, glyph(cause)) if cause else (square,)
+    return (square, cause_glyph(cause)) if cause else (square,)

@@ -1,4 +1,4 @@
-"""`sweep list results/`: folders of studies, a line each."""
+"""`sweep list results/`: a line for each study folder."""
 
 from datetime import datetime
 from pathlib import Path
@@ -14,27 +14,27 @@ from sweep.runs.results import load_experiment
 from sweep.study.adaptive_sampling import KINDS
 
 
-def text(folders: list[Path]) -> str:
-    """The table of the studies in `folders`, or in the folders in them. Raises `InputError` where one is without."""
-    found = [one for folder in folders for one in within(folder)]
-    return pd.DataFrame([line(folder) for folder in found]).to_markdown(index=False, disable_numparse=True)
+def overview_text(folders: list[Path]) -> str:
+    """The table of the studies in `folders`, or in the folders in them. Raises `InputError` where one has none."""
+    found = [one for folder in folders for one in find_study_folders(folder)]
+    return pd.DataFrame([describe_folder(folder) for folder in found]).to_markdown(index=False, disable_numparse=True)
 
 
-def within(folder: Path) -> list[Path]:
-    """A study's folder, or those just below. Raises `InputError` without any."""
+def find_study_folders(folder: Path) -> list[Path]:
+    """The folder itself if it holds a study, else the study folders directly in it. Raises `InputError` without any."""
     places = [folder / store.STUDY, *sorted(folder.glob(f"*/{store.STUDY}"))]
     if found := [file.parent for file in places if file.exists()]:
         return found[:1] if found[0] == folder else found
     raise InputError(f"{folder} holds no study: a folder with {store.STUDY} is one")
 
 
-def line(folder: Path) -> dict[str, str]:
+def describe_folder(folder: Path) -> dict[str, str]:
     """Study, rollouts done and planned, rate of success or P(failure), invalid ones, code, and when it last changed."""
     name = printable_name(folder)
     empty = dict.fromkeys(("study", "rollouts", "succeed", "invalid", "commit", "date"), "")
     try:
         stored = store.read_study(folder)
-        outcome = outcomes(folder)
+        outcome = read_outcomes(folder)
     except InputError as error:
         return {"folder": name, **empty, "study": printable_name(str(error).split(":")[0].removeprefix(f"{folder}/"))}
     found, config = rate(outcome), stored["config"]
@@ -52,7 +52,7 @@ def line(folder: Path) -> dict[str, str]:
     }
 
 
-def outcomes(folder: Path) -> pd.Series:
+def read_outcomes(folder: Path) -> pd.Series:
     """The outcomes of finished rows. Raises `InputError` where a part is damaged."""
     parts = [part["outcome"].to_pandas() for part in store.read_parts(folder, ["outcome"])]
     return pd.concat(parts, ignore_index=True) if parts else pd.Series([], dtype=object)

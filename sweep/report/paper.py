@@ -1,4 +1,4 @@
-"""`sweep export --paper`: a study as LaTeX tables, figures, their data, and a macro for every number."""
+"""`sweep export --paper`: a study as LaTeX tables, figures with their data, and a macro for every number."""
 
 import re
 import sys
@@ -15,12 +15,13 @@ import pandas as pd
 
 from sweep.analysis import rare
 from sweep.analysis.sample import is_sample, pooled
+from sweep.analysis.sampling_units import interval_method
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
 from sweep.core.files import write_atomically
 from sweep.core.plot_style import plot_style
 from sweep.report import cells, statistics, tables
-from sweep.report.exhibits import exhibits
+from sweep.report.figures import list_figures
 from sweep.report.labels import heading
 from sweep.runs import audit
 from sweep.runs.results import Results
@@ -41,7 +42,7 @@ DIGITS = ("Zero", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight"
 
 @dataclass(frozen=True)
 class Number:
-    """A number to quote, and the rows that it comes from."""
+    """A number that a paper may quote, and the rows that it comes from."""
 
     name: str  # of its macro
     value: float
@@ -50,13 +51,23 @@ class Number:
     where: str | None  # which rows; None: all
 
 
-def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
-    """Write the bundle into the folder `out`: main.tex, numbers.tex, tables, figures, and the data of all of them.
+def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
+    """Write main.tex, numbers.tex, tables and figures, and the data of all of them.
 
-    Letters of figures have serifs where the paper's have. A line on the standard error says what the study's name needs
-    of LaTeX where it has letters beyond Latin and Cyrillic ones. Raises `InputError` where `out` has files of others.
+    A line on the standard error names letters of the study's name that pdfLaTeX lacks.
+
+    Args:
+        results: study with its rows.
+        out: folder; files of an earlier export are replaced.
+        serif: whether figures use a font with serifs.
+
+    Returns:
+        The files that were written.
+
+    Raises:
+        InputError: `out` holds files of someone else.
     """
-    shown, summed = list(exhibits(results)), list(summaries(results))
+    shown, summed = list(list_figures(results)), list(summary_tables(results))
     keys, names = [one.key for one in shown], [name for name, *_ in summed]
     own = {"figures": keys, "data": [*keys, *names, "rows", "numbers"], "tables": names}
     _refuse_others(out, own)
@@ -73,14 +84,14 @@ def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
         paths.append(out / "data" / f"{name}.csv")
         write_atomically(paths[-1], table.to_csv(index=False).encode())
         if len(table) <= LINES:
-            texts[f"tables/{name}.tex"], captions[name] = tables.latex(table, results.exp), caption
+            texts[f"tables/{name}.tex"], captions[name] = tables.latex_table(table, results.exp), caption
     found = rare.rare(results.rows, results.exp) if results.exp.study.is_adaptive else None
-    numbers = list(quoted(results, found))
+    numbers = list(quotable_numbers(results, found))
     table = pd.DataFrame([vars(one) for one in numbers])
     write_atomically(out / "data" / "numbers.csv", table.to_csv(index=False).encode())
-    texts["numbers.tex"] = "".join(macro(results, one, paths[0].name) for one in numbers)
+    texts["numbers.tex"] = "".join(macro_definition(results, one, paths[0].name) for one in numbers)
     every = "".join([results.name, *texts.values(), *captions.values(), *(one.title + one.caption for one in shown)])
-    cyrillic, unknown, others = foreign(every)
+    cyrillic, unknown, others = find_other_letters(every)
     if unknown:
         font, package = (OTHER_FONTS[0], "noto-cjk") if others else (ALPHABET_FONTS[1], "freefont-otf")
         letters = f"pdflatex has no letters {''.join(unknown)}"
@@ -89,18 +100,19 @@ def write(results: Results, out: Path, serif: bool = False) -> list[Path]:
             file=sys.stderr,
         )
     texts["main.tex"] = _template().render(
-        cyrillic=codes(cyrillic),
-        unknown=codes(unknown),
+        cyrillic=letter_codes(cyrillic),
+        unknown=letter_codes(unknown),
         others=others,
         alphabet_fonts=ALPHABET_FONTS if cyrillic or len(others) < len(unknown) else (),
         other_fonts=OTHER_FONTS if others else (),
         results=results,
-        prefix=prefix(results),
-        exhibits=shown,
-        escape=escape,
+        prefix=macro_prefix(results),
+        figures=shown,
+        escape=escape_latex,
         tables=captions,
         sample=is_sample(results.rows, results.exp),
-        beside=beside(results, found),
+        method=escape_latex(interval_method(results.exp.study)),
+        beside=caveat(results, found),
         adaptive=found is not None,
     )
     for name, text in texts.items():
@@ -129,14 +141,14 @@ def _rows(results: Results, out: Path) -> Path:
         write_atomically(path, partial(results.rows.to_parquet, index=False, compression="zstd"))
     else:
         path = out / "data" / "rows.csv"
-        write_atomically(path, tables.csv(results.rows))
+        write_atomically(path, tables.csv_bytes(results.rows))
     return path
 
 
-def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
-    """Names, captions and contents of the tables: what was varied, what came of it, and the statistics of the page."""
+def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
+    """Yield name, caption and content of each table: parameters, outcomes, and the statistics of the page."""
     rows = results.rows
-    if varied := list(tables.parameters(results)):
+    if varied := list(tables.varied_parameters(results)):
         columns = ["words", "side", "values", "number", "unit", "nominal"]
         yield "parameters", "What was varied.", pd.DataFrame(varied)[columns].rename(columns={"words": "varied"})
     parts = [("all", rows)]
@@ -147,13 +159,14 @@ def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         one = pooled(part, results.exp)
         shares = ("" if np.isnan(v) else f"{100 * v:.1f}" for v in (one.share, one.low, one.high))
         lines.append((name, one.total, one.invalid, one.success, *shares))
+    method = interval_method(results.exp.study)
     success = pd.DataFrame(lines, columns=["rollouts", "number", "invalid", "succeed", "%", "from", "to"])
     if results.exp.study.is_adaptive:
         yield "success", "Rollouts that the search placed; their shares are no rates.", success.iloc[:, :4]
     elif (success["from"] == "").all():
         yield "success", "How often rollouts succeed.", success.drop(columns=["from", "to"])
     else:
-        yield "success", r"How often rollouts succeed, with 95\,\% Wilson intervals of what is a sample.", success
+        yield "success", f"How often rollouts succeed, with 95\\,\\% intervals of what is a sample ({method}).", success
     if results.causes_seen:
         counts = [
             (c.replace("_", " "), words, int((rows["cause"] == c).sum())) for c, words in results.causes_seen.items()
@@ -161,18 +174,22 @@ def summaries(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         table = pd.DataFrame(counts, columns=["cause", "what it means", "rollouts"])
         yield "not-successful", "Rollouts that did not succeed.", table
     if len(again := audit.table(results)):
-        yield "audited", r"Rollouts at the boundary and successes, simulated again, with exact 95\,\% intervals.", again
-    for number, (title, content) in enumerate(statistics.in_words(results), 1):
+        yield (
+            "audited",
+            r"Rollouts next to the boundary and successes elsewhere, simulated again, with exact 95\,\% intervals.",
+            again,
+        )
+    for number, (title, content) in enumerate(statistics.labelled_sections(results), 1):
         if isinstance(content, pd.DataFrame):
-            yield f"statistics-{number}", escape(title) + ".", content
+            yield f"statistics-{number}", escape_latex(title) + ".", content
 
 
-def quoted(results: Results, found: rare.Weighted | rare.Repeated | None) -> Iterator[Number]:
-    """Every number of the bundle's text, and those that a text about the study is likely to need.
+def quotable_numbers(results: Results, found: rare.Weighted | rare.Repeated | None) -> Iterator[Number]:
+    """Yield every number of the text, and those that a paper about the study is likely to quote.
 
-    `found` is what a study that seeks failures says.
+    `found` is the probability of failure of a study that searches for failures.
     """
-    rows, start = results.rows, prefix(results)
+    rows, start = results.rows, macro_prefix(results)
     one, valid = pooled(rows, results.exp), 'outcome != "invalid"'
     for name, count, where in (
         ("Rollouts", one.total, None),
@@ -185,22 +202,23 @@ def quoted(results: Results, found: rare.Weighted | rare.Repeated | None) -> Ite
     if not found:
         yield _percent(start + "Rate", one.share, share, valid)
     if not np.isnan(one.low):
-        yield _percent(start + "RateLow", one.low, f"lower end of the 95 % Wilson interval of the {share}", valid)
-        yield _percent(start + "RateHigh", one.high, f"upper end of the 95 % Wilson interval of the {share}", valid)
+        interval = f"end of the 95 % interval ({interval_method(results.exp.study)}) of the {share}"
+        yield _percent(start + "RateLow", one.low, f"lower {interval}", valid)
+        yield _percent(start + "RateHigh", one.high, f"upper {interval}", valid)
     yield _percent(start + "InvalidRate", one.invalid_share, 'share of outcome == "invalid"', None)
     if found:
         for name, value in zip(("", "Low", "High"), (found.probability, *found.interval), strict=True):
             what = (
                 f"probability of failing{f', its {name.lower()} 95 % end' if name else ''}, by where rows were sought"
             )
-            shown = "--" if np.isnan(value) else cells.number(value, 2)
+            shown = "--" if np.isnan(value) else cells.format_number(value, 2)
             yield Number(f"{start}Failing{name}", value, shown, what, None)
     for cause in results.causes_seen:
         where = f'cause == "{cause}"'
         count = int((rows["cause"] == cause).sum())
-        yield Number(start + camel("cause_" + cause), count, str(count), "number of rows", where)
+        yield Number(start + macro_name("cause_" + cause), count, str(count), "number of rows", where)
     for axis in results.numeric:
-        name = start + camel(axis.removesuffix(".name"))
+        name = start + macro_name(axis.removesuffix(".name"))
         for word, value in (("Min", rows[axis].min()), ("Max", rows[axis].max())):
             yield Number(name + word, float(value), f"{value:.4g}", f"{word.lower()} of {axis}", None)
     won = rows[rows["outcome"] == "success"]
@@ -209,16 +227,16 @@ def quoted(results: Results, found: rare.Weighted | rare.Repeated | None) -> Ite
             continue
         for word, value in (("Median", won[figure].median()), ("Min", won[figure].min()), ("Max", won[figure].max())):
             what = f"{word.lower()} of {figure}"
-            yield Number(start + camel(figure) + word, float(value), f"{value:.4g}", what, 'outcome == "success"')
+            yield Number(start + macro_name(figure) + word, float(value), f"{value:.4g}", what, 'outcome == "success"')
 
 
-def beside(results: Results, found: rare.Weighted | rare.Repeated | None) -> str:
-    """What has to be said beside the rate of rows that were chosen by what others of them showed."""
+def caveat(results: Results, found: rare.Weighted | rare.Repeated | None) -> str:
+    """The sentence that must stand beside the numbers where earlier rows decided which points were run."""
     if results.exp.study.is_refined:
-        return "Most were run next to the boundary, so that this is not the region's share."
+        return "Most rollouts were placed next to the boundary, so this is not the share of the region."
     if not found:
         return ""
-    macro = f"\\{prefix(results)}Failing"
+    macro = f"\\{macro_prefix(results)}Failing"
     text = f"P(failure) is {macro}{{}}, with a 95\\,\\% interval from {macro}Low{{}} to {macro}High{{}}"
     return text + ("." if found.trusted else ", which is not to be trusted: \\texttt{sweep stats} says why.")
 
@@ -227,7 +245,7 @@ def _percent(name: str, share: float, what: str, where: str | None) -> Number:
     return Number(name, share, "--" if np.isnan(share) else rf"{100 * share:.1f}\,\%", what, where)
 
 
-def macro(results: Results, one: Number, file: str) -> str:
+def macro_definition(results: Results, one: Number, file: str) -> str:
     """The definition of a macro, below a comment that says which rows it comes from and how to list them."""
     chosen = results.rows[mask(results.rows, one.where)]
     if extreme := re.fullmatch(r"(min|max) of (\S+)", one.what):
@@ -241,26 +259,26 @@ def macro(results: Results, one: Number, file: str) -> str:
     return f"% {one.what}, {len(chosen)} rows of data/{file}{few}\n% {command}\n{definition}\n"
 
 
-def prefix(results: Results) -> str:
+def macro_prefix(results: Results) -> str:
     """What the study's macros begin with: its name as LaTeX allows it."""
-    word = camel(results.name) or "Study"
+    word = macro_name(results.name) or "Study"
     return word[0].lower() + word[1:]
 
 
-def camel(text: str) -> str:
-    """`slip_max_m` -> `SlipMaxM`; a macro's name has letters only, so digits are spelt."""
+def macro_name(text: str) -> str:
+    """`slip_max_m` -> `SlipMaxM`. Macro names have letters only, so digits are spelt."""
     words = [w[0].upper() + w[1:] for w in re.split(r"[^0-9A-Za-z]+", text) if w]
     return re.sub(r"\d", lambda digit: DIGITS[int(digit[0])], "".join(words))
 
 
-def escape(text: str) -> str:
+def escape_latex(text: str) -> str:
     """`text` so that LaTeX prints it as it is."""
     words = {"\\": "backslash", "~": "asciitilde", "^": "asciicircum", "<": "less", ">": "greater"}
     special = {c: rf"\text{word}{{}}" for c, word in words.items()} | {c: f"\\{c}" for c in "&%$#_{}"}
-    return tables.signs("".join(special.get(c, c) for c in text))
+    return tables.latex_signs("".join(special.get(c, c) for c in text))
 
 
-def foreign(text: str) -> tuple[list[str], list[str], list[str]]:
+def find_other_letters(text: str) -> tuple[list[str], list[str], list[str]]:
     """The letters of `text` that are Cyrillic, which pdfLaTeX has fonts for; those that it has none for; and which of
     these are of no alphabet of Europe."""
     letters = sorted(letter for letter in set(text) if letter.isprintable() and ord(letter) > LATIN)
@@ -269,8 +287,8 @@ def foreign(text: str) -> tuple[list[str], list[str], list[str]]:
     return [letter for letter in letters if letter in CYRILLIC], unknown, others
 
 
-def codes(letters: Iterable[str]) -> list[str]:
-    """`DeclareUnicodeCharacter` of LaTeX calls them so."""
+def letter_codes(letters: Iterable[str]) -> list[str]:
+    """Hexadecimal code points, as `DeclareUnicodeCharacter` takes them."""
     return [f"{ord(letter):04X}" for letter in letters]
 
 

@@ -21,39 +21,53 @@ from sweep.trace.motion import RATE, bodies, motion
 REPLAYS = "replays"  # folder beside the study's parts
 
 
-def make(results: Results, rows: pd.DataFrame, progress: Callable[[int, int], None] = lambda done, of: None) -> int:
-    """Simulate `rows`, such as the `chosen` ones, again where no replay is kept yet; how many have run.
+def make_replays(
+    results: Results, rows: pd.DataFrame, progress: Callable[[int, int], None] = lambda done, of: None
+) -> int:
+    """Simulate rows again where they have no replay yet, and store their replays.
 
-    A rollout that ends otherwise in its new batch is not kept, and a line on the standard error says so. `progress` is
-    told how many of how many are done.
+    Args:
+        results: study with its folder.
+        rows: rows to simulate, with the reason in the column `why`.
+        progress: called with rollouts done and in all.
+
+    Returns:
+        How many rollouts were simulated.
     """
-    missing = [not path(results.folder, row).exists() for _, row in rows.iterrows()]
+    missing = [not replay_path(results.folder, row).exists() for _, row in rows.iterrows()]
     wanted = rows[np.array(missing, dtype=bool)]
     done = 0
     if wanted.empty:
         return done
-    for row, trace, labels in again(results.exp, wanted, store.read_points(results.folder)):
+    for row, trace, labels in simulate_again(results.exp, wanted, store.read_points(results.folder)):
         if (labels["outcome"], labels["cause"]) != (row["outcome"], row["cause"]):
-            print(f"sweep: no replay of {row['point_id']}: here it ends otherwise", file=sys.stderr)
+            print(f"sweep: no replay of {row['point_id']}: here it has another outcome", file=sys.stderr)
         elif len(trace.time):
-            keep(results.folder, row, trace)
+            write_replay(results.folder, row, trace)
         done += 1
         progress(done, len(wanted))
     return done
 
 
-def again(
+def simulate_again(
     exp: Experiment, rows: pd.DataFrame, planned: pd.DataFrame, rate: float = RATE
 ) -> Iterator[tuple[pd.Series, Trace, dict[str, Any]]]:
-    """Each of `rows`, its rollout recorded `rate` times a second, and the labels that it has here.
+    """Simulate rows again and record them.
 
-    A line on the standard error names a rollout whose model cannot be drawn; it is left out.
+    A line on the standard error names each rollout whose model cannot be drawn; it is left out.
 
-    `planned` are all points of the study, `rows` some of them with the slots that they were simulated in.
+    Args:
+        exp: experiment of the study.
+        rows: rows with the batch slots that they were simulated in.
+        planned: all points of the study.
+        rate: frames a second.
+
+    Yields:
+        Row, recorded rollout, and the labels that it gets here.
     """
     devices.configure()  # the CPU counts as several devices from then on
     exp = batches.with_delay_buffer(exp, planned)
-    for _, part in laid_out(rows, devices.default_width()).groupby(["group", "batch", "width"]):
+    for _, part in pack_batches(rows, devices.default_width()).groupby(["group", "batch", "width"]):
         order = np.zeros(int(part["width"].iloc[0]), dtype=int)
         order[part["slot"]] = np.arange(len(part))
         full = part.iloc[order]
@@ -69,11 +83,11 @@ def again(
             yield row, trace, judge_one(exp.system, trace.figures, exp.thresholds, engine.stages)
 
 
-def laid_out(rows: pd.DataFrame, widest: int) -> pd.DataFrame:
-    """`rows` in as few batches as there can be, no wider than `widest`.
+def pack_batches(rows: pd.DataFrame, widest: int) -> pd.DataFrame:
+    """Lay rows out in as few batches as possible, none wider than `widest`.
 
-    A rollout has the same bits in the same slot of a batch of the same width, whatever its neighbours. Where the
-    study's batches are too wide here, rows take slots as they come.
+    A rollout has the same bits in the same slot of a batch of the same width, whatever its neighbours are. Where the
+    study's batches are too wide for this machine, rows take new slots.
     """
     table = rows.copy()
     wide = table["width"] > widest
@@ -84,15 +98,20 @@ def laid_out(rows: pd.DataFrame, widest: int) -> pd.DataFrame:
     return table
 
 
-def keep(folder: Path, row: pd.Series, trace: Trace) -> None:
-    """Write the replay of `row`."""
-    file = path(folder, row)
+def write_replay(folder: Path, row: pd.Series, trace: Trace) -> None:
+    """Store the replay of a row."""
+    file = replay_path(folder, row)
     file.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(file, json.dumps(content(row, trace)).encode())
+    write_atomically(file, json.dumps(replay_content(row, trace)).encode())
 
 
-def content(row: pd.Series, trace: Trace) -> dict[str, Any]:
-    """What is kept of the replay of `row`."""
+def replay_content(row: pd.Series, trace: Trace) -> dict[str, Any]:
+    """What a replay file holds.
+
+    Args:
+        row: row of the study.
+        trace: its recorded rollout.
+    """
     same = [name for name, value in trace.figures.items() if name in row and same_bits(row[name], value)]
     return {
         **motion(trace),
@@ -104,14 +123,19 @@ def content(row: pd.Series, trace: Trace) -> dict[str, Any]:
     }
 
 
-def read(folder: Path, row: pd.Series) -> dict[str, Any] | None:
-    """The replay of `row`, where one is kept."""
-    file = path(folder, row)
+def read_replay(folder: Path, row: pd.Series) -> dict[str, Any] | None:
+    """Read the stored replay of a row; None without one.
+
+    Args:
+        folder: folder of the study.
+        row: row of the study.
+    """
+    file = replay_path(folder, row)
     return json.loads(file.read_text(encoding="utf-8")) if file.exists() else None
 
 
-def kept(results: Results) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Rows (their place among the results') that a replay is kept of, and the replays."""
+def read_replays(results: Results) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Yield the index of each row that has a replay, and the replay."""
     folder = path_in(results.folder, REPLAYS)
     there = {file.stem: path_in(folder, file.name) for file in folder.glob("*.json")} if folder.is_dir() else {}
     if not there:
@@ -121,6 +145,11 @@ def kept(results: Results) -> Iterator[tuple[int, dict[str, Any]]]:
         yield int(place), json.loads(there[names.iloc[place]].read_text(encoding="utf-8"))
 
 
-def path(folder: Path, row: pd.Series) -> Path:
-    """Where the replay of a row is, or would be."""
+def replay_path(folder: Path, row: pd.Series) -> Path:
+    """File of a row's replay, whether or not it exists.
+
+    Args:
+        folder: folder of the study.
+        row: row of the study.
+    """
     return path_in(folder, f"{REPLAYS}/{row['run_id']}-{row['point_id']}.json")

@@ -8,7 +8,8 @@ import pandas as pd
 
 from sweep.analysis import failing, rare, screening, sensitivity
 from sweep.analysis.sample import distinct, pooled
-from sweep.analysis.stats import percent, rates
+from sweep.analysis.sampling_units import condition_rates, interval_method
+from sweep.analysis.stats import percent
 from sweep.core.errors import InputError
 from sweep.report.headline import headline
 from sweep.report.labels import heading
@@ -20,52 +21,63 @@ from sweep.study.config import Experiment
 Analysis = Callable[[pd.DataFrame, Experiment, str | None], pd.DataFrame]
 
 
-def sections(
+def statistics_sections(
     rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None
 ) -> Iterator[tuple[str, pd.DataFrame | str]]:
-    """Title and content of everything that this study can tell."""
+    """Yield title and content of everything that the design of the study can tell."""
     rows, copies = distinct(rows, exp)
     listed, drawn = sensitivity.listed(rows, exp), sensitivity.drawn(rows, exp)
     numbers = sensitivity.numeric(rows, listed)
     several = len(rows) > len(rows.drop_duplicates([a.column for a in listed])) if listed else bool(drawn)
-    note = "; most were run next to the boundary, so this is not the region's share" if exp.study.is_refined else ""
+    note = (
+        "; most rollouts were placed next to the boundary, so this is not the share of the region"
+        if exp.study.is_refined
+        else ""
+    )
     every = pooled(rows, exp)
     if exp.study.is_adaptive:  # its rows are no sample of what is asked about
         yield "Probability of failure", headline(rows, exp)
-        yield "How rarely it fails", str(rare.rare(rows, exp))
+        yield "How P(failure) was estimated", str(rare.rare(rows, exp))
         if len(modes := rare.modes(rows, exp)):
-            yield "What fails, by its share of that probability", modes
+            yield "Modes of failure, by their share of that probability", modes
         yield from _shares(rows, exp)
         return
     yield "Rate of success", f"{every}{note}{'; ' if copies else ''}{copies}"
     one_at_a_time = bool(numbers) and exp.study.design.grid == "one_at_a_time"
     if one_at_a_time:
-        sure = " (Wilson, 95 %)" if exp.study.noisy else ""
+        sure = f" ({interval_method(exp.study)}, 95 %)" if exp.study.noisy else ""
         yield f"Rate along each axis, the others nominal{sure}", sensitivity.along(rows, exp)
     elif drawn and exp.study.design.kind != "morris":
-        yield "Share of the draws that succeeds (Clopper-Pearson, or by scrambles)", sensitivity.volume(rows, exp)
+        method = interval_method(exp.study).replace("Wilson", "Clopper-Pearson")
+        yield f"Share of the draws that succeed ({method}, 95 %)", sensitivity.volume(rows, exp)
     elif several and listed:
-        yield "Rate at each condition (Wilson, 95 %)", rates(rows, [a.column for a in listed])
+        title = f"Rate at each condition ({interval_method(exp.study)}, 95 %)"
+        yield title, condition_rates(rows, exp, [a.column for a in listed])
     if exp.study.is_refined:
         yield "Refinement", "\n".join(map(str, refine.summarize_panels(exp, rows)))
+    if exp.study.resolution and len(effects := refine.effects(exp, rows)):
+        yield "What matters in the map's cells (total Sobol index)", effects
     whole = refine.paint_cells(exp, rows) if exp.study.resolution else rows
     if numbers and not several and not one_at_a_time:
         found = sensitivity.grid_volume(whole, exp)
         share, low, high = map(percent, (found.share, found.low, found.high))
-        invalid = f"{found.invalid:,} rollouts invalid ({percent(every.invalid_share)}), which may be either"
+        invalid = f"{found.invalid:,} invalid ({percent(every.invalid_share)}): the range covers both outcomes of them"
         yield (
-            "Share of the grid's box that succeeds",
-            f"{share}; {low} to {high} by the cells on its boundary; {invalid}",
+            "Share of the grid's volume that succeeds",
+            f"{share}; {low} to {high}, as cells on the boundary count as failing or succeeding; {invalid}",
         )
     if numbers:
-        yield "Margins: how far from nominal success holds", sensitivity.margins(whole, exp)
+        yield "Margins: how far from the nominal value rollouts succeed", sensitivity.margins(whole, exp)
     if numbers and several:
         title = f"Tolerance: the error at which the probability of success falls to {percent(level)} (logistic fit)"
         yield title, sensitivity.tolerance(rows, exp, level)
     if len(drawn) and {"success", "failure"} <= set(rows["outcome"]):
-        yield "Regional sensitivity: which draws fail", sensitivity.regional(rows, exp)
+        yield (
+            "Regional sensitivity: how draws that fail differ from those that succeed",
+            sensitivity.regional(rows, exp),
+        )
         yield from _shares(rows, exp)
-    for title, function in ways(exp, len(rows)).items() if drawn else ():
+    for title, function in sensitivity_methods(exp, len(rows)).items() if drawn else ():
         try:
             yield f"{title} of {figure or 'success'}", function(rows, exp, figure)
         except InputError as error:
@@ -75,11 +87,14 @@ def sections(
 def _shares(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[str, pd.DataFrame]]:
     """What each drawn number has to do with failing, where there is enough to tell."""
     with suppress(InputError):
-        yield "Shares in failing (Shapley values of the Hilbert-Schmidt criterion)", failing.shares(rows, exp)
+        yield (
+            "Share of each parameter in failing (Shapley values of the Hilbert-Schmidt criterion)",
+            failing.shares(rows, exp),
+        )
 
 
-def ways(exp: Experiment, size: int) -> dict[str, Analysis]:
-    """What SALib tells of `size` draws of a study's design."""
+def sensitivity_methods(exp: Experiment, size: int) -> dict[str, Analysis]:
+    """The methods of SALib that fit a study's design and its number of draws, by title."""
     match exp.study.design.kind:
         case "saltelli":
             return {"Sobol indices": sensitivity.sobol_indices}
@@ -91,21 +106,28 @@ def ways(exp: Experiment, size: int) -> dict[str, Analysis]:
             return {"PAWN indices": screening.pawn, "First Sobol indices (RBD-FAST)": screening.first_order}
 
 
-def render(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None) -> str:
-    """The sections as Markdown."""
+def render_statistics(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None) -> str:
+    """The statistics of a study as Markdown.
+
+    Args:
+        rows: rows of the study.
+        exp: its experiment.
+        level: probability of success for the tolerance to errors.
+        figure: metric for sensitivity indices; success by default.
+    """
     parts = []
-    for title, content in sections(rows, exp, level, figure):
+    for title, content in statistics_sections(rows, exp, level, figure):
         if isinstance(content, pd.DataFrame):
             content = page_table(content, exp)
         parts.append(f"## {title}\n\n{content}\n")
     return "\n".join(parts)
 
 
-def in_words(results: Results) -> Iterator[tuple[str, pd.DataFrame | str]]:
-    """Titles and contents of the statistics of a study, parameters in words; of a table of points none are known."""
+def labelled_sections(results: Results) -> Iterator[tuple[str, pd.DataFrame | str]]:
+    """Yield titles and contents of the statistics with labels for parameters; none for a table of points."""
     if results.exp.study.points:
         return
-    for title, content in list(sections(results.rows, results.exp))[1:]:  # the first is the headline
+    for title, content in list(statistics_sections(results.rows, results.exp))[1:]:  # the first is the headline
         if isinstance(content, pd.DataFrame) and "axis" in content:
             content = content.assign(axis=content["axis"].map(partial(heading, exp=results.exp)))
         yield title, content

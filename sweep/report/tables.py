@@ -1,4 +1,4 @@
-"""Rows as text: csv, markdown, LaTeX with booktabs, parquet."""
+"""Rows as text or files: CSV, Markdown, LaTeX with booktabs, Parquet."""
 
 import io
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from pyarrow.csv import WriteOptions, write_csv
 
 from sweep.analysis.stats import causes, percent
 from sweep.core.expressions import column
-from sweep.report.labels import name_and_unit, path_words, unique_headings, unique_words, unit_of
+from sweep.report.labels import column_unit, name_and_unit, path_words, unique_headings, unique_words
 from sweep.runs.results import Results
 from sweep.study.columns import LABELS, figure_columns
 from sweep.study.config import Experiment
@@ -22,24 +22,31 @@ SIGNS = {"°": r"\textdegree{}", "·": r"$\cdot$", "⁴": r"\textsuperscript{4}"
 SHARES = ("share", "low", "high")  # of tables of rates; without a share, low and high are numbers of their own
 
 
-def render(rows: pd.DataFrame, form: str, names: list[str] | None = None, exp: Experiment | None = None) -> bytes:
-    """`rows` of `exp` in one of the forms; `names` chooses columns. Raises `InputError` on an unknown one.
+def render_table(rows: pd.DataFrame, form: str, names: list[str] | None = None, exp: Experiment | None = None) -> bytes:
+    """Write rows in a format.
 
-    Headings have units where the form is one to read.
+    Args:
+        rows: rows of a study.
+        form: `csv`, `markdown`, `latex` or `parquet`.
+        names: columns to write. By default CSV and Parquet have all of them, the others those that a page has room for.
+        exp: experiment of the study: it gives labels and units to Markdown and LaTeX.
+
+    Raises:
+        InputError: a name is no column.
     """
     if names:
         rows = rows[list(dict.fromkeys(column(rows, name) for name in names))]
     elif form in ("markdown", "latex"):  # a page has no room for more; csv and parquet hold everything
-        rows = rows[reading(rows)]
+        rows = rows[readable_columns(rows)]
     match form:
         case "csv":
-            return csv(rows)
+            return csv_bytes(rows)
         case "parquet":
             content = io.BytesIO()
             rows.to_parquet(content, index=False, compression="zstd")
             return content.getvalue()
         case "latex":
-            return latex(rows, exp).encode()
+            return latex_table(rows, exp).encode()
         case _:
             page = page_table(rows, exp) + "\n"
             lines = axis_lines(rows, exp) if exp else []
@@ -48,8 +55,8 @@ def render(rows: pd.DataFrame, form: str, names: list[str] | None = None, exp: E
             return f"{page}\n{legend}".encode() if legend else page.encode()
 
 
-def csv(rows: pd.DataFrame) -> bytes:
-    """`rows` as CSV, words in quotes; by Arrow, which takes a tenth of pandas' time."""
+def csv_bytes(rows: pd.DataFrame) -> bytes:
+    """`rows` as CSV with quoted words. Arrow takes a tenth of the time of pandas."""
     content = io.BytesIO()
     header = io.StringIO()
     writer(header, lineterminator="\n").writerow(rows.columns)
@@ -66,25 +73,30 @@ def axis_lines(rows: pd.DataFrame, exp: Experiment) -> list[str]:
 
 
 def page_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
-    """`rows` in Markdown, with readable headings and numbers."""
-    return shown(rows, exp).to_markdown(index=False, disable_numparse=True)
+    """Rows as a Markdown table with readable headings and numbers.
+
+    Args:
+        rows: a table.
+        exp: experiment of the study, if it is known: it names and measures the parameters.
+    """
+    return format_rows(rows, exp).to_markdown(index=False, disable_numparse=True)
 
 
-def reading(rows: pd.DataFrame) -> list[str]:
-    """The columns for a page: axes, replicate where there are several, outcome."""
+def readable_columns(rows: pd.DataFrame) -> list[str]:
+    """Columns for a page: parameters, the replicate where there are several, and labels of the outcome."""
     several = ["replicate"] if rows["replicate"].nunique() > 1 else []
     return [c for c in rows.columns if "." in c] + several + list(LABELS)
 
 
-def shown(rows: pd.DataFrame, exp: Experiment | None = None) -> pd.DataFrame:
-    """`rows` with readable headings and numbers; shares and their ends in per cent, as in every sentence."""
+def format_rows(rows: pd.DataFrame, exp: Experiment | None = None) -> pd.DataFrame:
+    """Rows with readable headings and numbers; shares and their intervals in per cent."""
     shares = [c for c in SHARES if c in rows and "share" in rows]
     rows = rows.assign(**{c: [percent(v) if pd.notna(v) else "" for v in rows[c]] for c in shares})
-    return rows.map(text).rename(columns=unique_headings(rows.columns, exp))
+    return rows.map(format_value).rename(columns=unique_headings(rows.columns, exp))
 
 
-def text(value: object) -> str:
-    """Four digits are enough to read, thousands stand apart; what is not there stays empty."""
+def format_value(value: object) -> str:
+    """Four digits of a number, with thousands apart; a missing value is empty."""
     if isinstance(value, int | np.integer) and not isinstance(value, bool):
         return f"{value:,}"
     if isinstance(value, float | np.floating):
@@ -92,23 +104,28 @@ def text(value: object) -> str:
     return "" if value is None or value is pd.NA else str(value)
 
 
-def latex(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
-    """A booktabs table; headings and words escaped."""
-    style = shown(rows, exp).style.hide(axis="index")
+def latex_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
+    """A booktabs table with escaped headings and words."""
+    style = format_rows(rows, exp).style.hide(axis="index")
     style = style.format(escape="latex").format_index(escape="latex", axis="columns")
     aligned = "".join("r" if rows[c].dtype.kind in "fi" else "l" for c in rows)
-    return signs(style.to_latex(hrules=True, column_format=aligned))
+    return latex_signs(style.to_latex(hrules=True, column_format=aligned))
 
 
-def signs(escaped: str) -> str:
-    """Signs of units in text that is escaped for LaTeX, as pdfLaTeX has them."""
+def latex_signs(escaped: str) -> str:
+    """Replace signs of units in escaped text with commands of pdfLaTeX."""
     for sign, word in SIGNS.items():
         escaped = escaped.replace(sign, word)
     return escaped
 
 
-def one_rollout(exp: Experiment, row: pd.Series) -> str:
-    """Outcome and figures of one rollout, a line each with its unit."""
+def rollout_table(exp: Experiment, row: pd.Series) -> str:
+    """Outcome and metrics of one rollout as Markdown, and the reason for its outcome.
+
+    Args:
+        exp: experiment of the rollout.
+        row: its row.
+    """
     lines = [(exp.scenario, str(row["outcome"]), "")]
     if row["outcome"] != "success":
         lines.append(("cause", str(row["cause"]), f"in stage {row['stage']}"))
@@ -116,23 +133,23 @@ def one_rollout(exp: Experiment, row: pd.Series) -> str:
         if name in exp.system.bookkeeping_metrics:
             continue
         words, unit = name_and_unit(name)
-        lines.append((words, text(row[name]), unit))
+        lines.append((words, format_value(row[name]), unit))
     table = pd.DataFrame(lines, columns=["figure", "value", "unit"])
     reason = exp.system.why({str(name): value for name, value in row.items()}, exp.thresholds)
     return table.to_markdown(index=False, disable_numparse=True) + "\n" + (reason and f"\n{reason}\n")
 
 
-def parameters(results: Results) -> Iterator[dict[str, Any]]:
-    """The table of what was varied."""
+def varied_parameters(results: Results) -> Iterator[dict[str, Any]]:
+    """Yield a line for each varied parameter: label, path, side, unit, values and nominal value."""
     words = unique_words(results.axes, results.exp)
     paths = {axis.column: axis.path or "" for axis in results.exp.study.axes}
     for name in results.axes:
         values = results.rows[name]
         side, path = split_side(name)
         path = paths.get(name, path)
-        listed = [text(v) for v in sorted(values.unique())]
+        listed = [format_value(v) for v in sorted(values.unique())]
         extent = ", ".join(listed) if len(listed) <= 6 else f"{listed[0]} to {listed[-1]}"
         own = not name.startswith("axis.")  # else a number that parameters are made from
-        usual = text(results.exp.system.nominal(name, results.exp.settings)) if own else ""
-        about = {"words": words[name], "path": path, "side": side, "unit": unit_of(name, results.exp)}
+        usual = format_value(results.exp.system.nominal(name, results.exp.settings)) if own else ""
+        about = {"words": words[name], "path": path, "side": side, "unit": column_unit(name, results.exp)}
         yield {**about, "values": extent, "number": len(listed), "nominal": usual}

@@ -139,9 +139,10 @@ def table(results: Results) -> pd.DataFrame:
             of_kind = pairs[pairs["point_id"].isin(points)]
             if of_kind.empty:
                 continue
-            found = compare.flips(of_kind)
+            found = compare.flips(of_kind, np.arange(len(of_kind)))  # rows were drawn at random
             share = found.flipped / found.tested if found.tested else np.nan
             counts = len(points), found.pairs, found.pairs - found.tested, found.flipped
-            lines.append((results.exp.system.audit_variants[way].description, kind, *counts, share, *found.interval()))
+            words = results.exp.system.audit_variants[way].description
+            lines.append((words, kind, *counts, share, found.low, found.high))
     columns = ["simulated", "drawn", "of", "rollouts", "invalid", "flips", "share", "low", "high"]
     return pd.DataFrame(lines, columns=columns)

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from sweep.analysis import sensitivity
 from sweep.analysis.intervals import anytime, clopper_pearson
 from sweep.analysis.stats import Rate, percent, rate
 from sweep.core.errors import InputError
@@ -303,6 +304,31 @@ def summarize_panels(exp: Experiment, rows: pd.DataFrame) -> list[Refined]:
         run = rate(part["outcome"])
         found.append(Refined(names, grid, whole, known, cells, run, int(audit.sum()), missed, undecided))
     return found
+
+
+def effects(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
+    """How much each listed parameter decides about success over the whole of a refined map.
+
+    Its rows were placed at the boundary, so that their own distributions say where they were placed; the map's cells
+    are even. A lattice point that is not known counts half.
+
+    Args:
+        exp: The experiment of a study with `resolution`.
+        rows: Its rows.
+
+    Returns:
+        A row for each listed axis, a number or a name: `axis`, and `total`, its total Sobol index; the largest first.
+        Empty where nothing varies.
+    """
+    found, study = summarize_panels(exp, rows), exp.study
+    named = [a for a in study.axes if a.values is not None and any(isinstance(v, str) for v in a.values)]
+    names = [len(a.values or ()) for a in named]
+    value = np.stack([np.where(one.label < FAILS, 0.5, one.label == SUCCEEDS) for one in found])
+    weights = [np.ones(n) for n in names]
+    weights += [np.diff(np.concatenate([v[:1], (v[1:] + v[:-1]) / 2, v[-1:]])) for v in found[0].grid.values]
+    total = sensitivity.total_effects(value.reshape(*names, *value.shape[1:]), weights)
+    table = pd.DataFrame({"axis": [a.column for a in (*named, *found[0].grid.axes)], "total": total})
+    return table.dropna().sort_values("total", ascending=False, ignore_index=True)
 
 
 def paint_cells(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:

@@ -391,7 +391,11 @@ def _spread(shares: np.ndarray, axes: list[Axis], design: Design) -> np.ndarray:
         from scipy.special import ndtr, ndtri
 
         root = np.linalg.cholesky(_matrix(design.correlation, [a.name for a in axes]))
-        shares = np.clip(ndtr(ndtri(shares) @ root.T), adaptive_sampling.EDGE, 1 - adaptive_sampling.EDGE)
+        normals = ndtri(shares) @ root.T
+        if design.kind == "latin_hypercube":  # by order alone (Iman and Conover 1982), so that strata keep their draw
+            places = np.argsort(np.argsort(normals, axis=0), axis=0)
+            return np.take_along_axis(np.sort(shares, axis=0), places, axis=0)
+        shares = np.clip(ndtr(normals), adaptive_sampling.EDGE, 1 - adaptive_sampling.EDGE)
     return shares
 
 

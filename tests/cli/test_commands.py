@@ -39,7 +39,7 @@ def test_a_scenario_shows_its_outcome_and_leaves_no_files(capsys, tmp_path):
 
 def test_a_study_from_run_to_table_and_map(capsys, tmp_path):
     assert main(["run", *SMALL, "--dry-run"]) == 0
-    plan = "12 of 12 rollouts to run (2 batches of 6), 2.0 KiB kept a rollout, time unknown before a first batch"
+    plan = "12 of 12 rollouts to run (2 batches of 6), 2.0 KiB of memory per rollout, time unknown until a first batch"
     told = capsys.readouterr().out
     assert plan in told
     assert re.search(r"compile time unknown: not measured|about \d+ s to compile", told)  # tests share a cache
@@ -47,7 +47,7 @@ def test_a_study_from_run_to_table_and_map(capsys, tmp_path):
     assert main(["run", *SMALL]) == 0
     assert "12 of 12 planned rollouts are in results/walk_map" in capsys.readouterr().out
     assert main(["run", *SMALL, "out=results/else", "--dry-run"]) == 0
-    assert " s by the pace of results/walk_map" in capsys.readouterr().out
+    assert " s at the speed of results/walk_map" in capsys.readouterr().out
     assert main(["status", "results/walk_map"]) == 0
     told = capsys.readouterr().out
     assert "12 of 12 rollouts done" in told
@@ -62,7 +62,7 @@ def test_a_study_from_run_to_table_and_map(capsys, tmp_path):
     assert "slip max [m]" in capsys.readouterr().out
     assert main(["stats", "results/walk_map"]) == 0
     statistics = capsys.readouterr().out
-    assert "Share of the grid's box that succeeds" in statistics
+    assert "Share of the grid's volume that succeeds" in statistics
     # success where friction > 5 ratio, of ratios 0.03, 0.115, 0.2; 0.8167 is the friction nearest to the nominal one
     assert "| manoeuvre.half_step_ratio | above  | 0.1       | 0.115      | 0.2        | 0.015    | 2 " in statistics
     assert main(["report", "results/walk_map"]) == 0

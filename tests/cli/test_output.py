@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
 
 def test_headers_with_commas_and_quotes_are_quoted():
     rows = pd.DataFrame({"axis.a,b": [1.5], 'axis.say "c"': [2.5], "axis.d\ne": ["x"]})
-    pd.testing.assert_frame_equal(pd.read_csv(io.BytesIO(tables.csv(rows))), rows)
+    pd.testing.assert_frame_equal(pd.read_csv(io.BytesIO(tables.csv_bytes(rows))), rows)
 
 
 def test_a_line_break_in_a_condition_is_no_line_of_latex(folder, tmp_path):

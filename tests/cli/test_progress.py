@@ -39,7 +39,7 @@ def test_numbers_come_first_in_eighty_columns(monkeypatch):
     screen = StringIO()
     narrow = Console(file=screen, force_terminal=True, width=80)
     monkeypatch.setattr(run, "Console", lambda **_: narrow)
-    with run.reporting("a_study_whose_name_is_long", 96, "a_scenario for batches of a_study on an_engine" * 2):
+    with run.report_progress("a_study_whose_name_is_long", 96, "a_scenario for batches of a_study on an_engine" * 2):
         pass
     line = next(line for line in screen.getvalue().splitlines() if "0/96" in line)
     assert line.index("0/96") < line.index("-:-- left") < line.index("a_study")

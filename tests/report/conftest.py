@@ -35,7 +35,7 @@ def wide(tmp_path_factory):
     assert simulated(out, "study.axes.friction.num=128", "study.axes.step.num=128", "engine.width=8192") == 0
     rows, trace = results.read(out).rows, moved("scenario=pole_climb")
     for place in range(64, len(rows), 1000):
-        replays.keep(out, rows.iloc[place], trace)
+        replays.write_replay(out, rows.iloc[place], trace)
     return out
 
 

@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 from fake_engine import FakeEngine
 
-from sweep.cli.folders import pictures
+from sweep.cli.folders import save_pictures
 from sweep.cli.main import main
-from sweep.report import draws, exhibits, maps, slices
+from sweep.report import draws, figures, maps, sections
 from sweep.report.page import data
 from sweep.runs import results
 
@@ -126,16 +126,16 @@ def of_points(points, folder):
 def told(folder):
     """Everything that a page, its pictures and a paper show is made, and every map is one of something."""
     found = results.read(folder)
-    for one in slices.slices(found):
+    for one in sections.list_sections(found):
         assert len(one.rows[[one.x, one.y]].drop_duplicates()) > 1, (one.x, one.y, one.note)
-    for one in exhibits.exhibits(found):
+    for one in figures.list_figures(found):
         assert one.draw().axes
         assert len(one.data)
-    if draws.shown(found):
-        draws.draw(found)
-    elif len(maps.independent(found.rows)) > 1:
+    if draws.has_draws_figure(found):
+        draws.draw_overview(found)
+    elif len(maps.independent_parameters(found.rows)) > 1:
         maps.success_map(found.rows, found.stored)
-    assert data.data(found)["rows"] == len(found.rows)
+    assert data.page_data(found)["rows"] == len(found.rows)
     assert main(["stats", str(folder)]) == main(["table", str(folder)]) == 0
 
 
@@ -163,7 +163,7 @@ def test_a_study_of_any_design_is_told(design, fake_engine, tmp_path):
 def test_points_from_a_file_are_told(points, fake_engine, tmp_path):
     ran(tmp_path / "study", *of_points(points, tmp_path))
     told(tmp_path / "study")
-    assert isinstance(pictures(results.read(tmp_path / "study"), tmp_path, ()), list)
+    assert isinstance(save_pictures(results.read(tmp_path / "study"), tmp_path, ()), list)
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,7 @@ def test_every_command_ends_well(design, fake_engine, tmp_path, monkeypatch):
 def test_single_rollouts_of_one_axis_at_a_time_have_no_interval_and_counts_are_whole(fake_engine, tmp_path, capsys):
     for replicates, sure in ((1, False), (2, True)):
         ran(folder := tmp_path / str(replicates), *DESIGNS["one_at_a_time"], f"study.replicates={replicates}")
-        shown = {one.key: one for one in exhibits.exhibits(results.read(folder))}
+        shown = {one.key: one for one in figures.list_figures(results.read(folder))}
         assert shown["effects"].data["low"].notna().all() == sure
         assert ("Wilson" in shown["effects"].caption) == sure
         for name, axis in (("distributions", "yaxis"), ("causes", "xaxis")):

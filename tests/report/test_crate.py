@@ -127,7 +127,7 @@ def test_rows_of_a_crate_are_simulated_again(study, fake_engine, tmp_path, capsy
     for command in (["reproduce", "crate.zip", "--rows", "3"], ["verify", str(study), "--simulate", "3"]):
         assert main(command) == 4
         told = capsys.readouterr().out
-        assert "3 not; 0 end otherwise" in told
+        assert "3 not; 0 have another outcome" in told
         assert "energy_j" in told
     monkeypatch.setattr(FakeEngine, "run", run)
     assert main(["verify", str(study), "--simulate", "3"]) == 0

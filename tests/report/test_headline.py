@@ -35,7 +35,7 @@ def test_a_study_of_rare_failures_is_headed_by_their_probability(rare_folder, tm
         assert main([*words, str(rare_folder)]) == 0
         told[name] = capsys.readouterr().out
     told["page"] = (rare_folder / "report.html").read_text().partition("<h2>How it was made")[0]
-    title = draws.draw(found).get_suptitle()
+    title = draws.draw_overview(found).get_suptitle()
     told["draws"] = title.replace("\n", " ")
     for name in ("status", "stats", "list", "page", "draws"):
         assert expected in told[name].replace("\n", " "), name
@@ -43,7 +43,7 @@ def test_a_study_of_rare_failures_is_headed_by_their_probability(rare_folder, tm
         assert share not in text
         assert not re.search(r"[Rr]ate of success", text.partition('<script type="module">')[0])
     assert "map-1" not in told["page"]
-    paper.write(found, tmp_path / "paper")
+    paper.write_paper(found, tmp_path / "paper")
     main_tex = (tmp_path / "paper/main.tex").read_text()
     assert re.search(r"P\(failure\) is \\\w+Failing\{\}, with a 95", main_tex)
     assert "Rate{}" not in main_tex.replace("InvalidRate{}", "")

@@ -11,7 +11,7 @@ from sweep.cli.main import main
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
 from sweep.report.labels import axis_words, unique_headings, unique_words
-from sweep.report.page.data import data
+from sweep.report.page.data import page_data
 from sweep.runs import results
 from sweep.study.config import compose
 from sweep.study.study import name_axes
@@ -41,7 +41,7 @@ def test_labels_are_the_names_of_the_axes(masses, capsys):
     page = (masses / "report.html").read_text()
     for head, path in zip(heads, ("trunk", "lf_hip"), strict=True):
         assert f'<th title="world.model.body.{path}.mass [kg]">{head}</th>' in page
-    assert [one["label"] for one in data(results.read(masses))["columns"][:2]] == [head[:-5] for head in heads]
+    assert [one["label"] for one in page_data(results.read(masses))["columns"][:2]] == [head[:-5] for head in heads]
     assert main(["table", str(masses), "--format", "latex"]) == 0
     assert " & ".join(heads) in capsys.readouterr().out
 

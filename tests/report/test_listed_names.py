@@ -13,8 +13,8 @@ from conftest import simulated
 import sweep.engines
 from sweep.cli.main import main
 from sweep.metrics.outcome import GOAL, cause_meanings
-from sweep.report import exhibits, maps, slices
-from sweep.report.labels import meaning
+from sweep.report import figures, maps, sections
+from sweep.report.labels import kind_meaning
 from sweep.runs import batches, results
 from sweep.study.config import compose
 
@@ -40,12 +40,12 @@ def test_names_are_axes_and_panels_of_maps(gaits):
     assert left.get_ylabel() == "gait"
     assert [tick.get_text() for tick in left.get_yticklabels()] == ["tripod", "gallop"]
     assert ("engine mjx" in left.get_title(), "engine native" in right.get_title()) == (True, True)
-    pairs = [(one.x, one.y, one.beside) for one in slices.slices(gaits)]
+    pairs = [(one.x, one.y, one.beside) for one in sections.list_sections(gaits)]
     gait, engine, friction = "manoeuvre.gait", "engine.name", "world.contact.friction"
     assert pairs == [(friction, gait, None), (friction, engine, None), (gait, engine, friction)]
-    for one in slices.slices(gaits):
-        assert slices.draw(gaits, one).axes
-        assert len(slices.data(gaits, one)) == len(one.rows)
+    for one in sections.list_sections(gaits):
+        assert sections.draw_section(gaits, one).axes
+        assert len(sections.section_data(gaits, one)) == len(one.rows)
 
 
 def by_node(code):
@@ -114,7 +114,7 @@ def test_describe_says_what_each_gait_is(capsys):
 
 def test_causes_print_the_values_of_their_thresholds():
     exp = compose(["scenario=walk_tripod", "outcome.slip_max_m=0.03"])
-    assert meaning("slipped", exp) == "a standing foot slipped by more than 0.03 m (slip_max_m)"
+    assert kind_meaning("slipped", exp) == "a standing foot slipped by more than 0.03 m (slip_max_m)"
     said = cause_meanings(exp.thresholds)
     keyed = [words for cause, words in said.items() if re.search(r"\b\w+_(max|min)\b", words) and cause != GOAL]
     assert all(re.search(r"\d.*\(\w+\)$", words) for words in keyed), keyed
@@ -126,5 +126,5 @@ def test_effects_of_draws_are_said_to_be_of_bins(tmp_path):
     design = "study.design={kind: monte_carlo, num: 96}"
     more = ["~study.axes.friction", "~study.axes.step", f"+study.axes.mass={drawn}", design, "engine.width=96"]
     assert simulated(tmp_path, *more) == 0
-    (effects,) = exhibits.effects(results.read(tmp_path))
+    (effects,) = figures.effects_figure(results.read(tmp_path))
     assert "in 20 bins of equal width of one parameter" in effects.caption

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.path import Path
 
 from sweep.metrics.outcome import FAILURES, INVALID_CAUSES, MEANING
-from sweep.report.looks import INVALID, LOOKS, OTHER, look_of, marker
+from sweep.report.outcome_style import INVALID, LOOKS, OTHER, find_look, marker_path
 
 # what eyes without one kind of cone see of linear red, green and blue (Machado and others 2009, severity 1)
 EYES = {
@@ -35,7 +35,7 @@ def lab(colour, eyes):
 @pytest.mark.parametrize("eyes", EYES)
 def test_success_is_apart_from_every_failure(eyes):
     for cause in FAILURES:
-        away = np.linalg.norm(lab(look_of("success").colour, eyes) - lab(look_of(cause).colour, eyes))
+        away = np.linalg.norm(lab(find_look("success").colour, eyes) - lab(find_look(cause).colour, eyes))
         assert away >= 40, cause
 
 
@@ -48,14 +48,14 @@ def test_causes_that_a_study_shows_together_are_apart():
         pairs |= set(combinations(sorted(frequent - set(INVALID_CAUSES)), 2))
     assert len(pairs) > 40
     for one, other in pairs:
-        away = np.linalg.norm(lab(look_of(one).colour, "all cones") - lab(look_of(other).colour, "all cones"))
+        away = np.linalg.norm(lab(find_look(one).colour, "all cones") - lab(find_look(other).colour, "all cones"))
         assert away >= 20, (one, other)
 
 
 def test_every_cause_has_a_colour_and_a_shape_of_its_own():
     assert set(LOOKS) == {"success", *MEANING}
-    assert {look_of(cause).family for cause in FAILURES} == {"foot", "body", "plan", "drive", "goal"}
-    assert len({look_of(cause).colour for cause in FAILURES}) == len(FAILURES)
+    assert {find_look(cause).family for cause in FAILURES} == {"foot", "body", "plan", "drive", "goal"}
+    assert len({find_look(cause).colour for cause in FAILURES}) == len(FAILURES)
     assert len({look.shape.round(3).tobytes() for look in LOOKS.values()}) == len(LOOKS)
     for kind, look in LOOKS.items():
         assert np.hypot(*look.shape.T).max() <= 1.3, kind  # within its stamp
@@ -63,8 +63,8 @@ def test_every_cause_has_a_colour_and_a_shape_of_its_own():
             assert (
                 kind in INVALID_CAUSES or np.linalg.norm(lab(look.colour, "all cones") - lab(theme, "all cones")) > 25
             ), kind
-    assert look_of("a cause of another system") == look_of("a cause of another system") != OTHER == look_of("")
-    assert len(marker("slipped").vertices) == 4
+    assert find_look("a cause of another system") == find_look("a cause of another system") != OTHER == find_look("")
+    assert len(marker_path("slipped").vertices) == 4
 
 
 def test_every_shape_is_seen_as_a_glyph():
@@ -73,7 +73,7 @@ def test_every_shape_is_seen_as_a_glyph():
     for kind, one in seen.items():
         assert (one[1:-1, 1:-1] & one[:-2, 1:-1] & one[1:-1, :-2] & one[:-2, :-2]).sum() > 8, kind
         for other in seen.keys() - {kind}:
-            if look_of(kind).family == look_of(other).family:
+            if find_look(kind).family == find_look(other).family:
                 assert (one ^ seen[other]).sum() > 0.2 * min(one.sum(), seen[other].sum()), (kind, other)
 
 

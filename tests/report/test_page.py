@@ -12,8 +12,8 @@ from matplotlib.collections import PolyCollection
 from moved import moved
 
 from sweep.cli.main import main
-from sweep.report import chosen, exhibits, page, replays, slices, typical
-from sweep.report.page import data, script, stage
+from sweep.report import figures, page, replay_selection, replays, representative, sections
+from sweep.report.page import data, replay_data, script
 from sweep.runs import results, store
 from sweep.study.config import compose
 from sweep.trace import motion
@@ -54,8 +54,8 @@ def test_a_name_is_of_one_module_of_the_script():
 @pytest.mark.parametrize("example", example_pages.pages(), ids=lambda path: path.parent.name)
 def test_a_shipped_example_has_the_script_and_style_of_today(example):
     text = example.read_text(encoding="utf-8")
-    stale = text.replace(script.bundle(), "old").replace(script.style_sheet(), "older")
-    assert len(stale) == len(text) - len(script.bundle() + script.style_sheet()) + len("old" + "older"), (
+    stale = text.replace(script.bundle_script(), "old").replace(script.style_sheet(), "older")
+    assert len(stale) == len(text) - len(script.bundle_script() + script.style_sheet()) + len("old" + "older"), (
         "python research/example_pages.py renews them; jobs/paper_tables.sh makes them again"
     )
     assert example_pages.renewed(stale) == text  # with its policy, too, and nothing else of it is another
@@ -66,9 +66,9 @@ def test_the_page_says_what_was_run_and_what_came_of_it(html, folder):
     success, invalid = (int((rows["outcome"] == word).sum()) for word in ("success", "invalid"))
     assert f"<strong>{success} of {len(rows) - invalid}</strong>" in html
     assert f"{invalid} of 180 are invalid (16.7 %)" in html
-    assert html.count(f"Of 180 rollouts {invalid} (16.7 %) are invalid: left out.") == 1  # below the rates
-    assert re.search(r"Of \d+ rollouts \d+ \(.+ %\) are invalid: hatched\.", html)  # below the maps
-    assert "the base tilted beyond tilt_max_deg" in html
+    assert html.count(f"{invalid} of 180 rollouts (16.7 %) are invalid and left out.") == 1  # below the rates
+    assert re.search(r"\d+ of \d+ rollouts \(.+ %\) are invalid and hatched\.", html)  # below the maps
+    assert "the base tilted beyond 20° (tilt_max_deg)" in html
     assert "a number was not finite" in html
     assert store.read_study(folder)["code"] in html
     for cause in ("fell", "not_finite"):
@@ -78,17 +78,17 @@ def test_the_page_says_what_was_run_and_what_came_of_it(html, folder):
 
 def test_maps_of_three_parameters_are_sections(folder):
     found = results.read(folder)
-    maps = list(slices.slices(found))
+    maps = list(sections.list_sections(found))
     assert (maps[0].x, maps[0].y) == ("world.contact.friction", "manoeuvre.half_step_ratio")
     assert [m.beside for m in maps] == ["drive.damping", "manoeuvre.half_step_ratio", "world.contact.friction"]
-    table = slices.data(found, maps[0])
+    table = sections.section_data(found, maps[0])
     assert len(table) == 6 * 5 * 3
     assert (table["total"] == 2).all()
     rows = found.rows[found.rows["drive.damping"] == 500.0]
     here = table[table["drive.damping"] == 500.0]
     assert here["success"].sum() == (rows["outcome"] == "success").sum()
     assert ((here["low"] <= here["share"]) & (here["share"] <= here["high"])).sum() == here["share"].notna().sum() == 25
-    figure = slices.draw(found, maps[0])
+    figure = sections.draw_section(found, maps[0])
     titles = [ax.get_title().replace("\n", " ") for ax in figure.axes[:9]]
     assert titles[3:6] == [f"damping 514.3 N·m·s/rad, {end}" for end in ("lower end", "rate of success", "upper end")]
 
@@ -98,8 +98,8 @@ def test_drawn_points_are_counted_in_bins(folder):
     rng = np.random.default_rng(0)
     axes = {name: rng.uniform(0, 1, len(found.rows)) for name in found.numeric[:2]}
     rows = found.rows.drop(columns="drive.damping").assign(**axes)
-    (one,) = slices.slices(results.Results(folder, found.stored, found.exp, rows, None))
-    table = slices.data(results.Results(folder, found.stored, found.exp, rows, None), one)
+    (one,) = sections.list_sections(results.Results(folder, found.stored, found.exp, rows, None))
+    table = sections.section_data(results.Results(folder, found.stored, found.exp, rows, None), one)
     assert table["total"].sum() == len(rows)
     assert len(table) <= 16
     assert "bins" in one.note
@@ -108,9 +108,9 @@ def test_drawn_points_are_counted_in_bins(folder):
 def test_the_typical_rollout_is_the_medoid():
     rng = np.random.default_rng(1)
     values = np.vstack([rng.normal(size=(40, 3)), [[0.02, 0.01, 0.0]], [[50.0, 50.0, 50.0]]])
-    scaled = typical.standardised(values * [1, 1e3, 1e-6])  # units play no part
-    assert typical.medoid(scaled) == 40
-    assert typical.medoid(typical.standardised(np.full((3, 2), np.nan))) == 0
+    scaled = representative.standardize(values * [1, 1e3, 1e-6])  # units play no part
+    assert representative.medoid(scaled) == 40
+    assert representative.medoid(representative.standardize(np.full((3, 2), np.nan))) == 0
 
 
 def test_the_page_of_one_parameter_and_of_none(fake_engine, tmp_path):
@@ -119,14 +119,14 @@ def test_the_page_of_one_parameter_and_of_none(fake_engine, tmp_path):
     assert main(["run", "study.replicates=4", "scenario.expect=[]", f"out={tmp_path / 'none'}"]) == 0
     for name in ("one", "none"):
         assert main(["report", str(tmp_path / name)]) == 0
-        assert "<h2>Typical rollouts</h2>" in (tmp_path / name / "report.html").read_text()
-    assert compose(one[1:]).study.name in page.render(results.read(tmp_path / "one"))
+        assert "<h2>Representative rollouts</h2>" in (tmp_path / name / "report.html").read_text()
+    assert compose(one[1:]).study.name in page.render_page(results.read(tmp_path / "one"))
 
 
 def test_one_success_is_told_without_what_it_does_not_say(fake_engine, tmp_path, capsys):
     assert main(["run", "scenario.expect=[]", f"out={tmp_path}"]) == 0
     assert "1 of 1 succeed (100.0 %), 0 invalid" in capsys.readouterr().out
-    text = page.render(results.read(tmp_path))
+    text = page.render_page(results.read(tmp_path))
     assert "<h2>Figures</h2>" not in text
     assert not re.search(r"interval \d", text)
     assert main(["relabel", str(tmp_path), "tilt_max_deg<50"]) == 0
@@ -140,13 +140,13 @@ def test_only_what_is_drawn_at_one_condition_has_an_interval(fake_engine, tmp_pa
             "study.design={kind: monte_carlo, num: 60}"]  # fmt: skip
     assert main(["run", "study=walk_map", *axes, "study.expect=[]", f"out={tmp_path}"]) == 0
     found = results.read(tmp_path)
-    (shown,) = exhibits.effects(found)
+    (shown,) = figures.effects_figure(found)
     sure = shown.data["low"].notna().groupby(shown.data["axis"]).agg(lambda known: {*known})
     several = "," in listed
     assert sure.get("world.contact.friction", {True}) == {True}  # at each of its values steps are drawn
     assert sure["manoeuvre.half_step_ratio"] == {not several}
-    assert ("Wilson interval where these are drawn." in shown.caption) == several
-    text = page.render(found)
+    assert ("interval (Wilson) where these are drawn." in shown.caption) == several
+    text = page.render_page(found)
     assert ("Without an interval: which points are counted was chosen" in text) == several
     assert f'"sure":{str(not several).lower()}' in text
 
@@ -155,14 +155,14 @@ def test_a_refined_map_is_shown_whole(fake_engine, tmp_path):
     axes = ["study.axes.friction.num=5", "study.axes.step.num=5", "study.resolution=0.0625", "study.expect=[]"]
     assert main(["run", "study=walk_map", *axes, f"out={tmp_path}"]) == 0
     found = results.read(tmp_path)
-    (one,) = slices.slices(found)
+    (one,) = sections.list_sections(found)
     assert len(one.rows) == 17 * 17 > 2 * len(found.rows)
     assert f"{len(found.rows)} were run" in one.note
-    ax = slices.draw(found, one).axes[0]
+    ax = sections.draw_section(found, one).axes[0]
     cells = [path.get_extents().size for group in ax.findobj(PolyCollection) for path in group.get_paths()]
     assert np.prod(cells, axis=1).sum() == pytest.approx((1.2 - 0.05) * (0.2 - 0.03))
     assert len(ax.lines[0].get_xdata()) == len(found.rows)
-    assert "this is not the region's share" in page.render(found)
+    assert "this is not the share of the region" in page.render_page(found)
 
 
 def test_columns_are_read_as_they_were(folder):
@@ -175,7 +175,7 @@ def test_columns_are_read_as_they_were(folder):
         "tailed": pd.Series(np.concatenate([rng.normal(size=3999), [1e9]])),
     }
     for name, column in columns.items():
-        about, block = data.code(column, 15)
+        about, block = data.encode_column(column, 15)
         low, high = np.frombuffer(block, np.uint8).reshape(2, -1).astype(int)
         codes = low + 256 * high
         if name == "names":
@@ -193,18 +193,18 @@ def test_columns_are_read_as_they_were(folder):
 def test_replays_are_typical_then_at_the_boundary_then_extreme(folder):
     found = results.read(folder)
     found = replace(found, rows=found.rows.assign(duration_s=5.0))
-    rows = chosen.chosen(found, 12)
+    rows = replay_selection.choose_replays(found, 12)
     assert rows["why"].iloc[:3].tolist() == ["typical of fell", "typical of not finite", "typical of success"]
     pair = rows[rows["why"].str.startswith("next to the boundary")].iloc[:2]
     assert set(pair["outcome"]) == {"success", "failure"}
     assert rows["why"].str.startswith("largest").any()
     assert rows["point_id"].is_unique
-    assert len(chosen.chosen(found, 500)) == len(found.rows)
+    assert len(replay_selection.choose_replays(found, 500)) == len(found.rows)
 
 
 def test_rows_keep_slot_and_width_where_the_batch_is_not_too_wide():
     rows = pd.DataFrame({"group": 0, "batch": [0, 1, 1, 2], "slot": [5, 5, 6, 7], "width": [8, 8, 8, 4096]})
-    table = replays.laid_out(rows, 512)
+    table = replays.pack_batches(rows, 512)
     assert table["slot"].tolist() == [5, 5, 6, 0]
     assert table["width"].tolist() == [8, 8, 8, 1]
     assert not table.duplicated(["group", "batch", "width", "slot"]).any()
@@ -214,16 +214,16 @@ def test_rows_keep_slot_and_width_where_the_batch_is_not_too_wide():
 def test_only_so_many_replays_as_there_is_room_for(folder, tmp_path):
     found = replace(results.read(folder), folder=tmp_path)
     for place in (3, 8, 15):
-        replays.keep(tmp_path, found.rows.iloc[place], moved())
-    assert [place for place, _ in replays.kept(found)] == [3, 8, 15]
-    size = len(replays.read(tmp_path, found.rows.iloc[3])["states"])
+        replays.write_replay(tmp_path, found.rows.iloc[place], moved())
+    assert [place for place, _ in replays.read_replays(found)] == [3, 8, 15]
+    size = len(replays.read_replay(tmp_path, found.rows.iloc[3])["states"])
     assert size < 6000
-    placed = stage.stage_directions(found, stage.replays_of(found), 3 * size)
+    placed = replay_data.describe_replays(found, replay_data.read_shown_replays(found), 3 * size)
     assert [(one["row"], one["frames"]) for one in placed.about] == [(3, 50), (8, 50), (15, 50)]
-    placed = stage.stage_directions(found, stage.replays_of(found), 2 * size)
+    placed = replay_data.describe_replays(found, replay_data.read_shown_replays(found), 2 * size)
     assert [one["row"] for one in placed.about] == [3, 8, 15]
     assert all(one["frames"] * one["step"] == pytest.approx(5, abs=0.3) and one["frames"] < 50 for one in placed.about)
-    placed = stage.stage_directions(found, stage.replays_of(found), size // 2)
+    placed = replay_data.describe_replays(found, replay_data.read_shown_replays(found), size // 2)
     assert placed.left_out == 3 - len(placed.streams) > 0
 
 

@@ -25,7 +25,7 @@ from scipy.stats import ks_2samp
 from sweep.core.expressions import mask
 from sweep.metrics.outcome import FAILURES
 from sweep.report import page, replays
-from sweep.report.page.stage import Shown
+from sweep.report.page.replay_data import ShownReplay
 from sweep.runs import results
 from sweep.trace.contact_forces import measured
 from sweep.trace.motion import FRICTION, MARGIN, bodies, motion
@@ -49,7 +49,7 @@ def browser(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def file(wide):
-    return page.write(results.read(wide), wide / "report.html")
+    return page.write_page(results.read(wide), wide / "report.html")
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def repeated(folder, tmp_path_factory):
     rows = found.rows[found.rows.duplicated(found.axes, keep=False)].sort_values(found.axes)
     one, other = (found.rows.loc[place] for place in rows.index[:2])
     path = tmp_path_factory.mktemp("repeated") / "report.html"
-    path.write_text(page.render(found, [Shown(rows.index[0], one, replays.content(one, moved()))]))
+    path.write_text(page.render_page(found, [ShownReplay(rows.index[0], one, replays.replay_content(one, moved()))]))
     return path, one, other
 
 
@@ -69,7 +69,7 @@ def uneven(tmp_path_factory):
     out = tmp_path_factory.mktemp("uneven")
     assert simulated(out, "study.axes.friction.values=[0.1,0.2,0.4,0.8,1.6]", "study.axes.step.num=5") == 0
     found = results.read(out)
-    return page.write(found, out / "report.html"), found.rows
+    return page.write_page(found, out / "report.html"), found.rows
 
 
 @pytest.fixture
@@ -167,7 +167,7 @@ def test_kinds_are_named_by_what_the_map_shows(browser, tmp_path):
     rows = found.rows.copy()
     rows["outcome"] = ["failure" if place in causes else "success" for place in range(len(rows))]
     rows["cause"] = [causes.get(place, "") for place in range(len(rows))]
-    browser.open(page.write(replace(found, rows=rows), tmp_path / "report.html"))
+    browser.open(page.write_page(replace(found, rows=rows), tmp_path / "report.html"))
     browser.until("performance.getEntriesByName('map').length")
     names = browser.run("[...document.querySelectorAll('#kinds button')].map((one) => one.childNodes[1].textContent)")
     assert set(names) == {"success", *(cause.replace("_", " ") for cause in FAILURES)}
@@ -348,7 +348,7 @@ def test_every_view_is_saved(shown, form):
              "Failures beside successes")  # fmt: skip
     assert shown.run("Object.keys(given_)") == [f"{name}.{form.lower()}" for name in names]
     for name, words in zip(names, (
-        "half step ratio [a_r]", "0.10 s", "torque of γ [N·m]", "margin", "walk", "friction (world)", "rate of success",
+        "step [a_r]", "0.10 s", "torque of γ [N·m]", "margin", "walk", "friction (world)", "rate of success",
         "slip max [m]"), strict=True):  # fmt: skip
         blob = f"given_['{name}.{form.lower()}']"
         if form == "SVG":
@@ -376,7 +376,7 @@ def test_what_goes_with_a_replay_is_told_over_time(shown):
         "margin to the nearest limit",
         "force on a foot [N]",
         "friction used under a foot",
-        "way of a standing foot",
+        "slip of a standing foot",
         "height of a foot",
         "x of the base",
         "y of the base",
@@ -464,10 +464,12 @@ def test_python_writes_the_keys_that_the_script_reads(browser, refined):
     """Both ways: a key that the script lacks is never read, and one that Python lacks is missed."""
     told, folder = records(), refined
     found = results.read(folder)
-    text = page.render(found, [Shown(0, found.rows.iloc[0], replays.content(found.rows.iloc[0], moved()))])
+    text = page.render_page(
+        found, [ShownReplay(0, found.rows.iloc[0], replays.replay_content(found.rows.iloc[0], moved()))]
+    )
     about = json.loads(re.search(r'id="data">(.*?)</script>', text)[1])
     rows = pd.concat([found.rows] * (page.data.ROWS // len(found.rows) + 1), ignore_index=True)
-    many = page.data.data(replace(found, rows=rows))
+    many = page.data.page_data(replace(found, rows=rows))
     for name, one in (("About", about), ("Kind", about["kinds"][0]), ("Mesh", about["refined_cells"]),
                       ("Shown", about["replays"][0]), ("Arrow", about["arrow"]), ("Binned", many["densities"][0]),
                       ("Theory", about["theory"][0])):  # fmt: skip
@@ -477,7 +479,7 @@ def test_python_writes_the_keys_that_the_script_reads(browser, refined):
 
 
 def test_a_refined_map_has_cells(browser, refined, tmp_path):
-    browser.open(page.write(results.read(refined), tmp_path / "refined.html"))
+    browser.open(page.write_page(results.read(refined), tmp_path / "refined.html"))
     browser.until("performance.getEntriesByName('map').length")
     assert "Cells as refinement left them" in browser.run("document.querySelector('#map-key').textContent")
     assert browser.errors == []
@@ -486,7 +488,7 @@ def test_a_refined_map_has_cells(browser, refined, tmp_path):
 def test_there_is_no_gap_between_cells_for_the_pointer(browser, tmp_path):
     """A click on a line between two of them would let go of what was chosen."""
     assert simulated(tmp_path / "study", "study.axes.friction.num=33", "study.axes.step.num=17") == 0
-    browser.open(page.write(results.read(tmp_path / "study"), tmp_path / "report.html"))
+    browser.open(page.write_page(results.read(tmp_path / "study"), tmp_path / "report.html"))
     browser.until("performance.getEntriesByName('map').length")
     left, top, width, height = plot(browser)
     for x, y in np.random.default_rng(0).uniform(0.02, 0.98, (40, 2)):
@@ -597,7 +599,7 @@ def test_names_of_theories_do_not_lie_on_each_other(browser, refined, tmp_path):
     (theory,) = found.exp.study.theory
     names = [f"limit {k} of friction" for k in range(4)]
     study = replace(found.exp.study, theory=tuple(replace(theory, label=name) for name in names))
-    browser.open(page.write(replace(found, exp=replace(found.exp, study=study)), tmp_path / "theories.html"))
+    browser.open(page.write_page(replace(found, exp=replace(found.exp, study=study)), tmp_path / "theories.html"))
     browser.until("performance.getEntriesByName('map').length")
     words = ElementTree.fromstring(drawing(browser, "Map")).iter("{http://www.w3.org/2000/svg}text")
     at = {one.text: (float(one.attrib["x"]), float(one.attrib["y"])) for one in words if one.text in names}
@@ -649,7 +651,7 @@ def test_the_keyboard_does_what_the_mouse_does(shown):
 
 
 def test_lines_of_rollouts_keep_off_the_names_at_the_ends_of_an_axis(browser, tmp_path):
-    browser.open(page.write(results.read(Path(__file__).parents[1] / "data/ci_smoke"), tmp_path / "engines.html"))
+    browser.open(page.write_page(results.read(Path(__file__).parents[1] / "data/ci_smoke"), tmp_path / "engines.html"))
     browser.until("performance.getEntriesByName('map').length")
     drawn = list(ElementTree.fromstring(drawing(browser, "Every rollout")).iter())
     upper, lower = (next(float(one.attrib["y"]) for one in drawn if one.text == name) for name in ("native", "mjx"))
@@ -774,8 +776,10 @@ def test_names_of_others_run_nothing(browser, wide, tmp_path):
     study = replace(found.exp.study, name=evil + "x" * 2**20, axes=())
     bad = results.Results(wide, found.stored, replace(found.exp, study=study), rows.infer_objects(), evil, 400)
     path = tmp_path / "evil.html"
-    shown = Shown(0, rows.iloc[0], {**replays.content(rows.iloc[0], moved()), "why": evil, "stages": [evil]}, evil)
-    path.write_text(page.render(bad, [shown]))
+    shown = ShownReplay(
+        0, rows.iloc[0], {**replays.replay_content(rows.iloc[0], moved()), "why": evil, "stages": [evil]}, evil
+    )
+    path.write_text(page.render_page(bad, [shown]))
     browser.open(path)
     browser.until("performance.getEntriesByName('map').length")
     left, top, width, height = plot(browser)
@@ -905,7 +909,7 @@ def test_on_paper_the_figures_stand(browser, repeated):
 def test_a_million_rows_are_densities(browser, wide, tmp_path):
     found = results.read(wide)
     rows = pd.concat([found.rows] * 3, ignore_index=True)
-    path = page.write(replace(found, rows=rows), tmp_path / "many.html")
+    path = page.write_page(replace(found, rows=rows), tmp_path / "many.html")
     browser.open(path)
     browser.until("document.querySelector('#map-key').textContent.includes('49,152 rollouts counted')")
     assert browser.run("document.querySelector('#passing').textContent") == "all 49,152 rollouts"

@@ -31,15 +31,17 @@ def test_a_pair_is_told_by_what_came_of_both(folders):
     won = np.flatnonzero(a.rows["outcome"] == "success")
     outcome[won[0]], cause[won[0]], outcome[won[1]], cause[won[1]] = "failure", "fell", "invalid", "solver"
     shuffled = b.rows.assign(outcome=outcome, cause=cause).sample(frac=1, random_state=0)
-    found, table = pairs.joined(a, replace(b, rows=shuffled))
+    found, table = pairs.join_pairs(a, replace(b, rows=shuffled))
     flips, counts = compare.flips(table), found.rows["cause"].value_counts()
     assert (counts[pairs.ONLY_A], counts[pairs.ONLY_B], counts[pairs.DOUBTED]) == (flips.lost, flips.gained, 1)
     assert flips.lost == 1
     assert flips.gained > 2
-    assert f"McNemar p = {flips.p:.2g}" in pairs.headline(table, *folders)
-    (exhibit,) = pairs.exhibits(found, table)
-    assert len(exhibit.data) == len(a.rows) - 1  # without the invalid one
-    maps = exhibit.draw().axes[:3]
+    assert "McNemar" not in pairs.pairs_headline(table, *folders)  # the points of a grid are no sample
+    tested = compare.flips(table, np.arange(len(table)))
+    assert f"McNemar p = {tested.p:.2g}" in pairs.pairs_headline(table, *folders, np.arange(len(table)))
+    (figure,) = pairs.difference_figure(found, table)
+    assert len(figure.data) == len(a.rows) - 1  # without the invalid one
+    maps = figure.draw().axes[:3]
     assert {ax.get_xlim() for ax in maps} == {maps[0].get_xlim()}
     change = np.ma.asarray(maps[2].collections[0].get_array())
     assert ((change == 1).sum(), (change == -1).sum(), change.mask.sum()) == (flips.gained, 1, 1)

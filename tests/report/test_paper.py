@@ -14,7 +14,7 @@ from matplotlib.text import Text
 from sweep.cli.main import main
 from sweep.core.plot_style import OTHER_FONTS, TALL, new_figure, plot_style
 from sweep.report import paper
-from sweep.report.exhibits import exhibits
+from sweep.report.figures import list_figures
 from sweep.runs import results, store
 
 
@@ -89,7 +89,7 @@ def test_figures_are_as_wide_as_a_column_or_a_page_and_have_letters_of_one_size(
     long = dict.fromkeys(("depth_max_m", "end_drift_m", "fold_gap_min_m"), values)
     rows = found.rows.assign(**long)
     for serif in (False, True):
-        for one in exhibits(replace(found, rows=rows)):
+        for one in list_figures(replace(found, rows=rows)):
             with plot_style(serif):
                 figure = one.draw()
                 figure.draw_without_rendering()
@@ -115,9 +115,9 @@ def test_figures_have_the_letters_of_a_chinese_name(recwarn):
 
 
 def test_names_and_words_are_fit_for_latex():
-    assert paper.camel("world.slip_max_2m") == "WorldSlipMaxTwom"
-    assert paper.escape("a_b 5 % <x> [°]") == r"a\_b 5 \% \textless{}x\textgreater{} [\textdegree{}]"
-    assert paper.escape("[a_r], [m⁴]") == r"[$a_r$], [m\textsuperscript{4}]"
+    assert paper.macro_name("world.slip_max_2m") == "WorldSlipMaxTwom"
+    assert paper.escape_latex("a_b 5 % <x> [°]") == r"a\_b 5 \% \textless{}x\textgreater{} [\textdegree{}]"
+    assert paper.escape_latex("[a_r], [m⁴]") == r"[$a_r$], [m\textsuperscript{4}]"
 
 
 @pytest.mark.parametrize("name", ["figures/of_another.pdf", "data/of_another.csv", "main.tex"])
@@ -135,7 +135,7 @@ def foreign(folder, tmp_path_factory):
     """The bundle of a study whose name has letters of Russian, Greek and Chinese."""
     out, found = tmp_path_factory.mktemp("foreign"), results.read(folder)
     study = replace(found.exp.study, name="Ходьба Βάδισμα 步行_é")
-    paths = paper.write(replace(found, exp=replace(found.exp, study=study), rows=found.rows.head(40)), out)
+    paths = paper.write_paper(replace(found, exp=replace(found.exp, study=study), rows=found.rows.head(40)), out)
     assert len(set(paths)) == len(paths)  # no figure's data are lost to a table's
     return out
 

@@ -7,13 +7,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from sweep.analysis.stats import broken, rate
+from sweep.analysis.expectations import broken
+from sweep.analysis.stats import rate
 from sweep.core.parameters import InputError
 from sweep.core.plot_style import PAGE, legend_below, plot_style, save_figure
 from sweep.metrics.outcome import FAILURES
 from sweep.report import maps, tables
 from sweep.report.cells import Cells
-from sweep.report.looks import marker
+from sweep.report.outcome_style import marker_path
 from sweep.study.config import compose
 from sweep.study.study import Expectation
 
@@ -46,27 +47,33 @@ def test_rate_counts_invalid_rows_apart():
 
 
 def test_expectations_look_at_valid_rows(rows):
-    assert not broken((Expectation(where="friction > 0.7 and half_step_ratio < 0.2", at_least=1.0),), rows)
-    assert len(broken((Expectation(at_least=0.9), Expectation(where="friction > 9")), rows)) == 2
+    assert not broken((Expectation(where="friction > 0.7 and half_step_ratio < 0.2", at_least=1.0),), rows, EXP)
+    assert len(broken((Expectation(at_least=0.9), Expectation(where="friction > 9")), rows, EXP)) == 2
 
 
 def test_tables_hold_the_rows_in_four_forms(rows):
-    pd.testing.assert_frame_equal(pd.read_parquet(io.BytesIO(tables.render(rows, "parquet"))), rows, check_dtype=False)
-    back = pd.read_csv(io.BytesIO(tables.render(rows, "csv"))).fillna(dict.fromkeys(("cause", "stage", "limit"), ""))
+    pd.testing.assert_frame_equal(
+        pd.read_parquet(io.BytesIO(tables.render_table(rows, "parquet"))), rows, check_dtype=False
+    )
+    back = pd.read_csv(io.BytesIO(tables.render_table(rows, "csv"))).fillna(
+        dict.fromkeys(("cause", "stage", "limit"), "")
+    )
     pd.testing.assert_frame_equal(back, rows, check_dtype=False)
-    page = tables.render(rows, "markdown", exp=EXP).decode()
+    page = tables.render_table(rows, "markdown", exp=EXP).decode()
     assert page.startswith("| engine   | friction (world)   | step [a_r]")
     longer = rows.assign(**{"belief.robot.shin": 1.2})
-    assert "| shin (belief) [m]" in tables.render(longer, "markdown", exp=EXP).decode()
-    assert ",belief.robot.shin\n" in tables.render(longer, "csv", exp=EXP).decode()  # the column's name, for programs
+    assert "| shin (belief) [m]" in tables.render_table(longer, "markdown", exp=EXP).decode()
+    assert (
+        ",belief.robot.shin\n" in tables.render_table(longer, "csv", exp=EXP).decode()
+    )  # the column's name, for programs
     assert sum(line.startswith("|") for line in page.splitlines()) == len(rows) + 2
     assert "- 2 solver: the contact solver left more than" in page
-    latex = tables.render(rows, "latex", ["name", "friction", "cause", "slip_max_m"]).decode()
+    latex = tables.render_table(rows, "latex", ["name", "friction", "cause", "slip_max_m"]).decode()
     assert r"\toprule" in latex
     assert r"\begin{tabular}{lrlr}" in latex
     assert r"slip max [m]" in latex
     with pytest.raises(InputError, match="did you mean slip_max_m"):
-        tables.render(rows, "csv", ["slip_max"])
+        tables.render_table(rows, "csv", ["slip_max"])
 
 
 def test_map_of_single_rollouts_shows_causes_and_hatches_invalid_cells(rows, tmp_path):
@@ -78,7 +85,7 @@ def test_map_of_single_rollouts_shows_causes_and_hatches_invalid_cells(rows, tmp
     assert "7 of 11 succeed" in left.get_title()
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["success", "slipped", "invalid"]
     (glyphs,) = [one for one in left.collections if one.get_offsets().shape == (4, 2)]  # one in each cell that slips
-    shapes = [one.vertices / np.abs(one.vertices).max() for one in (glyphs.get_paths()[0], marker("slipped"))]
+    shapes = [one.vertices / np.abs(one.vertices).max() for one in (glyphs.get_paths()[0], marker_path("slipped"))]
     assert np.allclose(*shapes)
     hatched = [patch.get_extents() for patch in left.patches if patch.get_hatch() == "////"]
     assert [left.transData.inverted().transform(box.p0) for box in hatched] == [pytest.approx([0.3, 0.025])]
@@ -106,9 +113,9 @@ def test_a_legend_shows_what_the_map_shows(rows):
         ax = figure.axes[["mjx", "native"].index(row["engine.name"])]
         middle = ax.transData.transform([place.iloc[0], {0.05: 0.05, 0.1: 0.1125, 0.2: 0.2}[place.iloc[1]]])
         assert np.abs(shown - around(pixels, middle)).mean() < 12, cause
-    many = maps.cell("fell", "#D55E00")
+    many = maps.legend_cell("fell", "#D55E00")
     assert len(many) == 1
-    assert not maps.glyphed(Cells(np.arange(maps.GLYPHS + 1), np.arange(2)))
+    assert not maps.has_room_for_glyphs(Cells(np.arange(maps.GLYPHS + 1), np.arange(2)))
 
 
 def around(pixels, middle):

@@ -1,4 +1,4 @@
-"""`sweep report`: a study as one HTML page that needs nothing beside it, on a screen or on paper."""
+"""`sweep report`: a study as one HTML page without external files, for the screen and for paper."""
 
 import base64
 import io
@@ -20,20 +20,21 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from PIL import Image
 
+from sweep.analysis.expectations import broken
 from sweep.analysis.sample import pooled
-from sweep.analysis.stats import broken
+from sweep.analysis.sampling_units import has_independent_rows, interval_method
 from sweep.core.files import path_in, write_atomically
 from sweep.core.plot_style import plot_style
 from sweep.report import tables
-from sweep.report.exhibit import Exhibit
-from sweep.report.exhibits import exhibits
+from sweep.report.figure import StudyFigure
+from sweep.report.figures import list_figures
 from sweep.report.headline import headline
-from sweep.report.labels import column_meaning, heading, kind_of
+from sweep.report.labels import column_meaning, heading, outcome_kind
 from sweep.report.page import data
-from sweep.report.page.script import bundle, policy, style_sheet
-from sweep.report.page.stage import Shown, replays_of, stage_directions
-from sweep.report.statistics import in_words
-from sweep.report.typical import Typical, typical
+from sweep.report.page.replay_data import ShownReplay, describe_replays, read_shown_replays
+from sweep.report.page.script import bundle_script, content_security_policy, style_sheet
+from sweep.report.representative import Representative, find_representatives
+from sweep.report.statistics import labelled_sections
 from sweep.runs import audit, store
 from sweep.runs.results import Results
 from sweep.study.columns import LABELS
@@ -58,7 +59,7 @@ TELLING = (
 
 @dataclass(frozen=True)
 class Plate:
-    """An exhibit as the page shows it."""
+    """A figure as the page shows it."""
 
     key: str
     title: str
@@ -67,45 +68,67 @@ class Plate:
     live: bool  # the script shows the same
 
 
-def write(results: Results, path: Path, **options: Any) -> Path:
-    """Write the page of `results`, with the options of `render`."""
+def write_page(results: Results, path: Path, **options: Any) -> Path:
+    """Write the page of a study.
+
+    Args:
+        results: study with its rows.
+        path: file to write.
+        options: see `render_page`.
+
+    Returns:
+        `path`.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, render(results, **options).encode())
+    write_atomically(path, render_page(results, **options).encode())
     return path
 
 
 @dataclass(frozen=True)
-class Pairs:
-    """What a page of the same points in two studies has in place of what it has of one."""
+class PairsContent:
+    """What the page of two compared studies shows in place of the content of a single study."""
 
     name: str
     headline: str
-    exhibits: list[Exhibit]
+    figures: list[StudyFigure]
     tables: list[tuple[str, pd.DataFrame]]
 
 
-def render(
+def render_page(
     results: Results,
-    shown: list[Shown] | None = None,
+    shown: list[ShownReplay] | None = None,
     chosen: tuple[str, ...] = (),
     opened: int = 0,
-    pairs: Pairs | None = None,
+    pairs: PairsContent | None = None,
 ) -> str:
-    """The page as HTML, whose map starts with the columns `chosen`.
+    """Render the page of a study as HTML.
 
-    It has the replays `shown`, the first `opened` of which, at most two, play from the start, or else those that the
-    folder keeps. Of `pairs` a row of `results` is one, and its cause what came of both.
+    Args:
+        results: study with its rows; on a page of pairs a row is a pair, and its cause what became of both.
+        shown: replays to embed; by default those that the folder has.
+        chosen: columns that the map starts with.
+        opened: how many of the first replays play when the page opens, at most two.
+        pairs: content of a page that compares two studies.
     """
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     template = environment.from_string((files("sweep.report.page") / "page.html.j2").read_text(encoding="utf-8"))
     rows = results.rows
-    style, script = style_sheet(), bundle()
-    plates = [plate(one) for one in (pairs.exhibits if pairs else exhibits(results))]
-    typicals = [(one, image(one), list(telling(one, results.exp))) for one in (() if pairs else typical(results))]
+    style, script = style_sheet(), bundle_script()
+    plates = [plate_for_page(one) for one in (pairs.figures if pairs else list_figures(results))]
+    typicals = [
+        (one, picture_url(one), list(representative_values(one, results.exp)))
+        for one in (() if pairs else find_representatives(results))
+    ]
     rate = pooled(rows, results.exp)
-    about = data.data(results, chosen) | {"sure": rate.sure, "adaptive": results.exp.study.is_adaptive and not pairs}
+    # the script's own intervals and tests take every row as independent
+    independent = not pairs and has_independent_rows(rows, results.exp)
+    about = data.page_data(results, chosen) | {
+        "sure": rate.sure and independent,
+        "independent": independent,
+        "adaptive": results.exp.study.is_adaptive and not pairs,
+    }
     others = [
         style,
         script,
@@ -114,13 +137,13 @@ def render(
         *(picture for _, picture, _ in typicals),
     ]
     room = SIZE - REST - sum(map(len, others))
-    replays = stage_directions(results, replays_of(results) if shown is None else shown, room)
+    replays = describe_replays(results, read_shown_replays(results) if shown is None else shown, room)
     arrow = {"metres": FORCE_SCALE, "least": FORCE_SHOWN}
     about |= {"replays": replays.about, "models": replays.models, "left_out": replays.left_out}
     about |= {"arrow": arrow, "open": opened, "legs": list(LEG_COLORS)}
     return template.render(
         results=results,
-        policy=policy(style, script),
+        policy=content_security_policy(style, script),
         style=Markup(style),
         script=Markup(script),
         data=Markup(data.as_json(about | ({"name": pairs.name} if pairs else {}))),
@@ -129,69 +152,76 @@ def render(
         adaptive=results.exp.study.is_adaptive and not pairs,
         headline=headline(rows, results.exp) if results.exp.study.is_adaptive else "",
         sure=rate.sure,
-        came=str(kind_of(rows).iloc[0]).replace("_", " ") if len(rows) else "",
+        independent=independent,
+        refined_effects=bool(about["effects"]),
+        method=interval_method(results.exp.study),
+        came=str(outcome_kind(rows).iloc[0]).replace("_", " ") if len(rows) else "",
         watched=[
             (one.title, one.row["cause"] or one.row["outcome"]) for one in shown or () if results.exp.study.single
         ],
         repeated=results.exp.study.replicates > 1,
         plates=plates,
-        expectations=[] if pairs else list(expectations(results)),
-        parameters=list(tables.parameters(results)),
+        expectations=[] if pairs else list(check_expectations(results)),
+        parameters=list(tables.varied_parameters(results)),
         reasons=[(cause, words, int((rows["cause"] == cause).sum())) for cause, words in results.causes_seen.items()],
         typical=typicals,
-        statistics=list(titled(pairs.tables if pairs else in_words(results), results.exp)),
+        statistics=list(statistics_as_html(pairs.tables if pairs else labelled_sections(results), results.exp)),
         audit=[] if pairs else list(audit.table(results).itertuples(index=False)),
         pairs=pairs,
         name=pairs.name if pairs else results.name,
-        table=table(rows.head(ROWS), results.exp),
+        table=first_rows_table(rows.head(ROWS), results.exp),
         configuration=yaml.safe_dump(results.stored["config"], sort_keys=False, allow_unicode=True),
-        dates=dates(results.folder),
+        dates=run_dates(results.folder),
     )
 
 
-def plate(one: Exhibit) -> Plate:
-    """A figure as the page has it: pixels where the script shows the same, and only paper needs it."""
+def plate_for_page(one: StudyFigure) -> Plate:
+    """Draw a figure for the page: as pixels where the script draws it on screen, so that only paper needs it."""
     live = one.key.startswith("map-") or one.key in ("draws", "causes", "distributions")
     with plot_style():
-        return Plate(one.key, one.title, one.caption, (png if live else svg)(one.draw(), one.title), live)
+        return Plate(
+            one.key, one.title, one.caption, (png_element if live else svg_element)(one.draw(), one.title), live
+        )
 
 
-def expectations(results: Results) -> Iterator[tuple[str, str]]:
-    """What the study expects of its rows, and whether they keep it."""
+def check_expectations(results: Results) -> Iterator[tuple[str, str]]:
+    """Yield what the study expects of its rows, and `met` or what was found instead."""
     for one in results.exp.study.expect:
         where = f" where {one.where}" if one.where else ""
-        lines = broken((one,), results.rows)
+        lines = broken((one,), results.rows, results.exp)
         yield f"{one.that}{where}: a share from {one.at_least:g} to {one.at_most:g}", lines[0] if lines else "met"
 
 
-def titled(sections: Iterable[tuple[str, pd.DataFrame | str]], exp: Experiment) -> Iterator[tuple[str, Markup]]:
-    """Titled tables of what the rows say: margins, tolerance to errors, sensitivity, as far as the design can tell."""
+def statistics_as_html(
+    sections: Iterable[tuple[str, pd.DataFrame | str]], exp: Experiment
+) -> Iterator[tuple[str, Markup]]:
+    """Yield the titles and contents of statistics as HTML."""
     for title, content in sections:
         if isinstance(content, str):
             yield title, Markup("<p>{}</p>").format(content)
         else:
             note = f"<p class='soft'>The first {LINES} of {len(content)} lines.</p>" if len(content) > LINES else ""
-            yield title, Markup(note) + as_html(tables.shown(content.head(LINES), exp), index=False)
+            yield title, Markup(note) + as_html(tables.format_rows(content.head(LINES), exp), index=False)
 
 
-def telling(one: Typical, exp: Experiment) -> Iterator[tuple[str, str]]:
-    """Parameters and a few figures of a typical rollout."""
+def representative_values(one: Representative, exp: Experiment) -> Iterator[tuple[str, str]]:
+    """Yield parameters and a few metrics of a representative rollout."""
     names = [*(c for c in one.row.index if "." in c), *(c for c in TELLING if c in one.row)]
     for name in names:
-        if shown := tables.text(one.row[name]):
+        if shown := tables.format_value(one.row[name]):
             yield heading(name, exp), shown
 
 
-def image(one: Typical) -> str:
-    """Its picture as a data URL; empty where there is none."""
-    return address(one.picture.read_bytes()) if one.picture.exists() else ""
+def picture_url(one: Representative) -> str:
+    """The picture of a representative rollout as a data URL; empty where there is none."""
+    return data_url(one.picture.read_bytes()) if one.picture.exists() else ""
 
 
-def table(rows: pd.DataFrame, exp: Experiment) -> Markup:
-    """The first rows: what identifies them, what came of them, then their axes, which paper may be too narrow for."""
-    axes = [c for c in tables.reading(rows) if c not in LABELS]
+def first_rows_table(rows: pd.DataFrame, exp: Experiment) -> Markup:
+    """The first rows of the study as HTML: identity and outcome first, then parameters."""
+    axes = [c for c in tables.readable_columns(rows) if c not in LABELS]
     columns = ["point_id", *LABELS, *axes]
-    return as_html(tables.shown(rows[columns], exp), index=True, hints=[column_meaning(c, exp) for c in columns])
+    return as_html(tables.format_rows(rows[columns], exp), index=True, hints=[column_meaning(c, exp) for c in columns])
 
 
 def as_html(shown: pd.DataFrame, index: bool, hints: Iterable[str] = ()) -> Markup:
@@ -211,8 +241,8 @@ def as_html(shown: pd.DataFrame, index: bool, hints: Iterable[str] = ()) -> Mark
     return Markup(head + end + body)
 
 
-def dates(folder: Path) -> tuple[str, str]:
-    """First and last day and time of the log, which may be damaged; empty without one."""
+def run_dates(folder: Path) -> tuple[str, str]:
+    """First and last time stamp of a study's log; empty where it has none."""
     stamps = []
     with suppress(OSError):
         for line in path_in(folder, store.LOG).read_text(encoding="utf-8", errors="replace").splitlines():
@@ -222,15 +252,15 @@ def dates(folder: Path) -> tuple[str, str]:
     return (stamps[0], stamps[-1]) if stamps else ("", "")
 
 
-def png(figure: Figure, title: str) -> Markup:
-    """The figure as an image element, in few colours."""
+def png_element(figure: Figure, title: str) -> Markup:
+    """A figure as an image element with few colours."""
     content, small = io.BytesIO(), io.BytesIO()
     figure.savefig(content, format="png", dpi=DPI)
     Image.open(content).convert("RGB").quantize(64).save(small, "png", optimize=True)
-    return Markup('<img src="{}" alt="{}">').format(address(small.getvalue()), title)
+    return Markup('<img src="{}" alt="{}">').format(data_url(small.getvalue()), title)
 
 
-def address(picture: bytes) -> str:
+def data_url(picture: bytes) -> str:
     """A PNG picture as a data URL."""
     return f"data:image/png;base64,{base64.b64encode(picture).decode()}"
 
@@ -238,7 +268,7 @@ def address(picture: bytes) -> str:
 _numbers = itertools.count()
 
 
-def svg(figure: Figure, title: str) -> Markup:
+def svg_element(figure: Figure, title: str) -> Markup:
     """The figure as an SVG element with text that can be searched, its identifiers unlike those of other figures."""
     content = io.StringIO()
     own = f"f{next(_numbers)}"

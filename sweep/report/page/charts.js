@@ -3,8 +3,8 @@ import { alongOf, drawFrame, scaleOf, uneven, whole } from "./axes.js";
 import { binsOf, clipped, distanceOf, gridOf, smirnov } from "./data.js";
 import { byId, cssOf, element, offer, optionsOf, pointerOn, sheetOf, straight } from "./dom.js";
 import { clamp, grouped, packRgb, rgbOf, shortly, wilson } from "./numbers.js";
-import { glyphOf, paintKind, pixelsOf, stampAt, stampOf } from "./paint.js";
-import { narrow } from "./state.js";
+import { glyphOf, paintKind, pixelsOf, stampAt, stampOf } from "./raster.js";
+import { narrow } from "./selection.js";
 
 /** @import { Along, Scale } from "./axes.js" */
 /** @import { Column, Table } from "./data.js" */
@@ -127,7 +127,12 @@ export function importanceView(app) {
     const { pen, width } = sheetOf(canvas);
     const { ink, soft, line, accent } = app.theme();
     const side = sideOf(app);
-    const found = columns.map((column) => ({ column, ...distanceOf(column, app.order, side) }));
+    const { effects, independent } = table.about; // rows at the boundary of a refined map say where they were placed
+    const found = columns.map((column) => {
+      const one = distanceOf(column, app.order, side);
+      const distance = effects ? (effects[column.key] ?? 0) : one.distance;
+      return { column, ...one, distance, told: one.told || !independent };
+    });
     found.sort((a, b) => b.distance - a.distance);
     const left = Math.min(190, 0.42 * width);
     const room = width - left - 48;

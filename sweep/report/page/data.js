@@ -98,8 +98,10 @@ import { clamp } from "./numbers.js";
  * @property {number} digits
  * @property {string} block
  * @property {boolean} one_at_a_time whether each parameter was varied alone
- * @property {boolean} sure whether all rows together have an interval
+ * @property {boolean} sure whether every row is an independent draw, so that all of them have an interval
+ * @property {boolean} independent whether a test may take every row as independent
  * @property {boolean} adaptive whether rollouts were placed by a search for failures: their shares are no rates
+ * @property {Record<string, number> | null} effects of a refined map, by column
  * @property {string[]} start
  * @property {Theory[]} theory
  * @property {Mesh | null} refined_cells
@@ -217,7 +219,8 @@ function columnOf(told, values) {
   const label = clipped(told.label);
   const title = told.unit ? `${label} [${told.unit}]` : label;
   const names = told.names ? told.names.map(clipped) : null;
-  return { ...told, label, title, names, values, low, high };
+  const path = told.path ?? ""; // a page that an earlier version wrote has none
+  return { ...told, label, title, path, names, values, low, high };
 }
 
 /**

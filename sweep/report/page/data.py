@@ -12,10 +12,10 @@ import pandas as pd
 
 from sweep.analysis.sample import some
 from sweep.core.files import encode_text
-from sweep.report import limits
-from sweep.report.exhibits import judged_first, thresholds
-from sweep.report.labels import column_meaning, kind_of, meaning, unique_words, words_and_unit
-from sweep.report.looks import FAILURE, GOOD, look_of
+from sweep.report import analytic_curves
+from sweep.report.figures import metric_thresholds, metrics_with_threshold_first
+from sweep.report.labels import column_meaning, kind_meaning, outcome_kind, unique_words, words_and_unit
+from sweep.report.outcome_style import FAILURE, GOOD, find_look
 from sweep.runs import refine
 from sweep.runs.results import Results
 from sweep.systems.base import split_side
@@ -31,15 +31,23 @@ BINS, PAIRS = 128, 3  # of densities along an axis, and how many pairs of parame
 DIGITS = 12  # of a point id: bytes are two of them
 
 
-def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
-    """What the page's script is told of the rows; `chosen` are the columns that its map starts with."""
-    rows = results.rows.iloc[sampled(len(results.rows))]
-    kinds, axes = kinds_of(results), [*results.named, *results.numeric]
+def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Collect what the page's script needs of the rows.
+
+    Args:
+        results: study with its rows.
+        chosen: columns that the map starts with.
+
+    Returns:
+        Plain values, see `About` in `data.js`.
+    """
+    rows = results.rows.iloc[sample_places(len(results.rows))]
+    kinds, axes = page_kinds(results), [*results.named, *results.numeric]
     figures = ["margin", "t_cause_s"] if "margin" in rows else []
-    figures = [c for c in figures if rows[c].nunique() > 1] + judged_first(results)[:FIGURES]
+    figures = [c for c in figures if rows[c].nunique() > 1] + metrics_with_threshold_first(results)[:FIGURES]
     bits = COARSE if len(rows) * len(figures) * 2 > ROOM else 15
-    coded = [code(rows[c], bits) for c in (*axes, *figures)]
-    judged, words = thresholds(results), unique_words((*axes, *figures), results.exp)
+    coded = [encode_column(rows[c], bits) for c in (*axes, *figures)]
+    judged, words = metric_thresholds(results), unique_words((*axes, *figures), results.exp)
     columns = [
         {
             "key": c,
@@ -57,7 +65,7 @@ def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
     # of a map: two listed numbers; elsewhere the script takes what matters most
     first = results.listed[:2] if len(results.listed) > 1 and not results.one_at_a_time else []
     stages = [*results.stages, *sorted(set(rows["stage"].astype(str)) - {*results.stages, ""})]
-    kind = codes_of(rows, kinds).astype(np.uint8)
+    kind = kind_codes(rows, kinds).astype(np.uint8)
     stage = 1 + pd.Index(stages).get_indexer(pd.Index(rows["stage"].astype(str)))  # 0: there is none
     ids = b"".join(bytes.fromhex(f"{one[:DIGITS]:0<{DIGITS}}") for one in rows["point_id"])
     blocks = [kind.tobytes(), stage.astype(np.uint8).tobytes(), ids, *(block for _, block in coded)]
@@ -74,78 +82,82 @@ def data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         "block": encode_text(b"".join(blocks)),
         "one_at_a_time": results.one_at_a_time,
         "start": [c for c in (*chosen, *first) if c in (*axes, *figures)][:2],
-        "theory": list(curves(results, rows)),
+        "theory": list(limit_curves(results, rows)),
         "refined_cells": refined_cells(results) if len(rows) == len(results.rows) else None,
-        "densities": list(densities(results, kinds)) if len(rows) < len(results.rows) else [],
+        "effects": cell_effects(results),
+        "densities": list(count_densities(results, kinds)) if len(rows) < len(results.rows) else [],
     }
 
 
-def sampled(number: int) -> np.ndarray:
-    """Places of the rows that a page holds of `number`: all, or some drawn at random where they are too many."""
+def sample_places(number: int) -> np.ndarray:
+    """Indices of the rows that a page holds: all, or a random sample where there are too many."""
     return some(number, SAMPLE if number > ROWS else number)
 
 
 def as_json(content: Any) -> str:
-    """Text for a script element: nothing in it ends the element or begins a comment."""
+    """JSON for a script element, in which no text ends the element or begins a comment."""
     text = json.dumps(plain(content), separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def codes_of(rows: pd.DataFrame, kinds: list[dict[str, Any]]) -> np.ndarray:
-    """The place of each row's kind among `kinds`."""
-    return pd.Index([one["key"] for one in kinds]).get_indexer(pd.Index(kind_of(rows)))
+def kind_codes(rows: pd.DataFrame, kinds: list[dict[str, Any]]) -> np.ndarray:
+    """Index of each row's kind in `kinds`."""
+    return pd.Index([one["key"] for one in kinds]).get_indexer(pd.Index(outcome_kind(rows)))
 
 
-def kinds_of(results: Results) -> list[dict[str, Any]]:
-    """What came of rollouts, with words, colour and shape: success, then the causes in their order."""
-    counts, system = kind_of(results.rows).value_counts(), results.exp.system
+def page_kinds(results: Results) -> list[dict[str, Any]]:
+    """Success and the causes that occur, with label, colour and shape."""
+    counts, system = outcome_kind(results.rows).value_counts(), results.exp.system
     known = [name for name in ("success", *system.causes) if name in counts]
     return [
         {
             "key": name,
             "label": name.replace("_", " ") or "no cause",
-            "meaning": meaning(name, results.exp) if name in known else "",
+            "meaning": kind_meaning(name, results.exp) if name in known else "",
             "count": int(counts[name]),
-            "colour": look_of(name).colour,
-            "shape": look_of(name).shape.round(3).ravel().tolist(),
+            "colour": find_look(name).colour,
+            "shape": find_look(name).shape.round(3).ravel().tolist(),
             "outcome": "success" if name == "success" else "invalid" if name in system.invalid_causes else "failure",
         }
         for name in [*known, *sorted(set(counts.index) - set(known))]
     ]
 
 
-def code(values: pd.Series, bits: int) -> tuple[dict[str, Any], bytes]:
-    """How a column is stored, and its bytes. Few values are listed; others are evenly spaced between two ends."""
+def encode_column(values: pd.Series, bits: int) -> tuple[dict[str, Any], bytes]:
+    """Describe how a column is stored, and its bytes.
+
+    Few values are listed, others are evenly spaced between two ends.
+    """
     if values.dtype.kind not in "fiub":
         codes, levels = pd.factorize(values.astype(str), sort=True)
-        return {"names": [str(one) for one in levels]}, split(np.asarray(codes))
+        return {"names": [str(one) for one in levels]}, split_bytes(np.asarray(codes))
     numbers = values.to_numpy(dtype=float)
     finite = np.isfinite(numbers)
     levels, codes = np.unique(numbers[finite], return_inverse=True)
     whole = np.full(len(numbers), MISSING)
     if len(levels) <= LEVELS and (len(levels) < len(numbers) / 4 or len(numbers) <= LEVELS):
         whole[finite] = codes
-        return {"levels": levels.tolist()}, split(whole)
+        return {"levels": levels.tolist()}, split_bytes(whole)
     quarter, middle, most = np.percentile(numbers[finite], [25, 50, 75])
     bend = max(float(most - quarter), 1e-12) if np.ptp(levels) > TAIL * (most - quarter) else 0.0
     shown = np.arcsinh((numbers - middle) / bend) if bend else numbers
     low, high = float(np.min(shown[finite])), float(np.max(shown[finite]))
     step = (high - low) / (2**bits - 1) or 1.0
     whole[finite] = np.round((shown[finite] - low) / step)
-    return {"low": low, "step": step, "bend": bend, "middle": float(middle)}, split(whole)
+    return {"low": low, "step": step, "bend": bend, "middle": float(middle)}, split_bytes(whole)
 
 
-def split(values: np.ndarray) -> bytes:
-    """Whole numbers from 0 to 65535, all low bytes before all high ones."""
+def split_bytes(values: np.ndarray) -> bytes:
+    """Whole numbers from 0 to 65535 as bytes: all low bytes, then all high ones."""
     return values.astype("<u2").view(np.uint8).reshape(-1, 2).T.tobytes()
 
 
-def curves(results: Results, rows: pd.DataFrame) -> Any:
-    """The limits of `study.theory` over pairs of parameters."""
+def limit_curves(results: Results, rows: pd.DataFrame) -> Any:
+    """Yield the analytic limits of `study.theory` over pairs of parameters."""
     for theory in results.exp.study.theory:
         for of in [c for c in results.numeric if split_side(c)[1] == theory.of]:
             for along in [c for c in results.numeric if c != of]:
-                found = limits.curve(theory, results.exp, rows, along)
+                found = analytic_curves.limit_curve(theory, results.exp, rows, along)
                 yield {
                     "label": theory.label,
                     "of": of,
@@ -156,7 +168,7 @@ def curves(results: Results, rows: pd.DataFrame) -> Any:
 
 
 def refined_cells(results: Results) -> dict[str, Any] | None:
-    """The cells that refinement over two parameters ended with: the rows at the corners of each, four a cell."""
+    """Cells of a map that was refined over two parameters: the rows at the four corners of each."""
     study = results.exp.study
     if not study.resolution:
         return None
@@ -176,12 +188,20 @@ def refined_cells(results: Results) -> dict[str, Any] | None:
     return {"axes": [axis.column for axis in axes], "block": encode_text(cells.astype("<i4").tobytes())}
 
 
-def densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
-    """Of a few pairs of parameters how many rows of each kind lie in each bin, counted over all rows."""
-    kind = codes_of(results.rows, kinds)
+def cell_effects(results: Results) -> dict[str, float] | None:
+    """Total Sobol indices by column on the cells of a refined map, whose rows were placed at the boundary."""
+    if not results.exp.study.resolution:
+        return None
+    table = refine.effects(results.exp, results.rows)
+    return dict(zip(table["axis"], table["total"].tolist(), strict=True))
+
+
+def count_densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
+    """Yield, for a few pairs of parameters, how many rows of each kind lie in each bin, counted over all rows."""
+    kind = kind_codes(results.rows, kinds)
     pairs = [(x, y) for k, x in enumerate(results.numeric) for y in results.numeric[k + 1 :]][:PAIRS]
     for x, y in pairs:
-        (i, wide, x_ends), (j, high, y_ends) = binned(results.rows[x]), binned(results.rows[y])
+        (i, wide, x_ends), (j, high, y_ends) = bin_values(results.rows[x]), bin_values(results.rows[y])
         counts = np.bincount((kind * high + j) * wide + i, minlength=len(kinds) * high * wide)
         yield {
             "x": x,
@@ -194,8 +214,8 @@ def densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
         }
 
 
-def binned(values: pd.Series) -> tuple[np.ndarray, int, list[float]]:
-    """The bin of each value, how many there are, and the ends of all of them; few values have one each."""
+def bin_values(values: pd.Series) -> tuple[np.ndarray, int, list[float]]:
+    """Bin of each value, the number of bins, and their outer ends; few evenly spaced values get a bin each."""
     levels = np.unique(values)
     low, high = float(levels[0]), float(levels[-1])
     if len(levels) <= BINS and np.allclose(np.diff(levels), (high - low) / (len(levels) - 1)):

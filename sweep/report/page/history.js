@@ -75,7 +75,7 @@ export function historiesOf({ model, motion }, paths) {
       lines: friction ? legs((k, leg) => friction[model.feet.length * k + leg]) : [],
       limit: 1,
     },
-    { title: "way of a standing foot [m]", lines: slips(paths.feet, pull), limit: null },
+    { title: "slip of a standing foot [m]", lines: slips(paths.feet, pull), limit: null },
     { title: "height of a foot [m]", lines: paths.feet.map((foot) => over((k) => foot[k][2])), limit: null },
     ...["x of the base [m]", "y of the base [m]", "height of the base [m]"].map((title, part) => ({
       title,

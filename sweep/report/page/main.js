@@ -1,5 +1,5 @@
 // The page: reads what it holds, makes its views, and draws those that are seen when something changes.
-import { addressOf, conditionOf, wantedOf } from "./address.js";
+import { addressOf, conditionOf, wantedOf } from "./url_state.js";
 import {
   boxed,
   distributionsView,
@@ -12,18 +12,18 @@ import {
 } from "./charts.js";
 import { clipped, orderOf, pointOf, readTable } from "./data.js";
 import { buttonOf, byId, element, lookOf, sheetOf, themeNow } from "./dom.js";
-import { listView } from "./list.js";
+import { listView } from "./table.js";
 import { mapView, worded } from "./map.js";
 import { grouped, shortly } from "./numbers.js";
 import { parallelView } from "./parallel.js";
 import { playerOf } from "./player.js";
-import { csvOf, give, offerPictures } from "./save.js";
-import { narrow, showAll, sift, stateOf } from "./state.js";
+import { csvOf, give, offerPictures } from "./export.js";
+import { narrow, showAll, sift, stateOf } from "./selection.js";
 
-/** @import { Wanted } from "./address.js" */
+/** @import { Wanted } from "./url_state.js" */
 /** @import { Column, Kind, Table } from "./data.js" */
 /** @import { Look, Theme } from "./dom.js" */
-/** @import { State } from "./state.js" */
+/** @import { State } from "./selection.js" */
 
 /**
  * What views may ask for and say.

@@ -3,18 +3,18 @@ import { drawFrame, whole } from "./axes.js";
 import { placesOf } from "./cells.js";
 import { clipped, inflate, readCounts, valuesOf } from "./data.js";
 import { byId, element, offer, optionsOf, pointerOn, sheetOf } from "./dom.js";
-import { KIND, markSize, paintCells, paintDensity, paintMarks, RATE, spanOf, spotOf } from "./fill.js";
+import { KIND, markSize, paintCells, paintDensity, paintMarks, RATE, spanOf, spotOf } from "./map_fill.js";
 import { clamp, grouped, packRgb, scaleColour, shortly } from "./numbers.js";
-import { ownerNear, pixelsOf } from "./paint.js";
-import { drawContour, drawOutlines, drawRing, drawTheory, drawZero } from "./over.js";
-import { narrow, showAll } from "./state.js";
+import { ownerNear, pixelsOf } from "./raster.js";
+import { drawContour, drawOutlines, drawRing, drawTheory, drawZero } from "./map_overlays.js";
+import { narrow, showAll } from "./selection.js";
 
 /** @import { Box } from "./axes.js" */
 /** @import { Places } from "./cells.js" */
 /** @import { Column } from "./data.js" */
 /** @import { Rgb } from "./dom.js" */
 /** @import { App, View } from "./main.js" */
-/** @import { Pixels } from "./paint.js" */
+/** @import { Pixels } from "./raster.js" */
 
 const MARGIN = { left: 64, right: 14, top: 12, bottom: 48 };
 const DRAG = 5; // pixels that make a click a drag

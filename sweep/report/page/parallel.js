@@ -3,7 +3,7 @@ import { alongOf, snapped, ticksAlong } from "./axes.js";
 import { clipped, gridOf } from "./data.js";
 import { byId, cssOf, pointerOn, sheetOf, straight } from "./dom.js";
 import { clamp, grouped, lotOf, shortly } from "./numbers.js";
-import { narrow } from "./state.js";
+import { narrow } from "./selection.js";
 
 /** @import { Way } from "./axes.js" */
 /** @import { Column } from "./data.js" */

@@ -4,10 +4,10 @@ import { byId, cssOf, element, fitting, pointerOn, sheetOf } from "./dom.js";
 import { historyView } from "./history.js";
 import { endOf, frameAt, posesOf, readMotion, stateAt } from "./kinematics.js";
 import { clamp, shortly } from "./numbers.js";
-import { recorded } from "./save.js";
+import { recorded } from "./export.js";
 import { baseOf, drawForces, drawRobot, drawWorld, viewOf } from "./scene.js";
-import { freest, sizeOf, farEnough, START } from "./sight.js";
-import { drawStages } from "./strip.js";
+import { freest, sizeOf, farEnough, START } from "./camera.js";
+import { drawStages } from "./timeline.js";
 import { worded } from "./map.js";
 
 /** @import { Model, Motion } from "./kinematics.js" */

@@ -1,4 +1,4 @@
-"""The page's script and style: one text each from the files beside this, and the policy that lets them alone run."""
+"""The page's script and style as one text each, and the policy that lets only them run."""
 
 import base64
 import hashlib
@@ -12,8 +12,8 @@ EXPORT = re.compile(r"^export (?=(?:async )?(?:function\*?|const|class) )", re.M
 
 
 @cache
-def bundle() -> str:
-    """All modules as one script, each after those that it imports; their names are of one piece."""
+def bundle_script() -> str:
+    """All modules as one script, each after those that it imports; names are unique across modules."""
     sources = {
         file.name: file.read_text(encoding="utf-8")
         for file in files(__package__).iterdir()
@@ -25,19 +25,19 @@ def bundle() -> str:
 
 @cache
 def style_sheet() -> str:
-    """The page's style, as it is in its file."""
+    """The content of the page's style sheet."""
     return (files(__package__) / "style.css").read_text(encoding="utf-8")
 
 
-def policy(style: str, script: str) -> str:
+def content_security_policy(style: str, script: str) -> str:
     """A content security policy: no network, and only this style and this script.
 
     Styles of single elements are allowed, as figures have them, and data URLs of pictures.
     """
     rules = {
         "default-src": "'none'",
-        "script-src": digest(script),
-        "style-src": digest(style),
+        "script-src": hash_source(script),
+        "style-src": hash_source(style),
         "style-src-attr": "'unsafe-inline'",
         "img-src": "data:",
         "base-uri": "'none'",
@@ -46,6 +46,6 @@ def policy(style: str, script: str) -> str:
     return "; ".join(f"{name} {value}" for name, value in rules.items())
 
 
-def digest(text: str) -> str:
-    """What a policy calls a text by."""
+def hash_source(text: str) -> str:
+    """The hash by which a content security policy allows a text."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -1,4 +1,4 @@
-"""Exhibits: figures with captions and their numbers."""
+"""Figures of studies, with captions and the numbers that they show."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
-class Exhibit:
-    """A figure, what it shows in words, and the numbers it is drawn from."""
+class StudyFigure:
+    """A plot with its caption and data; the page and the paper draw it when they need it."""
 
     key: str  # for file names and anchors
     title: str

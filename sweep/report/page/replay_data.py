@@ -1,4 +1,4 @@
-"""Replays as a page holds them: bodies that several have once, and the streams of states as lines of text."""
+"""Replays as a page stores them: each robot model once, and the states of each rollout as a line of text."""
 
 import json
 from collections.abc import Iterable, Iterator
@@ -8,7 +8,7 @@ import pandas as pd
 
 from sweep.core.files import encode_text
 from sweep.report import replays
-from sweep.report.page.data import sampled
+from sweep.report.page.data import sample_places
 from sweep.runs.results import Results
 from sweep.trace.motion import thinned
 
@@ -18,7 +18,7 @@ TOLD = ("step", "frames", "scales", "force_scale", "stages", "equal", "of", "why
 LATER = {"torque_scale": 0.0, "torque_limit": None, "margin_scale": 0.0, "limits": [], "friction_scale": 0.0}
 
 
-class Shown(NamedTuple):
+class ShownReplay(NamedTuple):
     """A replay that the page plays."""
 
     place: int  # of its row among those of the results, -1 where it is not one of them
@@ -28,7 +28,7 @@ class Shown(NamedTuple):
 
 
 class Replays(NamedTuple):
-    """All replays that a page has."""
+    """All replays of a page."""
 
     about: list[dict[str, Any]]
     streams: list[str]
@@ -36,18 +36,21 @@ class Replays(NamedTuple):
     left_out: int  # for want of room
 
 
-def replays_of(results: Results) -> Iterator[Shown]:
-    """Those that the folder keeps."""
-    return (Shown(place, results.rows.iloc[place], replay) for place, replay in replays.kept(results))
+def read_shown_replays(results: Results) -> Iterator[ShownReplay]:
+    """Read the replays that the study's folder has."""
+    return (ShownReplay(place, results.rows.iloc[place], replay) for place, replay in replays.read_replays(results))
 
 
-def stage_directions(results: Results, shown: Iterable[Shown], room: int) -> Replays:
-    """What the script is told of replays, and their streams in the same order.
+def describe_replays(results: Results, shown: Iterable[ShownReplay], room: int) -> Replays:
+    """Collect what the page's script needs of replays.
 
-    Where these take more than `room` characters they have fewer frames, and then some are left out.
+    Args:
+        results: study with its rows.
+        shown: replays, the most important first.
+        room: characters that their states may take; beyond it they get fewer frames, and then some are left out.
     """
-    places = {int(place): k for k, place in enumerate(sampled(len(results.rows)))}
-    shown = fitted(list(shown), room)
+    places = {int(place): k for k, place in enumerate(sample_places(len(results.rows)))}
+    shown = thin_to_room(list(shown), room)
     about, streams, models, left_out, size = [], [], {}, 0, 0
     for place, row, replay, title in shown:
         size += len(replay["states"])
@@ -70,8 +73,8 @@ def stage_directions(results: Results, shown: Iterable[Shown], room: int) -> Rep
     return Replays(about, streams, encode_text(f"[{','.join(models)}]".encode()), left_out)
 
 
-def fitted(shown: list[Shown], room: int) -> list[Shown]:
-    """Replays with no more frames than there is room for, and no fewer than one in `THINNEST`."""
+def thin_to_room(shown: list[ShownReplay], room: int) -> list[ShownReplay]:
+    """Replays with as many frames as there is room for, at least one in `THINNEST`."""
     thin = shown
     for every in range(1, THINNEST + 1):
         thin = [one._replace(replay=thinned(one.replay, every) if every > 1 else one.replay) for one in shown]

@@ -13,13 +13,23 @@ from matplotlib.figure import Figure
 
 from sweep.analysis import sensitivity
 from sweep.analysis.intervals import anytime, wilson
+from sweep.analysis.sample import is_sample
+from sweep.analysis.sampling_units import draw_numbers
 from sweep.analysis.stats import binned, rates
 from sweep.core.plot_style import COLUMN, PAGE, new_figure, wrap_text
 from sweep.core.spacing import evenly_spaced_indices
-from sweep.report import limits
+from sweep.report import analytic_curves
 from sweep.report.cells import mark_values, place_cells
-from sweep.report.labels import axis_words, beside_axis, with_value
-from sweep.report.maps import categories, glyphed, kinds_in, legend, outlines, paint, split
+from sweep.report.labels import axis_title, axis_words, label_with_value
+from sweep.report.maps import (
+    draw_cell_values,
+    draw_legend,
+    draw_outcomes,
+    draw_refined_cells,
+    has_room_for_glyphs,
+    kinds_in,
+    split_panels,
+)
 from sweep.runs import refine
 from sweep.runs.results import Results
 
@@ -30,8 +40,8 @@ GRID = 400  # more values than this along an axis are no grid that a picture cou
 
 
 @dataclass(frozen=True)
-class Slice:
-    """Rows near one section through the points, and what lies in the section's place of the other parameters."""
+class Section:
+    """Rows of a map: a cut through the points, or all of them in bins."""
 
     x: str
     y: str
@@ -41,12 +51,12 @@ class Slice:
     refined: bool = False  # whether rows without `known` are as their cell's corners
 
 
-def slices(results: Results) -> Iterator[Slice]:
-    """A section for each pair of parameters.
+def list_sections(results: Results) -> Iterator[Section]:
+    """Yield a section for each pair of parameters.
 
-    A grid is cut: at a few values of a third parameter; with more parameters, at their values next to the nominal
-    ones. Where such a section would be mostly empty, as among drawn points, all rows are counted in bins over the two
-    parameters. Where two conditions or more were listed, the maps are over those.
+    A grid is cut at a few values of a third parameter; with more parameters, next to their nominal values. Where such a
+    cut would be mostly empty, as among drawn points, all rows are counted in bins. Where two conditions or more were
+    listed, maps are over those.
     """
     conditions = [axis.column for axis in sensitivity.listed(results.rows, results.exp)]
     few = len(results.rows) < BINNED and len(conditions) < 2 and not results.exp.study.points
@@ -61,66 +71,67 @@ def slices(results: Results) -> Iterator[Slice]:
         others = [c for c in axes if c not in (x, y) and c in results.numeric]
         if results.exp.study.resolution and not others:
             note = f"each cell as its corners; {len(results.rows)} were run (dots), most of them next to the boundary"
-            yield Slice(x, y, None, refine.paint_cells(results.exp, results.rows), note, refined=True)
+            yield Section(x, y, None, refine.paint_cells(results.exp, results.rows), note, refined=True)
             continue
-        section = cut(results, x, y, others)
-        yield section if filled(section) else counted(results, x, y, others)
+        section = cut_section(results, x, y, others)
+        yield section if is_filled(section) else bin_rows(results, x, y, others)
 
 
-def cut(results: Results, x: str, y: str, others: list[str]) -> Slice:
-    """The section through the values of `others` next to the nominal ones; through a few values of a single other."""
+def cut_section(results: Results, x: str, y: str, others: list[str]) -> Section:
+    """The cut at the values of `others` nearest to nominal, or at a few values of a single other parameter."""
     rows = results.rows
     if len(others) == 1:
         values = np.sort(rows[others[0]].unique())
         chosen = values[evenly_spaced_indices(len(values), PANELS)]
         note = f"at values of {axis_words(others[0], results.exp)}"
-        return Slice(x, y, others[0], rows[rows[others[0]].isin(chosen)], note)
+        return Section(x, y, others[0], rows[rows[others[0]].isin(chosen)], note)
     fixed = {}
     for name in others:
-        fixed[name] = nearest(rows[name], usual(results, name))
+        fixed[name] = nearest_value(rows[name], nominal_value(results, name))
         rows = rows[rows[name] == fixed[name]]
-    note = ", ".join(with_value(c, v, results.exp) for c, v in fixed.items())
-    return Slice(x, y, None, rows, f"at {note}" if note else "")
+    note = ", ".join(label_with_value(c, v, results.exp) for c, v in fixed.items())
+    return Section(x, y, None, rows, f"at {note}" if note else "")
 
 
-def filled(section: Slice) -> bool:
-    """Whether a section is a grid: few enough values for a picture, and rows in half of its cells at least."""
+def is_filled(section: Section) -> bool:
+    """Whether a cut is a grid with few enough values for a picture, at least half of whose cells have rows."""
     by = [section.x, section.y, *([section.beside] if section.beside else [])]
     counts = [section.rows[c].nunique() for c in by]
     cells = len(section.rows[by].drop_duplicates())
     return min(counts[:2]) > 1 and max(counts[:2]) <= GRID and 2 * cells >= math.prod(counts)
 
 
-def counted(results: Results, x: str, y: str, others: list[str]) -> Slice:
-    """All rows, in bins over two parameters; a parameter of fewer values keeps them."""
+def bin_rows(results: Results, x: str, y: str, others: list[str]) -> Section:
+    """All rows in bins over two parameters; a parameter with few values keeps them."""
     rows = results.rows
     most = int(np.clip(np.sqrt(len(rows) / 20), 4, 40))
     bins = {c: min(most, rows[c].nunique()) for c in (x, y)}
     note = f"{bins[x]} by {bins[y]} bins" + (", over all values of the other parameters" if others else "")
-    return Slice(x, y, None, rows.assign(**{c: binned(rows[c], most) for c in (x, y)}), note)
+    return Section(x, y, None, rows.assign(**{c: binned(rows[c], most) for c in (x, y)}), note)
 
 
-def nearest(values: pd.Series, target: float) -> float:
-    """The one of `values` that is nearest to `target`."""
+def nearest_value(values: pd.Series, target: float) -> float:
+    """The value nearest to `target`."""
     return float(values.iloc[int((values - target).abs().argmin())])
 
 
-def usual(results: Results, column: str) -> float:
-    """The nominal value of a parameter; the middle one of a number that parameters are made from."""
+def nominal_value(results: Results, column: str) -> float:
+    """The nominal value of a parameter; the median of a number that parameters are made from."""
     if column.startswith("axis."):
         return float(results.rows[column].median())
     return float(results.exp.system.nominal(column, results.exp.settings))
 
 
-def draw(results: Results, chosen: Slice) -> Figure:
-    """Outcomes of single rollouts; of several in a cell the rate of success between the ends of its interval."""
+def draw_section(results: Results, chosen: Section) -> Figure:
+    """Draw outcomes of single rollouts, or the rate of success beside the ends of its interval."""
     x, y = chosen.x, chosen.y
     rows, cells = place_cells(chosen.rows, x, y)
-    panels = list(split(rows, x, y, (chosen.beside,) if chosen.beside else (), exp=results.exp))
-    tables = [cells_of(results, panel, ["x", "y"]) for _, panel in panels]
+    panels = list(split_panels(rows, x, y, (chosen.beside,) if chosen.beside else (), exp=results.exp))
+    tables = [cell_rates(results, panel, ["x", "y"], [x, y]) for _, panel in panels]
     single = max(table["total"].max() for table in tables) == 1
-    shown = [""] if single else ["low", "share", "high"]
-    columns = min(len(panels), 2) if single else 3
+    sample = any(table["low"].notna().any() for table in tables)
+    shown = [""] if single else ["low", "share", "high"] if sample else ["share"]
+    columns = min(len(panels), 2) if len(shown) == 1 else 3
     lines = -(-len(panels) * len(shown) // columns)
     figure = new_figure(2.2 * lines + 0.6, PAGE if columns > 1 else COLUMN)
     axes = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel()
@@ -129,30 +140,30 @@ def draw(results: Results, chosen: Slice) -> Figure:
         for kind in shown:
             ax = next(spots)
             if single:
-                categories(ax, panel, cells)
+                draw_outcomes(ax, panel, cells)
             else:
                 broken = table[table["invalid"] > 0].assign(outcome="invalid")
                 whole = table[table["valid"] > 0].assign(outcome="")
                 values = pd.concat([whole.assign(value=whole[kind]), broken.assign(value=np.nan)])
-                paint(ax, values, cells, cmap="cividis", vmin=0, vmax=1)
+                draw_cell_values(ax, values, cells, cmap="cividis", vmin=0, vmax=1)
             word = {"low": "lower end", "share": "rate of success", "high": "upper end"}.get(kind, "")
             if chosen.refined:
-                outlines(ax, results.exp, panel, x, y, cells)
+                draw_refined_cells(ax, results.exp, panel, x, y, cells)
             room = 72 * (PAGE - 1) / 3 - 10  # titles side by side stay apart
             ax.set_title(wrap_text(", ".join([*title, word] if word else title), room))
             mark_values(ax, cells)
-            limits.draw(ax, results.exp, panel, x, y, cells)
+            analytic_curves.draw_limits(ax, results.exp, panel, x, y, cells)
     for ax in spots:
         ax.set_visible(False)
     for k, ax in enumerate(axes):
         if k % columns == 0:
-            ax.set_ylabel(beside_axis(y, results.exp))
+            ax.set_ylabel(axis_title(y, results.exp))
         if k >= len(axes) - columns:
-            ax.set_xlabel(beside_axis(x, results.exp))
-    legend(
+            ax.set_xlabel(axis_title(x, results.exp))
+    draw_legend(
         figure,
         kinds_in(chosen.rows, results.exp) if single else [],
-        glyphed(cells),
+        has_room_for_glyphs(cells),
         bool((chosen.rows["outcome"] == "invalid").any()),
         axes[0].get_legend_handles_labels()[0],
     )
@@ -161,18 +172,31 @@ def draw(results: Results, chosen: Slice) -> Figure:
     return figure
 
 
-def cells_of(results: Results, rows: pd.DataFrame, by: list[str]) -> pd.DataFrame:
-    """Rate of success of each cell; where cells were repeated until decided, the intervals hold whenever one stops."""
-    return rates(rows, by, anytime if results.exp.study.budget else wilson)
+def cell_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[str]) -> pd.DataFrame:
+    """Rate of success of each cell, with the interval that the design calls for.
+
+    Args:
+        results: The study.
+        rows: Its rows, or those of a refined map: cells that were filled in have no draw.
+        by: Columns of the cells.
+        axes: Columns of the axes that these are made from.
+
+    Returns:
+        The table of `stats.rates`; `low` and `high` are NaN where the rows of a cell are no sample.
+    """
+    study = results.exp.study
+    unit = draw_numbers(rows, results.exp) if rows["replicate"].notna().all() else None
+    table = rates(rows, by, anytime if study.budget else wilson, unit)
+    return table if is_sample(rows, results.exp, axes) else table.assign(low=np.nan, high=np.nan)
 
 
-def data(results: Results, chosen: Slice) -> pd.DataFrame:
-    """The numbers behind the map, a row for each cell."""
+def section_data(results: Results, chosen: Section) -> pd.DataFrame:
+    """The numbers behind a map, a row for each cell."""
     rows = chosen.rows
     named = [c for c in rows if "." in str(c) and rows[c].dtype.kind not in "fi" and rows[c].nunique() > 1]
     named = [c for c in named if c not in (chosen.x, chosen.y)]
     by = [*named, *([chosen.beside] if chosen.beside else []), chosen.x, chosen.y]
-    table = cells_of(results, rows, by)
+    table = cell_rates(results, rows, by, by)
     if (table["total"] > 1).any():
         return table
     return rows[[*by, "outcome", "cause", "point_id"]].sort_values(by, ignore_index=True)

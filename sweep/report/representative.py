@@ -1,4 +1,4 @@
-"""For each kind of outcome the rollout that is most like the others of its kind, and its pictures."""
+"""Representative rollouts: for each outcome the one most like the others, and its pictures."""
 
 import sys
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ import pandas as pd
 from sweep.core.files import path_in
 from sweep.core.outcomes import SUCCESS
 from sweep.report import replays
-from sweep.report.labels import kind_of, meaning
+from sweep.report.labels import kind_meaning, outcome_kind
 from sweep.runs.results import Results
 from sweep.study.columns import figure_columns
 
@@ -21,8 +21,8 @@ FRAMES, AFTER = 4, 1.0  # of a picture: how many, and how long after the cause (
 
 
 @dataclass(frozen=True)
-class Typical:
-    """The most typical rollout of a kind."""
+class Representative:
+    """The most representative rollout of a kind."""
 
     kind: str  # success, or a cause
     number: int  # rollouts of the kind
@@ -31,10 +31,13 @@ class Typical:
     picture: Path  # where its picture is, or would be
 
 
-def typical(results: Results) -> Iterator[Typical]:
-    """The medoid of each cause, then that of the successes: least distant from all others in standardised figures."""
+def find_representatives(results: Results) -> Iterator[Representative]:
+    """Yield the medoid of each cause, then of the successes.
+
+    The rollout with the least distance to all others in its metrics.
+    """
     rows = results.rows
-    kinds = kind_of(rows)
+    kinds = outcome_kind(rows)
     columns = [
         c for c in figure_columns(rows) if c not in results.exp.system.bookkeeping_metrics and rows[c].dtype.kind == "f"
     ]
@@ -42,13 +45,13 @@ def typical(results: Results) -> Iterator[Typical]:
         own = rows[(kinds == kind).to_numpy()]
         if len(own):
             sample = own.sample(min(len(own), SAMPLE), random_state=0).sort_index()
-            row = sample.iloc[medoid(standardised(sample[columns].to_numpy(dtype=float)))]
+            row = sample.iloc[medoid(standardize(sample[columns].to_numpy(dtype=float)))]
             picture = path_in(results.folder, f"{PICTURES}/{row['run_id']}-{row['point_id']}.png")
-            yield Typical(kind, len(own), row, meaning(kind, results.exp), picture)
+            yield Representative(kind, len(own), row, kind_meaning(kind, results.exp), picture)
 
 
-def standardised(values: np.ndarray) -> np.ndarray:
-    """Columns of `values` (N, K) in units of their spread from their median; what is missing counts as typical."""
+def standardize(values: np.ndarray) -> np.ndarray:
+    """Columns of `values` (N, K) in units of their spread about the median; a missing value counts as typical."""
     values = np.where(np.isfinite(values), values, np.nan)
     values = values[:, ~np.isnan(values).all(axis=0)]
     if not values.shape[1]:
@@ -65,25 +68,25 @@ def medoid(values: np.ndarray) -> int:
     return int(np.argmin(distance.sum(axis=1)))
 
 
-def draw(results: Results) -> list[Path]:
-    """Simulate the typical rollouts again and write the pictures that are missing.
+def draw_pictures(results: Results) -> list[Path]:
+    """Simulate the representative rollouts again and write the pictures that are missing.
 
-    They run in a batch of their own, so that a study of wide batches can be pictured anywhere. A rollout that ends
-    otherwise in it gets no picture, and a line on the standard error. Raises `InputError` without OpenGL.
+    They run in a batch of their own, so that any machine can draw them. A rollout that ends differently gets no
+    picture, but a line on the standard error. Raises `InputError` without OpenGL.
     """
     from sweep.trace.frames import write_strip
     from sweep.trace.sampling import at_times
 
-    wanted = {one.row.name: one for one in typical(results) if not one.picture.exists()}
+    wanted = {one.row.name: one for one in find_representatives(results) if not one.picture.exists()}
     rows, drawn = pd.DataFrame([one.row for one in wanted.values()]).infer_objects(), []
     if rows.empty:
         return drawn
     groups = rows.groupby("group")["group"]
     rows = rows.assign(width=groups.transform("size"), slot=groups.cumcount())
-    for row, trace, labels in replays.again(results.exp, rows, results.rows, np.inf):
+    for row, trace, labels in replays.simulate_again(results.exp, rows, results.rows, np.inf):
         one = wanted[row.name]
         if (labels["outcome"], labels["cause"]) != (row["outcome"], row["cause"]):
-            print(f"sweep: no picture of {row['point_id']}: here it ends otherwise", file=sys.stderr)
+            print(f"sweep: no picture of {row['point_id']}: here it has another outcome", file=sys.stderr)
             continue
         end = np.fmin(row["t_cause_s"] + AFTER, trace.time[-1])
         one.picture.parent.mkdir(exist_ok=True)

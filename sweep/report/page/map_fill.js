@@ -1,13 +1,13 @@
 // How a map is filled: cells, marks or densities, in the colours of kinds, rates or figures.
 import { bent, clamp, mixed, packRgb, scaleColour } from "./numbers.js";
-import { fillCell, glyphOf, paintKind, stampAt, stampOf } from "./paint.js";
+import { fillCell, glyphOf, paintKind, stampAt, stampOf } from "./raster.js";
 
 /** @import { Box } from "./axes.js" */
 /** @import { Places } from "./cells.js" */
 /** @import { Binned, Column } from "./data.js" */
 /** @import { Rgb } from "./dom.js" */
 /** @import { App } from "./main.js" */
-/** @import { Pixels } from "./paint.js" */
+/** @import { Pixels } from "./raster.js" */
 
 export const KIND = "kind";
 export const RATE = "rate";

@@ -1,7 +1,7 @@
 // What is looked at, as the end of the page's address and as a condition of the command line: reloads and links keep it.
 
 /** @import { Table } from "./data.js" */
-/** @import { Range, State } from "./state.js" */
+/** @import { Range, State } from "./selection.js" */
 
 /**
  * @typedef {object} Wanted

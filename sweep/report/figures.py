@@ -1,4 +1,4 @@
-"""The figures of a study, each with the numbers it shows: for the report's page and for the paper's bundle."""
+"""The figures of a study, for the page and for the paper, each with the numbers that it shows."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -11,14 +11,15 @@ from matplotlib.figure import Figure
 from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
 from sweep.analysis.sample import is_sample
+from sweep.analysis.sampling_units import draw_interval_method, draw_numbers, interval_method
 from sweep.analysis.stats import binned, percent, rate, rates
 from sweep.core.plot_style import COLUMN, PAGE, fit_ticks, legend_below, new_figure, use_whole_ticks
-from sweep.report import draws, overlay, slices
-from sweep.report.cells import not_below_zero
-from sweep.report.exhibit import Exhibit
-from sweep.report.labels import axis_words, beside_axis
-from sweep.report.looks import DOUBTFUL, FAILURE, GOOD, look_of
-from sweep.report.maps import cell, stamp
+from sweep.report import draws, sections, time_series_plots
+from sweep.report.cells import end_axes_at_zero
+from sweep.report.figure import StudyFigure
+from sweep.report.labels import axis_title, axis_words
+from sweep.report.maps import draw_glyph_at, legend_cell
+from sweep.report.outcome_style import DOUBTFUL, FAILURE, GOOD, find_look
 from sweep.runs import audit
 from sweep.runs.results import Results
 from sweep.study.columns import figure_columns
@@ -35,70 +36,72 @@ STYLES = (
 )
 
 
-def exhibits(results: Results) -> Iterator[Exhibit]:
-    """All figures that a study has something to show in."""
-    yield from draws.exhibits(results)
-    yield from maps(results)
-    yield from effects(results)
-    yield from causes(results)
-    yield from distributions(results)
-    yield from overlay.exhibits(results)
-    yield from audits(results)
+def list_figures(results: Results) -> Iterator[StudyFigure]:
+    """Yield every figure that the study has data for."""
+    yield from draws.draws_figure(results)
+    yield from map_figures(results)
+    yield from effects_figure(results)
+    yield from causes_figure(results)
+    yield from distributions_figure(results)
+    yield from time_series_plots.time_series_figure(results)
+    yield from audit_figure(results)
 
 
-def maps(results: Results) -> Iterator[Exhibit]:
-    """Where it succeeds, over pairs of parameters."""
-    again = audited(results)
-    for number, one in enumerate(slices.slices(results), 1):
-        table = slices.data(results, one)
+def map_figures(results: Results) -> Iterator[StudyFigure]:
+    """Yield maps of success over pairs of parameters."""
+    again = summarize_audit(results)
+    for number, one in enumerate(sections.list_sections(results), 1):
+        table = sections.section_data(results, one)
         title = f"{axis_words(one.y, results.exp)} by {axis_words(one.x, results.exp)}"
         if "total" not in table:
             caption = f"Single rollouts{', ' + one.note if one.note else ''}."
         else:
-            sure = "confidence sequence" if results.exp.study.budget else "Wilson interval"
+            method = draw_interval_method(results.exp.study)
+            sure = f", between the ends of its 95 % interval ({method})" if table["low"].notna().any() else ""
             low, high = table["total"].min(), table["total"].max()
             many = f"{low}" if low == high else f"{low} to {high}"
-            caption = (
-                f"Rate of success of {many} rollouts a cell{', ' + one.note if one.note else ''}, "
-                f"between the ends of its 95 % {sure}."
-            )
-        left_out = invalid(one.rows[one.rows["known"]] if one.refined else one.rows, "hatched")
-        yield Exhibit(
-            f"map-{number}", title, caption + left_out + again, table, lambda one=one: slices.draw(results, one)
+            caption = f"Rate of success of {many} rollouts a cell{', ' + one.note if one.note else ''}{sure}."
+        left_out = count_invalid(one.rows[one.rows["known"]] if one.refined else one.rows, "hatched")
+        yield StudyFigure(
+            f"map-{number}",
+            title,
+            caption + left_out + again,
+            table,
+            lambda one=one: sections.draw_section(results, one),
         )
 
 
-def invalid(rows: pd.DataFrame, where: str) -> str:
-    """How many of `rows` are invalid, where any is."""
+def count_invalid(rows: pd.DataFrame, where: str) -> str:
+    """Say how many of the rows are invalid; empty where none is."""
     found = rate(rows["outcome"])
     if not found.invalid:
         return ""
-    return f" Of {found.total} rollouts {found.invalid} ({percent(found.invalid_share)}) are invalid: {where}."
+    return f" {found.invalid} of {found.total} rollouts ({percent(found.invalid_share)}) are invalid and {where}."
 
 
-def audited(results: Results) -> str:
-    """How often rollouts next to the boundary, and successes elsewhere, ended otherwise when simulated again."""
+def summarize_audit(results: Results) -> str:
+    """Say how often audited rollouts ended differently when they were simulated again."""
     text = ""
     for drawn, table in audit.table(results).groupby("drawn", sort=False):
         ways = [
             f"{one['flips']} of {one['rollouts'] - one['invalid']} {one['simulated']} (at most {percent(one['high'])})"
             for one in table.to_dict("records")
         ]
-        text += f" Simulated again, flip {drawn}: {'; '.join(ways)}."
+        text += f" When simulated again, outcomes flip {drawn}: {'; '.join(ways)}."
     return text
 
 
-def effects(results: Results) -> Iterator[Exhibit]:
-    """Rate of success along each parameter; of rollouts that were placed by earlier ones it would be misleading."""
+def effects_figure(results: Results) -> Iterator[StudyFigure]:
+    """Yield the rate of success along each parameter, unless earlier rows decided where rollouts were placed."""
     if results.exp.study.is_sequential:
         return
     by = [c for c in results.named if results.rows[c].nunique() <= LINES][:1]
     if results.one_at_a_time:
         by, table = [], sensitivity.along(results.rows, results.exp)
         caption = (
-            "Rate of success at each value of one parameter, the others nominal, with its 95 % Wilson interval; "
-            "dotted: logistic fit of the error on either side of the nominal value, "
-            f"unless the rates reject it (p < {REJECTED:g})."
+            "Rate of success at each value of one parameter, the others nominal, with its 95 % interval "
+            f"({interval_method(results.exp.study)}); dotted: logistic fit of the error on either side of the nominal "
+            f"value, unless the rates reject it (p < {REJECTED:g})."
             if results.exp.study.noisy
             else "Whether a rollout succeeds at each value of one parameter, the others nominal."
         )
@@ -108,7 +111,8 @@ def effects(results: Results) -> Iterator[Exhibit]:
             value = results.rows[axis]
             if value.nunique() > EFFECT_VALUES:
                 value, in_bins = binned(value, EFFECT_BINS), True
-            found = rates(results.rows.assign(value=value), [*by, "value"]).assign(axis=axis)
+            draws = draw_numbers(results.rows, results.exp)
+            found = rates(results.rows.assign(value=value), [*by, "value"], unit=draws).assign(axis=axis)
             if not is_sample(results.rows, results.exp, (axis, *by)):
                 found[["low", "high"]] = np.nan
             tables.append(found)
@@ -117,14 +121,15 @@ def effects(results: Results) -> Iterator[Exhibit]:
             return
         table = pd.concat(tables, ignore_index=True)
         sure = table.groupby("axis")["low"].agg(lambda low: low.notna().any())
-        interval = ", with its 95 % Wilson interval" + ("" if sure.all() else " where these are drawn")
+        method = draw_interval_method(results.exp.study)
+        interval = f", with its 95 % interval ({method})" + ("" if sure.all() else " where these are drawn")
         where = f"in {EFFECT_BINS} bins of equal width" if in_bins else "at each value"
         if in_bins and len(tables) > 1:
             where += f", or at each value where there are at most {EFFECT_VALUES},"
         caption = f"Rate of success {where} of one parameter, over all others{interval if sure.any() else ''}."
     table = table[["axis", *by, *table.columns.drop(["axis", *by])]]
-    caption += invalid(results.rows, "left out")
-    yield Exhibit("effects", "Each parameter alone", caption, table, lambda: _draw_effects(results, table, by))
+    caption += count_invalid(results.rows, "left out")
+    yield StudyFigure("effects", "Each parameter alone", caption, table, lambda: _draw_effects(results, table, by))
 
 
 def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figure:
@@ -138,8 +143,8 @@ def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figur
         for (name, part), (colour, line, marker) in zip(parts, STYLES, strict=False):
             ax.fill_between(part["value"], part["low"], part["high"], color=colour, alpha=0.2, linewidth=0)
             ax.plot(part["value"], part["share"], line, marker=marker, ms=3, color=colour, label=f"{title}{name}")
-        ax.set(xlabel=beside_axis(axis, results.exp), ylabel="rate of success")
-        not_below_zero(ax)
+        ax.set(xlabel=axis_title(axis, results.exp), ylabel="rate of success")
+        end_axes_at_zero(ax)
         fit_ticks(ax, min(len(axes), columns))
         ax.set_ylim(-0.02, 1.02)
     if by:  # below: in a panel it would lie on its lines
@@ -157,22 +162,23 @@ def _draw_fits(results: Results, spots: dict[str, Axes]) -> None:
             if (most := np.abs(away[here]).max(initial=0)) > 0:
                 success = rows["outcome"].to_numpy()[here] == "success"
                 fit = sensitivity.logistic(np.abs(away[here]), success)
-                if sensitivity.goodness(fit, np.abs(away[here]), success) < REJECTED:
+                unit = draw_numbers(rows[here], results.exp)
+                if sensitivity.goodness(fit, np.abs(away[here]), success, unit) < REJECTED:
                     continue
                 size = np.linspace(0, most, 50)
                 spots[axis.column].plot(centre + sign * size, fit.probability(size)[0], ":", color="0.3", linewidth=1)
 
 
-def causes(results: Results) -> Iterator[Exhibit]:
-    """Which causes end rollouts in which stage."""
+def causes_figure(results: Results) -> Iterator[StudyFigure]:
+    """Yield which causes end rollouts in which stage of the plan."""
     failed = results.rows[results.rows["outcome"] != "success"]
     if failed.empty:
         return
     table = pd.crosstab(failed["stage"], failed["cause"])
     stages = [s for s in results.stages if s in table.index] + [s for s in table.index if s not in results.stages]
     table = table.loc[stages, list(results.causes_seen)]
-    caption = "Rollouts that did not succeed, by the stage of the plan in which it happened."
-    yield Exhibit("causes", "Causes by stage", caption, table.reset_index(), lambda: _draw_causes(table))
+    caption = "Rollouts that did not succeed, by the stage of the plan in which the cause occurred."
+    yield StudyFigure("causes", "Causes by stage", caption, table.reset_index(), lambda: _draw_causes(table))
 
 
 def _draw_causes(table: pd.DataFrame) -> Figure:
@@ -181,9 +187,9 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
     left, totals = np.zeros(len(table)), table.to_numpy().sum(axis=1)
     for cause in table:
         number = table[cause].to_numpy()
-        ax.barh(table.index, number, left=left, color=look_of(str(cause)).colour, edgecolor="white", linewidth=0.4)
+        ax.barh(table.index, number, left=left, color=find_look(str(cause)).colour, edgecolor="white", linewidth=0.4)
         roomy = number > BARE * totals.max()
-        stamp(ax, str(cause), (left + number / 2)[roomy], np.flatnonzero(roomy))
+        draw_glyph_at(ax, str(cause), (left + number / 2)[roomy], np.flatnonzero(roomy))
         left += number
     for y, total in enumerate(left):
         ax.annotate(f"{total:,.0f}", (total, y), xytext=(4, 0), textcoords="offset points", va="center")
@@ -191,13 +197,13 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
     use_whole_ticks(ax.xaxis)
     ax.set(xlabel="rollouts", ylabel="stage")
     ax.spines[["top", "right"]].set_visible(False)
-    legend_below(figure, [cell(str(c).replace("_", " "), look_of(str(c)).colour, str(c)) for c in table])
+    legend_below(figure, [legend_cell(str(c).replace("_", " "), find_look(str(c)).colour, str(c)) for c in table])
     return figure
 
 
-def distributions(results: Results) -> Iterator[Exhibit]:
-    """Histograms of what was measured: of the figures that outcomes are judged by, then of the others."""
-    names = judged_first(results)[:HISTOGRAMS]
+def distributions_figure(results: Results) -> Iterator[StudyFigure]:
+    """Yield histograms of metrics; those with a threshold come first."""
+    names = metrics_with_threshold_first(results)[:HISTOGRAMS]
     if not names:
         return
     tables = []
@@ -209,12 +215,12 @@ def distributions(results: Results) -> Iterator[Exhibit]:
             bins = {"from": edges[:-1], "to": edges[1:], "rollouts": number}
             tables.append(pd.DataFrame({"figure": name, "outcome": outcome, **bins}))
     data = pd.concat(tables, ignore_index=True)
-    caption = "Rollouts by what was measured in them; the dashed line is the threshold of failure or distrust."
-    yield Exhibit("distributions", "Distributions", caption, data, lambda: _draw_distributions(results, data))
+    caption = "Distributions of metrics. The dashed line is the threshold beyond which a rollout fails or is invalid."
+    yield StudyFigure("distributions", "Distributions", caption, data, lambda: _draw_distributions(results, data))
 
 
-def audits(results: Results) -> Iterator[Exhibit]:
-    """Which of the audited rollouts end otherwise when they are simulated in other ways."""
+def audit_figure(results: Results) -> Iterator[StudyFigure]:
+    """Yield which of the audited rollouts end differently when they are simulated in other ways."""
     x_y, found = results.numeric[:2], dict(audit.done(results))
     if len(x_y) < 2 or not found:
         return
@@ -225,10 +231,10 @@ def audits(results: Results) -> Iterator[Exhibit]:
     ]
     data = pd.concat(parts, ignore_index=True)
     caption = (
-        "Rollouts next to the boundary and successes elsewhere, simulated again: a dot where the outcome is the same, "
-        "a cross where it flips, a grey plus where it is invalid in one of both."
+        "Rollouts next to the boundary and successes elsewhere, simulated again. Dots have the same outcome, crosses "
+        "another one, and grey pluses are invalid in one of the two runs."
     )
-    yield Exhibit("audit", "Audit", caption, data, lambda: _draw_audits(results, data))
+    yield StudyFigure("audit", "Audit", caption, data, lambda: _draw_audits(results, data))
 
 
 def _draw_audits(results: Results, data: pd.DataFrame) -> Figure:
@@ -244,7 +250,7 @@ def _draw_audits(results: Results, data: pd.DataFrame) -> Figure:
         ):
             ax.plot(part.loc[chosen, x], part.loc[chosen, y], mark, color=colour)
         ax.set_title(str(way))
-        ax.set(xlabel=beside_axis(x, results.exp), ylabel=beside_axis(y, results.exp))
+        ax.set(xlabel=axis_title(x, results.exp), ylabel=axis_title(y, results.exp))
         ax.set(xlim=_span(results.rows[x]), ylim=_span(results.rows[y]))
     return figure
 
@@ -255,15 +261,15 @@ def _span(values: pd.Series) -> tuple[float, float]:
     return max(start, 0.0) if low >= 0 else start, high + 0.05 * (high - low)
 
 
-def thresholds(results: Results) -> dict[str, float]:
-    """Thresholds by the figure that they are for."""
+def metric_thresholds(results: Results) -> dict[str, float]:
+    """Threshold of each metric that has one."""
     given = results.exp.system.thresholds(results.exp.thresholds)
     return {name: value for name, value in given.items() if name in results.rows}
 
 
-def judged_first(results: Results) -> list[str]:
-    """Figures that differ between rollouts, those with a threshold first."""
-    judged, silent = thresholds(results), results.exp.system.bookkeeping_metrics
+def metrics_with_threshold_first(results: Results) -> list[str]:
+    """Metrics that differ between rollouts, those with a threshold first."""
+    judged, silent = metric_thresholds(results), results.exp.system.bookkeeping_metrics
     names = [c for c in figure_columns(results.rows) if c not in silent and results.rows[c].dtype.kind == "f"]
     names = [c for c in names if results.rows[c].max() > results.rows[c].min()]
     return sorted(names, key=lambda c: c not in judged)
@@ -272,7 +278,7 @@ def judged_first(results: Results) -> list[str]:
 def _draw_distributions(results: Results, data: pd.DataFrame) -> Figure:
     names = list(dict.fromkeys(data["figure"]))
     figure, spots = _panels(len(names), columns=3, height=1.6)
-    judged = thresholds(results)
+    judged = metric_thresholds(results)
     looks: dict[str, Any] = {
         "success": {"color": GOOD},
         "failure": {"color": FAILURE},
@@ -289,7 +295,7 @@ def _draw_distributions(results: Results, data: pd.DataFrame) -> Figure:
         limit = judged.get(name)
         if limit is not None and low - (high - low) < limit < high + (high - low):  # else it would flatten the rest
             ax.axvline(limit, color="black", linestyle="--", linewidth=1)
-        ax.set_xlabel(beside_axis(name))
+        ax.set_xlabel(axis_title(name))
         fit_ticks(ax, min(len(names), 3))
         use_whole_ticks(ax.yaxis)
         ax.spines[["top", "right"]].set_visible(False)

@@ -1,9 +1,9 @@
-"""The limits of `study.theory` as curves over maps."""
+"""Analytic limits (`study.theory`) as curves over maps."""
 
 import pandas as pd
 from matplotlib.axes import Axes
 
-from sweep.report.cells import Cells, places
+from sweep.report.cells import Cells, axis_places
 from sweep.study.analytic_limits import Theory
 from sweep.study.config import Experiment
 from sweep.systems.base import split_side
@@ -11,7 +11,7 @@ from sweep.systems.base import split_side
 STYLES = ("--", "-.", ":")
 
 
-def curve(theory: Theory, exp: Experiment, rows: pd.DataFrame, along: str) -> pd.DataFrame:
+def limit_curve(theory: Theory, exp: Experiment, rows: pd.DataFrame, along: str) -> pd.DataFrame:
     """The limit at each value of the column `along`: columns `along` and `limit`, nan where theory has none.
 
     A parameter that the theory names has the value of the rows there where they agree on one, else the nominal value.
@@ -28,20 +28,20 @@ def curve(theory: Theory, exp: Experiment, rows: pd.DataFrame, along: str) -> pd
     return pd.DataFrame(found, columns=["along", "limit"])
 
 
-def draw(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, cells: Cells) -> None:
-    """Draw the limits of either parameter of a map of `rows`, each with its label."""
+def draw_limits(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, cells: Cells) -> None:
+    """Draw the analytic limits of either parameter of a map, each with its label."""
     for theory, style in zip(exp.study.theory, STYLES, strict=False):
         for across, along in ((x, y), (y, x)):
             if split_side(across)[1] != theory.of or rows[along].dtype.kind not in "fi":
                 continue
-            found = curve(theory, exp, rows, along)
+            found = limit_curve(theory, exp, rows, along)
             pairs = (found["limit"], found["along"]) if across == x else (found["along"], found["limit"])
-            at = [places(part.to_numpy(), values) for part, values in zip(pairs, cells[:2], strict=True)]
+            at = [axis_places(part.to_numpy(), values) for part, values in zip(pairs, cells[:2], strict=True)]
             box = ax.axis()
             ax.plot(*at, style, color="black", linewidth=1.8, label=theory.label)
             ax.axis(box)  # the map's, however far the limit goes
 
 
-def measured(exp: Experiment, rows: pd.DataFrame) -> list[str]:
-    """Figures to show beside a map: what was measured of what theory limits."""
+def measured_metrics(exp: Experiment, rows: pd.DataFrame) -> list[str]:
+    """Metrics to show beside a map: what was measured of the quantities that analytic limits are for."""
     return list(dict.fromkeys(theory.measured for theory in exp.study.theory if theory.measured in rows))

@@ -17,7 +17,7 @@ from sweep.core.outcomes import SUCCESS
 
 
 class Look(NamedTuple):
-    """How rollouts of one kind are drawn."""
+    """Colour and shape of rollouts of one kind."""
 
     colour: str  # of marks, lines and cells; of doubts that of marks, as their cells are hatched
     shape: np.ndarray  # corners (N, 2) of a mark, x to the right and y up, its radius being about one
@@ -32,26 +32,26 @@ def star(points: int, inner: float = 1.0, turn: float = 0.0) -> np.ndarray:
     return np.stack([np.cos(angle), np.sin(angle)], axis=1) * radius[:, None]
 
 
-def crossed(half: float, turn: float = 0.0) -> np.ndarray:
+def cross(half: float, turn: float = 0.0) -> np.ndarray:
     """Two bars of the half width `half` across each other."""
     arm = np.array([(half, 1.0), (half, half), (1.0, half)])
-    return np.concatenate([arm @ turned(-90 * k) for k in range(4)]) @ turned(turn)
+    return np.concatenate([arm @ rotation(-90 * k) for k in range(4)]) @ rotation(turn)
 
 
 def chevron(turn: float = 0.0) -> np.ndarray:
     """A thick arrowhead (6, 2) that points up."""
-    return np.array([(-0.9, -0.9), (0, 0), (0.9, -0.9), (0.9, 0), (0, 0.9), (-0.9, 0)]) @ turned(turn)
+    return np.array([(-0.9, -0.9), (0, 0), (0.9, -0.9), (0.9, 0), (0, 0.9), (-0.9, 0)]) @ rotation(turn)
 
 
 def hourglass(turn: float = 0.0) -> np.ndarray:
     """Two triangles (6, 2) with their tips to each other."""
-    return np.array([(-0.9, 1), (0.9, 1), (0.2, 0), (0.9, -1), (-0.9, -1), (-0.2, 0)]) @ turned(turn)
+    return np.array([(-0.9, 1), (0.9, 1), (0.2, 0), (0.9, -1), (-0.9, -1), (-0.2, 0)]) @ rotation(turn)
 
 
 def dome(turn: float = 0.0) -> np.ndarray:
     """Half a disc (13, 2), its flat side below."""
     angle = np.linspace(0, np.pi, 13)
-    return np.stack([np.cos(angle), np.sin(angle) - 0.45], axis=1) @ turned(turn)
+    return np.stack([np.cos(angle), np.sin(angle) - 0.45], axis=1) @ rotation(turn)
 
 
 def ring(hole: float) -> np.ndarray:
@@ -63,17 +63,17 @@ def ring(hole: float) -> np.ndarray:
 
 def bar(half: float, turn: float = 0.0) -> np.ndarray:
     """A bar of the half width `half`."""
-    return np.array([(1.0, half), (1.0, -half), (-1.0, -half), (-1.0, half)]) @ turned(turn)
+    return np.array([(1.0, half), (1.0, -half), (-1.0, -half), (-1.0, half)]) @ rotation(turn)
 
 
-def turned(degrees: float) -> np.ndarray:
+def rotation(degrees: float) -> np.ndarray:
     """The matrix that turns corners, from the right."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[c, s], [-s, c]])
 
 
-def looks(family: str, **kinds: tuple[str, np.ndarray]) -> dict[str, Look]:
-    """Looks of a family, their shapes of about the same area, which is no less than half that of a disc."""
+def family_looks(family: str, **kinds: tuple[str, np.ndarray]) -> dict[str, Look]:
+    """Looks of a family of causes, their shapes of about equal area."""
     found = {}
     for kind, (colour, shape) in kinds.items():
         x, y = shape.T
@@ -84,33 +84,33 @@ def looks(family: str, **kinds: tuple[str, np.ndarray]) -> dict[str, Look]:
 
 DOUBTS = "sunk", "not_finite", "solver", "unsettled", "energy"
 LOOKS = {
-    **looks("success", success=("#56B4E9", star(24))),
-    **looks("foot", slipped=("#C8102E", star(3, turn=180)), slipped_on_deck=("#FF6367", chevron(180))),
-    **looks(
+    **family_looks("success", success=("#56B4E9", star(24))),
+    **family_looks("foot", slipped=("#C8102E", star(3, turn=180)), slipped_on_deck=("#FF6367", chevron(180))),
+    **family_looks(
         "body",
         fell=("#D55E00", star(4, turn=45)),
         fell_off=("#F28C28", bar(0.5, turn=90)),
-        link_collision=("#6B2A00", crossed(0.27, turn=45)),
+        link_collision=("#6B2A00", cross(0.27, turn=45)),
         leg_crossing=("#FFB000", hourglass()),
-        base_hit=("#C98500", crossed(0.27)),
+        base_hit=("#C98500", cross(0.27)),
         folded=("#B97A3C", chevron(90)),
         shin_under_face=("#FFC79C", dome(180)),
     ),
-    **looks(
+    **family_looks(
         "plan",
         unreachable=("#8F8600", star(4)),
         no_plan=("#D6C600", star(4, 0.4, turn=45)),
         infeasible=("#5F5A00", star(4) * (0.6, 1)),
         uncalibrated=("#BDB76B", dome(90)),
     ),
-    **looks(
+    **family_looks(
         "drive",
         overload=("#5E5E5E", star(6, 0.5)),
         overturned_leg=("#A39A8C", star(5, turn=180)),
         overspeed=("#756C5E", chevron(-90)),
         overpower=("#8A7F72", dome()),
     ),
-    **looks(
+    **family_looks(
         "goal",
         stalled=("#90115E", bar(0.35)),
         goal_missed=("#480037", star(3)),
@@ -123,46 +123,46 @@ LOOKS = {
         restless=("#7A3350", hourglass(90)),
         obstacle_turned=("#905F2E", star(4, 0.45)),
     ),
-    **looks("doubt", **{doubt: ("#8A8C92", star(k, 0.3)) for k, doubt in enumerate(DOUBTS, 6)}),
+    **family_looks("doubt", **{doubt: ("#8A8C92", star(k, 0.3)) for k, doubt in enumerate(DOUBTS, 6)}),
 }
-PAIRS = looks(  # of the same point in two studies
+PAIRS = family_looks(  # of the same point in two studies
     "pair",
     both_fail=("#5E5E5E", star(4, turn=45)),
     only_A_succeeds=("#C8102E", star(3, turn=180)),
     only_B_succeeds=("#FFB000", star(3)),
     invalid_in_one=("#8A8C92", star(6, 0.3)),
 )
-OTHER = looks("", other=("#7F7F7F", dome(-90)))["other"]  # of a kind that is not known
+OTHER = family_looks("", other=("#7F7F7F", dome(-90)))["other"]  # of a kind that is not known
 FAILURE, INVALID, INK = LOOKS["fell"].colour, "#FFFFFF", "#1C2024"  # of all failures together; cells of doubts; glyphs
 DOUBTFUL = "#8A8C92"
 GOOD = LOOKS[SUCCESS].colour
 
 
-def look_of(kind: str) -> Look:
-    """The look of success, of a cause, or of what came of a pair; of other causes that of their names' letters."""
+def find_look(kind: str) -> Look:
+    """The look of success, of a cause or of a pair's outcome; a cause of a user's own gets one by its name."""
     spare = [one for one in LOOKS.values() if one.family not in ("success", "doubt")]
     known = LOOKS.get(kind) or PAIRS.get(kind)
     return known or (spare[crc32(kind.encode()) % len(spare)] if kind else OTHER)
 
 
-def marker(kind: str) -> Path:
-    """Its shape as a marker of matplotlib's."""
-    shape = look_of(kind).shape
+def marker_path(kind: str) -> Path:
+    """The shape of a kind as a matplotlib marker."""
+    shape = find_look(kind).shape
     return Path(np.concatenate([shape, shape[:1]]), closed=True)
 
 
-def ink_on(colour: str) -> str:
-    """What a glyph on a cell of `colour` is drawn in: dark on light colours and light on dark ones."""
+def glyph_ink(colour: str) -> str:
+    """Colour of a glyph on a cell: dark on light colours, light on dark ones."""
     red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
     return INVALID if 0.299 * red + 0.587 * green + 0.114 * blue < 110 else INK
 
 
-def handle(kind: str, label: str, **style: object) -> Line2D:
-    """What a legend shows of marks of a kind."""
-    return Line2D([], [], linestyle="", marker=marker(kind), color=look_of(kind).colour, label=label, **style)  # pyright: ignore[reportArgumentType]
+def legend_handle(kind: str, label: str, **style: object) -> Line2D:
+    """The legend entry for marks of a kind."""
+    return Line2D([], [], linestyle="", marker=marker_path(kind), color=find_look(kind).colour, label=label, **style)  # pyright: ignore[reportArgumentType]
 
 
-def kinds_by_number(kinds: pd.Series) -> list[str]:
-    """Success, then causes, the most frequent first: rarer ones are drawn over them."""
+def kinds_by_frequency(kinds: pd.Series) -> list[str]:
+    """Success, then causes, the most frequent first: rarer ones are drawn on top."""
     counts = kinds.value_counts()
     return sorted(map(str, counts.index), key=lambda one: (one != SUCCESS, -int(counts[one])))

@@ -1,4 +1,4 @@
-"""Time histories over each other: what `study.keep` kept, a line for each rollout, with median and quantiles."""
+"""Stored time series of rollouts as plots: thin lines, their median and quantiles."""
 
 from collections.abc import Iterator
 
@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 
 from sweep.core.plot_style import legend_below, new_figure
 from sweep.core.spacing import evenly_spaced_indices
-from sweep.report.exhibit import Exhibit
-from sweep.report.labels import beside_axis
-from sweep.report.looks import DOUBTFUL, FAILURE, GOOD
+from sweep.report.figure import StudyFigure
+from sweep.report.labels import axis_title
+from sweep.report.outcome_style import DOUBTFUL, FAILURE, GOOD
 from sweep.runs import store, time_series
 from sweep.runs.results import Results
 from sweep.study.study import identity_columns
@@ -22,18 +22,18 @@ LOW, HIGH = 0.1, 0.9  # quantiles that the band lies between
 COLOURS = {"success": GOOD, "failure": FAILURE, "invalid": DOUBTFUL}
 
 
-def samples(results: Results) -> pd.DataFrame:
-    """The histories of the rows at hand, with their `outcome`."""
+def load_samples(results: Results) -> pd.DataFrame:
+    """Read the stored time series of the rows, with the outcome of each rollout."""
     kept = time_series.read(results.folder)
     keys = identity_columns(kept.columns)
     return kept.merge(results.rows[[*keys, "outcome"]], on=keys)
 
 
-def exhibits(results: Results) -> Iterator[Exhibit]:
-    """What was kept over time: quantiles of every column at every moment, among an outcome's rollouts under way."""
+def time_series_figure(results: Results) -> Iterator[StudyFigure]:
+    """Yield the time series of the columns in `study.keep`, with quantiles over the rollouts that are still running."""
     if not results.exp.study.keep or not store.list_recordings(results.folder, store.HISTORIES):
         return
-    kept = samples(results)
+    kept = load_samples(results)
     long = kept.melt(["outcome", "time_s"], list(results.exp.study.keep), "column")
     found = long.groupby(["column", "outcome", "time_s"], sort=False)["value"]
     parts = {"low": found.quantile(LOW), "median": found.median(), "high": found.quantile(HIGH)}
@@ -43,11 +43,11 @@ def exhibits(results: Results) -> Iterator[Exhibit]:
         f"Over time: {rollouts} of {len(results.rows)} rollouts, a thin line each (at most {LINES} of an outcome), "
         f"their median, and the band that holds {HIGH - LOW:.0%} of those still under way."
     )
-    yield Exhibit("histories", "Over time", caption, table, lambda: draw(results, kept, table))
+    yield StudyFigure("histories", "Over time", caption, table, lambda: draw_time_series(results, kept, table))
 
 
-def draw(results: Results, kept: pd.DataFrame, quantiles: pd.DataFrame) -> Figure:
-    """A panel for each column: the `samples`, and their quantiles."""
+def draw_time_series(results: Results, kept: pd.DataFrame, quantiles: pd.DataFrame) -> Figure:
+    """Draw a panel for each column: single rollouts, and the quantiles of each outcome."""
     columns = results.exp.study.keep[:PANELS]
     figure = new_figure(0.8 + 1.4 * len(columns))
     spots = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
@@ -58,10 +58,10 @@ def draw(results: Results, kept: pd.DataFrame, quantiles: pd.DataFrame) -> Figur
             ax.fill_between(of["time_s"], of["low"], of["high"], color=colour, alpha=0.2, linewidth=0)
             if len(of):
                 ax.plot(of["time_s"], of["median"], color=colour, linewidth=1.5, label=outcome)
-        ax.set_ylabel(beside_axis(name))
+        ax.set_ylabel(axis_title(name))
         ax.autoscale_view()
     legend_below(figure, spots[0].get_legend_handles_labels()[0])
-    spots[-1].set_xlabel(beside_axis("time_s"))
+    spots[-1].set_xlabel(axis_title("time_s"))
     return figure
 
 

@@ -1,0 +1,100 @@
+"""Choose the rows of a study that are worth a replay.
+
+In this order: representative rollouts, pairs across the boundary, extreme values of metrics, then rows far from all
+others.
+"""
+
+from collections.abc import Iterator
+from itertools import chain, zip_longest
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sweep.analysis.sample import some
+from sweep.report.figures import metrics_with_threshold_first
+from sweep.report.labels import column_unit, heading
+from sweep.report.representative import find_representatives
+from sweep.report.tables import format_value
+from sweep.runs import audit
+from sweep.runs.results import Results
+
+SHORTEST = 0.2  # s, of a rollout that there is something to see of
+MANY = 20_000  # rows that are searched for distant ones
+
+
+def choose_replays(results: Results, number: int) -> pd.DataFrame:
+    """Choose rows for replays, the most informative first.
+
+    Args:
+        results: study with its rows.
+        number: how many rows at most.
+
+    Returns:
+        The rows, with the reason for each in the column `why`.
+    """
+    rows = results.rows
+    alike = [
+        (rows.index.get_loc(one.row.name), f"typical of {one.kind.replace('_', ' ')}")
+        for one in find_representatives(results)
+    ]
+    turns = zip_longest(boundary_rows(results), extreme_rows(results), spread_rows(results))
+    every = chain(alike, *([one for one in turn if one] for turn in turns))
+    long = rows["duration_s"].to_numpy(dtype=float) >= SHORTEST if "duration_s" in rows else np.ones(len(rows), bool)
+    found: dict[Any, str] = {}  # by place
+    for index, why in every:
+        if len(found) == number:
+            break
+        if long[index] and index not in found:
+            found[index] = why
+    return rows.iloc[list(found)].assign(why=list(found.values()))
+
+
+def boundary_rows(results: Results) -> Iterator[tuple[int, str]]:
+    """Rows next to the boundary of success, far from each other, each followed by its nearest neighbour across it."""
+    near = np.flatnonzero(audit.boundary(results))
+    place, win = parameter_places(results)[near], (results.rows["outcome"] == "success").to_numpy()[near]
+    for k in order_by_distance(place):
+        others = np.flatnonzero(win != win[k])
+        pair = (k, others[np.argmin(np.linalg.norm(place[others] - place[k], axis=1))])
+        for one in pair:
+            yield int(near[one]), f"next to the boundary, {'inside' if win[one] else 'outside'}"
+
+
+def extreme_rows(results: Results) -> Iterator[tuple[int, str]]:
+    """Rows in which a metric is largest or smallest; metrics with a threshold come first."""
+    for name in metrics_with_threshold_first(results):
+        values = results.rows[name].to_numpy(dtype=float)
+        if np.isfinite(values).any():
+            finite = np.where(np.isfinite(values), values, np.nan)
+            for word, k in (("largest", np.nanargmax(finite)), ("least", np.nanargmin(finite))):
+                unit = column_unit(name, results.exp)
+                yield int(k), f"{word} {heading(name)}: {format_value(finite[k])}{' ' + unit if unit else ''}"
+
+
+def spread_rows(results: Results) -> Iterator[tuple[int, str]]:
+    """All rows, or a sample, each as far as possible from those before it."""
+    every = some(len(results.rows), MANY)
+    yield from ((int(every[k]), "far from the others") for k in order_by_distance(parameter_places(results)[every]))
+
+
+def parameter_places(results: Results) -> np.ndarray:
+    """Parameters of each row (N, K), in units of their range; two different names are 1 apart."""
+    columns = [pd.factorize(results.rows[c])[0].astype(float) for c in results.named]
+    columns += [results.rows[c].to_numpy(dtype=float) for c in results.numeric]
+    values = np.column_stack(columns) if columns else np.zeros((len(results.rows), 1))
+    size = values.max(axis=0, initial=0) - values.min(axis=0, initial=0)
+    return values / np.where(size > 0, size, 1.0)
+
+
+def order_by_distance(places: np.ndarray) -> Iterator[int]:
+    """Indices of points (N, K), each the farthest from all before it; the first is the one nearest to their mean."""
+    if not len(places):
+        return
+    least = np.full(len(places), np.inf)
+    k = int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))
+    for _ in range(len(places)):
+        yield k
+        least = np.minimum(least, np.linalg.norm(places - places[k], axis=1))
+        least[k] = -1.0
+        k = int(np.argmax(least))
