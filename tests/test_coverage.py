@@ -174,6 +174,7 @@ def test_morris_has_no_p_and_its_trajectories_are_units():
     found = sensitivity.regional(judged(rows, linear(rows) < 1.4), exp)
     assert found["p"].isna().all()
     units = sampling_units.unit_numbers(rows, exp)
+    assert units is not None
     assert np.bincount(units).tolist() == [9] * 50
 
 
