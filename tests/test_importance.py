@@ -41,7 +41,7 @@ def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured(fake_eng
     assert "Clopper" not in stats  # the rows are no sample
     assert main(["export", str(tmp_path), "--paper", str(tmp_path / "paper")]) == 0
     text, numbers = ((tmp_path / "paper" / file).read_text() for file in ("main.tex", "numbers.tex"))
-    assert r"fails with a probability of \rareFailing{}, \rareFailingLow{} to \rareFailingHigh{} at 95\,\%." in text
+    assert r"P(failure) is \rareFailing{}, with a 95\,\% interval from \rareFailingLow{} to \rareFailingHigh{}." in text
     digits, power = re.findall(r"\\rareFailing}{\$(.+)\\cdot10\^{(-5)}\$}", numbers)[0]
     assert float(f"{digits}e{power}") == pytest.approx(told.probability, rel=0.02)
 

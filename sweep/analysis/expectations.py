@@ -23,6 +23,8 @@ def broken(expectations: tuple[Expectation, ...], rows: pd.DataFrame, exp: Exper
     Raises:
         InputError: A condition names no column, or is none.
     """
+    if not expectations:
+        return []
     lines = []
     weights = rare.weights(rows, exp)[0] if exp.study.is_adaptive else np.ones(len(rows))
     rows = rows.reset_index(drop=True)

@@ -8,8 +8,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from sweep.core import files
-
 GRACE = 1.0  # s, from a Ctrl-C until the process is ended by force
 CODE = 130  # exit code of an interrupted command
 LINE = "sweep: interrupted; what is on disk stays, the same command finishes the rest"
@@ -59,7 +57,8 @@ def _end_after_interrupt(read: int) -> None:
         time.sleep(0.1)
     say_interrupted()
     kill_children(os.getpid())
-    files.remove_unfinished()
+    if files := sys.modules.get("sweep.core.files"):  # nothing is written before it is imported
+        files.remove_unfinished()
     os._exit(CODE)
 
 

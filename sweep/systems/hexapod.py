@@ -22,7 +22,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.engines.states import available_columns
 from sweep.metrics import outcome
 from sweep.metrics.outcome import Thresholds
-from sweep.models import plan_table, scene
+from sweep.models import plan_table
 from sweep.models.case import Case, Manoeuvre
 from sweep.models.control import Control
 from sweep.models.noise import Noise
@@ -166,6 +166,8 @@ class Hexapod:
 
     def _check_built(self, table: "pd.DataFrame") -> None:
         """Raise `InputError` for the first row whose robot or obstacle is too small for MuJoCo, whatever the engine."""
+        from sweep.models import scene  # which imports MuJoCo
+
         world = [c for c in table.columns if split_side(c)[0] != "belief"]
         varied = [c for c in world if split_side(c)[1].startswith(("robot.", "obstacle."))]
         sizes = [c for c in varied if table[c].dtype.kind == "f"]
