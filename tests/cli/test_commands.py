@@ -137,7 +137,8 @@ print(main(["list"]), *{*sys.modules} - before)"""
     status, *imported = done.stdout.split()
     assert status == "130"
     assert done.stderr.startswith("sweep: interrupted")
-    assert len([name for name in imported if not name.startswith("sweep")]) < 10
+    # threading and signal, with what they import, end a command whose compiler holds the main thread
+    assert len([name for name in imported if not name.startswith("sweep")]) < 15
 
 
 @pytest.mark.parametrize(
