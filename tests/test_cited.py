@@ -270,10 +270,10 @@ def test_shipped_rollouts_end_as_they_did():
 
 def test_shipped_rollouts_that_end_otherwise_are_told(fake_engine, capsys):
     """The fake engine ends walks by a rule of its own."""
-    commits = [name for name in "abcdefghijklmnop" if check_points.chosen(name)[0] == "walk_map"]
-    one, other = (check_points.chosen(name)[1] for name in commits[:2])
+    commits = [name for name in "abcdefghijklmnop" if check_points.choose_rows(name)[0] == "walk_map"]
+    one, other = (check_points.choose_rows(name)[1] for name in commits[:2])
     assert set(one["point_id"]) != set(other["point_id"])
     assert check_points.main(commits[:1]) == 4
     told = capsys.readouterr().out.splitlines()
     assert told[0].startswith(f"walk_map, by commit {commits[0]}: {len(told) - 1} of 20 rollouts end otherwise")
-    assert {check_points.chosen(name)[0] for name in "abcdefghijklmnop"} == set(check_points.STUDIES)
+    assert {check_points.choose_rows(name)[0] for name in "abcdefghijklmnop"} == set(check_points.STUDIES)

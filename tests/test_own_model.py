@@ -73,7 +73,7 @@ def test_the_page_as_it_stands(tmp_path, monkeypatch):
     assert success[slide > 0.7].all()
     assert not success[slide < 0.15].any()  # feet have 0.1 themselves
     assert "quadruped.xml" in Path("results/grip/report.html").read_text()
-    assert "mass (world) [kg]" in Path("results/grip/report.html").read_text()
+    assert "load (world) [kg]" in Path("results/grip/report.html").read_text()
 
 
 def test_what_studies_do_works_on_it(here, capsys, monkeypatch):

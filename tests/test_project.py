@@ -230,7 +230,7 @@ OBSTACLES = {"step": Step}
             "return found._replace(depth=points)",
             "surface gives depth (2, 3) of 2 points: (2,) is wanted",
         ),
-        ("depth, x, y: f", "depth, x: f", "chart floor fails: TypeError: "),
+        ("depth, x, y: p", "depth, x: p", "chart floor fails: TypeError: "),
         ("point_ahead(AHEAD, x, y, 0.0)", "x", "chart floor gives (): (3,) is wanted"),
         (
             "return found",
