@@ -82,7 +82,7 @@ import ast
 from sweep.core import provenance
 parse, parsed = ast.parse, []
 ast.parse = lambda *given: parsed.append(1) or parse(*given)
-provenance.edited()
+provenance.sources_changed()
 print(provenance.code_version(), len(parsed))
 """
 
