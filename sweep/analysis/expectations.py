@@ -12,7 +12,7 @@ from sweep.study.config import Experiment
 from sweep.study.study import Expectation
 
 
-def broken(expectations: tuple[Expectation, ...], rows: pd.DataFrame, exp: Experiment) -> list[str]:
+def unmet_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame, exp: Experiment) -> list[str]:
     """A line for each expectation that the rows do not meet, with the interval of the share where they are a sample.
 
     Args:

@@ -222,7 +222,7 @@ def logistic(x: ArrayLike, success: ArrayLike) -> Logistic:
     return Logistic(b[0], b[1] / scale, np.linalg.pinv(information) * np.outer(to_x, to_x))
 
 
-def clustered(fit: Logistic, x: np.ndarray, success: np.ndarray, unit: np.ndarray) -> Logistic:
+def cluster_robust_fit(fit: Logistic, x: np.ndarray, success: np.ndarray, unit: np.ndarray) -> Logistic:
     """A fit with the covariance that rows have which come in units (the sandwich estimate, CR1).
 
     Args:
@@ -311,7 +311,7 @@ def tolerance(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> 
         fit, unit = logistic(size, success), draw_numbers(part, exp)[valid]
         x, *ends = fit.where(probability)
         if len(np.unique(unit)) < len(unit):
-            ends.append(clustered(fit, size, success, unit).where(probability)[1])
+            ends.append(cluster_robust_fit(fit, size, success, unit).where(probability)[1])
         band = condition_rates(part[valid].assign(away=size.round(12)), exp, ["away"], clopper_pearson)
         ends.append(_crossing(band, probability))
         low, high = min(float(one.low) for one in ends), max(float(one.high) for one in ends)

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.text import Text
 
 from sweep.analysis import rare
-from sweep.analysis.expectations import broken
+from sweep.analysis.expectations import unmet_expectations
 from sweep.analysis.sample import distinct, pooled
 from sweep.analysis.stats import causes, rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
@@ -220,7 +220,7 @@ def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
     if exp.study.expect and not complete:
         print("sweep: expectations are checked when the whole study is done", file=sys.stderr)
         return DONE
-    lines = broken(exp.study.expect, rows, exp)
+    lines = unmet_expectations(exp.study.expect, rows, exp)
     for line in lines:
         print(f"sweep: {line}", file=sys.stderr)
     return UNEXPECTED if lines else DONE

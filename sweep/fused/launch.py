@@ -68,7 +68,7 @@ def print_program(
     group: int = GROUP,
     few: bool = False,
 ) -> tuple[Traced, cuda.GpuPrinter]:
-    """The program and its text as LLVM's assembly for a GPU, with the arguments of `compiled`."""
+    """The program and its text as LLVM's assembly for a GPU, for the arguments of `compiled`."""
 
     def recorded(given: Any, carried: Any, number: Array) -> tuple[Any, dict[str, Array]]:
         carried, record = function(given, carried, number)

@@ -7,7 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from sweep.analysis.expectations import broken
+from sweep.analysis.expectations import unmet_expectations
 from sweep.analysis.stats import rate
 from sweep.core.parameters import InputError
 from sweep.core.plot_style import PAGE, legend_below, plot_style, save_figure
@@ -47,8 +47,10 @@ def test_rate_counts_invalid_rows_apart():
 
 
 def test_expectations_look_at_valid_rows(rows):
-    assert not broken((Expectation(where="friction > 0.7 and half_step_ratio < 0.2", at_least=1.0),), rows, EXP)
-    assert len(broken((Expectation(at_least=0.9), Expectation(where="friction > 9")), rows, EXP)) == 2
+    assert not unmet_expectations(
+        (Expectation(where="friction > 0.7 and half_step_ratio < 0.2", at_least=1.0),), rows, EXP
+    )
+    assert len(unmet_expectations((Expectation(at_least=0.9), Expectation(where="friction > 9")), rows, EXP)) == 2
 
 
 def test_tables_hold_the_rows_in_four_forms(rows):

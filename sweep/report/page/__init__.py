@@ -20,7 +20,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from PIL import Image
 
-from sweep.analysis.expectations import broken
+from sweep.analysis.expectations import unmet_expectations
 from sweep.analysis.sample import pooled
 from sweep.analysis.sampling_units import has_independent_rows, interval_method
 from sweep.core.files import path_in, write_atomically
@@ -188,7 +188,7 @@ def check_expectations(results: Results) -> Iterator[tuple[str, str]]:
     """Yield what the study expects of its rows, and `met` or what was found instead."""
     for one in results.exp.study.expect:
         where = f" where {one.where}" if one.where else ""
-        lines = broken((one,), results.rows, results.exp)
+        lines = unmet_expectations((one,), results.rows, results.exp)
         yield f"{one.that}{where}: a share from {one.at_least:g} to {one.at_most:g}", lines[0] if lines else "met"
 
 
