@@ -12,7 +12,13 @@ KINDS = {"float": "a number", "int": "a whole number", "Path": "a path"}  # as a
 
 
 class Arguments(argparse.ArgumentParser):
-    """An argument parser that raises `InputError`, also for unknown words, unless `others` accepts them."""
+    """An argument parser that raises `InputError` instead of printing the usage and exiting.
+
+    Args:
+        *given: Positional arguments of `argparse.ArgumentParser`.
+        others: Accepts words that the parser itself does not know, such as `group=choice`; all others are errors.
+        **named: Keyword arguments of `argparse.ArgumentParser`.
+    """
 
     def __init__(self, *given: Any, others: Callable[[str], bool] = lambda _: False, **named: Any) -> None:
         super().__init__(*given, **named)
@@ -20,11 +26,22 @@ class Arguments(argparse.ArgumentParser):
         self.register("type", Path, _path)
 
     def error(self, message: str) -> NoReturn:
-        """Raise `usage_error` in place of printing the usage."""
+        """Raise `InputError` with the message of argparse rewritten to one line, see `usage_error`."""
         raise usage_error(message, self.prog, flags(self))
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[argparse.Namespace, list[str]]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Parse arguments and return them with the words that `others` accepts. Raises `InputError`."""
+        """Parse arguments.
+
+        Args:
+            args: Words of the command line; `sys.argv[1:]` if None.
+            namespace: Object that receives the values; a new one if None.
+
+        Returns:
+            The values, and the remaining words that `others` accepts.
+
+        Raises:
+            InputError: A word is unknown, or a value is not allowed.
+        """
         found, words = super().parse_known_args(args, namespace)
         if unknown := [word for word in words if not self.others(word)]:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
@@ -39,22 +56,25 @@ def _path(word: str) -> Path:
 
 
 def no_flag(word: str) -> bool:
-    """Return whether a word is no flag but a value, such as `group=choice`."""
+    """Return whether a command-line word is a value, such as `group=choice`, and not a flag."""
     return not word.startswith("-")
 
 
 def flags(parser: argparse.ArgumentParser) -> list[str]:
-    """List all flags of a parser, short ones included."""
+    """List all flags of an argument parser, long and short."""
     return [flag for action in parser._actions for flag in action.option_strings]
 
 
 def usage_error(message: str, command: str, known: Iterable[str]) -> InputError:
-    """Make an error of one line from a message of argparse.
+    """Turn an error message of argparse into an `InputError` of one line.
 
     Args:
         message: The message of argparse.
-        command: The command, such as `sweep stats`, whose help the error names.
+        command: The command, such as `sweep stats`, whose help the error mentions.
         known: Flags that may be suggested for an unknown one.
+
+    Returns:
+        The error, to be raised by the caller.
     """
     if found := re.match(r"unrecognized arguments: (-[^\s=]+)", message):
         return InputError(f"{found[1]} is unknown{suggest(found[1], {*known})}")

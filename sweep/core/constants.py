@@ -1,4 +1,4 @@
-"""Constants for formulas, models and judges alike."""
+"""Constants shared by formulas, models and metrics."""
 
 GRAVITY = 9.81  # m/s^2
 LOADED = 1.0  # N, from which a foot carries load

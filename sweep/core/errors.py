@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 
 class InputError(ValueError):
-    """Bad input from the user: the message is one line naming the key, the value and what is allowed."""
+    """An error in the user's input. The message is one line with the key, the value and what is allowed."""
 
     def __str__(self) -> str:
         return escape_line_breaks(super().__str__())
@@ -14,24 +14,24 @@ WRONG = (Exception, SystemExit)  # what user code may raise, `sys.exit()` includ
 
 
 class Fault(RuntimeError):
-    """The machine failed a valid run: disk, memory or workers."""
+    """A valid run that failed because of the machine: its disk, memory or workers. The command can be repeated."""
 
     def __str__(self) -> str:
         return f"{escape_line_breaks(super().__str__())}; what is on disk stays, the same command finishes the rest"
 
 
 def escape_line_breaks(text: str) -> str:
-    """Escape line breaks, which may be part of a file's name."""
+    r"""Replace line breaks by `\n`, so that a message with a file name stays one line."""
     return text.replace("\n", "\\n")
 
 
 def format_user_exception(error: BaseException) -> str:
-    """Format an exception of user code as its type and the first line of its message."""
+    """Format an exception of user code as its type and the first line of its message, such as `KeyError: 'x'`."""
     return ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
 
 
 def suggest(word: str, allowed: Iterable[str], short: Iterable[str] = ()) -> str:
-    """Format the end of a message about an unknown name: the closest allowed name, then all allowed names.
+    """Format the end of an error message about an unknown name: the closest allowed name, then all allowed names.
 
     Args:
         word: The unknown name.
@@ -50,12 +50,15 @@ def suggest(word: str, allowed: Iterable[str], short: Iterable[str] = ()) -> str
 
 
 def nearest(word: str, names: Iterable[str], count: int = 5) -> str:
-    """Name the few names most like `word`, as the end of a message; a dotted name counts by its last part, too.
+    """Format the end of an error message about an unknown name: the few names most like it.
 
     Args:
-        word: what the user wrote.
-        names: all names that would be right.
-        count: how many of them to list.
+        word: The unknown name.
+        names: All allowed names. The last part of a dotted name is compared, too.
+        count: Number of names to list.
+
+    Returns:
+        `: did you mean friction? (nearest: ...)`; empty where `names` is empty.
     """
     import difflib
 

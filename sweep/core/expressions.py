@@ -1,4 +1,4 @@
-"""Row conditions such as `friction > 0.8 and engine.name == "mjx"`, and formulas: parsed, never executed as Python."""
+"""Row conditions such as `friction > 0.8 and engine.name == "mjx"`, and formulas. They are never executed as Python."""
 
 import ast
 import operator
@@ -46,18 +46,18 @@ _UNARY: dict[type, Callable[[Any], Any]] = {
 
 
 def mask(frame: "pd.DataFrame", condition: str | None) -> np.ndarray:
-    """Return which rows of a table meet a condition.
+    """Select the rows of a table that meet a condition.
 
     Args:
         frame: Rows of a study.
-        condition: Such as `friction > 0.8`; all rows meet an empty one. Columns are named in full or by an unambiguous
-            end of their dotted name.
+        condition: Such as `friction > 0.8`; all rows meet None or an empty one. Columns are named in full, or by an
+            unambiguous end of their dotted name.
 
     Returns:
         A Boolean (n,) for the n rows.
 
     Raises:
-        InputError: The condition is none, or names no column.
+        InputError: The text is no condition, or names no column.
     """
     if not condition:
         return np.ones(len(frame), dtype=bool)
@@ -70,11 +70,11 @@ def mask(frame: "pd.DataFrame", condition: str | None) -> np.ndarray:
 
 
 def evaluate_condition(condition: str, look_up: Callable[[str], Any], told: str, such: str) -> np.ndarray:
-    """Evaluate a condition.
+    """Evaluate a condition such as `tilt_max_deg > 60`.
 
     Args:
         condition: The text.
-        look_up: Gives the values of a dotted name.
+        look_up: Returns the values of a dotted name.
         told: How messages name the condition, such as `where = 'x > 1'`.
         such: An example of a condition, for messages.
 
@@ -103,15 +103,15 @@ def evaluate(expression: str, look_up: Callable[[str], Any], maths: Callable[[An
 
     Args:
         expression: The text, which is parsed and never executed as Python.
-        look_up: Gives the value of a dotted name.
-        maths: Gives the module, NumPy or one like it, whose functions take a value.
+        look_up: Returns the value of a dotted name.
+        maths: Returns the module, such as NumPy, whose functions apply to a value.
 
     Returns:
-        The value, of the type that the names have.
+        The value, of the type that `look_up` returns.
 
     Raises:
         SyntaxError: The text is no expression.
-        InputError: It has anything else in it, or no value.
+        InputError: The expression contains something that is not allowed, or has no value.
     """
     if len(expression) > LONGEST:
         raise InputError(f"an expression of {len(expression)} characters is not allowed: at most {LONGEST}")
@@ -125,15 +125,18 @@ def evaluate(expression: str, look_up: Callable[[str], Any], maths: Callable[[An
 
 
 def column(frame: "pd.DataFrame", name: str, hint: str = "") -> str:
-    """Find the column that a user means by `name`.
+    """Find the column that a user means by a name.
 
     Args:
-        frame: rows of a study; `frame.attrs[AXES]` maps names of its axes to columns, where they are known.
-        name: a column, the name of an axis, or the last part of a dotted column.
-        hint: words for the message where no column is found.
+        frame: Rows of a study; `frame.attrs[AXES]` maps the names of its axes to columns, where they are known.
+        name: A column, the name of an axis, or the last part of a dotted column.
+        hint: Text for the message where no column is found.
+
+    Returns:
+        The name of the column.
 
     Raises:
-        InputError: no column, or several columns fit.
+        InputError: No column, or several columns match.
     """
     if name in frame.columns:
         return name
@@ -186,7 +189,7 @@ def _value(node: ast.expr, look_up: Callable[[str], Any], maths: Callable[[Any],
 
 
 def _number(value: Any) -> Any:
-    """Return a number or array unchanged, and refuse lists and words, whose product would be copies."""
+    """Return a number or array unchanged; refuse lists and words, which Python would repeat when multiplied."""
     if isinstance(value, list | str | bytes):
         raise TypeError("words and lists are not reckoned with")
     return value

@@ -136,7 +136,15 @@ def decode_text(text: str) -> bytes:
 
 
 def append_line(path: Path, line: str) -> None:
-    """Append a line, or several, to a file; on disk when this returns, or not at all. Raises `Fault`."""
+    """Append text and a line break to a file, and flush it to the disk. A failed write is undone.
+
+    Args:
+        path: The file; created where it is missing.
+        line: The text, which may have several lines.
+
+    Raises:
+        Fault: The file cannot be written.
+    """
     try:
         with path.open("ab", buffering=0) as file:
             before = file.tell()

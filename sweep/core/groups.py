@@ -1,6 +1,7 @@
-"""The groups of the configuration: what stands here is chosen by `group=choice` and set by `group.name=value`.
+"""Table of the configuration groups, of which `group=choice` selects a file and `group.name=value` sets a parameter.
 
-Schemas, `sweep list`, completion and a project's folders follow from this table; `Case` has those of a rollout.
+Schemas, `sweep list`, completion and the folders of a project follow from this table. A `Case` holds the groups of a
+rollout.
 """
 
 from collections.abc import Callable
@@ -9,7 +10,7 @@ from typing import Any, NamedTuple
 
 
 class Group(NamedTuple):
-    """Where its parameters are defined; as text, so that a list of them loads no simulator."""
+    """A configuration group. Its classes are given as text, so that listing groups imports no simulator."""
 
     classes: str  # module:name of its parameter dataclass, or of all of them by their `kind`
     in_case: bool = False  # whether a rollout's world and belief have it
@@ -20,25 +21,30 @@ class Group(NamedTuple):
 
     @property
     def sources(self) -> str:
-        """Folder or module of its classes' sources, from that of the package."""
+        """Source folder or module of the group's classes, relative to the package."""
         return self.classes.partition(":")[0].partition(".")[2].replace(".", "/")
 
     @property
     def table(self) -> str:
-        """Name of its class, or of the table of them by kind."""
+        """Name of the group's class, or of the table of its classes by kind."""
         return self.classes.partition(":")[2]
 
     @property
     def one_class(self) -> bool:
-        """Whether one parameter dataclass is its schema."""
+        """Whether a single parameter dataclass is the group's schema."""
         return not (self.kinds or self.whole or self.free)
 
     def numbers_of(self, file: str, read: Callable[[str], str]) -> dict[str, float | str]:
-        """The numbers of one of its files by path, formulas as they are; `read` gives the text of a file's name."""
+        """Return the numbers and formulas in one of the group's files, by path.
+
+        Args:
+            file: Name of the file.
+            read: Returns the text of the file of a name.
+        """
         return resolve_name(self.numbers)(file, read)
 
     def load(self) -> Any:
-        """Its parameter dataclass, or the table of them by kind."""
+        """Import the group's parameter dataclass, or the table of its classes by kind."""
         return resolve_name(self.classes)
 
 

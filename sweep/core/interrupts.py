@@ -16,11 +16,12 @@ _said = threading.Event()
 
 
 def watch_interrupts() -> None:
-    """Have a Ctrl-C end this process within `GRACE` seconds, with its child processes and the exit code 130.
+    """Make Ctrl-C end this process within `GRACE` seconds, with its child processes and exit code 130.
 
-    Python raises `KeyboardInterrupt` in the main thread, but only once that thread is back from C code, and only
-    leaves once all threads have ended: a compilation of minutes is waited for. A thread that the signal wakes does not
-    wait. It does nothing where the process ends in time, or where a Ctrl-C is ignored or handled by somebody else.
+    Python raises `KeyboardInterrupt` in the main thread only after that thread returns from C code, and it exits only
+    after all threads have ended. A compilation can delay both by minutes. The thread that is started here wakes on the
+    signal and ends the process after `GRACE` seconds, unless it has ended by then. Does nothing outside the main
+    thread, or where the process ignores or handles Ctrl-C itself.
     """
     in_main = threading.current_thread() is threading.main_thread()
     if not in_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
@@ -32,7 +33,7 @@ def watch_interrupts() -> None:
 
 
 def say_interrupted() -> None:
-    """Say once on the standard error that the command was interrupted."""
+    """Print to the standard error that the command was interrupted; only the first call prints."""
     if not _said.is_set():
         _said.set()
         with suppress(OSError, ValueError):
@@ -41,7 +42,7 @@ def say_interrupted() -> None:
 
 @contextmanager
 def patient_exit() -> Iterator[None]:
-    """Let an interrupted command end in an orderly way within this context, such as to cancel jobs of a cluster."""
+    """Suspend the forced exit after Ctrl-C within this context, so that cleanup such as cancelling jobs can finish."""
     _patient.set()
     try:
         yield
@@ -63,7 +64,7 @@ def _end_after_interrupt(read: int) -> None:
 
 
 def kill_children(parent: int) -> None:
-    """Kill all processes that descend from `parent`, where the system lists processes in /proc."""
+    """Kill all descendants of the process `parent`, on systems that list processes in /proc."""
     children: dict[int, list[int]] = {}
     for process in filter(str.isdecimal, os.listdir("/proc") if os.path.isdir("/proc") else ()):
         with suppress(OSError, IndexError), open(f"/proc/{process}/stat", errors="replace") as stat:

@@ -1,3 +1,3 @@
-"""What can come of a rollout. A cause says why one failed, or why the simulation is not to be trusted."""
+"""Names of a rollout's outcome. A cause says why a rollout failed, or why it is invalid."""
 
 SUCCESS, FAILURE, INVALID = "success", "failure", "invalid"

@@ -29,49 +29,82 @@ def quantity(
     at_least: float = -math.inf,
     at_most: float = math.inf,
 ) -> Any:
-    """Declare a physical quantity, which can vary without recompiling. With default None it may be left open."""
+    """Declare a physical quantity: a float field that can vary within a batch without recompiling.
+
+    Args:
+        default: Nominal value; None for a quantity that may stay unset.
+        unit: Unit, such as `N*m`; `-` or empty for pure numbers.
+        above: Exclusive lower bound.
+        at_least: Inclusive lower bound.
+        at_most: Inclusive upper bound.
+
+    Returns:
+        A dataclass field.
+    """
     bounds = {"unit": unit, "above": above, "at_least": at_least, "at_most": at_most}
     return dataclasses.field(default=default, metadata={"role": "quantity", **bounds})
 
 
 def choice(default: str, *options: str, **meanings: str) -> Any:
-    """A parameter that is one of a few names.
+    """Declare a parameter that takes one of a few names; another name needs another compiled program.
 
     Args:
-        default: the name where nothing else is said.
-        options: the names that are allowed.
-        meanings: further names, each with what it means, for `sweep describe`.
+        default: The default name.
+        *options: Allowed names.
+        **meanings: Further allowed names, each with its meaning for `sweep describe`.
+
+    Returns:
+        A dataclass field.
     """
     about = {"role": "choice", "options": (*options, *meanings), "meanings": meanings}
     return dataclasses.field(default=default, metadata=about)
 
 
 def count(default: int, *, at_least: int = 0, at_most: float = math.inf) -> Any:
-    """Declare a whole number; another value compiles anew."""
+    """Declare a whole number; another value needs another compiled program.
+
+    Args:
+        default: Nominal value.
+        at_least: Inclusive lower bound.
+        at_most: Inclusive upper bound.
+
+    Returns:
+        A dataclass field.
+    """
     bounds = {"unit": "", "above": -math.inf, "at_least": at_least, "at_most": at_most}
     return dataclasses.field(default=default, metadata={"role": "count", **bounds})
 
 
 def setting(default: float, unit: str, *, above: float = -math.inf, at_most: float = math.inf) -> Any:
-    """Declare a number; another value compiles anew."""
+    """Declare a real number that is compiled in; another value needs another compiled program.
+
+    Args:
+        default: Nominal value.
+        unit: Unit, such as `s`; `-` or empty for pure numbers.
+        above: Exclusive lower bound.
+        at_most: Inclusive upper bound.
+
+    Returns:
+        A dataclass field.
+    """
     bounds = {"unit": unit, "above": above, "at_least": -math.inf, "at_most": at_most}
     return dataclasses.field(default=default, metadata={"role": "setting", **bounds})
 
 
 def flag(default: bool) -> Any:
-    """Declare a parameter that is true or false; the other value compiles anew."""
+    """Declare a parameter that is true or false; the other value needs another compiled program."""
     return dataclasses.field(default=default, metadata={"role": "flag"})
 
 
 def exclude_from_run_id(member: Any) -> Any:
-    """Leave a parameter out of the settings' `repr`, and so out of `run_id`, because it changes no row."""
+    """Exclude a parameter that changes no row from the `repr` of the settings, and thereby from `run_id`."""
     member.repr = False
     return member
 
 
 @dataclass_transform(frozen_default=True)
 def parameters[T: type](cls: T) -> T:
-    """Make a frozen dataclass whose quantities and nested parameter groups are pytree leaves."""
+    """Make a class a frozen dataclass and a JAX pytree whose leaves are its quantities and nested parameter groups."""
     cls = dataclasses.dataclass(frozen=True)(cls)
     data = [f.name for f in dataclasses.fields(cls) if f.metadata.get("role", "quantity") == "quantity"]
     static = [f.name for f in dataclasses.fields(cls) if f.name not in data]
@@ -83,11 +116,14 @@ def build[T](cls: type[T], values: Mapping[str, Any], path: str) -> T:
 
     Args:
         cls: The dataclass.
-        values: Values by field name.
+        values: Values by field name; fields without one keep their default.
         path: Path of the group, such as `robot`, for messages.
 
+    Returns:
+        The instance, with all values checked.
+
     Raises:
-        InputError: Names `path.key`, the value and what is allowed.
+        InputError: A name is unknown, or a value is not allowed.
     """
     fields = {f.name: f for f in dataclasses.fields(cls)}  # pyright: ignore[reportArgumentType]
     for key in values:
@@ -96,12 +132,15 @@ def build[T](cls: type[T], values: Mapping[str, Any], path: str) -> T:
 
 
 def build_by_kind(kinds: Mapping[str, type], values: Mapping[str, Any], path: str) -> Any:
-    """Make an instance of the class that `kind` chooses.
+    """Make an instance of the parameter dataclass that the value of `kind` selects.
 
     Args:
         kinds: Parameter dataclasses by kind.
-        values: Values by field name, `kind` among them.
+        values: Values by field name, including `kind`.
         path: Path of the group, such as `obstacle`, for messages.
+
+    Returns:
+        The instance, with all values checked.
 
     Raises:
         InputError: The kind is unknown, or a value is not allowed.
@@ -162,24 +201,32 @@ def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> f
 
 
 def is_within_bounds(field: "dataclasses.Field[Any]", value: Any) -> Any:
-    """Return whether a value (a number or an array) lies inside the bounds of a field."""
+    """Return whether a value lies within the bounds of a parameter.
+
+    Args:
+        field: Field of a parameter dataclass.
+        value: A number, or an array of any shape.
+
+    Returns:
+        A Boolean, or an array of Booleans of the shape of `value`.
+    """
     meta = field.metadata
     return (value > meta["above"]) & (value >= meta["at_least"]) & (value <= meta["at_most"])
 
 
 def format_unit(unit: str) -> str:
-    """Format a unit for a reader: `N*m^2` as `N·m²`; empty for pure numbers."""
+    """Format a unit for display, such as `N*m^2` as `N·m²`; empty for pure numbers."""
     return "" if unit == "-" else unit.replace("*", "·").replace("^2", "²").replace("^3", "³").replace("^4", "⁴")
 
 
 def bounds_text(field: "dataclasses.Field[Any]") -> str:
-    """Describe the bounds of a field in words, with its unit."""
+    """Describe the bounds of a parameter with its unit, such as `greater than 0 m`."""
     unit = format_unit(field.metadata["unit"])
     return describe_bounds(field.metadata) + (f" {unit}" if unit else "")
 
 
 def describe_bounds(bounds: Mapping[str, Any]) -> str:
-    """Describe finite bounds `above`, `at_least`, `below` and `at_most` in words, such as `at least 0`."""
+    """Describe the finite ones of the bounds `above`, `at_least`, `below` and `at_most`, such as `at least 0`."""
     words = {"above": "greater than", "at_least": "at least", "below": "less than", "at_most": "at most"}
     parts = [f"{word} {bounds[key]:g}" for key, word in words.items() if math.isfinite(bounds.get(key, math.inf))]
     return " and ".join(parts) or "finite"

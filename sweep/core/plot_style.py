@@ -1,4 +1,4 @@
-"""Style of plots: widths of a paper's column and page, one font size, legends that are never cut."""
+"""Style of plots: widths of a paper's column and page, one font size, legends that fit."""
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -31,7 +31,7 @@ HANDLE = 6.0  # of a legend's entry beside its text, in letters: handle, gap, an
 
 
 def plot_style(serif: bool = False) -> AbstractContextManager[None]:
-    """Return the Matplotlib context for drawing and saving figures: 8-point letters, with or without serifs."""
+    """Return the Matplotlib context in which figures are drawn and saved: 8-point text, serif or sans serif."""
     sizes = ("axes.titlesize", "axes.labelsize", "xtick.labelsize", "ytick.labelsize", "legend.fontsize",
              "legend.title_fontsize", "figure.titlesize", "figure.labelsize")  # fmt: skip
     look: dict[Any, Any] = {"font.size": LETTERS, **dict.fromkeys(sizes, LETTERS)}
@@ -46,12 +46,33 @@ def plot_style(serif: bool = False) -> AbstractContextManager[None]:
 
 
 def new_figure(height: float, width: float = PAGE) -> Figure:
-    """Return an empty figure (inches), no taller than a page."""
+    """Make an empty Matplotlib figure with constrained layout.
+
+    Args:
+        height: Height in inches, limited to the height of a page.
+        width: Width in inches; that of a page by default.
+
+    Returns:
+        The figure.
+    """
     return Figure(figsize=(width, min(height, TALL)), layout="constrained")
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = DPI) -> Path:
-    """Save a figure in the format of the path's suffix, reproducibly (without a date), and return the path."""
+    """Save a figure reproducibly: the same plot gives the same bytes.
+
+    Args:
+        figure: The figure.
+        path: The file; its suffix selects the format.
+        dpi: Resolution of raster formats, in pixels per inch.
+
+    Returns:
+        `path`.
+
+    Raises:
+        InputError: The file cannot be written.
+        Fault: The disk failed.
+    """
     metadata = {"Date": None} if path.suffix == ".svg" else None
     with plot_style(), mpl.rc_context({"svg.hashsalt": "sweep"}):
         write_atomically(path, partial(figure.savefig, dpi=dpi, metadata=metadata))
@@ -59,12 +80,12 @@ def save_figure(figure: Figure, path: Path, dpi: int = DPI) -> Path:
 
 
 def legend_below(figure: Figure, handles: Sequence[Any]) -> None:
-    """Add a legend below all panels, in as many columns as fit; the figure grows by its further lines.
+    """Add a legend below all panels, in as many columns as fit. The figure grows by the lines after the first.
 
     Args:
         figure: The figure.
-        handles: Artists with labels, or tuples of artists drawn over each other, the first of which has the label. Of
-            equal labels, one is shown.
+        handles: Artists with labels. An entry may be a tuple of artists drawn over each other, the first with the
+            label. Equal labels are shown once.
     """
     if not handles:
         return
@@ -82,12 +103,20 @@ def legend_below(figure: Figure, handles: Sequence[Any]) -> None:
 
 
 def legend_width(widths: Sequence[float], columns: int) -> float:
-    """Return the width of a legend whose entries have these widths and fill one column after the other."""
+    """Return the width of a legend that fills its columns one after the other.
+
+    Args:
+        widths: Widths of the entries, in any unit.
+        columns: Number of columns.
+
+    Returns:
+        The sum of the columns' widths, in the same unit.
+    """
     return sum(max(part) for part in np.array_split(widths, columns))
 
 
 def text_width(text: str) -> float:
-    """Return the width of the widest line of a text, in points."""
+    """Return the width of the widest line of a text in points, at the font size of the plots."""
     lines = [line for line in text.splitlines() if line.strip()]
     return max(
         (TextPath((0, 0), line, LETTERS, prop=FontProperties()).get_extents().width for line in lines), default=0
@@ -95,7 +124,12 @@ def text_width(text: str) -> float:
 
 
 def fit_ticks(ax: Axes, columns: int) -> None:
-    """Set at most five ticks along x, fewer where their labels would touch in one of `columns` panels."""
+    """Set at most five ticks along x, fewer where their labels would touch.
+
+    Args:
+        ax: The panel.
+        columns: Number of panels side by side in the figure.
+    """
     low, high = ax.get_xlim()
     room = PANEL * 72 * ax.figure.get_figure(root=True).get_size_inches()[0] / columns
     for number in range(5, 0, -1):
@@ -107,12 +141,20 @@ def fit_ticks(ax: Axes, columns: int) -> None:
 
 
 def use_whole_ticks(axis: Axis) -> None:
-    """Put ticks at whole numbers, for an axis of counts."""
+    """Put ticks at whole numbers only, for an axis of counts."""
     axis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
 
 
 def wrap_text(text: str, room: float) -> str:
-    """Wrap a text into lines no wider than `room` points, as far as its words allow."""
+    """Break a text between words so that its lines fit a width. A word that is too long stays whole.
+
+    Args:
+        text: The text; its line breaks stay.
+        room: Width in points, at the font size of the plots.
+
+    Returns:
+        The text with further line breaks.
+    """
     lines = []
     for paragraph in text.splitlines():
         line = ""

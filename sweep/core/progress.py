@@ -20,7 +20,7 @@ _compiled = 0.0  # s that this process has spent on compiling
 
 @contextmanager
 def show_wait(what: Callable[[], str] | str) -> Iterator[None]:
-    """Print, from a thread, what this context is doing and for how long."""
+    """Print a description and the elapsed time to the standard error, from a thread, while this context runs."""
     done, start, terminal = threading.Event(), time.perf_counter(), sys.stderr.isatty()
 
     def tell() -> None:
@@ -65,7 +65,7 @@ def show_counts(what: Callable[..., str], *counts: int) -> Iterator[Callable[...
 
 @contextmanager
 def timed_part(name: str) -> Iterator[None]:
-    """Measure this context as a named part of a longer step; parts may run side by side."""
+    """Measure the duration of this context as a named part of a longer step. Parts may run at the same time."""
     start = _begun[name] = time.perf_counter()
     try:
         yield
@@ -75,7 +75,7 @@ def timed_part(name: str) -> Iterator[None]:
 
 
 def format_running_parts(what: str) -> str:
-    """List the running parts of the step `what`: for how long each has run, and its duration in an earlier process."""
+    """Format the running parts of a step: how long each has run, and how long it took in an earlier process."""
     now = time.perf_counter()
     texts = [
         f"{name} for {now - start:.0f} s{format_last_duration(f'{what}: {name}')}"
@@ -86,7 +86,7 @@ def format_running_parts(what: str) -> str:
 
 @contextmanager
 def timed_compilation() -> Iterator[None]:
-    """Count the time within this context as compile time, see `compilation_seconds`."""
+    """Add the duration of this context to the compile time of the process, see `compilation_seconds`."""
     global _compiled
     start = time.perf_counter()
     try:
@@ -96,12 +96,12 @@ def timed_compilation() -> Iterator[None]:
 
 
 def compilation_seconds() -> float:
-    """Return how many seconds this process has spent on compiling so far."""
+    """Return the time that this process has spent on compiling so far, in seconds."""
     return _compiled
 
 
 def format_compile_estimate(what: str) -> str:
-    """Estimate how long compiling `what` and its first batch takes, from the last time on this machine."""
+    """Estimate how long compiling a step and running its first batch takes, from the last time on this machine."""
     waits = _load_waits()
     if waits is None:
         return f"compile time unknown: {cache_folder()}/{KEPT} is damaged, and is written anew by the next run"
@@ -111,13 +111,18 @@ def format_compile_estimate(what: str) -> str:
 
 
 def format_last_duration(what: str) -> str:
-    """Format the duration of a step in an earlier process; empty where it is unknown."""
+    """Format the duration of a step in an earlier process, such as ` (12 s last time)`; empty where it is unknown."""
     seconds = (_load_waits() or {}).get(what)
     return f" ({seconds:.0f} s last time)" if seconds else ""
 
 
 def remember_duration(what: str, seconds: float) -> None:
-    """Store the duration of a step (s) and of its parts in the cache folder, for later processes."""
+    """Store the duration of a step, and of its parts, in the cache folder. Durations below 2 s are not stored.
+
+    Args:
+        what: Name of the step.
+        seconds: Its duration, in seconds.
+    """
     took = {what: seconds, **{f"{what}: {name}": _took.pop(name) for name in tuple(_took)}}
     long = {name: round(one, 1) for name, one in took.items() if one > WORTH}
     if long and (folder := cache_folder()):

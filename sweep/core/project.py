@@ -1,6 +1,6 @@
-"""Where configuration files are: those that ship, and those of the working project, a folder with a sweep.yaml.
+"""Configuration files that ship with the package, and those of the working project, a folder with a sweep.yaml.
 
-Imports nothing that is slow, so that `sweep list` starts at once.
+Imports nothing slow, so that `sweep list` starts quickly.
 """
 
 import functools
@@ -27,38 +27,46 @@ TRUTHS = ("on", "off", "yes", "no", "true", "false")  # that YAML takes for trut
 
 
 def root() -> Path | None:
-    """Return the working project: the nearest folder with a sweep.yaml, from the working folder upwards."""
+    """Find the working project: the nearest folder with a sweep.yaml at or above the working folder; else None."""
     here = Path.cwd()
     return next((folder for folder in (here, *here.parents) if (folder / FILE).is_file()), None)
 
 
 def project_files(group: str) -> dict[str, Path]:
-    """Return the working project's files of a configuration group, by name."""
+    """Return the working project's files of a configuration group, by name; empty outside a project."""
     folder = root()
     return {file.stem: file for file in sorted((folder / FOLDERS[group]).glob("*.yaml"))} if folder else {}
 
 
 def shipped_files(group: str) -> dict[str, Any]:
-    """Return the files of a configuration group that come with the package, by name."""
+    """Return the files of a configuration group that ship with the package, by name."""
     files = (resources.files(SHIPPED) / group).iterdir()
     return {f.name.removesuffix(".yaml"): f for f in sorted(files, key=lambda f: f.name) if f.name.endswith(".yaml")}
 
 
 def find_file(group: str, name: str) -> Any:
-    """Find the file of `group=name`: a path that ends in .yaml, else a file of the project, else one of the package."""
+    """Find the configuration file of `group=name`.
+
+    Args:
+        group: Configuration group, such as `robot`.
+        name: A path that ends in .yaml; else the name of a file of the project, or of one that ships with the package.
+
+    Returns:
+        The file; None where there is none.
+    """
     if name.endswith(".yaml"):
         return file if (file := Path(name)).is_file() else None
     return project_files(group).get(name) or shipped_files(group).get(name)
 
 
 def first_comment(file: Any) -> str:
-    """Return the first comment line of a configuration file, which describes it."""
+    """Return the first comment line of a configuration file, which describes it; empty without one."""
     lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
     return next((line[2:] for line in lines if line.startswith("# ") and not line.startswith("# @")), "")
 
 
 def settings() -> dict[str, Any]:
-    """Read the working project's sweep.yaml; empty without one. Raises `InputError`."""
+    """Read the settings in the working project's sweep.yaml; empty outside a project. Raises `InputError`."""
     folder = root()
     if folder is None:
         return {}
@@ -79,7 +87,7 @@ def settings() -> dict[str, Any]:
 
 
 def quote_truth_words(text: str) -> str:
-    """Quote `on`, `off`, `yes` and the like in the YAML of a plan, where they are names. Raises `yaml.YAMLError`."""
+    """Quote `on`, `off`, `yes` and similar words in the YAML of a plan, where they are names and not Booleans."""
     for event in reversed(list(yaml.parse(text, LOADER))):
         if isinstance(event, yaml.ScalarEvent) and event.implicit[0] and event.value.lower() in TRUTHS:
             text = f'{text[: event.start_mark.index]}"{event.value}"{text[event.end_mark.index :]}'
@@ -87,23 +95,23 @@ def quote_truth_words(text: str) -> str:
 
 
 def yaml_error_line(error: yaml.YAMLError) -> str:
-    """Format a YAML error as line and problem."""
+    """Format a YAML error as one line: line number and problem."""
     mark = getattr(error, "problem_mark", None)
     where = f"line {mark.line + 1}: " if mark else ""
     return where + (getattr(error, "problem", None) or str(error).splitlines()[0])
 
 
 def modules() -> tuple[ModuleType, ...]:
-    """Import the modules with obstacles and manoeuvres of users: the project's, then those of installed packages.
+    """Import the user modules with obstacles and manoeuvres: the project's, then those of installed packages.
 
-    A module's `OBSTACLES` and `MANOEUVRES` name its classes by their `kind`. An installed package announces one as an
-    entry point of the group `sweep.modules`. Raises `InputError` where one cannot be imported.
+    The `OBSTACLES` and `MANOEUVRES` of a module map kinds to classes. An installed package announces a module as an
+    entry point of the group `sweep.modules`. Raises `InputError` where a module cannot be imported.
     """
     return _imported(root() if settings().get("modules") else None, module_names())
 
 
 def module_names() -> tuple[str, ...]:
-    """Return the names of the modules that `modules` imports, without importing them. Raises `InputError`."""
+    """Return the names of the user modules without importing them. Raises `InputError`."""
     return (*settings().get("modules", ()), *_announced())
 
 
@@ -144,13 +152,13 @@ def locate_user_errors() -> Iterator[None]:
 
 
 def module_sources() -> Iterator[Path]:
-    """Yield the source files of the user modules."""
+    """Yield the source files of all user modules."""
     for module in modules():
         yield from sources(module)
 
 
 def sources(module: ModuleType) -> list[Path]:
-    """List the source files of a module, or of the whole package that it belongs to."""
+    """List the source files of a module, or of the package that contains it."""
     file = Path(str(module.__file__))
     every = sorted(file.parent.rglob("*.py")) if (file.parent / "__init__.py").exists() else [file]
     return [one for one in every if one.is_file()]

@@ -1,4 +1,4 @@
-"""Versions of code and libraries that rows were made with."""
+"""Versions of the code and libraries that made a row."""
 
 import ast
 import contextlib
@@ -30,7 +30,7 @@ _parsed: dict[str, tuple[list[str], str]] = {}  # see `_read`
 
 @functools.cache
 def processor() -> str:
-    """Return the processor's name and a digest of its features, which compiled programs depend on."""
+    """Return the processor's name and a hash of its features, on which compiled programs depend."""
     if not CPU_INFO.exists():
         return platform.processor() or platform.machine()
     lines = CPU_INFO.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -43,36 +43,44 @@ def processor() -> str:
 
 @functools.cache
 def code_version() -> str:
-    """Return a hash of the sources that can change a row, and of the versions of libraries."""
+    """Return a hash of all source files and library versions that can change a row."""
     return _version(WORKER, versions())
 
 
 @functools.cache
 def search_version() -> str:
-    """Return a hash of the sources that can change the result of `sweep tune`, and of the versions of libraries."""
+    """Return a hash of all source files and library versions that can change the result of `sweep tune`."""
     cma = next((one.version for one in metadata.distributions(name="cma")), "")  # which may be missing
     return _version(SEARCH, {**versions(), "cma": cma})
 
 
 def is_current_code(version: str, libraries: Mapping[str, str]) -> bool:
-    """Return whether a `code_version` is of these sources, given the versions of its libraries."""
+    """Return whether a stored `code_version` is that of the installed source files.
+
+    Args:
+        version: The stored hash.
+        libraries: Versions of the libraries that were stored with it.
+
+    Returns:
+        Whether the source files are unchanged; the installed libraries may differ.
+    """
     return version == _version(WORKER, libraries)
 
 
 @functools.cache
 def program_version() -> str:
-    """Return a hash of the sources that can change a compiled program, and of the versions of libraries."""
+    """Return a hash of all source files and library versions that can change a compiled program."""
     return _version(PROGRAMS, versions())
 
 
 def sources_changed() -> bool:
-    """Return whether a source of compiled programs changed on disk after this process began."""
+    """Return whether a source file of compiled programs was changed on disk after this process started."""
     plans = (Path(str(file)) for file in project.shipped_files("plan").values())
     return any(file.stat().st_ctime > STARTED for file in (*sources(PROGRAMS), *plans, *project.module_sources()))
 
 
 def _version(modules: tuple[str, ...], libraries: Mapping[str, str]) -> str:
-    """Hash of what the sources of `modules` say, comments and docstrings apart, and of the libraries' versions."""
+    """Hash source files without comments and docstrings, plans that are files, and library versions."""
     content = hashlib.blake2b(digest_size=6)
     for file in sources(modules):
         content.update(f"{file.relative_to(ROOT)}\n{_read(file)[1]}\n".encode())
@@ -86,7 +94,7 @@ def _version(modules: tuple[str, ...], libraries: Mapping[str, str]) -> str:
 
 @functools.cache
 def _plans() -> bytes:
-    """Names and values of the plans that are files; the parser in C takes a tenth of the time."""
+    """Return names and values of all plans that are files."""
     loader, shipped = getattr(yaml, "CSafeLoader", yaml.SafeLoader), project.shipped_files("plan").items()
     plans = ((name, yaml.load(file.read_text(encoding="utf-8"), loader)) for name, file in shipped)
     return "".join(f"{name}\n{json.dumps(plan)}\n" for name, plan in plans).encode()
@@ -94,7 +102,7 @@ def _plans() -> bytes:
 
 @functools.cache
 def sources(modules: tuple[str, ...]) -> tuple[Path, ...]:
-    """Return the files of this package that modules consist of and import, also within functions."""
+    """List the package's source files that some modules consist of and import, directly or through other modules."""
     found: dict[str, Path] = {}
     todo = list(modules)
     while todo:
@@ -116,7 +124,7 @@ def _file(module: str) -> Path | None:
 
 @functools.cache
 def _read(file: Path) -> tuple[list[str], str]:
-    """Names that a source imports, whether modules or not, and what it says."""
+    """Return the names that a source file imports, and its source in one format."""
     content = file.read_bytes()
     key = hashlib.blake2b(f"{file.parent == ROOT} ".encode() + content, digest_size=16).hexdigest()
     _parsed[key] = imports, said = _before().get(key) or _parse(file, content)
@@ -133,7 +141,7 @@ def _parse(file: Path, content: bytes) -> tuple[list[str], str]:
 
 @functools.cache
 def _before() -> dict[str, tuple[list[str], str]]:
-    """What an earlier process read, by digests of the sources: to parse them all takes a second of each start."""
+    """Load what earlier processes parsed, by hash of the source. Parsing all sources takes a second."""
     with contextlib.suppress(OSError, ValueError, InputError):
         if file := _kept():
             files.require_private(file)
@@ -142,14 +150,14 @@ def _before() -> dict[str, tuple[list[str], str]]:
 
 
 def _keep() -> None:
-    """For later processes, if anything is new; never in the way."""
+    """Store what was parsed for later processes, if anything is new."""
     with contextlib.suppress(Fault, InputError):
         if not _parsed.keys() <= _before().keys() and (file := _kept()) and files.ensure_private_folder(file.parent):
             files.write_atomically(file, json.dumps(_parsed).encode())
 
 
 def _kept() -> Path | None:
-    """Where; other Pythons word the same source otherwise."""
+    """Return the file of parsed sources. Its name depends on the Python version, which formats sources differently."""
     folder, where = files.cache_folder(), hashlib.blake2b(f"{ROOT} {sys.version}".encode(), digest_size=8)
     return folder and folder / f"sources-{where.hexdigest()}.json"
 
@@ -161,7 +169,7 @@ def _imported(node: ast.AST) -> list[str]:
 
 
 def normalize_source(source: str) -> str:
-    """Return Python source in one format, without comments and docstrings."""
+    """Reformat Python source, without comments and docstrings, so that equal code gives equal text."""
     return _said(ast.parse(source))[0]
 
 
@@ -174,7 +182,7 @@ def _said(tree: ast.Module) -> tuple[str, list[ast.AST]]:
 
 
 def _within(node: ast.AST) -> Iterator[ast.AST]:
-    """Statements, at any depth: expressions, most of a tree, hold none."""
+    """Yield all nested statements; expressions contain none."""
     for child in ast.iter_child_nodes(node):
         if isinstance(child, ast.stmt | ast.excepthandler | ast.match_case):
             yield child
@@ -182,20 +190,20 @@ def _within(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of the libraries that results depend on."""
+    """Return the installed versions of the libraries that results depend on."""
     return {name: metadata.version(name) for name in LIBRARIES}
 
 
 def version_record() -> dict[str, Any]:
-    """Return code hash, commit and versions, as `study.yaml` stores them."""
+    """Return code hash, commit and library versions, as `study.yaml` stores them."""
     return {"code": code_version(), "commit": commit(), "versions": versions()}
 
 
 @functools.cache
 def commit() -> str:
-    """Return the commit that was installed, else that of the checkout; empty where unknown.
+    """Return the Git commit of the installed package, else of the checkout; empty where it is unknown.
 
-    It ends in `-dirty` where sources or configurations differ from it.
+    Ends in `-dirty` where sources or configurations differ from the commit.
     """
     installed = ROOT / "commit.txt"  # written into a wheel: a folder around it may be a checkout of something else
     if installed.exists():
@@ -205,5 +213,5 @@ def commit() -> str:
 
 
 def _git(*words: str) -> str:
-    """What git says of this package's folder; empty where it is in no checkout."""
+    """Return the output of a git command in the package's folder; empty outside a checkout."""
     return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()

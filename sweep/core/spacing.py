@@ -4,13 +4,13 @@ import numpy as np
 
 
 def evenly_spaced_indices(number: int, most: int) -> np.ndarray:
-    """Choose evenly spaced indices, the first and the last among them.
+    """Choose evenly spaced indices of a sequence, including its first and last element.
 
     Args:
         number: Length of the sequence.
         most: Largest number of indices.
 
     Returns:
-        Increasing indices, at most `most` of 0 to `number - 1`.
+        Increasing indices from 0 to `number - 1`, at most `most`.
     """
     return np.unique(np.linspace(0, number - 1, min(most, number)).round().astype(int))

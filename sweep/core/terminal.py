@@ -1,4 +1,4 @@
-"""Markdown fitted to the width of a terminal: tables lose columns, lines break between words."""
+"""Markdown for a terminal: tables drop columns, and lines break between words."""
 
 import io
 import re
@@ -13,12 +13,12 @@ ELSEWHERE = "a wider terminal, or a file, has them"
 
 
 def print_markdown(text: str, kept: Collection[str] = (), elsewhere: str = ELSEWHERE) -> None:
-    """Print Markdown, fitted to the terminal if the standard output is one.
+    """Print Markdown to the standard output, fitted to the terminal's width if it is a terminal.
 
     Args:
         text: Markdown.
-        kept: Columns of tables that always stay.
-        elsewhere: Where the columns are that have no room, for a note.
+        kept: Columns of tables that are never dropped.
+        elsewhere: Where a reader finds dropped columns, for a note.
     """
     if sys.stdout.isatty():
         from rich.console import Console
@@ -28,13 +28,16 @@ def print_markdown(text: str, kept: Collection[str] = (), elsewhere: str = ELSEW
 
 
 def fit_to_width(text: str, width: int, kept: Collection[str] = (), elsewhere: str = ELSEWHERE) -> str:
-    """Fit Markdown into lines of at most `width` letters, without breaking words.
+    """Fit Markdown into lines of limited width, without breaking words.
 
     Args:
         text: Markdown.
-        width: Width of a line in letters.
-        kept: Columns of tables that always stay; of the others as many as fit, from the left.
-        elsewhere: Where the columns are that have no room, for a note.
+        width: Largest width of a line, in characters.
+        kept: Columns of tables that are never dropped. As many others as fit are shown, from the left.
+        elsewhere: Where a reader finds dropped columns, for a note.
+
+    Returns:
+        The fitted text.
     """
     parts: list[str] = []
     for is_table, group in groupby(text.splitlines(), lambda line: line.startswith("|")):
@@ -44,7 +47,15 @@ def fit_to_width(text: str, width: int, kept: Collection[str] = (), elsewhere: s
 
 
 def wrap_line(line: str, width: int) -> str:
-    """Wrap a line; further lines are indented to the text after a dash or an entry's name."""
+    """Wrap a line between words. Further lines are indented like the text of a list entry.
+
+    Args:
+        line: The line.
+        width: Largest width, in characters.
+
+    Returns:
+        The text with line breaks.
+    """
     found = re.match(r" *(- |\S+ {2,})?", line)
     deep = found.end() if found else 0
     return textwrap.fill(line[deep:], width, initial_indent=line[:deep], subsequent_indent=" " * deep,
@@ -52,7 +63,17 @@ def wrap_line(line: str, width: int) -> str:
 
 
 def fit_table(lines: list[str], width: int, kept: Collection[str], elsewhere: str) -> Iterator[str]:
-    """Yield the lines of a Markdown table with the columns that fit."""
+    """Yield the lines of a Markdown table with the columns that fit, and a note about those that do not.
+
+    Args:
+        lines: Lines of the table.
+        width: Largest width of a line, in characters.
+        kept: Columns that are never dropped.
+        elsewhere: Where a reader finds dropped columns.
+
+    Yields:
+        Lines of text.
+    """
     marks = lines[1].strip("|").split("|")
     heads, *rows = ([cell.strip() for cell in line[1:-1].split(" | ")] for line in (lines[0], *lines[2:]))
     columns = list(zip(heads, *rows, strict=True))
@@ -70,19 +91,28 @@ def fit_table(lines: list[str], width: int, kept: Collection[str], elsewhere: st
 
 
 def cell_width(text: str) -> int:
-    """Return the width of a text in terminal cells; Chinese characters take two."""
+    """Return the width of a text in terminal cells; a Chinese character takes two."""
     from rich.cells import cell_len
 
     return cell_len(text)
 
 
 def unbreakable_width(text: str) -> int:
-    """Return the width of the longest part of a cell that may not be broken; all of a short cell."""
+    """Return the width of the longest word of a table cell, or of the whole cell if it is short."""
     return cell_width(text) if cell_width(text) <= NUMBER else max(map(cell_width, text.split()))
 
 
 def shrink_widths(widths: list[int], needed: list[int], room: int) -> list[int]:
-    """Narrow the widest columns until all fit into `room`, none below the width that it needs."""
+    """Narrow the widest columns until all columns fit.
+
+    Args:
+        widths: Widths of the columns; changed in place.
+        needed: Least width of each column.
+        room: Largest sum of the widths.
+
+    Returns:
+        `widths`.
+    """
     while sum(widths) > room:
         widest = max((k for k in range(len(widths)) if widths[k] > needed[k]), key=widths.__getitem__)
         widths[widest] -= 1
@@ -90,7 +120,16 @@ def shrink_widths(widths: list[int], needed: list[int], room: int) -> list[int]:
 
 
 def render_table(columns: list[tuple[str, ...]], right: list[bool], widths: list[int]) -> list[str]:
-    """Render a table as lines of text, with a rule below the headings."""
+    """Render a table as lines of text, with a rule below the headings.
+
+    Args:
+        columns: Cells of each column, its heading first.
+        right: Whether each column is aligned to the right.
+        widths: Width of each column, in characters.
+
+    Returns:
+        Lines of text.
+    """
     from rich import box
     from rich.console import Console
     from rich.table import Table

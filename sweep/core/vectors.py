@@ -1,7 +1,7 @@
-"""Vectors as three arrays, one a component: sums over legs and rollouts then never mix with sums over components.
+"""Vectors whose three components are separate arrays, so that sums over legs or rollouts never mix components.
 
-Arrays of a component broadcast against each other: (1,) for a body, (6,) for the legs, and so on. That is the layout
-in which a compiler turns a formula into a loop over many rollouts.
+The arrays of components broadcast against each other: (1,) for a body, (6,) for the legs, and so on. A compiler turns
+formulas of this layout into one loop over many rollouts.
 """
 
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ Number = Array | float
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Vector:
-    """Three components as arrays over legs or other points; the frame is the caller's."""
+    """Three components as arrays over legs or other points. The caller knows the frame."""
 
     x: Array
     y: Array
@@ -27,11 +27,11 @@ class Vector:
 
     @classmethod
     def from_array(cls, array: Float[Array, "*n 3"]) -> "Vector":
-        """Make a vector from an array with the components last."""
+        """Make a vector from an array (..., 3) whose last axis holds the components."""
         return cls(array[..., 0], array[..., 1], array[..., 2])
 
     def array(self) -> Float[Array, "*n 3"]:
-        """The components stacked last."""
+        """Return an array (..., 3) whose last axis holds the components."""
         return jnp.stack([self.x, self.y, self.z], axis=-1)
 
     def __iter__(self) -> Iterator[Array]:
@@ -52,11 +52,11 @@ class Vector:
         return Vector(-self.x, -self.y, -self.z)
 
     def dot(self, other: "Vector") -> Array:
-        """Return the scalar product."""
+        """Return the scalar product with another vector."""
         return self.x * other.x + self.y * other.y + self.z * other.z
 
     def cross(self, other: "Vector") -> "Vector":
-        """Return the vector product."""
+        """Return the vector product with another vector, which is on the right."""
         return Vector(
             self.y * other.z - self.z * other.y,
             self.z * other.x - self.x * other.z,
@@ -64,12 +64,12 @@ class Vector:
         )
 
     def total(self) -> "Vector":
-        """Sum over the legs (the last axis), which stays as an axis of length 1."""
+        """Sum over the last axis, such as the legs. The axis stays with length 1."""
         return Vector(*(total(part) for part in self))
 
 
 class Matrix(NamedTuple):
-    """3x3 matrices by their rows."""
+    """3x3 matrices stored as three row vectors."""
 
     x: Vector
     y: Vector
@@ -77,11 +77,11 @@ class Matrix(NamedTuple):
 
     @classmethod
     def from_array(cls, array: Float[Array, "*n 3 3"]) -> "Matrix":
-        """Make a matrix from an array with rows and columns last."""
+        """Make a matrix from an array (..., 3, 3), rows before columns."""
         return cls(*(Vector.from_array(array[..., k, :]) for k in range(3)))
 
     def array(self) -> Float[Array, "*n 3 3"]:
-        """One array whose last two axes are rows and columns."""
+        """Return an array (..., 3, 3), rows before columns."""
         return jnp.stack([row.array() for row in self], axis=-2)
 
     def __matmul__(self, v: Vector) -> Vector:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -93,11 +93,11 @@ class Matrix(NamedTuple):
         return Matrix(*(Vector(*parts) for parts in zip(*self, strict=True)))
 
     def plus(self, other: "Matrix") -> "Matrix":
-        """Return the sum."""
+        """Return the sum with another matrix."""
         return Matrix(*(a + b for a, b in zip(self, other, strict=True)))
 
     def minus(self, other: "Matrix") -> "Matrix":
-        """Return the difference."""
+        """Return this matrix less another one."""
         return Matrix(*(a - b for a, b in zip(self, other, strict=True)))
 
     def scale(self, factor: Number) -> "Matrix":
@@ -119,50 +119,98 @@ class Matrix(NamedTuple):
         return Matrix(*(row.cross(v) for row in self))
 
     def total(self) -> "Matrix":
-        """Sum over the legs (the last axis), which stays as an axis of length 1."""
+        """Sum over the last axis, such as the legs. The axis stays with length 1."""
         return Matrix(*(row.total() for row in self))
 
     def inverse(self) -> "Matrix":
-        """Return the inverse, by cofactors."""
+        """Return the inverse matrix, computed from cofactors."""
         rows = self.y.cross(self.z), self.z.cross(self.x), self.x.cross(self.y)
         scale = 1 / self.x.dot(rows[0])
         return Matrix(*(row * scale for row in rows)).transpose
 
 
 def total(x: Array) -> Array:
-    """Sum over the last axis, which stays as an axis of length 1."""
+    """Sum an array over its last axis, which stays with length 1."""
     return jnp.sum(x, axis=-1, keepdims=True)
 
 
 def select(condition: Array, a: Vector, b: Vector) -> Vector:
-    """Choose `a` where `condition` holds, else `b`, component by component."""
+    """Choose between two vectors element by element.
+
+    Args:
+        condition: Booleans that broadcast against the components.
+        a: Values where the condition holds.
+        b: Values elsewhere.
+
+    Returns:
+        The chosen values.
+    """
     return Vector(*(jnp.where(condition, x, y) for x, y in zip(a, b, strict=True)))
 
 
 def axis_vector(axis: int, value: Array) -> Vector:
-    """Return a vector of length `value` along coordinate axis `axis` (0, 1 or 2)."""
+    """Make a vector along a coordinate axis.
+
+    Args:
+        axis: 0, 1 or 2 for x, y or z.
+        value: Component along the axis, of any shape; the other components are 0.
+
+    Returns:
+        The vector.
+    """
     zero = jnp.zeros_like(value)
     return Vector(*(value if i == axis else zero for i in range(3)))
 
 
 def diagonal(x: Array, y: Array, z: Array) -> Matrix:
-    """Return the diagonal matrix with these entries."""
+    """Make a diagonal matrix.
+
+    Args:
+        x: First diagonal entry.
+        y: Second diagonal entry.
+        z: Third diagonal entry.
+
+    Returns:
+        The matrix, whose entries have the shapes of the arguments.
+    """
     return Matrix(*(axis_vector(k, value) for k, value in enumerate((x, y, z))))
 
 
 def symmetric(xx: Array, yy: Array, zz: Array, xy: Array, xz: Array, yz: Array) -> Matrix:
-    """Return the symmetric matrix with these entries."""
+    """Make a symmetric matrix, such as an inertia tensor.
+
+    Args:
+        xx: Diagonal entry.
+        yy: Diagonal entry.
+        zz: Diagonal entry.
+        xy: Off-diagonal entry.
+        xz: Off-diagonal entry.
+        yz: Off-diagonal entry.
+
+    Returns:
+        The matrix, whose entries have the shapes of the arguments.
+    """
     return Matrix(Vector(xx, xy, xz), Vector(xy, yy, yz), Vector(xz, yz, zz))
 
 
 def cross_matrix(v: Vector) -> Matrix:
-    """Return the matrix whose product with a vector is `v` cross that vector."""
+    """Return the skew-symmetric matrix M of a vector v, with M w = v x w."""
     zero = jnp.zeros_like(v.x)
     return Matrix(Vector(zero, -v.z, v.y), Vector(v.z, zero, -v.x), Vector(-v.y, v.x, zero))
 
 
 def rotation(w: Array, x: Array, y: Array, z: Array) -> Matrix:
-    """Return the rotation matrix, body to world, of the unit quaternion (w, x, y, z)."""
+    """Return the rotation matrix, body to world, of a unit quaternion.
+
+    Args:
+        w: Scalar part.
+        x: First component of the vector part.
+        y: Second component of the vector part.
+        z: Third component of the vector part.
+
+    Returns:
+        The matrix, whose entries have the shapes of the arguments.
+    """
     return Matrix(
         Vector(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         Vector(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),

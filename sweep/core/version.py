@@ -1,4 +1,4 @@
-"""The version of the package, and the time at which this process imported it. `sweep` imports this module first."""
+"""The version of the package and the start time of this process. `sweep` imports this module first."""
 
 import os
 import time

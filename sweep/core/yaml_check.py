@@ -14,7 +14,7 @@ MOST_ALIASED, DEEPEST = 100_000, 100  # items that aliases may stand for, in all
 
 
 def ambiguous_number(text: str) -> str:
-    """Say why an unquoted word is no number to rely on, such as `010` or `1:30`; empty where it is another word."""
+    """Explain why an unquoted YAML word such as `010` or `1:30` is ambiguous as a number; empty for other words."""
     if not LEADING_ZERO.fullmatch(text) and not SEXAGESIMAL.fullmatch(text):
         return ""
     value = yaml.load(text, PARSER)
@@ -23,16 +23,15 @@ def ambiguous_number(text: str) -> str:
 
 
 def check_yaml(text: str, name: str, numbers: bool = True) -> None:
-    """Refuse YAML that is read otherwise than it looks, or that takes too much memory once it is loaded.
+    """Refuse YAML whose numbers are ambiguous, or which takes too much memory when it is loaded.
 
     Args:
         text: The content of a file.
         name: The file, for messages.
-        numbers: Whether to refuse ambiguous numbers, such as `010` and `1:30`; not in files that this package wrote.
+        numbers: Whether to refuse ambiguous numbers, such as `010` and `1:30`; False for files that this package wrote.
 
     Raises:
-        InputError: Names key, value and line of an ambiguous number, or the anchor that contains itself or expands too
-            far.
+        InputError: A number is ambiguous, an anchor contains itself, or aliases expand too far.
         yaml.YAMLError: The text is no YAML.
     """
     sizes: dict[str, int] = {}  # items of finished anchors
@@ -76,14 +75,14 @@ def check_yaml(text: str, name: str, numbers: bool = True) -> None:
 
 
 class _Level:
-    """A mapping or sequence that has begun and not ended yet."""
+    """A mapping or sequence whose end has not been parsed yet."""
 
     def __init__(self, anchor: str | None, is_mapping: bool):
         self.anchor, self.is_mapping = anchor, is_mapping
         self.size, self.key, self._at_key = 1, "", True
 
     def add(self, size: int, text: str) -> None:
-        """Count an item, which is a key or a value in turns in a mapping."""
+        """Count an item of `size`; in a mapping, items are keys and values in turns."""
         self.size += size
         if self.is_mapping:
             self.key = text if self._at_key else ""
