@@ -108,6 +108,8 @@ def show_table(args: argparse.Namespace) -> int:
     content = tables.render_table(read_matching_rows(args.dir, args.where), args.format, parse_names(args.columns), exp)
     if args.output:
         save_output(args.output, content)
+    elif args.format != "markdown":  # data for another program, whose lines must stay whole
+        sys.stdout.write(content.decode())
     else:
         kept, elsewhere = ("outcome", "cause"), "`--columns` chooses others, a file has all"
         terminal.print_markdown(content.decode(), kept, elsewhere)

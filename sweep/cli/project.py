@@ -8,7 +8,7 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
-from sweep.cli.choices import shipped_choices
+from sweep.cli.choices import outside_of_project, shipped_choices
 from sweep.cli.exits import DONE
 from sweep.core import project, terminal
 from sweep.core.errors import InputError
@@ -84,7 +84,10 @@ def describe(args: argparse.Namespace) -> int:
     """Print unit, meaning, bounds and default of parameters, or what a choice or a column is."""
     from sweep.study import reference
 
-    text = reference.page() if args.name is None else reference.text(args.name)
+    try:
+        text = reference.page() if args.name is None else reference.text(args.name)
+    except InputError as error:
+        raise InputError(f"{error}{outside_of_project() if '=' in args.name else ''}") from None
     terminal.print_markdown(text + "\n", kept=("meaning",))
     return DONE
 

@@ -17,7 +17,7 @@ import pandas as pd
 
 from sweep import systems
 from sweep.core import project
-from sweep.core.errors import InputError, require_choice, suggest
+from sweep.core.errors import InputError, nearest, require_choice, suggest
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import UNITS, bounds_text, format_unit
 from sweep.study import config
@@ -65,8 +65,8 @@ def text(name: str) -> str:
     group, _, key = name.partition(".")
     if group not in every:
         hint = config.suggest_paths(name, every)
-        close = suggest(name if "." not in name else group, every, column_meanings())
-        raise InputError(f"{name} is unknown{hint or close}")
+        paths = [f"{one}.{line['parameter']}" for one, own in every.items() for cls in own for line in parameters(cls)]
+        raise InputError(f"{name} is unknown{hint or nearest(name, [*every, *column_meanings(), *paths])}")
     found = [(cls, line) for cls in every[group] for line in parameters(cls) if line["parameter"] == key]
     if not found:
         names = {line["parameter"] for cls in every[group] for line in parameters(cls)}

@@ -28,6 +28,8 @@ LOW = "+study.axes.mu={path: contact.friction, distribution: {kind: normal, mean
             "axis mu draws it: give its distribution `from` and `to` to truncate it",
         ),
         (["describe", "energi_j"], "energi_j is unknown: did you mean energy_j?"),
+        (["describe", "torque_limt"], "did you mean torque_limit? (nearest: drive.torque_limit, "),
+        (["describe", "robot=mine"], NO_PROJECT),
     ],
 )
 def test_mistakes_are_answered_with_what_was_meant(words, line, monkeypatch, tmp_path, capsys):

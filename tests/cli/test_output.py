@@ -45,6 +45,20 @@ def test_a_line_break_in_a_condition_is_no_line_of_latex(folder, tmp_path):
     assert all(line.startswith(("%", "\\newcommand")) for line in lines)
 
 
+def test_a_table_fits_the_terminal_and_data_for_programs_stay_whole(folder, monkeypatch, capsys):
+    told = {}
+    for terminal in (False, True):
+        monkeypatch.setattr(sys.stdout, "isatty", lambda is_one=terminal: is_one)
+        monkeypatch.setenv("COLUMNS", "80")
+        for form in ("markdown", "latex", "csv"):
+            assert main(["table", str(folder), "--format", form]) == 0
+            told[form, terminal] = capsys.readouterr().out
+    assert max(map(len, told["markdown", False].splitlines())) > 80
+    assert max(map(len, told["markdown", True].splitlines())) <= 80
+    assert told["latex", True] == told["latex", False]
+    assert told["csv", True] == told["csv", False]
+
+
 @pytest.mark.parametrize("command", ["table", "report", "export", "replay"])
 def test_a_full_disk_leaves_the_old_output(folder, tmp_path, monkeypatch, capsys, command):
     options = {"table": ["--format", "csv", "-o", str(tmp_path / "t.csv")], "report": ["-o", str(tmp_path)],
