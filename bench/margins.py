@@ -48,7 +48,9 @@ def simulate_errors(exp: Experiment, folder: Path, u: np.ndarray) -> pd.DataFram
     table = points(exp.study, exp.system, exp.settings, round_=Draws(ndtr(u), one_noise, nothing))
     with store.lock_folder(folder):
         runner.repair_folder(exp, folder)
-        runner.run(runner.lay_out(exp, folder, table), lambda rows: print(f"  {len(rows)} rollouts", file=sys.stderr))
+        runner.run(
+            runner.prepare_job(exp, folder, table), lambda rows: print(f"  {len(rows)} rollouts", file=sys.stderr)
+        )
     return store.read_rows(folder).set_index("point_id").loc[table["point_id"]].reset_index()
 
 

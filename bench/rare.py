@@ -30,7 +30,7 @@ from sweep.core.expressions import column, evaluate
 from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
 from sweep.runs import runner
-from sweep.runs.batches import make_engine, nominal, with_delay_buffer
+from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
 from sweep.study import adaptive_designs
 from sweep.study.adaptive_sampling import Draws, summarize_round
 from sweep.study.config import Experiment, compose_values, experiment
@@ -83,7 +83,7 @@ class Robots:
         exp = self.scaled_study(1.0)
         first = self.points(exp, plain(exp, 1, 0))
         self.exp = with_delay_buffer(exp, first)
-        start = nominal(self.exp, first.assign(width=width), width)
+        start = make_nominal_batch(self.exp, first.assign(width=width), width)
         self.width, self.engine = width, make_engine(self.exp, start)
         self.device = self.exp.system.device(start.settings)
         self.run([first])
@@ -104,7 +104,7 @@ class Robots:
         """Return the rows of each table, simulated in full batches except the last."""
         every = pd.concat(tables, ignore_index=True).assign(width=self.width)
         parts = [every[k : k + self.width] for k in range(0, len(every), self.width)]
-        rows = pd.concat([self.select_columns(runner.simulate(self.exp, self.engine, part)[0]) for part in parts])
+        rows = pd.concat([self.select_columns(runner.simulate_batch(self.exp, self.engine, part)[0]) for part in parts])
         ends = np.cumsum([0, *map(len, tables)])
         return [rows[a:b].reset_index(drop=True) for a, b in itertools.pairwise(ends)]
 

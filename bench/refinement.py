@@ -18,11 +18,11 @@ def main(folder: Path, whole: Path) -> None:
     (found,) = summarize_panels(exp, rows)
     grid = store.read_rows(whole)
     truth = np.full(found.grid.shape, MISSING)
-    truth[found.grid.places(grid)] = np.where(grid["outcome"] == "success", SUCCEEDS, FAILS)
+    truth[found.grid.indices(grid)] = np.where(grid["outcome"] == "success", SUCCEEDS, FAILS)
     invalid = np.zeros(found.grid.shape, dtype=bool)
-    invalid[found.grid.places(grid)] = grid["outcome"] == "invalid"
-    compared = (found.label >= FAILS) & (truth != MISSING) & ~invalid
-    wrong = compared & (found.label != truth)
+    invalid[found.grid.indices(grid)] = grid["outcome"] == "invalid"
+    compared = (found.labels >= FAILS) & (truth != MISSING) & ~invalid
+    wrong = compared & (found.labels != truth)
     good = truth == SUCCEEDS
     edge = np.logical_and(binary_dilation(good), binary_dilation(~good))  # within one cell of the boundary
     print(found)

@@ -126,7 +126,7 @@ def relabels(folder: Path, chance: random.Random) -> Iterator[str]:
     """Yield results of `sweep relabel` ended before one of its writes: all rows use the new thresholds, or none."""
     for _ in range(RELABELS):
         limit, left = chance.uniform(0.02, 1.0), chance.randrange(12)
-        real = store.write_part, store.write_study, repair.forget
+        real = store.write_part, store.write_study, repair.remove_parts
 
         def dying(work: Callable[..., Any]) -> Callable[..., Any]:
             def write(*args: Any) -> Any:
@@ -138,9 +138,9 @@ def relabels(folder: Path, chance: random.Random) -> Iterator[str]:
 
             return write
 
-        store.write_part, store.write_study, repair.forget = map(dying, real)
+        store.write_part, store.write_study, repair.remove_parts = map(dying, real)
         quiet("relabel", str(folder), f"slip_max_m<{limit}", "tilt_max_deg<50")
-        store.write_part, store.write_study, repair.forget = real
+        store.write_part, store.write_study, repair.remove_parts = real
         named = store.read_study(folder)["config"]["outcome"]
         yield run_attack(lambda named=named: is_judged_by(folder, named))
 
@@ -165,7 +165,7 @@ def stale(folder: Path, chance: random.Random) -> Iterator[str]:
         known = real(out.resolve(), "old")
         quiet("run", *STUDY, "--limit", str(8 * (number + 1)), f"out={out}", "outcome.slip_max_m=0.1")
         runner._plan_of = lambda *_, known=known: known  # pyright: ignore
-        runner.on_worker(out.resolve(), "old", code, chance.randrange(number + 1, 7))
+        runner.simulate_on_worker(out.resolve(), "old", code, chance.randrange(number + 1, 7))
         runner._plan_of = real
         quiet("run", *STUDY, f"out={out}", "outcome.slip_max_m=0.1")
         yield run_attack(

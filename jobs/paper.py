@@ -258,7 +258,7 @@ def summary(found: Results, target: dict[str, Any]) -> dict[str, Any]:
         "valid": whole.valid,
         "success": whole.success,
         "causes": causes(rows),
-        "along": {axis: along(found, axis) for axis in (*found.named, *found.listed)},
+        "along": {axis: along(found, axis) for axis in (*found.categorical, *found.listed_numeric)},
         "map": cells(found, tuple(target.get("map", ()))),
         "figures": extremes(found),
         **({"groups": groups(found.rows, target)} if "by" in target else {}),

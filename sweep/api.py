@@ -32,7 +32,7 @@ def run(overrides: list[str]) -> pd.DataFrame:
 
     exp = compose(overrides)
     if exp.study.single and not exp.out:
-        return _tidy(runner.run_single(exp), exp)
+        return _tidy(runner.run_single_batch(exp), exp)
     app.execute(exp, app.Flags())
     return load(exp.folder)
 
@@ -98,7 +98,7 @@ class Accessor:
         Points that were not run are NaN; `attrs` hold units. Raises `InputError` where there is no grid or no xarray.
         """
         found = self._results()
-        axes = found.listed + [name for name in found.named if name in self._rows]
+        axes = found.listed_numeric + [name for name in found.categorical if name in self._rows]
         if not axes:
             raise InputError(f"{self._folder} has no grid: no axis with listed values varies")
         try:

@@ -38,14 +38,14 @@ coarse = pytest.mark.parametrize("fake_engine", [CoarseEngine], indirect=True)
 def test_flips_tell_how_far_the_boundary_moves(fake_engine, tmp_path, capsys):
     assert main([*STUDY, f"out={tmp_path}"]) == 0
     rows = store.read_rows(tmp_path)
-    near = audit.boundary(results.read(tmp_path))
+    near = audit.boundary_mask(results.read(tmp_path))
     # every chosen point lies within a cell of the line friction = 5 ratio, and both sides of it are chosen
     away = np.abs(rows["world.contact.friction"] - 5 * rows["manoeuvre.half_step_ratio"])
     assert away[near].max() <= (1.2 - 0.05) / 20 + 5 * 0.01 + 1e-9
     assert 0 < (rows.loc[near, "outcome"] == "success").mean() < 1
     assert 30 < near.sum() < 60
     assert main(["audit", str(tmp_path), "--points", "1000"]) == 0
-    every = audit.table(results.read(tmp_path))
+    every = audit.flip_table(results.read(tmp_path))
     assert (every["rollouts"] == every["of"]).all()
     friction, needed = rows["world.contact.friction"], 5 * rows["manoeuvre.half_step_ratio"]
     wins = (rows["outcome"] == "success") & ~near
@@ -113,7 +113,7 @@ def test_the_boundary_of_a_walk_is_the_robots(tmp_path):
     axes = ["study.axes.friction.num=3", "study.axes.step.from=0.16", "study.axes.step.num=5", "study.expect=[]"]
     assert main(["run", "study=walk_map", *axes, f"out={tmp_path}"]) == 0
     assert main(["audit", str(tmp_path), "--points", "6"]) == 0
-    table = audit.table(results.read(tmp_path))
+    table = audit.flip_table(results.read(tmp_path))
     assert len(table) == 10
     assert (table["invalid"] == 0).all()
     assert (table["flips"] <= 1).all()

@@ -220,12 +220,12 @@ def test_a_refined_map_says_what_its_cells_do():
     """Rows of a disc's boundary are even along both axes, x3 does nothing: the cells say so, and no p is given."""
     axes = {name: {"path": f"controller.{name}", "from": 0, "to": 1, "num": 5} for name in ("x1", "x2", "x3")}
     exp = study(axes, resolution=0.125)
-    grid = refine.lattice(exp.study)
+    grid = refine.make_lattice(exp.study)
     rows = pd.DataFrame(itertools.product(*grid.values), columns=[f"controller.{name}" for name in axes])
     disc = (rows["controller.x1"] - 0.5) ** 2 + (rows["controller.x2"] - 0.5) ** 2
     rows = judged(rows.assign(replicate=0), disc < 0.16)
     near = rows[(abs(disc - 0.16) < 0.08) | rows.index.isin(rows.iloc[::7].index)]
-    found = refine.effects(exp, rows).set_index("axis")["total"]
+    found = refine.total_effects(exp, rows).set_index("axis")["total"]
     assert found["controller.x3"] == 0
     assert found["controller.x1"] == pytest.approx(found["controller.x2"])
     assert found["controller.x1"] > 0.4

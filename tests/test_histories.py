@@ -13,8 +13,8 @@ from sweep.cli.main import main
 from sweep.engines.base import Watch
 from sweep.report import time_series_plots
 from sweep.runs import manifest, results, store, time_series
-from sweep.runs.batches import assign_batches, batch, make_engine, nominal
-from sweep.runs.runner import wanted_points
+from sweep.runs.batches import assign_batches, make_batch, make_engine, make_nominal_batch
+from sweep.runs.runner import select_points
 from sweep.study.config import compose
 
 KEEP = ["study.keep=[tilt_deg,base_z_m]", "study.keep_rate=2", "study.keep_rows=20"]
@@ -120,8 +120,8 @@ def test_relabelling_and_putting_parts_together_keep_histories(folder):
 def test_rollouts_that_are_watched_are_those_of_the_run(name):
     exp = compose(["study=walk_map", "study.axes.friction.num=4", "study.axes.step.num=2", "engine.width=8",
                    "manoeuvre.steps=1", f"engine={name}"])  # fmt: skip
-    rows = assign_batches(exp, pd.DataFrame(), wanted_points(exp))
-    engine, task = make_engine(exp, nominal(exp, rows, 8)), batch(exp, rows)
+    rows = assign_batches(exp, pd.DataFrame(), select_points(exp))
+    engine, task = make_engine(exp, make_nominal_batch(exp, rows, 8)), make_batch(exp, rows)
     inputs = task.world, task.belief, task.streams
     watch, trace = Watch(("base_z_m", "tilt_deg", "foot1_force_z_n"), 5, 10), engine.trace(*inputs, 6)
     figures, samples = engine.histories(*inputs, np.array([1, 6, 7]), watch)

@@ -41,7 +41,7 @@ def test_what_a_worker_of_a_dead_command_writes_counts_for_nothing(tmp_path, who
     assert again(tmp_path, "--limit", "48", "outcome.slip_max_m=0.01") == 0
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "_plan_of", lambda *_: known)
-        runner.on_worker(tmp_path.resolve(), "a plan of the dead command", provenance.code_version(), 6)
+        runner.simulate_on_worker(tmp_path.resolve(), "a plan of the dead command", provenance.code_version(), 6)
     assert again(tmp_path, "outcome.slip_max_m=0.01") == 0
     rows = content(tmp_path)
     assert (rows["outcome"] == "success").equals(rows["slip_max_m"] <= 0.01)
@@ -52,10 +52,10 @@ def test_what_a_worker_of_a_dead_command_writes_counts_for_nothing(tmp_path, who
 
 def test_a_part_that_was_judged_by_other_thresholds_is_not_taken(folder):
     exp = compose([*STUDY, f"out={folder}"])
-    job = runner.lay_out(exp, folder, runner.wanted_points(exp))
+    job = runner.prepare_job(exp, folder, runner.select_points(exp))
     entry = replace(store.current_parts(folder)[0], labels="others")
     with pytest.raises(Fault, match="other thresholds"):
-        runner.accept_part(job, runner.Done(0, "host", "cpu", 1, entry), entry)
+        runner.accept_part(job, runner.FinishedBatch(0, "host", "cpu", 1, entry), entry)
 
 
 def test_no_flipped_bit_is_silent_and_none_ends_in_a_traceback(folder, whole):
@@ -147,7 +147,12 @@ def test_a_killed_relabelling_changes_all_rows_or_none(folder, whole, monkeypatc
         return write
 
     with monkeypatch.context() as patch:
-        for module, name in ((store, "write_part"), (store, "write_study"), (repair, "forget"), (runner, "experiment")):
+        for module, name in (
+            (store, "write_part"),
+            (store, "write_study"),
+            (repair, "remove_parts"),
+            (runner, "experiment"),
+        ):
             patch.setattr(module, name, killed(getattr(module, name)))
         done = main(["relabel", str(folder), "slip_max_m<0.01"]) == 0
     rows, stored = content(folder), store.read_study(folder)
@@ -180,7 +185,7 @@ def test_a_folder_of_another_format_is_refused_by_its_version(folder, capsys):
 def test_many_small_parts_become_few_when_a_run_ends(tmp_path, whole, monkeypatch):
     """Their rows are the same, killed at whatever moment in between."""
     many = [*STUDY, "engine.width=2", f"out={tmp_path}"]
-    compact = repair.compact
+    compact = repair.merge_small_parts
 
     def killed(*_, **__):
         raise KeyboardInterrupt
@@ -193,7 +198,7 @@ def test_many_small_parts_become_few_when_a_run_ends(tmp_path, whole, monkeypatc
                 compact(*args)
 
         with monkeypatch.context() as patch:
-            patch.setattr(repair, "compact", dies)
+            patch.setattr(repair, "merge_small_parts", dies)
             assert main(["run", *many]) == 130
         assert content(tmp_path)["point_id"].equals(whole["point_id"])
     rows = content(tmp_path)
@@ -211,7 +216,7 @@ def test_parts_that_are_put_together_while_they_are_read_are_no_damage(folder, w
 
     def late(*given):
         monkeypatch.setattr(store, "read_table", read)
-        repair.compact(folder, store.read_points(folder))
+        repair.merge_small_parts(folder, store.read_points(folder))
         return read(*given)
 
     monkeypatch.setattr(store, "read_table", late)
@@ -230,7 +235,7 @@ def test_parts_are_put_together_without_changing_the_order_of_rows(tmp_path, mon
     ]
     for part in (["--where", "friction > 1"], ["--limit", "20"], [], ["study.axes.step.num=13"]):
         with monkeypatch.context() as patch:
-            patch.setattr(repair, "compact", lambda *_: None)
+            patch.setattr(repair, "merge_small_parts", lambda *_: None)
             assert main(["run", *both, *part, f"out={tmp_path / 'apart'}"]) == 0
         assert main(["run", *both, *part, f"out={tmp_path / 'together'}"]) == 0
         pd.testing.assert_frame_equal(content(tmp_path / "together"), content(tmp_path / "apart"))

@@ -17,7 +17,7 @@ import pytest
 from sweep.cli.main import main
 from sweep.engines.settings import EngineSettings
 from sweep.runs import audit, batches, results, store
-from sweep.runs.runner import wanted_points
+from sweep.runs.runner import select_points
 from sweep.study.config import compose
 from sweep.systems.mujoco_model import MujocoModel, fields, mjx
 
@@ -84,7 +84,7 @@ def here(folder, monkeypatch):
 def figures(exp, table, **engine):
     """Those of a study's points, in one batch of an engine."""
     rows = batches.assign_batches(exp, pd.DataFrame(), table).assign(width=len(table))
-    task = batches.batch(exp, rows)
+    task = batches.make_batch(exp, rows)
     made = exp.system.engine(replace(task.settings, **engine), task.world, task.belief, None)
     return made.run(task.world, task.belief, task.streams)
 
@@ -94,7 +94,7 @@ def test_both_engines_simulate_the_same_physics(here):
     lift = "study.axes.lift={path: model.body.trunk.gravcomp, side: world, values: [0, 0.3]}"  # none nominally
     near = "study.axes.near={path: model.geom.foot.margin, side: world, values: [0, 0.01]}"
     exp = compose(["study=study.yaml", lift, near, "engine.precision=float64", "noise.white=0.01", "noise.delay=1"])
-    exp = batches.with_delay_buffer(exp, table := wanted_points(exp))
+    exp = batches.with_delay_buffer(exp, table := select_points(exp))
     native, again = (figures(exp, table, name=name) for name in ("native", "mjx"))
     assert native["slip_max_m"].max() > 0.005
     assert native["tilt_max_deg"].max() > 90
@@ -113,7 +113,7 @@ def test_both_engines_simulate_the_same_physics(here):
 def test_warp_simulates_the_same_physics(here):
     """In single precision, on Warp's CPU where there is no GPU; each rollout has fields of its own."""
     exp = compose(["study=study.yaml", "noise.white=0.01", "noise.delay=1"])
-    exp = batches.with_delay_buffer(exp, table := wanted_points(exp))
+    exp = batches.with_delay_buffer(exp, table := select_points(exp))
     native, again = (figures(exp, table, name=name) for name in ("native", "warp"))
     for name in ("base_height_min_m", "tilt_max_deg", "travelled_m", "slip_max_m", "energy_j", "load_max_n"):
         assert len(np.unique(native[name])) > 6
@@ -126,7 +126,7 @@ def test_warp_simulates_the_same_physics(here):
 def test_a_limit_of_warps_solver_is_no_lack_of_room(here):
     """Its line search is at its limit in every step with contacts."""
     exp = compose(["study=study.yaml", "model.duration=0.4", "model.option.ls_iterations=1"])
-    assert not figures(exp, wanted_points(exp), name="warp")["buffer_full"].any()
+    assert not figures(exp, select_points(exp), name="warp")["buffer_full"].any()
 
 
 @pytest.mark.skipif(find_spec("warp") is not None, reason="the extra warp is installed")
@@ -172,7 +172,7 @@ def test_a_number_that_others_are_made_from_is_no_parameter(here):
 def test_an_audit_tells_robot_from_simulator(here, capsys):
     assert main(["run", "study=study.yaml", "out=whole", "study.axes.rub.values=[0.1]"]) == 0
     assert main(["audit", "whole", "--points", "3"]) == 0
-    found = audit.table(results.read(Path("whole")))
+    found = audit.flip_table(results.read(Path("whole")))
     assert list(found["simulated"].unique()) == [
         way.description for way in results.read(Path("whole")).exp.system.audit_variants.values()
     ]

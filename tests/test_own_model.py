@@ -16,7 +16,7 @@ from small_study import content, one_line, wait_for
 from sweep.cli.main import main
 from sweep.engines import devices
 from sweep.runs import batches, results, store
-from sweep.runs.runner import wanted_points
+from sweep.runs.runner import select_points
 from sweep.study.config import compose
 from sweep.systems.mujoco_model import batch, fields, outcome
 
@@ -44,7 +44,7 @@ def figures(exp, rows):
     """Those of some rows of a study's points, in a batch of their own."""
     rows = batches.assign_batches(exp, pd.DataFrame(), rows.reset_index(drop=True)).assign(width=len(rows))
     exp = batches.with_delay_buffer(exp, rows)
-    task, start = batches.batch(exp, rows), batches.nominal(exp, rows, len(rows))
+    task, start = batches.make_batch(exp, rows), batches.make_nominal_batch(exp, rows, len(rows))
     return batches.make_engine(exp, start).run(task.world, task.belief, task.streams)
 
 
@@ -62,7 +62,7 @@ def test_the_page_as_it_stands(tmp_path, monkeypatch):
     Path("scenarios/own.yaml").write_text(scenario)
     Path("studies/page.yaml").write_text(study)
     assert main(["run", "scenario=own"]) == 0
-    assert len(wanted_points(compose(["study=page"]))) == 3 * 3 * 2 * 2
+    assert len(select_points(compose(["study=page"]))) == 3 * 3 * 2 * 2
     Path("page.py").write_text(f"import jax.numpy as jnp\n{CODE[0]}{CODE[1]}")
     page = ["study=page", "model.controller=page:policy", "model.duration=0.1", "model.observe=[]", "out=page"]
     assert main(["run", *page]) == 0
@@ -142,7 +142,7 @@ def test_what_was_killed_goes_on_to_the_same_rows(here):
 def test_a_row_has_its_bits_whatever_runs_beside_it(here):
     noisy = ["noise.white=0.02", "noise.bias=0.01", "noise.delay=1"]
     exp = compose(["study=grip", "model.duration=0.5", *noisy])
-    rows = wanted_points(exp)
+    rows = select_points(exp)
     rows = pd.concat([rows, rows.assign(stream=rows["stream"] + 1)], ignore_index=True)  # 72: more than one tile
     whole = figures(exp, rows)
     assert np.ptp(whole["travelled_m"]) > 0
@@ -167,7 +167,7 @@ def test_a_row_has_its_bits_on_any_number_of_threads_and_cores(here, monkeypatch
     monkeypatch.setattr(batch, "Batch", pool)
     for threads in (1, 2, 5):
         monkeypatch.setattr(devices, "cores", lambda threads=threads: threads)
-        found[threads] = figures(exp := compose(noisy), points := wanted_points(exp))
+        found[threads] = figures(exp := compose(noisy), points := select_points(exp))
     assert {one._b.nthread for one in pools} == {*found}
     asked = ["-c", f"{ONE_CORE}sys.exit(main(sys.argv[1:]))", "run", *noisy, "engine.width=5", "out=one_core"]
     subprocess.run([sys.executable, *asked], check=True)
@@ -429,7 +429,7 @@ def test_a_policy_that_was_trained_elsewhere_runs_as_it_is(here, capsys):
     found = {}
     for name in ("walk.onnx", "layers:policy", "one.onnx"):
         exp = compose([*noisy, f"model.controller={name}"])
-        rows = wanted_points(exp)
+        rows = select_points(exp)
         rows = pd.concat([rows, rows.assign(stream=rows["stream"] + 1)], ignore_index=True)  # more than one tile
         found[name] = whole = figures(exp, rows)
         for part in ([71], range(60, 72)):

@@ -9,7 +9,7 @@ from scipy.ndimage import binary_dilation
 import sweep.engines
 from sweep.cli.main import main
 from sweep.runs import refine, store
-from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, bisect_cells, fill_cells, leaves
+from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, bisect_cells, fill_cells, leaf_cells
 from sweep.study.config import compose, experiment
 
 FRICTION = "study.axes.friction={path: contact.friction, side: world, from: 0.05, to: 1.2, num: 9}"
@@ -39,7 +39,7 @@ def test_bisection_finds_a_disc_with_ten_times_fewer_points():
 
 def test_the_cells_that_are_left_tile_the_map_and_only_the_smallest_disagree():
     truth = disc(129)
-    cells = leaves(explored(truth, 4), 4)
+    cells = leaf_cells(explored(truth, 4), 4)
     assert len(cells) == 5
     covered = np.zeros((128, 128), dtype=int)
     for power, corners in enumerate(cells):
@@ -102,11 +102,11 @@ def test_a_refined_map_is_the_grid_with_ten_times_fewer_rollouts(tmp_path, capsy
     assert found.grid.shape == (129, 129)
     friction, ratio = np.meshgrid(*found.grid.values, indexing="ij")
     truth = np.where(friction < 5 * ratio, FAILS, SUCCEEDS)
-    assert (found.label == truth).all()
+    assert (found.labels == truth).all()
     assert found.rollouts < 129**2 / 10
     assert found.audited == 200
     assert found.missed == 0
-    assert found.missed_at_most == pytest.approx(1 - 0.025 ** (1 / 200))
+    assert found.missed_share_upper == pytest.approx(1 - 0.025 ** (1 / 200))
     assert re.search(
         r"refined: [\d,]+ rollouts, 0 invalid \(0\.0 %\), for a grid of 129 x 129 points, 1\d\.\d times fewer; "
         r"0 of 200 audited",
@@ -131,10 +131,10 @@ def test_the_walking_map_is_its_whole_grid_with_ten_times_fewer_rollouts(tmp_pat
     (found,) = refine.summarize_panels(exp, store.read_rows(tmp_path / "refined"))
     grid = store.read_rows(tmp_path / "whole")
     outcome = np.full(found.grid.shape, "missing", dtype=object)
-    outcome[found.grid.places(grid)] = grid["outcome"]
+    outcome[found.grid.indices(grid)] = grid["outcome"]
     assert found.rollouts < outcome.size / 10
     assert (found.audited, found.missed) == (200, 0)
-    wrong = (found.label == SUCCEEDS) != (outcome == "success")
+    wrong = (found.labels == SUCCEEDS) != (outcome == "success")
     near = [binary_dilation(outcome == word, np.ones((3, 3))) for word in ("success", "failure")]
     assert not wrong[~(near[0] & near[1]) & (outcome != "invalid")].any()  # the boundary is within one cell
 
@@ -184,7 +184,7 @@ def test_noisy_points_get_rollouts_until_decided_or_the_budget_is_spent(tmp_path
     assert spent[[0.25, 0.35]].min() > 200
     exp = experiment(store.read_study(tmp_path)["config"])
     (found,) = refine.summarize_panels(exp, rows)
-    assert found.label.tolist() == [SUCCEEDS] * 3 + [FAILS] * 7
+    assert found.labels.tolist() == [SUCCEEDS] * 3 + [FAILS] * 7
     assert found.undecided == 0
     assert main(["run", *NOISY, "study.level=0.7", "study.budget=210", f"out={tmp_path / 'small'}"]) == 0
     assert len(store.read_rows(tmp_path / "small")) == 210
@@ -218,6 +218,6 @@ def test_what_cannot_be_refined_is_refused(overrides, message, capsys, tmp_path,
 
 
 def test_the_finest_grid_holds_the_first_one():
-    grid = refine.lattice(compose([*AXES, "study.resolution=0.01", "study.axes.step.values=[0.1,0.11,0.2]"]).study)
+    grid = refine.make_lattice(compose([*AXES, "study.resolution=0.01", "study.axes.step.values=[0.1,0.11,0.2]"]).study)
     assert grid.halvings == 7  # the widest cell is 0.9 of its axis
     assert {0.1, 0.11, 0.2} <= set(grid.values[1])

@@ -5,8 +5,8 @@ import pytest
 from sweep.cli.main import main
 from sweep.core.expressions import mask
 from sweep.core.parameters import InputError
-from sweep.runs.batches import assign_batches, batch, nominal, with_delay_buffer
-from sweep.runs.runner import wanted_points
+from sweep.runs.batches import assign_batches, make_batch, make_nominal_batch, with_delay_buffer
+from sweep.runs.runner import select_points
 from sweep.study.config import compose
 from sweep.study.designs import parse_axes
 from sweep.study.study import points
@@ -23,11 +23,11 @@ def table_of(*overrides):
 def test_a_world_axis_never_reaches_the_belief():
     exp, table = table_of(FRICTION, "+study.axes.b={path: contact.friction, values: [0.7]}", "engine.width=4")
     table = assign_batches(exp, pd.DataFrame(), table)
-    task = batch(exp, table)
+    task = make_batch(exp, table)
     np.testing.assert_array_equal(task.world.contact.friction, [0.5, 1.0, 1.5, 1.5])  # the last row is repeated
     np.testing.assert_array_equal(task.belief.contact.friction, [0.7] * 4)
     assert task.world.contact.stiffness == exp.case.contact.stiffness
-    assert nominal(exp, table, 4).world == exp.case
+    assert make_nominal_batch(exp, table, 4).world == exp.case
 
 
 def test_point_id_is_the_physics_and_the_replicate():
@@ -55,7 +55,7 @@ def test_static_axes_make_groups_and_batches_belong_to_one():
     assert table.groupby("batch")["group"].nunique().eq(1).all()
     assert table["width"].unique().tolist() == [8]  # 15 rows of either engine, at most 8 wide: two even batches
     assert table.groupby("batch").size().tolist() == [8, 7, 8, 7]
-    assert batch(exp, table[table["batch"] == 2]).settings.name == "native"
+    assert make_batch(exp, table[table["batch"] == 2]).settings.name == "native"
 
 
 def test_points_that_are_left_out_are_counted(tmp_path, capsys):
@@ -201,10 +201,10 @@ def test_conditions_select_rows_and_run_no_code():
 
 def test_limit_and_where_choose_points_of_a_study():
     exp = compose(["study=walk_map"])
-    assert len(wanted_points(exp, "friction > 1", 5)) == 5
+    assert len(select_points(exp, "friction > 1", 5)) == 5
     with pytest.raises(InputError, match="no point of walk_map"):
-        wanted_points(exp, "friction > 2")
-    assert np.all(wanted_points(exp, "friction > 1")["world.contact.friction"] > 1)
+        select_points(exp, "friction > 2")
+    assert np.all(select_points(exp, "friction > 1")["world.contact.friction"] > 1)
 
 
 def test_a_side_by_its_old_name_is_read_and_noted(capsys):

@@ -14,7 +14,7 @@ from sweep.core.errors import InputError
 from sweep.models import plan_table
 from sweep.models.plan_table import evaluate_plan, numbers_by_path
 from sweep.runs import tuning
-from sweep.runs.tuning import fit, follow, free_numbers, search
+from sweep.runs.tuning import fit_size_slopes, free_numbers, search_by_cma, search_by_gradients
 from sweep.study.config import compose
 from sweep.tune.score import MOVED, UNKNOWN, Aim, Score, groups, lows, stacked
 from sweep.tune.score import changed as moved
@@ -36,7 +36,7 @@ class Scores:
 
 def found(log, how=HOW):
     scores = Scores()
-    best, least = search(scores, AT, STEPS, how, log, lambda done, least: None)
+    best, least = search_by_cma(scores, AT, STEPS, how, log, lambda done, least: None)
     return best, least, scores.asked
 
 
@@ -90,10 +90,12 @@ class Wants:
         return self.lacking(moved)[:, None], np.broadcast_to(slope, (len(moved), 1, 4, 2))
 
     def by_gradients(self, how, log):
-        return fit(self.descent, self.at - 0.05, self.steps, how, log, lambda done, least: None) - self.at
+        return (
+            search_by_gradients(self.descent, self.at - 0.05, self.steps, how, log, lambda done, least: None) - self.at
+        )
 
     def by_programs(self, how, log):
-        found = follow(self.lacking, self.sloping, self.steps, self.off, how, log, lambda done, least: None)
+        found = fit_size_slopes(self.lacking, self.sloping, self.steps, self.off, how, log, lambda done, least: None)
         return found - self.slopes
 
 
@@ -178,7 +180,7 @@ def test_gradients_move_numbers_of_the_manoeuvre_too_and_the_file_says_so(tmp_pa
 @pytest.mark.slow
 def test_gradients_of_what_forces_lack_are_those_of_small_changes():
     exp, stages = compose(["scenario=pole_top"]), ["over.front"]
-    draws = stacked(*tuning.draws(exp, 1))
+    draws = stacked(*tuning.draw_beliefs(exp, 1))
     score = Score(exp.case, ["over.front.base.above"], [Aim("hold", "*", 0.5)], stages, [("*", 2)], True, 1)
     above = numbers_by_path(evaluate_plan(exp.case), exp.case.obstacle.charts)["over.front.base.above"]
     (less, _), (_, slope), (more, _) = (score.descent(np.array([above + by]), draws) for by in (-0.002, 0.0, 0.002))
@@ -195,7 +197,7 @@ def test_a_margin_that_is_no_number_lacks_the_most():
 @pytest.mark.slow
 def test_stages_are_judged_at_moments_of_their_own():
     exp, stages = compose(["scenario=pole_top"]), ["over.front", "top.rear"]
-    draws = stacked(*tuning.draws(exp, 1))
+    draws = stacked(*tuning.draw_beliefs(exp, 1))
 
     def rates(*moments):
         return Score(exp.case, [], [], stages, moments, False, 1).margins(np.zeros(0), draws)["rate"][0]
@@ -226,7 +228,10 @@ def test_only_what_touches_nothing_in_common_is_of_one_group():
 @pytest.mark.slow
 def test_slopes_of_numbers_that_move_together_are_those_of_each():
     exp, free = compose(["scenario=pole_top"]), ["over.front.base.ahead", "top.rear.base.ahead", "top.rear.base.above"]
-    draws, told = stacked(*tuning.draws(exp, 1)), numbers_by_path(evaluate_plan(exp.case), exp.case.obstacle.charts)
+    draws, told = (
+        stacked(*tuning.draw_beliefs(exp, 1)),
+        numbers_by_path(evaluate_plan(exp.case), exp.case.obstacle.charts),
+    )
     first, steps = np.array([[told[path] for path in free]]), np.array([0.01, 0.02, 0.03])
     score = Score(exp.case, free, [], ["over.front", "top.rear"], [("*", 3)], False, 1)
     lack, slopes = score.slopes(first, draws, steps)

@@ -63,7 +63,7 @@ def commands(folder):
 def test_a_manifest_names_files_of_the_folder_only(folder, secret, capsys, name, place):
     name = name.format(secret=secret)
     entry = dataclasses.replace(store.current_parts(folder)[0], file=name, length=len(SECRET), labels="others")
-    manifest_line = manifest.line(entry if place == "part" else dataclasses.replace(entry, batches=()))
+    manifest_line = manifest.format_line(entry if place == "part" else dataclasses.replace(entry, batches=()))
     with (folder / manifest.MANIFEST).open("a") as file:
         file.write(f"{manifest_line}\n")
     for command in commands(folder):

@@ -45,15 +45,15 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
             what = "are no sample: they were chosen, as those of a grid, or placed where failures are"
             raise InputError(f"--anytime needs draws, or noisy replicates of one point: the points of {args.a} {what}")
         found = sequential.verdict(pairs, level, unit)
-        now = max(map(extend.draws, exps))
+        now = max(map(extend.count_draws, exps))
         if found.decided or args.most is None or now >= args.most:
             return found
         for exp, folder in zip(exps, folders, strict=True):
-            extend.check(exp, folder)
-        a_draw = max(len(rows[0]) // extend.draws(exps[0]), 1)  # rollouts
+            extend.check_extendable(exp, folder)
+        a_draw = max(len(rows[0]) // extend.count_draws(exps[0]), 1)  # rollouts
         number = min(now + max(int(rows[0]["width"].iloc[-1]) // a_draw, now // 4, 1), args.most)
         for k, folder in enumerate(folders):
-            asked = len(rows[k]) * number // extend.draws(exps[k]) - len(rows[k])
+            asked = len(rows[k]) * number // extend.count_draws(exps[k]) - len(rows[k])
             with report_progress(folder.name, asked, f"{exps[k].scenario} for {folder.name}") as report:
                 exps[k] = extend.grow(exps[k], folder, number, report)
             rows[k] = store.read_rows(folder)

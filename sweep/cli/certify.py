@@ -121,7 +121,7 @@ def check_region(
     place = path_in(folder, AGAIN)
     again = with_seed(exp, place, exp.study.seed + 2, number)
     again = replace(again, settings=replace(again.settings, width=width))
-    table = runner.wanted_points(again)
+    table = runner.select_points(again)
     x = table[names].to_numpy(dtype=float)
     inside, order = found.inside(x), np.argsort(-worst(x))
     kinds = {
@@ -131,7 +131,7 @@ def check_region(
     chosen = np.unique(np.concatenate(list(kinds.values())))
     with store.lock_folder(place), report_progress("checks", len(chosen), f"{exp.scenario} for checks") as report:
         runner.repair_folder(again, place)
-        runner.run(runner.lay_out(again, place, table.iloc[chosen].reset_index(drop=True)), report)
+        runner.run(runner.prepare_job(again, place, table.iloc[chosen].reset_index(drop=True)), report)
     rows = store.read_rows(place).set_index("point_id")
     lines = []
     for kind, places in kinds.items():

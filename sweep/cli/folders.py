@@ -90,7 +90,7 @@ def save_output(path: Path, content: bytes) -> None:
     from sweep.runs import manifest, store
 
     named, folder = path.name in (store.STUDY, store.POINTS, manifest.MANIFEST, store.LOG), path.parent
-    if not named and folder.name in store.PLACES:
+    if not named and folder.name in store.SUBFOLDERS:
         named, folder = True, folder.parent
     if named and (folder / store.STUDY).exists():
         raise InputError(f"-o = {path} is not allowed: a study's own file")
@@ -301,7 +301,7 @@ def audit_results(args: argparse.Namespace) -> int:
     most = 2 * args.points * len(ways or found.exp.system.audit_variants)
     with app.report_progress("audit", most, f"{found.exp.scenario} in other ways") as report:
         audit.run(found, args.points, ways, report, lambda line: print(f"sweep: {line}", file=sys.stderr))
-    terminal.print_markdown(tables.page_table(audit.table(found)) + "\n")
+    terminal.print_markdown(tables.page_table(audit.flip_table(found)) + "\n")
     return DONE
 
 

@@ -31,7 +31,7 @@ from sweep.report import tables
 from sweep.report.headline import headline
 from sweep.runs import adaptive_rounds, axis_check, refine, runner, store, time_series
 from sweep.runs.batches import make_engine
-from sweep.runs.batches import nominal as nominal_batch
+from sweep.runs.batches import make_nominal_batch as nominal_batch
 from sweep.runs.nominal_levels import FailingLevel, find_failing_levels
 from sweep.study import designs
 from sweep.study.clusters import WorkerReport, connect_lazily
@@ -76,8 +76,8 @@ def execute(exp: Experiment, flags: Flags) -> int:
         return execute_single(exp, flags)
     folder = exp.folder
     if not flags.check:  # which writes nothing
-        store.refuse_strangers(folder)
-    first = runner.wanted_points(exp, flags.where, flags.limit, lambda line: print(f"sweep: {line}", file=sys.stderr))
+        store.refuse_foreign_folder(folder)
+    first = runner.select_points(exp, flags.where, flags.limit, lambda line: print(f"sweep: {line}", file=sys.stderr))
     if not flags.check:  # which judges nothing by outcomes
         check_expect(exp.study, exp.system, first)
     whole = flags.where is None and flags.limit is None
@@ -86,7 +86,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
     if line := designs.warn_of_design(exp.study.design):
         print(f"sweep: {line}", file=sys.stderr)
     if flags.dry_run:
-        job = runner.lay_out(exp, folder, first)
+        job = runner.prepare_job(exp, folder, first)
         for line in runner.describe_changed_axes(exp, folder):
             print(f"sweep: {line}", file=sys.stderr)
         print("\n".join([forecast(job), *map(str, failing_levels(exp))]))
@@ -149,19 +149,21 @@ def check_axes(exp: Experiment, points: pd.DataFrame) -> int:
 
     with show_counts(words, 0) as told:
         found = axis_check.run(exp, points, told)
-    for line in found.lines(exp):
+    for line in found.format_lines(exp):
         print(f"sweep: {line}", file=sys.stderr)
-    dead = len({one.column for one in found.dead if one.whole})
+    dead = len({one.column for one in found.inactive if one.is_entire_axis})
     print(f"{exp.study.name}: {found.axes - dead} of {found.axes} axes have an effect (in {found.rollouts} rollouts)")
-    return DONE if found.sound else UNEXPECTED
+    return DONE if found.is_sound else UNEXPECTED
 
 
 def plan_jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Iterable[runner.Job]:
     """Jobs of the study: one after the other where results decide what runs next, else a single one."""
     if whole and exp.study.is_refined:
-        return refine.rounds(exp, folder, first)
+        return refine.iter_jobs(exp, folder, first)
     return (
-        adaptive_rounds.rounds(exp, folder) if whole and exp.study.is_adaptive else [runner.lay_out(exp, folder, first)]
+        adaptive_rounds.iter_jobs(exp, folder)
+        if whole and exp.study.is_adaptive
+        else [runner.prepare_job(exp, folder, first)]
     )
 
 
@@ -174,7 +176,7 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
         raise InputError("study.keep keeps time histories beside a study's rows: give study=NAME or out=DIR")
     check_expect(exp.study, exp.system)
     if flags.dry_run:
-        runner.lay_out_single(exp)
+        runner.prepare_single_batch(exp)
         print(f"{exp.scenario}: 1 rollout on {exp.settings.name}, {format_compile_estimate(program_text(exp))}")
         return DONE
     what, start = program_text(exp), time.perf_counter()
@@ -183,14 +185,14 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
         return f"compiling {what}, then simulating{format_last_duration(what)}{format_running_parts(what)}"
 
     with show_wait(words):
-        rows = runner.run_single(exp)
+        rows = runner.run_single_batch(exp)
     remember_duration(what, time.perf_counter() - start)
     sys.stdout.write(tables.rollout_table(exp, rows.iloc[0]))
     if exp.study.expect and exp.settings.name == "native" and (other := jitter_experiment(exp)):
         with show_wait(
             f"simulating {exp.scenario} {other.study.max_rollouts} times to judge its expectations on the native engine"
         ):
-            exp, rows = other, runner.run_single(other)
+            exp, rows = other, runner.run_single_batch(other)
         print(f"sweep: of rollouts that differ by 1e-6 {pooled(rows, exp)}", file=sys.stderr)
     return verdict(exp, rows, complete=True)
 
@@ -247,7 +249,7 @@ def forecast(job: runner.Job) -> str:
     if len(missing):
         text += f"{memory_text(job, missing)}, {duration_text(job, missing)}, "
         text += format_compile_estimate(program_text(job.exp))
-    if count := time_series.size(job.exp, job.table):
+    if count := time_series.check_size(job.exp, job.table):
         kept, columns = min(job.exp.study.keep_rows, len(job.table)), ", ".join(job.exp.study.keep)
         text += f"\ntime histories of {kept} rollouts ({columns}): about {4 * count / 2**20:.1f} MiB before compression"
     return f"{text}\n{axes_table(job.exp)}" if job.exp.study.axes and not job.exp.study.points else text

@@ -77,7 +77,7 @@ def main(argv: list[str]) -> int:
     method = "linear programs, to follow sizes" if args.follow else "gradients" if args.gradients else "CMA-ES"
     aims, width = [parse_aim(text) for text in args.need], args.population if method == "CMA-ES" else 1
     score = Score(case, list(steps), aims, args.stages or ["*"], parse_moments(args.moments), args.forces, width)
-    seen, others = (stacked(*tuning.draws(exp, exp.study.seed + k)) for k in (0, 1))
+    seen, others = (stacked(*tuning.draw_beliefs(exp, exp.study.seed + k)) for k in (0, 1))
     first = np.array([numbers[path] for path in steps])
     if args.check:
         print(
@@ -172,15 +172,17 @@ def round_solution(
         if how["follow"]:
             off = shares(seen, sizes)
             score.keep(first, stacked(score.case, len(off)))
-            slopes = tuning.follow(
+            slopes = tuning.fit_size_slopes(
                 lambda moved: score.lacking(score.margins(first + moved, seen)),
                 lambda moved: score.slopes(first + moved, seen, scale), scale, off, how, log, tell)  # fmt: skip
             slight = np.abs(slopes) * np.abs(off).max(axis=0) < SLIGHT * scale[:, None]
             return first, np.where(slight, 0.0, np.round(slopes, SLOPE_DIGITS))
         if how["gradients"]:
-            best = tuning.fit(lambda numbers: score.descent(numbers, seen), first, scale, how, log, tell)
+            best = tuning.search_by_gradients(
+                lambda numbers: score.descent(numbers, seen), first, scale, how, log, tell
+            )
         else:
-            best, _ = tuning.search(
+            best, _ = tuning.search_by_cma(
                 lambda many: score.lacks(score.margins(many[:, None], seen)), first, scale, how, log, tell
             )
     return np.round(best, DIGITS), np.zeros((len(first), 0))

@@ -201,4 +201,4 @@ def compose_single(overrides: list[str]) -> tuple[Experiment, pd.DataFrame]:
         raise InputError(f"{exp.study.name} is a study: run it, then sweep view DIR ID shows one of its rows")
     device_choice.choose_device_for_run(exp)
     exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
-    return exp, batches.assign_batches(exp, pd.DataFrame(), runner.wanted_points(exp))
+    return exp, batches.assign_batches(exp, pd.DataFrame(), runner.select_points(exp))

@@ -31,7 +31,7 @@ MARGIN = "margin"  # column: how far a rollout stayed from its nearest limit, ne
 
 def has_draws_figure(results: Results) -> bool:
     """Whether the study draws numbers and lists fewer than two, over which a map could be drawn."""
-    return bool(drawn_columns(results)) and len(results.listed) < 2
+    return bool(drawn_columns(results)) and len(results.listed_numeric) < 2
 
 
 def drawn_columns(results: Results) -> list[str]:

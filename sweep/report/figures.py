@@ -82,7 +82,7 @@ def count_invalid(rows: pd.DataFrame, where: str) -> str:
 def summarize_audit(results: Results) -> str:
     """Say how often audited rollouts ended differently when they were simulated again."""
     text = ""
-    for drawn, table in audit.table(results).groupby("drawn", sort=False):
+    for drawn, table in audit.flip_table(results).groupby("drawn", sort=False):
         ways = [
             f"{one['flips']} of {one['rollouts'] - one['invalid']} {one['simulated']} (at most {percent(one['high'])})"
             for one in table.to_dict("records")
@@ -95,7 +95,7 @@ def effects_figure(results: Results) -> Iterator[StudyFigure]:
     """Yield the rate of success along each parameter, unless earlier rows decided where rollouts were placed."""
     if results.exp.study.is_sequential:
         return
-    by = [c for c in results.named if results.rows[c].nunique() <= LINES][:1]
+    by = [c for c in results.categorical if results.rows[c].nunique() <= LINES][:1]
     if results.one_at_a_time:
         by, table = [], sensitivity.along(results.rows, results.exp)
         caption = (
@@ -221,7 +221,7 @@ def distributions_figure(results: Results) -> Iterator[StudyFigure]:
 
 def audit_figure(results: Results) -> Iterator[StudyFigure]:
     """Yield which of the audited rollouts end differently when they are simulated in other ways."""
-    x_y, found = results.numeric[:2], dict(audit.done(results))
+    x_y, found = results.numeric[:2], dict(audit.iter_audited_variants(results))
     if len(x_y) < 2 or not found:
         return
     columns = ["point_id", *x_y, "outcome", f"outcome{SECOND}"]

@@ -53,7 +53,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     """
     x, y = map_axes(rows, chosen)
     exp = experiment(stored["config"])
-    guessed = exp.study.resolution > 0 and {x, y} == {a.column for a in refine.lattice(exp.study).axes}
+    guessed = exp.study.resolution > 0 and {x, y} == {a.column for a in refine.make_lattice(exp.study).axes}
     rows = refine.paint_cells(exp, rows) if guessed else rows.assign(known=True)
     rows, cells = place_cells(rows, x, y)
     panels = list(split_panels(rows, x, y, exp=exp))

@@ -152,7 +152,7 @@ def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         columns = ["words", "side", "values", "number", "unit", "nominal"]
         yield "parameters", "What was varied.", pd.DataFrame(varied)[columns].rename(columns={"words": "varied"})
     parts = [("all", rows)]
-    for column in results.named:
+    for column in results.categorical:
         parts += [(f"{heading(column, results.exp)} {value}", part) for value, part in rows.groupby(column)]
     lines = []
     for name, part in parts:
@@ -173,7 +173,7 @@ def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         ]
         table = pd.DataFrame(counts, columns=["cause", "what it means", "rollouts"])
         yield "not-successful", "Rollouts that did not succeed.", table
-    if len(again := audit.table(results)):
+    if len(again := audit.flip_table(results)):
         yield (
             "audited",
             r"Rollouts next to the boundary and successes elsewhere, simulated again, with exact 95\,\% intervals.",

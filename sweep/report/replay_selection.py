@@ -52,7 +52,7 @@ def choose_replays(results: Results, number: int) -> pd.DataFrame:
 
 def boundary_rows(results: Results) -> Iterator[tuple[int, str]]:
     """Rows next to the boundary of success, far from each other, each followed by its nearest neighbour across it."""
-    near = np.flatnonzero(audit.boundary(results))
+    near = np.flatnonzero(audit.boundary_mask(results))
     place, win = parameter_places(results)[near], (results.rows["outcome"] == "success").to_numpy()[near]
     for k in order_by_distance(place):
         others = np.flatnonzero(win != win[k])
@@ -80,7 +80,7 @@ def spread_rows(results: Results) -> Iterator[tuple[int, str]]:
 
 def parameter_places(results: Results) -> np.ndarray:
     """Parameters of each row (N, K), in units of their range; two different names are 1 apart."""
-    columns = [pd.factorize(results.rows[c])[0].astype(float) for c in results.named]
+    columns = [pd.factorize(results.rows[c])[0].astype(float) for c in results.categorical]
     columns += [results.rows[c].to_numpy(dtype=float) for c in results.numeric]
     values = np.column_stack(columns) if columns else np.zeros((len(results.rows), 1))
     size = values.max(axis=0, initial=0) - values.min(axis=0, initial=0)

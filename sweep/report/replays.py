@@ -71,7 +71,7 @@ def simulate_again(
         order = np.zeros(int(part["width"].iloc[0]), dtype=int)
         order[part["slot"]] = np.arange(len(part))
         full = part.iloc[order]
-        task, start = batches.batch(exp, full), batches.nominal(exp, full, len(full))
+        task, start = batches.make_batch(exp, full), batches.make_nominal_batch(exp, full, len(full))
         engine = batches.make_engine(exp, start)
         every = max(1, round(1 / rate / task.settings.control_period))
         traces = engine.traces(task.world, task.belief, task.streams, every)

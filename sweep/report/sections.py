@@ -62,11 +62,11 @@ def list_sections(results: Results) -> Iterator[Section]:
     few = len(results.rows) < BINNED and len(conditions) < 2 and not results.exp.study.points
     if results.one_at_a_time or few or results.exp.study.is_adaptive:  # whose rows are no sample that has a rate
         return
-    axes = results.listed
+    axes = results.listed_numeric
     if len(axes) < 2:  # numbers before names, which are read more easily as panels
-        axes = sorted(conditions, key=results.named.__contains__) if len(conditions) > 1 else results.numeric
+        axes = sorted(conditions, key=results.categorical.__contains__) if len(conditions) > 1 else results.numeric
     if len(axes) < 2:
-        axes = [*results.numeric, *results.named][:2]
+        axes = [*results.numeric, *results.categorical][:2]
     for x, y in list(combinations(axes, 2))[:MAPS]:
         others = [c for c in axes if c not in (x, y) and c in results.numeric]
         if results.exp.study.resolution and not others:

@@ -55,7 +55,7 @@ def statistics_sections(
         yield title, condition_rates(rows, exp, [a.column for a in listed])
     if exp.study.is_refined:
         yield "Refinement", "\n".join(map(str, refine.summarize_panels(exp, rows)))
-    if exp.study.resolution and len(effects := refine.effects(exp, rows)):
+    if exp.study.resolution and len(effects := refine.total_effects(exp, rows)):
         yield "What matters in the map's cells (total Sobol index)", effects
     whole = refine.paint_cells(exp, rows) if exp.study.resolution else rows
     if numbers and not several and not one_at_a_time:

@@ -11,14 +11,14 @@ import pandas as pd
 
 from sweep.core.errors import InputError
 from sweep.runs import store
-from sweep.runs.runner import Job, lay_out
+from sweep.runs.runner import Job, prepare_job
 from sweep.study import adaptive_designs
 from sweep.study.adaptive_sampling import Draws, summarize_round
 from sweep.study.config import Experiment
 from sweep.study.study import points
 
 
-def rounds(exp: Experiment, folder: Path) -> Iterator[Job]:
+def iter_jobs(exp: Experiment, folder: Path) -> Iterator[Job]:
     """Jobs to be run one after the other.
 
     All have batches of one width, the best for the smallest rounds, so that the engine compiles once. Raises
@@ -33,9 +33,9 @@ def rounds(exp: Experiment, folder: Path) -> Iterator[Job]:
         if not exp.settings.width:
             design = study.design  # whose smallest round in which all runs go on is
             least = table.head(design.runs * design.levels.chains if design.kind == "subset" else design.num)
-            first = planned if len(planned) else lay_out(exp, folder, least).table
+            first = planned if len(planned) else prepare_job(exp, folder, least).table
             exp = replace(exp, settings=replace(exp.settings, width=int(first["width"].iloc[-1])))
-        yield lay_out(exp, folder, table)
+        yield prepare_job(exp, folder, table)
         try:
             draws = search.send(summarize_round(store.read_rows(folder), draws, study.design.lead))
         except StopIteration:

@@ -25,18 +25,20 @@ from sweep.systems.base import AuditVariant
 AUDIT = "audit"
 
 
-def run(results: Results, number: int, ways: list[str], progress: runner.Progress, say: Logger | None = None) -> None:
+def run(
+    results: Results, count: int, variants: list[str], progress: runner.Progress, say: Logger | None = None
+) -> None:
     """Simulate rollouts again in all `ways`, up to `number` of each of the `samples`. Raises `InputError`.
 
     Without any in all that there are; those in which they cannot be simulated are then left out, and `say` is told why.
     """
     known = results.exp.system.audit_variants
-    for way in ways:
+    for way in variants:
         if way not in known:
             raise InputError(f"--ways {way} is unknown (allowed: {', '.join(known)})")
-    exp = one_engine(results)
-    shuffled = [np.random.default_rng(0).permutation(np.flatnonzero(one)) for one in samples(results).values()]
-    chosen = np.concatenate([one[:number] for one in shuffled])
+    exp = with_row_settings(results)
+    shuffled = [np.random.default_rng(0).permutation(np.flatnonzero(one)) for one in sample_masks(results).values()]
+    chosen = np.concatenate([one[:count] for one in shuffled])
     if not len(chosen):
         raise InputError(f"{results.folder} has nothing to audit: no two neighbouring points differ, and none succeeds")
     points = results.rows.iloc[np.sort(chosen)]
@@ -44,18 +46,18 @@ def run(results: Results, number: int, ways: list[str], progress: runner.Progres
     points = points[[*kept, "replicate", "stream", "point_id"]].reset_index(drop=True)
     folder = path_in(results.folder, AUDIT)
     folder.mkdir(exist_ok=True)
-    for name in ways or known:
+    for name in variants or known:
         try:
             again, table = _again(exp, known[name], points, path_in(folder, name))
         except InputError as error:
-            if ways:
+            if variants:
                 raise
             if say:
                 say(f"audit: {name} is left out: {error}")
             continue
         with store.lock_folder(again.folder):
             runner.repair_folder(again, again.folder)
-            runner.run(runner.lay_out(again, again.folder, table), progress)
+            runner.run(runner.prepare_job(again, again.folder, table), progress)
 
 
 def _again(exp: Experiment, way: AuditVariant, points: pd.DataFrame, folder: Path) -> tuple[Experiment, pd.DataFrame]:
@@ -73,7 +75,7 @@ def _again(exp: Experiment, way: AuditVariant, points: pd.DataFrame, folder: Pat
     return again, table
 
 
-def one_engine(results: Results) -> Experiment:
+def with_row_settings(results: Results) -> Experiment:
     """The study's experiment with the engine settings of all its rows. Raises `InputError` where they differ."""
     engine = [c for c in parameter_columns(results.rows) if c.startswith("engine.")]
     for column in engine:
@@ -83,13 +85,13 @@ def one_engine(results: Results) -> Experiment:
     return replace(results.exp, settings=replace_settings(results.exp.settings, values))
 
 
-def samples(results: Results) -> dict[str, np.ndarray]:
+def sample_masks(results: Results) -> dict[str, np.ndarray]:
     """Which rows may be drawn, by the words for them: those next to the boundary, and successes elsewhere."""
-    near, wins = boundary(results), (results.rows["outcome"] == "success").to_numpy()
+    near, wins = boundary_mask(results), (results.rows["outcome"] == "success").to_numpy()
     return {"next to the boundary": near, "successes elsewhere": wins & ~near}
 
 
-def boundary(results: Results) -> np.ndarray:
+def boundary_mask(results: Results) -> np.ndarray:
     """Which rows succeed while a neighbour fails, or the other way round.
 
     The neighbours of a row are the 2 d nearest ones along d parameters, among valid rows of equal names and replicate:
@@ -108,7 +110,7 @@ def boundary(results: Results) -> np.ndarray:
         rows
     ):  # drawn points, not a grid: no parameter counts for more than another
         place = place / place.max() * len(rows) ** (1 / len(axes))
-    for _, index in rows[valid].groupby([*results.named, again[valid]]).indices.items():
+    for _, index in rows[valid].groupby([*results.categorical, again[valid]]).indices.items():
         own = np.flatnonzero(valid)[index]
         if len(own) > 1:
             win = (rows["outcome"].iloc[own] == "success").to_numpy()
@@ -118,7 +120,7 @@ def boundary(results: Results) -> np.ndarray:
     return near
 
 
-def done(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
+def iter_audited_variants(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
     """The ways that `results` were audited in, with the pairs of rollouts before and again."""
     folder = path_in(results.folder, AUDIT)
     for way in results.exp.system.audit_variants:
@@ -130,11 +132,11 @@ def done(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
             yield way, compare.pair(before, again, ["point_id"])
 
 
-def table(results: Results) -> pd.DataFrame:
+def flip_table(results: Results) -> pd.DataFrame:
     """Flips in each way among each sample, with the exact 95 % interval of their share."""
     lines = []
-    members = {kind: set(results.rows.loc[member, "point_id"]) for kind, member in samples(results).items()}
-    for way, pairs in done(results):
+    members = {kind: set(results.rows.loc[member, "point_id"]) for kind, member in sample_masks(results).items()}
+    for way, pairs in iter_audited_variants(results):
         for kind, points in members.items():
             of_kind = pairs[pairs["point_id"].isin(points)]
             if of_kind.empty:

@@ -17,47 +17,47 @@ import pandas as pd
 from sweep.core.errors import InputError
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.engines.base import Figures
-from sweep.runs.batches import batch, forget_engine, make_engine, nominal, with_delay_buffer
+from sweep.runs.batches import forget_engine, make_batch, make_engine, make_nominal_batch, with_delay_buffer
 from sweep.study.config import Experiment
 from sweep.study.study import is_static, parameter_columns
 
-MOST = 9  # levels of an axis that are tried
+MAX_LEVELS = 9  # levels of an axis that are tried
 ENGINE = "engine.name"
 Levels = Mapping[str, Sequence[Any]]  # by column
 
 
-class Dead(NamedTuple):
+class InactiveStretch(NamedTuple):
     """A stretch of an axis along which nothing changes."""
 
     column: str
     first: Any
     last: Any
-    whole: bool
+    is_entire_axis: bool
 
 
 @dataclass
-class Found:
+class AxisCheckReport:
     """What the check of a controller tells."""
 
     axes: int
     engines: list[str]
     rollouts: int = 0
-    dead: dict[Dead, list[str]] = field(default_factory=dict)  # with the engines on which it is
-    unlike: list[str] = field(default_factory=list)  # figures that differ when a batch is simulated twice
+    inactive: dict[InactiveStretch, list[str]] = field(default_factory=dict)  # with the engines on which it is
+    irreproducible: list[str] = field(default_factory=list)  # figures that differ when a batch is simulated twice
 
     @property
-    def sound(self) -> bool:
+    def is_sound(self) -> bool:
         """Whether every axis acts somewhere on every engine, and a rollout comes out alike."""
-        return not self.unlike and not any(one.whole for one in self.dead)
+        return not self.irreproducible and not any(one.is_entire_axis for one in self.inactive)
 
-    def lines(self, exp: Experiment) -> Iterator[str]:
+    def format_lines(self, exp: Experiment) -> Iterator[str]:
         """What is to be told, each a line."""
-        if self.unlike:
+        if self.irreproducible:
             yield (
-                f"two runs of one batch differ ({', '.join(self.unlike[:3])}): the controller is no function of its "
-                "arguments, or the engine adds up in any order: no rollout can be repeated, no dead axis be told"
+                f"two runs of one batch differ ({', '.join(self.irreproducible[:3])}): the controller is not a function "
+                "of its arguments, or the engine sums in any order; no rollout can be repeated, no inactive axis be found"
             )
-        for (column, first, last, whole), engines in self.dead.items():
+        for (column, first, last, whole), engines in self.inactive.items():
             why = exp.system.inactive_reason(column, replace(exp.settings, name=engines[0]))
             between = f"from {_said(first)} to {_said(last)}"
             says = f"{column} changes nothing" + (
@@ -67,7 +67,9 @@ class Found:
             yield f"{says}: {why or ('no figure differs by a bit' + (f' {between}' if whole else ''))}"
 
 
-def run(exp: Experiment, table: pd.DataFrame, told: Callable[[int], None] = lambda rollouts: None) -> Found:
+def run(
+    exp: Experiment, table: pd.DataFrame, on_progress: Callable[[int], None] = lambda rollouts: None
+) -> AxisCheckReport:
     """Try every axis of the points `table`; nothing is written. Raises `InputError` where there is none.
 
     `told` is called with the rollouts that are done.
@@ -77,17 +79,17 @@ def run(exp: Experiment, table: pd.DataFrame, told: Callable[[int], None] = lamb
     if not varied:
         raise InputError(f"--check: {exp.study.name} varies nothing")
     each = dict(iter(table.groupby(ENGINE, sort=False))) if ENGINE in varied else {exp.settings.name: table}
-    found = Found(len(varied), [*map(str, each)])
+    found = AxisCheckReport(len(varied), [*map(str, each)])
     for engine, rows in zip(found.engines, each.values(), strict=True):
         levels = {c: _levels(rows[c]) for c in varied if rows[c].nunique() > 1}
-        for dead in _tried(exp, rows, levels, found, told):
-            found.dead.setdefault(dead, []).append(engine)
+        for dead in _tried(exp, rows, levels, found, on_progress):
+            found.inactive.setdefault(dead, []).append(engine)
     return found
 
 
 def _tried(
-    exp: Experiment, table: pd.DataFrame, levels: Levels, found: Found, told: Callable[[int], None]
-) -> Iterator[Dead]:
+    exp: Experiment, table: pd.DataFrame, levels: Levels, found: AxisCheckReport, told: Callable[[int], None]
+) -> Iterator[InactiveStretch]:
     """What does not act at points that share an engine."""
     static = [c for c in levels if is_static(c, exp.system, exp.settings)]
     moving = {c: values for c, values in levels.items() if c not in static}
@@ -98,8 +100,8 @@ def _tried(
 
     def simulate(base: Mapping[str, Any], k: int) -> Figures:
         rows = _rows(table, base, moving, k)
-        task = batch(exp, rows)
-        figures = make_engine(exp, nominal(exp, rows, len(rows))).run(task.world, task.belief, task.streams)
+        task = make_batch(exp, rows)
+        figures = make_engine(exp, make_nominal_batch(exp, rows, len(rows))).run(task.world, task.belief, task.streams)
         found.rollouts += len(rows)
         told(found.rollouts)
         return figures
@@ -120,7 +122,7 @@ def _tried(
         if base is usual:
             forget_engine()
             again = simulate(base, 0)
-            found.unlike += [name for name in first if _changed({name: first[name]}, {name: again[name]}).any()]
+            found.irreproducible += [name for name in first if _changed({name: first[name]}, {name: again[name]}).any()]
     for c, moved in acts.items():
         yield from _stretches(c, levels[c], moved)
 
@@ -128,7 +130,7 @@ def _tried(
 def _levels(values: pd.Series) -> Sequence[Any]:
     """An axis' own values in their order, at most `MOST` of them, its ends among them."""
     every = np.sort(values.unique()) if values.dtype.kind in "fi" else values.unique()
-    return every[evenly_spaced_indices(len(every), MOST)].tolist()
+    return every[evenly_spaced_indices(len(every), MAX_LEVELS)].tolist()
 
 
 def _rows(table: pd.DataFrame, base: Mapping[str, Any], levels: Levels, k: int) -> pd.DataFrame:
@@ -149,11 +151,11 @@ def _changed(a: Figures, b: Figures) -> np.ndarray:
     return np.any(differ, axis=0) | (a.keys() != b.keys())
 
 
-def _stretches(column: str, levels: Sequence[Any], moved: np.ndarray) -> Iterator[Dead]:
+def _stretches(column: str, levels: Sequence[Any], moved: np.ndarray) -> Iterator[InactiveStretch]:
     """The longest stretches along which a column did not act."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], moved, [True]]).astype(int)))
     for first, last in edges.reshape(-1, 2):
-        yield Dead(column, levels[first], levels[last], not moved.any())
+        yield InactiveStretch(column, levels[first], levels[last], not moved.any())
 
 
 def _said(value: Any) -> str:

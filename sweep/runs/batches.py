@@ -25,12 +25,12 @@ class Batch:
     streams: np.ndarray  # (width,)
 
 
-def make_engine(exp: Experiment, start: Batch) -> Engine:
+def make_engine(exp: Experiment, nominal_batch: Batch) -> Engine:
     """The engine for batches such as `start`.
 
     A process keeps the last one, so that the batches of a group, wherever they come from, compile once.
     """
-    return _engine(exp.system, start.settings, start.world, start.belief, exp.thresholds)
+    return _engine(exp.system, nominal_batch.settings, nominal_batch.world, nominal_batch.belief, exp.thresholds)
 
 
 @lru_cache(maxsize=1)
@@ -60,14 +60,14 @@ def static_values(exp: Experiment, table: pd.DataFrame) -> dict[str, Any]:
     return {c: getattr(v := table[c].iloc[0], "item", lambda v=v: v)() for c in static}
 
 
-def nominal(exp: Experiment, rows: pd.DataFrame, width: int) -> Batch:
+def make_nominal_batch(exp: Experiment, rows: pd.DataFrame, width: int) -> Batch:
     """What the engine of a group is made from: static values set, swept quantities at their nominal values."""
     statics = static_values(exp, rows)
     settings = replace_settings(exp.settings, statics)
     return Batch(replace(settings, width=width), *exp.system.sides(statics), np.zeros(0, dtype=np.int64))
 
 
-def batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
+def make_batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
     """`rows` of one batch as arrays over its width."""
     width = int(rows["width"].iloc[0])
     slots = np.minimum(np.arange(width), len(rows) - 1)
@@ -93,7 +93,7 @@ def assign_batches(exp: Experiment, planned: pd.DataFrame, wanted: pd.DataFrame)
     return table
 
 
-def halve(table: pd.DataFrame, batches: list[int], devices: int) -> pd.DataFrame:
+def halve_batches(table: pd.DataFrame, batches: list[int], devices: int) -> pd.DataFrame:
     """`table` with the rows of `batches` planned anew, in batches half as wide. Raises `Fault` where none is left.
 
     A width that shares evenly among `devices` stays one where it can.
@@ -116,10 +116,10 @@ def _cut(table: pd.DataFrame, rows: pd.Index, width: int, first: int) -> int:
     return first + -(-len(rows) // width)
 
 
-def isin_points(rows: pd.DataFrame, others: pd.DataFrame) -> np.ndarray:
+def isin_points(rows: pd.DataFrame, points: pd.DataFrame) -> np.ndarray:
     """Which of `rows` are also in `others`."""
     key = identity_columns(rows.columns)
-    return pd.MultiIndex.from_frame(rows[key]).isin(pd.MultiIndex.from_frame(others[key]))
+    return pd.MultiIndex.from_frame(rows[key]).isin(pd.MultiIndex.from_frame(points[key]))
 
 
 def _even_width(exp: Experiment, rows: pd.DataFrame) -> int:
@@ -127,7 +127,7 @@ def _even_width(exp: Experiment, rows: pd.DataFrame) -> int:
 
     Raises `InputError` where neither is known, and where the nominal plan is impossible.
     """
-    start = nominal(exp, rows, exp.settings.width)
+    start = make_nominal_batch(exp, rows, exp.settings.width)
     if exp.cluster.is_remote and not start.settings.width:
         raise InputError(
             f"cluster = {exp.cluster.kind} needs engine.width, as the workers' devices are not seen from here: "

@@ -10,12 +10,12 @@ from sweep.study.config import Experiment, experiment
 GROWING = ("monte_carlo", "sobol")  # designs whose first draws stay as more come
 
 
-def draws(exp: Experiment) -> int:
+def count_draws(exp: Experiment) -> int:
     """How many draws the study has, or replicates where nothing is drawn."""
     return exp.study.design.num if exp.study.design.num else exp.study.replicates
 
 
-def check(exp: Experiment, folder: Path) -> None:
+def check_extendable(exp: Experiment, folder: Path) -> None:
     """Raise `InputError` where a study has no draws or replicates that can become more."""
     if exp.study.points or exp.study.is_refined:
         raise InputError(f"{folder} cannot grow: its points are listed in a file, or chosen by what was found")
@@ -26,15 +26,15 @@ def check(exp: Experiment, folder: Path) -> None:
         raise InputError(f"{folder} cannot grow: it has neither draws nor replicates")
 
 
-def grow(exp: Experiment, folder: Path, number: int, progress: runner.Progress) -> Experiment:
+def grow(exp: Experiment, folder: Path, count: int, progress: runner.Progress) -> Experiment:
     """Simulate what `folder` lacks of so many draws, or replicates, of its study; the study as it is then.
 
     The code must be that of the rows that are there. Raises `InputError`.
     """
     own: dict[str, Any] = dict(exp.values["study"])
-    own |= {"design": {**own["design"], "num": number}} if exp.study.design.num else {"replicates": number}
+    own |= {"design": {**own["design"], "num": count}} if exp.study.design.num else {"replicates": count}
     more = experiment({**exp.values, "study": own, "out": str(folder)})
     with store.lock_folder(folder):
         runner.repair_folder(more, folder)
-        runner.run(runner.lay_out(more, folder, runner.wanted_points(more)), progress)
+        runner.run(runner.prepare_job(more, folder, runner.select_points(more)), progress)
     return more

@@ -15,9 +15,9 @@ from sweep.core.errors import InputError
 
 MANIFEST, POINTS = "manifest.txt", "points.parquet"
 PARTS, HISTORIES, LAST_STATES = "parts", "histories", "last_states"
-PLACES = (PARTS, HISTORIES, LAST_STATES)  # the only folders of files that the manifest lists
+SUBFOLDERS = (PARTS, HISTORIES, LAST_STATES)  # the only folders of files that the manifest lists
 CHECK = 16  # digits of a line's own digest, before it
-PAUSES = (0.01, 0.05, 0.2, 0.5)  # s that who adds a line is given to finish it
+RETRY_PAUSES = (0.01, 0.05, 0.2, 0.5)  # s that who adds a line is given to finish it
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Entry:
     labels: str = ""  # digest of the thresholds that the rows were judged by
     run_ids: tuple[str, ...] = ()
 
-    def problem(self, content: Buffer) -> str | None:
+    def find_problem(self, content: Buffer) -> str | None:
         """What is wrong with the file, if anything is."""
         length = memoryview(content).nbytes
         if length != self.length:
@@ -40,7 +40,7 @@ class Entry:
         return None if files.digest(content) == self.sha256 else "its content has changed"
 
 
-def line(entry: Entry) -> str:
+def format_line(entry: Entry) -> str:
     """`entry` as text, after a digest of it."""
     text = json.dumps(asdict(entry))
     return f"{files.digest(text.encode())[:CHECK]} {text}"
@@ -79,15 +79,15 @@ def _parse_entry(folder: Path, number: int, text: bytes) -> Entry:
     except (ValueError, KeyError, TypeError, RecursionError):
         raise InputError(f"{where} is no entry of a study's file") from None
     place, _, name = entry.file.rpartition("/")
-    if entry.file != POINTS and (place not in PLACES or name in ("", ".", "..")):
-        allowed = f"{POINTS}, or a file in {', '.join(PLACES)}"
+    if entry.file != POINTS and (place not in SUBFOLDERS or name in ("", ".", "..")):
+        allowed = f"{POINTS}, or a file in {', '.join(SUBFOLDERS)}"
         raise InputError(f"{where} names {entry.file!r}, which is not allowed: {allowed}")
     return entry
 
 
 def _settled(path: Path) -> bytes:
     """The content of `path`, whose last line may be half there while a command that runs adds it."""
-    for pause in PAUSES:
+    for pause in RETRY_PAUSES:
         if (content := path.read_bytes()).endswith(b"\n"):
             return content
         time.sleep(pause)
@@ -104,12 +104,14 @@ def read(folder: Path) -> list[Entry]:
 
 def add(folder: Path, *entries: Entry) -> None:
     """From now on `entries` count, all at once. Raises `Fault`."""
-    files.append_line(files.path_in(folder, MANIFEST), "\n".join(map(line, entries)))
+    files.append_line(files.path_in(folder, MANIFEST), "\n".join(map(format_line, entries)))
 
 
 def rewrite(folder: Path, entries: Iterable[Entry]) -> None:
     """From now on `entries` count and no others. Raises `Fault`."""
-    files.write_atomically(files.path_in(folder, MANIFEST), "".join(f"{line(entry)}\n" for entry in entries).encode())
+    files.write_atomically(
+        files.path_in(folder, MANIFEST), "".join(f"{format_line(entry)}\n" for entry in entries).encode()
+    )
 
 
 def select_current_parts(entries: Sequence[Entry], labels: str) -> list[Entry]:

@@ -4,13 +4,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from sweep.runs.batches import make_engine, nominal, with_delay_buffer
-from sweep.runs.runner import simulate
+from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
+from sweep.runs.runner import simulate_batch
 from sweep.study.config import Experiment
 from sweep.study.designs import Axis, Design
 from sweep.study.study import points
 
-MOST = 12  # levels of an axis that are tried, as each compiles its own program
+MAX_LEVELS = 12  # levels of an axis that are tried, as each compiles its own program
 
 
 class FailingLevel(NamedTuple):
@@ -49,7 +49,7 @@ def _lists_names(axis: Axis) -> bool:
 
 
 def _failing(exp: Experiment, axis: Axis) -> Iterator[FailingLevel]:
-    axis = replace(axis, values=(axis.values or ())[:MOST])
+    axis = replace(axis, values=(axis.values or ())[:MAX_LEVELS])
     alone = {"axes": (axis,), "design": Design(), "replicates": 1, "where": None, "resolution": 0.0, "budget": 0}
     exp = replace(exp, study=replace(exp.study, **alone, keep=()))
     table = points(exp.study, exp.system, exp.settings).assign(width=1)
@@ -57,7 +57,7 @@ def _failing(exp: Experiment, axis: Axis) -> Iterator[FailingLevel]:
     meanings = exp.system.cause_meanings(exp.thresholds)
     for place, value in enumerate(table[axis.column]):
         row = table.iloc[[place]]
-        rows, _ = simulate(exp, make_engine(exp, nominal(exp, row, 1)), row)
+        rows, _ = simulate_batch(exp, make_engine(exp, make_nominal_batch(exp, row, 1)), row)
         outcome, cause = str(rows["outcome"].iloc[0]), str(rows["cause"].iloc[0])
         if outcome != "success":
             yield FailingLevel(axis.name, str(value), outcome, meanings.get(cause, cause))

@@ -20,7 +20,7 @@ from sweep.analysis.intervals import anytime, clopper_pearson
 from sweep.analysis.stats import Rate, percent, rate
 from sweep.core.errors import InputError
 from sweep.runs import store
-from sweep.runs.runner import Job, lay_out
+from sweep.runs.runner import Job, prepare_job
 from sweep.study.config import Experiment
 from sweep.study.designs import MOST, Axis
 from sweep.study.study import Study, points
@@ -41,13 +41,13 @@ class Lattice:
         """Points along each axis."""
         return tuple(len(v) for v in self.values)
 
-    def places(self, rows: pd.DataFrame) -> tuple[np.ndarray, ...]:
+    def indices(self, rows: pd.DataFrame) -> tuple[np.ndarray, ...]:
         """Index of every row along each axis."""
         columns = [rows[a.column].to_numpy(dtype=float) for a in self.axes]
         return tuple(np.searchsorted((v[1:] + v[:-1]) / 2, c) for v, c in zip(self.values, columns, strict=True))
 
 
-def lattice(study: Study) -> Lattice:
+def make_lattice(study: Study) -> Lattice:
     """The finest grid of a study that is refined. Raises `InputError` where it cannot be."""
     listed = [a for a in study.axes if a.values is not None]
     axes = tuple(a for a in listed if not any(isinstance(v, str) for v in a.values or ()))
@@ -70,14 +70,16 @@ def lattice(study: Study) -> Lattice:
     return Lattice(axes, tuple(np.array([float(f"{x:.12g}") for x in v]) for v in fine), halvings)
 
 
-def check(study: Study, first: pd.DataFrame) -> None:
+def check(study: Study, first_grid: pd.DataFrame) -> None:
     """Raise `InputError` where a study whose first grid takes the rollouts `first` cannot be refined."""
-    lattice(study)
-    if 0 < study.budget < len(first):
-        raise InputError(f"study.budget = {study.budget} is not allowed: the first grid takes {len(first)} rollouts")
+    make_lattice(study)
+    if 0 < study.budget < len(first_grid):
+        raise InputError(
+            f"study.budget = {study.budget} is not allowed: the first grid takes {len(first_grid)} rollouts"
+        )
 
 
-def panels(study: Study, rows: pd.DataFrame) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
+def iter_panels(study: Study, rows: pd.DataFrame) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
     """Each combination of the listed names, by axis name, and its rows: they are refined apart."""
     named = [a for a in study.axes if a.values is not None and any(isinstance(v, str) for v in a.values)]
     for names in itertools.product(*(a.values or () for a in named)):
@@ -87,30 +89,30 @@ def panels(study: Study, rows: pd.DataFrame) -> Iterator[tuple[dict[str, str], p
         yield {a.name: n for a, n in zip(named, names, strict=True)}, part
 
 
-def rounds(exp: Experiment, folder: Path, first: pd.DataFrame) -> Iterator[Job]:
+def iter_jobs(exp: Experiment, folder: Path, first_grid: pd.DataFrame) -> Iterator[Job]:
     """Jobs to be run one after the other: what an earlier run left, the `first` grid, then what their rows ask for.
 
     All have batches of one width, so that the engine compiles once.
     """
-    wanted = first
+    wanted = first_grid
     if len(planned := store.read_points(folder)):
-        wanted = pd.concat([planned[first.columns], first], ignore_index=True)
+        wanted = pd.concat([planned[first_grid.columns], first_grid], ignore_index=True)
     while len(wanted):
         if len(planned := store.read_points(folder)):
             exp = replace(exp, settings=replace(exp.settings, width=int(planned["width"].iloc[-1])))
-        yield lay_out(exp, folder, wanted)
+        yield prepare_job(exp, folder, wanted)
         wanted = next_points(exp, store.read_rows(folder))
 
 
 def next_points(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
     """The rollouts to run next, after those in `rows`; none where refinement is done. Raises `InputError`."""
-    study, grid = exp.study, lattice(exp.study)
+    study, grid = exp.study, make_lattice(exp.study)
     first = max(study.design.num * study.design.scrambles, 1) * study.replicates
     tables = []
     room = study.budget - len(rows) if study.budget else math.inf
-    for names, part in panels(study, rows):
+    for names, part in iter_panels(study, rows):
         counts = _counts(grid, part)
-        more = np.where(known_points(study, grid, counts) & (counts.total == 0), first, 0)
+        more = np.where(select_lattice_points(study, grid, counts) & (counts.total == 0), first, 0)
         if study.noisy and not more.any():
             asked = _undecided(study, counts) & (counts.total > 0)
             more = np.where(asked, np.maximum(counts.total // 2, first), 0)
@@ -134,7 +136,7 @@ def _rows(exp: Experiment, grid: Lattice, names: dict[str, str], upto: np.ndarra
     at = np.nonzero(asked)
     numbers = {a.name: v[i] for a, v, i in zip(grid.axes, grid.values, at, strict=True)}
     table = points(study, exp.system, exp.settings, pd.DataFrame(numbers).assign(**names))
-    return table[table["replicate"].to_numpy() < upto[grid.places(table)]].reset_index(drop=True)
+    return table[table["replicate"].to_numpy() < upto[grid.indices(table)]].reset_index(drop=True)
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,7 @@ class Counts:
 def _counts(grid: Lattice, rows: pd.DataFrame) -> Counts:
     arrays = [np.zeros(grid.shape, dtype=np.int64) for _ in range(3)]
     if len(rows):
-        at, outcome = grid.places(rows), rows["outcome"].to_numpy()
+        at, outcome = grid.indices(rows), rows["outcome"].to_numpy()
         for array, hit in zip(arrays, (outcome == outcome, outcome != "invalid", outcome == "success"), strict=True):
             np.add.at(array, at, hit)
     return Counts(*arrays)
@@ -161,16 +163,16 @@ def _undecided(study: Study, counts: Counts) -> np.ndarray:
     return (low <= study.level) & (study.level <= high) & (counts.valid > 0)
 
 
-def labels(study: Study, counts: Counts) -> np.ndarray:
+def label_points(study: Study, counts: Counts) -> np.ndarray:
     """What is known of every lattice point."""
     share = counts.success / np.maximum(counts.valid, 1)
     known = np.where(share >= study.level, SUCCEEDS, FAILS)
     return np.where(counts.total == 0, MISSING, np.where(counts.valid == 0, INVALID, known))
 
 
-def known_points(study: Study, grid: Lattice, counts: Counts) -> np.ndarray:
+def select_lattice_points(study: Study, grid: Lattice, counts: Counts) -> np.ndarray:
     """Lattice points (bool) that bisection, and after it the audit, wants to know; some may still be missing."""
-    label = labels(study, counts)
+    label = label_points(study, counts)
     wanted = bisect_cells(label, grid.halvings)
     if not study.audit or (wanted & (label == MISSING)).any():
         return wanted
@@ -185,20 +187,20 @@ def expand_audit_points(study: Study, wanted: np.ndarray) -> np.ndarray:
     return chosen.reshape(wanted.shape)
 
 
-def bisect_cells(label: np.ndarray, halvings: int) -> np.ndarray:
+def bisect_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
     """Points (bool) wanted by halving cells that disagree, as far as the labels of wanted points are there.
 
     A cell disagrees where both a success and a failure are known in it or on its border, so that a boundary which
     leaves a halved cell through a side is followed into the next one.
     """
-    wanted = np.zeros(label.shape, dtype=bool)
-    wanted[(slice(None, None, 2**halvings),) * label.ndim] = True
-    while not (wanted & (label == MISSING)).any():
+    wanted = np.zeros(labels.shape, dtype=bool)
+    wanted[(slice(None, None, 2**halvings),) * labels.ndim] = True
+    while not (wanted & (labels == MISSING)).any():
         grown = wanted.copy()
-        seen = np.where(wanted, label, MISSING)
+        seen = np.where(wanted, labels, MISSING)
         for size in (2**k for k in range(halvings, 0, -1)):
             cells = np.argwhere(_disagree(seen, size)) * size
-            for offset in itertools.product((0, size // 2, size), repeat=label.ndim):
+            for offset in itertools.product((0, size // 2, size), repeat=labels.ndim):
                 grown[tuple((cells + offset).T)] = True
         if (grown == wanted).all():
             break
@@ -218,42 +220,42 @@ def _windows(array: np.ndarray, size: int) -> np.ndarray:
     return windows[(slice(None, None, size),) * array.ndim]
 
 
-def leaves(seen: np.ndarray, halvings: int) -> tuple[np.ndarray, ...]:
+def leaf_cells(labels: np.ndarray, halvings: int) -> tuple[np.ndarray, ...]:
     """Lower corners (cells, d) of the cells that bisection ends with, of those 1, 2, 4, ... lattice cells wide.
 
     `seen` has the labels of the points that bisection wanted.
     """
-    whole = np.ones([(n - 1) // 2**halvings for n in seen.shape], dtype=bool)
+    whole = np.ones([(n - 1) // 2**halvings for n in labels.shape], dtype=bool)
     found = []
     for size in (2**k for k in range(halvings, 0, -1)):
-        halved = whole & _disagree(seen, size)
+        halved = whole & _disagree(labels, size)
         found.append(np.argwhere(whole & ~halved) * size)
-        whole = np.kron(halved, np.ones((2,) * seen.ndim, dtype=bool))
+        whole = np.kron(halved, np.ones((2,) * labels.ndim, dtype=bool))
     return (np.argwhere(whole), *reversed(found))
 
 
-def fill_cells(label: np.ndarray, halvings: int) -> np.ndarray:
+def fill_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
     """Labels of all lattice points: a cell whose corners are known and which does not disagree is all alike."""
-    guess = label.copy()
+    guess = labels.copy()
     for size in (2**k for k in range(1, halvings + 1)):
-        inside = _windows(label, size)
-        corners = inside[(..., *(slice(None, None, size),) * label.ndim)]
-        axes = tuple(range(label.ndim, 2 * label.ndim))
+        inside = _windows(labels, size)
+        corners = inside[(..., *(slice(None, None, size),) * labels.ndim)]
+        axes = tuple(range(labels.ndim, 2 * labels.ndim))
         alike = (corners.min(axis=axes) == corners.max(axis=axes)) & (corners.min(axis=axes) >= FAILS)
-        alike &= ~_disagree(label, size)
+        alike &= ~_disagree(labels, size)
         for cell in np.argwhere(alike):
             block = guess[tuple(slice(i * size, (i + 1) * size + 1) for i in cell)]
-            block[block == MISSING] = label[tuple(cell * size)]
+            block[block == MISSING] = labels[tuple(cell * size)]
     return guess
 
 
 @dataclass(frozen=True)
-class Refined:
+class RefinedPanel:
     """What refinement found in one panel."""
 
     names: dict[str, str]
     grid: Lattice
-    label: np.ndarray  # of every lattice point, known or filled in; MISSING where neither
+    labels: np.ndarray  # of every lattice point, known or filled in; MISSING where neither
     known: np.ndarray  # bool
     cells: tuple[np.ndarray, ...]  # see `leaves`
     rate: Rate  # of the rollouts
@@ -267,46 +269,46 @@ class Refined:
         return self.rate.total
 
     @property
-    def missed_at_most(self) -> float:
+    def missed_share_upper(self) -> float:
         """Upper end of the exact 95 % interval of the share of points that are filled in wrongly."""
         return float(clopper_pearson(self.missed, self.audited).high)
 
     def __str__(self) -> str:
-        size, shape = self.label.size, " x ".join(map(str, self.grid.shape))
+        size, shape = self.labels.size, " x ".join(map(str, self.grid.shape))
         text = f"{self.rollouts:,} rollouts, {self.rate.broken}, for a grid of {shape} points"
         text = ", ".join(self.names.values()) + f": {text}" if self.names else text
         if self.rollouts < size:
             text += f", {size / self.rollouts:.1f} times fewer"
-        if missing := int((self.label == MISSING).sum()):
+        if missing := int((self.labels == MISSING).sum()):
             text += f"; {missing} points are not decided"
         if self.undecided:
             text += f"; at {self.undecided} the interval still holds the level"
         if self.audited:
             text += f"; {self.missed} of {self.audited} audited points differ from what their cell promised"
-            text += f", at most {percent(self.missed_at_most)} of the points that were not run (95 %)"
+            text += f", at most {percent(self.missed_share_upper)} of the points that were not run (95 %)"
         return text
 
 
-def summarize_panels(exp: Experiment, rows: pd.DataFrame) -> list[Refined]:
+def summarize_panels(exp: Experiment, rows: pd.DataFrame) -> list[RefinedPanel]:
     """What is known after refinement, panel by panel."""
-    found, grid = [], lattice(exp.study)
-    for names, part in panels(exp.study, rows):
+    found, grid = [], make_lattice(exp.study)
+    for names, part in iter_panels(exp.study, rows):
         counts = _counts(grid, part)
-        label = labels(exp.study, counts)
+        label = label_points(exp.study, counts)
         wanted = bisect_cells(label, grid.halvings)
         seen = np.where(wanted, label, MISSING)
-        promised, cells = fill_cells(seen, grid.halvings), leaves(seen, grid.halvings)
+        promised, cells = fill_cells(seen, grid.halvings), leaf_cells(seen, grid.halvings)
         audit = expand_audit_points(exp.study, wanted) & (label >= FAILS) & (promised >= FAILS)
         missed = int((label != promised)[audit].sum())
         undecided = int(_undecided(exp.study, counts).sum()) if exp.study.noisy else 0
         known = counts.total > 0
         whole = np.where(known, label, promised)
         run = rate(part["outcome"])
-        found.append(Refined(names, grid, whole, known, cells, run, int(audit.sum()), missed, undecided))
+        found.append(RefinedPanel(names, grid, whole, known, cells, run, int(audit.sum()), missed, undecided))
     return found
 
 
-def effects(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
+def total_effects(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
     """How much each listed parameter decides about success over the whole of a refined map.
 
     Its rows were placed at the boundary, so that their own distributions say where they were placed; the map's cells
@@ -323,7 +325,7 @@ def effects(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
     found, study = summarize_panels(exp, rows), exp.study
     named = [a for a in study.axes if a.values is not None and any(isinstance(v, str) for v in a.values)]
     names = [len(a.values or ()) for a in named]
-    value = np.stack([np.where(one.label < FAILS, 0.5, one.label == SUCCEEDS) for one in found])
+    value = np.stack([np.where(one.labels < FAILS, 0.5, one.labels == SUCCEEDS) for one in found])
     weights = [np.ones(n) for n in names]
     weights += [np.diff(np.concatenate([v[:1], (v[1:] + v[:-1]) / 2, v[-1:]])) for v in found[0].grid.values]
     total = sensitivity.total_effects(value.reshape(*names, *value.shape[1:]), weights)
@@ -339,19 +341,19 @@ def paint_cells(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
     from scipy.ndimage import distance_transform_edt
 
     parts = [rows.assign(known=True)]
-    for panel, (_, part) in zip(summarize_panels(exp, rows), panels(exp.study, rows), strict=True):
-        guessed = ~panel.known & (panel.label >= FAILS)
+    for panel, (_, part) in zip(summarize_panels(exp, rows), iter_panels(exp.study, rows), strict=True):
+        guessed = ~panel.known & (panel.labels >= FAILS)
         if part.empty or not guessed.any():
             continue
-        causes = np.full(panel.label.shape, "", dtype=object)
+        causes = np.full(panel.labels.shape, "", dtype=object)
         failed = part[part["outcome"] == "failure"]
-        causes[panel.grid.places(failed)] = failed["cause"]
+        causes[panel.grid.indices(failed)] = failed["cause"]
         if len(failed):
             nearest = distance_transform_edt(causes == "", return_distances=False, return_indices=True)
-            causes = np.where(panel.label == FAILS, causes[tuple(np.asarray(nearest))], "")
+            causes = np.where(panel.labels == FAILS, causes[tuple(np.asarray(nearest))], "")
         at = np.nonzero(guessed)
         more = {a.column: v[i] for a, v, i in zip(panel.grid.axes, panel.grid.values, at, strict=True)}
-        outcome = np.where(panel.label[at] == SUCCEEDS, "success", "failure")
+        outcome = np.where(panel.labels[at] == SUCCEEDS, "success", "failure")
         named = {a.column: panel.names[a.name] for a in exp.study.axes if a.name in panel.names}
         parts.append(pd.DataFrame({**more, **named, "outcome": outcome, "cause": causes[at], "known": False}))
     return pd.concat(parts, ignore_index=True)

@@ -28,7 +28,7 @@ def verify(folder: Path) -> tuple[list[str], list[str], int]:
     problems = [f"{folder / manifest.MANIFEST} is damaged in line {number}" for number in damaged]
     try:
         store.read_study(folder)
-    except store.Damaged as error:
+    except store.DamagedFile as error:
         if not path_in(folder, store.PARTS).is_dir():
             raise
         problems.append(str(error))
@@ -43,7 +43,7 @@ def verify(folder: Path) -> tuple[list[str], list[str], int]:
     return problems, strangers, sound
 
 
-def mend(folder: Path, study: str, labels: str) -> list[str]:
+def repair_files(folder: Path, study: str, labels: str) -> list[str]:
     """Drop what is damaged from the manifest, list sound parts that it lacks, and rebuild a lost plan; a line for each.
 
     Only parts of the study and the labels with these digests count. Called by who holds the lock. Raises `Fault`.
@@ -81,11 +81,11 @@ def mend(folder: Path, study: str, labels: str) -> list[str]:
         lines.append(f"{folder / store.POINTS} was lost or damaged: rebuilt from the parts")
         path_in(folder, store.POINTS).unlink(missing_ok=True)
         if parts:
-            store.write_points(folder, plan_of(folder, parts))
+            store.write_points(folder, rebuild_plan(folder, parts))
     return lines
 
 
-def plan_of(folder: Path, parts: Sequence[Entry]) -> pd.DataFrame:
+def rebuild_plan(folder: Path, parts: Sequence[Entry]) -> pd.DataFrame:
     """The planned rows that `parts` hold."""
     rows = pd.concat([store.read_part(folder, entry) for entry in parts], ignore_index=True)
     return rows[list(rows.columns[: rows.columns.get_loc("run_id")])]
@@ -96,7 +96,7 @@ def _planned(folder: Path, listed: Sequence[Entry]) -> pd.DataFrame | None:
     path = path_in(folder, store.POINTS)
     if not path.exists() or not any(e.file == store.POINTS and not _problem(folder, e) for e in listed):
         return None
-    planned = store.from_parquet(path, store.content_of(path)).to_pandas()
+    planned = store.parse_parquet(path, store.read_buffer(path)).to_pandas()
     return planned if {b for e in listed for b in e.batches} <= set(planned["batch"]) else None
 
 
@@ -104,13 +104,13 @@ def _problem(folder: Path, entry: Entry, planned: pd.DataFrame | None = None) ->
     """What is wrong with a listed file; the rows of a part are compared with those `planned`, if these are known."""
     path = path_in(folder, entry.file)
     try:
-        content = store.content_of(path)
+        content = store.read_buffer(path)
     except OSError as error:
         return files.os_error_text(error)
-    if (problem := entry.problem(content)) or planned is None or not entry.batches:
+    if (problem := entry.find_problem(content)) or planned is None or not entry.batches:
         return problem
     try:
-        rows = store.from_parquet(path, content, list(planned.columns)).to_pandas()
+        rows = store.parse_parquet(path, content, list(planned.columns)).to_pandas()
     except InputError as error:
         return str(error)
     return "; ".join(plan_differences(planned, rows, entry.batches)) or None
@@ -118,7 +118,7 @@ def _problem(folder: Path, entry: Entry, planned: pd.DataFrame | None = None) ->
 
 def _unlisted(folder: Path, entries: Sequence[Entry]) -> Iterator[Path]:
     listed = {entry.file for entry in entries}
-    for place in store.PLACES:
+    for place in store.SUBFOLDERS:
         for path in sorted(path_in(folder, place).glob("*")):
             if f"{place}/{path.name}" not in listed and not path.name.startswith(files.HIDDEN):
                 yield path
@@ -131,11 +131,11 @@ def _is_beside(entry: Entry) -> bool:
 def _own(folder: Path, path: Path) -> Entry | None:
     """What a part that is not listed says of itself; None where it is not one, or not as it was written."""
     try:
-        content = store.content_of(path_in(folder, path.relative_to(folder)))
+        content = store.read_buffer(path_in(folder, path.relative_to(folder)))
         sha256 = files.digest(content)
         if not path.stem.endswith(f"-{sha256[:12]}"):
             return None
-        about = json.loads(pq.read_schema(content).metadata[store.ABOUT])
+        about = json.loads(pq.read_schema(content).metadata[store.METADATA_KEY])
     except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):  # `InputError` among them
         return None
     name = f"{path.parent.name}/{path.name}"
@@ -153,17 +153,17 @@ def _fits(folder: Path, found: Entry, kept: Sequence[Entry], planned: pd.DataFra
         here = planned[planned["batch"].isin(found.batches)].sort_values(["batch", "slot"])
         return here["point_id"].tolist() == rows["point_id"].tolist()
     parts = [entry for entry in kept if entry.batches]
-    return not parts or not rows["point_id"].isin(plan_of(folder, parts)["point_id"]).any()
+    return not parts or not rows["point_id"].isin(rebuild_plan(folder, parts)["point_id"]).any()
 
 
-def forget(folder: Path, entries: Sequence[Entry]) -> None:
+def remove_parts(folder: Path, entries: Sequence[Entry]) -> None:
     """Remove parts that count no longer. Raises `Fault`."""
     manifest.rewrite(folder, [entry for entry in manifest.read(folder) if entry not in entries])
     for entry in entries:
         path_in(folder, entry.file).unlink(missing_ok=True)
 
 
-def compact(folder: Path, planned: pd.DataFrame) -> None:
+def merge_small_parts(folder: Path, planned: pd.DataFrame) -> None:
     """Put small parts that follow each other together: ten thousand files are slow to read. Raises `Fault`.
 
     Killed at any moment it leaves all rows where the manifest says, and perhaps files that `mend` removes.

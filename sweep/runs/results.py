@@ -41,12 +41,12 @@ class Results:
         return [c for c in self.axes if self.rows[c].dtype.kind in "fi"]
 
     @cached_property
-    def named(self) -> list[str]:
+    def categorical(self) -> list[str]:
         """Those that are names, such as an engine."""
         return [c for c in self.axes if c not in self.numeric]
 
     @cached_property
-    def listed(self) -> list[str]:
+    def listed_numeric(self) -> list[str]:
         """Numbers that were listed; of a table of points all of them."""
         if self.exp.study.points:
             return self.numeric

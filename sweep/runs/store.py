@@ -20,7 +20,7 @@ from sweep.core.errors import Fault, InputError
 from sweep.core.files import path_in
 from sweep.core.yaml_check import check_yaml
 from sweep.runs import manifest
-from sweep.runs.manifest import PARTS, PLACES, POINTS, Entry
+from sweep.runs.manifest import PARTS, POINTS, SUBFOLDERS, Entry
 from sweep.runs.plan_check import plan_differences
 
 pa.set_memory_pool(pa.system_memory_pool())  # a million rows are read in 2 s of a processor; in 8 s by Arrow's own pool
@@ -28,14 +28,14 @@ STUDY, LOG, LOCK = "study.yaml", "log.txt", ".lock"
 HISTORIES, LAST_STATES = manifest.HISTORIES, manifest.LAST_STATES
 FORMAT = 2  # of the folder
 CHECK = "# sha256 of the lines above: "
-ABOUT = b"sweep"  # key of a part's own account of itself
+METADATA_KEY = b"sweep"  # key of a part's own account of itself
 
 
-class Damaged(InputError):
+class DamagedFile(InputError):
     """A file is lost or not as it was written; `sweep run` mends it."""
 
 
-def refuse_strangers(folder: Path) -> None:
+def refuse_foreign_folder(folder: Path) -> None:
     """Raise `InputError` where `folder` holds other files and no results, which come with a folder of parts."""
     try:
         names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
@@ -54,7 +54,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
     Raises `InputError` where it cannot be written or another process has it.
     """
     held = filelock.FileLock(path_in(folder, LOCK), timeout=0)
-    places = [path_in(folder, name) for name in PLACES]
+    places = [path_in(folder, name) for name in SUBFOLDERS]
     try:
         path_in(folder, PARTS).mkdir(parents=True, exist_ok=True)
         held.acquire()
@@ -80,7 +80,7 @@ def write_study(folder: Path, content: Mapping[str, Any]) -> None:
 def read_study(folder: Path) -> dict[str, Any]:
     """Content of study.yaml. Raises `InputError` where `folder` is not a study's, or one of another format."""
     path = path_in(folder, STUDY)
-    damaged = Damaged(f"{path} is damaged: `sweep run` as before mends it")
+    damaged = DamagedFile(f"{path} is damaged: `sweep run` as before mends it")
     try:
         text, check, given = path.read_bytes().rpartition(CHECK.encode())
         if check and given != f"{files.digest(text)}\n".encode():
@@ -89,7 +89,7 @@ def read_study(folder: Path) -> dict[str, Any]:
         check_yaml(body, str(path), numbers=False)  # what was dumped has none that are ambiguous
         content = yaml.load(body, project.LOADER)
     except (FileNotFoundError, NotADirectoryError):
-        raise Damaged(f"{folder} is not a folder of results: it has no {STUDY}") from None
+        raise DamagedFile(f"{folder} is not a folder of results: it has no {STUDY}") from None
     except InputError:
         raise
     except (OSError, ValueError, RecursionError, yaml.YAMLError):
@@ -123,13 +123,13 @@ def read_points(folder: Path) -> pd.DataFrame:
     path = path_in(folder, POINTS)
     if not path.exists():
         return pd.DataFrame()
-    content = content_of(path)
-    if not any(entry.file == POINTS and not entry.problem(content) for entry in manifest.read(folder)):
-        raise Damaged(f"{path} is damaged: `sweep run` as before mends it")
-    return from_parquet(path, content).to_pandas()
+    content = read_buffer(path)
+    if not any(entry.file == POINTS and not entry.find_problem(content) for entry in manifest.read(folder)):
+        raise DamagedFile(f"{path} is damaged: `sweep run` as before mends it")
+    return parse_parquet(path, content).to_pandas()
 
 
-def from_parquet(path: Path, content: pa.Buffer, columns: list[str] | None = None) -> pa.Table:
+def parse_parquet(path: Path, content: pa.Buffer, columns: list[str] | None = None) -> pa.Table:
     """Parse the content of a Parquet file.
 
     Args:
@@ -146,7 +146,7 @@ def from_parquet(path: Path, content: pa.Buffer, columns: list[str] | None = Non
         raise InputError(f"{path} is no table that can be read: {str(error).splitlines()[0]}") from None
 
 
-def content_of(path: Path) -> pa.Buffer:
+def read_buffer(path: Path) -> pa.Buffer:
     """The bytes of a file, held by Arrow. Raises `OSError`.
 
     Of bytes held by Python a thread of Arrow may let go while the interpreter ends, which then aborts.
@@ -156,7 +156,7 @@ def content_of(path: Path) -> pa.Buffer:
 
 
 def _to_parquet(table: pa.Table, about: Mapping[str, Any]) -> bytes:
-    table = table.replace_schema_metadata({**(table.schema.metadata or {}), ABOUT: json.dumps(about).encode()})
+    table = table.replace_schema_metadata({**(table.schema.metadata or {}), METADATA_KEY: json.dumps(about).encode()})
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd")
     return sink.getvalue().to_pybytes()
@@ -176,7 +176,7 @@ def write_table(folder: Path, table: pa.Table, study: str, labels: str) -> Entry
     return _written(folder, f"{PARTS}/part-{batches[0]:06d}", table, Entry("", 0, "", batches, study, labels, ids))
 
 
-def write_beside(folder: Path, name: str, rows: pd.DataFrame, study: str) -> Entry:
+def write_recording(folder: Path, name: str, rows: pd.DataFrame, study: str) -> Entry:
     """A file that goes with the parts, which counts when it is listed; `name` without its digest. Raises `Fault`."""
     return _written(folder, name, pa.Table.from_pandas(rows, preserve_index=False), Entry("", 0, "", study=study))
 
@@ -192,12 +192,12 @@ def _written(folder: Path, name: str, table: pa.Table, about: Entry) -> Entry:
     return entry
 
 
-def list_recordings(folder: Path, place: str) -> list[Entry]:
+def list_recordings(folder: Path, subfolder: str) -> list[Entry]:
     """The listed files of a place beside the parts; of several of one name the last, as of a batch done again.
 
     Raises `InputError`.
     """
-    listed = (entry for entry in manifest.read(folder) if entry.file.startswith(f"{place}/"))
+    listed = (entry for entry in manifest.read(folder) if entry.file.startswith(f"{subfolder}/"))
     return list({entry.file.rpartition("-")[0]: entry for entry in listed}.values())
 
 
@@ -224,13 +224,13 @@ def read_table(folder: Path, entry: Entry, columns: list[str] | None = None) -> 
     """As `read_part`, in Arrow's form; of all columns or of some."""
     path = path_in(folder, entry.file)
     try:
-        content = content_of(path)
-        problem = entry.problem(content)
+        content = read_buffer(path)
+        problem = entry.find_problem(content)
     except OSError as error:
         content, problem = None, files.os_error_text(error)
     if content is None or problem:
         raise InputError(f"{path} is damaged ({problem}): `sweep run` as before simulates it again")
-    return from_parquet(path, content, columns)
+    return parse_parquet(path, content, columns)
 
 
 def read_rows(folder: Path) -> pd.DataFrame:
@@ -247,7 +247,7 @@ def read_rows(folder: Path) -> pd.DataFrame:
     rows = table.to_pandas(self_destruct=True)
     planned = read_points(folder)  # after the parts: a run that goes on plans its batches before it finishes them
     if planned.empty:
-        raise Damaged(f"{folder / POINTS} is lost: `sweep run` as before mends it")
+        raise DamagedFile(f"{folder / POINTS} is lost: `sweep run` as before mends it")
     if problems := plan_differences(planned, rows, rows["batch"].unique()):
         raise InputError(f"{folder} does not hold the rows of its {POINTS}: {problems[0]}; `sweep verify` names all")
     return rows

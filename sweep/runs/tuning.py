@@ -54,7 +54,7 @@ def free_numbers(
     return found
 
 
-def draws(exp: Experiment, seed: int) -> tuple[Any, int]:
+def draw_beliefs(exp: Experiment, seed: int) -> tuple[Any, int]:
     """What is believed in the points of the experiment's study, and how many they are. Raises `InputError`."""
     table = points(replace(exp.study, seed=seed), exp.system, exp.settings)
     columns = parameter_columns(table)
@@ -64,11 +64,11 @@ def draws(exp: Experiment, seed: int) -> tuple[Any, int]:
     return exp.system.sides({c: table[c].to_numpy(float) for c in columns})[1], len(table)
 
 
-def search(
+def search_by_cma(
     scores: Callable[[np.ndarray], np.ndarray],
     first: np.ndarray,
     steps: np.ndarray,
-    how: Mapping[str, Any],  # seed, population, generations, and what else makes it another search
+    settings: Mapping[str, Any],  # seed, population, generations, and what else makes it another search
     log: Path,
     progress: Callable[[int, float], None],
 ) -> tuple[np.ndarray, float]:
@@ -82,11 +82,17 @@ def search(
         import cma
     except ImportError:
         raise InputError("sweep tune needs the package cma: pip install 'insect-sweep[tune]'") from None
-    told = resume_log(log, how)
-    options = {"popsize": how["population"], "seed": how["seed"], "verbose": -9, "ftarget": ENOUGH, "tolx": LEAST}
+    told = resume_log(log, settings)
+    options = {
+        "popsize": settings["population"],
+        "seed": settings["seed"],
+        "verbose": -9,
+        "ftarget": ENOUGH,
+        "tolx": LEAST,
+    }
     strategy = cma.CMAEvolutionStrategy(np.zeros(len(first)), 1.0, options)
     best, least = first, np.inf
-    for k in range(how["generations"]):
+    for k in range(settings["generations"]):
         asked = np.array(strategy.ask())
         if k < len(told):
             found = np.array(told[k])
@@ -102,30 +108,30 @@ def search(
     return best, least
 
 
-class ByGradients(NamedTuple):
+class AdamState(NamedTuple):
     """Where a search by gradients is: numbers (n,), in first steps."""
 
-    done: int  # steps
+    steps: int  # steps
     least: float  # mean of what the draws lack, at the best so far
     at: np.ndarray
     best: np.ndarray
     mean: np.ndarray  # of the gradients
     square: np.ndarray  # mean of their squares
 
-    def next(self, mean: float, down: np.ndarray) -> "ByGradients":
+    def step(self, mean: float, down: np.ndarray) -> "AdamState":
         """A step of Adam on, where draws lack `mean` and the gradient is `down`."""
-        k = self.done + 1
+        k = self.steps + 1
         least, best = (mean, self.at) if mean < self.least else (self.least, self.best)
         first, second = 0.9 * self.mean + 0.1 * down, 0.99 * self.square + 0.01 * down**2
         way = first / (1 - 0.9**k) / (np.sqrt(second / (1 - 0.99**k)) + 1e-12)
-        return ByGradients(k, least, self.at - RATE * min(1.0, (SLOWER / k) ** 0.5) * way, best, first, second)
+        return AdamState(k, least, self.at - RATE * min(1.0, (SLOWER / k) ** 0.5) * way, best, first, second)
 
 
-def fit(
+def search_by_gradients(
     descent: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     first: np.ndarray,
     steps: np.ndarray,
-    how: Mapping[str, Any],
+    settings: Mapping[str, Any],
     log: Path,
     progress: Callable[[int, float], None],
 ) -> np.ndarray:
@@ -135,27 +141,27 @@ def fit(
     is what descends; a draw counts no more than `FAR`: one that is out of reach says more than all others. `log`
     keeps steps, from the last of which an interrupted search goes on. Raises `InputError` where it is of another one.
     """
-    told = resume_log(log, how)
+    told = resume_log(log, settings)
     done, least, *parts = told[-1] if told else (0, np.inf, *np.zeros((4, len(first))))
-    now = ByGradients(done, least, *map(np.array, parts))
-    while now.done < how["generations"]:
+    now = AdamState(done, least, *map(np.array, parts))
+    while now.steps < settings["generations"]:
         lack, gradients = descent(first + steps * now.at)
         gradients = steps * gradients
         gradients /= np.maximum(1.0, np.linalg.norm(gradients, axis=1, keepdims=True) / FAR)
         mean = float(np.mean(np.minimum(np.nan_to_num(lack, nan=UNKNOWN), UNKNOWN)))
-        now = now.next(mean, gradients.mean(axis=0) + 2 * RIDGE * now.at)
-        if now.done % EVERY == 0 or now.done == how["generations"]:
-            append_log(log, [now.done, now.least, *(part.tolist() for part in now[2:])])
-        progress(now.done, now.least)
+        now = now.step(mean, gradients.mean(axis=0) + 2 * RIDGE * now.at)
+        if now.steps % EVERY == 0 or now.steps == settings["generations"]:
+            append_log(log, [now.steps, now.least, *(part.tolist() for part in now[2:])])
+        progress(now.steps, now.least)
     return first + steps * now.best
 
 
-def follow(
-    lacking: Callable[[np.ndarray], np.ndarray],
+def fit_size_slopes(
+    deficits: Callable[[np.ndarray], np.ndarray],
     slopes: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     steps: np.ndarray,
     shares: np.ndarray,
-    how: Mapping[str, Any],
+    settings: Mapping[str, Any],
     log: Path,
     progress: Callable[[int, float], None],
 ) -> np.ndarray:
@@ -167,16 +173,16 @@ def follow(
     interrupted search goes on. Raises `InputError` where it is of another search.
     """
     spread = np.maximum(np.abs(shares).max(axis=0), 1e-12)
-    by, told = shares / spread, resume_log(log, how)
+    by, told = shares / spread, resume_log(log, settings)
     radius, at = told[-1] if told else (RADIUS, np.zeros((len(steps), len(spread))))
     at = np.array(at)  # first steps, in draws of the largest shares
-    least = cost(lacking(steps * (by @ at.T))).mean()
-    for k in range(len(told), how["generations"]):
+    least = cost(deficits(steps * (by @ at.T))).mean()
+    for k in range(len(told), settings["generations"]):
         progress(k, least)
         lack, slope = slopes(steps * (by @ at.T))
         for tried in radius / 2.0 ** np.arange(TRIES):
-            to = program(lack, slope * steps, by, at, tried)
-            if (found := cost(lacking(steps * (by @ to.T))).mean()) < least:
+            to = solve_linear_program(lack, slope * steps, by, at, tried)
+            if (found := cost(deficits(steps * (by @ to.T))).mean()) < least:
                 break
         else:
             break
@@ -185,13 +191,15 @@ def follow(
     return steps[:, None] * at / spread
 
 
-def cost(lack: np.ndarray) -> np.ndarray:
+def cost(deficit: np.ndarray) -> np.ndarray:
     """The most that a draw lacks (draws,), of its margins (draws, margins), and a little of all; beyond `HALF` less."""
-    lack = np.clip(np.nan_to_num(lack), 0.0, UNKNOWN)
-    return HALF * np.log1p((lack.max(axis=-1) + REST * lack.sum(axis=-1)) / HALF)
+    deficit = np.clip(np.nan_to_num(deficit), 0.0, UNKNOWN)
+    return HALF * np.log1p((deficit.max(axis=-1) + REST * deficit.sum(axis=-1)) / HALF)
 
 
-def program(lack: np.ndarray, slope: np.ndarray, by: np.ndarray, at: np.ndarray, radius: float) -> np.ndarray:
+def solve_linear_program(
+    deficit: np.ndarray, slope: np.ndarray, by: np.ndarray, at: np.ndarray, radius: float
+) -> np.ndarray:
     """Where (n, k), within a radius of `at`, the mean `cost` is least if all goes on by its slopes.
 
     A linear program: where, up and down of nothing, what each margin of a draw lacks, and the most of every draw.
@@ -199,9 +207,9 @@ def program(lack: np.ndarray, slope: np.ndarray, by: np.ndarray, at: np.ndarray,
     from scipy.optimize import linprog  # slow to import
     from scipy.sparse import block_array, csr_array, eye_array, kron
 
-    near = np.isfinite(lack) & (lack > -BAND)
+    near = np.isfinite(deficit) & (deficit > -BAND)
     draw, _, margin = np.nonzero(near)
-    pairs, pair = np.unique(draw * lack.shape[-1] + margin, return_inverse=True)
+    pairs, pair = np.unique(draw * deficit.shape[-1] + margin, return_inverse=True)
     row, number = np.nonzero(slope[near])
     count, wide = len(by), slope.shape[-1] * len(by)
     moves = csr_array((slope[near][row, number], (row, number * count + draw[row])), (len(draw), wide))
@@ -211,20 +219,22 @@ def program(lack: np.ndarray, slope: np.ndarray, by: np.ndarray, at: np.ndarray,
         return csr_array((-np.ones(len(column)), (np.arange(len(column)), column)), (len(column), width))
 
     rows = block_array([[moves, -moves, of(pair, len(pairs)), None],
-                        [None, None, eye_array(len(pairs)), of(pairs // lack.shape[-1], count)]])  # fmt: skip
-    weight = np.exp(-cost(lack.max(axis=1)) / HALF) / count
-    price = np.concatenate([np.full(2 * at.size, PRICE), REST * weight[pairs // lack.shape[-1]], weight])
+                        [None, None, eye_array(len(pairs)), of(pairs // deficit.shape[-1], count)]])  # fmt: skip
+    weight = np.exp(-cost(deficit.max(axis=1)) / HALF) / count
+    price = np.concatenate([np.full(2 * at.size, PRICE), REST * weight[pairs // deficit.shape[-1]], weight])
     both = np.concatenate([at.ravel(), -at.ravel()])
     near_by = np.maximum(np.stack([both - radius, both + radius], axis=1), 0.0)
     bounds = np.concatenate([near_by, np.tile([0.0, np.inf], (len(pairs) + count, 1))])
-    found = linprog(price, rows, np.concatenate([moves @ at.ravel() - lack[near], np.zeros(len(pairs))]), bounds=bounds)
+    found = linprog(
+        price, rows, np.concatenate([moves @ at.ravel() - deficit[near], np.zeros(len(pairs))]), bounds=bounds
+    )
     up, down = found.x[: 2 * at.size].reshape(2, *at.shape)
     return up - down
 
 
-def resume_log(log: Path, how: Mapping[str, Any]) -> list[Any]:
+def resume_log(log: Path, settings: Mapping[str, Any]) -> list[Any]:
     """What a log keeps of a search, which it begins to here. Raises `InputError` where it is of another one."""
-    begun = json.dumps({key: value for key, value in how.items() if key != "generations"})
+    begun = json.dumps({key: value for key, value in settings.items() if key != "generations"})
     try:
         lines = log.read_text(encoding="utf-8").split("\n")[:-1] if log.exists() else []  # one is whole with its end
         told = [json.loads(line) for line in lines[1:]]
@@ -236,6 +246,6 @@ def resume_log(log: Path, how: Mapping[str, Any]) -> list[Any]:
     return told
 
 
-def append_log(log: Path, found: list[Any]) -> None:
+def append_log(log: Path, entry: list[Any]) -> None:
     """Add what was found to a log, as a line."""
-    append_line(log, json.dumps(found))
+    append_line(log, json.dumps(entry))

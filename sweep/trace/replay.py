@@ -23,7 +23,7 @@ from sweep.engines.states import available_columns
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.runs import device_choice, results, store
-from sweep.runs.batches import make_engine, nominal, with_delay_buffer
+from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
 from sweep.runs.runner import load_point
 from sweep.study.columns import LABELS
 from sweep.study.config import experiment
@@ -94,7 +94,7 @@ def replay(folder: Path, point: str) -> Replay:
     table, stored = store.read_points(folder), store.read_study(folder)
     config = stored["config"]
     exp = with_delay_buffer(experiment(config), table)
-    start = nominal(exp, table.loc[table["batch"] == row["batch"]], len(task.streams))
+    start = make_nominal_batch(exp, table.loc[table["batch"] == row["batch"]], len(task.streams))
     engine = make_engine(exp, start)
     trace = engine.trace(task.world, task.belief, task.streams, slot)
     again = {**judge_one(exp.system, trace.figures, exp.thresholds, engine.stages), **trace.figures}

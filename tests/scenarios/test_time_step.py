@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from sweep.metrics.outcome import classify
-from sweep.runs.batches import batch, make_engine, nominal
+from sweep.runs.batches import make_batch, make_engine, make_nominal_batch
 from sweep.study.config import compose
 from sweep.study.study import parameter_columns, points
 
@@ -28,7 +28,7 @@ def outcomes(name: str, engine: str) -> pd.DataFrame:
             if column != path:
                 first[column] = exp.system.nominal(column, exp.settings)
         rows = pd.concat([first, rows], ignore_index=True).assign(width=len(rows) + 1)
-        simulation, one = make_engine(exp, nominal(exp, rows, len(rows))), batch(exp, rows)
+        simulation, one = make_engine(exp, make_nominal_batch(exp, rows, len(rows))), make_batch(exp, rows)
         figures = simulation.run(one.world, one.belief, one.streams)
         labels = classify(figures, exp.thresholds, simulation.stages)
         found[step] = [f"{outcome} {cause}" for outcome, cause in zip(labels["outcome"], labels["cause"], strict=True)]

@@ -166,7 +166,7 @@ def render_page(
         reasons=[(cause, words, int((rows["cause"] == cause).sum())) for cause, words in results.causes_seen.items()],
         typical=typicals,
         statistics=list(statistics_as_html(pairs.tables if pairs else labelled_sections(results), results.exp)),
-        audit=[] if pairs else list(audit.table(results).itertuples(index=False)),
+        audit=[] if pairs else list(audit.flip_table(results).itertuples(index=False)),
         pairs=pairs,
         name=pairs.name if pairs else results.name,
         table=first_rows_table(rows.head(ROWS), results.exp),

@@ -42,7 +42,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         Plain values, see `About` in `data.js`.
     """
     rows = results.rows.iloc[sample_places(len(results.rows))]
-    kinds, axes = page_kinds(results), [*results.named, *results.numeric]
+    kinds, axes = page_kinds(results), [*results.categorical, *results.numeric]
     figures = ["margin", "t_cause_s"] if "margin" in rows else []
     figures = [c for c in figures if rows[c].nunique() > 1] + metrics_with_threshold_first(results)[:FIGURES]
     bits = COARSE if len(rows) * len(figures) * 2 > ROOM else 15
@@ -55,7 +55,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
             "unit": words_and_unit(c, results.exp)[1],
             "path": column_meaning(c, results.exp),
             "axis": c in axes,
-            "drawn": c not in (*results.listed, *results.named),
+            "drawn": c not in (*results.listed_numeric, *results.categorical),
             "diverges": c == "margin",
             "limit": judged.get(c),
             **about,
@@ -63,7 +63,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         for c, (about, _) in zip((*axes, *figures), coded, strict=True)
     ]
     # of a map: two listed numbers; elsewhere the script takes what matters most
-    first = results.listed[:2] if len(results.listed) > 1 and not results.one_at_a_time else []
+    first = results.listed_numeric[:2] if len(results.listed_numeric) > 1 and not results.one_at_a_time else []
     stages = [*results.stages, *sorted(set(rows["stage"].astype(str)) - {*results.stages, ""})]
     kind = kind_codes(rows, kinds).astype(np.uint8)
     stage = 1 + pd.Index(stages).get_indexer(pd.Index(rows["stage"].astype(str)))  # 0: there is none
@@ -174,12 +174,14 @@ def refined_cells(results: Results) -> dict[str, Any] | None:
         return None
     found, axes = [], ()
     rows = results.rows.reset_index(drop=True)
-    for panel, (_, part) in zip(refine.summarize_panels(results.exp, rows), refine.panels(study, rows), strict=True):
+    for panel, (_, part) in zip(
+        refine.summarize_panels(results.exp, rows), refine.iter_panels(study, rows), strict=True
+    ):
         axes = panel.grid.axes
         if len(axes) != 2:
             return None
         place = np.full(panel.grid.shape, -1)
-        place[panel.grid.places(part)] = part.index
+        place[panel.grid.indices(part)] = part.index
         for power, cells in enumerate(panel.cells if panel.rollouts else ()):
             corners = [cells + 2**power * np.array(corner) for corner in ((0, 0), (1, 0), (0, 1), (1, 1))]
             found.append(np.stack([place[tuple(corner.T)] for corner in corners], axis=1))
@@ -192,7 +194,7 @@ def cell_effects(results: Results) -> dict[str, float] | None:
     """Total Sobol indices by column on the cells of a refined map, whose rows were placed at the boundary."""
     if not results.exp.study.resolution:
         return None
-    table = refine.effects(results.exp, results.rows)
+    table = refine.total_effects(results.exp, results.rows)
     return dict(zip(table["axis"], table["total"].tolist(), strict=True))
 
 
