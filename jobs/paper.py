@@ -194,7 +194,8 @@ def make_target(name: str, target: dict[str, Any], out: Path, research: Path, qu
 
 def study_folder_name(target: dict[str, Any]) -> str:
     """Return the name of a target's study folder, which targets of one study share."""
-    name = "-".join(word.partition("=")[2] for word in target.get("run", ["=none"]))
+    values = (word.partition("=")[2] for word in target.get("run", ["=none"]))
+    name = "-".join(Path(value).stem if value.endswith(".yaml") else value for value in values)
     return name if re.fullmatch(r"[\w.-]{1,100}", name) else sha256(name.encode()).hexdigest()[:16]
 
 

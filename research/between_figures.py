@@ -1,6 +1,5 @@
 """Draws figures of going between ledges and balls from our own runs: figs. 3.2.1, 3.2.2 and 3.2.5 of the monograph as
-research/figures/ball_ledges.png, fig. 3.5.10 as ball_to_ball.png; and the map of study=ball_to_ball_grip with how far
-the
+research/figures/ball_ledges.png, fig. 3.5.10 as ball_to_ball.png; and the map of ball_to_ball_grip with how far the
 balls roll by statics, ball_to_ball_grip.png.
 
 python research/between_figures.py [ball_ledges] [ball_to_ball] [ball_to_ball_grip=results/ball_to_ball_grip]

@@ -71,6 +71,7 @@ def samples(page):
 def test_every_command_of_a_page_works(page, fake_engine, monkeypatch, tmp_path, capsys):
     assert cli.main(["init", str(tmp_path / "lab")]) == 0
     monkeypatch.chdir(tmp_path / "lab")
+    Path("research").symlink_to(ROOT / "research")
     Path("my").mkdir()
     shutil.copy("studies/first.yaml", "my/study.yaml")
     for command in commands(page):

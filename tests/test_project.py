@@ -175,6 +175,25 @@ def test_lists_and_completion_show_what_is_ones_own_apart(capsys, home):
     assert out.endswith("set()\n")
 
 
+def test_a_list_fits_two_screens_and_takes_a_group_and_words(home, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.chdir(home.parent)
+    capsys.readouterr()
+    assert main(["list"]) == 0
+    whole = capsys.readouterr().out.splitlines()
+    assert len(whole) <= 80
+    assert max(map(len, whole[:-1])) <= 80
+    assert main(["list", "study", "MAP", "pole"]) == 0
+    group, *lines = capsys.readouterr().out.splitlines()
+    assert group == "study="
+    assert [line.split()[0] for line in lines] == ["pole_map", "pole_torque_map"]
+    assert main(["list", "raft"]) == 0
+    assert "obstacle=" in capsys.readouterr().out
+    for words in (["study", "nonsense"], ["nonsense"]):
+        assert main(["list", *words]) == 2
+        one_line(capsys.readouterr().err, "nonsense", "`sweep list` shows the groups")
+
+
 def test_obstacles_and_manoeuvres_of_ones_own_are_simulated(home, capsys, monkeypatch):
     before = provenance.code_version()
     write(home / "own.py", OWN)

@@ -3,6 +3,7 @@
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +20,7 @@ from sweep.study.config import compose
 from sweep.tune.score import MOVED, UNKNOWN, Aim, Score, groups, lows, stacked
 from sweep.tune.score import changed as moved
 
+STUDIES = Path(__file__).parents[1] / "research" / "studies"
 AT, STEPS = np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.1, 0.02])
 HOW = {"seed": 3, "population": 6, "generations": 12, "free": ["a"]}
 
@@ -324,7 +326,7 @@ def test_a_foot_that_lands_has_not_swung_into_the_ground(tmp_path, monkeypatch):
 
 
 def test_numbers_do_not_follow_a_size_that_is_nought():
-    exp = compose(["scenario=ball_to_ball", "study=ball_to_ball_known"])
+    exp = compose(["scenario=ball_to_ball", f"study={STUDIES / 'ball_to_ball_known.yaml'}"])
     assert exp.case.obstacle.offset == 0
     assert "obstacle.gap" in (sizes := drawn_sizes(exp))
     assert "obstacle.offset" not in sizes

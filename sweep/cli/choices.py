@@ -9,6 +9,8 @@ from sweep.core.errors import InputError, require_choice
 from sweep.core.groups import GROUPS
 
 PACKAGE = Path(__file__).parents[1]
+# end of a message about an unknown study: folders of results may be of one that does not ship
+EVIDENCE = "; studies behind the project's claims are files of its repository: study=research/studies/NAME.yaml"
 
 
 def shipped_choices(group: str) -> dict[str, str]:
@@ -34,7 +36,7 @@ def refuse_unknown(overrides: list[str]) -> None:
         try:
             require_choice(name, {**shipped_choices(group), **project.project_files(group)}, f"{group} = {name}")
         except InputError as error:
-            raise InputError(f"{error}{outside_of_project()}") from None
+            raise InputError(f"{error}{EVIDENCE if group == 'study' else ''}{outside_of_project()}") from None
 
 
 def outside_of_project() -> str:

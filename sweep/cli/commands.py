@@ -79,9 +79,13 @@ def parser() -> Arguments:
     new.add_argument("dir", help="a new or empty folder")
     new.add_argument("--model", action="store_true", help="for a model and a controller of your own, docs/own_model.md")
     choices = command(
-        "list", project.list_choices, "scenarios, studies, robots and the other groups; or folders of results"
+        "list",
+        project.list_choices,
+        "scenarios, studies, robots and the other groups; or folders of results",
+        "sweep list study map; sweep list robot; sweep list ball; sweep list results/",
     )
-    choices.add_argument("dir", type=Path, nargs="*", help="folders of studies, such as results/: a line for each")
+    wanted = "a group, words that its choices match, or folders of studies, such as results/: a line for each"
+    choices.add_argument("what", nargs="*", help=wanted)
     about = command(
         "describe",
         project.describe,

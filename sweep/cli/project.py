@@ -3,7 +3,9 @@
 import argparse
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+import shutil
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -56,22 +58,64 @@ def template_files(folder: Traversable, above: tuple[str, ...] = ()) -> Iterator
 
 
 def list_choices(args: argparse.Namespace) -> int:
-    """Print each configuration file with its first comment; for folders of results, a line each."""
-    if args.dir:
+    """Print the choices of all groups, of one group or those that match words; for folders of results, a line each.
+
+    Raises `InputError` where nothing matches.
+    """
+    if any(word not in GROUPS and ("/" in word or Path(word).exists()) for word in args.what):
         from sweep.report import overview
 
-        terminal.print_markdown(overview.overview_text(args.dir) + "\n")
+        terminal.print_markdown(overview.overview_text([Path(word) for word in args.what]) + "\n")
         return DONE
-    for group in GROUPS:
-        print(f"{group}=")
-        print_choices(shipped_choices(group))
-    folder = project.root()
-    if found := {group: project.project_files(group) for group in GROUPS if project.project_files(group)}:
-        print(f"\nof this project, {folder}")
-        for group, own in found.items():
-            print(f"{group}=")
-            print_choices({name: project.first_comment(file) for name, file in own.items()})
+    group, words = (args.what[0], args.what[1:]) if args.what and args.what[0] in GROUPS else ("", args.what)
+    groups = [group] if group else list(GROUPS)
+    shipped = {name: matching_choices(shipped_choices(name), words) for name in groups}
+    own = {
+        name: matching_choices(
+            {k: project.first_comment(file) for k, file in project.project_files(name).items()}, words
+        )
+        for name in groups
+    }
+    if not any(shipped.values()) and not any(own.values()):
+        where = f"{group} that matches {' '.join(words)}" if group else f"group or choice called {' '.join(words)}"
+        raise InputError(f"there is no {where}, and no folder: `sweep list` shows the groups")
+    print_groups(shipped, brief=not args.what)
+    if any(own.values()):
+        print(f"\nof this project, {project.root()}")
+        print_groups(own)
+    if not args.what:
+        print(
+            "\nsweep list GROUP [WORD ...]   what each choice is, or those that match all words: sweep list study map"
+        )
     return DONE
+
+
+def matching_choices(choices: Mapping[str, str], words: Sequence[str]) -> dict[str, str]:
+    """Return the choices whose name or description has all of `words`, whatever their case."""
+    return {
+        name: text for name, text in choices.items() if all(word.lower() in f"{name} {text}".lower() for word in words)
+    }
+
+
+def print_groups(groups: Mapping[str, Mapping[str, str]], brief: bool = False) -> None:
+    """Print choices by group, without groups that have none.
+
+    Args:
+        groups: For each group the names of choices and their descriptions.
+        brief: Print only the names, but of studies, and cut each description to a line.
+    """
+    width = shutil.get_terminal_size((100, 0)).columns
+    for group, named in groups.items():
+        if not named:
+            continue
+        print(f"{group}=")
+        if brief and group != "study":
+            print(textwrap.fill(", ".join(named), width, initial_indent="  ", subsequent_indent="  "))
+        elif brief:
+            lines = (f"{name:20} {text}" for name, text in named.items())
+            print(*(f"  {one if len(one) <= width - 2 else one[: width - 5] + '...'}" for one in lines), sep="\n")
+        else:
+            print_choices(named)
 
 
 def print_choices(named: Mapping[str, str]) -> None:
@@ -114,7 +158,8 @@ def candidates(before: list[str], word: str, flags: dict[str, list[str]]) -> lis
         return flags.get(before[0], [])
     if before[0] != "run":
         found = sorted(str(file.parent) for file in Path().glob("results/*/study.yaml"))
-        return [re.sub(r"([^\w./+=:@%-])", r"\\\1", one) for one in found]  # as bash reads it
+        groups = GROUPS if before == ["list"] else ()
+        return [*groups, *(re.sub(r"([^\w./+=:@%-])", r"\\\1", one) for one in found)]  # as bash reads it
     group, sign, _ = word.partition("=")
     if not sign:
         return [f"{one}=" for one in GROUPS]

@@ -191,6 +191,7 @@ def system(chosen: Mapping[str, str]) -> str:
         scenario = content.get("scenario")
         scenario = scenario.get("extends") if isinstance(scenario, Mapping) else scenario
         group, name = ("scenario", scenario) if group == "study" and scenario else (group, content.get("extends"))
+        name = resolve_beside(file, name)
     return USUAL
 
 
@@ -235,7 +236,7 @@ def referenced_files(group: str, content: Mapping[str, Any]) -> Iterator[tuple[s
 
 def refuse_ring(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None:
     """Raise `InputError` where a file that extends `name` starts, through it, from itself."""
-    above = project.find_file(group, name) if isinstance(name, str) else None
+    above = project.find_file(group, resolve_beside(ring[-1], name)) if isinstance(name, str) else None
     if above is None:
         return
     if os.path.samefile(above, file):
@@ -247,9 +248,25 @@ def refuse_ring(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None
 
 
 def require_choice_of_group(file: Any, group: str, name: Any) -> str:
-    """`name` if it is a file of `group`, or a kind. Raises `InputError`."""
+    """Return the choice of `group` that a file names, a path resolved. Raises `InputError` where there is none."""
+    name = resolve_beside(file, name)
     if not isinstance(name, str) or (project.find_file(group, name) is None and name not in _kinds(group)):
         raise InputError(f"{file}: {group} = {name} is unknown{suggest(str(name), choice_names(group))}")
+    return name
+
+
+def resolve_beside(file: Any, name: Any) -> Any:
+    """Resolve a path that a configuration file names.
+
+    Args:
+        file: The file that names it.
+        name: What it names: a path ends in `.yaml`, and is searched beside `file` first, then from the working folder.
+
+    Returns:
+        The path beside `file` where that is a file; else `name` as it is.
+    """
+    if isinstance(name, str) and name.endswith(".yaml") and (beside := file.parent / name).is_file():
+        return str(beside)
     return name
 
 
