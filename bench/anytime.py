@@ -17,7 +17,7 @@ import shared
 from scipy.special import rel_entr
 from scipy.stats import binom
 
-from sweep.analysis.sequential import fixed_size, log_evidence
+from sweep.analysis.sequential import fixed_sample_size, log_e_value
 
 Table = list[list[str]]  # columns, then rows
 
@@ -68,7 +68,7 @@ def decision_table(rng: np.random.Generator) -> Table:
     table = [["A", "B", "correlation", "*E*", "Lai's", "Barnard's"]]
     for a, b, correlation in (*SETTINGS, *EQUAL):
         counts = outcomes(a, b, correlation, rng, MAX_PAIRS)
-        over = [log_evidence(*counts[:2]) >= -np.log(ALPHA)]
+        over = [log_e_value(*counts[:2]) >= -np.log(ALPHA)]
         over += [s >= limit for s, limit in zip(sequential_statistics(*counts), limits, strict=True)]
         cells = []
         for hit in over:
@@ -86,7 +86,7 @@ def false_difference_table(rng: np.random.Generator) -> Table:
     ]
     for a, b, correlation in EQUAL:
         lost, gained = flips(a, b, correlation, rng)
-        wrong = (log_evidence(lost, gained) >= -np.log(ALPHA)).any(axis=1).mean()
+        wrong = (log_e_value(lost, gained) >= -np.log(ALPHA)).any(axis=1).mean()
         b_, c_ = lost[:, 9::10], gained[:, 9::10]
         p = 2 * binom.cdf(np.minimum(b_, c_), b_ + c_, 0.5)
         often = (p <= ALPHA).any(axis=1).mean()
@@ -99,9 +99,9 @@ def difference_table(rng: np.random.Generator) -> Table:
     table = [["A", "B", "correlation", "looked at once", "mean", "median", "95 of 100 within"]]
     for a, b, correlation in SETTINGS:
         lost, gained = flips(a, b, correlation, rng)
-        over = log_evidence(lost, gained) >= -np.log(ALPHA)
+        over = log_e_value(lost, gained) >= -np.log(ALPHA)
         pairs = np.where(over.any(axis=1), over.argmax(axis=1) + 1, MOST)
-        once = fixed_size(a - (both := a * b + correlation * np.sqrt(a * (1 - a) * b * (1 - b))), b - both)
+        once = fixed_sample_size(a - (both := a * b + correlation * np.sqrt(a * (1 - a) * b * (1 - b))), b - both)
         found = (once, pairs.mean(), np.median(pairs), np.percentile(pairs, 95))
         table.append([f"{a:.2f}", f"{b:.2f}", f"{correlation:g}", *(f"{v:.0f}" for v in found)])
     return table

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from sweep.analysis import failing
 from sweep.analysis.certify import certify as tested
-from sweep.analysis.certify import fewest, learn
+from sweep.analysis.certify import learn_score, required_rows
 from sweep.analysis.intervals import CONFIDENCE
 from sweep.cli import certify
 from sweep.core.files import write_atomically
@@ -81,9 +81,9 @@ def phases(failures: str, root: Path) -> Iterator[list[str]]:
         learning, fresh = rows[:2]
         names = certify.drawn_parameters(experiment(store.read_study(folder)["config"]), learning)
         known, new = certify.parameters_and_failures(learning, names), certify.parameters_and_failures(fresh, names)
-        most, least = float(failures), fewest(float(failures), CONFIDENCE) / len(fresh)
+        most, least = float(failures), required_rows(float(failures), CONFIDENCE) / len(fresh)
         times = [time.perf_counter()]
-        score = learn(promise.shapes[0], *known, least)
+        score = learn_score(promise.shapes[0], *known, least)
         times.append(time.perf_counter())
         tested(score, known, new, most, CONFIDENCE)
         times.append(time.perf_counter())
@@ -105,7 +105,7 @@ def run_sweep(root: Path, *words: str) -> float:
 
 def shares(folder: Path) -> list[list[Any]]:
     """Return the causes of failure with their shares, the largest first."""
-    found = failing.shares(store.read_rows(folder), experiment(store.read_study(folder)["config"]))
+    found = failing.failure_shares(store.read_rows(folder), experiment(store.read_study(folder)["config"]))
     columns = found[["axis", "share", "error", "alone"]].to_numpy().tolist()
     return [[axis_words(axis), f"{100 * share:.1f} %", f"{100 * error:.1f}", f"{alone:.2f}"]
             for axis, share, error, alone in columns]  # fmt: skip

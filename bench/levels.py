@@ -48,7 +48,7 @@ SHAPES = ((plane, 2, 1e-3), (plane, 8, 1e-3), (plane, 8, 1e-4), (plane, 8, 1e-6)
           (sides, 8, 1e-3), (corner, 8, 1e-3), (ring, 4, 1e-3))  # fmt: skip
 
 
-def run_levels(d: int, truth: float, seed: int) -> rare.Repeated:
+def run_levels(d: int, truth: float, seed: int) -> rare.SubsetEstimate:
     """Run subset simulation on the sum of `d` normals, whose margin is the distance to its bound."""
     search = subset_simulation.search(d, LEVELS, RUNS, seed)
     draws = next(search)
@@ -57,13 +57,13 @@ def run_levels(d: int, truth: float, seed: int) -> rare.Repeated:
             margin = norm.isf(truth) - ndtri(draws.shares).sum(axis=1) / np.sqrt(d)
             draws = search.send(RoundSummary(margin < 0, margin))
     except StopIteration as end:
-        return rare.Repeated(LEVELS.target, tuple(end.value))
+        return rare.SubsetEstimate(LEVELS.target, tuple(end.value))
 
 
 def levels_row(d: int, truth: float) -> list[str]:
     """Return a table row of repetitions of subset simulation."""
     found = [run_levels(d, truth, seed) for seed in range(REPETITIONS)]
-    each = np.concatenate([one.each for one in found]) / truth
+    each = np.concatenate([one.run_probabilities for one in found]) / truth
     means = np.array([one.probability for one in found]) / truth
     hold = sum(low <= truth <= high for low, high in (one.interval for one in found))
     rollouts = np.mean([run.rollouts for one in found for run in one.runs])
@@ -73,7 +73,7 @@ def levels_row(d: int, truth: float) -> list[str]:
 
 def run_importance(
     fails: Callable[[np.ndarray], np.ndarray], d: int, num: int, seed: int
-) -> rare.Weighted | rare.Repeated:
+) -> rare.WeightedEstimate | rare.SubsetEstimate:
     """Return the estimate of a study by importance sampling."""
     search = importance_sampling.search(d, num, WIDE, ROUNDS, seed)
     draws = next(search)
@@ -82,7 +82,7 @@ def run_importance(
     rows = pd.DataFrame({f"axis.{name}": values for name, values in draws.columns.items()})
     rows["outcome"] = np.where(fails(ndtri(draws.shares)), "failure", "success")
     design = SimpleNamespace(kind="importance", num=num, rounds=ROUNDS)
-    return rare.rare(rows, SimpleNamespace(study=SimpleNamespace(name="", design=design)))  # pyright: ignore[reportArgumentType]
+    return rare.estimate_failure_probability(rows, SimpleNamespace(study=SimpleNamespace(name="", design=design)))  # pyright: ignore[reportArgumentType]
 
 
 def importance_row(shape: Callable[..., Callable[[np.ndarray], np.ndarray]], d: int, truth: float) -> list[str]:
@@ -91,9 +91,9 @@ def importance_row(shape: Callable[..., Callable[[np.ndarray], np.ndarray]], d: 
     for num in DRAWS:
         found = [run_importance(shape(d, truth), d, num, seed) for seed in range(REPETITIONS)]
         each = np.array([one.probability for one in found]) / truth
-        hold = sum(one.low <= truth <= one.high for one in found if isinstance(one, rare.Weighted))
+        hold = sum(one.low <= truth <= one.high for one in found if isinstance(one, rare.WeightedEstimate))
         told += [f"{each.mean():.2f}", f"{each.std(ddof=1):.2f}", f"{hold} of {REPETITIONS}",
-                 f"{sum(not one.trusted for one in found)} of {REPETITIONS}"]  # fmt: skip
+                 f"{sum(not one.is_reliable for one in found)} of {REPETITIONS}"]  # fmt: skip
     return [shape.__name__, f"{d}", f"{truth:.0e}", *told]
 
 

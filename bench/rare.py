@@ -24,7 +24,7 @@ from scipy.special import ndtri
 from scipy.stats import t as student
 
 from sweep.analysis.intervals import CONFIDENCE, clopper_pearson
-from sweep.analysis.rare import Repeated, Weighted, rare
+from sweep.analysis.rare import SubsetEstimate, WeightedEstimate, estimate_failure_probability
 from sweep.core.errors import InputError
 from sweep.core.expressions import column, evaluate
 from sweep.core.files import write_atomically
@@ -169,7 +169,7 @@ def find_scales(robots: Robots, targets: list[float], num: int) -> dict[str, flo
     return {f"{p:g}": min(float(f"{scale:.3g}"), LADDER[0]) for p, scale in zip(targets, found, strict=True)}
 
 
-def finish_studies(robots: Robots, exps: list[Experiment]) -> list[Weighted | Repeated]:
+def finish_studies(robots: Robots, exps: list[Experiment]) -> list[WeightedEstimate | SubsetEstimate]:
     """Return the estimates of studies that are continued side by side."""
     asks = [adaptive_rounds(exp) for exp in exps]
     draws, rows = [next(ask) for ask in asks], []
@@ -181,7 +181,7 @@ def finish_studies(robots: Robots, exps: list[Experiment]) -> list[Weighted | Re
                 draws.append(ask.send(one))
             except StopIteration as end:
                 rows.append(end.value)
-    return [rare(one, exp) for one, exp in zip(rows, exps, strict=True)]
+    return [estimate_failure_probability(one, exp) for one, exp in zip(rows, exps, strict=True)]
 
 
 def is_failure(rows: pd.DataFrame) -> np.ndarray:
@@ -215,7 +215,9 @@ def measure_cells(robots: Robots, kept: "Cells", given: argparse.Namespace, dead
             target, way, _ = key
             every = {(target, way, k): exp for k, exp in enumerate(exps[target, way])}
             if every.keys() <= ended.keys():
-                kept.add_estimates(target, way, [rare(ended[one], exp) for one, exp in every.items()])
+                kept.add_estimates(
+                    target, way, [estimate_failure_probability(ended[one], exp) for one, exp in every.items()]
+                )
 
     past = SearchLog(given.rows)
     for key in list(asked):
@@ -348,18 +350,20 @@ class Cells:
     def add_estimates(self, target: str, way: str, found: list[Any]) -> None:
         """Add the estimates of repetitions."""
         cell = self.cell(target, way)
-        if isinstance(found[0], Repeated):
+        if isinstance(found[0], SubsetEstimate):
             (one,) = found
             taken = [share for run in one.runs for share in run.accepted]
-            sets = [Repeated(one.target, one.runs[k : k + SETS]) for k in range(0, len(one.runs) - SETS + 1, SETS)]
-            told = [some.interval for some in sets if some.each.any()]
-            cell |= {"each": one.each.tolist(), "intervals": told,
-                     "early": len(one.stuck), "why": one.stuck[0].why if one.stuck else "",
+            sets = [
+                SubsetEstimate(one.target, one.runs[k : k + SETS]) for k in range(0, len(one.runs) - SETS + 1, SETS)
+            ]
+            told = [some.interval for some in sets if some.run_probabilities.any()]
+            cell |= {"each": one.run_probabilities.tolist(), "intervals": told,
+                     "early": len(one.stuck_runs), "why": one.stuck_runs[0].why if one.stuck_runs else "",
                      "accepted": [min(taken), max(taken)] if taken else []}  # fmt: skip
         else:
             cell |= {"each": [one.probability for one in found], "intervals": [(one.low, one.high) for one in found],
                      "largest": [one.largest for one in found],
-                     "untrusted": sum(not one.trusted for one in found)}  # fmt: skip
+                     "untrusted": sum(not one.is_reliable for one in found)}  # fmt: skip
         each = np.array(cell["each"])
         half = student.ppf(0.5 + CONFIDENCE / 2, len(each) - 1) * each.std(ddof=1) / np.sqrt(len(each))
         cell |= {"P": each.mean(), "low": max(each.mean() - half, 0.0), "high": each.mean() + half}

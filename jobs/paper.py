@@ -35,7 +35,7 @@ import yaml
 
 from sweep.analysis import sensitivity
 from sweep.analysis.intervals import wilson
-from sweep.analysis.stats import binned, rate, rates
+from sweep.analysis.stats import bin_values, rate, rates
 from sweep.core.expressions import column, evaluate
 from sweep.core.files import write_atomically
 from sweep.core.outcomes import SUCCESS
@@ -276,10 +276,10 @@ def along(found: Results, axis: str) -> list[list[Any]]:
     In studies of errors one at a time, the other axes are at their nominal values.
     """
     if found.one_at_a_time:
-        every = sensitivity.along(found.rows, found.exp)
+        every = sensitivity.one_at_a_time_rates(found.rows, found.exp)
         table = every[every["axis"] == axis]
     else:
-        values = binned(found.rows[axis], PARTS if found.rows[axis].nunique() > VALUES else VALUES)
+        values = bin_values(found.rows[axis], PARTS if found.rows[axis].nunique() > VALUES else VALUES)
         table = rates(found.rows.assign(value=values), ["value"])
     counts = table[["success", "valid", "invalid"]].astype(int).to_numpy().tolist()
     values = [float(f"{value:.6g}") if isinstance(value, float) else value for value in table["value"]]

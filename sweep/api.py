@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 from matplotlib.figure import Figure
 
-from sweep.analysis.sample import distinct
+from sweep.analysis.sample import drop_copies
 from sweep.core.errors import InputError
 from sweep.core.expressions import AXES, mask
 from sweep.core.plot_style import plot_style
@@ -134,7 +134,7 @@ class Accessor:
             raise InputError(f"no row of {self._folder} is chosen: nothing to show")
         stored = store.read_study(self._folder)
         exp = results.load_experiment(self._folder)
-        rows, copies = distinct(name_axes(self._rows, exp.study.axes), exp)
+        rows, copies = drop_copies(name_axes(self._rows, exp.study.axes), exp)
         return results.Results(self._folder, stored, exp, rows, None, len(self._rows), copies)
 
 

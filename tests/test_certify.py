@@ -31,18 +31,18 @@ def drawn(number, rng):
 
 
 def certified(shape, learning, fresh, failures, confidence):
-    least = certify.fewest(failures, confidence) / len(fresh[0])
-    return certify.certify(certify.learn(shape, *learning, least), learning, fresh, failures, confidence)
+    least = certify.required_rows(failures, confidence) / len(fresh[0])
+    return certify.certify(certify.learn_score(shape, *learning, least), learning, fresh, failures, confidence)
 
 
 def test_the_bound_is_the_exact_one():
-    assert certify.fewest(1e-2, 0.95) == 299
-    assert certify.fewest(1e-5, 0.95) == 299_572
+    assert certify.required_rows(1e-2, 0.95) == 299
+    assert certify.required_rows(1e-5, 0.95) == 299_572
     for failed, rows in ((0, 299), (3, 800)):
-        assert binom.cdf(failed, rows, certify.bound(failed, rows, 0.95)) == pytest.approx(0.05)
-    assert certify.most_failed(298, 1e-2, 0.95) == -1
-    assert certify.most_failed(473, 1e-2, 0.95) == 1  # 1 of 473 is bounded by 0.9997 %
-    assert certify.most_failed(472, 1e-2, 0.95) == 0
+        assert binom.cdf(failed, rows, certify.failure_upper_bound(failed, rows, 0.95)) == pytest.approx(0.05)
+    assert certify.allowed_failures(298, 1e-2, 0.95) == -1
+    assert certify.allowed_failures(473, 1e-2, 0.95) == 1  # 1 of 473 is bounded by 0.9997 %
+    assert certify.allowed_failures(472, 1e-2, 0.95) == 0
 
 
 def test_a_region_chosen_in_a_fixed_order_is_rarely_wrong_and_the_one_that_looks_best_often_is():
@@ -53,8 +53,8 @@ def test_a_region_chosen_in_a_fixed_order_is_rarely_wrong_and_the_one_that_looks
         learning, fresh = drawn(800, rng), drawn(1500, rng)
         found = certified("score", learning, fresh, 1e-2, 0.9)
         scores, own = found.score(truth), found.score(fresh[0])
-        wrong.append(found.found and fails[scores <= found.threshold].mean() > 1e-2)
-        share.append((scores <= found.threshold).mean() if found.found else 0.0)
+        wrong.append(found.is_certified and fails[scores <= found.threshold].mean() > 1e-2)
+        share.append((scores <= found.threshold).mean() if found.is_certified else 0.0)
         order = np.argsort(own)
         good = np.flatnonzero(np.cumsum(fresh[1][order]) / np.arange(1, len(order) + 1) <= 1e-2)
         naive.append(fails[scores <= own[order][good[-1]]].mean() > 1e-2)
@@ -69,11 +69,11 @@ def test_a_region_is_a_condition_that_chooses_the_same_rows(shape):
     rng = np.random.default_rng(1)
     learning, fresh = drawn(3000, rng), drawn(6000, rng)
     found = certified(shape, learning, fresh, 0.03, 0.95)
-    assert found.found
+    assert found.is_certified
     names = [f"robot.p{k}" for k in range(6)]
     rows = pd.DataFrame(fresh[0], columns=names)
-    assert (mask(rows, found.score.condition(names, found.threshold)) == found.inside(fresh[0])).all()
-    assert found.at_most <= 0.03 < fresh[1].mean()
+    assert (mask(rows, found.score.condition(names, found.threshold)) == found.contains(fresh[0])).all()
+    assert found.upper_bound <= 0.03 < fresh[1].mean()
 
 
 def test_nothing_is_certified_where_it_cannot_be():
@@ -81,7 +81,7 @@ def test_nothing_is_certified_where_it_cannot_be():
     x = rng.random((2000, 2))
     everywhere = rng.random(2000) < 0.2
     half = (x[:1000], everywhere[:1000]), (x[1000:], everywhere[1000:])
-    assert not certified("box", *half, 1e-2, 0.95).found
+    assert not certified("box", *half, 1e-2, 0.95).is_certified
     with pytest.raises(InputError, match=r"100 fresh rows cannot certify 0\.01 at 95\.0%: at least 299"):
         certified("box", half[0], (x[:100], everywhere[:100]), 1e-2, 0.95)
 

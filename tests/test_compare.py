@@ -24,11 +24,11 @@ def rows_of(outcomes, **columns):
 
 
 def test_flips_are_counted_and_tested_among_valid_pairs():
-    pairs = compare.pair(rows_of("ssssssssfi" + "s"), rows_of("sfffffffss" + "i").sample(frac=1, random_state=0))
-    found = compare.flips(pairs, np.arange(len(pairs)))
-    assert (found.pairs, found.tested, found.lost, found.gained, found.flipped) == (11, 9, 7, 1, 8)
+    pairs = compare.pair_rows(rows_of("ssssssssfi" + "s"), rows_of("sfffffffss" + "i").sample(frac=1, random_state=0))
+    found = compare.count_flips(pairs, np.arange(len(pairs)))
+    assert (found.pairs, found.tested_pairs, found.lost, found.gained, found.flip_count) == (11, 9, 7, 1, 8)
     assert (found.invalid_a, found.invalid_b, found.invalid_both) == (1, 1, 0)
-    assert found.changed == pytest.approx(10 / 11)
+    assert found.changed_share == pytest.approx(10 / 11)
     assert found.p == pytest.approx(2 * (1 + 8) / 2**8)  # two-sided binomial, 1 or fewer of 8
     # Clopper, Pearson: the ends at which 8 or more, and 8 or fewer, of 9 have a probability of 2.5 %
     low, high = found.low, found.high
@@ -52,8 +52,8 @@ def test_several_pairs_of_a_draw_are_one_trial_of_the_test():
     exact = np.mean(np.abs(signs @ differences) >= differences.sum())
     assert compare.sign_flip_p(differences) == pytest.approx(exact)
     a, b = rows_of("ssssffss" * 4), rows_of("fsffsfss" * 4)
-    pairs, rows = compare.pair(a, b), np.repeat(np.arange(8), 4)
-    assert compare.flips(pairs, rows).p > compare.flips(pairs, np.arange(32)).p
+    pairs, rows = compare.pair_rows(a, b), np.repeat(np.arange(8), 4)
+    assert compare.count_flips(pairs, rows).p > compare.count_flips(pairs, np.arange(32)).p
 
 
 def test_regions_tell_where_outcomes_flip():
@@ -61,9 +61,9 @@ def test_regions_tell_where_outcomes_flip():
     axes = {"contact.friction": x, "drive.damping": y}
     a = rows_of(["s"] * 144, **axes)
     b = rows_of(np.where((x < 1 / 3) & (y < 1 / 3), "f", "s"), **axes)
-    pairs = compare.pair(a, b)
-    table = compare.regions(pairs, list(axes), np.arange(144))
-    assert "p" not in compare.regions(pairs, list(axes))  # of a grid
+    pairs = compare.pair_rows(a, b)
+    table = compare.flips_by_region(pairs, list(axes), np.arange(144))
+    assert "p" not in compare.flips_by_region(pairs, list(axes))  # of a grid
     assert (len(table), table["pairs"].sum()) == (9, 144)
     flipped = table[table["flips"] > 0]
     assert flipped["contact.friction"].tolist() == ["0 to 0.2727"]
@@ -75,13 +75,13 @@ def test_regions_tell_where_outcomes_flip():
 def test_pairs_need_one_partner_each():
     a = rows_of("ss", **{"engine.name": ["mjx", "native"]})
     twice = a.assign(point_id="p0")
-    assert compare.flips(compare.pair(twice, twice[::-1])).pairs == 2  # of equal engines
+    assert compare.count_flips(compare.pair_rows(twice, twice[::-1])).pairs == 2  # of equal engines
     with pytest.raises(InputError, match="choose among them with --a"):
-        compare.pair(twice.drop(columns="engine.name"), rows_of("s"))
+        compare.pair_rows(twice.drop(columns="engine.name"), rows_of("s"))
     with pytest.raises(InputError, match="no row of A"):
-        compare.pair(a, rows_of("s").assign(point_id="other"))
+        compare.pair_rows(a, rows_of("s").assign(point_id="other"))
     with pytest.raises(InputError, match="B has no column"):
-        compare.pair(a, rows_of("ss"), ["name"])
+        compare.pair_rows(a, rows_of("ss"), ["name"])
 
 
 def test_another_controller_is_paired_by_what_both_vary():
@@ -89,20 +89,20 @@ def test_another_controller_is_paired_by_what_both_vary():
     varied = {"world.contact.friction": [0.1, 0.1, 0.5], "replicate": [0, 1, 2], "engine.width": 4}
     a = rows_of("ssf", **varied)
     b = rows_of("fsf", **varied).assign(point_id=["q0", "q1", "q2"])
-    pairs = compare.pair(a, b.iloc[::-1])
-    assert compare.flips(pairs).lost == 1
+    pairs = compare.pair_rows(a, b.iloc[::-1])
+    assert compare.count_flips(pairs).lost == 1
     assert comparison.name_pair_columns(pairs) == " of equal world.contact.friction, replicate"
-    assert comparison.name_pair_columns(compare.pair(a, a)) == ""
+    assert comparison.name_pair_columns(compare.pair_rows(a, a)) == ""
     with pytest.raises(InputError, match=r"--by world\.contact\.friction, replicate\)"):
-        compare.pair(a, b.assign(replicate=0))
+        compare.pair_rows(a, b.assign(replicate=0))
     with pytest.raises(InputError, match=r"no row of A has .* \(other columns to pair by: none that both vary\)"):
-        compare.pair(a, b.rename(columns={"world.contact.friction": "world.robot.shin"}))
+        compare.pair_rows(a, b.rename(columns={"world.contact.friction": "world.robot.shin"}))
 
 
 def test_drift_is_typical_and_relative():
     a = rows_of("sssf", slip_max_m=[1.0, 2.0, 3.0, 4.0], energy_j=[0.0, 0.0, 0.0, 1.0])
     b = rows_of("sssi", slip_max_m=[1.1, 2.2, 3.3, 900.0], energy_j=[0.0, 0.0, 0.0, 1.0])
-    drift = compare.drift(compare.pair(a, b))
+    drift = compare.metric_drift(compare.pair_rows(a, b))
     assert drift["slip_max_m"] == pytest.approx(0.1)
     assert drift["energy_j"] == 0
 

@@ -15,7 +15,7 @@ import pytest
 from scipy.stats import beta, binom, norm
 
 from sweep.analysis import compare, failing, sampling_units, sensitivity, sequential
-from sweep.analysis.sample import is_sample, pooled
+from sweep.analysis.sample import is_sample, pooled_rate
 from sweep.runs import refine
 from sweep.study import designs
 from sweep.study.config import compose_values
@@ -92,12 +92,12 @@ def of_draws(kind: str, cut: float, replicates: int, **design: Any) -> dict[str,
         rows = points(exp)
         noise = NOISE * normals(rows, seed) if replicates > 1 else 0.0
         rows = judged(rows, rows["controller.x1"] + noise < cut)
-        for one in (pooled(rows, exp), sensitivity.volume(rows, exp).iloc[0]):
+        for one in (pooled_rate(rows, exp), sensitivity.success_volume(rows, exp).iloc[0]):
             if not np.isnan(one.low):
                 hits.append(covers(one.low, one.high, truth))
                 widths.append(one.high - one.low)
         if rows["outcome"].nunique() > 1:
-            tests.append(sensitivity.regional(rows, exp).set_index("axis").loc["controller.x2", "p"])
+            tests.append(sensitivity.regional_sensitivity(rows, exp).set_index("axis").loc["controller.x2", "p"])
     return {"covers": np.mean(hits), "width": np.mean(widths), "rejects": np.mean(np.array(tests) < 0.05)}
 
 
@@ -145,7 +145,7 @@ def test_the_fit_is_rejected_as_often_as_it_should_be():
             success = x < np.tile(limit, len(LEVELS))
             if name == "wrong":
                 success &= np.tile(rng.random(64) < 0.8, len(LEVELS))
-            tests[name].append(sensitivity.goodness(sensitivity.logistic(x, success), x, success, unit))
+            tests[name].append(sensitivity.goodness_of_fit_p(sensitivity.fit_logistic(x, success), x, success, unit))
     assert np.mean(np.array(tests["right"]) < 0.05) <= REJECTS
     assert np.mean(np.array(tests["wrong"]) < 0.05) >= 0.8
 
@@ -171,7 +171,7 @@ def test_morris_has_no_p_and_its_trajectories_are_units():
     axes = {f"x{k}": {"path": f"controller.x{k}", "distribution": EVEN} for k in range(1, 9)}
     exp = study(axes, design={"kind": "morris", "num": 50})
     rows = points(exp)
-    found = sensitivity.regional(judged(rows, linear(rows) < 1.4), exp)
+    found = sensitivity.regional_sensitivity(judged(rows, linear(rows) < 1.4), exp)
     assert found["p"].isna().all()
     units = sampling_units.unit_numbers(rows, exp)
     assert units is not None
@@ -192,12 +192,12 @@ def test_pairs_of_a_draw_are_no_independent_pairs(replicates, levels):
         noise = NOISE * normals(rows, seed)
         one, other = (rows[f"controller.{name}"] + noise < 0.8 for name in ("x1", "x2"))
         named = judged(rows.assign(point_id=np.arange(len(rows)).astype(str)), one)
-        pairs = compare.pair(named, judged(named, other))
+        pairs = compare.pair_rows(named, judged(named, other))
         unit = compare.independent_unit_of_pairs(pairs, exp)
-        found = compare.flips(pairs, unit)
+        found = compare.count_flips(pairs, unit)
         tests.append(found.p)
         hits.append(covers(found.low, found.high, 2 * rate_with_noise(0.8) * (1 - rate_with_noise(0.8))))
-        decided.append(sequential.verdict(pairs, unit=unit).decided)
+        decided.append(sequential.sequential_test(pairs, unit=unit).decided)
     assert np.mean(np.array(tests) < 0.05) <= REJECTS
     assert np.mean(decided) <= REJECTS
     assert np.mean(hits) >= COVERS
@@ -207,10 +207,10 @@ def test_a_grid_is_no_sample():
     exp = study(GRID)
     rows = points(exp).assign(point_id=lambda t: np.arange(len(t)).astype(str))
     rows = judged(rows, linear(rows) < np.sqrt(2))
-    assert np.isnan(pooled(rows, exp).low)
-    pairs = compare.pair(rows, judged(rows, linear(rows) + 0.05 / np.sqrt(8) < np.sqrt(2)))
+    assert np.isnan(pooled_rate(rows, exp).low)
+    pairs = compare.pair_rows(rows, judged(rows, linear(rows) + 0.05 / np.sqrt(8) < np.sqrt(2)))
     assert compare.independent_unit_of_pairs(pairs, exp) is None
-    found = compare.flips(pairs)
+    found = compare.count_flips(pairs)
     assert found.lost > 0
     assert np.isnan([found.p, found.low, found.high]).all()
     assert "interval" not in str(found)
@@ -239,7 +239,7 @@ def test_a_share_of_failing_that_is_chance_is_not_told():
     for seed in range(30):
         exp = study(axes, seed, design={"num": 40})
         rows = points(exp)
-        found = failing.shares(judged(rows, rows["controller.x1"] + 0.1 * normals(rows, seed) < 0.7), exp)
+        found = failing.failure_shares(judged(rows, rows["controller.x1"] + 0.1 * normals(rows, seed) < 0.7), exp)
         told.append(found.set_index("axis")["share"].notna())
     told = pd.DataFrame(told)
     assert told["controller.x1"].mean() > 0.95
@@ -275,4 +275,4 @@ def test_every_design_has_a_unit_and_a_simulation():
         rows = judged(pd.DataFrame({"controller.x1": [0.1, 0.9], "replicate": [0, 1]}), [True, False])
         assert sampling_units.unit_numbers(rows, exp) is None
         assert not is_sample(rows, exp)
-        assert sensitivity.regional(rows, exp)["p"].isna().all()
+        assert sensitivity.regional_sensitivity(rows, exp)["p"].isna().all()

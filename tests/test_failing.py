@@ -30,7 +30,7 @@ def rows(u: np.ndarray, failed: np.ndarray, **more: Any) -> pd.DataFrame:
 
 
 def shares(*given: Any) -> pd.DataFrame:
-    table = failing.shares(*given).set_index("axis").loc[COLUMNS]
+    table = failing.failure_shares(*given).set_index("axis").loc[COLUMNS]
     return table.assign(error=(table["high"] - table["low"]) / 2)
 
 
@@ -77,7 +77,7 @@ def test_weights_undo_where_draws_were_sought():
 def test_too_little_is_told():
     u = np.random.default_rng(4).standard_normal((100, 4))
     with pytest.raises(InputError, match="need 20 failures and successes, here: 3 and 97"):
-        failing.shares(rows(u, np.arange(100) < 3), told())
+        failing.failure_shares(rows(u, np.arange(100) < 3), told())
 
 
 def test_a_listed_name_counts_and_draws_that_it_shares_count_once():
@@ -92,7 +92,7 @@ def test_a_listed_name_counts_and_draws_that_it_shares_count_once():
     table = pd.DataFrame(np.tile(u, (4, 1)), columns=["robot.a", "robot.b"])
     table = table.assign(replicate=np.tile(np.arange(400), 4), **{"manoeuvre.gait": np.repeat(list("wxyz"), 400)})
     failed = (table["manoeuvre.gait"] == "w") & (table["robot.a"] > -1)
-    found = failing.shares(table.assign(outcome=np.where(failed, "failure", "success")), exp).set_index("axis")
+    found = failing.failure_shares(table.assign(outcome=np.where(failed, "failure", "success")), exp).set_index("axis")
     assert found.index[0] == "manoeuvre.gait"
     assert found["share"].iloc[0] > 0.7
     idle = found[found.index == "robot.b"]

@@ -27,12 +27,12 @@ def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured(fake_eng
     assert main([*STUDY, f"out={tmp_path}"]) == 0
     out = capsys.readouterr().out
     found = results.read(tmp_path)
-    told = rare.rare(found.rows, found.exp)
+    told = rare.estimate_failure_probability(found.rows, found.exp)
     truth = norm.cdf(-FAR)
     assert told.low < truth < told.high
     assert told.high / told.low < 2
-    assert told.trusted
-    assert told.plain > 1e6
+    assert told.is_reliable
+    assert told.equivalent_plain_draws > 1e6
     assert str(told) in out
     assert main(["stats", str(tmp_path)]) == 0
     stats = capsys.readouterr().out
@@ -92,13 +92,13 @@ def test_without_a_failure_there_is_a_bound_and_one_heavy_row_is_told():
 
     design = SimpleNamespace(kind="importance", num=300, rounds=1)
     exp = SimpleNamespace(study=SimpleNamespace(name="some", design=design))
-    none = rare.rare(rows, exp)  # pyright: ignore[reportArgumentType]
+    none = rare.estimate_failure_probability(rows, exp)  # pyright: ignore[reportArgumentType]
     assert none.high == pytest.approx(0.01 / importance_sampling.PLAIN, rel=0.02)
     assert str(none).endswith("a larger study.design.wide, more draws or wider errors may find some")
     rows.loc[:9, "outcome"] = "failure"
     rows.loc[0, "axis.weight"] = 3.0
-    assert "NOT to be trusted: one row carries 25%" in str(rare.rare(rows, exp))  # pyright: ignore[reportArgumentType]
-    every = rare.rare(rows.assign(outcome="failure", **{"axis.weight": 1.3}), exp)  # pyright: ignore[reportArgumentType]
+    assert "NOT to be trusted: one row carries 25%" in str(rare.estimate_failure_probability(rows, exp))  # pyright: ignore[reportArgumentType]
+    every = rare.estimate_failure_probability(rows.assign(outcome="failure", **{"axis.weight": 1.3}), exp)  # pyright: ignore[reportArgumentType]
     assert (every.low, every.probability, every.high) == (1.0, 1.0, 1.0)  # whatever weights sum to
 
 
@@ -130,7 +130,7 @@ def test_modes_are_apart_however_they_are_caused():
     rows["outcome"] = np.where(low | high, "failure", "success")
     study = SimpleNamespace(design=SimpleNamespace(kind="importance", rounds=1))
     study.axes = [SimpleNamespace(name=name, column=name) for name in "abc"]
-    found = rare.modes(rows, SimpleNamespace(study=study))  # pyright: ignore[reportArgumentType]
+    found = rare.failure_modes(rows, SimpleNamespace(study=study))  # pyright: ignore[reportArgumentType]
     assert found["share"].tolist() == pytest.approx([0.635, 0.365], abs=0.05)
     assert found["cause"][0].startswith("slipped")  # and what falls beside it
     assert re.fullmatch(r"fell 7\d%, slipped 2\d%", found["cause"][1])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, binomtest
 
-from sweep.analysis.intervals import anytime, clopper_pearson, wilson
+from sweep.analysis.intervals import clopper_pearson, confidence_sequence, wilson
 
 PROBABILITIES = np.array([0.01, 0.05, 0.1, 0.3, 0.5, 0.8, 0.97])
 
@@ -35,7 +35,7 @@ def test_intervals_are_those_of_scipy(interval, method):
         np.testing.assert_allclose(interval(k, n), binomtest(k, n).proportion_ci(0.95, method), atol=1e-12)
 
 
-@pytest.fixture(scope="module", params=[anytime, wilson])
+@pytest.fixture(scope="module", params=[confidence_sequence, wilson])
 def ends(request):
     """Ends of the intervals for all counts up to 400: (400 trials, 401 counts) each."""
     n, k = np.mgrid[1:401, 0:401]
@@ -48,14 +48,14 @@ def test_the_sequence_covers_however_one_stops_and_wilson_does_not(ends, p):
     counts = np.cumsum(np.random.default_rng(0).random((4000, 400)) < p, axis=1)
     at = np.arange(400), counts
     lies = ((p < low[at]) | (p > high[at])).any(axis=1).mean()  # at some time, when it suits to stop
-    if interval is anytime:
+    if interval is confidence_sequence:
         assert lies <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / 4000)
     else:
         assert lies > 0.2
 
 
 def test_the_sequence_closes_in_on_the_rate():
-    low, high = anytime([0, 50, 500, 10], [0, 100, 1000, 10])
+    low, high = confidence_sequence([0, 50, 500, 10], [0, 100, 1000, 10])
     assert (low[0], high[0], high[3]) == (0, 1, 1)
     assert low[1] < low[2] < 0.5 < high[2] < high[1]
     assert high[2] - low[2] < 0.13

@@ -55,7 +55,7 @@ def test_the_interval_of_a_volume_covers_it(study, design):
     hits, widths = [], []
     for seed in range(30):
         exp, rows = study({"shin": SHIN, "thigh": THIGH}, quarter_disc, design=design, seed=seed)
-        line = sensitivity.volume(rows, exp).iloc[0]
+        line = sensitivity.success_volume(rows, exp).iloc[0]
         hits.append(line["low"] <= np.pi / 4 <= line["high"])
         widths.append(line["high"] - line["low"])
     assert np.mean(hits) >= 0.83  # 95 % less 3 standard errors of 30 studies
@@ -66,7 +66,7 @@ def test_a_volume_is_told_at_each_condition_and_invalid_rows_are_left_out(study)
     exp, rows = study({"f": {"path": "contact.friction", "values": [0.5, 1.0]}, "shin": SHIN, "thigh": THIGH},
                       quarter_disc, design={"kind": "sobol", "num": 64, "scrambles": 4})  # fmt: skip
     rows.loc[rows.index[:100], "outcome"] = "invalid"
-    table = sensitivity.volume(rows, exp)
+    table = sensitivity.success_volume(rows, exp)
     assert table["contact.friction"].tolist() == [0.5, 1.0]
     assert table["invalid"].tolist() == [100, 0]
     np.testing.assert_allclose(table["share"], np.pi / 4, atol=0.06)
@@ -110,9 +110,9 @@ def test_the_logistic_fit_finds_the_curve_and_its_intervals_cover():
     hits, inside, fits = [], [], []
     for _ in range(400):
         success = rng.random(len(x)) < truth
-        fit = sensitivity.logistic(x, success)
-        fits.append(sensitivity.goodness(fit, x, success))
-        low, high = fit.where(0.9)[1]
+        fit = sensitivity.fit_logistic(x, success)
+        fits.append(sensitivity.goodness_of_fit_p(fit, x, success))
+        low, high = fit.distance_at(0.9)[1]
         hits.append(low <= at <= high)
         _, band = fit.probability(0.03)
         inside.append(band.low <= 1 / (1 + np.exp(-(4 - 150 * 0.03))) <= band.high)
@@ -124,14 +124,16 @@ def test_the_logistic_fit_finds_the_curve_and_its_intervals_cover():
 def test_a_fit_that_the_rates_do_not_follow_is_told():
     x, rng = np.repeat([0.0, 0.2, 0.4, 0.6, 0.65, 0.7], 100), np.random.default_rng(3)
     step = rng.random(len(x)) < np.where(x < 0.62, 0.95, 0.0)
-    assert sensitivity.goodness(sensitivity.logistic(x, step), x, step) < 1e-3
-    assert np.isnan(sensitivity.goodness(sensitivity.logistic(x, step), x + rng.random(len(x)), step))  # all differ
+    assert sensitivity.goodness_of_fit_p(sensitivity.fit_logistic(x, step), x, step) < 1e-3
+    assert np.isnan(
+        sensitivity.goodness_of_fit_p(sensitivity.fit_logistic(x, step), x + rng.random(len(x)), step)
+    )  # all differ
 
 
 def test_the_logistic_fit_survives_a_clear_cut_and_the_lack_of_any():
     x = np.repeat([1.0, 2.0, 3.0, 4.0], 20)
-    assert 2 < sensitivity.logistic(x, x < 2.5).where(0.5)[0] < 3
-    assert sensitivity.logistic(x, np.ones(80)).where(0.9)[1].high == np.inf
+    assert 2 < sensitivity.fit_logistic(x, x < 2.5).distance_at(0.5)[0] < 3
+    assert sensitivity.fit_logistic(x, np.ones(80)).distance_at(0.9)[1].high == np.inf
 
 
 def test_the_tolerance_to_an_error_is_told_on_either_side(study):
@@ -155,13 +157,13 @@ def test_the_tolerance_to_an_error_is_told_on_either_side(study):
 def test_regional_sensitivity_puts_what_matters_first(study):
     exp, rows = study({"shin": SHIN, "thigh": THIGH, "mass": MASS}, lambda t: t["robot.thigh"] < 0.56,
                       design={"num": 400})  # fmt: skip
-    found = sensitivity.regional(rows, exp).set_index("axis")
+    found = sensitivity.regional_sensitivity(rows, exp).set_index("axis")
     assert found.index[0] == "robot.thigh"
     assert found.loc["robot.thigh", "distance"] == 1
     assert found.loc["robot.thigh", "median_success"] < found.loc["robot.thigh", "median_failure"]
     assert (found["p"][1:] > 1e-3).all()
     with pytest.raises(InputError, match="successes and failures"):
-        sensitivity.regional(rows[rows["outcome"] == "success"], exp)
+        sensitivity.regional_sensitivity(rows[rows["outcome"] == "success"], exp)
 
 
 def test_sobol_indices_are_those_of_a_known_function(study):
@@ -210,13 +212,13 @@ def test_any_draws_tell_which_axes_matter(study):
     exp, rows = study({"shin": SHIN, "thigh": THIGH, "mass": MASS}, lambda t: t["robot.shin"] > 0.35,
                       design={"kind": "latin_hypercube", "num": 500})  # fmt: skip
     rows["y_m"] = 3 * unit(rows, "robot.shin", 0.3, 0.1) + unit(rows, "robot.thigh", 0.5, 0.1)
-    found = screening.first_order(rows, exp, "y_m")
+    found = screening.rbd_fast_indices(rows, exp, "y_m")
     assert found["axis"].tolist() == ["robot.shin", "robot.thigh", "robot.body_mass"]
     assert found["first"].to_numpy() == pytest.approx([0.9, 0.1, 0], abs=0.05)
-    moved = screening.pawn(rows, exp, "y_m").set_index("axis")
+    moved = screening.pawn_indices(rows, exp, "y_m").set_index("axis")
     assert moved["median"]["robot.shin"] > moved["median"]["robot.thigh"] > moved["by_chance"].iloc[0]
     assert moved["median"]["robot.body_mass"] == pytest.approx(moved["by_chance"].iloc[0], abs=0.05)
     titles = [title for title, _ in statistics_sections(rows, exp)]
     assert titles[-2:] == ["PAWN indices of success", "First Sobol indices (RBD-FAST) of success"]
     with pytest.raises(InputError, match="need 100 valid draws"):
-        screening.pawn(rows.head(50), exp)
+        screening.pawn_indices(rows.head(50), exp)

@@ -27,34 +27,34 @@ def pairs(kinds):
 def test_looking_after_every_pair_keeps_the_level():
     """Of 2,000 comparisons of equals fewer than 5 % are ever decided, however often one looks."""
     kind = np.random.default_rng(0).choice(4, p=[0.8, 0.07, 0.07, 0.06], size=(2000, 3000))
-    evidence = sequential.log_evidence(np.cumsum(kind == 1, axis=1), np.cumsum(kind == 2, axis=1))
+    evidence = sequential.log_e_value(np.cumsum(kind == 1, axis=1), np.cumsum(kind == 2, axis=1))
     assert 0.02 < (evidence >= np.log(20)).any(axis=1).mean() <= 0.05
 
 
 def test_it_is_a_martingale():
     """After any counts the mean over the next flip, either way as likely, is what it was."""
     b, c = np.meshgrid(np.arange(6), np.arange(6))
-    now, lost, gained = (np.exp(sequential.log_evidence(*n)) for n in ((b, c), (b + 1, c), (b, c + 1)))
+    now, lost, gained = (np.exp(sequential.log_e_value(*n)) for n in ((b, c), (b + 1, c), (b, c + 1)))
     np.testing.assert_allclose((lost + gained) / 2, now, rtol=1e-12)
 
 
 def test_it_stops_at_the_first_pair_that_decides():
-    found = sequential.verdict(pairs("bblinlbllillnlll" + "ggg"))
+    found = sequential.sequential_test(pairs("bblinlbllillnlll" + "ggg"))
     assert found.decided
     assert (found.lost, found.gained) == (7, 0)  # 26.8; six in a row are 14.4
     assert (found.pairs, found.invalid, found.left) == (12, 2, 5)
     assert found.pairs + found.invalid + found.left == len("bblinlbllillnlll" + "ggg")
     shuffled = pairs("bblinlbllillnlll" + "ggg").sample(frac=1, random_state=0)
-    assert sequential.verdict(shuffled) == found  # in the order of the draws
-    assert not sequential.verdict(pairs("bblg")).decided
-    assert "none of 2 pairs is valid" in str(sequential.verdict(pairs("ii")))
+    assert sequential.sequential_test(shuffled) == found  # in the order of the draws
+    assert not sequential.sequential_test(pairs("bblg")).decided
+    assert "none of 2 pairs is valid" in str(sequential.sequential_test(pairs("ii")))
 
 
 def test_the_size_of_a_test_looked_at_once():
     """Simulated McNemar tests of that size find the difference about nine times in ten."""
     from scipy.stats import binom
 
-    size = round(sequential.fixed_size(0.12, 0.05))
+    size = round(sequential.fixed_sample_size(0.12, 0.05))
     kinds = np.random.default_rng(0).multinomial(size, [0.12, 0.05, 0.83], 4000)
     p = 2 * binom.cdf(kinds[:, :2].min(axis=1), kinds[:, :2].sum(axis=1), 0.5)
     assert np.mean(p <= 0.05) == pytest.approx(sequential.POWER, abs=0.04)  # the exact test is a little weaker

@@ -24,7 +24,7 @@ def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured_in_parts
     assert main([*STUDY, f"out={tmp_path / 'a'}"]) == 0
     out = capsys.readouterr().out
     found = results.read(tmp_path / "a")
-    told = rare.rare(found.rows, found.exp)
+    told = rare.estimate_failure_probability(found.rows, found.exp)
     low, high = told.interval
     assert low < norm.cdf(-FAR) < high
     assert 1 / 3 < told.probability / norm.cdf(-FAR) < 3
@@ -43,7 +43,7 @@ def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured_in_parts
     # a stricter limit of what leads is on the way to the other
     assert main([*STUDY, f"out={tmp_path / 'b'}", "outcome.tilt_max_deg=15"]) == 0
     stricter = results.read(tmp_path / "b")
-    low, high = rare.rare(stricter.rows, stricter.exp).interval
+    low, high = rare.estimate_failure_probability(stricter.rows, stricter.exp).interval
     assert low < norm.cdf(-FAR / 2) < high
     assert len(stricter.rows) == len(found.rows)
 
@@ -57,7 +57,7 @@ def test_a_margin_that_does_not_lead_is_told_and_another_lead_may_do(fake_engine
     lead = "study.design.lead=friction + body_mass / 10"
     assert main([*STUDY, lead, f"out={tmp_path / 'sum'}"]) == 0
     found = results.read(tmp_path / "sum")
-    low, high = rare.rare(found.rows, found.exp).interval
+    low, high = rare.estimate_failure_probability(found.rows, found.exp).interval
     assert low < norm.cdf(-FAR) < high
 
 
@@ -81,7 +81,7 @@ def searched(fails, d, plan, runs, seed):
             margin = fails(ndtri(draws.shares))
             draws = search.send(RoundSummary(margin < 0, margin))
     except StopIteration as end:
-        return rare.Repeated(plan.target, tuple(end.value))
+        return rare.SubsetEstimate(plan.target, tuple(end.value))
 
 
 def linear(beta):
@@ -97,7 +97,7 @@ def flat(beta):
 def test_its_mean_is_the_truth_and_its_intervals_hold(margin, d, beta):
     truth, plan = norm.sf(beta), subset_simulation.Levels(500, 0.1, 1e-9)
     found = [searched(margin(beta), d, plan, 5, seed) for seed in range(60)]
-    each = np.concatenate([one.each for one in found])
+    each = np.concatenate([one.run_probabilities for one in found])
     variation = each.std() / truth
     assert variation < 0.75
     # it has a bias of about its squared variation
@@ -124,7 +124,7 @@ def test_it_agrees_with_openturns():
         run.setConditionalProbability(0.1)
         run.run()
         theirs.append(run.getResult().getProbabilityEstimate())
-    ours = searched(margin, 4, subset_simulation.Levels(1000, 0.1, 1e-9), 40, 0).each
+    ours = searched(margin, 4, subset_simulation.Levels(1000, 0.1, 1e-9), 40, 0).run_probabilities
     spread = np.hypot(np.std(theirs), ours.std()) / np.sqrt(40)
     assert abs(np.mean(theirs) - ours.mean()) < 3 * spread
     assert 0.5 < ours.std() / np.std(theirs) < 2

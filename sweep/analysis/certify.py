@@ -1,10 +1,10 @@
-"""Regions of parameters in which the probability of failing is bounded: learned on some rows, tested on others.
+"""Regions of parameters with a certified upper bound on the failure probability.
 
-Regions are nested, each `score(x) <= c` of a score that is learned from rows which play no part in the test. Fresh rows
-then test them in a fixed order, from the region most likely to pass outwards, each by the exact binomial bound at the
-whole confidence, up to the first that does not pass (fixed sequence testing): a region that fails more often than is
-promised is certified with probability 1 - confidence at most. The largest region whose observed rate is small enough is
-wrong about half the time, as it is chosen because it looked good.
+Nested regions `score(x) <= c` are learned from one set of rows and tested on fresh rows, which play no part in the
+learning. Fresh rows test the regions in a fixed order, from the smallest outwards, each by the exact binomial bound at
+the full confidence level, up to the first region that does not pass (fixed-sequence testing). The probability that a
+certified region fails more often than promised is at most 1 - confidence. In contrast, the largest region whose
+observed failure rate is small enough breaks the promise about half the time, because it was selected for looking good.
 """
 
 from dataclasses import dataclass
@@ -15,37 +15,37 @@ import numpy as np
 from sweep.core.errors import InputError
 
 SHAPES = ("box", "ellipsoid", "score")
-STEPS = 100  # regions, at equal shares of the draws
-PEEL = 0.02  # share of the draws left that is taken off one side of a box at a time
+STEPS = 100  # candidate regions, at equal steps of the share of draws
+PEEL = 0.02  # share of the remaining draws that one step of a box removes
 FEWEST_IN_BOX = 10  # learning rows
-PART = 1024  # rows of a product: of more, BLAS takes threads, which on busy cores wait for each other
-ROUND = 1e-3  # least curvature of an ellipsoid, in the parameters' own spreads
-DIGITS = 9  # of the numbers of a region, so that its condition has all of them
+PART = 1024  # rows of a matrix product: with more, BLAS starts threads, which wait for each other on busy cores
+ROUND = 1e-3  # smallest curvature of an ellipsoid, for parameters scaled to unit standard deviation
+DIGITS = 9  # significant digits of a region's numbers, so that its printed condition is exact
 
 
 @dataclass(frozen=True)
 class Boxes:
-    """Nested boxes: the whole of what was drawn, and one side after the other taken off. The last has the fewest."""
+    """Nested axis-aligned boxes: each box takes one side off the one before. The first holds all learning rows."""
 
     low: np.ndarray  # (boxes, d)
     high: np.ndarray
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Rows (n, d) to the number of boxes that each is not in (n,)."""
+        """Return the score of rows x (n, d): the number of boxes that do not contain each row (n,)."""
         sides = [np.searchsorted(low, v, side="right") for low, v in zip(self.low.T, x.T, strict=True)]
         sides += [np.searchsorted(-high, -v, side="right") for high, v in zip(self.high.T, x.T, strict=True)]
         return len(self.low) - np.min(sides, axis=0).astype(float)
 
     def condition(self, names: list[str], threshold: float) -> str:
-        """`score(x) <= threshold` as a condition on columns, such as `--where` takes: ends of every parameter."""
+        """Write `score(x) <= threshold` as a condition on columns, in the syntax of `--where`."""
         number = len(self.low) - int(threshold) - 1
         ends = zip(names, self.low[number].tolist(), self.high[number].tolist(), strict=True)
         return " and ".join(f"{low!r} <= {name} <= {high!r}" for name, low, high in ends)
 
 
 @dataclass(frozen=True)
-class Odds:
-    """Log odds of failing: constant + linear z + z' form z, with z = (x - centre) / scale."""
+class LogOdds:
+    """Quadratic log odds of failure: constant + linear z + z' form z, where z = (x - centre) / scale."""
 
     centre: np.ndarray  # (d,)
     scale: np.ndarray
@@ -54,12 +54,12 @@ class Odds:
     form: np.ndarray  # (d, d)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Rows (n, d) to log odds (n,)."""
+        """Return the log odds of failure (n,) of rows x (n, d)."""
         z = (x - self.centre) / self.scale
         return self.constant + z @ self.linear + np.einsum("ni,ij,nj->n", z, self.form, z)
 
     def condition(self, names: list[str], threshold: float) -> str:
-        """The same: the polynomial written out."""
+        """Write `score(x) <= threshold` as a condition on columns, in the syntax of `--where`."""
         z = [f"({name} - {_text(c)}) / {_text(s)}" for name, c, s in zip(names, self.centre, self.scale, strict=True)]
         terms = [f"{_text(w)} * {one}" for w, one in zip(self.linear, z, strict=True)]
         for i in range(len(z)):
@@ -69,7 +69,7 @@ class Odds:
         return f"{_text(self.constant)} + {' + '.join(terms)} <= {float(threshold)!r}"
 
 
-Outside = Boxes | Odds  # a score, how far outside rows are: regions are where it is small
+RegionScore = Boxes | LogOdds  # regions are where the score is small
 
 
 def _rounded(numbers: np.ndarray) -> np.ndarray:
@@ -80,31 +80,41 @@ def _text(number: float) -> str:
     return f"{number:.{DIGITS}g}"
 
 
-def fewest(failures: float, confidence: float) -> int:
-    """Rows without a failure that certify a probability of `failures`."""
+def required_rows(failures: float, confidence: float) -> int:
+    """Return the number of rows without any failure that certify a failure probability.
+
+    Args:
+        failures: Failure probability to certify, 0 to 1.
+        confidence: Confidence level, 0 to 1.
+    """
     return int(np.ceil(np.log1p(-confidence) / np.log1p(-failures)))
 
 
-def bound(failed: int, rows: int, confidence: float) -> float:
-    """Exact upper bound of a probability of failing; 1 without a row (Clopper, Pearson; one-sided)."""
+def failure_upper_bound(failed: int, rows: int, confidence: float) -> float:
+    """Return the exact one-sided upper confidence bound of a failure probability (Clopper-Pearson); 1 without a row."""
     from scipy.special import betaincinv  # slow to import
 
     return 1.0 if failed >= rows else float(betaincinv(failed + 1, rows - failed, confidence))
 
 
-def most_failed(rows: int, failures: float, confidence: float) -> int:
-    """The most failures among `rows` with which `failures` is certified; -1 where there are too few rows."""
+def allowed_failures(rows: int, failures: float, confidence: float) -> int:
+    """Return the largest number of failures among `rows` that still certifies `failures`; -1 with too few rows."""
     from scipy.stats import binom
 
     guess = int(binom.ppf(1 - confidence, rows, failures))
-    return next(k for k in range(guess, -2, -1) if k < 0 or bound(k, rows, confidence) <= failures)
+    return next(k for k in range(guess, -2, -1) if k < 0 or failure_upper_bound(k, rows, confidence) <= failures)
 
 
-def box(x: np.ndarray, failed: np.ndarray, least: float) -> Boxes:
-    """Take off the side with most failures to the draws it costs, until a share `least` of the draws is left.
+def fit_box(x: np.ndarray, failed: np.ndarray, least: float) -> Boxes:
+    """Learn nested boxes by the patient rule induction method (PRIM, Friedman and Fisher 1999).
 
-    Patient rule induction (Friedman, Fisher 1999) on the rows x (n, d). Where no failure is left the side goes that is
-    farthest from the middle.
+    Each step removes the side with the largest failure rate among the draws it removes. Once no failure is left, it
+    removes the side that is farthest from the centre.
+
+    Args:
+        x: Learning rows (n, d).
+        failed: Whether each row failed (n,).
+        least: Share of the rows at which the peeling stops.
     """
     low, high = x.min(axis=0), x.max(axis=0)
     spread = np.where(high > low, high - low, 1.0)
@@ -129,10 +139,13 @@ def box(x: np.ndarray, failed: np.ndarray, least: float) -> Boxes:
     return Boxes(np.array(lows), np.array(highs))
 
 
-def odds(x: np.ndarray, failed: np.ndarray, convex: bool) -> Odds:
-    """Fit a logistic law whose exponent is of the second degree in x (n, d), lightly held to zero.
+def fit_log_odds(x: np.ndarray, failed: np.ndarray, convex: bool) -> LogOdds:
+    """Fit a logistic model of failure with a quadratic exponent and a ridge penalty.
 
-    `convex` makes its form root' root + `ROUND`: regions are ellipsoids, whose middle is where the rows say.
+    Args:
+        x: Learning rows (n, d).
+        failed: Whether each row failed (n,).
+        convex: Restrict the quadratic form to a positive definite one, so that the regions are ellipsoids.
     """
     from scipy.optimize import minimize
     from scipy.special import expit
@@ -161,22 +174,38 @@ def odds(x: np.ndarray, failed: np.ndarray, convex: bool) -> Odds:
     weights = minimize(loss, start, jac=True, method="L-BFGS-B").x
     root = weights[1 + d :].reshape(d, d)
     form = root.T @ root + ROUND * np.eye(d) if convex else root
-    return Odds(centre, scale, float(_text(weights[0])), _rounded(weights[1 : 1 + d]), _rounded((form + form.T) / 2))
+    return LogOdds(centre, scale, float(_text(weights[0])), _rounded(weights[1 : 1 + d]), _rounded((form + form.T) / 2))
 
 
-def learn(shape: str, x: np.ndarray, failed: np.ndarray, least: float) -> Outside:
-    """The score of nested regions of a `shape` from rows x (n, d); `least` is the share of the draws in the smallest.
+def learn_score(shape: str, x: np.ndarray, failed: np.ndarray, least: float) -> RegionScore:
+    """Learn a score whose sublevel sets are nested regions with few failures.
 
-    That is the share of fresh rows that certify where none fails.
+    Args:
+        shape: One of `SHAPES`: "box", "ellipsoid" or "score" (any quadric).
+        x: Learning rows (n, d).
+        failed: Whether each row failed (n,).
+        least: Share of the rows in the smallest box: that of the fresh rows which suffice to certify without a failure.
+
+    Returns:
+        A function of rows (n, d) to scores (n,); the smaller the score, the safer the row.
     """
-    return box(x, failed, least) if shape == "box" else odds(x, failed, convex=shape == "ellipsoid")
+    return fit_box(x, failed, least) if shape == "box" else fit_log_odds(x, failed, convex=shape == "ellipsoid")
 
 
-def thresholds(scores: np.ndarray, failed: np.ndarray, fresh: int, failures: float, confidence: float) -> np.ndarray:
-    """Of nested regions, ascending, from the one most likely to be certified by so many `fresh` rows.
+def candidate_thresholds(
+    scores: np.ndarray, failed: np.ndarray, fresh: int, failures: float, confidence: float
+) -> np.ndarray:
+    """Return ascending thresholds of nested regions, from the one most likely to be certified.
 
-    `scores` (n,) are those of the learning rows, `failed` which of them failed: the more rows a region has the more
-    failures it may have, but the more it has of them, too.
+    A larger region may contain more failures, but does contain more of them, too: the first threshold maximises the
+    power of the test that follows.
+
+    Args:
+        scores: Scores of the learning rows (n,).
+        failed: Whether each learning row failed (n,).
+        fresh: Number of fresh rows that will test the regions.
+        failures: Failure probability to certify, 0 to 1.
+        confidence: Confidence level, 0 to 1.
     """
     from scipy.stats import binom
 
@@ -184,68 +213,80 @@ def thresholds(scores: np.ndarray, failed: np.ndarray, fresh: int, failures: flo
     inside = scores <= every[:, None]
     rows, bad = inside.sum(axis=1), (inside & failed).sum(axis=1)
     falling = np.round(fresh * rows / len(scores)).astype(int)
-    allowed = [most_failed(int(n), failures, confidence) for n in falling]
+    allowed = [allowed_failures(int(n), failures, confidence) for n in falling]
     power = binom.cdf(allowed, falling, (bad + 0.5) / (rows + 1.0))
     return every[int(np.argmax(power)) :]
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """The largest region found, or none, and what fresh rows say of it."""
+    """The largest certified region, if any, with the counts of the fresh rows that certify it."""
 
-    failures: float  # probability that is promised not to be exceeded
+    failures: float  # certified upper bound of the failure probability
     confidence: float
-    score: Outside
+    score: RegionScore
     threshold: float  # NaN without a region
     rows: int  # fresh rows in the region
-    failed: int  # of them, invalid ones among them
-    drawn: int  # fresh rows in all
-    next_rows: int  # of the first region that was not certified; 0 where all were
+    failed: int  # fresh rows in the region that failed, invalid ones included
+    drawn: int  # all fresh rows
+    next_rows: int  # fresh rows in the first region that was not certified; 0 if all were
     next_failed: int
 
     @property
-    def found(self) -> bool:
+    def is_certified(self) -> bool:
         """Whether any region is certified."""
         return bool(np.isfinite(self.threshold))
 
     @property
-    def share(self) -> float:
-        """Of the draws that fall into the region."""
+    def draw_share(self) -> float:
+        """Share of all fresh draws that fall into the region."""
         return self.rows / self.drawn
 
     @cached_property
-    def at_most(self) -> float:
-        """What the region's own fresh rows bound its probability of failing by."""
-        return bound(self.failed, self.rows, self.confidence)
+    def upper_bound(self) -> float:
+        """Upper confidence bound of the region's failure probability, from its own fresh rows."""
+        return failure_upper_bound(self.failed, self.rows, self.confidence)
 
-    def inside(self, x: np.ndarray) -> np.ndarray:
-        """Which rows x (n, d) are in the region."""
+    def contains(self, x: np.ndarray) -> np.ndarray:
+        """Return which rows x (n, d) lie in the region (n,)."""
         return self.score(x) <= self.threshold
 
 
 def certify(
-    score: Outside,
+    score: RegionScore,
     learning: tuple[np.ndarray, np.ndarray],
     fresh: tuple[np.ndarray, np.ndarray],
     failures: float,
     confidence: float,
 ) -> Certificate:
-    """The largest region of a `score` whose probability of failing is certified to be at most `failures`.
+    """Find the largest region whose failure probability is certified to be at most `failures`.
 
-    `learning`, which the score was learned from, and `fresh` are rows (n, d) with whether they failed (n,), invalid
-    ones as failed; both are independent draws from one distribution, and the promise is for draws from it that fall
-    into the region. Raises `InputError` where there are too few fresh rows for any region.
+    The promise holds for future draws from the same distribution that fall into the region.
+
+    Args:
+        score: Score of `learn_score`, whose sublevel sets are the candidate regions.
+        learning: Rows (n, d) that the score was learned from, and whether each failed (n,); invalid rows count as
+            failed.
+        fresh: Independent rows (m, d) of the same distribution, and whether each failed (m,).
+        failures: Failure probability to certify, 0 to 1.
+        confidence: Confidence level, 0 to 1.
+
+    Returns:
+        The certificate; its threshold is NaN if no region passes.
+
+    Raises:
+        InputError: There are too few fresh rows to certify any region.
     """
-    need, (x, failed) = fewest(failures, confidence), fresh
+    need, (x, failed) = required_rows(failures, confidence), fresh
     if len(x) < need:
         raise InputError(
             f"{len(x)} fresh rows cannot certify {failures:g} at {confidence:.1%}: at least {need}, if none fails"
         )
     own, best = score(x), (np.nan, 0, 0)
-    for threshold in thresholds(score(learning[0]), learning[1], len(x), failures, confidence):
+    for threshold in candidate_thresholds(score(learning[0]), learning[1], len(x), failures, confidence):
         inside = own <= threshold
         rows, bad = int(inside.sum()), int(failed[inside].sum())
-        if bound(bad, rows, confidence) > failures:
+        if failure_upper_bound(bad, rows, confidence) > failures:
             return Certificate(failures, confidence, score, *best, len(x), rows, bad)
         best = (float(threshold), rows, bad)
     return Certificate(failures, confidence, score, *best, len(x), 0, 0)

@@ -1,4 +1,4 @@
-"""The same points run twice (another engine, version or controller): what changed, where, is it more than chance?"""
+"""Paired comparison of two runs of the same points: which outcomes changed, where, and whether beyond chance."""
 
 from dataclasses import dataclass, replace
 
@@ -7,7 +7,7 @@ import pandas as pd
 
 from sweep.analysis import sampling_units
 from sweep.analysis.intervals import clopper_pearson
-from sweep.analysis.stats import percent, rates
+from sweep.analysis.stats import format_percent, rates
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
 from sweep.study.columns import LABELS, figure_columns
@@ -20,7 +20,7 @@ SECOND = " (B)"  # marks the columns of the second run
 
 @dataclass(frozen=True)
 class Flips:
-    """Pairs whose outcome differs. Pairs with an invalid rollout are counted apart and not tested."""
+    """Counts of paired outcomes of runs A and B. Pairs with an invalid rollout are counted apart and not tested."""
 
     pairs: int
     lost: int  # succeed in A, fail in B
@@ -34,41 +34,53 @@ class Flips:
     high: float = np.nan
 
     @property
-    def tested(self) -> int:
-        """Pairs that are valid in both runs."""
+    def tested_pairs(self) -> int:
+        """Number of pairs that are valid in both runs."""
         return self.pairs - self.invalid_a - self.invalid_b - self.invalid_both
 
     @property
-    def flipped(self) -> int:
-        """Pairs that succeed in one run and fail in the other."""
+    def flip_count(self) -> int:
+        """Number of pairs that succeed in one run and fail in the other."""
         return self.lost + self.gained
 
     @property
-    def changed(self) -> float:
-        """Share of all pairs that flipped or became valid or invalid."""
-        return (self.flipped + self.invalid_a + self.invalid_b) / self.pairs
+    def changed_share(self) -> float:
+        """Share of all pairs that flipped, or became valid or invalid."""
+        return (self.flip_count + self.invalid_a + self.invalid_b) / self.pairs
 
     def __str__(self) -> str:
-        if not self.tested:
+        if not self.tested_pairs:
             return f"none of {self.pairs} pairs is valid in both"
         sample = not np.isnan(self.p)
-        interval = f", 95 % interval {percent(self.low)} to {percent(self.high)}" if sample else ""
+        interval = f", 95 % interval {format_percent(self.low)} to {format_percent(self.high)}" if sample else ""
         test = f" (McNemar p = {self.p:.2g})" if sample else ""
+        share = format_percent(self.flip_count / self.tested_pairs)
         return (
-            f"{self.flipped} of {self.tested} flip ({percent(self.flipped / self.tested)}{interval}): "
+            f"{self.flip_count} of {self.tested_pairs} flip ({share}{interval}): "
             f"{self.lost} succeed only in A, {self.gained} only in B{test}; "
             f"{self.recaused} fail of another cause; "
             f"invalid: {self.invalid_a} only in A, {self.invalid_b} only in B, {self.invalid_both} in both"
         )
 
 
-def pair(a: pd.DataFrame, b: pd.DataFrame, by: list[str] | None = None) -> pd.DataFrame:
-    """Rows of `a` beside those of `b` (their columns marked `SECOND`) that agree in the columns `by`.
+def pair_rows(a: pd.DataFrame, b: pd.DataFrame, by: list[str] | None = None) -> pd.DataFrame:
+    """Join the rows of run A with the matching rows of run B.
 
-    The default is `point_id`: equal physical inputs and replicate, however they are simulated; where a study repeats
-    its points on several engines, equal engines too. Where no row of B has a `point_id` of A, as with another
-    controller, it is what both vary, and the replicate; `attrs["by"]` of the pairs says so. Raises `InputError` where
-    several rows are left to choose from, or none.
+    The default key is `point_id`: equal physical inputs and replicate, whatever simulates them (and equal engines,
+    where a study repeats its points on several engines). If no row of B has a `point_id` of A, for example because the
+    controller differs, the key is the parameters that both runs vary and the replicate; `attrs["by"]` of the result
+    names them.
+
+    Args:
+        a: Rows of run A.
+        b: Rows of run B.
+        by: Columns to pair by, instead of the default.
+
+    Returns:
+        A row for each pair: the columns of A, and those of B with the suffix `SECOND`.
+
+    Raises:
+        InputError: A column of `by` is missing, several rows share a key, or no row of A matches one of B.
     """
     varied: list[str] = []
     if not by:
@@ -86,8 +98,8 @@ def pair(a: pd.DataFrame, b: pd.DataFrame, by: list[str] | None = None) -> pd.Da
     both = a.merge(b.rename(columns={c: f"{c}{SECOND}" for c in b if c not in key}), on=key)
     if both.empty:
         others = ", ".join(name for name in _varied(a, b) if name not in key)
-        told = f"--by {others}" if others else "none that both vary"
-        raise InputError(f"no row of A has the {', '.join(key)} of one of B (other columns to pair by: {told})")
+        options = f"--by {others}" if others else "none that both vary"
+        raise InputError(f"no row of A has the {', '.join(key)} of one of B (other columns to pair by: {options})")
     both.attrs["by"] = varied
     return both
 
@@ -107,27 +119,35 @@ def _tell_apart(a: pd.DataFrame, b: pd.DataFrame, by: list[str]) -> bool:
     return bool(by) and not any(rows.duplicated(by).any() for rows in (a, b)) and not a.merge(b, on=by).empty
 
 
-def axes(pairs: pd.DataFrame) -> list[str]:
-    """Parameters that A varies."""
+def varied_axes(pairs: pd.DataFrame) -> list[str]:
+    """Return the parameter columns that run A varies."""
     return [c for c in pairs.columns if "." in c and not c.endswith(SECOND)]
 
 
 def independent_unit_of_pairs(pairs: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
-    """Number of the independent unit of each pair (n,), by the experiment of A; None where pairs are no sample."""
+    """Return the number of the independent unit of each pair, or None if the pairs are not a random sample.
+
+    Args:
+        pairs: Pairs of rows (n), see `pair_rows`.
+        exp: Experiment of run A.
+
+    Returns:
+        Whole numbers (n,), equal for pairs that depend on each other; None for a grid.
+    """
     return sampling_units.pair_units(pairs[[c for c in pairs if not str(c).endswith(SECOND)]], exp)
 
 
-def flips(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Flips:
-    """How outcomes differ between the runs.
+def count_flips(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Flips:
+    """Count how outcomes differ between two runs, and test whether either run succeeds more often.
 
     Args:
-        pairs: Pairs of rows (n), see `pair`.
-        unit: Independent unit of each pair (n,), see `sampling_units.unit_numbers`: only pairs of different units are
-            independent. None where the pairs are no sample, such as those of a grid: there is no p-value then.
+        pairs: Pairs of rows (n), see `pair_rows`.
+        unit: Independent unit of each pair (n,), see `independent_unit_of_pairs`; only pairs of different units are
+            independent. None if the pairs are not a random sample, such as those of a grid: no p-value then.
 
     Returns:
-        The counts; with `unit` also McNemar's p-value and the interval of the share of flips. Where units have several
-        pairs, the test flips the sign of each unit's difference, and the interval is Korn and Graubard's.
+        The counts; with `unit` also McNemar's exact p-value and the 95 % interval of the share of flips. If units have
+        several pairs, the test flips the sign of each unit's difference, and the interval is Korn and Graubard's.
     """
     first, second = pairs["outcome"].to_numpy(), pairs[f"outcome{SECOND}"].to_numpy()
     invalid, invalid_b = first == "invalid", second == "invalid"
@@ -136,21 +156,21 @@ def flips(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Flips:
     other = pairs["cause"].to_numpy() != pairs[f"cause{SECOND}"].to_numpy()
     lost, gained = won & (second == "failure"), (first == "failure") & won_b
     counts = (lost, gained, fail & other, invalid & ~invalid_b, ~invalid & invalid_b, invalid & invalid_b)
-    found = Flips(len(pairs), *(int(np.sum(c)) for c in counts))
+    result = Flips(len(pairs), *(int(np.sum(c)) for c in counts))
     valid = ~invalid & ~invalid_b
     if unit is None or not valid.any():
-        return found
+        return result
     outcome = np.where(lost | gained, "success", np.where(valid, "failure", "invalid"))  # a flip is what is counted
     ends = rates(pd.DataFrame({"outcome": outcome}), [], clopper_pearson, unit).iloc[0]
     _, codes = np.unique(unit, return_inverse=True)
     difference = np.bincount(codes, lost.astype(int) - gained.astype(int))
-    return replace(found, p=sign_flip_p(difference.astype(int)), low=float(ends["low"]), high=float(ends["high"]))
+    return replace(result, p=sign_flip_p(difference.astype(int)), low=float(ends["low"]), high=float(ends["high"]))
 
 
 def sign_flip_p(differences: np.ndarray) -> float:
-    """The exact p-value of a sum of independent whole numbers, each as likely with either sign.
+    """Return the exact two-sided p-value of a sum of independent integers, each as likely with either sign.
 
-    Of differences of one it is McNemar's exact test.
+    With differences of -1, 0 and 1 it is McNemar's exact test.
     """
     sizes, counts = np.unique(np.abs(differences[differences != 0]), return_counts=True)
     if not len(sizes):
@@ -168,40 +188,42 @@ def sign_flip_p(differences: np.ndarray) -> float:
     return float(min(law[np.abs(sums) >= abs(differences.sum())].sum(), 1.0))
 
 
-def changed(pairs: pd.DataFrame) -> np.ndarray:
-    """Which pairs differ in outcome."""
+def outcome_changes(pairs: pd.DataFrame) -> np.ndarray:
+    """Return which pairs (n,) differ in outcome."""
     return (pairs["outcome"] != pairs[f"outcome{SECOND}"]).to_numpy()
 
 
-def regions(pairs: pd.DataFrame, axes: list[str], unit: np.ndarray | None = None, bins: int = BINS) -> pd.DataFrame:
-    """Flips in each region: the crossed thirds (or the values, where there are few) of `axes`.
+def flips_by_region(
+    pairs: pd.DataFrame, axes: list[str], unit: np.ndarray | None = None, bins: int = BINS
+) -> pd.DataFrame:
+    """Count flips in each region of the parameter space: the crossed thirds of the axes.
 
     Args:
-        pairs: Pairs of rows (n), see `pair`.
-        axes: Columns of the varied parameters.
-        unit: Independent unit of each pair (n,), see `flips`; None where they are no sample.
+        pairs: Pairs of rows (n), see `pair_rows`.
+        axes: Columns of the varied parameters; an axis with at most `bins` values, or of names, is split by value.
+        unit: Independent unit of each pair (n,), see `count_flips`; None if the pairs are not a random sample.
         bins: Regions along an axis.
 
     Returns:
-        A row for each region. With `unit` also `p`, McNemar's exact test, and `p_holm`, the same corrected for the
-        number of regions.
+        A row for each region. With `unit` also `p`, McNemar's exact test, and `p_holm`, corrected for the number of
+        regions (Holm).
     """
     groups = [_binned(pairs[axis], bins) for axis in axes]
     table = []
     for _, places in pairs.groupby(groups, observed=True).indices.items():
         part = pairs.iloc[places]
-        found = flips(part, None if unit is None else unit[places])
+        counts = count_flips(part, None if unit is None else unit[places])
         where = {axis: _extent(part[axis]) for axis in axes}
-        invalid = found.pairs - found.tested
+        invalid = counts.pairs - counts.tested_pairs
         table.append(
             {
                 **where,
-                "pairs": found.pairs,
-                "flips": found.flipped,
-                "only_A_succeeds": found.lost,
-                "only_B_succeeds": found.gained,
+                "pairs": counts.pairs,
+                "flips": counts.flip_count,
+                "only_A_succeeds": counts.lost,
+                "only_B_succeeds": counts.gained,
                 "invalid": invalid,
-                "p": found.p,
+                "p": counts.p,
             }
         )
     result = pd.DataFrame(table)
@@ -221,15 +243,15 @@ def _extent(values: pd.Series) -> str:
 
 
 def _holm(p: np.ndarray) -> np.ndarray:
-    """P-values after Holm's correction for testing all of them."""
+    """Correct p-values for multiple tests (Holm)."""
     order = np.argsort(p)
     adjusted = np.empty(len(p))
     adjusted[order] = np.maximum.accumulate((len(p) - np.arange(len(p))) * p[order])
     return np.minimum(adjusted, 1.0)
 
 
-def causes(pairs: pd.DataFrame) -> pd.DataFrame:
-    """How many pairs went from which outcome or cause in A to which other one in B."""
+def cause_changes(pairs: pd.DataFrame) -> pd.DataFrame:
+    """Count the pairs that went from one outcome or cause in A to another in B, the most frequent first."""
     first, second = (_verdict(pairs, mark) for mark in ("", SECOND))
     moved = pd.DataFrame({"A": first, "B": second})[(first != second).to_numpy()]
     return moved.value_counts().rename("pairs").reset_index()
@@ -240,26 +262,27 @@ def _verdict(pairs: pd.DataFrame, mark: str) -> pd.Series:
     return outcome.where(outcome == "success", outcome + " (" + cause + ")")
 
 
-def drift(pairs: pd.DataFrame) -> pd.Series:
-    """Typical relative change of every figure over the pairs valid in both: median of abs(B - A) over that of abs(A).
+def metric_drift(pairs: pd.DataFrame) -> pd.Series:
+    """Return the typical relative change of each metric between the runs: the median of abs(B - A) over that of abs(A).
 
-    Figures that are typically 0 in both runs change by 0, those that are 0 only in A by infinity.
+    Only pairs that are valid in both runs count. A metric that is typically 0 in both runs changes by 0, one that is
+    typically 0 only in A by infinity.
     """
     valid = (pairs["outcome"] != "invalid") & (pairs[f"outcome{SECOND}"] != "invalid")
     own = pairs.columns[[not c.endswith(SECOND) for c in pairs.columns]]
-    found = {}
+    changes = {}
     for name in figure_columns(pairs[own]):
         a, b = pairs.loc[valid, name], pairs.loc[valid, f"{name}{SECOND}"] if f"{name}{SECOND}" in pairs else None
         if b is None or a.dtype.kind != "f" or not (both := a.notna() & b.notna()).any():
             continue
         change, scale = (b[both] - a[both]).abs().median(), a[both].abs().median()
-        found[name] = change / scale if scale else (np.inf if change else 0.0)
-    return pd.Series(found, dtype=float).sort_values(ascending=False)
+        changes[name] = change / scale if scale else (np.inf if change else 0.0)
+    return pd.Series(changes, dtype=float).sort_values(ascending=False)
 
 
-def differences(pairs: pd.DataFrame) -> pd.DataFrame:
-    """The pairs that differ in outcome: their axes, and outcome, cause, stage and time in both runs."""
-    rows = pairs[changed(pairs)]
-    return rows[["point_id", *axes(pairs), *(f"{c}{mark}" for c in LABELS for mark in ("", SECOND))]].reset_index(
-        drop=True
-    )
+def changed_pairs(pairs: pd.DataFrame) -> pd.DataFrame:
+    """Return the pairs that differ in outcome: their axes, and outcome, cause, stage and time in both runs."""
+    rows = pairs[outcome_changes(pairs)]
+    return rows[
+        ["point_id", *varied_axes(pairs), *(f"{c}{mark}" for c in LABELS for mark in ("", SECOND))]
+    ].reset_index(drop=True)

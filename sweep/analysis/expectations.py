@@ -6,7 +6,7 @@ import pandas as pd
 from sweep.analysis import rare
 from sweep.analysis.sample import is_sample
 from sweep.analysis.sampling_units import condition_rates
-from sweep.analysis.stats import percent
+from sweep.analysis.stats import format_percent
 from sweep.core.expressions import mask
 from sweep.study.config import Experiment
 from sweep.study.study import Expectation
@@ -26,7 +26,7 @@ def unmet_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame
     if not expectations:
         return []
     lines = []
-    weights = rare.weights(rows, exp)[0] if exp.study.is_adaptive else np.ones(len(rows))
+    weights = rare.draw_and_failure_weights(rows, exp)[0] if exp.study.is_adaptive else np.ones(len(rows))
     rows = rows.reset_index(drop=True)
     valid = rows[rows["outcome"] != "invalid"]
     for one in expectations:
@@ -49,4 +49,4 @@ def _interval(rows: pd.DataFrame, hit: np.ndarray, exp: Experiment) -> str:
     if len(rows) < 2 or not is_sample(rows, exp):
         return ""
     found = condition_rates(rows.assign(outcome=np.where(hit, "success", "failure")), exp, []).iloc[0]
-    return f" (95 % interval {percent(found['low'])} to {percent(found['high'])})"
+    return f" (95 % interval {format_percent(found['low'])} to {format_percent(found['high'])})"

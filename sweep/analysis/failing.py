@@ -1,8 +1,9 @@
-"""Which drawn numbers make it fail, from rows that are there: how unlike failures' numbers are those of successes.
+"""Shapley shares of the varied parameters in failure, from existing rows.
 
-Unlike is the squared distance of two distributions in the space of a kernel (the Hilbert-Schmidt criterion of a number
-and of failing, up to a factor). Of several numbers together it tells what none of them does alone; the Shapley value
-shares it out among them, correlated ones too (Da Veiga 2021).
+The measure is the squared distance between the distributions of the parameters in failures and in successes, in the
+space of a kernel (the Hilbert-Schmidt independence criterion of parameters and failure, up to a factor). The distance
+of several parameters together contains interactions; Shapley values split it among them, correlated ones too (Da Veiga
+2021).
 """
 
 from collections.abc import Iterator
@@ -14,38 +15,38 @@ import pandas as pd
 from jaxtyping import Float
 
 from sweep.analysis.intervals import CONFIDENCE
-from sweep.analysis.rare import weights
-from sweep.analysis.sample import some
+from sweep.analysis.rare import draw_and_failure_weights
+from sweep.analysis.sample import choose_indices
 from sweep.analysis.sampling_units import PLAIN, draw_numbers
-from sweep.analysis.sensitivity import drawn, listed
+from sweep.analysis.sensitivity import drawn_axes, listed_axes
 from sweep.core.errors import InputError
 from sweep.study.config import Experiment
 
-MOST, FEWEST = 600, 20  # rows of either kind that are looked at
-AXES = 10  # of which all sets are gone through
-LEAST = 1e-4  # share that is told: a listed axis that does nothing has one of rounding errors
-GROUPS = 10  # of rows, one of which is left out at a time to tell the error
+MOST, FEWEST = 600, 20  # rows of either outcome that are used
+AXES = 10  # largest number of axes: all their subsets are evaluated
+LEAST = 1e-4  # smallest share that is reported: that of a listed axis without influence is a rounding error
+GROUPS = 10  # groups of the jackknife
 
 
-def shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
-    """The share of each varied parameter in failing, with its 95 % interval; the largest first.
+def failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
+    """Estimate the share of each varied parameter in failure, with its 95 % interval; the largest first.
 
     Invalid rollouts count as failures.
 
     Args:
-        rows: Rows of a study with draws.
+        rows: Rows of a study with random draws.
         exp: Its experiment.
 
     Returns:
         A row for each axis, drawn or listed, a number or a name: `share` (shares sum to 1), NaN where its error is as
-        large as itself; `low` and `high`, the ends of its interval; `alone`, the share of what all axes tell that it
-        tells on its own; the numbers of `failures` and `successes` that were looked at.
+        large as itself; `low` and `high`, the ends of its interval; `alone`, the share of the joint distance that the
+        axis has on its own; the numbers of `failures` and `successes` that were used.
 
     Raises:
-        InputError: Rows are no draws, axes are too many, there are too few rows of either kind, or no share is larger
-            than its error.
+        InputError: The rows are not random draws, there are too many axes or too few rows of either outcome, or no
+            share exceeds its error.
     """
-    axes = [axis for axis in (*listed(rows, exp), *drawn(rows, exp)) if axis.along is None]
+    axes = [axis for axis in (*listed_axes(rows, exp), *drawn_axes(rows, exp)) if axis.along is None]
     plain_draws = exp.study.design.kind in PLAIN and exp.study.design.num > 0
     if not (exp.study.is_adaptive or plain_draws) or not 0 < len(axes) <= AXES:
         raise InputError(f"shares of failing need draws of at most {AXES} numbers")
@@ -53,16 +54,16 @@ def shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     bad, good = (_chosen(weight) for weight in (failing, np.where(rows["outcome"] == "success", plain, 0.0)))
     if min(len(bad), len(good)) < FEWEST:
         raise InputError(f"shares of failing need {FEWEST} failures and successes, here: {len(bad)} and {len(good)}")
-    here = np.concatenate([bad, good])
-    kernels = np.stack([_kernel(rows[axis.column], plain, here) for axis in axes], axis=2)
+    used = np.concatenate([bad, good])
+    kernels = np.stack([_kernel(rows[axis.column], plain, used) for axis in axes], axis=2)
     # rows of one draw are no evidence of their likeness
-    unit = np.arange(len(here)) if exp.study.is_adaptive else draw_numbers(rows, exp)[here]
+    unit = np.arange(len(used)) if exp.study.is_adaptive else draw_numbers(rows, exp)[used]
     left_out = _left_out(np.concatenate([failing[bad], plain[good]]), unit)
     apart = dict(_distances(kernels, left_out[: len(bad)], left_out[len(bad) :], unit))
-    found = np.stack([_shapley(apart, k, len(axes)) for k in range(len(axes))])
-    found = found / found.sum(axis=0)
+    shapley = np.stack([_shapley(apart, k, len(axes)) for k in range(len(axes))])
+    shapley = shapley / shapley.sum(axis=0)
     alone = np.stack([apart[frozenset([k])] for k in range(len(axes))]) / apart[frozenset(range(len(axes)))]
-    share, error = found[:, 0], _error(found)
+    share, error = shapley[:, 0], _error(shapley)
     certain = share > np.maximum(error, LEAST)
     if not certain.any():
         raise InputError("no share of failing is larger than its error: more failures may tell")
@@ -74,10 +75,10 @@ def shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
 
 
 def _kernel(values: pd.Series, plain: np.ndarray, at: np.ndarray) -> Float[np.ndarray, "n n"]:
-    """How alike some rows are in one parameter; its mean over plain draws is 1.
+    """Kernel matrix of some rows in one parameter; its mean over plain draws is 1.
 
-    Of a number it is the kernel of the first Sobolev space on (0, 1), of its quantiles. Of a name it is the likeness of
-    equal ones, scaled so that a name and a number have as much to tell.
+    A number has the kernel of the first Sobolev space on (0, 1), evaluated at its quantiles. A name has an indicator
+    kernel, scaled to the same trace.
     """
     if values.dtype.kind in "fi":
         x = values.to_numpy(dtype=float)
@@ -95,20 +96,20 @@ def _kernel(values: pd.Series, plain: np.ndarray, at: np.ndarray) -> Float[np.nd
 
 
 def _weighted(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
-    """What rows (n,) count for as plain draws, and as failures."""
+    """Return the weight of each row (n,) as a plain draw, and as a failure."""
     if exp.study.is_adaptive:
-        return weights(rows, exp)
+        return draw_and_failure_weights(rows, exp)
     return np.ones(len(rows)), (rows["outcome"] != "success").to_numpy(dtype=float)
 
 
 def _chosen(weight: np.ndarray) -> np.ndarray:
-    """Places of some rows that count."""
+    """Return the places of at most `MOST` rows with a positive weight."""
     places = np.flatnonzero(weight)
-    return places[some(len(places), MOST)]
+    return places[choose_indices(len(places), MOST)]
 
 
 def _quantiles(values: np.ndarray, weight: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The shares of plain draws below `at`, and up to it."""
+    """Return the weighted shares of values strictly below `at`, and of those up to it."""
     order = np.argsort(values, kind="stable")
     below = np.concatenate([[0.0], np.cumsum(weight[order])]) / weight.sum()
     low, high = (below[np.searchsorted(values[order], at, side=side)] for side in ("left", "right"))
@@ -116,7 +117,7 @@ def _quantiles(values: np.ndarray, weight: np.ndarray, at: np.ndarray) -> tuple[
 
 
 def _left_out(weight: np.ndarray, unit: np.ndarray) -> Float[np.ndarray, "n g"]:
-    """Weights (n,) of all rows, and with one group of independent units after the other left out."""
+    """Return the weights (n,) of all rows, and those with one group of independent units left out, for each group."""
     _, codes = np.unique(unit, return_inverse=True)
     group = (np.random.default_rng(0).permutation(codes.max() + 1) % GROUPS)[codes]
     return np.stack([weight, *(np.where(group == k, 0.0, weight) for k in range(GROUPS))], axis=1)
@@ -128,9 +129,9 @@ def _distances(
     good: Float[np.ndarray, "c g"],
     unit: np.ndarray,
 ) -> Iterator[tuple[frozenset[int], np.ndarray]]:
-    """For each set of parameters the squared distance (g,) of failures, the first rows, from successes: without bias.
+    """Yield the unbiased squared distance (g,) of failures, the first rows, from successes for each set of parameters.
 
-    Only pairs of rows of different units (n,) count. As the mean of a kernel is 1, a parameter that means nothing
+    Only pairs of rows of different units (n,) count. As the mean of a kernel is 1, a parameter without influence
     changes no distance.
     """
     b, d = len(bad), kernels.shape[2]
@@ -149,15 +150,15 @@ def _distances(
 
 
 def _shapley(value: dict[frozenset[int], np.ndarray], k: int, d: int) -> np.ndarray:
-    """What number k adds to a set of others, in the mean of all orders."""
+    """Return the Shapley value of parameter k: what it adds to a set of others, averaged over all orders."""
     without = [chosen for chosen in value if k not in chosen]
     return np.sum([(value[c | {k}] - value[c]) / comb(d - 1, len(c)) for c in without], axis=0) / d
 
 
-def _error(found: Float[np.ndarray, "d g"]) -> np.ndarray:
-    """Half the interval (d,), by what leaving out a group changes (jackknife)."""
+def _error(shapley: Float[np.ndarray, "d g"]) -> np.ndarray:
+    """Return half the width of the 95 % intervals (d,), by the jackknife over groups of units."""
     from scipy.stats import t
 
-    parts = found[:, 1:]
+    parts = shapley[:, 1:]
     variance = (GROUPS - 1) / GROUPS * ((parts - parts.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)
     return t.ppf(0.5 + CONFIDENCE / 2, GROUPS - 1) * np.sqrt(variance)

@@ -1,4 +1,4 @@
-"""Intervals for a probability, from how often something happened in independent trials; arrays in, arrays out."""
+"""Confidence intervals of a probability from counts; arrays in, arrays out."""
 
 from statistics import NormalDist
 from typing import NamedTuple
@@ -11,14 +11,20 @@ FEW_UNITS = 5  # with fewer that have the rarer outcome, the variance between th
 
 
 class Interval(NamedTuple):
-    """Lower and upper end, of the shape of the counts; the whole of 0 to 1 without a trial."""
+    """Lower and upper end, of the shape of the counts; 0 to 1 without a trial."""
 
     low: np.ndarray
     high: np.ndarray
 
 
 def wilson(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE) -> Interval:
-    """Wilson's score interval: covers its level on average over probabilities; for cells of a map."""
+    """Compute Wilson's score interval, which covers its level on average over probabilities; for the cells of a map.
+
+    Args:
+        success: Numbers of successes.
+        trials: Numbers of independent trials, of the same shape.
+        level: Confidence level.
+    """
     k, n = np.asarray(success, float), np.maximum(np.asarray(trials, float), 1e-300)
     z2 = NormalDist().inv_cdf(0.5 + level / 2) ** 2  # SciPy's takes long to load, also after a single rollout
     centre = (k + z2 / 2) / (n + z2)
@@ -27,7 +33,13 @@ def wilson(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE) -> 
 
 
 def clopper_pearson(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE) -> Interval:
-    """The exact interval: covers at least its level at every probability; for single claims."""
+    """Compute the exact interval of Clopper and Pearson, which covers at least its level at every probability.
+
+    Args:
+        success: Numbers of successes.
+        trials: Numbers of independent trials, of the same shape.
+        level: Confidence level.
+    """
     from scipy.special import betaincinv
 
     k, n = np.asarray(success, float), np.asarray(trials, float)
@@ -44,22 +56,23 @@ def korn_graubard(
     telling: ArrayLike,
     level: float = CONFIDENCE,
 ) -> Interval:
-    """The interval of a rate of trials that come in units, such as the replicates of a draw.
+    """Compute the interval of a rate of trials that come in clusters, such as the replicates of a draw.
 
-    It is Clopper and Pearson's for as many independent trials as tell as much (Korn and Graubard 1998): the variance is
-    that between units, with Student's quantile for so many. Where fewer than `FEW_UNITS` units have the rarer outcome
-    their variance says little, so that a unit counts as one trial at most.
+    It is Clopper and Pearson's interval at the effective number of independent trials (Korn and Graubard 1998): the
+    variance is that between clusters, with a quantile of Student's t. If fewer than `FEW_UNITS` clusters have the rarer
+    outcome, their variance is unreliable, and a cluster counts as one trial at most.
 
     Args:
         success: Number of successes k.
         trials: Number of trials n, of the same shape.
-        squares: Sum over units of (k_u - p n_u)^2, where p = k / n.
-        units: Number of units with a trial.
-        telling: Number of units with the rarer outcome: the least of those with a success and those with a failure.
-        level: Confidence.
+        squares: Sum over clusters of (k_u - p n_u)^2, where p = k / n.
+        units: Number of clusters with a trial.
+        telling: Number of clusters with the rarer outcome: the smaller of those with a success and those with a
+            failure.
+        level: Confidence level.
 
     Returns:
-        Lower and upper end; the whole of 0 to 1 where there are fewer than two units.
+        Lower and upper end; 0 to 1 where there are fewer than two clusters.
     """
     from scipy.stats import t
 
@@ -74,8 +87,8 @@ def korn_graubard(
     return clopper_pearson(p * size, size, level)
 
 
-def student(values: ArrayLike, level: float = CONFIDENCE) -> tuple[float, float]:
-    """The interval of a mean by Student's law, from independent values (n,); NaN where all of them are equal."""
+def student_interval(values: ArrayLike, level: float = CONFIDENCE) -> tuple[float, float]:
+    """Compute the Student t interval of the mean of independent values (n,); NaN if all of them are equal."""
     from scipy.stats import t
 
     x = np.asarray(values, float)
@@ -85,12 +98,17 @@ def student(values: ArrayLike, level: float = CONFIDENCE) -> tuple[float, float]
     return float(x.mean() - half), float(x.mean() + half)
 
 
-def anytime(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE) -> Interval:
-    """A confidence sequence: with probability `level` it covers after every trial, so that one may stop when it suits.
+def confidence_sequence(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE) -> Interval:
+    """Compute a confidence sequence of a probability: its coverage holds under any stopping rule.
 
     Robbins' mixture of likelihood ratios B(k + 1/2, n - k + 1/2) / B(1/2, 1/2) / (p^k (1 - p)^(n - k)) is a martingale
-    of mean 1 at the true p; Ville's inequality keeps it below 1 / (1 - level). A trial may also be a share between 0
-    and 1, such as that of a draw's replicates: the ratio is convex in it, so that its mean is 1 at most.
+    of mean 1 at the true p; Ville's inequality keeps it below 1 / (1 - level) with probability `level`.
+
+    Args:
+        success: Sums of outcomes between 0 and 1. An outcome may be a share, such as that of a draw's replicates: the
+            likelihood ratio is convex in it, so that its mean stays at most 1.
+        trials: Numbers of independent trials, of the same shape.
+        level: Confidence level.
     """
     from scipy.special import betaln, xlog1py, xlogy
 

@@ -1,4 +1,4 @@
-"""How rarely something fails, from draws that were sought where it does, with their weights."""
+"""Probability of rare failures, from importance sampling or subset simulation."""
 
 from dataclasses import dataclass
 
@@ -12,92 +12,95 @@ from sweep.study.adaptive_sampling import replay_search
 from sweep.study.config import Experiment
 from sweep.study.subset_simulation import Outcome
 
-LARGEST = 0.1  # share of the sum that one row may carry in an estimate that is to be trusted
-LEAST = 0.01  # share of a mode that a cause has to be told
-NEAR = 3  # parameters that are told of a mode
+LARGEST = 0.1  # largest share of the sum that one row may carry in a reliable estimate
+LEAST = 0.01  # smallest share of a mode at which a cause is named
+NEAR = 3  # parameters that describe a mode
 PLAINLY = "study.design.kind=monte_carlo"
 INSTEAD = "another study.design.lead may lead to one, study.design.kind=importance needs none, or take wider errors"
 WIDER = "a larger study.design.wide, more draws or wider errors may find some"
-RARE = 0.1  # probability from which on plain draws tell as much
+RARE = 0.1  # failure probability from which on plain draws are as good
 
 
 @dataclass(frozen=True)
-class Weighted:
-    """A probability of failing, of the last round's draws alone: what these were fitted to was drawn before."""
+class WeightedEstimate:
+    """A failure probability by importance sampling, from the draws of the last round alone.
+
+    Earlier rounds fitted the proposal, so that they are not part of the estimate.
+    """
 
     probability: float
     low: float
     high: float
     rows: int  # of the last round
-    of: int  # in all
+    total_rows: int  # in all
     failed: int  # of the last round, invalid ones among them
     invalid: int
     largest: float  # share of the sum that the heaviest failure carries
-    plain: float  # plain draws that would say as much; NaN without a failure
+    equivalent_plain_draws: float  # plain draws that would say as much; NaN without a failure
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The interval of 95 %, from low to high."""
+        """The 95 % interval: lower and upper end."""
         return self.low, self.high
 
     @property
-    def trusted(self) -> bool:
-        """Whether no single row carries much of the sum."""
+    def is_reliable(self) -> bool:
+        """Whether no single row carries more than `LARGEST` of the weighted sum."""
         return self.failed > 0 and self.largest <= LARGEST
 
     def __str__(self) -> str:
-        told = f"{self.rows} draws of {self.of}"
+        draws = f"{self.rows} draws of {self.total_rows}"
         if not self.failed:
-            return f"no failure in the last {told}: P(failure) <= {self.high:.2g} (95 %); {WIDER}"
-        text = f"P(failure) = {self.probability:.3g}, {self.low:.2g} to {self.high:.2g} (95 %), by the last {told}, "
-        text += f"of which {self.failed} failed; {self.plain:,.0f} plain draws would say as much"
+            return f"no failure in the last {draws}: P(failure) <= {self.high:.2g} (95 %); {WIDER}"
+        text = f"P(failure) = {self.probability:.3g}, {self.low:.2g} to {self.high:.2g} (95 %), by the last {draws}, "
+        text += f"of which {self.failed} failed; {self.equivalent_plain_draws:,.0f} plain draws would say as much"
         if self.invalid:
             text += f"; {self.invalid} invalid ones count as failures"
-        if not self.trusted:
+        if not self.is_reliable:
             text += f"; NOT to be trusted: one row carries {self.largest:.0%} of the sum: more draws, or more rounds"
         return text + _not_rare(self.probability)
 
 
 @dataclass(frozen=True)
-class Repeated:
-    """A probability of failing by independent runs of subset simulation, whose spread tells its error."""
+class SubsetEstimate:
+    """A failure probability by independent runs of subset simulation, whose spread gives the error."""
 
     target: float
     runs: tuple[Outcome, ...]
 
     @property
-    def each(self) -> np.ndarray:
-        """Probabilities that the runs told, one each."""
+    def run_probabilities(self) -> np.ndarray:
+        """The failure probability that each run estimates (runs,)."""
         return np.array([run.probability for run in self.runs])
 
     @property
     def probability(self) -> float:
-        """Mean of what the runs told."""
-        return float(self.each.mean())
+        """The mean over runs."""
+        return float(self.run_probabilities.mean())
 
     @property
-    def stuck(self) -> tuple[Outcome, ...]:
-        """Runs that ended before they came to where all fail."""
+    def stuck_runs(self) -> tuple[Outcome, ...]:
+        """The runs that stopped before they reached the failure region."""
         return tuple(run for run in self.runs if run.why)
 
     @property
     def variation(self) -> float:
-        """Coefficient of variation of the mean; NaN of one run."""
-        each = self.each
+        """Coefficient of variation of the mean; NaN for a single run."""
+        each = self.run_probabilities
         return float(each.std(ddof=1) / np.sqrt(len(each)) / each.mean()) if len(each) > 1 and each.any() else np.nan
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Of 95 %: log-normal, by Student's law of so many runs; NaN of one."""
+        """The 95 % interval: log-normal, with Student's t for the number of runs; NaN for a single run."""
         from scipy.stats import t
 
         width = t.ppf(0.5 + CONFIDENCE / 2, max(len(self.runs) - 1, 1)) * np.sqrt(np.log1p(self.variation**2))
         return float(self.probability * np.exp(-width)), float(min(self.probability * np.exp(width), 1.0))
 
     @property
-    def trusted(self) -> bool:
-        """Whether all runs came to where all fail."""
-        return not self.stuck
+    def is_reliable(self) -> bool:
+        """Whether every run reached the failure region."""
+        return not self.stuck_runs
 
     def __str__(self) -> str:
         count, rollouts = len(self.runs), sum(run.rollouts for run in self.runs)
@@ -107,13 +110,13 @@ class Repeated:
         if count > 1:
             low, high = self.interval
             spread = f"{low:.2g} to {high:.2g} (95 %, by the spread of {count} runs: "
-            spread += ", ".join(f"{one:.2g}" for one in sorted(self.each)) + ")"
+            spread += ", ".join(f"{one:.2g}" for one in sorted(self.run_probabilities)) + ")"
         taken = [share for run in self.runs for share in run.accepted]
         text = f"P(failure) = {self.probability:.3g}, {spread}, {rollouts:,} rollouts"
         if taken:
             text += f"; {min(taken):.0%} to {max(taken):.0%} of a level's proposals were taken"
-        if self.stuck:
-            early = f"{len(self.stuck)} of {count} runs ended early: {self.stuck[0].why}"
+        if self.stuck_runs:
+            early = f"{len(self.stuck_runs)} of {count} runs ended early: {self.stuck_runs[0].why}"
             text += f"; NOT to be trusted: {early}; {INSTEAD}"
         return text + _not_rare(self.probability)
 
@@ -122,23 +125,32 @@ def _not_rare(probability: float) -> str:
     return f"; it is not rare: {PLAINLY} tells as much" if probability > RARE else ""
 
 
-def rare(rows: pd.DataFrame, exp: Experiment) -> Weighted | Repeated:
-    """What a study that seeks failures says. Raises `InputError` where its rounds are not whole."""
+def estimate_failure_probability(rows: pd.DataFrame, exp: Experiment) -> WeightedEstimate | SubsetEstimate:
+    """Estimate the failure probability of a study that samples its failures adaptively.
+
+    Args:
+        rows: All rows of the study.
+        exp: Its experiment, with `design.kind` importance or subset.
+
+    Raises:
+        InputError: The last round, or a run, is incomplete.
+    """
     return _repeated(rows, exp) if exp.study.design.kind == "subset" else _weighted(rows, exp)
 
 
-def _repeated(rows: pd.DataFrame, exp: Experiment) -> Repeated:
+def _repeated(rows: pd.DataFrame, exp: Experiment) -> SubsetEstimate:
     study = exp.study
     runs = replay_search(adaptive_designs.make_search(study.axes, study.design, study.seed), rows, study.design.lead)
     if runs is None:
         raise InputError(f"the runs of {study.name} are not at their end: run the rest first")
-    return Repeated(study.design.target, tuple(runs))
+    return SubsetEstimate(study.design.target, tuple(runs))
 
 
-def _weighted(rows: pd.DataFrame, exp: Experiment) -> Weighted:
-    """Of importance sampling.
+def _weighted(rows: pd.DataFrame, exp: Experiment) -> WeightedEstimate:
+    """Estimate by importance sampling.
 
-    The interval is that of a log-normal estimate; without a failure the bound follows from the plain draws' share.
+    The interval is that of a log-normal estimate; without a failure the bound follows from the share of plain draws in
+    the proposal.
     """
     from scipy.special import ndtri  # slow to import
 
@@ -149,27 +161,37 @@ def _weighted(rows: pd.DataFrame, exp: Experiment) -> Weighted:
     failed, n = (last["outcome"] != "success").to_numpy(), len(last)
     share = np.where(failed, last["axis.weight"], 0.0)
     total, square = share.sum(), (share**2).sum()
-    counts = {"rows": n, "of": len(rows), "failed": int(failed.sum())}
+    counts = {"rows": n, "total_rows": len(rows), "failed": int(failed.sum())}
     counts["invalid"] = int((last["outcome"] == "invalid").sum())
     if not total:
         most = min((1 - (1 - CONFIDENCE) ** (1 / n)) / importance_sampling.PLAIN, 1.0)
-        return Weighted(0.0, 0.0, most, **counts, largest=0.0, plain=np.nan)
+        return WeightedEstimate(0.0, 0.0, most, **counts, largest=0.0, equivalent_plain_draws=np.nan)
     p = total / n
     variance = max(square / n - p**2, 0.0) / n
     wide = np.exp(ndtri(0.5 + CONFIDENCE / 2) * np.sqrt(np.log1p(variance / p**2)))
     p, low, high = (float(min(one, 1.0)) for one in (p, p / wide, p * wide))  # weights may sum to more
     plain = p * (1 - p) / variance if variance else np.inf
-    return Weighted(p, low, high, **counts, largest=float(share.max() / total), plain=float(plain))
+    return WeightedEstimate(
+        p, low, high, **counts, largest=float(share.max() / total), equivalent_plain_draws=float(plain)
+    )
 
 
-def modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
-    """Modes of failing by their share of the probability, each with its causes and where it is most unlike plain draws.
+def failure_modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
+    """Group failures into modes, with the causes of each and where it lies.
 
-    They are those of normals fitted to what failed, as for the next round of importance sampling. How far is in
-    standard deviations of the plain draws.
+    Modes are the components of the normal mixture fitted to the failures, as for the next round of importance sampling.
+
+    Args:
+        rows: All rows of an adaptive study.
+        exp: Its experiment.
+
+    Returns:
+        A row for each mode, the largest first: its `cause`, `share` of the failure probability, number of `rows`, and
+        the parameters in which it is farthest from plain draws, in standard deviations of these. Empty without a
+        failure.
     """
     axes = [axis for axis in exp.study.axes if pd.api.types.is_numeric_dtype(rows[axis.column])]
-    x, (plain, failing) = rows[[axis.column for axis in axes]].to_numpy(float), weights(rows, exp)
+    x, (plain, failing) = rows[[axis.column for axis in axes]].to_numpy(float), draw_and_failure_weights(rows, exp)
     here = np.flatnonzero(failing > 0)
     if not len(here):
         return pd.DataFrame()
@@ -177,26 +199,33 @@ def modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     spread = np.sqrt(np.average((x - middle) ** 2, axis=0, weights=plain))
     away, failing = (x[here] - middle) / np.where(spread, spread, 1.0), failing[here] / failing.sum()
     parts = importance_sampling.fit_mixture(away, failing)
-    mode, cause, found = (
+    mode, cause, table = (
         importance_sampling.modes(parts)[parts.log_density(away).argmax(axis=1)],
         rows["cause"].iloc[here],
         [],
     )
     for one in np.unique(mode):
-        its = mode == one
-        share, where = failing[its].sum(), np.average(away[its], axis=0, weights=failing[its])
-        causes = pd.Series(failing[its]).groupby(cause[its].to_numpy()).sum().sort_values(ascending=False)
+        members = mode == one
+        share, where = failing[members].sum(), np.average(away[members], axis=0, weights=failing[members])
+        causes = pd.Series(failing[members]).groupby(cause[members].to_numpy()).sum().sort_values(ascending=False)
         causes = causes[causes >= LEAST * share]
         named = [f"{name} {weight / share:.0%}" if len(causes) > 1 else name for name, weight in causes.items()]
         far = np.argsort(-np.abs(where))[:NEAR]
-        found.append({"cause": ", ".join(named), "share": share, "rows": int(its.sum()),
+        table.append({"cause": ", ".join(named), "share": share, "rows": int(members.sum()),
                       "where, in standard deviations": ", ".join(f"{axes[k].name} {where[k]:+.1f}" for k in far),
                       })  # fmt: skip
-    return pd.DataFrame(found).sort_values("share", ascending=False, ignore_index=True)
+    return pd.DataFrame(table).sort_values("share", ascending=False, ignore_index=True)
 
 
-def weights(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
-    """What rows (n,) count for as plain draws, and as failures: the latter sum to the probability of failing, or so."""
+def draw_and_failure_weights(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
+    """Return the weight of each row as a plain draw (n,), and as a failure (n,).
+
+    The weights of failures sum to the failure probability, up to a factor.
+
+    Args:
+        rows: All rows of an adaptive study (n).
+        exp: Its experiment.
+    """
     if exp.study.design.kind == "importance":
         weight = rows["axis.weight"].to_numpy()
         last = (rows["axis.round"] == exp.study.design.rounds) & (rows["outcome"] != "success")

@@ -1,4 +1,4 @@
-"""What may be pooled: copies of a rollout are no evidence, and only a sample of something has an interval."""
+"""Pooling of rows: dropping copies of rollouts, and whether rows are a random sample at all."""
 
 import dataclasses
 from collections.abc import Collection
@@ -13,16 +13,31 @@ from sweep.study.config import Experiment
 from sweep.study.study import parameter_columns
 
 
-def some(number: int, most: int) -> np.ndarray:
-    """Places among `number`, in order: all, or `most` of them at random, every time the same."""
+def choose_indices(number: int, most: int) -> np.ndarray:
+    """Choose at most `most` indices of `number` items at random, the same ones every time; sorted.
+
+    Args:
+        number: Number of items.
+        most: Largest number of indices.
+
+    Returns:
+        Whole numbers (k,), k = min(number, most).
+    """
     every = np.arange(number)
     return every if number <= most else np.sort(np.random.default_rng(0).choice(every, most, replace=False))
 
 
-def distinct(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.DataFrame, str]:
-    """The rows without copies, and a sentence about those; empty without any.
+def drop_copies(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.DataFrame, str]:
+    """Drop rows that repeat a noise-free rollout, because they carry no evidence of their own.
 
-    Replicates of a point that draws no errors repeat its first one: they cannot differ.
+    Replicates of a point without random errors are copies of the first one.
+
+    Args:
+        rows: Rows of a study.
+        exp: Its experiment.
+
+    Returns:
+        The remaining rows, and a sentence that counts the dropped ones; an empty one if there are none.
     """
     if exp.study.replicates < 2:
         return rows, ""
@@ -35,9 +50,12 @@ def distinct(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.DataFrame, str]:
 
 
 def is_sample(rows: pd.DataFrame, exp: Experiment, at: Collection[str] = ()) -> bool:
-    """Whether the rows are draws or noisy replicates at one condition, and not a choice of conditions.
+    """Whether the rows are a random sample at one condition, rather than a choice of conditions.
 
-    Or, with columns `at`, those that have the same values of these.
+    Args:
+        rows: Rows of a study.
+        exp: Its experiment.
+        at: Columns that define the condition: rows that agree in these are judged.
     """
     if exp.study.is_adaptive or (exp.study.is_refined and not at):
         return False
@@ -45,14 +63,19 @@ def is_sample(rows: pd.DataFrame, exp: Experiment, at: Collection[str] = ()) -> 
         return False
     if exp.study.points:
         return all(c in at or rows[c].nunique() == 1 for c in parameter_columns(rows))
-    return all(axis.column in at for axis in sensitivity.listed(rows, exp))
+    return all(axis.column in at for axis in sensitivity.listed_axes(rows, exp))
 
 
-def pooled(rows: pd.DataFrame, exp: Experiment) -> Rate:
-    """The rate of success of all rows together, with an interval only where they are a sample."""
-    found = rate(rows["outcome"])
+def pooled_rate(rows: pd.DataFrame, exp: Experiment) -> Rate:
+    """Compute the success rate of all rows together, with an interval only if they are a random sample.
+
+    Args:
+        rows: Rows of a study.
+        exp: Its experiment.
+    """
+    result = rate(rows["outcome"])
     ends = (np.nan, np.nan)
-    if found.valid and is_sample(rows, exp):
+    if result.valid and is_sample(rows, exp):
         one = condition_rates(rows, exp, []).iloc[0]
         ends = float(one["low"]), float(one["high"])
-    return dataclasses.replace(found, low=ends[0], high=ends[1])
+    return dataclasses.replace(result, low=ends[0], high=ends[1])

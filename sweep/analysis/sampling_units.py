@@ -1,8 +1,8 @@
 """The independent unit of a design: the rows of a study that count as one observation.
 
-Rows of one unit share their draw, their scramble or their trajectory, so that they tell less than as many independent
-rows would. Everything that prints an interval or a p-value asks this module which rows belong together, and whether
-they are a sample at all: the points of a grid were chosen, so that no interval of their share has a meaning.
+Rows of one unit share a draw, a scramble or a trajectory, so that they carry less information than as many independent
+rows. Every interval and p-value takes its units from this module, and whether the rows are a random sample at all: the
+points of a grid were chosen, so that an interval of their success rate has no meaning.
 """
 
 from collections.abc import Callable
@@ -12,14 +12,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from sweep.analysis.intervals import Interval, anytime, student, wilson
+from sweep.analysis.intervals import Interval, confidence_sequence, student_interval, wilson
 from sweep.analysis.stats import rates
 from sweep.study.config import Experiment
 from sweep.study.study import Study, parameter_columns
 
 
 class Unit(StrEnum):
-    """What is drawn independently of everything else of its kind."""
+    """What a design draws independently."""
 
     DRAW = "draw"  # with all its replicates and grid points
     SCRAMBLE = "scramble"  # of a Sobol sequence, whose draws depend on each other
@@ -43,7 +43,7 @@ PLAIN = ("monte_carlo", "latin_hypercube", "sobol")  # designs whose draws follo
 
 
 def independent_unit(study: Study) -> Unit:
-    """The independent unit of a study."""
+    """Return the independent unit of a study."""
     if study.points or not study.design.num:
         return Unit.REPLICATE if study.replicates > 1 else Unit.NONE
     if study.design.kind == "sobol" and study.design.scrambles == 1:
@@ -52,14 +52,14 @@ def independent_unit(study: Study) -> Unit:
 
 
 def draw_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
-    """Number of the draw of each row; of a grid, the replicate.
+    """Return the number of the draw of each row; of a grid, the replicate.
 
     Args:
         rows: Rows of a study (n), with the column `replicate`.
         exp: Its experiment.
 
     Returns:
-        Whole numbers (n,). Rows of one draw have the same one, at every grid point.
+        Whole numbers (n,), the same for rows of one draw at every grid point.
     """
     study = exp.study
     drawn = study.design.num > 0 and not study.points
@@ -67,15 +67,15 @@ def draw_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
 
 
 def unit_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
-    """Number of the independent unit of each row.
+    """Return the number of the independent unit of each row, or None if the rows are not a random sample.
 
     Args:
         rows: Rows of a study (n), with the column `replicate`.
         exp: Its experiment.
 
     Returns:
-        Whole numbers (n,), the same for rows that depend on each other; None where rows are no sample: a grid without
-        noise, or draws that were placed where earlier ones failed.
+        Whole numbers (n,), the same for rows that depend on each other. None for a grid without noise, and for adaptive
+        draws, which were placed where earlier ones failed.
     """
     study, draws = exp.study, draw_numbers(rows, exp)
     length = sum(axis.distribution is not None for axis in study.axes)
@@ -95,16 +95,16 @@ def unit_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
 
 
 def pair_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
-    """Number of the independent unit of each row, for the comparison of two runs of the same rows.
+    """Return the number of the independent unit of each row, for the comparison of two runs of the same rows.
 
     Args:
         rows: Rows of one of the runs (n), with the column `replicate`.
         exp: Its experiment.
 
     Returns:
-        As `unit_numbers`, but the draws of a scramble count on their own: a Sobol sequence spreads them more evenly
-        than independent draws, so that a test which takes them as independent rejects too seldom rather than too often.
-        None for replicates of a grid, too: its points were chosen, so that no share of them is an estimate.
+        As `unit_numbers`, except that each draw of a scramble is a unit of its own: a Sobol sequence spreads them more
+        evenly than independent draws, so that the test is conservative. Also None for replicates of a grid, whose
+        points were chosen, so that no share of them is an estimate.
     """
     unit = independent_unit(exp.study)
     if unit == Unit.REPLICATE:
@@ -114,19 +114,24 @@ def pair_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
 
 
 def has_independent_rows(rows: pd.DataFrame, exp: Experiment) -> bool:
-    """Whether every row is a draw of its own, and draws are independent or spread more evenly than that."""
+    """Whether every row is a draw of its own, and the draws are independent or more evenly spread than that.
+
+    Args:
+        rows: Rows of a study, with the column `replicate`.
+        exp: Its experiment.
+    """
     plain = exp.study.design.kind in PLAIN and exp.study.design.num > 0 and not exp.study.points
     return plain and not exp.study.is_refined and len(np.unique(draw_numbers(rows, exp))) == len(rows)
 
 
 def interval_method(study: Study) -> str:
-    """How `condition_rates` computes its intervals, in words for titles and captions."""
+    """Name the method of the intervals of `condition_rates`, for titles and captions."""
     scrambled = independent_unit(study) == Unit.SCRAMBLE and not study.budget
     return "Student's t over scrambles" if scrambled else draw_interval_method(study)
 
 
 def draw_interval_method(study: Study) -> str:
-    """How `stats.rates` computes intervals where the draws are its units, in words for captions."""
+    """Name the method of the intervals of `stats.rates` by draw, for captions."""
     if study.budget:
         return "confidence sequence"
     repeated = study.replicates > 1 and study.design.num > 0 and not study.points
@@ -139,25 +144,27 @@ def condition_rates(
     by: list[str],
     interval: Callable[[ArrayLike, ArrayLike], Interval] = wilson,
 ) -> pd.DataFrame:
-    """Rate of success at each condition, with the 95 % interval that the design of the study calls for.
+    """Compute the success rate at each condition, with the 95 % interval that suits the study's design.
 
     Args:
         rows: Rows of a study.
         exp: Its experiment.
-        by: Columns of listed axes, whose values are the conditions; one condition without any.
-        interval: From successes and trials to the interval, where every row is a unit of its own.
+        by: Columns of listed axes, whose values are the conditions; without any, all rows are one condition.
+        interval: Function of successes and trials to the interval, where every row is a unit of its own.
 
     Returns:
-        The table of `stats.rates`. With a budget the interval is a confidence sequence; with scrambles it is Student's
-        of their shares, or where these are all equal that of so many independent draws; else see `stats.rates`.
+        The table of `stats.rates`. With a budget the interval is a confidence sequence. With scrambles it is Student's
+        t interval of their rates, or that of independent draws if all rates are equal. Else see `stats.rates`.
     """
     study, draws = exp.study, draw_numbers(rows, exp)
     if study.budget:
-        return rates(rows, by, anytime, draws)
+        return rates(rows, by, confidence_sequence, draws)
     table = rates(rows, by, interval, draws)
     if independent_unit(study) != Unit.SCRAMBLE or table.empty:
         return table
     parts = rates(rows.assign(scramble=unit_numbers(rows, exp)), [*by, "scramble"])
-    ends = parts.groupby(by or (lambda _: 0), observed=True)["share"].agg(lambda shares: student(shares.dropna()))
+    ends = parts.groupby(by or (lambda _: 0), observed=True)["share"].agg(
+        lambda shares: student_interval(shares.dropna())
+    )
     low, high = (pd.Series([end[k] for end in ends]) for k in (0, 1))
     return table.assign(low=low.clip(lower=0).fillna(table["low"]), high=high.clip(upper=1).fillna(table["high"]))

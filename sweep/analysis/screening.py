@@ -1,10 +1,10 @@
-"""Which drawn numbers matter, from whatever draws there are: no design of its own is needed. Functions of SALib."""
+"""Sensitivity indices of drawn parameters from any random draws, without a design of their own (by SALib)."""
 
 import numpy as np
 import pandas as pd
 
 from sweep.analysis.sampling_units import PLAIN, draw_numbers
-from sweep.analysis.sensitivity import drawn, listed, measured, numeric
+from sweep.analysis.sensitivity import drawn_axes, listed_axes, numeric_axes, outcome_values
 from sweep.core.errors import InputError
 from sweep.study.config import Experiment
 
@@ -12,49 +12,72 @@ LEAST, MOST = 100, 20_000  # rollouts that are asked for, and that are looked at
 SLICES, HARMONICS = 10, 10  # of PAWN; of RBD-FAST
 
 
-def pawn(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
-    """PAWN indices of success, or of the column `figure`: how far its distribution moves when an axis is fixed.
+def pawn_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
+    """Compute PAWN indices of success or of a metric: how far its distribution moves when an axis is fixed.
 
-    An axis is cut into ten slices of equally many draws; `median` and `largest` are Kolmogorov and Smirnov's distances
-    between the values in a slice and all values. `by_chance` is the median of an axis that means nothing, as random
-    numbers have it. Raises `InputError` where there are too few draws or another design (Pianosi and Wagener, 2018).
+    Each axis is cut into ten slices of equally many draws (Pianosi and Wagener 2018).
+
+    Args:
+        rows: Rows of a study with plain draws at one condition.
+        exp: Its experiment.
+        figure: Column of a metric; None: success.
+
+    Returns:
+        A row for each drawn axis, the largest first: `median` and `largest` Kolmogorov-Smirnov distance between the
+        values in a slice and all values; `by_chance`, the median of a random axis without influence; the number of
+        `draws`.
+
+    Raises:
+        InputError: There are fewer than `LEAST` draws, or the design is another one.
     """
     from SALib.analyze import pawn as salib
 
     names, x, y = _sample(rows, exp, figure, "PAWN indices need")
     chance = np.random.default_rng(0).random(len(x))
-    found = salib.analyze({"num_vars": len(names) + 1, "names": [*names, ""]}, np.column_stack([x, chance]), y, SLICES)
-    columns = {"axis": names, "median": found["median"][:-1], "largest": found["maximum"][:-1]}
-    table = pd.DataFrame({**columns, "by_chance": found["median"][-1], "draws": len(y)})
+    indices = salib.analyze(
+        {"num_vars": len(names) + 1, "names": [*names, ""]}, np.column_stack([x, chance]), y, SLICES
+    )
+    columns = {"axis": names, "median": indices["median"][:-1], "largest": indices["maximum"][:-1]}
+    table = pd.DataFrame({**columns, "by_chance": indices["median"][-1], "draws": len(y)})
     return table.sort_values("median", ascending=False, ignore_index=True)
 
 
-def first_order(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
-    """First Sobol indices of success, or of the column `figure`, by RBD-FAST, with 95 % errors (bootstrap).
+def rbd_fast_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
+    """Estimate first-order Sobol indices of success or of a metric by RBD-FAST, with 95 % errors (bootstrap).
 
-    The share of the variance that an axis explains alone. Raises `InputError` where there are too few draws, another
-    design, or draws that are correlated (Tarantola, Gatelli and Mara, 2006).
+    The index is the share of the variance that an axis explains alone (Tarantola, Gatelli and Mara 2006).
+
+    Args:
+        rows: Rows of a study with plain, uncorrelated draws at one condition.
+        exp: Its experiment.
+        figure: Column of a metric; None: success.
+
+    Returns:
+        A row for each drawn axis, the largest first: `first`, its `error`, the number of `draws`.
+
+    Raises:
+        InputError: There are fewer than `LEAST` draws, the design is another one, or the draws are correlated.
     """
     from SALib.analyze import rbd_fast as salib
 
     if exp.study.design.correlation:
         raise InputError("RBD-FAST needs draws without correlation")
     names, x, y = _sample(rows, exp, figure, "RBD-FAST needs")
-    found = salib.analyze({"num_vars": len(names), "names": names}, x, y, HARMONICS, seed=0)
-    table = pd.DataFrame({"axis": names, "first": found["S1"], "error": found["S1_conf"], "draws": len(y)})
+    indices = salib.analyze({"num_vars": len(names), "names": names}, x, y, HARMONICS, seed=0)
+    table = pd.DataFrame({"axis": names, "first": indices["S1"], "error": indices["S1_conf"], "draws": len(y)})
     return table.sort_values("first", ascending=False, ignore_index=True)
 
 
 def _sample(
     rows: pd.DataFrame, exp: Experiment, figure: str | None, what: str
 ) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Drawn axes, their numbers (n, d), and what came of them (n,), of valid rollouts."""
-    names = [axis.column for axis in numeric(rows, drawn(rows, exp))]
+    """Return the drawn axes, their values (n, d) and the outcome or metric (n,) of valid draws."""
+    names = [axis.column for axis in numeric_axes(rows, drawn_axes(rows, exp))]
     if exp.study.design.kind not in PLAIN or not names:
         raise InputError(f"{what} a study with draws of design.kind = {', '.join(PLAIN)}")
-    if conditions := listed(rows, exp):
+    if conditions := listed_axes(rows, exp):
         raise InputError(f"{what} one grid point: choose among {', '.join(a.column for a in conditions)}")
-    value = measured(rows, figure)
+    value = outcome_values(rows, figure)
     if exp.study.replicates > 1:  # a draw counts once, by the mean of its valid replicates
         draws = draw_numbers(rows, exp)
         value = value.groupby(draws).transform("mean")[~pd.Series(draws).duplicated().to_numpy()]

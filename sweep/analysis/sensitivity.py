@@ -1,7 +1,7 @@
-"""What success depends on: volume of its region, margins, tolerance to errors, sensitivity to what was drawn.
+"""What success depends on: success volume, margins, tolerance to errors, and sensitivity to drawn parameters.
 
-Functions take the rows of a study and its `Experiment`, and give a line for each axis. Invalid rollouts are left out
-and counted. Axes go by their column of the table (see `sweep.study.designs.Axis.column`).
+Functions take the rows of a study and its `Experiment`, and return a row for each axis. Invalid rollouts are left out
+and counted. Axes are named by their column of the table (see `sweep.study.designs.Axis.column`).
 """
 
 from collections.abc import Iterator
@@ -25,13 +25,23 @@ PERMUTATIONS, PERMUTED = (199, 999), 100_000_000  # of draws, fewer where there 
 GOODNESS_TRIALS = 10  # at every value, for a test of how well a fit follows the rates
 
 
-def listed(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
-    """The axes of conditions that vary in `rows`."""
+def listed_axes(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
+    """Return the axes with listed values that vary in the rows.
+
+    Args:
+        rows: Rows of a study.
+        exp: Its experiment.
+    """
     return [a for a in exp.study.axes if a.values is not None and _varies(rows, a)]
 
 
-def drawn(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
-    """The axes that were drawn and vary in `rows`."""
+def drawn_axes(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
+    """Return the axes with a distribution that vary in the rows.
+
+    Args:
+        rows: Rows of a study.
+        exp: Its experiment.
+    """
     return [a for a in exp.study.axes if a.distribution is not None and _varies(rows, a)]
 
 
@@ -39,27 +49,39 @@ def _varies(rows: pd.DataFrame, axis: Axis) -> bool:
     return axis.column in rows and rows[axis.column].nunique() > 1
 
 
-def numeric(rows: pd.DataFrame, axes: list[Axis]) -> list[Axis]:
-    """Those of `axes` whose values are numbers."""
+def numeric_axes(rows: pd.DataFrame, axes: list[Axis]) -> list[Axis]:
+    """Return those axes whose values are numbers.
+
+    Args:
+        rows: Rows of a study.
+        axes: Axes with a column in the rows.
+    """
     return [a for a in axes if rows[a.column].dtype.kind in "fi"]
 
 
-def volume(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
-    """Share of what was drawn that succeeds, with its 95 % interval, at each condition.
+def success_volume(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
+    """Estimate the share of the draws that succeeds at each condition, with its 95 % interval.
 
-    The interval is that of `sampling_units.condition_rates`, where draws are independent Clopper and Pearson's: safe
-    for designs that spread draws more evenly.
+    The interval is that of `sampling_units.condition_rates`, and Clopper and Pearson's if draws are independent.
+
+    Args:
+        rows: Rows of a study with draws; of a Saltelli design only the rows of its base sample count.
+        exp: Its experiment.
+
+    Returns:
+        The table of `stats.rates`: a row for each condition.
     """
     if exp.study.design.kind == "saltelli":  # of the d + 2 rows of a block the first ones are a plain sample
         rows = rows[draw_numbers(rows, exp) % (sum(a.distribution is not None for a in exp.study.axes) + 2) == 0]
-    return condition_rates(rows, exp, [a.column for a in listed(rows, exp)], clopper_pearson)
+    return condition_rates(rows, exp, [a.column for a in listed_axes(rows, exp)], clopper_pearson)
 
 
 @dataclass(frozen=True)
 class GridVolume:
-    """Share of a full grid's box that succeeds, between the cells all of whose corners do and those any of which does.
+    """Share of a full grid's volume that succeeds: an estimate with a lower and an upper bound.
 
-    What is smaller than a cell is not seen. A corner without a valid rollout may be either.
+    The lower bound counts cells all of whose corners succeed, the upper bound cells any of whose corners does.
+    Structure smaller than a cell is not seen. A corner without a valid rollout counts for either bound.
     """
 
     share: float  # by the mean of the corners
@@ -69,8 +91,18 @@ class GridVolume:
 
 
 def grid_volume(rows: pd.DataFrame, exp: Experiment) -> GridVolume:
-    """Of the numbers listed; a grid point succeeds where at least half of its valid rollouts do."""
-    axes = numeric(rows, listed(rows, exp))
+    """Compute the share of a full grid's volume that succeeds.
+
+    A grid point succeeds if at least half of its valid rollouts do.
+
+    Args:
+        rows: Rows of a study with a full grid of numbers.
+        exp: Its experiment.
+
+    Raises:
+        InputError: The grid is not full, or has no axis of numbers.
+    """
+    axes = numeric_axes(rows, listed_axes(rows, exp))
     if not axes or exp.study.design.grid != "full":
         raise InputError("the volume of a grid needs a full grid of numbers")
     by = [a.column for a in axes]
@@ -89,19 +121,24 @@ def grid_volume(rows: pd.DataFrame, exp: Experiment) -> GridVolume:
     return GridVolume(share, low, high, int(table["invalid"].sum()))
 
 
-def arms(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[Axis, float, pd.DataFrame]]:
-    """For each listed axis of numbers its nominal number, and the rows where the others have theirs, or the next to it.
+def one_at_a_time_rows(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[Axis, float, pd.DataFrame]]:
+    """Yield each listed axis of numbers with its nominal value and the rows where all other axes are nominal.
 
-    An axis that goes along with another is not looked at on its own.
+    Where the nominal value of another axis is not on its grid, the nearest value takes its place. An axis that follows
+    another one is not listed on its own.
+
+    Args:
+        rows: Rows of a study.
+        exp: Its experiment.
     """
-    axes = listed(rows, exp)
+    axes = listed_axes(rows, exp)
     centre = {a.column: a.nominal_number(lambda path: exp.system.nominal(path, exp.settings)) for a in axes}
     near = {}
     for axis in axes:
         values = rows[axis.column]
         at = centre[axis.column]
         near[axis.column] = (values == at).to_numpy() if isinstance(at, str) else _nearest(values.to_numpy(), at)
-    for axis in numeric(rows, [a for a in axes if a.along is None]):
+    for axis in numeric_axes(rows, [a for a in axes if a.along is None]):
         own = {axis.column, *(a.column for a in axes if a.along == axis.name)}
         others = [hit for name, hit in near.items() if name not in own]
         yield axis, float(centre[axis.column]), rows[np.logical_and.reduce(others)] if others else rows
@@ -113,69 +150,83 @@ def _nearest(values: np.ndarray, at: float) -> np.ndarray:
 
 
 def _sides(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[dict[str, Any], np.ndarray, pd.DataFrame]]:
-    """Either side of the `arms`: what a table calls it, distances (n,) from the nominal number, and its rows."""
-    for axis, centre, part in arms(rows, exp):
-        away = part[axis.column].to_numpy(dtype=float) - centre
+    """Yield either side of `one_at_a_time_rows`: key columns, distances (n,) from the nominal value, and rows."""
+    for axis, centre, part in one_at_a_time_rows(rows, exp):
+        distance = part[axis.column].to_numpy(dtype=float) - centre
         for side, sign in (("below", -1), ("above", 1)):
-            here = sign * away >= -1e-12
-            yield {"axis": axis.column, "side": side, "nominal": centre}, np.abs(away[here]), part[here]
+            here = sign * distance >= -1e-12
+            yield {"axis": axis.column, "side": side, "nominal": centre}, np.abs(distance[here]), part[here]
 
 
-def along(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
-    """Rate of success at each value of each listed axis, the others nominal, with its 95 % interval.
+def one_at_a_time_rates(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
+    """Compute the success rate at each value of each listed axis, the others nominal, with its 95 % interval.
 
-    One rollout of each, without draws or replicates, is a choice and no sample: it has none.
+    The interval is NaN if the study has neither draws nor noise: a single rollout is not a sample.
+
+    Args:
+        rows: Rows of a study.
+        exp: Its experiment.
+
+    Returns:
+        The table of `stats.rates` with the columns `axis` and `value`.
     """
     parts = [
         condition_rates(part, exp, [axis.column]).rename(columns={axis.column: "value"}).assign(axis=axis.column)
-        for axis, _, part in arms(rows, exp)
+        for axis, _, part in one_at_a_time_rows(rows, exp)
     ]
     table = pd.concat(parts, ignore_index=True)[["axis", *parts[0].columns.drop("axis")]]
     return table if exp.study.noisy else table.assign(low=np.nan, high=np.nan)
 
 
 def margins(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> pd.DataFrame:
-    """How far from nominal success holds along each listed axis, the others nominal.
+    """Compute how far from nominal success holds along each listed axis, the others nominal.
 
-    Outwards from the nominal number, `holds_to` is the last value before the first, `fails_at`, where fewer than
-    `level` of the valid rollouts succeed; NaN where there is none. `margin` is the distance to `holds_to`.
+    Args:
+        rows: Rows of a study.
+        exp: Its experiment.
+        level: Success rate that counts as holding.
+
+    Returns:
+        A row for each axis and side. Outwards from the nominal value, `holds_to` is the last value before the first,
+        `fails_at`, where the success rate of valid rollouts is below `level`; NaN where there is none. `margin` is the
+        distance from nominal to `holds_to`, in the unit of the axis.
     """
     lines = []
-    for told, away, part in _sides(rows, exp):
-        if away.max(initial=0) <= 1e-12:
+    for labels, distance, part in _sides(rows, exp):
+        if distance.max(initial=0) <= 1e-12:
             continue
-        way = rates(part, [told["axis"]]).sort_values(told["axis"], ascending=told["side"] == "above")
-        values, holds = way[told["axis"]].to_numpy(dtype=float), (way["share"] >= level).to_numpy()
+        steps = rates(part, [labels["axis"]]).sort_values(labels["axis"], ascending=labels["side"] == "above")
+        values, holds = steps[labels["axis"]].to_numpy(dtype=float), (steps["share"] >= level).to_numpy()
         first = len(holds) if holds.all() else int(np.argmin(holds))
         last = values[first - 1] if first else np.nan
         fails = values[first] if first < len(values) else np.nan
-        counts = {k: int(way[k].sum()) for k in ("total", "invalid")}
-        found = {"holds_to": last, "fails_at": fails, "margin": abs(last - told["nominal"])}
-        lines.append({**told, **found, **counts})
+        counts = {k: int(steps[k].sum()) for k in ("total", "invalid")}
+        result = {"holds_to": last, "fails_at": fails, "margin": abs(last - labels["nominal"])}
+        lines.append({**labels, **result, **counts})
     return pd.DataFrame(lines)
 
 
 @dataclass(frozen=True)
 class Logistic:
-    """P(success) = 1 / (1 + exp(-(intercept + slope x))), and the covariance (2, 2) of both coefficients."""
+    """A logistic model P(success) = 1 / (1 + exp(-(intercept + slope x))), and its coefficients' covariance (2, 2)."""
 
     intercept: float
     slope: float
     covariance: np.ndarray
-    freedom: float = np.inf  # degrees of freedom of the covariance: that of independent rows comes from the model
+    degrees_of_freedom: float = np.inf  # of the covariance; infinite for independent rows
 
     def probability(self, x: ArrayLike, level: float = CONFIDENCE) -> tuple[np.ndarray, Interval]:
-        """P at `x`, with its interval."""
+        """Return P at `x`, with its confidence interval."""
         from scipy.special import expit
 
         x = np.asarray(x, float)
         line, half = self.intercept + self.slope * x, self._quantile(level) * np.sqrt(self._variance(x))
         return expit(line), Interval(expit(line - half), expit(line + half))
 
-    def where(self, probability: float, level: float = CONFIDENCE) -> tuple[float, Interval]:
-        """The x at which P falls to `probability`, with its interval (Fieller): where the band of P contains it.
+    def distance_at(self, probability: float, level: float = CONFIDENCE) -> tuple[float, Interval]:
+        """Return the x at which P falls to `probability`, with Fieller's confidence interval.
 
-        Infinite ends where the data do not tell that P falls at all.
+        The interval is the set where the band of P contains `probability`; infinite ends if the slope may be zero.
         """
         from scipy.special import logit
 
@@ -198,11 +249,20 @@ class Logistic:
     def _quantile(self, level: float) -> float:
         from scipy.special import ndtri, stdtrit
 
-        return float(ndtri(0.5 + level / 2) if np.isinf(self.freedom) else stdtrit(self.freedom, 0.5 + level / 2))
+        return float(
+            ndtri(0.5 + level / 2)
+            if np.isinf(self.degrees_of_freedom)
+            else stdtrit(self.degrees_of_freedom, 0.5 + level / 2)
+        )
 
 
-def logistic(x: ArrayLike, success: ArrayLike) -> Logistic:
-    """Fit by Firth's penalised likelihood, which stays finite where all below some x succeed and all above fail."""
+def fit_logistic(x: ArrayLike, success: ArrayLike) -> Logistic:
+    """Fit a logistic model by Firth's penalised likelihood, which stays finite for separable data.
+
+    Args:
+        x: Distances (n,).
+        success: Whether each row succeeded (n,).
+    """
     x, y = np.asarray(x, float), np.asarray(success, float)
     scale = np.abs(x).max(initial=0) or 1.0
     design = np.stack([np.ones_like(x), x / scale], axis=1)
@@ -223,10 +283,10 @@ def logistic(x: ArrayLike, success: ArrayLike) -> Logistic:
 
 
 def cluster_robust_fit(fit: Logistic, x: np.ndarray, success: np.ndarray, unit: np.ndarray) -> Logistic:
-    """A fit with the covariance that rows have which come in units (the sandwich estimate, CR1).
+    """Replace the covariance of a fit by the cluster-robust sandwich estimate (CR1).
 
     Args:
-        fit: The fit of `logistic` to these rows.
+        fit: The fit of `fit_logistic` to these rows.
         x: Distances (n,).
         success: Whether each row succeeded (n,).
         unit: Independent unit of each row (n,).
@@ -243,18 +303,18 @@ def cluster_robust_fit(fit: Logistic, x: np.ndarray, success: np.ndarray, unit: 
     np.add.at(scores, codes, (y - p + leverage * (0.5 - p))[:, None] * design)
     to_x = np.array([1.0, 1.0 / scale])
     robust = number / max(number - 1, 1) * inverse @ scores.T @ scores @ inverse * np.outer(to_x, to_x)
-    return replace(fit, covariance=robust, freedom=max(number - 1, 1))
+    return replace(fit, covariance=robust, degrees_of_freedom=max(number - 1, 1))
 
 
-def goodness(fit: Logistic, x: np.ndarray, success: np.ndarray, unit: np.ndarray | None = None) -> float:
-    """P-value of Pearson's test that the rates at the values of `x` follow a fit.
+def goodness_of_fit_p(fit: Logistic, x: np.ndarray, success: np.ndarray, unit: np.ndarray | None = None) -> float:
+    """Test whether the success rates at the values of `x` follow a logistic fit (Pearson's test).
 
     Args:
-        fit: The fit of `logistic` to these rows.
+        fit: The fit of `fit_logistic` to these rows.
         x: Distances (n,), few of them different.
         success: Whether each row succeeded (n,).
-        unit: Independent unit of each row (n,). Where rows share one, the covariance of the rates is that between
-            units, and at least that of independent rows. None: rows are independent.
+        unit: Independent unit of each row (n,). If rows share one, the covariance of the rates is that between units,
+            and at least that of independent rows. None: rows are independent.
 
     Returns:
         The p-value; NaN with fewer than three values, or fewer than `GOODNESS_TRIALS` rows at one.
@@ -269,8 +329,8 @@ def goodness(fit: Logistic, x: np.ndarray, success: np.ndarray, unit: np.ndarray
     if unit is None or len(np.unique(unit)) == len(unit):
         distance = ((table["sum"] - expected) ** 2 / (expected * (1 - p)).clip(lower=1e-12)).sum()
         return float(chi2.sf(distance, len(table) - 2))
-    each = pd.DataFrame({"x": x, "unit": unit, "away": success - fit.probability(x)[0]})
-    sums = each.pivot_table(index="unit", columns="x", values="away", aggfunc="sum", fill_value=0.0)
+    each = pd.DataFrame({"x": x, "unit": unit, "distance": success - fit.probability(x)[0]})
+    sums = each.pivot_table(index="unit", columns="x", values="distance", aggfunc="sum", fill_value=0.0)
     apart = sums.to_numpy() - sums.to_numpy().mean(axis=0)
     between, spread = apart.T @ apart, np.sqrt((apart**2).sum(axis=0))
     weight = (expected * (1 - p)).to_numpy()
@@ -288,66 +348,67 @@ def goodness(fit: Logistic, x: np.ndarray, success: np.ndarray, unit: np.ndarray
 
 
 def tolerance(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> pd.DataFrame:
-    """How large an error along each listed axis may be, the others nominal: where P(success) falls to `probability`.
+    """Estimate how large an error along each listed axis may be: where P(success) falls to `probability`.
 
     Args:
         rows: Rows of a study.
         exp: Its experiment.
-        probability: P(success) that is asked for.
+        probability: P(success) to hold.
 
     Returns:
-        A row for each axis and side: `error`, by a logistic fit over the distance from the nominal number; 0 where P is
-        lower already nominally. `low` and `high`, its 95 % interval: the fit's own (Fieller) and that of the rates at
-        the values tried, straight between them, whichever reaches further, so that it holds where the curve is no
-        logistic one. In both, a draw that several values share counts once. `tried`, the largest distance with a valid
-        rollout: an error beyond it is a guess. `fit_p` near 0: the rates do not follow the fit, do not quote `error`.
+        A row for each axis and side, the other axes nominal: `error`, by a logistic fit over the distance from the
+        nominal value; 0 where P is lower already nominally. `low` and `high`, its 95 % interval: Fieller's, and that of
+        the rates at the values tried with straight lines between them, whichever reaches further, so that it holds also
+        where the curve is not logistic. In both, a draw that several values share counts once. `tried`, the largest
+        distance with a valid rollout: an error beyond it is extrapolated. If `fit_p` is near 0, the rates do not follow
+        the fit: do not quote `error`.
     """
     lines = []
-    for told, away, part in _sides(rows, exp):
+    for labels, distance, part in _sides(rows, exp):
         valid = (part["outcome"] != "invalid").to_numpy()
-        size, success = away[valid], (part["outcome"] == "success").to_numpy()[valid]
+        size, success = distance[valid], (part["outcome"] == "success").to_numpy()[valid]
         if size.max(initial=0) <= 1e-12:
             continue
-        fit, unit = logistic(size, success), draw_numbers(part, exp)[valid]
-        x, *ends = fit.where(probability)
+        fit, unit = fit_logistic(size, success), draw_numbers(part, exp)[valid]
+        x, *ends = fit.distance_at(probability)
         if len(np.unique(unit)) < len(unit):
-            ends.append(cluster_robust_fit(fit, size, success, unit).where(probability)[1])
-        band = condition_rates(part[valid].assign(away=size.round(12)), exp, ["away"], clopper_pearson)
+            ends.append(cluster_robust_fit(fit, size, success, unit).distance_at(probability)[1])
+        band = condition_rates(part[valid].assign(distance=size.round(12)), exp, ["distance"], clopper_pearson)
         ends.append(_crossing(band, probability))
         low, high = min(float(one.low) for one in ends), max(float(one.high) for one in ends)
-        found = {"error": max(x, 0.0), "low": max(low, 0.0), "high": max(high, 0.0)}
-        known = {"tried": size.max(), "fit_p": goodness(fit, size, success, unit)}
-        lines.append({**told, **found, **known, "total": len(valid), "invalid": int((~valid).sum())})
+        result = {"error": max(x, 0.0), "low": max(low, 0.0), "high": max(high, 0.0)}
+        known = {"tried": size.max(), "fit_p": goodness_of_fit_p(fit, size, success, unit)}
+        lines.append({**labels, **result, **known, "total": len(valid), "invalid": int((~valid).sum())})
     return pd.DataFrame(lines)
 
 
 def _crossing(band: pd.DataFrame, probability: float) -> Interval:
-    """Where a band of rates, straight between its values, may fall to `probability`; no upper end if it may not."""
-    away = band["away"].to_numpy()
+    """Return where a band of rates, linear between its values, may fall to `probability`; high is inf if it may not."""
+    distance = band["distance"].to_numpy()
 
     def cross(ends: np.ndarray, first: int) -> float:
-        part, x = ends[first : first + 2], away[first : first + 2]
+        part, x = ends[first : first + 2], distance[first : first + 2]
         return float(x[0] + (part[0] - probability) / (part[0] - part[1]) * (x[1] - x[0]))
 
     low, high = band["low"].to_numpy(), band["high"].to_numpy()
     below, above = np.flatnonzero(low < probability), np.flatnonzero(high >= probability)
-    start = away[-1] if not len(below) else 0.0 if below[0] == 0 else cross(low, below[0] - 1)
-    end = 0.0 if not len(above) else np.inf if above[-1] == len(away) - 1 else cross(high, above[-1])
+    start = distance[-1] if not len(below) else 0.0 if below[0] == 0 else cross(low, below[0] - 1)
+    end = 0.0 if not len(above) else np.inf if above[-1] == len(distance) - 1 else cross(high, above[-1])
     return Interval(np.asarray(start), np.asarray(end))
 
 
-def regional(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
-    """Regional sensitivity: how differently each drawn number is distributed among successes and failures.
+def regional_sensitivity(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
+    """Compare the distributions of each drawn parameter among successes and failures (Kolmogorov-Smirnov).
 
     Args:
         rows: Rows of a study.
         exp: Its experiment.
 
     Returns:
-        A row for each drawn number, the largest `distance` first: Kolmogorov and Smirnov's, 0 without any influence;
-        `p`, the p-value of none at all; the medians of both, which say in which direction it acts. Where draws have
-        several rows (replicates, grid points), `p` is that of a permutation of the draws; it is NaN for designs whose
-        rows are no plain draws.
+        A row for each drawn number, the largest `distance` first: the Kolmogorov-Smirnov distance, 0 without influence;
+        its p-value `p`; both medians, whose order gives the direction of the effect. If draws have several rows
+        (replicates, grid points), `p` is that of a permutation of the draws; it is NaN for designs whose rows are not
+        plain draws.
 
     Raises:
         InputError: There are not both successes and failures.
@@ -362,7 +423,7 @@ def regional(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     repeated = len(np.unique(draws[good | bad])) < (good | bad).sum()
     plain = exp.study.design.kind in PLAIN
     lines = []
-    for axis in numeric(rows, drawn(rows, exp)):
+    for axis in numeric_axes(rows, drawn_axes(rows, exp)):
         good_ones, bad_ones = rows[axis.column][good], rows[axis.column][bad]
         test: Any = ks_2samp(good_ones, bad_ones)
         p = test.pvalue if plain and not repeated else np.nan
@@ -374,9 +435,9 @@ def regional(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
 
 
 def _permutation_p(rows: pd.DataFrame, exp: Experiment, name: str) -> float:
-    """P-value of Kolmogorov and Smirnov's distance, by permuting which draw's outcomes belong to whose values."""
+    """P-value of the Kolmogorov-Smirnov distance, by permuting the outcomes of whole draws."""
     _, draw = np.unique(draw_numbers(rows, exp), return_inverse=True)
-    conditions = [axis.column for axis in listed(rows, exp)]
+    conditions = [axis.column for axis in listed_axes(rows, exp)]
     slot = rows.groupby(conditions, sort=False).ngroup().to_numpy() if conditions else np.zeros(len(rows), dtype=int)
     slot = slot * exp.study.replicates + rows["replicate"].to_numpy() % exp.study.replicates
     gain = np.zeros((draw.max() + 1, slot.max() + 1))
@@ -401,14 +462,14 @@ def _permutation_p(rows: pd.DataFrame, exp: Experiment, name: str) -> float:
 
 
 def total_effects(values: np.ndarray, weights: list[np.ndarray]) -> np.ndarray:
-    """Total Sobol indices of values on a full grid.
+    """Compute total Sobol indices of values on a full grid.
 
     Args:
         values: Numbers on the grid, an axis of the array for each parameter.
         weights: Share of each parameter's range that each of its values stands for, an array for each parameter.
 
     Returns:
-        For each parameter (d,) the share of the variance that is left where all others are known: above 0 for every
+        For each parameter (d,) the share of the variance that remains if all others are known: above 0 for every
         parameter that changes a value. NaN where nothing varies.
     """
     shares = [weight / weight.sum() for weight in weights]
@@ -425,8 +486,16 @@ def total_effects(values: np.ndarray, weights: list[np.ndarray]) -> np.ndarray:
     return np.array(left) / variance if variance > 0 else np.full(values.ndim, np.nan)
 
 
-def measured(rows: pd.DataFrame, figure: str | None) -> pd.Series:
-    """1 or 0 for success, or the column `figure`; NaN where a rollout is invalid. Raises `InputError`."""
+def outcome_values(rows: pd.DataFrame, figure: str | None) -> pd.Series:
+    """Return 1 or 0 for success, or the column `figure`; NaN where a rollout is invalid.
+
+    Args:
+        rows: Rows of a study (n).
+        figure: Column of a metric; None: success.
+
+    Raises:
+        InputError: There is no such column.
+    """
     value = (rows["outcome"] == "success").astype(float) if not figure else rows[column(rows, figure)].astype(float)
     return value.where(rows["outcome"] != "invalid")
 
@@ -434,26 +503,37 @@ def measured(rows: pd.DataFrame, figure: str | None) -> pd.Series:
 def _blocks(
     rows: pd.DataFrame, exp: Experiment, figure: str | None, kind: str, what: str, more: int
 ) -> tuple[list[Axis], np.ndarray]:
-    """The axes of a design of a `kind`, and the values of its blocks, as long as they and `more`; NaN of invalid rows.
+    """Return the drawn axes of a design, and the values of its blocks (blocks, d + more); NaN for invalid rows.
 
-    Raises `InputError` where the design is another one, or rows are of several conditions.
+    Raises:
+        InputError: The design is another one, or rows have several conditions.
     """
     axes = [a for a in exp.study.axes if a.distribution is not None]
     if exp.study.design.kind != kind or not axes:
         raise InputError(f"{what} need a study with design.kind = {kind}")
-    if conditions := listed(rows, exp):
+    if conditions := listed_axes(rows, exp):
         raise InputError(f"{what} need one grid point: choose among {', '.join(a.column for a in conditions)}")
-    value, draw, length = measured(rows, figure), rows["replicate"] // exp.study.replicates, len(axes) + more
+    value, draw, length = outcome_values(rows, figure), rows["replicate"] // exp.study.replicates, len(axes) + more
     mean = value.groupby(draw).mean().where(value.notna().groupby(draw).any())
     return axes, mean.reindex(range(exp.study.design.num * length)).to_numpy().reshape(-1, length)
 
 
 def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
-    """Sobol indices of success, or of the column `figure`, from a Saltelli design, with 95 % errors (bootstrap).
+    """Estimate Sobol indices of success or of a metric from a Saltelli design, with 95 % errors (bootstrap).
 
-    `first` is the share of the variance that an axis explains alone, `total` that in which it takes part; noise counts
-    in the latter. A block of d + 2 rows with an invalid one is left out: `blocks` tells how many remain. Raises
-    `InputError` where the design is another one, is not complete, or nothing varies.
+    A block of d + 2 rows with an invalid one is left out.
+
+    Args:
+        rows: Rows of a study with `design.kind=saltelli` at one condition.
+        exp: Its experiment.
+        figure: Column of a metric; None: success.
+
+    Returns:
+        A row for each drawn axis: `first`, the share of the variance that the axis explains alone; `total`, the share
+        it is involved in, noise included; their errors; the number of complete `blocks`.
+
+    Raises:
+        InputError: The design is another one or incomplete, or nothing varies.
     """
     from SALib.analyze import sobol
 
@@ -463,18 +543,29 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
         raise InputError(f"Sobol indices need values that vary: {len(whole)} complete blocks of {whole.shape[1]} draws")
     problem = {"num_vars": len(axes), "names": [a.column for a in axes]}
     # SALib takes a seed of 0 for none
-    found = sobol.analyze(problem, whole.ravel(), calc_second_order=False, num_resamples=200, seed=1)
+    result = sobol.analyze(problem, whole.ravel(), calc_second_order=False, num_resamples=200, seed=1)
     columns = {"first": "S1", "first_error": "S1_conf", "total": "ST", "total_error": "ST_conf"}
-    told = {name: found[key] for name, key in columns.items()}
-    return pd.DataFrame({"axis": problem["names"], **told, "blocks": len(whole)})
+    labels = {name: result[key] for name, key in columns.items()}
+    return pd.DataFrame({"axis": problem["names"], **labels, "blocks": len(whole)})
 
 
 def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
-    """Morris' elementary effects on success, or on the column `figure`: cheap screening of many axes.
+    """Estimate elementary effects (Morris) on success or on a metric, with 95 % errors (bootstrap).
 
-    `mean_size` is the mean of the effects' sizes (mu*) with its 95 % error (bootstrap), `spread` their standard
-    deviation, large where an axis interacts or acts unevenly. A path with an invalid rollout is left out: `paths` tells
-    how many remain. Raises `InputError` where the design is another one or fewer than two paths are left.
+    A path with an invalid rollout is left out.
+
+    Args:
+        rows: Rows of a study with `design.kind=morris` at one condition.
+        exp: Its experiment.
+        figure: Column of a metric; None: success.
+
+    Returns:
+        A row for each drawn axis, the largest first: `mean_size`, the mean of the effects' sizes (mu*), and its
+        `error`; `mean` of the effects; `spread`, their standard deviation, large where an axis interacts or is
+        nonlinear; the number of complete `paths`.
+
+    Raises:
+        InputError: The design is another one, or fewer than two paths are complete.
     """
     from SALib.analyze import morris
 
@@ -485,8 +576,8 @@ def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None =
     chosen = np.repeat(whole, length)
     shares = unit_draws(exp.study.axes, exp.study.design, exp.study.seed)[chosen]
     problem = {"num_vars": len(axes), "names": [a.column for a in axes], "bounds": [[*INNER]] * len(axes)}
-    found = morris.analyze(problem, shares, mean[whole].ravel(), num_levels=LEVELS, seed=0)
+    result = morris.analyze(problem, shares, mean[whole].ravel(), num_levels=LEVELS, seed=0)
     columns = {"mean_size": "mu_star", "error": "mu_star_conf", "mean": "mu", "spread": "sigma"}
-    told = {name: found[key] for name, key in columns.items()}
-    table = pd.DataFrame({"axis": problem["names"], **told, "paths": int(whole.sum())})
+    labels = {name: result[key] for name, key in columns.items()}
+    table = pd.DataFrame({"axis": problem["names"], **labels, "paths": int(whole.sum())})
     return table.sort_values("mean_size", ascending=False, ignore_index=True)

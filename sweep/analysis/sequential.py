@@ -1,9 +1,9 @@
-"""Comparisons that may be looked at after every pair, and stop when it suits: evidence by an e-process.
+"""Sequential comparison of two runs, valid at every look: evidence by an e-process.
 
-Of two runs of the same draws only discordant pairs tell which is better. If neither were, each of them would be as
-likely to go either way. Evidence E against that is the likelihood of what was seen, mixed over all other chances by the
-arcsine law, over the likelihood by a fair coin. It is a martingale of mean 1 if neither is better, so that it ever
-reaches 1 / a with probability a at most (Ville's inequality), however often one looks.
+Only discordant pairs tell which run is better. If neither is, each of them is as likely to go either way. The evidence
+E against that is the likelihood of the discordant pairs, mixed over all other probabilities by the arcsine law, over
+the likelihood of a fair coin. It is a martingale of mean 1 if neither run is better, so that it ever reaches 1 / a with
+probability at most a (Ville's inequality), however often one looks.
 """
 
 from dataclasses import dataclass
@@ -13,24 +13,29 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from sweep.analysis.compare import SECOND
-from sweep.analysis.intervals import CONFIDENCE, anytime
-from sweep.analysis.stats import percent
+from sweep.analysis.intervals import CONFIDENCE, confidence_sequence
+from sweep.analysis.stats import format_percent
 
-POWER = 0.9  # of the test of fixed size that is told beside
+POWER = 0.9  # of the test of fixed size, printed for comparison
 
 
-def log_evidence(lost: ArrayLike, gained: ArrayLike) -> np.ndarray:
-    """log E after so many discordant pairs of each direction, of the shape of the counts."""
+def log_e_value(lost: ArrayLike, gained: ArrayLike) -> np.ndarray:
+    """Return log E after given numbers of discordant pairs in each direction, of the shape of the counts."""
     from scipy.special import betaln  # slow to import
 
     b, c = np.asarray(lost, float), np.asarray(gained, float)
     return betaln(b + 0.5, c + 0.5) - betaln(0.5, 0.5) + (b + c) * np.log(2)
 
 
-def fixed_size(lost: float, gained: float, level: float = CONFIDENCE) -> float:
-    """About how many pairs McNemar's test needs, looked at once, to see shares `lost` and `gained` of all pairs differ.
+def fixed_sample_size(lost: float, gained: float, level: float = CONFIDENCE) -> float:
+    """Estimate how many pairs McNemar's test, looked at once, needs to find a difference with a power of `POWER`.
 
-    By the normal approximation (Connor 1987), with a power of `POWER`; infinite where they do not differ.
+    By the normal approximation (Connor 1987); infinite if the shares are equal.
+
+    Args:
+        lost: Share of pairs that succeed only in A.
+        gained: Share of pairs that succeed only in B.
+        level: Confidence level.
     """
     from scipy.special import ndtri
 
@@ -42,8 +47,8 @@ def fixed_size(lost: float, gained: float, level: float = CONFIDENCE) -> float:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What the pairs say up to the first at which it is decided; up to the last where it is not."""
+class SequentialResult:
+    """State of a sequential comparison at the pair that decides it, or at the last pair if none does."""
 
     level: float
     pairs: int  # independent ones that are valid in both runs
@@ -60,15 +65,15 @@ class Verdict:
         if not self.pairs:
             return f"none of {self.invalid} pairs is valid in both"
         shares = " and ".join(
-            f"{name} {percent(k / self.pairs)} ({percent(float(low))} to {percent(float(high))})"
+            f"{name} {format_percent(k / self.pairs)} ({format_percent(float(low))} to {format_percent(float(high))})"
             for name, k in (("A", self.a), ("B", self.b))
-            for low, high in [anytime(k, self.pairs, self.level)]
+            for low, high in [confidence_sequence(k, self.pairs, self.level)]
         )
         needed = 1 / (1 - self.level)
-        found = f"{np.exp(self.log_e):.3g}, {needed:.3g} decides at {percent(self.level)}"
+        evidence = f"{np.exp(self.log_e):.3g}, {needed:.3g} decides at {format_percent(self.level)}"
         skipped = f"; {self.invalid} invalid pairs are passed over" if self.invalid else ""
         flips = f"{self.lost} succeed only in A, {self.gained} only in B"
-        lines = [f"after {self.pairs} pairs: {flips}; E = {found}{skipped}"]
+        lines = [f"after {self.pairs} pairs: {flips}; E = {evidence}{skipped}"]
         if self.decided:
             better, worse = ("A", "B") if self.lost > self.gained else ("B", "A")
             rest = f"; {self.left} more pairs were not needed" if self.left else ""
@@ -76,39 +81,39 @@ class Verdict:
         else:
             lines.append("not decided: more draws may decide it, and one may look again after each")
         lines.append(f"succeed: {shares}, intervals that hold however often one looks")
-        if np.isfinite(once := fixed_size(self.lost / self.pairs, self.gained / self.pairs, self.level)):
+        if np.isfinite(once := fixed_sample_size(self.lost / self.pairs, self.gained / self.pairs, self.level)):
             lines.append(f"if these were the true shares, a test looked at once would need about {once:.0f} pairs")
         return "\n".join(lines)
 
 
-def verdict(pairs: pd.DataFrame, level: float = CONFIDENCE, unit: np.ndarray | None = None) -> Verdict:
+def sequential_test(pairs: pd.DataFrame, level: float = CONFIDENCE, unit: np.ndarray | None = None) -> SequentialResult:
     """Go through pairs in the order of their draws, and stop where the evidence decides.
 
-    Pairs with an invalid rollout say nothing about A and B, and are left out. Where a unit has several pairs, it counts
-    once: for the run that succeeds more often in it.
+    Pairs with an invalid rollout are left out. If a unit has several pairs, it counts once: for the run that succeeds
+    more often in it.
 
     Args:
-        pairs: Pairs of rows (n), see `compare.pair`.
-        level: Confidence.
+        pairs: Pairs of rows (n), see `compare.pair_rows`.
+        level: Confidence level.
         unit: Independent unit of each pair (n,), see `sampling_units.pair_units`, numbered in the order of the draws.
             None: each pair is one, in the order of `replicate`.
     """
     each = pairs["replicate"].to_numpy() if "replicate" in pairs else np.arange(len(pairs))
-    own = each if unit is None else unit
+    units = each if unit is None else unit
     first, second = pairs["outcome"].to_numpy(), pairs[f"outcome{SECOND}"].to_numpy()
     valid = (first != "invalid") & (second != "invalid")
     won = pd.DataFrame({"a": first[valid] == "success", "b": second[valid] == "success"})
-    shares = won.groupby(own[valid]).mean()  # in the order of the units
+    shares = won.groupby(units[valid]).mean()  # in the order of the units
     a, b = shares["a"].to_numpy(), shares["b"].to_numpy()
     lost, gained = np.cumsum(a > b), np.cumsum(b > a)
-    evidence = log_evidence(lost, gained)
+    evidence = log_e_value(lost, gained)
     over = evidence >= -np.log(1 - level)
     decided = bool(over.any())
     n = int(over.argmax()) + 1 if decided else len(over)
     if not n:
-        return Verdict(level, 0, 0, len(pairs), 0, 0, 0.0, 0.0, 0.0, False)
-    left_out = np.unique(own[~valid & ~np.isin(own, shares.index)])
+        return SequentialResult(level, 0, 0, len(pairs), 0, 0, 0.0, 0.0, 0.0, False)
+    left_out = np.unique(units[~valid & ~np.isin(units, shares.index)])
     if decided:
         left_out = left_out[left_out < shares.index[n - 1]]
     counts = int(lost[n - 1]), int(gained[n - 1]), float(a[:n].sum()), float(b[:n].sum())
-    return Verdict(level, n, len(over) - n, len(left_out), *counts, float(evidence[n - 1]), decided)
+    return SequentialResult(level, n, len(over) - n, len(left_out), *counts, float(evidence[n - 1]), decided)

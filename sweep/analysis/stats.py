@@ -1,4 +1,4 @@
-"""How often rollouts succeed, and how sure that is."""
+"""Success rates and their confidence intervals."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from sweep.analysis.intervals import Interval, anytime, korn_graubard, wilson
+from sweep.analysis.intervals import Interval, confidence_sequence, korn_graubard, wilson
 
 
 @dataclass(frozen=True)
 class Rate:
-    """Successes among valid rollouts with the 95 % Wilson interval, NaN where none is meant; invalid ones apart."""
+    """Successes among valid rollouts with a 95 % interval, NaN if there is none; invalid ones are counted apart."""
 
     total: int
     invalid: int
@@ -22,7 +22,7 @@ class Rate:
 
     @property
     def valid(self) -> int:
-        """Rollouts that can be trusted."""
+        """Number of valid rollouts."""
         return self.total - self.invalid
 
     @property
@@ -31,8 +31,8 @@ class Rate:
         return self.success / self.valid if self.valid else np.nan
 
     @property
-    def sure(self) -> bool:
-        """Whether its interval says anything: one rollout is no sample."""
+    def has_interval(self) -> bool:
+        """Whether the rate has an interval: it needs more than one valid rollout."""
         return self.valid > 1 and not np.isnan(self.low)
 
     @property
@@ -41,24 +41,28 @@ class Rate:
         return self.invalid / self.total if self.total else 0.0
 
     @property
-    def broken(self) -> str:
-        """Invalid rollouts in words: `3 invalid (1.2 %)`."""
-        return f"{self.invalid:,} invalid ({percent(self.invalid_share)})"
+    def invalid_text(self) -> str:
+        """Count and share of invalid rollouts as text: `3 invalid (1.2 %)`."""
+        return f"{self.invalid:,} invalid ({format_percent(self.invalid_share)})"
 
     def __str__(self) -> str:
         if not self.valid:
             return f"no valid rollout among {self.total:,}"
-        sure = "" if not self.sure else f", 95 % interval {percent(self.low)} to {percent(self.high)}"
-        return f"{self.success:,} of {self.valid:,} succeed ({percent(self.share)}{sure}), {self.broken}"
+        sure = (
+            ""
+            if not self.has_interval
+            else f", 95 % interval {format_percent(self.low)} to {format_percent(self.high)}"
+        )
+        return f"{self.success:,} of {self.valid:,} succeed ({format_percent(self.share)}{sure}), {self.invalid_text}"
 
 
-def percent(share: float) -> str:
-    """A share in words: `0.123` -> `12.3 %`."""
+def format_percent(share: float) -> str:
+    """Write a share as text: `0.123` -> `12.3 %`."""
     return f"{100 * share:.1f} %"
 
 
 def rate(outcome: pd.Series) -> Rate:
-    """Rate of a column of outcomes."""
+    """Compute the success rate of a column of outcomes, with Wilson's interval for independent rows."""
     invalid, success = int((outcome == "invalid").sum()), int((outcome == "success").sum())
     valid = len(outcome) - invalid
     if not valid:
@@ -73,14 +77,15 @@ def rates(
     interval: Callable[[ArrayLike, ArrayLike], Interval] = wilson,
     unit: np.ndarray | None = None,
 ) -> pd.DataFrame:
-    """Rate of success for each combination of values of some columns, with its 95 % interval.
+    """Compute the success rate for each combination of values of some columns, with its 95 % interval.
 
     Args:
         rows: Rows of a study (n).
         by: Columns that form the groups; one group without any.
-        interval: From successes and trials to the interval, where rows are independent.
+        interval: Function of successes and trials to the interval, for independent rows.
         unit: Independent unit of each row (n,), see `sampling_units`. Where a group has several valid rows of a unit,
-            its interval is Korn and Graubard's, or of `anytime` that of the units' shares. None: rows are independent.
+            its interval is Korn and Graubard's, or for `confidence_sequence` that of the units' success rates. None:
+            rows are independent.
 
     Returns:
         A row for each group: the columns `by`, `total`, `invalid`, `success`, `valid`, `share`, `low`, `high`.
@@ -106,13 +111,13 @@ def _ends_by_unit(
     interval: Callable[[ArrayLike, ArrayLike], Interval],
     ends: Interval,
 ) -> Interval:
-    """The intervals of groups, with those whose rows depend on each other by their independent units.
+    """Replace the intervals of groups whose rows depend on each other by cluster intervals.
 
     Args:
         group: Number of the group of each valid row (n,).
         unit: Number of its independent unit (n,).
         success: Whether it succeeded (n,).
-        interval: From successes and trials to the interval, where rows are independent.
+        interval: Function of successes and trials to the interval, for independent rows.
         ends: That interval of each group (g,).
     """
     number = len(ends.low)
@@ -127,8 +132,8 @@ def _ends_by_unit(
         return np.bincount(of, values, number)
 
     units, trials, successes = total(np.ones(len(of))), total(size), total(won)
-    if interval is anytime:
-        own = anytime(total(won / size), units)
+    if interval is confidence_sequence:
+        own = confidence_sequence(total(won / size), units)
     else:
         share = successes / np.maximum(trials, 1)
         telling = np.minimum(total(won > 0), total(won < size))
@@ -137,14 +142,24 @@ def _ends_by_unit(
     return Interval(np.where(clustered, own.low, ends.low), np.where(clustered, own.high, ends.high))
 
 
-def causes(cause: pd.Series, meanings: Mapping[str, str]) -> list[str]:
-    """A line for each cause in a column of them, the most frequent first: how many rollouts, and what it means."""
+def cause_lines(cause: pd.Series, meanings: Mapping[str, str]) -> list[str]:
+    """Describe each cause of a column in a line, the most frequent first: number of rollouts, name and meaning.
+
+    Args:
+        cause: Name of the cause of each row; empty for successes.
+        meanings: Meaning of each cause.
+    """
     counts = cause[cause != ""].value_counts()
     return [f"{number:,} {name}: {meanings[str(name)]}" for name, number in counts.items()]
 
 
-def binned(values: pd.Series, most: int) -> pd.Series:
-    """The values where there are at most `most`; else the middles of `most` equal intervals that they lie in."""
+def bin_values(values: pd.Series, most: int) -> pd.Series:
+    """Replace values by the midpoints of equal bins, unless there are few distinct ones.
+
+    Args:
+        values: Values (n,); names stay as they are.
+        most: Largest number of distinct values that stay, and number of bins.
+    """
     if values.dtype.kind not in "fi" or values.nunique() <= most:
         return values
     low, high = values.min(), values.max()

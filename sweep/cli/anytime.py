@@ -14,7 +14,7 @@ from sweep.study.config import Experiment
 from sweep.study.study import name_axes
 
 
-def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequential.Verdict:
+def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequential.SequentialResult:
     """Compare stored rows; with `--most`, simulate more draws in both folders until the comparison is decided.
 
     Both folders grow by a batch of A at a time, or a quarter of their draws, to at most `--most` draws. Raises
@@ -40,11 +40,11 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
     exps = [results.load_experiment(folder) for folder in folders]
     while True:
         a, b = (named_rows(*one) for one in zip(rows, exps, conditions, strict=True))
-        pairs = compare.pair(a, b, by)
+        pairs = compare.pair_rows(a, b, by)
         if (unit := compare.independent_unit_of_pairs(pairs, exps[0])) is None:
             what = "are no sample: they were chosen, as those of a grid, or placed where failures are"
             raise InputError(f"--anytime needs draws, or noisy replicates of one point: the points of {args.a} {what}")
-        found = sequential.verdict(pairs, level, unit)
+        found = sequential.sequential_test(pairs, level, unit)
         now = max(map(extend.count_draws, exps))
         if found.decided or args.most is None or now >= args.most:
             return found

@@ -13,7 +13,7 @@ import pandas as pd
 from sweep.analysis import certify, sensitivity
 from sweep.analysis.intervals import clopper_pearson
 from sweep.analysis.sampling_units import Unit, independent_unit
-from sweep.analysis.stats import percent
+from sweep.analysis.stats import format_percent
 from sweep.cli.run import report_progress
 from sweep.core.errors import InputError
 from sweep.core.files import path_in
@@ -40,10 +40,10 @@ def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     learned = parameters_and_failures(rows if args.rollouts else rows.iloc[order[::2]], names)
     if learned[1].all():
         raise InputError("none of the rows to learn from succeeds: there is no region to begin with")
-    least = certify.fewest(args.failures, args.confidence) / (args.rollouts or len(rows) // 2)
+    least = certify.required_rows(args.failures, args.confidence) / (args.rollouts or len(rows) // 2)
     with ThreadPoolExecutor() as pool:  # what is learned is learned while fresh draws are simulated
-        score = pool.submit(certify.learn, args.shape, *learned, least)
-        worst = pool.submit(certify.odds, *learned, convex=False) if args.shape != "score" else score
+        score = pool.submit(certify.learn_score, args.shape, *learned, least)
+        worst = pool.submit(certify.fit_log_odds, *learned, convex=False) if args.shape != "score" else score
         new = partial(simulate_fresh_draws, exp, path_in(folder, FRESH), exp.study.seed + 1)
         fresh = new(args.rollouts) if args.rollouts else rows.iloc[order[1::2]]
     found = certify.certify(
@@ -54,7 +54,7 @@ def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
         lines.append(
             "none of the rows to learn from failed, so that nothing orders the regions: draw from wider distributions"
         )
-    again = check_region(exp, folder, found, names, worst.result()) if found.found and args.rollouts else []
+    again = check_region(exp, folder, found, names, worst.result()) if found.is_certified and args.rollouts else []
     if again:
         lines += ["", page_table(pd.DataFrame([{**one, "95 %": failure_interval(one)} for one in again]))]
     return "\n".join(lines), certificate_data(found, args, names) | {"checked": again}
@@ -65,7 +65,7 @@ def check_arguments(args: argparse.Namespace) -> None:
     for name in ("failures", "confidence"):
         if not 0 < getattr(args, name) < 1:
             raise InputError(f"--{name} = {getattr(args, name):g} is not allowed: between 0 and 1")
-    if args.rollouts is not None and args.rollouts < (need := certify.fewest(args.failures, args.confidence)):
+    if args.rollouts is not None and args.rollouts < (need := certify.required_rows(args.failures, args.confidence)):
         takes = f"{args.failures:g} at {format_share(args.confidence)} takes at least {need}, if none of them fails"
         raise InputError(f"--rollouts = {args.rollouts} is not allowed: {takes}")
 
@@ -76,7 +76,7 @@ def drawn_parameters(exp: Experiment, rows: pd.DataFrame) -> list[str]:
     unit = independent_unit(own)
     if unit != Unit.DRAW or own.design.kind != "monte_carlo" or own.replicates > 1 or own.is_refined:
         raise InputError(f"{own.name} has no independent draws: it takes a study of design monte_carlo, one replicate")
-    if listed := sensitivity.listed(rows, exp):
+    if listed := sensitivity.listed_axes(rows, exp):
         raise InputError(
             f"axis {listed[0].name} is listed: a region is certified for draws, so give the axis a distribution"
         )
@@ -110,7 +110,7 @@ def with_seed(exp: Experiment, folder: Path, seed: int, number: int) -> Experime
 
 
 def check_region(
-    exp: Experiment, folder: Path, found: certify.Certificate, names: list[str], worst: certify.Outside
+    exp: Experiment, folder: Path, found: certify.Certificate, names: list[str], worst: certify.RegionScore
 ) -> list[dict[str, Any]]:
     """Count failures where the region looks worst, and outside of it. These draws are not part of the guarantee.
 
@@ -123,7 +123,7 @@ def check_region(
     again = replace(again, settings=replace(again.settings, width=width))
     table = runner.select_points(again)
     x = table[names].to_numpy(dtype=float)
-    inside, order = found.inside(x), np.argsort(-worst(x))
+    inside, order = found.contains(x), np.argsort(-worst(x))
     kinds = {
         "where the region looks worst": order[inside[order]][:CHECKED],
         "outside": np.flatnonzero(~inside)[:CHECKED],
@@ -142,19 +142,19 @@ def check_region(
 
 def failure_interval(one: dict[str, Any]) -> str:
     """Interval of the share of checked draws that failed."""
-    low, high = (percent(float(v)) for v in clopper_pearson(one["fail"], one["rollouts"]))
+    low, high = (format_percent(float(v)) for v in clopper_pearson(one["fail"], one["rollouts"]))
     return f"{low} to {high}"
 
 
 def format_certificate(found: certify.Certificate, shape: str, names: list[str]) -> str:
     """The guarantee, its region and its assumptions as text."""
     where = f"{found.next_failed} of {found.next_rows} fresh rows fail in the next larger one"
-    if not found.found:
+    if not found.is_certified:
         return f"no {shape} is certified at {found.failures:g}: {where}; try more rows or larger --failures"
     promise = (
         f"with a confidence of {format_share(found.confidence)} at most {format_share(found.failures)} of the study's "
-        f"draws that fall into this {shape} fail: {percent(found.share)} of all draws, {found.failed} of {found.rows} "
-        "fresh rows failed there"
+        f"draws that fall into this {shape} fail: {format_percent(found.draw_share)} of all draws, "
+        f"{found.failed} of {found.rows} fresh rows failed there"
     )
     why = f"; {where}" if found.next_rows else "; no larger region can be formed"
     assumed = (
@@ -175,13 +175,13 @@ def certificate_data(found: certify.Certificate, args: argparse.Namespace, names
         "shape": args.shape,
         "failures_at_most": found.failures,
         "confidence": found.confidence,
-        "certified": found.found,
-        "where": found.score.condition(names, found.threshold) if found.found else None,
+        "certified": found.is_certified,
+        "where": found.score.condition(names, found.threshold) if found.is_certified else None,
         "rows": found.rows,
         "failed": found.failed,
         "fresh_rows": found.drawn,
         "next_rows": found.next_rows,
         "next_failed": found.next_failed,
-        "share_of_draws": found.share,
-        "bound_of_its_rows": found.at_most if found.found else None,
+        "share_of_draws": found.draw_share,
+        "bound_of_its_rows": found.upper_bound if found.is_certified else None,
     }

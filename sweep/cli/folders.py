@@ -22,7 +22,7 @@ LICENSE = "https://spdx.org/licenses/CC-BY-4.0"
 
 def status(args: argparse.Namespace) -> int:
     """Print how many rollouts are planned and done, and their outcomes."""
-    from sweep.analysis.stats import causes
+    from sweep.analysis.stats import cause_lines
     from sweep.report.headline import headline
     from sweep.runs import results, store
 
@@ -35,7 +35,7 @@ def status(args: argparse.Namespace) -> int:
         if exp.study.is_adaptive:
             print(headline(rows, exp))
         print(", ".join(f"{number} {outcome}" for outcome, number in rows["outcome"].value_counts().items()))
-        for line in causes(rows["cause"], meanings):
+        for line in cause_lines(rows["cause"], meanings):
             print(f"  {line}")
     return DONE
 
@@ -257,13 +257,13 @@ def compare_results(args: argparse.Namespace) -> int:
     a, differ, broken = read_matching_rows(args.a, args.where_a), [], []
     for number, folder in enumerate(args.b):
         b = read_matching_rows(folder, args.where_b)
-        pairs = compare.pair(a, b, parse_names(args.by))
+        pairs = compare.pair_rows(a, b, parse_names(args.by))
         if len(args.b) > 1:
             print(f"{chr(10) if number else ''}{args.a} and {folder}")
         unit = compare.independent_unit_of_pairs(pairs, results.load_experiment(args.a))
         text = comparison.comparison_text(pairs, len(a), len(b), parse_names(args.regions), unit)
         terminal.print_markdown(text + "\n")
-        differ.append(compare.differences(pairs).assign(**({"B": str(folder)} if len(args.b) > 1 else {})))
+        differ.append(compare.changed_pairs(pairs).assign(**({"B": str(folder)} if len(args.b) > 1 else {})))
         broken += comparison.find_violations(pairs, len(a), args.tolerance, args.figures)
     if args.output:
         save_output(args.output, pd.concat(differ).to_csv(index=False).encode())

@@ -14,8 +14,8 @@ from rich.text import Text
 
 from sweep.analysis import rare
 from sweep.analysis.expectations import unmet_expectations
-from sweep.analysis.sample import distinct, pooled
-from sweep.analysis.stats import causes, rate
+from sweep.analysis.sample import drop_copies, pooled_rate
+from sweep.analysis.stats import cause_lines, rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.core.errors import InputError
 from sweep.core.progress import (
@@ -130,7 +130,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
     if exp.study.is_refined:
         print("\n".join(f"refined: {one}" for one in refine.summarize_panels(exp, rows)))
     if exp.study.is_adaptive and complete:
-        print(rare.rare(rows, exp))
+        print(rare.estimate_failure_probability(rows, exp))
     print(f"{len(rows)} of {size} planned rollouts are in {folder}")
     return verdict(exp, rows, complete)
 
@@ -193,7 +193,7 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
             f"simulating {exp.scenario} {other.study.max_rollouts} times to judge its expectations on the native engine"
         ):
             exp, rows = other, runner.run_single_batch(other)
-        print(f"sweep: of rollouts that differ by 1e-6 {pooled(rows, exp)}", file=sys.stderr)
+        print(f"sweep: of rollouts that differ by 1e-6 {pooled_rate(rows, exp)}", file=sys.stderr)
     return verdict(exp, rows, complete=True)
 
 
@@ -230,13 +230,13 @@ def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
 
 def summary(exp: Experiment, rows: pd.DataFrame) -> str:
     """The headline of the study, its causes, and the rate for each value of a named parameter; copies count once."""
-    rows, copies = distinct(rows, exp)
+    rows, copies = drop_copies(rows, exp)
     lines = [f"{exp.study.name}: {headline(rows, exp)}"]
-    lines += [f"  {line}" for line in causes(rows["cause"], exp.system.cause_meanings(exp.thresholds))]
+    lines += [f"  {line}" for line in cause_lines(rows["cause"], exp.system.cause_meanings(exp.thresholds))]
     lines += [f"  {copies}"] if copies else []
     for column in parameter_columns(rows):
         if rows[column].dtype.kind != "f" and rows[column].nunique() > 1 and not exp.study.is_adaptive:
-            lines += [f"  {column} = {value}: {pooled(part, exp)}" for value, part in rows.groupby(column)]
+            lines += [f"  {column} = {value}: {pooled_rate(part, exp)}" for value, part in rows.groupby(column)]
     return "\n".join(lines)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import compare
-from sweep.analysis.stats import percent
+from sweep.analysis.stats import format_percent
 from sweep.core.errors import InputError, suggest
 from sweep.core.expressions import column
 from sweep.report.labels import axis_words
@@ -30,22 +30,22 @@ def comparison_text(
     """
     parts = [
         f"{len(pairs)} pairs{name_pair_columns(pairs)}; {a - len(pairs)} rows of A and {b - len(pairs)} of B have none",
-        str(compare.flips(pairs, unit)),
+        str(compare.count_flips(pairs, unit)),
     ]
     axes = [find_parameter(pairs, name) for name in regions] if regions else default_regions(pairs)
-    if compare.changed(pairs).any():
+    if compare.outcome_changes(pairs).any():
         if axes:
             parts += [
                 "",
                 f"By region ({', '.join(map(axis_words, axes))}):",
-                page_table(compare.regions(pairs, axes, unit)),
+                page_table(compare.flips_by_region(pairs, axes, unit)),
             ]
-        parts += ["", "What became what:", page_table(compare.causes(pairs))]
-        parts += ["", "Pairs that differ:", page_table(compare.differences(pairs).head(SHOWN))]
-    drift = compare.drift(pairs)
+        parts += ["", "What became what:", page_table(compare.cause_changes(pairs))]
+        parts += ["", "Pairs that differ:", page_table(compare.changed_pairs(pairs).head(SHOWN))]
+    drift = compare.metric_drift(pairs)
     drift = drift[drift > 0].head(SHOWN)
     if len(drift):
-        figures = pd.DataFrame({"figure": drift.index, "typical change": [percent(v) for v in drift]})
+        figures = pd.DataFrame({"figure": drift.index, "typical change": [format_percent(v) for v in drift]})
         parts += ["", "Figures that changed most:", page_table(figures)]
     return "\n".join(parts)
 
@@ -58,14 +58,14 @@ def name_pair_columns(pairs: pd.DataFrame) -> str:
 def find_parameter(pairs: pd.DataFrame, name: str) -> str:
     """Find the parameter that a user means. Raises `InputError` where it is another column."""
     found = column(pairs, name)
-    if found not in (allowed := compare.axes(pairs)):
+    if found not in (allowed := compare.varied_axes(pairs)):
         raise InputError(f"{name} is not a parameter{suggest(name, allowed)}")
     return found
 
 
 def default_regions(pairs: pd.DataFrame) -> list[str]:
     """The first two varied parameters that are numbers."""
-    return [c for c in compare.axes(pairs) if pairs[c].dtype.kind in "fi" and pairs[c].nunique() > 1][:2]
+    return [c for c in compare.varied_axes(pairs) if pairs[c].dtype.kind in "fi" and pairs[c].nunique() > 1][:2]
 
 
 def find_violations(pairs: pd.DataFrame, a: int, tolerance: float, figures: float | None) -> list[str]:
@@ -77,11 +77,17 @@ def find_violations(pairs: pd.DataFrame, a: int, tolerance: float, figures: floa
         tolerance: largest share of pairs whose outcome may differ.
         figures: largest typical relative change of a metric; None: any.
     """
-    found, lines = compare.flips(pairs), []
-    if found.changed > tolerance:
-        lines.append(f"outcomes of {percent(found.changed)} of the pairs differ, {percent(tolerance)} tolerated")
+    found, lines = compare.count_flips(pairs), []
+    if found.changed_share > tolerance:
+        lines.append(
+            f"outcomes of {format_percent(found.changed_share)} of the pairs differ, "
+            f"{format_percent(tolerance)} tolerated"
+        )
     if a > len(pairs):
         lines.append(f"{a - len(pairs)} of {a} rows of A have no pair in B")
-    if figures is not None and len(drift := compare.drift(pairs)) and drift.iloc[0] > figures:
-        lines.append(f"{drift.index[0]} typically changes by {percent(drift.iloc[0])}, {percent(figures)} tolerated")
+    if figures is not None and len(drift := compare.metric_drift(pairs)) and drift.iloc[0] > figures:
+        lines.append(
+            f"{drift.index[0]} typically changes by {format_percent(drift.iloc[0])}, "
+            f"{format_percent(figures)} tolerated"
+        )
     return lines

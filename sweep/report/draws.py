@@ -36,13 +36,13 @@ def has_draws_figure(results: Results) -> bool:
 
 def drawn_columns(results: Results) -> list[str]:
     """Columns of the drawn numbers."""
-    return [a.column for a in sensitivity.numeric(results.rows, sensitivity.drawn(results.rows, results.exp))]
+    return [a.column for a in sensitivity.numeric_axes(results.rows, sensitivity.drawn_axes(results.rows, results.exp))]
 
 
 def rank_parameters(results: Results) -> pd.DataFrame:
     """Regional sensitivity of each parameter, see `sensitivity.regional`; empty where all draws succeed or all fail."""
     try:
-        return sensitivity.regional(results.rows, results.exp)
+        return sensitivity.regional_sensitivity(results.rows, results.exp)
     except InputError:
         return pd.DataFrame({"axis": [], "distance": [], "p": []})
 

@@ -12,7 +12,7 @@ from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
 from sweep.analysis.sample import is_sample
 from sweep.analysis.sampling_units import draw_interval_method, draw_numbers, interval_method
-from sweep.analysis.stats import binned, percent, rate, rates
+from sweep.analysis.stats import bin_values, format_percent, rate, rates
 from sweep.core.plot_style import COLUMN, PAGE, fit_ticks, legend_below, new_figure, use_whole_ticks
 from sweep.report import draws, sections, time_series_plots
 from sweep.report.cells import end_axes_at_zero
@@ -76,7 +76,9 @@ def count_invalid(rows: pd.DataFrame, where: str) -> str:
     found = rate(rows["outcome"])
     if not found.invalid:
         return ""
-    return f" {found.invalid} of {found.total} rollouts ({percent(found.invalid_share)}) are invalid and {where}."
+    return (
+        f" {found.invalid} of {found.total} rollouts ({format_percent(found.invalid_share)}) are invalid and {where}."
+    )
 
 
 def summarize_audit(results: Results) -> str:
@@ -84,7 +86,8 @@ def summarize_audit(results: Results) -> str:
     text = ""
     for drawn, table in audit.flip_table(results).groupby("drawn", sort=False):
         ways = [
-            f"{one['flips']} of {one['rollouts'] - one['invalid']} {one['simulated']} (at most {percent(one['high'])})"
+            f"{one['flips']} of {one['rollouts'] - one['invalid']} {one['simulated']} "
+            f"(at most {format_percent(one['high'])})"
             for one in table.to_dict("records")
         ]
         text += f" When simulated again, outcomes flip {drawn}: {'; '.join(ways)}."
@@ -97,7 +100,7 @@ def effects_figure(results: Results) -> Iterator[StudyFigure]:
         return
     by = [c for c in results.categorical if results.rows[c].nunique() <= LINES][:1]
     if results.one_at_a_time:
-        by, table = [], sensitivity.along(results.rows, results.exp)
+        by, table = [], sensitivity.one_at_a_time_rates(results.rows, results.exp)
         caption = (
             "Rate of success at each value of one parameter, the others nominal, with its 95 % interval "
             f"({interval_method(results.exp.study)}); dotted: logistic fit of the error on either side of the nominal "
@@ -110,7 +113,7 @@ def effects_figure(results: Results) -> Iterator[StudyFigure]:
         for axis in results.numeric:
             value = results.rows[axis]
             if value.nunique() > EFFECT_VALUES:
-                value, in_bins = binned(value, EFFECT_BINS), True
+                value, in_bins = bin_values(value, EFFECT_BINS), True
             draws = draw_numbers(results.rows, results.exp)
             found = rates(results.rows.assign(value=value), [*by, "value"], unit=draws).assign(axis=axis)
             if not is_sample(results.rows, results.exp, (axis, *by)):
@@ -155,15 +158,17 @@ def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figur
 
 
 def _draw_fits(results: Results, spots: dict[str, Axes]) -> None:
-    for axis, centre, rows in sensitivity.arms(results.rows[results.rows["outcome"] != "invalid"], results.exp):
+    for axis, centre, rows in sensitivity.one_at_a_time_rows(
+        results.rows[results.rows["outcome"] != "invalid"], results.exp
+    ):
         away = rows[axis.column].to_numpy(dtype=float) - centre
         for sign in (-1, 1):
             here = sign * away >= 0
             if (most := np.abs(away[here]).max(initial=0)) > 0:
                 success = rows["outcome"].to_numpy()[here] == "success"
-                fit = sensitivity.logistic(np.abs(away[here]), success)
+                fit = sensitivity.fit_logistic(np.abs(away[here]), success)
                 unit = draw_numbers(rows[here], results.exp)
-                if sensitivity.goodness(fit, np.abs(away[here]), success, unit) < REJECTED:
+                if sensitivity.goodness_of_fit_p(fit, np.abs(away[here]), success, unit) < REJECTED:
                     continue
                 size = np.linspace(0, most, 50)
                 spots[axis.column].plot(centre + sign * size, fit.probability(size)[0], ":", color="0.3", linewidth=1)
@@ -242,7 +247,8 @@ def _draw_audits(results: Results, data: pd.DataFrame) -> Figure:
     ways = list(data.groupby("simulated", sort=False))
     figure, spots = _panels(len(ways))
     for (way, part), ax in zip(ways, spots, strict=True):
-        changed, broken = compare.changed(part), (part[["outcome", f"outcome{SECOND}"]] == "invalid").any(axis=1)
+        changed = compare.outcome_changes(part)
+        broken = (part[["outcome", f"outcome{SECOND}"]] == "invalid").any(axis=1)
         for chosen, mark, colour in (
             (~changed, ".", GOOD),
             (changed & broken, "+", DOUBTFUL),

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import rare
-from sweep.analysis.sample import pooled
+from sweep.analysis.sample import pooled_rate
 from sweep.core.errors import InputError
 from sweep.study.config import Experiment
 
@@ -21,14 +21,14 @@ def headline(rows: pd.DataFrame, exp: Experiment) -> str:
         P(failure) with its interval: its rows are no sample, so that their share of successes is no rate.
     """
     if not exp.study.is_adaptive:
-        return str(pooled(rows, exp))
+        return str(pooled_rate(rows, exp))
     return f"{probability_of_failure(rows, exp)}; {count_placed(rows)}"
 
 
 def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:
     """P(failure) of a study that searches for failures, with its 95 % interval, or why it is not known."""
     try:
-        found = rare.rare(rows, exp)
+        found = rare.estimate_failure_probability(rows, exp)
     except InputError as error:
         return f"P(failure) is not known yet: {error}"
     low, high = found.interval
@@ -37,7 +37,7 @@ def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:
             f"P(failure) <= {high:.2g} (95 %)" if np.isfinite(high) else "P(failure) is not known: no failure was found"
         )
     interval = f"95 % interval {low:.2g} to {high:.2g}" if np.isfinite(low) else "no interval from a single run"
-    caution = "" if found.trusted else ", NOT to be trusted: `sweep stats` says why"
+    caution = "" if found.is_reliable else ", NOT to be trusted: `sweep stats` says why"
     return f"P(failure) = {found.probability:.3g} ({interval}){caution}"
 
 

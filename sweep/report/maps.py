@@ -18,7 +18,7 @@ from matplotlib.patches import Patch, PathPatch, Rectangle
 from matplotlib.path import Path
 from matplotlib.transforms import Affine2D
 
-from sweep.analysis.sample import pooled
+from sweep.analysis.sample import pooled_rate
 from sweep.core.expressions import column
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError
@@ -71,7 +71,9 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
             draw_metric(ax, panel, cells, measure)
         else:
             (draw_outcomes if most == 1 else draw_rates)(ax, panel, cells)
-            text = count_placed(panel) if exp.study.is_adaptive else str(pooled(panel, exp)).replace(" (", "\n(", 1)
+            text = (
+                count_placed(panel) if exp.study.is_adaptive else str(pooled_rate(panel, exp)).replace(" (", "\n(", 1)
+            )
             if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
                 draw_refined_cells(ax, exp, panel, x, y, cells)
                 text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from sweep.analysis.stats import percent, rate
+from sweep.analysis.stats import format_percent, rate
 from sweep.core.errors import InputError
 from sweep.core.files import path_in, printable_name
 from sweep.report.headline import probability_of_failure
@@ -38,7 +38,7 @@ def describe_folder(folder: Path) -> dict[str, str]:
     except InputError as error:
         return {"folder": name, **empty, "study": printable_name(str(error).split(":")[0].removeprefix(f"{folder}/"))}
     found, config = rate(outcome), stored["config"]
-    succeed = percent(found.share) if found.valid else ""
+    succeed = format_percent(found.share) if found.valid else ""
     if config["study"]["design"]["kind"] in KINDS and config["study"]["design"]["num"]:
         succeed = probability_of_failure(store.read_rows(folder), load_experiment(folder)) if found.total else ""
     return {
@@ -46,7 +46,7 @@ def describe_folder(folder: Path) -> dict[str, str]:
         "study": config["study"]["name"] or config["scenario"]["name"],
         "rollouts": f"{found.total:,} of {stored['rollouts']:,}",
         "succeed": succeed,
-        "invalid": percent(found.invalid_share),
+        "invalid": format_percent(found.invalid_share),
         "commit": stored["commit"] or stored["code"],
         "date": f"{datetime.fromtimestamp(path_in(folder, store.STUDY).stat().st_mtime):%Y-%m-%d %H:%M}",
     }

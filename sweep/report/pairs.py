@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from sweep.analysis import compare
 from sweep.analysis.compare import SECOND
-from sweep.analysis.stats import binned
+from sweep.analysis.stats import bin_values
 from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
 from sweep.core.plot_style import PAGE, new_figure, wrap_text
 from sweep.core.spacing import evenly_spaced_indices
@@ -44,7 +44,7 @@ def join_pairs(a: Results, b: Results) -> tuple[Results, pd.DataFrame]:
     Raises:
         InputError: the studies share no points.
     """
-    pairs = compare.pair(a.rows, b.rows)
+    pairs = compare.pair_rows(a.rows, b.rows)
     one, other = pairs["outcome"], pairs[f"outcome{SECOND}"]
     choices = [(one == INVALID) | (other == INVALID), (one == SUCCESS) & (other == SUCCESS), one == SUCCESS]
     cause = np.select([*choices, other == SUCCESS], [DOUBTED, "", ONLY_A, ONLY_B], BOTH_FAIL)
@@ -61,19 +61,19 @@ def pairs_headline(pairs: pd.DataFrame, a: Path, b: Path, unit: np.ndarray | Non
         b: folder of the second study.
         unit: independent unit of each pair (n,); None where pairs are no sample.
     """
-    return f"A is {a}, B is {b}: {len(pairs):,} pairs{name_pair_columns(pairs)}. {compare.flips(pairs, unit)}."
+    return f"A is {a}, B is {b}: {len(pairs):,} pairs{name_pair_columns(pairs)}. {compare.count_flips(pairs, unit)}."
 
 
 def pairs_tables(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Iterator[tuple[str, pd.DataFrame]]:
     """Yield tables of pairs by region, with p-values by independent `unit` (n,), by cause, and of those that differ."""
-    if not compare.changed(pairs).any():
+    if not compare.outcome_changes(pairs).any():
         return
     if axes := default_regions(pairs):
         words = " and ".join(map(axis_words, axes))
         test = "" if unit is None else " (McNemar's p, and corrected for so many)"
-        yield f"Flips by region of {words}{test}", compare.regions(pairs, axes, unit)
-    yield "What became what", compare.causes(pairs)
-    yield "Pairs that differ", compare.differences(pairs).head(LISTED)
+        yield f"Flips by region of {words}{test}", compare.flips_by_region(pairs, axes, unit)
+    yield "What became what", compare.cause_changes(pairs)
+    yield "Pairs that differ", compare.changed_pairs(pairs).head(LISTED)
 
 
 def replay_flipped_pairs(a: Results, b: Results, number: int, progress: Callable[[int, int], None]) -> None:
@@ -136,7 +136,7 @@ def difference_figure(found: Results, pairs: pd.DataFrame) -> Iterator[StudyFigu
 
 def draw_difference(found: Results, data: pd.DataFrame, x: str, y: str) -> Figure:
     """Draw maps of A, of B and of the difference over the same cells."""
-    places = {"x": binned(data[x], BINS), "y": binned(data[y], BINS)}
+    places = {"x": bin_values(data[x], BINS), "y": bin_values(data[y], BINS)}
     won, won_b = (data[f"outcome{mark}"] == SUCCESS for mark in ("", SECOND))
     own = data.assign(**places, a=won.astype(float), b=won_b.astype(float), change=won_b.astype(float) - won)
     cells = Cells(np.sort(own["x"].unique()), np.sort(own["y"].unique()))

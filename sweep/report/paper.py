@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import rare
-from sweep.analysis.sample import is_sample, pooled
+from sweep.analysis.sample import is_sample, pooled_rate
 from sweep.analysis.sampling_units import interval_method
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
@@ -85,7 +85,7 @@ def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
         write_atomically(paths[-1], table.to_csv(index=False).encode())
         if len(table) <= LINES:
             texts[f"tables/{name}.tex"], captions[name] = tables.latex_table(table, results.exp), caption
-    found = rare.rare(results.rows, results.exp) if results.exp.study.is_adaptive else None
+    found = rare.estimate_failure_probability(results.rows, results.exp) if results.exp.study.is_adaptive else None
     numbers = list(quotable_numbers(results, found))
     table = pd.DataFrame([vars(one) for one in numbers])
     write_atomically(out / "data" / "numbers.csv", table.to_csv(index=False).encode())
@@ -156,7 +156,7 @@ def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         parts += [(f"{heading(column, results.exp)} {value}", part) for value, part in rows.groupby(column)]
     lines = []
     for name, part in parts:
-        one = pooled(part, results.exp)
+        one = pooled_rate(part, results.exp)
         shares = ("" if np.isnan(v) else f"{100 * v:.1f}" for v in (one.share, one.low, one.high))
         lines.append((name, one.total, one.invalid, one.success, *shares))
     method = interval_method(results.exp.study)
@@ -184,13 +184,13 @@ def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
             yield f"statistics-{number}", escape_latex(title) + ".", content
 
 
-def quotable_numbers(results: Results, found: rare.Weighted | rare.Repeated | None) -> Iterator[Number]:
+def quotable_numbers(results: Results, found: rare.WeightedEstimate | rare.SubsetEstimate | None) -> Iterator[Number]:
     """Yield every number of the text, and those that a paper about the study is likely to quote.
 
     `found` is the probability of failure of a study that searches for failures.
     """
     rows, start = results.rows, macro_prefix(results)
-    one, valid = pooled(rows, results.exp), 'outcome != "invalid"'
+    one, valid = pooled_rate(rows, results.exp), 'outcome != "invalid"'
     for name, count, where in (
         ("Rollouts", one.total, None),
         ("Valid", one.valid, valid),
@@ -230,7 +230,7 @@ def quotable_numbers(results: Results, found: rare.Weighted | rare.Repeated | No
             yield Number(start + macro_name(figure) + word, float(value), f"{value:.4g}", what, 'outcome == "success"')
 
 
-def caveat(results: Results, found: rare.Weighted | rare.Repeated | None) -> str:
+def caveat(results: Results, found: rare.WeightedEstimate | rare.SubsetEstimate | None) -> str:
     """The sentence that must stand beside the numbers where earlier rows decided which points were run."""
     if results.exp.study.is_refined:
         return "Most rollouts were placed next to the boundary, so this is not the share of the region."
@@ -238,7 +238,7 @@ def caveat(results: Results, found: rare.Weighted | rare.Repeated | None) -> str
         return ""
     macro = f"\\{macro_prefix(results)}Failing"
     text = f"P(failure) is {macro}{{}}, with a 95\\,\\% interval from {macro}Low{{}} to {macro}High{{}}"
-    return text + ("." if found.trusted else ", which is not to be trusted: \\texttt{sweep stats} says why.")
+    return text + ("." if found.is_reliable else ", which is not to be trusted: \\texttt{sweep stats} says why.")
 
 
 def _percent(name: str, share: float, what: str, where: str | None) -> Number:

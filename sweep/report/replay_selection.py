@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sweep.analysis.sample import some
+from sweep.analysis.sample import choose_indices
 from sweep.report.figures import metrics_with_threshold_first
 from sweep.report.labels import column_unit, heading
 from sweep.report.representative import find_representatives
@@ -74,7 +74,7 @@ def extreme_rows(results: Results) -> Iterator[tuple[int, str]]:
 
 def spread_rows(results: Results) -> Iterator[tuple[int, str]]:
     """All rows, or a sample, each as far as possible from those before it."""
-    every = some(len(results.rows), MANY)
+    every = choose_indices(len(results.rows), MANY)
     yield from ((int(every[k]), "far from the others") for k in order_by_distance(parameter_places(results)[every]))
 
 

@@ -12,10 +12,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from sweep.analysis import sensitivity
-from sweep.analysis.intervals import anytime, wilson
+from sweep.analysis.intervals import confidence_sequence, wilson
 from sweep.analysis.sample import is_sample
 from sweep.analysis.sampling_units import draw_numbers
-from sweep.analysis.stats import binned, rates
+from sweep.analysis.stats import bin_values, rates
 from sweep.core.plot_style import COLUMN, PAGE, new_figure, wrap_text
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.report import analytic_curves
@@ -58,7 +58,7 @@ def list_sections(results: Results) -> Iterator[Section]:
     cut would be mostly empty, as among drawn points, all rows are counted in bins. Where two conditions or more were
     listed, maps are over those.
     """
-    conditions = [axis.column for axis in sensitivity.listed(results.rows, results.exp)]
+    conditions = [axis.column for axis in sensitivity.listed_axes(results.rows, results.exp)]
     few = len(results.rows) < BINNED and len(conditions) < 2 and not results.exp.study.points
     if results.one_at_a_time or few or results.exp.study.is_adaptive:  # whose rows are no sample that has a rate
         return
@@ -107,7 +107,7 @@ def bin_rows(results: Results, x: str, y: str, others: list[str]) -> Section:
     most = int(np.clip(np.sqrt(len(rows) / 20), 4, 40))
     bins = {c: min(most, rows[c].nunique()) for c in (x, y)}
     note = f"{bins[x]} by {bins[y]} bins" + (", over all values of the other parameters" if others else "")
-    return Section(x, y, None, rows.assign(**{c: binned(rows[c], most) for c in (x, y)}), note)
+    return Section(x, y, None, rows.assign(**{c: bin_values(rows[c], most) for c in (x, y)}), note)
 
 
 def nearest_value(values: pd.Series, target: float) -> float:
@@ -186,7 +186,7 @@ def cell_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[s
     """
     study = results.exp.study
     unit = draw_numbers(rows, results.exp) if rows["replicate"].notna().all() else None
-    table = rates(rows, by, anytime if study.budget else wilson, unit)
+    table = rates(rows, by, confidence_sequence if study.budget else wilson, unit)
     return table if is_sample(rows, results.exp, axes) else table.assign(low=np.nan, high=np.nan)
 
 

@@ -7,9 +7,9 @@ from functools import partial
 import pandas as pd
 
 from sweep.analysis import failing, rare, screening, sensitivity
-from sweep.analysis.sample import distinct, pooled
+from sweep.analysis.sample import drop_copies, pooled_rate
 from sweep.analysis.sampling_units import condition_rates, interval_method
-from sweep.analysis.stats import percent
+from sweep.analysis.stats import format_percent
 from sweep.core.errors import InputError
 from sweep.report.headline import headline
 from sweep.report.labels import heading
@@ -25,20 +25,20 @@ def statistics_sections(
     rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None
 ) -> Iterator[tuple[str, pd.DataFrame | str]]:
     """Yield title and content of everything that the design of the study can tell."""
-    rows, copies = distinct(rows, exp)
-    listed, drawn = sensitivity.listed(rows, exp), sensitivity.drawn(rows, exp)
-    numbers = sensitivity.numeric(rows, listed)
+    rows, copies = drop_copies(rows, exp)
+    listed, drawn = sensitivity.listed_axes(rows, exp), sensitivity.drawn_axes(rows, exp)
+    numbers = sensitivity.numeric_axes(rows, listed)
     several = len(rows) > len(rows.drop_duplicates([a.column for a in listed])) if listed else bool(drawn)
     note = (
         "; most rollouts were placed next to the boundary, so this is not the share of the region"
         if exp.study.is_refined
         else ""
     )
-    every = pooled(rows, exp)
+    every = pooled_rate(rows, exp)
     if exp.study.is_adaptive:  # its rows are no sample of what is asked about
         yield "Probability of failure", headline(rows, exp)
-        yield "How P(failure) was estimated", str(rare.rare(rows, exp))
-        if len(modes := rare.modes(rows, exp)):
+        yield "How P(failure) was estimated", str(rare.estimate_failure_probability(rows, exp))
+        if len(modes := rare.failure_modes(rows, exp)):
             yield "Modes of failure, by their share of that probability", modes
         yield from _shares(rows, exp)
         return
@@ -46,10 +46,10 @@ def statistics_sections(
     one_at_a_time = bool(numbers) and exp.study.design.grid == "one_at_a_time"
     if one_at_a_time:
         sure = f" ({interval_method(exp.study)}, 95 %)" if exp.study.noisy else ""
-        yield f"Rate along each axis, the others nominal{sure}", sensitivity.along(rows, exp)
+        yield f"Rate along each axis, the others nominal{sure}", sensitivity.one_at_a_time_rates(rows, exp)
     elif drawn and exp.study.design.kind != "morris":
         method = interval_method(exp.study).replace("Wilson", "Clopper-Pearson")
-        yield f"Share of the draws that succeed ({method}, 95 %)", sensitivity.volume(rows, exp)
+        yield f"Share of the draws that succeed ({method}, 95 %)", sensitivity.success_volume(rows, exp)
     elif several and listed:
         title = f"Rate at each condition ({interval_method(exp.study)}, 95 %)"
         yield title, condition_rates(rows, exp, [a.column for a in listed])
@@ -60,8 +60,10 @@ def statistics_sections(
     whole = refine.paint_cells(exp, rows) if exp.study.resolution else rows
     if numbers and not several and not one_at_a_time:
         found = sensitivity.grid_volume(whole, exp)
-        share, low, high = map(percent, (found.share, found.low, found.high))
-        invalid = f"{found.invalid:,} invalid ({percent(every.invalid_share)}): the range covers both outcomes of them"
+        share, low, high = map(format_percent, (found.share, found.low, found.high))
+        invalid = (
+            f"{found.invalid:,} invalid ({format_percent(every.invalid_share)}): the range covers both outcomes of them"
+        )
         yield (
             "Share of the grid's volume that succeeds",
             f"{share}; {low} to {high}, as cells on the boundary count as failing or succeeding; {invalid}",
@@ -69,12 +71,14 @@ def statistics_sections(
     if numbers:
         yield "Margins: how far from the nominal value rollouts succeed", sensitivity.margins(whole, exp)
     if numbers and several:
-        title = f"Tolerance: the error at which the probability of success falls to {percent(level)} (logistic fit)"
+        title = (
+            f"Tolerance: the error at which the probability of success falls to {format_percent(level)} (logistic fit)"
+        )
         yield title, sensitivity.tolerance(rows, exp, level)
     if len(drawn) and {"success", "failure"} <= set(rows["outcome"]):
         yield (
             "Regional sensitivity: how draws that fail differ from those that succeed",
-            sensitivity.regional(rows, exp),
+            sensitivity.regional_sensitivity(rows, exp),
         )
         yield from _shares(rows, exp)
     for title, function in sensitivity_methods(exp, len(rows)).items() if drawn else ():
@@ -89,7 +93,7 @@ def _shares(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[str, pd.DataF
     with suppress(InputError):
         yield (
             "Share of each parameter in failing (Shapley values of the Hilbert-Schmidt criterion)",
-            failing.shares(rows, exp),
+            failing.failure_shares(rows, exp),
         )
 
 
@@ -103,7 +107,10 @@ def sensitivity_methods(exp: Experiment, size: int) -> dict[str, Analysis]:
         case _ if size < screening.LEAST:
             return {}
         case _:
-            return {"PAWN indices": screening.pawn, "First Sobol indices (RBD-FAST)": screening.first_order}
+            return {
+                "PAWN indices": screening.pawn_indices,
+                "First Sobol indices (RBD-FAST)": screening.rbd_fast_indices,
+            }
 
 
 def render_statistics(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None) -> str:

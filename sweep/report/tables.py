@@ -10,7 +10,7 @@ import pandas as pd
 import pyarrow as pa
 from pyarrow.csv import WriteOptions, write_csv
 
-from sweep.analysis.stats import causes, percent
+from sweep.analysis.stats import cause_lines, format_percent
 from sweep.core.expressions import column
 from sweep.report.labels import column_unit, name_and_unit, path_words, unique_headings, unique_words
 from sweep.runs.results import Results
@@ -50,7 +50,9 @@ def render_table(rows: pd.DataFrame, form: str, names: list[str] | None = None, 
         case _:
             page = page_table(rows, exp) + "\n"
             lines = axis_lines(rows, exp) if exp else []
-            lines += causes(rows["cause"], exp.system.cause_meanings(exp.thresholds)) if exp and "cause" in rows else []
+            lines += (
+                cause_lines(rows["cause"], exp.system.cause_meanings(exp.thresholds)) if exp and "cause" in rows else []
+            )
             legend = "".join(f"- {line}\n" for line in lines)
             return f"{page}\n{legend}".encode() if legend else page.encode()
 
@@ -91,7 +93,7 @@ def readable_columns(rows: pd.DataFrame) -> list[str]:
 def format_rows(rows: pd.DataFrame, exp: Experiment | None = None) -> pd.DataFrame:
     """Rows with readable headings and numbers; shares and their intervals in per cent."""
     shares = [c for c in SHARES if c in rows and "share" in rows]
-    rows = rows.assign(**{c: [percent(v) if pd.notna(v) else "" for v in rows[c]] for c in shares})
+    rows = rows.assign(**{c: [format_percent(v) if pd.notna(v) else "" for v in rows[c]] for c in shares})
     return rows.map(format_value).rename(columns=unique_headings(rows.columns, exp))
 
 

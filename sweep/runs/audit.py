@@ -129,7 +129,7 @@ def iter_audited_variants(results: Results) -> Iterator[tuple[str, pd.DataFrame]
             before = results.rows[results.rows["point_id"].isin(again["point_id"])]
             if before.empty:  # other rows were chosen than those that were audited
                 continue
-            yield way, compare.pair(before, again, ["point_id"])
+            yield way, compare.pair_rows(before, again, ["point_id"])
 
 
 def flip_table(results: Results) -> pd.DataFrame:
@@ -141,9 +141,9 @@ def flip_table(results: Results) -> pd.DataFrame:
             of_kind = pairs[pairs["point_id"].isin(points)]
             if of_kind.empty:
                 continue
-            found = compare.flips(of_kind, np.arange(len(of_kind)))  # rows were drawn at random
-            share = found.flipped / found.tested if found.tested else np.nan
-            counts = len(points), found.pairs, found.pairs - found.tested, found.flipped
+            found = compare.count_flips(of_kind, np.arange(len(of_kind)))  # rows were drawn at random
+            share = found.flip_count / found.tested_pairs if found.tested_pairs else np.nan
+            counts = len(points), found.pairs, found.pairs - found.tested_pairs, found.flip_count
             words = results.exp.system.audit_variants[way].description
             lines.append((words, kind, *counts, share, found.low, found.high))
     columns = ["simulated", "drawn", "of", "rollouts", "invalid", "flips", "share", "low", "high"]

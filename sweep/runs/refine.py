@@ -16,8 +16,8 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import sensitivity
-from sweep.analysis.intervals import anytime, clopper_pearson
-from sweep.analysis.stats import Rate, percent, rate
+from sweep.analysis.intervals import clopper_pearson, confidence_sequence
+from sweep.analysis.stats import Rate, format_percent, rate
 from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.runs.runner import Job, prepare_job
@@ -159,7 +159,7 @@ def _counts(grid: Lattice, rows: pd.DataFrame) -> Counts:
 
 def _undecided(study: Study, counts: Counts) -> np.ndarray:
     """Points whose interval holds the level; those without a valid rollout are given up."""
-    low, high = anytime(counts.success, counts.valid)
+    low, high = confidence_sequence(counts.success, counts.valid)
     return (low <= study.level) & (study.level <= high) & (counts.valid > 0)
 
 
@@ -275,7 +275,7 @@ class RefinedPanel:
 
     def __str__(self) -> str:
         size, shape = self.labels.size, " x ".join(map(str, self.grid.shape))
-        text = f"{self.rollouts:,} rollouts, {self.rate.broken}, for a grid of {shape} points"
+        text = f"{self.rollouts:,} rollouts, {self.rate.invalid_text}, for a grid of {shape} points"
         text = ", ".join(self.names.values()) + f": {text}" if self.names else text
         if self.rollouts < size:
             text += f", {size / self.rollouts:.1f} times fewer"
@@ -285,7 +285,7 @@ class RefinedPanel:
             text += f"; at {self.undecided} the interval still holds the level"
         if self.audited:
             text += f"; {self.missed} of {self.audited} audited points differ from what their cell promised"
-            text += f", at most {percent(self.missed_share_upper)} of the points that were not run (95 %)"
+            text += f", at most {format_percent(self.missed_share_upper)} of the points that were not run (95 %)"
         return text
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from sweep.analysis import sensitivity
-from sweep.analysis.sample import distinct
+from sweep.analysis.sample import drop_copies
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
 from sweep.runs import store
@@ -50,7 +50,7 @@ class Results:
         """Numbers that were listed; of a table of points all of them."""
         if self.exp.study.points:
             return self.numeric
-        own = [a.column for a in sensitivity.listed(self.rows, self.exp)]
+        own = [a.column for a in sensitivity.listed_axes(self.rows, self.exp)]
         return [c for c in self.numeric if c in own]
 
     @property
@@ -94,5 +94,5 @@ def read(folder: Path, where: str | None = None) -> Results:
         rows = rows[mask(rows, where)].reset_index(drop=True)
         if rows.empty:
             raise InputError(f"no row of {folder} matches where = {where!r}")
-    chosen, copies = distinct(rows, exp)
+    chosen, copies = drop_copies(rows, exp)
     return Results(folder, stored, exp, chosen, where, done, copies)

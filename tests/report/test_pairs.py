@@ -32,12 +32,12 @@ def test_a_pair_is_told_by_what_came_of_both(folders):
     outcome[won[0]], cause[won[0]], outcome[won[1]], cause[won[1]] = "failure", "fell", "invalid", "solver"
     shuffled = b.rows.assign(outcome=outcome, cause=cause).sample(frac=1, random_state=0)
     found, table = pairs.join_pairs(a, replace(b, rows=shuffled))
-    flips, counts = compare.flips(table), found.rows["cause"].value_counts()
+    flips, counts = compare.count_flips(table), found.rows["cause"].value_counts()
     assert (counts[pairs.ONLY_A], counts[pairs.ONLY_B], counts[pairs.DOUBTED]) == (flips.lost, flips.gained, 1)
     assert flips.lost == 1
     assert flips.gained > 2
     assert "McNemar" not in pairs.pairs_headline(table, *folders)  # the points of a grid are no sample
-    tested = compare.flips(table, np.arange(len(table)))
+    tested = compare.count_flips(table, np.arange(len(table)))
     assert f"McNemar p = {tested.p:.2g}" in pairs.pairs_headline(table, *folders, np.arange(len(table)))
     (figure,) = pairs.difference_figure(found, table)
     assert len(figure.data) == len(a.rows) - 1  # without the invalid one
@@ -51,7 +51,7 @@ def test_the_page_of_two_is_written(folders, capsys, tmp_path):
     assert main(["report", *map(str, folders), "-o", str(tmp_path)]) == 0
     page = (tmp_path / "report_b.html").read_text()
     a, b = map(results.read, folders)
-    assert str(compare.flips(compare.pair(a.rows, b.rows))) in page
+    assert str(compare.count_flips(compare.pair_rows(a.rows, b.rows))) in page
     assert 'id="difference"' in page
     assert main(["report", *map(str, folders), "--pictures"]) == 2
     assert "--pictures, --x and --y are of one study" in capsys.readouterr().err

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from sweep.analysis.expectations import unmet_expectations
-from sweep.analysis.sample import pooled
+from sweep.analysis.sample import pooled_rate
 from sweep.analysis.sampling_units import has_independent_rows, interval_method
 from sweep.core.files import path_in, write_atomically
 from sweep.core.plot_style import plot_style
@@ -121,11 +121,11 @@ def render_page(
         (one, picture_url(one), list(representative_values(one, results.exp)))
         for one in (() if pairs else find_representatives(results))
     ]
-    rate = pooled(rows, results.exp)
+    rate = pooled_rate(rows, results.exp)
     # the script's own intervals and tests take every row as independent
     independent = not pairs and has_independent_rows(rows, results.exp)
     about = data.page_data(results, chosen) | {
-        "sure": rate.sure and independent,
+        "sure": rate.has_interval and independent,
         "independent": independent,
         "adaptive": results.exp.study.is_adaptive and not pairs,
     }
@@ -151,7 +151,7 @@ def render_page(
         rate=rate,
         adaptive=results.exp.study.is_adaptive and not pairs,
         headline=headline(rows, results.exp) if results.exp.study.is_adaptive else "",
-        sure=rate.sure,
+        sure=rate.has_interval,
         independent=independent,
         refined_effects=bool(about["effects"]),
         method=interval_method(results.exp.study),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sweep.analysis.sample import some
+from sweep.analysis.sample import choose_indices
 from sweep.core.files import encode_text
 from sweep.report import analytic_curves
 from sweep.report.figures import metric_thresholds, metrics_with_threshold_first
@@ -91,7 +91,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
 
 def sample_places(number: int) -> np.ndarray:
     """Indices of the rows that a page holds: all, or a random sample where there are too many."""
-    return some(number, SAMPLE if number > ROWS else number)
+    return choose_indices(number, SAMPLE if number > ROWS else number)
 
 
 def as_json(content: Any) -> str:
