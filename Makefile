@@ -13,7 +13,7 @@ GPU = $(shell nvidia-smi -L >/dev/null 2>&1 && echo ,gpu)
 PYTHONS = $(shell for v in 3.12 3.13; do for p in python$$v $$HOME/.pyenv/versions/$$v*/bin/python; do \
   $$p -c '' 2>/dev/null && echo $$p && break; done; done)
 
-.PHONY: demo baseline kernels shapes test wheel slow slurm lint types docs paper points setup clean
+.PHONY: demo baseline kernels shapes test wheel slow slurm lint types docs reference paper points setup clean
 
 demo: setup
 	rm -rf results/demo
@@ -61,6 +61,9 @@ points: setup  # 20 rollouts of a shipped example, by the commit's hash, end as 
 
 docs: setup  # build/site: all pages and the reference, links checked
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q
+
+reference: setup  # docs/reference, which a test compares with the code
+	$(BIN)/python docs/reference_pages.py
 
 setup: .venv/.installed
 

@@ -11,13 +11,10 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "research"))
 import cited  # noqa: E402
 
-PYTHON = """# From Python
+ANALYSIS = """# Statistics from Python
 
-`from sweep import load, run` gives studies as pandas tables, and `rows.sweep` their pictures.
+Functions that take tables of rows, such as those of `sweep.load`. They may change between versions.
 
-::: sweep.run
-::: sweep.load
-::: sweep.api.Accessor
 ::: sweep.analysis.stats
 ::: sweep.analysis.sensitivity
 ::: sweep.analysis.screening
@@ -34,15 +31,12 @@ def on_files(files: Files, config: Any) -> Files:
         config: Configuration of the site.
 
     Returns:
-        `files` with the overview, results, parameters, the Python reference, and research/.
+        `files` with the overview, results, the functions of sweep.analysis, and research/.
     """
-    from sweep.study import reference
-
     pages = {
         "index.md": link_from_root((ROOT / "README.md").read_text(encoding="utf-8")),
         "results.md": (ROOT / "results" / "README.md").read_text(encoding="utf-8"),
-        "parameters.md": reference.page(),
-        "python.md": PYTHON,
+        "analysis.md": ANALYSIS,
     }
     for name, content in pages.items():
         files.append(File.generated(config, name, content=content))

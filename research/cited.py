@@ -350,9 +350,9 @@ def by_hand(text: str) -> list[str]:
 
 
 def pages() -> Iterator[Path]:
-    """All pages."""
+    """All pages that are written by hand."""
     for folder in (DOCS, RESEARCH):
-        yield from sorted(folder.rglob("*.md"))
+        yield from (page for page in sorted(folder.rglob("*.md")) if page.parent != DOCS / "reference")
 
 
 FORMS = {

@@ -63,7 +63,7 @@ def samples(page):
 @pytest.mark.parametrize(
     "page",
     [
-        *(page for page in GUIDE if page.name not in FOLLOWED),
+        *(page for page in GUIDE if page.name not in FOLLOWED and page.parent.name not in ("reference", "tutorials")),
         *(pytest.param(page, marks=pytest.mark.slow) for page in EVIDENCE),  # minutes: hundreds of commands
     ],
     ids=lambda page: str(page.relative_to(ROOT)),

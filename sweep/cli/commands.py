@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import textwrap
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from sweep.cli import folders, project
 from sweep.cli.choices import refuse_unknown
-from sweep.cli.exits import DONE
+from sweep.cli.exits import DONE, MEANINGS
 from sweep.core.arguments import Arguments, flags
 from sweep.core.errors import InputError
 from sweep.core.files import printable_name
@@ -37,8 +38,7 @@ examples:
   sweep run study=walk_map study.axes.friction.num=65 out=results/fine
   sweep run study=my/study.yaml --dry-run
 exit codes:
-  0 done, 2 bad input, 3 too many invalid rollouts, 4 an expectation is not met, 5 disk, memory or workers failed,
-  130 interrupted"""
+{textwrap.indent(textwrap.fill(", ".join(f"{code} {text}" for code, text in MEANINGS.items()), 110), "  ")}"""
 
 
 def execute(argv: list[str]) -> int:
@@ -107,7 +107,9 @@ def parser() -> Arguments:
         "--simulate", type=int, metavar="N", help="simulate N stored rows again; exit code 4 if a metric changed"
     )
     table = of_results("table", folders.show_table, "print the rows of a study as a table")
-    table.add_argument("--format", choices=("csv", "markdown", "latex", "parquet"), default="markdown")
+    table.add_argument(
+        "--format", choices=("csv", "markdown", "latex", "parquet"), default="markdown", help="of the table (markdown)"
+    )
     table.add_argument("--where", help="only rows that match, such as 'friction > 0.8 and outcome == \"failure\"'")
     table.add_argument("--columns", help="only these columns, separated by commas")
     table.add_argument("-o", "--output", type=Path, help="write to this file instead of the standard output")

@@ -1,3 +1,11 @@
 """How a command went, as its exit code tells."""
 
 DONE, BAD_INPUT, INVALID, UNEXPECTED, FAULT, INTERRUPTED = 0, 2, 3, 4, 5, 130
+MEANINGS = {
+    DONE: "done",
+    BAD_INPUT: "bad input",
+    INVALID: "too many invalid rollouts",
+    UNEXPECTED: "an expectation is not met",
+    FAULT: "disk, memory or workers failed",
+    INTERRUPTED: "interrupted",
+}

@@ -35,15 +35,7 @@ begin, policy, figures, PARAMETERS, FIGURES = controller(exp.case, exp.settings,
 
 def main(args: list[str]) -> int:
     """Run `sweep export-model` with the arguments after its name; return the exit code. Raises `InputError`."""
-    parser = Arguments(
-        others=no_flag,
-        prog="sweep export-model",
-        usage="sweep export-model scenario=NAME [group.name=value ...] out=DIR",
-        description=__doc__,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    exp = compose(parser.parse_known_args(args)[1])
+    exp = compose(parser().parse_known_args(args)[1])
     if why := exp.system.unsupported_commands.get("export-model"):
         raise InputError(f"export-model is not allowed: {why}")
     if not exp.study.single:
@@ -73,3 +65,15 @@ def main(args: list[str]) -> int:
         write_atomically(folder / name, text.encode())
     print(f"{folder}: cd {folder}; sweep run scenario=own")
     return DONE
+
+
+def parser() -> Arguments:
+    """Parser of the arguments of `sweep export-model`."""
+    return Arguments(
+        others=no_flag,
+        prog="sweep export-model",
+        usage="sweep export-model scenario=NAME [group.name=value ...] out=DIR",
+        description=__doc__,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )

@@ -26,11 +26,11 @@ class Entry:
 
     file: str  # below the folder
     length: int  # bytes
-    sha256: str
+    sha256: str  # digest of its content
     batches: tuple[int, ...] = ()  # that a part holds
     study: str = ""  # digest of what all rows of the folder share
     labels: str = ""  # digest of the thresholds that the rows were judged by
-    run_ids: tuple[str, ...] = ()
+    run_ids: tuple[str, ...] = ()  # of its rows
 
     def find_problem(self, content: Buffer) -> str | None:
         """What is wrong with the file, if anything is."""

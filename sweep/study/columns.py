@@ -17,7 +17,12 @@ MEANINGS = {  # of labels and of what places a row in its study
     "margin": "distance to the nearest threshold of a failure, in units of that threshold; negative beyond it",
     "margin_of": "threshold that `margin` is the distance to",
     "replicate": "number of the draw or repetition at a point",
+    "stream": "number that the noise of the rollout is drawn from",
     "point_id": "hash of all physical inputs of the rollout",
+    "group": "rows that share a compiled program",
+    "batch": "number of the batch that simulated the row",
+    "slot": "place of the row in its batch",
+    "width": "number of rollouts in that batch",
     "run_id": "hash of how the row was simulated: rows are equal bit for bit only at an equal one",
     "wall_s": "wall time of the row's batch, divided by its rollouts",
 }

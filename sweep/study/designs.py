@@ -32,7 +32,19 @@ MOST = 20_000_000  # rollouts of a study, whose plan takes 10 GB
 KIND_OF = {"wide": "importance", "rounds": "importance", "share": "subset", "target": "subset", "runs": "subset",
            "lead": "subset"}  # of the designs that have a number or a name of their own  # fmt: skip
 GRIDS = ("full", "one_at_a_time")
-AXIS_KEYS = ("path", "side", "values", "from", "to", "num", "distribution", "relative", "times", "with", "nominal")
+AXIS_KEYS = {  # of an axis, with what each says
+    "path": "parameter that varies, such as contact.friction; without it the axis is a number that other axes refer to",
+    "side": "world: vary what is simulated; belief: what the planner believes; both (default)",
+    "values": "list of values; with all other listed axes they form the grid",
+    "from": "first value of an evenly spaced list",
+    "to": "last value of it",
+    "num": "number of values of it",
+    "distribution": "distribution to draw values from, instead of a list",
+    "relative": "s, or the name of an axis that gives it: the value is (1 + s n) times the nominal one, n from -1 to 1",
+    "times": "path of another parameter: the value is the number times that parameter at the same point",
+    "with": "name of a listed axis whose values this one goes along with, one by one",
+    "nominal": "the number of an axis without a path where it is not varied",
+}
 PARAMETER = "a parameter such as contact.friction"
 OLD_SIDE = ("on", True)  # what `side` was called; a bare `on` is YAML's true
 
@@ -84,8 +96,8 @@ class Axis:
 class Design:
     """How listed axes are combined, and how axes with a distribution are sampled."""
 
-    grid: str = "full"
-    kind: str = "monte_carlo"
+    grid: str = "full"  # of listed axes: every combination, or each axis alone with the others nominal
+    kind: str = "monte_carlo"  # how drawn axes are sampled
     # draws; of sobol those of one scramble, of saltelli the base sample N of N (d + 2), of morris paths, of importance
     # those of a round, of subset those of a level
     num: int = 0
@@ -236,7 +248,7 @@ def warn_of_design(design: Design) -> str | None:
 
 
 def _axis(key: str, name: str, given: Any) -> Axis:
-    given = require_keys(key, given, AXIS_KEYS)
+    given = require_keys(key, given, tuple(AXIS_KEYS))
     side, path, times, relative = (given.get(word) for word in ("side", "path", "times", "relative"))
     if (side := side or "both") not in ("both", *SIDES):
         raise InputError(f"{key}.side = {side!r} is not allowed: one of both, world, belief")

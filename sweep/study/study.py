@@ -40,10 +40,10 @@ Logger = Callable[[str], None]
 class Expectation:
     """Among the valid rows that match `where`, the share of those matching `that` lies within the limits."""
 
-    where: str | None = None
-    that: str = 'outcome == "success"'
-    at_least: float = 0.0
-    at_most: float = 1.0
+    where: str | None = None  # condition on columns: the rows that are counted
+    that: str = 'outcome == "success"'  # condition that a share of them meets
+    at_least: float = 0.0  # least share
+    at_most: float = 1.0  # largest share
 
 
 @dataclass(frozen=True)
@@ -58,11 +58,11 @@ class ScenarioSchema:
 class _Plain:
     """What a study's configuration holds as it is."""
 
-    name: str = ""
+    name: str = ""  # of the folder of results; the name of the file unless given
     points: str | None = None  # CSV file that takes the place of the axes
     where: str | None = None  # points to keep
-    replicates: int = count(1, at_least=1)
-    seed: int = 0
+    replicates: int = count(1, at_least=1)  # rollouts of each point, each with noise of its own
+    seed: int = 0  # of all draws and all noise
     resolution: float = 0.0  # cells that disagree are halved until they are this share of their axis; 0: not at all
     level: float = 0.5  # of the success region, where rollouts of a point differ
     budget: int = count(0)  # most rollouts that refinement may take; 0: no limit

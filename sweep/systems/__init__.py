@@ -70,7 +70,8 @@ def kind_of(values: Mapping[str, Any]) -> SystemKind:
 
 
 def describe_columns() -> dict[str, str]:
-    """What the columns mean that the six-legged robot's rows have: its metrics, by name of the column."""
+    """Return the meaning of each metric by column: of the built-in robot, and those that only own models have."""
     from sweep.metrics import outcome
+    from sweep.systems.mujoco_model import metrics
 
-    return dict(outcome.COLUMNS)
+    return {**metrics.COLUMNS, **outcome.COLUMNS}

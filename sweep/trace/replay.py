@@ -43,8 +43,8 @@ class Replay:
 
     stored: pd.Series  # its row
     again: Mapping[str, Any]  # the new row: figures and labels
-    trace: Trace
-    settings: EngineSettings
+    trace: Trace  # what was recorded: states, forces, torques and stages over time
+    settings: EngineSettings  # of the engine
     config: dict[str, Any]  # the study's resolved configuration and the point's own values
     other_run: str | None  # what may differ from then, where code, libraries or device do
 

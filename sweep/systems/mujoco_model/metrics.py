@@ -12,6 +12,26 @@ from sweep.systems.mujoco_model.model_spec import ModelSpec, angle_deg, cosine_o
 STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")  # what a step tells
 BALANCE = ("qacc", "qfrc_smooth", "qfrc_constraint")  # of which `unbalanced` is made, beside M
 LIMITED = 0.999  # share of a limit, from which an actuator is at it
+COLUMNS = {  # what each metric means; those of a base, feet, collisions or limits where the model has them
+    "base_height_min_m": "least height of the first free joint's body",
+    "tilt_max_deg": "largest angle of that body from how it stood",
+    "travelled_m": "way of that body along `direction`",
+    "drift_m": "way of that body to the left of `direction`",
+    "speed_mps": "mean speed along `direction`",
+    "cost_of_transport": "positive work of the actuators over weight and way along `direction`",
+    "slip_max_m": "farthest that a loaded foot moved along the ground",
+    "load_max_n": "largest load of a foot",
+    "collision_share": "share of the steps in which a sensor of `collisions` touched",
+    "collision_impulse_ns": "load of the sensors of `collisions`, added up over time",
+    "saturated_share": "share of the steps, over all actuators with a limit of force, at that limit",
+    "joint_limit_share": "share of the steps, over all joints with a range, at an end of it",
+    "unsolved_share": "share of the steps that the contact solver left unsolved",
+    "energy_j": "positive work of the actuators",
+    "energy_gained_j": "growth of mechanical energy beyond the work of the actuators",
+    "duration_s": "simulated time",
+    "not_finite": "1 where a number was not finite",
+    "buffer_full": "1 where MuJoCo's room for contacts or constraints was full",
+}
 Tree = dict[str, Any]
 BALANCED = 0.01  # share of the forces, up to which those of a step are in balance
 

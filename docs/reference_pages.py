@@ -1,0 +1,418 @@
+"""Writes the reference pages, docs/reference, from the code.
+
+python docs/reference_pages.py
+"""
+
+import argparse
+import dataclasses
+import inspect
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import sweep
+from sweep import api
+from sweep.cli import commands, exits, export_model, formula, tune, view
+from sweep.core.groups import GROUPS
+from sweep.core.parameters import UNITS, format_unit
+from sweep.metrics import CAUSES, METRICS
+from sweep.metrics.metric import Cause
+from sweep.report import crate, replays
+from sweep.runs import manifest, store
+from sweep.study import columns, designs, distributions, reference
+from sweep.study.analytic_limits import KEYS as THEORY_KEYS
+from sweep.study.study import Expectation, StudySchema
+from sweep.systems.mujoco_model import metrics as own_metrics
+from sweep.systems.mujoco_model import outcome as own_outcome
+from sweep.trace import replay
+
+FOLDER = Path(__file__).parent / "reference"
+NOTE = "<!-- written by `python docs/reference_pages.py` -->"
+PARSERS: dict[str, Callable[[], argparse.ArgumentParser]] = {  # of commands that parse their own words
+    "run": commands.run_parser,
+    "view": view.parser,
+    "replay": replay._parser,
+    "tune": tune.parser,
+    "export-model": export_model.parser,
+    "formula": formula._parser,
+}
+WHEN = {"start": "before the first tick", "tick": "in the tick that crosses it", "end": "at the end"}
+EXITS = {  # what a reader of an exit code needs besides its meaning
+    exits.DONE: "",
+    exits.BAD_INPUT: "One line names the key, its value and what is allowed. Nothing was simulated.",
+    exits.INVALID: "The share of invalid rows is above `study.invalid_max`. The rows are stored.",
+    exits.UNEXPECTED: "`expect` does not hold, or `compare`, `reproduce` or `verify` found too many differences.",
+    exits.FAULT: "Finished batches stay on disk; the same command computes the rest.",
+    exits.INTERRUPTED: "By Ctrl-C. Finished batches stay on disk; the same command computes the rest.",
+}
+STABLE, OPEN = "stable", "may change"
+
+
+def pages() -> dict[str, str]:
+    """Return the text of each page by its file name."""
+    return {
+        "parameters.md": reference.page().replace("\n\n", f"\n\n{NOTE}\n\n", 1),
+        "columns.md": columns_page(),
+        "causes.md": causes_page(),
+        "cli.md": cli_page(),
+        "exit_codes.md": exit_codes_page(),
+        "study_file.md": study_file_page(),
+        "python.md": python_page(),
+        "formats.md": formats_page(),
+    }
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Format rows as a Markdown table; bars within cells are escaped."""
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    lines += ["| " + " | ".join(str(cell).replace("|", "\\|") for cell in row) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def join_parts(*parts: str) -> str:
+    """Join the title of a page, the note and the other parts with blank lines."""
+    title, *rest = parts
+    return "\n\n".join([title, NOTE, *(part for part in rest if part)]) + "\n"
+
+
+def code(text: object) -> str:
+    """Format a name as code; nothing stays nothing."""
+    return f"`{text}`" if str(text) else ""
+
+
+def unit_of(column: str) -> str:
+    """Return the unit that the end of a column's name says, such as `m` of `slip_max_m`."""
+    suffix = column.rpartition("_")[2]
+    return {"ns": "N·s"}.get(suffix, format_unit(UNITS.get(suffix, "-")))
+
+
+def fields_table(cls: Any, head: str) -> str:
+    """Return the fields of a dataclass with the comments beside them as a table."""
+    said = reference.comments(cls)
+    return table((head, "meaning"), ((code(field.name), said[field.name]) for field in dataclasses.fields(cls)))
+
+
+def columns_page() -> str:
+    """Every column of a row with its unit and meaning."""
+
+    def of(meanings: dict[str, str]) -> str:
+        return table(
+            ("column", "unit", "meaning"), ((code(name), unit_of(name), text) for name, text in meanings.items())
+        )
+
+    built_in = []
+    for metric in METRICS:
+        if metric.columns:
+            module = sys.modules[metric.compute.__module__]
+            name = module.__name__.rpartition(".")[2]
+            if name == "metric":  # made by one of its helpers
+                name = next(
+                    n.rpartition(".")[2] for n, m in sys.modules.items() if getattr(m, "METRIC", None) is metric
+                )
+            built_in += [f"### {name.replace('_', ' ')}", of(dict(metric.columns))]
+    labels = {name: columns.MEANINGS[name] for name in columns.LABELS}
+    places = {name: columns.MEANINGS[name] for name in (*columns.PLAN, *columns.TIMING)}
+    return join_parts(
+        "# Columns of a row",
+        "A row is one rollout. `sweep describe COLUMN` prints one entry of this page. The end of a name is the unit.",
+        "## Axes",
+        "A column with a dot in its name is a parameter that varies: `contact.friction` in the simulated "
+        "world and in the "
+        "planner's belief, `world.contact.friction` in the world alone, `belief.contact.friction` in the belief alone. "
+        "`axis.NAME` is the number of an axis that has no parameter of its own. [Parameters](parameters.md) "
+        "has units and "
+        "meanings.",
+        "## Labels",
+        of(labels),
+        "## Place in the study",
+        of(places),
+        "## Metrics of the built-in robot",
+        "A scenario has the metrics that apply to its manoeuvre and obstacle.",
+        *built_in,
+        "### When causes occurred",
+        "Each [cause](causes.md) that is known during a rollout has a column `CAUSE_time_s`, the time at "
+        "which it first held "
+        "(infinite if never), and a column `CAUSE_stage`, the number of the stage.",
+        "## Metrics of a model of your own",
+        "A controller adds columns by `FIGURES`.",
+        of(own_metrics.COLUMNS),
+    )
+
+
+def causes_page() -> str:
+    """Every cause with its threshold, its default and what it means."""
+
+    def row(cause: Cause) -> tuple[str, ...]:
+        default = (
+            "the manoeuvre's goal" if cause.default is None else f"{cause.default:g} {unit_of(cause.metric)}".strip()
+        )
+        sign = "below" if cause.below else "above"
+        limit = code(f"outcome.{cause.threshold}") if cause.threshold else ""
+        return (
+            code(cause.name), limit, default if cause.threshold else "", f"{code(cause.metric)} {sign} it"
+            if cause.threshold else "", WHEN[cause.known_at], cause.sentence,
+        )  # fmt: skip
+
+    heads = ("cause", "threshold", "default", "holds for", "known", "meaning")
+    return join_parts(
+        "# Causes and thresholds",
+        "A rollout is a `success` if no cause holds. The cause that occurred first is the row's `cause`. If "
+        "several causes "
+        "occur in the same tick, those of `invalid` take precedence. Causes that are known only at the end come last. "
+        "`sweep relabel` applies other thresholds to stored rows.",
+        "## Causes of `invalid`",
+        "The simulation cannot vouch for such a rollout. It counts neither as success nor as failure.",
+        table(heads, (row(cause) for cause in CAUSES if cause.invalid)),
+        "## Causes of `failure`",
+        "A threshold whose default is the manoeuvre's goal is judged only for manoeuvres that set it.",
+        table(heads, (row(cause) for cause in CAUSES if not cause.invalid)),
+        "## Causes of a model of your own",
+        f"Conditions under `outcome:` of the scenario name the causes of failure. `{own_outcome.GOAL}` must "
+        "hold at the end; "
+        f"if it does not, the cause is `{own_outcome.MISSED}`. A row for which the condition `invalid` holds "
+        "has the cause "
+        f"`{own_outcome.UNTRUSTED}`. Two causes of `invalid` are always there:",
+        table(("cause", "meaning"), ((code(name), text) for name, text in own_outcome.INVALID_CAUSES.items())),
+    )
+
+
+def cli_page() -> str:
+    """Every subcommand with its arguments."""
+    top = commands.parser()
+    (sub,) = (action for action in top._actions if isinstance(action, argparse._SubParsersAction))
+    helps = {action.dest: action.help or "" for action in sub._choices_actions}
+    parts = []
+    for name, parser in sub.choices.items():
+        own = PARSERS[name]() if name in PARSERS else parser
+        text = helps[name].partition("; see `sweep")[0]
+        parts += [f"## sweep {name}", f"{text[0].upper()}{text[1:]}.", usage(name, own), arguments(own), epilog(own)]
+    return join_parts(
+        "# Command line",
+        "`sweep COMMAND --help` prints one section of this page. [Exit codes](exit_codes.md) are the same "
+        "for all commands.",
+        *parts,
+    )
+
+
+def usage(name: str, parser: argparse.ArgumentParser) -> str:
+    """Return the usage of a command as a block of code."""
+    if parser.usage:
+        return f"    {parser.usage}"
+    words = []
+    for action in shown_actions(parser):
+        word = metavar(action)
+        if not action.option_strings:
+            words.append(f"[{word} ...]" if action.nargs == "*" else f"[{word}]" if action.nargs == "?" else
+                         f"{word} ..." if action.nargs == "+" else word)  # fmt: skip
+    return f"    sweep {' '.join([name, *words])}{' [options]' if has_options(parser) else ''}"
+
+
+def has_options(parser: argparse.ArgumentParser) -> bool:
+    """Whether a command has options of its own."""
+    return any(action.option_strings for action in shown_actions(parser))
+
+
+def shown_actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    """Yield the arguments that the help shows, but help and version."""
+    for action in parser._actions:
+        if action.help != argparse.SUPPRESS and not isinstance(action, argparse._HelpAction | argparse._VersionAction):
+            yield action
+
+
+def metavar(action: argparse.Action) -> str:
+    """Return what stands for the value of an argument."""
+    if action.metavar:
+        return action.metavar if isinstance(action.metavar, str) else " ".join(action.metavar)
+    if action.choices:
+        return "{" + ",".join(map(str, action.choices)) + "}"
+    return action.dest.upper()
+
+
+def arguments(parser: argparse.ArgumentParser) -> str:
+    """Return the arguments of a command as a table."""
+    rows = []
+    for action in shown_actions(parser):
+        flags = ", ".join(action.option_strings)
+        name = f"{flags} {metavar(action)}".strip() if action.nargs != 0 else flags
+        rows.append((code(name), (action.help or "").replace("%%", "%")))
+    return table(("argument", "meaning"), rows) if rows else ""
+
+
+def epilog(parser: argparse.ArgumentParser) -> str:
+    """Return what the help says at its end as a block of code."""
+    return "\n".join(f"    {line}".rstrip() for line in (parser.epilog or "").splitlines())
+
+
+def exit_codes_page() -> str:
+    """Exit codes with their meanings."""
+    rows = ((number, text, EXITS[number]) for number, text in exits.MEANINGS.items())
+    return join_parts("# Exit codes", "All commands use the same codes.", table(("code", "meaning", "details"), rows))
+
+
+def study_file_page() -> str:
+    """Keys of a study file."""
+
+    def keys(cls: type) -> str:
+        said = reference.comments(cls)
+        plain = [f for f in dataclasses.fields(cls) if isinstance(f.default, str | int | float | None)]
+        rows = ((code(f.name), code("null" if f.default is None else f.default), said[f.name]) for f in plain)
+        return table(("key", "default", "meaning"), rows)
+
+    def named(meanings: dict[str, str]) -> str:
+        return table(("key", "meaning"), ((code(name), text) for name, text in meanings.items()))
+
+    groups = ", ".join(code(name) for name in GROUPS if name not in ("study", "scenario"))
+    kinds = ((code(kind), ", ".join(map(code, need)), ", ".join(map(code, more)) or "nothing")
+             for kind, (need, more) in distributions.DISTRIBUTIONS.items())  # fmt: skip
+    return join_parts(
+        "# Study file",
+        "A study is a YAML file: `sweep run study=NAME` for a file of the project's `studies/` or a shipped one, "
+        "`sweep run study=path/to/file.yaml` for any other. [Studies](../studies.md) explains how to choose "
+        "axes and designs.",
+        "## Top level",
+        named(
+            {
+                "extends": "another study, of which this file changes what it names: a name, or a path from this file",
+                "scenario": "name of the scenario that is varied",
+                "study": "what is varied, see below",
+            }
+        ),
+        f"A group of the configuration ({groups}) takes the name of a choice, or parameters, or both: "
+        "`robot: {extends: base, shin: 0.36}`. [Parameters](parameters.md) lists them.",
+        "## `study`",
+        keys(StudySchema),
+        "Further keys are described below: "
+        + ", ".join(map(code, ("axes", "design", "expect", "theory", "keep")))
+        + ".",
+        "## `study.axes.NAME`",
+        named(designs.AXIS_KEYS),
+        "### `distribution`",
+        table(("kind", "needs", "may have"), kinds),
+        "Every other `kind` is a continuous distribution of scipy.stats by its name there, with its shapes, `loc` and "
+        "`scale`. `from` and `to` truncate it.",
+        "## `study.design`",
+        f"Kinds: {', '.join(map(code, designs.DESIGNS))}. Grids: {', '.join(map(code, designs.GRIDS))}.",
+        keys(designs.Design),
+        "`correlation` is a list of `[axis, axis, coefficient]`: pairs of drawn axes, correlated by a Gaussian copula.",
+        "## `study.expect`",
+        "A list; exit code 4 says that an entry does not hold. Among the valid rows that match `where`, the "
+        "share of those "
+        "that match `that` lies within the limits.",
+        keys(Expectation),
+        "## `study.theory`",
+        "A list of closed-form limits that maps show as dashed lines.",
+        named(
+            dict(
+                zip(
+                    THEORY_KEYS,
+                    (
+                        "name in the legend; that of the formula unless given",
+                        "name of the formula, see `sweep formula`",
+                        "which of its outputs is the limit",
+                        "path of the parameter that the limit is of",
+                        "its inputs: numbers, or expressions of parameters",
+                        "column to show beside",
+                    ),
+                    strict=True,
+                )
+            )
+        ),
+        "## `study.keep`",
+        "A list of columns over time that are stored for the first `keep_rows` rollouts. An unknown name "
+        "prints those that "
+        "the system has.",
+    )
+
+
+def python_page() -> str:
+    """Public names of the package with signatures and docstrings."""
+    objects = [("sweep.run", sweep.run), ("sweep.load", sweep.load)]
+    accessor = [
+        (f"rows.sweep.{name}", member) for name, member in vars(api.Accessor).items() if not name.startswith("_")
+    ]
+    errors = [("sweep.InputError", sweep.InputError), ("sweep.Fault", sweep.Fault)]
+    return join_parts(
+        "# Python API",
+        "Names of this page are stable. All other modules may change without notice.",
+        "## Functions",
+        *(part for name, thing in objects for part in entry(name, thing)),
+        "## `rows.sweep`",
+        docstring(api.Accessor),
+        *(part for name, thing in accessor for part in entry(name, thing)),
+        "## `Replay`",
+        "What `rows.sweep.replay` returns:",
+        fields_table(replay.Replay, "member"),
+        "## Errors",
+        *(part for name, thing in errors for part in (f"### `{name}`", docstring(thing))),
+        "## What a controller defines",
+        "A module with the controller of your own model may define `PARAMETERS`, `BELIEVES`, `FIGURES`, "
+        "`FILES`, `begin`, "
+        "`policy`, `observe`, `measure` and `figures`: see [a model of your own](../own_model.md#a-controller).",
+    )
+
+
+def entry(name: str, thing: Any) -> tuple[str, str, str]:
+    """Return heading, signature and docstring of a function."""
+    signature = re.sub(r"(: |-> )'([^']*)'", r"\1\2", str(inspect.signature(thing)))
+    signature = re.sub(r"\(self(, )?", "(", signature).replace("pandas.DataFrame", "pd.DataFrame")
+    return f"### `{name}`", f"    {name}{signature}", docstring(thing)
+
+
+def docstring(thing: Any) -> str:
+    """Return a docstring as Markdown: sections such as `Args:` become lists."""
+    found = []
+    for line in inspect.cleandoc(thing.__doc__ or "").splitlines():
+        if re.fullmatch(r"(Args|Returns|Raises|Yields):", line):
+            found += [f"**{line.removesuffix(':')}**", ""]
+        elif item := re.fullmatch(r"    (\w+): (.*)", line):
+            found.append(f"- `{item[1]}`: {item[2]}")
+        else:
+            found.append(line.strip())
+    return "\n".join(found)
+
+
+def formats_page() -> str:
+    """Files that the package writes and reads."""
+    folder, json_, parquet = f"format {store.FORMAT} of the folder", "JSON", "Parquet"
+    run, places = "`sweep run`", "see [columns](columns.md)"
+    rows = [
+        ("`study.yaml`", run, f"YAML, {folder}", STABLE, "configuration, code, versions, devices; its own digest"),
+        (f"`{manifest.POINTS}`", run, parquet, STABLE, f"the plan: a row for each rollout, {places}"),
+        (f"`{manifest.PARTS}/part-*.parquet`", run, parquet, STABLE, f"finished rows, {places}"),
+        (f"`{manifest.HISTORIES}/*.parquet`", run, parquet, STABLE, "columns of `study.keep` over time"),
+        (f"`{manifest.LAST_STATES}/*.parquet`", run, parquet, OPEN, "last second of the first ten invalid rows"),
+        (f"`{manifest.MANIFEST}`", run, f"text, {folder}", STABLE, "a line for each file that counts, see below"),
+        (f"`{store.LOG}`, `{store.LOCK}`", run, "text", OPEN, "progress; the lock of the running command"),
+        (f"`{replays.REPLAYS}/*.json`", "`sweep report --replays`", json_, OPEN, "replays of the page"),
+        ("`report.html`, `map.*`, `draws.*`", "`sweep report`", "HTML, PNG, SVG", OPEN, "the page and its pictures"),
+        ("`numbers.tex`, `data/`", "`sweep export --paper`", "LaTeX, CSV", STABLE, "macros and data of a paper"),
+        ("`main.tex`, `tables/`, `figures/`", "`sweep export --paper`", "LaTeX, PDF", OPEN, "text and pictures"),
+        ("crate", "`sweep export --crate`", f"RO-Crate 1.1, {crate.PROFILE}", STABLE, "all of a study for archives"),
+        ("certificate", "`sweep certify -o`", json_, STABLE, "region, guarantee and assumptions"),
+        ("pairs", "`sweep compare -o`", "CSV", STABLE, "pairs of rows that differ"),
+        ("trace", "`sweep replay --mcap`", "MCAP, schemas of Foxglove", OPEN, "robot, forces, joints, stages"),
+        ("states", "`sweep replay --states`", parquet, STABLE, "states, torques and forces by control tick"),
+        ("points", "read by `sweep run --points`", "CSV", STABLE, "a column for each parameter path"),
+        ("configuration", "written by hand", "YAML", STABLE, "[study](study_file.md), [parameters](parameters.md)"),
+    ]
+    return join_parts(
+        "# File formats",
+        f"Version {sweep.__version__} of the package writes and reads format {store.FORMAT} of a study's "
+        "folder. A folder of "
+        "another format is refused in one line that names its version. A `stable` format changes only with "
+        "the version of "
+        "the package, and the changelog says how to migrate. [Results](../../results/README.md) describes the folder.",
+        table(("file", "written by", "format", "stability", "content"), rows),
+        "## A line of the manifest",
+        "Sixteen digits of the line's own digest, a space, and JSON:",
+        fields_table(manifest.Entry, "key"),
+    )
+
+
+if __name__ == "__main__":
+    FOLDER.mkdir(exist_ok=True)
+    for name, text in pages().items():
+        (FOLDER / name).write_text(text, encoding="utf-8")
+        print(FOLDER / name)
