@@ -3,7 +3,8 @@
     <!-- data pole_map: rate --> 239 of 375 succeed <!-- end -->
 
 A block names a target of jobs/paper.yaml, or several, whose data jobs/paper.py writes, and a form of `FORMS`, with
-words for it after a comma. A page with blocks ends in one of `<!-- data: sources -->`: what code its data are of.
+words for it after a comma. A page with blocks ends in one of `<!-- data: sources -->`, a table of what made its data, or
+in the guide of `<!-- data: origin -->`, a sentence.
 """
 
 import json
@@ -20,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import headlines
 import hexagon_figures
 import validity_figures
-from robustness_figures import bounds_of, errors_of, rates
+from robustness_figures import BOUNDS, bound, bounds_of, errors_of, rates
 
 from sweep.analysis.intervals import wilson
 from sweep.core.errors import InputError
@@ -33,6 +34,20 @@ DOCS = RESEARCH.parent / "docs"
 DATA = RESEARCH / "data"
 ROBOT, GROUND = ("axis.size_error", 0.02), ("axis.ground_error", 0.01)  # of all sizes, which learning is to bear
 TOUCH_ALONE = ("ball_descend", "ball_to_ball")  # who start on a ball, where nobody can calibrate
+TOLERATED = {  # what an error of `BOUNDS` is called in the guide
+    "axis.size_error": "robot's sizes and masses, %",
+    "axis.ground_error": "obstacle's sizes, %",
+    "axis.friction": "friction lower than believed, %",
+    "world.execution.torque_scale": "torque limit lower than believed, %",
+    "noise.position_noise": "noise of the measured position, mm",
+    "noise.position_bias": "bias of the measured position, mm",
+    "noise.orientation_noise": "noise of the measured attitude, mrad",
+    "noise.orientation_bias": "bias of the measured attitude, mrad",
+    "noise.joint_bias": "bias of every joint angle, mrad",
+    "noise.delay": "delay of all measurements, ms",
+    "noise.load_noise": "noise of the measured foot loads, N",
+    "noise.load_delay": "extra delay of the foot loads, ms",
+}
 TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
 NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
 BLOCK = re.compile(r"(<!-- data ?([\w ]*): (\w+)(?:, (.*?))? -->)(\s)((?:(?!<!--).)*?)(\s)(<!-- end -->)", re.DOTALL)
@@ -44,9 +59,10 @@ def filled(text: str) -> str:
 
     def block(found: re.Match[str]) -> str:
         start, name, form, words, before, _, after, end = found.groups()
-        if form not in FORMS:
-            raise InputError(f"{start}: {form} is not a form (allowed: {', '.join(FORMS)})")
-        content = sources(cited) if form == "sources" else FORMS[form](name, *(words.split(", ") if words else ()))
+        if form not in FORMS and form not in OF_PAGE:
+            raise InputError(f"{start}: {form} is not a form (allowed: {', '.join([*FORMS, *OF_PAGE])})")
+        given = words.split(", ") if words else ()
+        content = OF_PAGE[form](cited) if form in OF_PAGE else FORMS[form](name, *given)
         return f"{start}{before}{content}{after}{end}"
 
     return BLOCK.sub(block, text)
@@ -240,6 +256,34 @@ def bounds(_: str) -> str:
     return next(bounds_of(rates(DATA)))
 
 
+def tolerances(_: str, scenario: str) -> str:
+    """Return how large errors one manoeuvre tolerates: a line for each kind of error, a column for each kind of robot.
+
+    Args:
+        scenario: Name of the scenario, of which there are rates.
+
+    Returns:
+        The table in Markdown. `0.5 yes, 2 no`: at 0.5 at least 90 % succeed (lower 95 % bound), at 2 fewer do
+        (upper 95 % bound).
+    """
+    table = rates(DATA)
+    table = table[table["scenario"] == scenario]
+    robots = list(dict.fromkeys(table["robot"]))
+    lines = []
+    for axis, error in TOLERATED.items():
+        groups = [table[(table["axis"] == axis) & (table["robot"] == robot)] for robot in robots]
+        if any(len(group) for group in groups):
+            lines.append([error, *(tolerance(group, *BOUNDS[axis][2:]) if len(group) else "" for group in groups)])
+    return ruled([False] * (1 + len(robots)), ["error", *(f"robot {robot}" for robot in robots)], *lines)
+
+
+def tolerance(group: pd.DataFrame, scale: float, nominal: float) -> str:
+    """`bound` in words: `0.5 yes, 2 no`."""
+    least, _, most = bound(group, scale, nominal).partition(" …")
+    words = ([f"{least} yes"] if float(least) else []) + ([f"{most.strip()} no"] if most else [])
+    return ", ".join(words) or "not known"
+
+
 def seen(_: str) -> str:
     """How large an error of rates, and of what is seen of free bodies, each manoeuvre bears."""
     return [*bounds_of(rates(DATA))][1]
@@ -286,6 +330,13 @@ def sources(names: list[str]) -> str:
         where = f"{data['engine']}, {'; '.join(data['devices'])}"
         lines.append([name, f"`{data['command']}`", where, data["commit"], str(data["seconds"])])
     return ruled([False] * 4 + [True], ["data", "made by", "engine, machine", "code", "s"], *lines)
+
+
+def origin(names: list[str]) -> str:
+    """Return a sentence that says with which code the data of a page were measured."""
+    commits = sorted({commit for name in names for commit in read(name)["commit"].split(", ")})
+    code = ", ".join(f"`{commit}`" for commit in commits)
+    return f"The numbers on this page were measured with code {code}; the evidence page has commands and machines."
 
 
 def changes(_: str) -> str:
@@ -358,12 +409,13 @@ def pages() -> Iterator[Path]:
 FORMS = {
     "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "draws": draws,
     "groups": groups, "grid": grid, "cells": cells, "each": each, "bounds": bounds, "seen": seen, "borne": borne,
-    "compared": compared, "table": table,
+    "tolerances": tolerances, "compared": compared, "table": table,
     "halved": halved, "nominal": nominal, "learned": learned, "gained": gained, "metrics": metrics,
-    "way_points": hexagon_figures.way_points, "changes": changes, "sources": sources,
+    "way_points": hexagon_figures.way_points, "changes": changes,
     **{name: partial(lambda table, of, *words: table(*map(read, of.split()), *words), table)
        for name, table in validity_figures.TABLES.items()},
 }  # fmt: skip
+OF_PAGE = {"sources": sources, "origin": origin}  # forms of all data that a page cites
 
 if __name__ == "__main__":
     for page in pages():

@@ -34,7 +34,7 @@ def test_every_block_is_as_its_data_have_it():
         text = page.read_text(encoding="utf-8")
         assert cited.filled(text) == text, f"{page}: python research/cited.py"
         found = cited.BLOCK.findall(text)
-        sources = any(form == "sources" for _, _, form, *_ in found)
+        sources = any(form in cited.OF_PAGE for _, _, form, *_ in found)
         assert sources or not cited.targets(text), f"{page}: no sources"
         blocks += len(found)
     assert blocks >= 8
