@@ -1,7 +1,7 @@
 """Engines for users' MuJoCo models compared: `python bench/own_engines.py FOLDER [LOOPS]`, with the extra `warp`.
 
 The study of `sweep init --model`, 16 loads by 16 frictions, on `native`, `mjx`, `warp`, and on `warp` again, each in a
-folder of FOLDER; existing folders are only read. Results that docs/own_model.md cites are written to
+folder of FOLDER; existing folders are only read. Results that research/own_models.md cites are written to
 research/data/own_engines.json: equal outcomes, differences of metrics, and the times in LOOPS, which is the output of
 bench/own_model.py.
 """

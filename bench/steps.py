@@ -2,7 +2,7 @@
 
 Every scenario on both engines with the draws of `study=any_step`: some minutes of a core each. Complete folders below
 results/steps are used as they are, also from another machine, so that parts may run anywhere. It writes
-research/data/steps.json, which docs/judge.md cites. Scenarios without a folder stay there as last measured, and the
+research/data/steps.json, which research/time_step.md cites. Scenarios without a folder stay there as last measured, and the
 table names the code of each.
 """
 
@@ -104,7 +104,7 @@ def flips(counts: dict[tuple[str, str], dict[str, Any]]) -> list[list[str]]:
 
 
 def summarize(counts: dict[tuple[str, str], dict[str, Any]]) -> dict[str, Any]:
-    """Return what docs/judge.md cites, and the counts of each scenario, to be kept without its folder."""
+    """Return what research/time_step.md cites, and the counts of each scenario, to be kept without its folder."""
     ones = [*counts.values()]
     return {
         "command": "python bench/steps.py",

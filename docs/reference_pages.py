@@ -349,7 +349,7 @@ def python_page() -> str:
         "## What a controller defines",
         "A module with the controller of your own model may define `PARAMETERS`, `BELIEVES`, `FIGURES`, "
         "`FILES`, `begin`, "
-        "`policy`, `observe`, `measure` and `figures`: see [a model of your own](../own_model.md#a-controller).",
+        "`policy`, `observe`, `measure` and `figures`: see [a model of your own](../howto/write_a_policy.md).",
     )
 
 

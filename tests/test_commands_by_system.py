@@ -1,4 +1,4 @@
-"""Each cell of the table at the end of `docs/own_model.md`: what works on the robot, and on an own model."""
+"""Each cell of the table at the end of `docs/own_model_reference.md`: what works on the robot, and on an own model."""
 
 import re
 from contextlib import redirect_stdout
@@ -9,7 +9,7 @@ import pytest
 
 from sweep.cli.main import main
 
-PAGE = (Path(__file__).parents[1] / "docs/own_model.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[1] / "docs/own_model_reference.md").read_text(encoding="utf-8")
 CELLS = {
     (command, system): says == "yes"
     for command, *both in re.findall(r"^\| `([^`]+)` \| (yes|no) \| (yes|no) \|$", PAGE, re.MULTILINE)

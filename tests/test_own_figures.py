@@ -16,7 +16,7 @@ from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.systems.mujoco_model import fields, files
 
-PAGE = (Path(__file__).parents[1] / "docs/own_model.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[1] / "docs/own_model_reference.md").read_text(encoding="utf-8")
 SLED = """<mujoco><option timestep="1e-3" integrator="Euler" iterations="{}"/>{}<worldbody>
 <site name="world"/><geom name="floor" type="plane" size="0 0 1" friction="0.001"/>
 <body name="sled" pos="0 0 {}"><freejoint/><geom name="sled" type="box" size=".2 .2 .1" mass="2" friction="0.001"/>

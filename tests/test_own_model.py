@@ -1,4 +1,4 @@
-"""An own model and controller: `docs/own_model.md` as it stands, bits, fields, outcomes, and mistakes."""
+"""An own model and controller: the pages of the guide as they stand, bits, fields, outcomes, and mistakes."""
 
 import re
 import shlex
@@ -21,7 +21,8 @@ from sweep.study.config import compose
 from sweep.systems.mujoco_model import batch, fields, outcome
 
 PAGE = (Path(__file__).parents[1] / "docs/own_model.md").read_text(encoding="utf-8")
-CODE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+POLICY = (Path(__file__).parents[1] / "docs/howto/write_a_policy.md").read_text(encoding="utf-8")
+CODE = re.findall(r"```python\n(.*?)```", POLICY, re.DOTALL)
 AXES = "  axes: {bad: {path: controller.bad, values: [0, 1]}}\n"
 SHORT = ["study=grip", "model.duration=0.3", "study.expect=[]"]
 
