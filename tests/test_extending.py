@@ -1,4 +1,7 @@
-"""`docs/extending.md`, followed to the letter in a copy of the package, from which what it adds is taken out first."""
+"""Pages of docs/howto that write files, followed to the letter in a copy of the package.
+
+What a page adds and the repository keeps is taken out of the copy first.
+"""
 
 import os
 import re
@@ -18,22 +21,22 @@ from sweep.models.obstacles.surface import no_free_bodies
 from sweep.study.config import compose
 
 ROOT = Path(__file__).parents[1]
-PAGE = (ROOT / "docs/extending.md").read_text()
-PAGES = dict(re.findall(r"^## (.*?)\n(.*?)(?=^## |\Z)", PAGE, re.M | re.S))
-KERB, PLATFORM, CHART = "An obstacle and a manoeuvre", "A manoeuvre of a file", "A chart of your own"
-SIMULATED = KERB, PLATFORM, CHART  # with the real engine
+OBSTACLE, MANOEUVRE, PLATFORM, CHART = "write_an_obstacle", "write_a_manoeuvre", "write_a_plan", "write_a_chart"
+SIMULATED = MANOEUVRE, PLATFORM, CHART  # with the real engine
 BLOCK = re.compile(r"(?:^`(?P<path>[^`]+)`\n\n)?^```(?P<kind>\w+)\n(?P<text>.*?)^```", re.M | re.S)
 SAID = {  # by the commands of a page
-    "A robot": ["long_legs            The base robot, thighs and shins a fifth longer", "| walk_tripod "],
-    "A formula": ["v = 0.", "0.15"],
-    "A figure of a study": ["report.html"],
-    "A metric": ["base_speed_max_mps", "m/s", "| base speed max"],
-    "A plan": [
+    "write_a_robot": ["long_legs            The base robot, thighs and shins a fifth longer", "| walk_tripod "],
+    "write_a_formula": ["v = 0.", "0.15"],
+    "write_a_figure": ["report.html"],
+    "write_a_metric": ["base_speed_max_mps", "m/s", "| base speed max"],
+    "write_a_plan_variant": [
         "pole_top_high        As pole_top",
         "plan.top.rear.base.above                      0.75",
         "0.7, 0.75",
         "0.05 + gap / 4",
     ],
+    "write_a_study_design": ["of 16 succeed"],
+    "write_a_subcommand": [" walk"],
     PLATFORM: ["platform             The base robot steps up", "| reach ", "| platform "],
     CHART: [
         "stairs_climb         The base robot climbs",
@@ -41,8 +44,10 @@ SAID = {  # by the commands of a page
         "| stairs_climb                | success",
         "plan.up.a.base.above",
     ],
-    KERB: ["kerb                 A kerb, 0.1 m high", "| walk_kerb "],
+    OBSTACLE: ["kerb                 A kerb, 0.1 m high", "of the ground beyond the edge"],
+    MANOEUVRE: ["| walk_kerb "],
 }
+PAGES = {name: (ROOT / "docs/howto" / f"{name}.md").read_text() for name in SAID}
 
 
 @pytest.fixture
@@ -96,9 +101,16 @@ def run(command, root, program):
     return done.stdout
 
 
-def test_a_page_shows_what_the_repository_keeps(checkout):
-    take_out(checkout, PAGES[KERB])
+def test_pages_show_what_the_repository_keeps(checkout):
+    take_out(checkout, PAGES[OBSTACLE])
+    take_out(checkout, PAGES[MANOEUVRE])
     assert not (checkout / "sweep/models/obstacles/kerb.py").exists()
+    assert not (checkout / "conf/scenario/walk_kerb.yaml").exists()
+
+
+def test_every_page_that_writes_files_is_followed():
+    pages = (ROOT / "docs/howto").glob("write_*.md")
+    assert {page.stem for page in pages if any(path for path, *_ in blocks(page.read_text()))} == set(SAID)
 
 
 @pytest.mark.parametrize(
@@ -117,7 +129,7 @@ def test_a_page_followed_to_the_letter_adds_what_it_says(title, checkout):
             (checkout / path).parent.mkdir(exist_ok=True)
             (checkout / path).write_text(text)
     assert all(part in said for part in SAID[title]), said
-    if title == "A figure of a study":
+    if title == "write_a_figure":
         assert "Median and largest slip" in (checkout / "results/slips/report.html").read_text()
 
 
