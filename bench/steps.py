@@ -2,8 +2,8 @@
 
 Every scenario on both engines with the draws of `study=any_step`: some minutes of a core each. Complete folders below
 results/steps are used as they are, also from another machine, so that parts may run anywhere. It writes
-research/data/steps.json, which research/time_step.md cites. Scenarios without a folder stay there as last measured, and the
-table names the code of each.
+research/data/steps.json, which research/time_step.md cites. Scenarios without a folder stay there as last measured, and
+the table names the code of each.
 """
 
 import fnmatch

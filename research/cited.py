@@ -3,8 +3,8 @@
     <!-- data pole_map: rate --> 239 of 375 succeed <!-- end -->
 
 A block names a target of jobs/paper.yaml, or several, whose data jobs/paper.py writes, and a form of `FORMS`, with
-words for it after a comma. A page with blocks ends in one of `<!-- data: sources -->`, a table of what made its data, or
-in the guide of `<!-- data: origin -->`, a sentence.
+words for it after a comma. A page with blocks ends in one of `<!-- data: sources -->`, a table of what made its data,
+or in the guide of `<!-- data: origin -->`, a sentence.
 """
 
 import json
