@@ -10,6 +10,7 @@ import numpy as np
 from faultless import faultless
 
 import sweep.engines
+from sweep.systems.base import split_side
 
 
 class FakeEngine:
@@ -27,6 +28,11 @@ class FakeEngine:
 
     def rollout_bytes(self):
         return 2048
+
+    def find_unread_columns(self, sides, ends):
+        """Return all columns but the two that `run` reads, and what obstacles and sensors may have."""
+        read = ("contact.friction", "manoeuvre.half_step_ratio", "obstacle.", "noise.")
+        return {c for c in ends if not split_side(c)[1].startswith(read)}
 
     def run(self, world, belief, streams):
         friction, ratio = np.broadcast_arrays(world.contact.friction, belief.manoeuvre.half_step_ratio)

@@ -29,7 +29,7 @@ from sweep.core.progress import (
 )
 from sweep.report import tables
 from sweep.report.headline import headline
-from sweep.runs import adaptive_rounds, axis_check, refine, runner, store, time_series
+from sweep.runs import adaptive_rounds, axis_check, axis_effects, refine, runner, store, time_series
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import make_nominal_batch as nominal_batch
 from sweep.runs.nominal_levels import FailingLevel, find_failing_levels
@@ -89,7 +89,9 @@ def execute(exp: Experiment, flags: Flags) -> int:
         job = runner.prepare_job(exp, folder, first)
         for line in runner.describe_changed_axes(exp, folder):
             print(f"sweep: {line}", file=sys.stderr)
-        print("\n".join([forecast(job), *map(str, failing_levels(exp))]))
+        with show_wait("tracing which axes enter the simulation"):
+            ineffective = axis_effects.describe_unread_axes(exp, first.assign(width=job.table["width"].iloc[0]))
+        print("\n".join([forecast(job), *ineffective, *map(str, failing_levels(exp))]))
         return DONE
     if flags.check:
         return check_axes(exp, first)
@@ -126,7 +128,9 @@ def execute(exp: Experiment, flags: Flags) -> int:
             f"sweep: rows come from {' and '.join(used)}, on which equal rollouts may differ in the last bit",
             file=sys.stderr,
         )
-    print("\n".join([summary(exp, rows), *(f"  {level}" for level in failing or ())]))
+    with show_wait("looking for axes without an effect"):
+        ineffective = axis_effects.describe_ineffective_axes(exp, rows)
+    print("\n".join([summary(exp, rows), *(f"  {line}" for line in (*ineffective, *(failing or ())))]))
     if exp.study.is_refined:
         print("\n".join(f"refined: {one}" for one in refine.summarize_panels(exp, rows)))
     if exp.study.is_adaptive and complete:

@@ -1,6 +1,6 @@
 """What every engine offers, whatever it simulates, and what a traced rollout holds."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 SLIDE = 2  # mjtJoint.mjJNT_SLIDE, before hinges and after joints of more freedoms
 Figures = dict[str, np.ndarray]  # column name (with its unit) -> one number per rollout
+Sides = Callable[[Mapping[str, Any]], tuple[Any, Any]]  # world and belief with values by column
 
 
 class Watch(NamedTuple):
@@ -81,6 +82,18 @@ class Engine(Protocol):
 
     def rollout_bytes(self) -> int | None:
         """Plan, state and figures of a rollout, None where C keeps them; work within a tick takes several times it."""
+        ...
+
+    def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
+        """Find parameters that cannot change a bit of any metric, from the program alone: nothing is simulated.
+
+        Args:
+            sides: world and belief with values of parameters, by column.
+            ends: lowest and highest value of each parameter, by column.
+
+        Returns:
+            Columns that the program of a rollout does not read. A column that is not among them may still do nothing.
+        """
         ...
 
     def run(self, world: Any, belief: Any, streams: np.ndarray) -> Figures:

@@ -1,5 +1,6 @@
 """What engines share in handling batches: batch axes, keys, precision, records of a traced rollout."""
 
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -14,8 +15,9 @@ from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
 from sweep.core.progress import timed_part
 from sweep.engines import base, devices, planning, pre_rollout, program_cache
-from sweep.engines.base import Figures, NoTrace, Trace
+from sweep.engines.base import Figures, NoTrace, Sides, Trace
 from sweep.engines.settings import EngineSettings
+from sweep.fused.dependence import find_unread_columns
 from sweep.metrics import accumulator, outcome
 from sweep.metrics.metric import GRACE, Tick
 from sweep.metrics.outcome import Thresholds
@@ -106,6 +108,15 @@ class Batched:
     ) -> tuple[Figures, list[Any]]:
         """Figures of a batch; of the rollouts in `slots`, if any, parts of what is recorded at one in `every` ticks."""
         raise NotImplementedError
+
+    def rollout_outputs(self, world: Case, belief: Case, key: Array) -> Any:
+        """All that the metrics of one rollout are made of: to be traced, not to be run."""
+        raise NotImplementedError
+
+    def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
+        """See `Engine`."""
+        with devices.precision(self.settings):
+            return find_unread_columns(self.rollout_outputs, sides, ends)
 
     @devices.memory()
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:

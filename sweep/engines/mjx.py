@@ -330,6 +330,19 @@ class Mjx(Batched):
 
         return chunk, None
 
+    def rollout_outputs(self, world: Case, belief: Case, key: Array) -> dict[str, Array]:
+        """See `Batched`: the metrics."""
+        plan, carry = self._start(sensing(world.noise), world, belief, key)
+
+        def tick(carry: Carry, number: Array) -> tuple[Carry, None]:
+            if self._replans:
+                learned = replan_rest(belief, plan, carry.loop.tracker.stage, carry.loop.learned)
+                carry = carry._replace(loop=carry.loop._replace(learned=learned))
+            return self._tick((world, belief, plan), carry, number)[0], None
+
+        carry, _ = jax.lax.scan(tick, carry, jnp.arange(self._chunk_ticks))
+        return self._finish(world, plan, carry)
+
     def _start(self, sensors_are: Sensing, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
         known, plan, learned = prepare_belief(world, belief, key)
         start = start_state(world, known, plan, start_at_rest(world))

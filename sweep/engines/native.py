@@ -2,7 +2,7 @@
 
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
@@ -23,7 +23,7 @@ from sweep.core.errors import InputError
 from sweep.core.progress import timed_part
 from sweep.core.rotations import exponential, multiply
 from sweep.engines import batching, devices, fused_loop, planning, program_cache
-from sweep.engines.base import Figures, Watch
+from sweep.engines.base import Figures, Sides, Watch
 from sweep.engines.batching import Batched
 from sweep.engines.closed_loop import (
     CHUNK,
@@ -52,6 +52,7 @@ from sweep.metrics import accumulator
 from sweep.metrics.metric import Tick
 from sweep.metrics.outcome import Thresholds
 from sweep.models import scene
+from sweep.models.binary import model_bytes
 from sweep.models.case import Case
 from sweep.models.drive import Servo, interpolate_target
 from sweep.models.legs import JOINT_V, N_JOINTS, N_LEGS
@@ -251,23 +252,46 @@ class Native(Batched):
             self._programs[form] = NativePrograms(Planning.from_programs(start, searches), tick, finish, again)
         return self._programs[form]
 
+    def rollout_outputs(self, world: Case, belief: Case, key: Array) -> Any:
+        """See `Batched`: the metrics, and what C MuJoCo is told, whose answer is taken as given."""
+        plan, (between, state) = self._start(sensing(world.noise), world, belief, key)
+        between = between._replace(steps=jax.tree.map(jnp.zeros_like, between.steps))
+
+        def tick(now: Between, number: Array) -> tuple[Between, Any]:
+            if self._replans:
+                learned = replan_rest(belief, plan, now.loop.tracker.stage, now.loop.learned)
+                now = now._replace(loop=now.loop._replace(learned=learned))
+            after, _ = self._tick((world, belief, plan), now, number)
+            return after, (now.orders, now.loop.servo)
+
+        numbers = 1 + jnp.arange(round(CHUNK / self.settings.control_period))
+        between, told = jax.lax.scan(tick, between, numbers)
+        return state, told, figures_of(world, plan, between.loop)
+
+    def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
+        """See `Engine`: those, too, that change no number of MuJoCo's model from end to end."""
+        unread = super().find_unread_columns(sides, ends)
+        models = {c: [model_bytes(self._model(sides({c: end})[0])) for end in ends[c]] for c in sorted(unread)}
+        return {c for c, (low, high) in models.items() if low == high}
+
+    def _start(self, sensors_are: Sensing, world: Case, belief: Case, key: Array) -> tuple[Plan, tuple[Between, Start]]:
+        known, plan, learned = prepare_belief(world, belief, key)
+        state = start_state(world, known, plan)
+        loop = init(world, known, plan, state, jnp.zeros(()), key, learned, sensors_are)
+        nothing = jnp.zeros(len(accumulator.tick_metrics(world)), plan.duration.dtype)
+        return plan, (self._acted(world, belief, plan, loop, self._nothing(state), nothing, jnp.int32(0)), state)
+
+    def _tick(self, given: tuple[Case, Case, Plan], now: Between, k: Array) -> tuple[Between, dict[str, Array]]:
+        world, belief, plan = given
+        period = self.settings.control_period
+        summary = self._summary(world, now.steps, k - 1, now.loop.seen.free)
+        loop, judged = measure(world, plan, self.limits, now.loop, now.command, summary, k - 1, period)
+        return self._acted(world, belief, plan, loop, now.steps, judged, k), {}
+
     @fused_loop.or_what_is_missing
     def _compile(self, arrays: tuple[Case, Case, Array], sensors_are: Sensing) -> tuple[Any, ...]:
         world, belief, _ = arrays
-        axes, period = devices.axes((world, belief)), self.settings.control_period
-
-        def start(world: Case, belief: Case, key: Array) -> tuple[Plan, tuple[Between, Start]]:
-            known, plan, learned = prepare_belief(world, belief, key)
-            state = start_state(world, known, plan)
-            loop = init(world, known, plan, state, jnp.zeros(()), key, learned, sensors_are)
-            nothing = jnp.zeros(len(accumulator.tick_metrics(world)), plan.duration.dtype)
-            return plan, (self._acted(world, belief, plan, loop, self._nothing(state), nothing, jnp.int32(0)), state)
-
-        def tick(given: tuple[Case, Case, Plan], now: Between, k: Array) -> tuple[Between, dict[str, Array]]:
-            world, belief, plan = given
-            summary = self._summary(world, now.steps, k - 1, now.loop.seen.free)
-            loop, judged = measure(world, plan, self.limits, now.loop, now.command, summary, k - 1, period)
-            return self._acted(world, belief, plan, loop, now.steps, judged, k), {}
+        axes, start = devices.axes((world, belief)), partial(self._start, sensors_are)
 
         def many(start: Callable) -> Callable:
             return jax.vmap(start, in_axes=(*axes, 0))
@@ -287,9 +311,9 @@ class Native(Batched):
 
             with timed_part("closed loop"):
                 if self.fused:
-                    ticks = pool.submit(kernel.start_compilation(tick, (one, known, plan), now))
+                    ticks = pool.submit(kernel.start_compilation(self._tick, (one, known, plan), now))
                 else:
-                    rows = jax.vmap(lambda *of: tick(*of)[0], in_axes=((*axes, 0), 0, None))
+                    rows = jax.vmap(lambda *of: self._tick(*of)[0], in_axes=((*axes, 0), 0, None))
                     ticks = pool.submit(jax.jit(rows).lower((world, belief, plans), between, 0).compile)
                 finished = made(
                     "figures", figures_of, (world, plans, between.loop), (one, plan, now.loop), (axes[0], 0, 0)

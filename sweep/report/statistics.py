@@ -7,6 +7,7 @@ from functools import partial
 import pandas as pd
 
 from sweep.analysis import failing, rare, screening, sensitivity
+from sweep.analysis.axis_effects import compare_along_axes
 from sweep.analysis.sample import drop_copies, pooled_rate
 from sweep.analysis.sampling_units import condition_rates, interval_method
 from sweep.analysis.stats import format_percent
@@ -68,13 +69,19 @@ def statistics_sections(
             "Share of the grid's volume that succeeds",
             f"{share}; {low} to {high}, as cells on the boundary count as failing or succeeding; {invalid}",
         )
-    if numbers:
-        yield "Margins: how far from the nominal value rollouts succeed", sensitivity.margins(whole, exp)
-    if numbers and several:
+    ineffective = {name: pairs for name, pairs in compare_along_axes(rows, exp).items() if pairs.same}
+    if ineffective:
+        told = [f"axis {name} changed no metric in {one.rollouts:,} rollouts" for name, one in ineffective.items()]
+        yield "Axes without an effect", "\n".join(told)
+    effective = [axis.column for axis in numbers if axis.name not in ineffective]
+    if effective:
+        margins = sensitivity.margins(whole, exp)
+        yield "Margins: how far from the nominal value rollouts succeed", _of_axes(margins, effective)
+    if effective and several:
         title = (
             f"Tolerance: the error at which the probability of success falls to {format_percent(level)} (logistic fit)"
         )
-        yield title, sensitivity.tolerance(rows, exp, level)
+        yield title, _of_axes(sensitivity.tolerance(rows, exp, level), effective)
     if len(drawn) and {"success", "failure"} <= set(rows["outcome"]):
         yield (
             "Regional sensitivity: how draws that fail differ from those that succeed",
@@ -86,6 +93,11 @@ def statistics_sections(
             yield f"{title} of {figure or 'success'}", function(rows, exp, figure)
         except InputError as error:
             yield title, str(error)
+
+
+def _of_axes(table: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
+    """The lines of a table that are of some axes."""
+    return table[table["axis"].isin(columns)] if len(table) else table
 
 
 def _shares(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[str, pd.DataFrame]]:

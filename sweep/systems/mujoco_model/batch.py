@@ -55,16 +55,21 @@ def start_batch(own: ModelSpec, settings: EngineSettings, world: Side, belief: S
     varied = fields.select_quantities(own.model, world.select_group("model"))
     fields.write(batch, {path: np.broadcast_to(value, (n,)) for path, value in varied.items()}, own.source)
     batch.reset(keyframe=own.keyframe, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-    noise = {**dict(own.numbers), **world.select_group("noise")}
-    told = own.believed_values({**belief.select_group("model"), **belief.select_group("controller")})
+    inputs = controller_inputs(own, world, belief)
     given = {
-        "belief": {name: np.broadcast_to(number(value), (n,)) for name, value in told.items()},
-        "delay": np.broadcast_to(np.rint(noise["noise.delay"]).astype(np.int32), (n,)),
-        **{name: np.broadcast_to(number(noise[f"noise.{name}"]), (n,)) for name in ("white", "bias")},
+        **jax.tree.map(lambda value: np.broadcast_to(number(value), (n,)), inputs),
+        "delay": np.broadcast_to(np.rint(inputs["delay"]).astype(np.int32), (n,)),
         "key": np.asarray(jax.random.key_data(devices.keys(streams))),
     }
     limits = {name: batch.expand(name) for name in ("actuator_forcerange", "jnt_range")}
     return BatchStart(batch, qpos, qvel, sensors, given, batch.expand("body_mass").sum(axis=1), limits)
+
+
+def controller_inputs(own: ModelSpec, world: Side, belief: Side) -> dict[str, Any]:
+    """What controllers are given of two sides: `belief` by name, and `delay`, `white` and `bias` of observations."""
+    noise = {**dict(own.numbers), **world.select_group("noise")}
+    told = own.believed_values({**belief.select_group("model"), **belief.select_group("controller")})
+    return {"belief": told, **{name: noise[f"noise.{name}"] for name in ("delay", "white", "bias")}}
 
 
 def count_ticks(own: ModelSpec, duration: Any) -> np.ndarray:

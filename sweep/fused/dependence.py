@@ -1,0 +1,117 @@
+"""Which inputs of a function can change its outputs, as JAX traces it: nothing is compiled or computed."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import Jaxpr, Literal
+
+Flags = list[bool]
+
+
+def find_used_inputs(function: Callable[..., Any], *given: Any) -> Any:
+    """Find out which leaves of the arguments can change a result of `function`.
+
+    An input counts as used wherever the trace does not exclude it, so that an unused one changes no bit of any result;
+    arrays without elements carry nothing on.
+
+    Args:
+        function: any that JAX can trace.
+        *given: its arguments, as arrays or numbers.
+
+    Returns:
+        A tuple like `given`, with a flag for each leaf.
+    """
+    traced = jax.make_jaxpr(function)(*given)
+    used = _used_of_jaxpr(traced.jaxpr, [True] * len(traced.jaxpr.outvars))
+    return jax.tree.unflatten(jax.tree.structure(given), used)
+
+
+def find_unread_columns(
+    outputs: Callable[[Any, Any, jax.Array], Any],
+    sides: Callable[[Mapping[str, Any]], tuple[Any, Any]],
+    ends: Mapping[str, tuple[float, float]],
+) -> set[str]:
+    """Find parameters that no result of a rollout's program depends on, see `Engine.find_unread_columns`.
+
+    Args:
+        outputs: from world, belief and a random key to all that metrics are made of.
+        sides: world and belief with values of parameters, by column.
+        ends: lowest and highest value of each parameter, by column.
+    """
+    values = {column: jnp.asarray(low, float) for column, (low, _) in ends.items()}
+    used, _ = find_used_inputs(lambda values, key: outputs(*sides(values), key), values, jax.random.key(0))
+    return {column for column, is_used in used.items() if not is_used}
+
+
+def _used_of_jaxpr(jaxpr: Jaxpr, results: Sequence[bool]) -> Flags:
+    """Inputs of a program that its used `results` depend on."""
+    used = {v for v, is_used in zip(jaxpr.outvars, results, strict=True) if is_used and _carries_numbers(v)}
+    for equation in reversed(jaxpr.eqns):
+        wanted = [v in used for v in equation.outvars]
+        if any(wanted):
+            needed = _used_of_equation(equation, wanted)
+            used |= {v for v, is_used in zip(equation.invars, needed, strict=True) if is_used and _carries_numbers(v)}
+    return [v in used for v in jaxpr.invars]
+
+
+def _carries_numbers(variable: Any) -> bool:
+    return not isinstance(variable, Literal) and getattr(variable.aval, "size", 1) > 0
+
+
+def _used_of_equation(equation: Any, wanted: Flags) -> Flags:
+    """Inputs of one operation that its `wanted` results depend on; all of them where it has no rule here."""
+    params = equation.params
+    match equation.primitive.name:
+        case "scan":
+            return _used_of_scan(equation, wanted)
+        case "while":
+            return _used_of_while(equation, wanted)
+        case "cond":
+            each = [_used_of_jaxpr(_jaxpr_of(branch), wanted) for branch in params["branches"]]
+            return [True, *map(any, zip(*each, strict=True))]
+        case _:
+            inner = [_jaxpr_of(one) for one in params.values() if hasattr(one, "eqns") or hasattr(one, "jaxpr")]
+            shape = len(equation.invars), len(equation.outvars)
+            if len(inner) == 1 and (len(inner[0].invars), len(inner[0].outvars)) == shape:  # a call
+                return _used_of_jaxpr(inner[0], wanted)
+            return [True] * len(equation.invars)
+
+
+def _jaxpr_of(param: Any) -> Any:
+    return getattr(param, "jaxpr", param)
+
+
+def _used_of_scan(equation: Any, wanted: Flags) -> Flags:
+    """Inputs of a scan: a carried number counts where a later turn or the result makes use of it."""
+    body = _jaxpr_of(equation.params["jaxpr"])
+    rows, results = (
+        sum(x.aval.ndim != y.aval.ndim for x, y in zip(*pair, strict=True))
+        for pair in ((equation.invars, body.invars), (equation.outvars, body.outvars))
+    )
+    carried = len(equation.outvars) - results
+    consts = len(equation.invars) - carried - rows
+    used = [False] * len(body.invars)
+    carry = wanted[:carried]
+    while True:
+        used = _used_of_jaxpr(body, [*carry, *wanted[carried:]])
+        more = [a or b for a, b in zip(carry, used[consts : consts + carried], strict=True)]
+        if more == carry:
+            break
+        carry = more
+    return [*used[:consts], *carry, *used[consts + carried :]]
+
+
+def _used_of_while(equation: Any, wanted: Flags) -> Flags:
+    """Inputs of a loop: what its condition looks at counts, too."""
+    test, body = (_jaxpr_of(equation.params[name]) for name in ("cond_jaxpr", "body_jaxpr"))
+    of_test, of_body = equation.params["cond_nconsts"], equation.params["body_nconsts"]
+    asked = _used_of_jaxpr(test, [True])
+    carry = [a or b for a, b in zip(wanted, asked[of_test:], strict=True)]
+    while True:
+        used = _used_of_jaxpr(body, carry)
+        more = [a or b for a, b in zip(carry, used[of_body:], strict=True)]
+        if more == carry:
+            return [*asked[:of_test], *used[:of_body], *carry]
+        carry = more

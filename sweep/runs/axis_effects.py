@@ -1,0 +1,60 @@
+"""Which axes of a study have no effect: by the program that simulates it, and by its rows."""
+
+import pandas as pd
+
+from sweep.analysis.axis_effects import compare_along_axes
+from sweep.runs.batches import make_engine, make_nominal_batch, static_values, with_delay_buffer
+from sweep.study.config import Experiment
+from sweep.study.study import parameter_columns
+
+
+def find_unread_columns(exp: Experiment, table: pd.DataFrame) -> set[str]:
+    """Find varied numbers that no program of a study reads: they cannot change a bit of any row.
+
+    Args:
+        exp: the experiment.
+        table: points or rows of the study, with `width`.
+
+    Raises:
+        InputError: there is no engine for the points.
+    """
+    exp = with_delay_buffer(exp, table)
+    static = [*static_values(exp, table)]
+    unread = {c for c in parameter_columns(table) if c not in static and table[c].nunique() > 1}
+    groups = [rows for _, rows in table.groupby(static, sort=False)] if static else [table]
+    for rows in groups:
+        if not unread:
+            break
+        fixed = static_values(exp, rows)
+        engine = make_engine(exp, make_nominal_batch(exp, rows, int(rows["width"].iloc[0])))
+        ends = {c: (float(table[c].min()), float(table[c].max())) for c in sorted(unread)}
+        unread &= engine.find_unread_columns(lambda values, fixed=fixed: exp.system.sides({**fixed, **values}), ends)
+    return unread
+
+
+def describe_unread_axes(exp: Experiment, table: pd.DataFrame) -> list[str]:
+    """A line for each axis of the points `table` that cannot change any metric."""
+    unread = find_unread_columns(exp, table)
+    return [
+        f"axis {axis.name} changes no metric: {axis.target} does not enter the simulation"
+        for axis in exp.study.axes
+        if axis.target in unread
+    ]
+
+
+def describe_ineffective_axes(exp: Experiment, rows: pd.DataFrame) -> list[str]:
+    """A line for each axis that changed no metric of the finished `rows`.
+
+    Rows that differ in one axis alone tell; where there are none, as among draws, the program does.
+    """
+    pairs = compare_along_axes(rows, exp)
+    lines = [f"axis {name} changed no metric in {one.rollouts:,} rollouts" for name, one in pairs.items() if one.same]
+    open_ones = {axis.target: axis.name for axis in exp.study.axes if axis.name not in pairs and axis.target in rows}
+    if open_ones:
+        unread = find_unread_columns(exp, rows)
+        lines += [
+            f"axis {name} changed no metric in {len(rows):,} rollouts: {column} does not enter the simulation"
+            for column, name in open_ones.items()
+            if column in unread
+        ]
+    return lines
