@@ -9,8 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 from mujoco.batch import SimulationError
@@ -86,26 +84,10 @@ class ModelEngine:
     def rollout_bytes(self) -> None:
         """None that is known, see `Engine`."""
 
-    def rollout_outputs(self, world: Side, belief: Side, key: Any) -> Any:
-        """What controllers give, and what reaches MuJoCo's model, of one rollout: to be traced, not to be run."""
-        own, programs = self._own, self._programs
-        given = {**batch.controller_inputs(own, world, belief), "key": jax.random.key_data(key)}
-        given["delay"] = jnp.rint(jnp.asarray(given["delay"])).astype(jnp.int32)
-        now = jnp.zeros(own.model.nq + own.model.nv + own.model.nsensordata)
-        start, state, duration = programs.begin_one(given)
-
-        def tick(carried: Any, _: None) -> tuple[Any, Any]:
-            ctrl, carried = programs.tick_one(given, carried, now)
-            return carried, ctrl
-
-        carried = programs.enter_one(given, state, now, jnp.int32(2))
-        carried, ctrl = jax.lax.scan(tick, carried, None, length=2)
-        return start, duration, ctrl, programs.finish_one(given, carried, now), world.select_group("model")
-
     def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
         """See `Engine`: of all that reaches MuJoCo's model it is not known what MuJoCo makes of it."""
         with self._within():
-            return find_unread_columns(self.rollout_outputs, sides, ends)
+            return find_unread_columns(self._programs.rollout_outputs, sides, ends)
 
     def run(self, world: Side, belief: Side, streams: np.ndarray) -> Figures:
         """Figures of a batch, see `Engine`."""

@@ -16,8 +16,8 @@ from jaxtyping import Array
 
 from sweep.core.errors import WRONG, InputError, format_user_exception
 from sweep.fused.numbers import evaluate_constants
-from sweep.systems.mujoco_model.batch import BatchStart, count_ticks
-from sweep.systems.mujoco_model.model_spec import ModelSpec
+from sweep.systems.mujoco_model.batch import BatchStart, controller_inputs, count_ticks
+from sweep.systems.mujoco_model.model_spec import ModelSpec, Side
 
 TILE = 64
 
@@ -79,6 +79,22 @@ class ControllerPrograms:
     def finish_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> dict[str, Array]:
         """The controller's own figures of one rollout that ends with a state (s,), by name."""
         return self._figures(given["belief"], carried["state"], self._measured(carried, now))
+
+    def rollout_outputs(self, world: Side, belief: Side, key: Array) -> Any:
+        """What the controller gives, and what reaches MuJoCo's model, of one rollout: to be traced, not to be run."""
+        own = self._own
+        given = {**controller_inputs(own, world, belief), "key": jax.random.key_data(key)}
+        given["delay"] = jnp.rint(jnp.asarray(given["delay"])).astype(jnp.int32)
+        now = jnp.zeros(own.model.nq + own.model.nv + own.model.nsensordata)
+        start, state, duration = self.begin_one(given)
+
+        def tick(carried: Any, _: None) -> tuple[Any, Any]:
+            ctrl, carried = self.tick_one(given, carried, now)
+            return carried, ctrl
+
+        carried = self.enter_one(given, state, now, jnp.int32(2))
+        carried, ctrl = jax.lax.scan(tick, carried, None, length=2)
+        return start, duration, ctrl, self.finish_one(given, carried, now), world.select_group("model")
 
     def _measured(self, carried: Any, now: Array) -> Any:
         """What is measured so far; a rollout that is over has its end in it already."""
