@@ -156,7 +156,7 @@ def is_judged_by(folder: Path, thresholds: dict[str, Any]) -> bool:
 
 def stale(folder: Path, chance: random.Random) -> Iterator[str]:
     """Yield results of a worker whose command is dead, and which writes its part after another command relabelled."""
-    code, real = runner.provenance.code_version(), runner._plan_of
+    code, real = runner.provenance.code_version(), runner._read_job
     for number in range(6):
         out = folder.with_name(f"stale{number}")
         shutil.copytree(folder, out)
@@ -164,9 +164,9 @@ def stale(folder: Path, chance: random.Random) -> Iterator[str]:
             (out / entry.file).unlink()
         known = real(out.resolve(), "old")
         quiet("run", *STUDY, "--limit", str(8 * (number + 1)), f"out={out}", "outcome.slip_max_m=0.1")
-        runner._plan_of = lambda *_, known=known: known  # pyright: ignore
+        runner._read_job = lambda *_, known=known: known  # pyright: ignore
         runner.simulate_on_worker(out.resolve(), "old", code, chance.randrange(number + 1, 7))
-        runner._plan_of = real
+        runner._read_job = real
         quiet("run", *STUDY, f"out={out}", "outcome.slip_max_m=0.1")
         yield run_attack(
             lambda out=out: is_judged_by(out, {"slip_max_m": 0.1, "tilt_max_deg": 30}) and len(content(out)) == 56

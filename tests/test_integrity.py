@@ -37,10 +37,10 @@ def test_what_a_worker_of_a_dead_command_writes_counts_for_nothing(tmp_path, who
     assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
     for entry in store.current_parts(tmp_path)[5:]:
         (tmp_path / entry.file).unlink()
-    known = runner._plan_of(tmp_path.resolve(), "a plan of the dead command")
+    known = runner._read_job(tmp_path.resolve(), "a plan of the dead command")
     assert again(tmp_path, "--limit", "48", "outcome.slip_max_m=0.01") == 0
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "_plan_of", lambda *_: known)
+        patch.setattr(runner, "_read_job", lambda *_: known)
         runner.simulate_on_worker(tmp_path.resolve(), "a plan of the dead command", provenance.code_version(), 6)
     assert again(tmp_path, "outcome.slip_max_m=0.01") == 0
     rows = content(tmp_path)

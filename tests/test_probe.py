@@ -134,7 +134,7 @@ def test_a_controller_that_is_no_function_of_its_arguments_is_found(here, capsys
     code, _, _, err = checked({"b": LIVE["b"]}, capsys, "model.controller=impure:policy")
     assert code == 4
     assert "two runs of one batch differ (" in err
-    assert "the controller is no function of its arguments" in err
+    assert "the controller is not a function of its arguments" in err
 
 
 def test_axes_of_the_robot_are_tried_too(tmp_path, monkeypatch, capsys):

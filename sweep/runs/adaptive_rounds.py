@@ -1,6 +1,6 @@
-"""Draws that are sought where failures are, in rounds: each by what the rows of those before it showed.
+"""Run a design of adaptive sampling: each round is drawn from a proposal fitted to the rows of earlier rounds.
 
-What to draw next is a function of the rows there are, so that an interrupted study goes on where it was.
+The next round depends on the stored rows only, so an interrupted study resumes where it stopped.
 """
 
 from collections.abc import Iterator
@@ -19,21 +19,30 @@ from sweep.study.study import points
 
 
 def iter_jobs(exp: Experiment, folder: Path) -> Iterator[Job]:
-    """Jobs to be run one after the other.
+    """Yield one job a round of adaptive sampling; run each job before asking for the next.
 
-    All have batches of one width, the best for the smallest rounds, so that the engine compiles once. Raises
-    `InputError` where rounds that are there were drawn by other outcomes than there are now.
+    All rounds use one batch width, the best one for the smallest round, so that the engine compiles once.
+
+    Args:
+        exp: Experiment of a study with an adaptive design.
+        folder: Folder of the study, whose finished rows decide the next round.
+
+    Yields:
+        The job of the next round, until the design's stopping rule holds.
+
+    Raises:
+        InputError: Rounds in the folder were drawn from other outcomes than its rows have now.
     """
     study, search = exp.study, adaptive_designs.make_search(exp.study.axes, exp.study.design, exp.study.seed)
     draws: Draws = next(search)
     while True:
         table = points(study, exp.system, exp.settings, round_=draws)
         planned = store.read_points(folder)
-        _check(folder, planned, table)
+        _refuse_other_rounds(folder, planned, table)
         if not exp.settings.width:
-            design = study.design  # whose smallest round in which all runs go on is
-            least = table.head(design.runs * design.levels.chains if design.kind == "subset" else design.num)
-            first = planned if len(planned) else prepare_job(exp, folder, least).table
+            design = study.design
+            smallest = table.head(design.runs * design.levels.chains if design.kind == "subset" else design.num)
+            first = planned if len(planned) else prepare_job(exp, folder, smallest).table
             exp = replace(exp, settings=replace(exp.settings, width=int(first["width"].iloc[-1])))
         yield prepare_job(exp, folder, table)
         try:
@@ -42,9 +51,9 @@ def iter_jobs(exp: Experiment, folder: Path) -> Iterator[Job]:
             return
 
 
-def _check(folder: Path, planned: pd.DataFrame, table: pd.DataFrame) -> None:
+def _refuse_other_rounds(folder: Path, planned: pd.DataFrame, table: pd.DataFrame) -> None:
     if not len(planned):
         return
-    there = planned[planned["replicate"].isin(table["replicate"])]
-    if not set(there["point_id"]) <= set(table["point_id"]):
+    stored = planned[planned["replicate"].isin(table["replicate"])]
+    if not set(stored["point_id"]) <= set(table["point_id"]):
         raise InputError(f"{folder} has rounds that were drawn otherwise, or by other thresholds: give out=DIR")

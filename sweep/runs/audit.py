@@ -1,8 +1,8 @@
-"""`sweep audit`: do the boundary of success, and success away from it, belong to the robot or to the simulation?
+"""`sweep audit`: does the boundary of success belong to the robot or to the simulation?
 
-Rollouts next to the boundary, and as many successes elsewhere, are simulated again in other ways that should make no
-difference. Each way is a study of its own in the folder's `audit/`, so it can be interrupted, looked at and replayed
-like any other.
+Rollouts next to the boundary, and as many successes elsewhere, are simulated again in variants that should make no
+difference, such as half the time step. Each variant is a study of its own in the folder's `audit/`, so it can be
+interrupted, inspected and replayed like any other.
 """
 
 from collections.abc import Iterator
@@ -28,55 +28,70 @@ AUDIT = "audit"
 def run(
     results: Results, count: int, variants: list[str], progress: runner.Progress, say: Logger | None = None
 ) -> None:
-    """Simulate rollouts again in all `ways`, up to `number` of each of the `samples`. Raises `InputError`.
+    """Simulate a sample of finished rollouts again in variants of the simulation, and store their rows.
 
-    Without any in all that there are; those in which they cannot be simulated are then left out, and `say` is told why.
+    Args:
+        results: Finished rows of a study.
+        count: Largest number of rollouts of each sample, see `sample_masks`.
+        variants: Names of the variants to simulate. If empty, all variants of the system, without those that cannot
+            simulate these rollouts.
+        progress: Receives the rows of every finished batch.
+        say: Receives a line on each variant that is left out.
+
+    Raises:
+        InputError: A variant is unknown or cannot simulate these rollouts, or there are no rollouts to audit.
     """
-    known = results.exp.system.audit_variants
-    for way in variants:
-        if way not in known:
-            raise InputError(f"--ways {way} is unknown (allowed: {', '.join(known)})")
+    available = results.exp.system.audit_variants
+    for variant in variants:
+        if variant not in available:
+            raise InputError(f"--ways {variant} is unknown (allowed: {', '.join(available)})")
     exp = with_row_settings(results)
-    shuffled = [np.random.default_rng(0).permutation(np.flatnonzero(one)) for one in sample_masks(results).values()]
-    chosen = np.concatenate([one[:count] for one in shuffled])
+    shuffled = [np.random.default_rng(0).permutation(np.flatnonzero(mask)) for mask in sample_masks(results).values()]
+    chosen = np.concatenate([rows[:count] for rows in shuffled])
     if not len(chosen):
         raise InputError(f"{results.folder} has nothing to audit: no two neighbouring points differ, and none succeeds")
     points = results.rows.iloc[np.sort(chosen)]
-    kept = [c for c in points if "." in str(c) and not str(c).startswith("engine.")]
-    points = points[[*kept, "replicate", "stream", "point_id"]].reset_index(drop=True)
+    parameters = [c for c in points if "." in str(c) and not str(c).startswith("engine.")]
+    points = points[[*parameters, "replicate", "stream", "point_id"]].reset_index(drop=True)
     folder = path_in(results.folder, AUDIT)
     folder.mkdir(exist_ok=True)
-    for name in variants or known:
+    for name in variants or available:
         try:
-            again, table = _again(exp, known[name], points, path_in(folder, name))
+            study, table = _variant_study(exp, available[name], points, path_in(folder, name))
         except InputError as error:
             if variants:
                 raise
             if say:
                 say(f"audit: {name} is left out: {error}")
             continue
-        with store.lock_folder(again.folder):
-            runner.repair_folder(again, again.folder)
-            runner.run(runner.prepare_job(again, again.folder, table), progress)
+        with store.lock_folder(study.folder):
+            runner.repair_folder(study, study.folder)
+            runner.run(runner.prepare_job(study, study.folder, table), progress)
 
 
-def _again(exp: Experiment, way: AuditVariant, points: pd.DataFrame, folder: Path) -> tuple[Experiment, pd.DataFrame]:
-    """The study in another way, and its points. Raises `InputError` where they cannot be simulated in it."""
-    settings = replace(way.change(exp.settings), width=0)  # so few rollouts have a width of their own
+def _variant_study(
+    exp: Experiment, variant: AuditVariant, points: pd.DataFrame, folder: Path
+) -> tuple[Experiment, pd.DataFrame]:
+    """Return the study of one variant and its points. Raises `InputError` where the variant cannot simulate them."""
+    settings = replace(variant.change(exp.settings), width=0)  # the engine chooses a width for the few rollouts
     changed = {}
-    for path, change in way.columns.items():
+    for path, change in variant.columns.items():
         column = f"world.{path}" if f"world.{path}" in points else path
         values = points[column] if column in points else pd.Series(exp.system.nominal(path, settings), points.index)
         changed[column] = values.map(change)
     study = {**exp.values["study"], "keep": []}
-    again = experiment({**exp.values, "study": study, "engine": asdict(settings), "out": str(folder)})
+    variant_exp = experiment({**exp.values, "study": study, "engine": asdict(settings), "out": str(folder)})
     table = points.assign(**changed)
-    again.system.check(table, settings)
-    return again, table
+    variant_exp.system.check(table, settings)
+    return variant_exp, table
 
 
 def with_row_settings(results: Results) -> Experiment:
-    """The study's experiment with the engine settings of all its rows. Raises `InputError` where they differ."""
+    """Return the study's experiment with the engine settings that all its rows share.
+
+    Raises:
+        InputError: Rows differ in their engine settings.
+    """
     engine = [c for c in parameter_columns(results.rows) if c.startswith("engine.")]
     for column in engine:
         if results.rows[column].nunique() > 1:
@@ -86,16 +101,22 @@ def with_row_settings(results: Results) -> Experiment:
 
 
 def sample_masks(results: Results) -> dict[str, np.ndarray]:
-    """Which rows may be drawn, by the words for them: those next to the boundary, and successes elsewhere."""
-    near, wins = boundary_mask(results), (results.rows["outcome"] == "success").to_numpy()
-    return {"next to the boundary": near, "successes elsewhere": wins & ~near}
+    """Return masks (rows,) of the rows that each sample of an audit may draw, by the sample's description."""
+    near, succeeds = boundary_mask(results), (results.rows["outcome"] == "success").to_numpy()
+    return {"next to the boundary": near, "successes elsewhere": succeeds & ~near}
 
 
 def boundary_mask(results: Results) -> np.ndarray:
-    """Which rows succeed while a neighbour fails, or the other way round.
+    """Find rows next to the boundary of success: one of row and neighbour succeeds and the other fails.
 
-    The neighbours of a row are the 2 d nearest ones along d parameters, among valid rows of equal names and replicate:
-    on a grid those next to it.
+    The neighbours of a row are the 2 d nearest rows along d numeric parameters, among valid rows with the same
+    categorical values and replicate. On a grid these are the adjacent points.
+
+    Args:
+        results: Finished rows of a study.
+
+    Returns:
+        Mask (rows,), False everywhere where no numeric parameter varies.
     """
     from scipy.spatial import KDTree
 
@@ -103,48 +124,58 @@ def boundary_mask(results: Results) -> np.ndarray:
     near = np.zeros(len(rows), dtype=bool)
     if not axes:
         return near
-    again = rows["replicate"] % results.exp.study.replicates
+    replicate = rows["replicate"] % results.exp.study.replicates
     valid = (rows["outcome"] != "invalid").to_numpy()
-    place = rows[axes].rank(method="dense")
-    if np.prod(place.max().to_numpy()) > 2 * len(
-        rows
-    ):  # drawn points, not a grid: no parameter counts for more than another
-        place = place / place.max() * len(rows) ** (1 / len(axes))
-    for _, index in rows[valid].groupby([*results.categorical, again[valid]]).indices.items():
-        own = np.flatnonzero(valid)[index]
-        if len(own) > 1:
-            win = (rows["outcome"].iloc[own] == "success").to_numpy()
-            at = place.iloc[own].to_numpy()
-            _, nearest = KDTree(at).query(at, k=min(2 * len(axes) + 1, len(own)))
-            near[own] = (win[nearest] != win[:, None]).any(axis=1)
+    ranks = rows[axes].rank(method="dense")
+    # drawn points instead of a grid: scale the ranks so that all parameters count alike
+    if np.prod(ranks.max().to_numpy()) > 2 * len(rows):
+        ranks = ranks / ranks.max() * len(rows) ** (1 / len(axes))
+    for _, index in rows[valid].groupby([*results.categorical, replicate[valid]]).indices.items():
+        members = np.flatnonzero(valid)[index]
+        if len(members) > 1:
+            succeeds = (rows["outcome"].iloc[members] == "success").to_numpy()
+            positions = ranks.iloc[members].to_numpy()
+            _, nearest = KDTree(positions).query(positions, k=min(2 * len(axes) + 1, len(members)))
+            near[members] = (succeeds[nearest] != succeeds[:, None]).any(axis=1)
     return near
 
 
 def iter_audited_variants(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
-    """The ways that `results` were audited in, with the pairs of rollouts before and again."""
+    """Yield each variant that has audited rows of `results`, with a table that pairs old and new rollouts.
+
+    The table is that of `compare.pair_rows`, paired by `point_id`.
+    """
     folder = path_in(results.folder, AUDIT)
-    for way in results.exp.system.audit_variants:
-        if path_in(folder, f"{way}/{store.STUDY}").exists() and store.finished_batches(folder / way):
-            again = store.read_rows(folder / way)
-            before = results.rows[results.rows["point_id"].isin(again["point_id"])]
-            if before.empty:  # other rows were chosen than those that were audited
+    for variant in results.exp.system.audit_variants:
+        if path_in(folder, f"{variant}/{store.STUDY}").exists() and store.finished_batches(folder / variant):
+            audited = store.read_rows(folder / variant)
+            before = results.rows[results.rows["point_id"].isin(audited["point_id"])]
+            if before.empty:  # `where` chose none of the audited rows
                 continue
-            yield way, compare.pair_rows(before, again, ["point_id"])
+            yield variant, compare.pair_rows(before, audited, ["point_id"])
 
 
 def flip_table(results: Results) -> pd.DataFrame:
-    """Flips in each way among each sample, with the exact 95 % interval of their share."""
+    """Count the outcomes that flip, for each variant and sample of an audit.
+
+    Args:
+        results: Finished rows of a study, with an audit in its folder.
+
+    Returns:
+        A row for each variant (`simulated`) and sample (`drawn`, out of `of` rows): audited `rollouts`, those `invalid`
+        in either simulation, `flips` among the others, their `share` and its exact 95 % interval `low` to `high`.
+    """
     lines = []
     members = {kind: set(results.rows.loc[member, "point_id"]) for kind, member in sample_masks(results).items()}
-    for way, pairs in iter_audited_variants(results):
+    for variant, pairs in iter_audited_variants(results):
         for kind, points in members.items():
-            of_kind = pairs[pairs["point_id"].isin(points)]
-            if of_kind.empty:
+            sample = pairs[pairs["point_id"].isin(points)]
+            if sample.empty:
                 continue
-            found = compare.count_flips(of_kind, np.arange(len(of_kind)))  # rows were drawn at random
-            share = found.flip_count / found.tested_pairs if found.tested_pairs else np.nan
-            counts = len(points), found.pairs, found.pairs - found.tested_pairs, found.flip_count
-            words = results.exp.system.audit_variants[way].description
-            lines.append((words, kind, *counts, share, found.low, found.high))
+            flips = compare.count_flips(sample, np.arange(len(sample)))  # rows were drawn at random
+            share = flips.flip_count / flips.tested_pairs if flips.tested_pairs else np.nan
+            counts = len(points), flips.pairs, flips.pairs - flips.tested_pairs, flips.flip_count
+            description = results.exp.system.audit_variants[variant].description
+            lines.append((description, kind, *counts, share, flips.low, flips.high))
     columns = ["simulated", "drawn", "of", "rollouts", "invalid", "flips", "share", "low", "high"]
     return pd.DataFrame(lines, columns=columns)

@@ -1,4 +1,4 @@
-"""From the points table to the inputs of an engine: groups that share a compiled engine, batches of one width."""
+"""Turn points of a study into inputs of an engine: groups that share a compiled engine, and batches of one width."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -17,18 +17,22 @@ from sweep.systems.base import Limits, System
 
 @dataclass(frozen=True)
 class Batch:
-    """The input of one call of an engine; `width` rows, the last one repeated where there are fewer."""
+    """Input of one call of an engine: `width` rollouts, the last row repeated where there are fewer rows."""
 
     settings: EngineSettings
-    world: Any  # of the system's own type
+    world: Any  # the system's own type of parameters
     belief: Any
     streams: np.ndarray  # (width,)
 
 
 def make_engine(exp: Experiment, nominal_batch: Batch) -> Engine:
-    """The engine for batches such as `start`.
+    """Return the engine that simulates batches of the same static values and width as `nominal_batch`.
 
-    A process keeps the last one, so that the batches of a group, wherever they come from, compile once.
+    The process keeps the last engine, so the batches of one group compile once.
+
+    Args:
+        exp: Experiment of the study, with its system and thresholds.
+        nominal_batch: Engine settings and nominal world and belief, see `make_nominal_batch`.
     """
     return _engine(exp.system, nominal_batch.settings, nominal_batch.world, nominal_batch.belief, exp.thresholds)
 
@@ -39,14 +43,18 @@ def _engine(system: System, settings: EngineSettings, world: Any, belief: Any, l
 
 
 def forget_engine() -> None:
-    """Give back the memory of the engine that is kept."""
+    """Release the engine that `make_engine` keeps, with its memory."""
     _engine.cache_clear()
 
 
 def with_delay_buffer(exp: Experiment, table: pd.DataFrame) -> Experiment:
-    """Its system with memory, such as a delay's, long enough for every point of `table`.
+    """Return the experiment with delay buffers of its system that are long enough for every point.
 
-    And for whatever else may be drawn, so that more draws compile nothing anew.
+    The ends of all drawn axes count too, so that later draws of the same study use the same compiled program.
+
+    Args:
+        exp: Experiment of the study.
+        table: Points, a row for each rollout.
     """
     study = exp.study
     if study.design.num and not study.points and not any(axis.values is not None for axis in study.axes):
@@ -55,20 +63,37 @@ def with_delay_buffer(exp: Experiment, table: pd.DataFrame) -> Experiment:
 
 
 def static_values(exp: Experiment, table: pd.DataFrame) -> dict[str, Any]:
-    """The values that all rows of one group share and that fix its compiled engine."""
+    """Return the values, by column, that all rows of one group share and that fix its compiled program."""
     static = [c for c in parameter_columns(table) if is_static(c, exp.system, exp.settings)]
     return {c: getattr(v := table[c].iloc[0], "item", lambda v=v: v)() for c in static}
 
 
 def make_nominal_batch(exp: Experiment, rows: pd.DataFrame, width: int) -> Batch:
-    """What the engine of a group is made from: static values set, swept quantities at their nominal values."""
+    """Return the batch from which the engine of a group is made: its static values, all swept quantities nominal.
+
+    Args:
+        exp: Experiment of the study.
+        rows: Points of one group.
+        width: Rollouts in a batch; 0 lets the engine choose.
+
+    Returns:
+        A batch without a batch axis and without random streams.
+    """
     statics = static_values(exp, rows)
     settings = replace_settings(exp.settings, statics)
     return Batch(replace(settings, width=width), *exp.system.sides(statics), np.zeros(0, dtype=np.int64))
 
 
 def make_batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
-    """`rows` of one batch as arrays over its width."""
+    """Return the input of an engine for the rows of one batch.
+
+    Args:
+        exp: Experiment of the study.
+        rows: Points of one batch in the order of their slots, with `width` and `stream`.
+
+    Returns:
+        World and belief whose swept quantities are arrays (width,); slots beyond the rows repeat the last row.
+    """
     width = int(rows["width"].iloc[0])
     slots = np.minimum(np.arange(width), len(rows) - 1)
     statics = static_values(exp, rows)
@@ -79,7 +104,19 @@ def make_batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
 
 
 def assign_batches(exp: Experiment, planned: pd.DataFrame, wanted: pd.DataFrame) -> pd.DataFrame:
-    """`planned` rows as they are, then those of `wanted` that are new, in groups and batches of their own."""
+    """Assign new points of a study to groups and batches; points that have a batch keep it.
+
+    Args:
+        exp: Experiment of the study.
+        planned: Points that have a batch already; may be empty.
+        wanted: Points to simulate; those that are also in `planned` are skipped.
+
+    Returns:
+        `planned` and then the new points, with `group`, `batch`, `slot` and `width`. A group shares a compiled engine.
+
+    Raises:
+        InputError: The nominal plan is impossible, or a cluster needs `engine.width`.
+    """
     table = wanted
     if not planned.empty:
         table = pd.concat([planned, wanted[~isin_points(wanted, planned)]], ignore_index=True)
@@ -89,14 +126,23 @@ def assign_batches(exp: Experiment, planned: pd.DataFrame, wanted: pd.DataFrame)
     for column in ("batch", "slot", "width"):
         table[column] = table[column].fillna(-1).astype("int64") if column in table else -1
     for _, rows in table[table["batch"] < 0].groupby("group", sort=False):
-        first = _cut(table, rows.index, _even_width(exp, rows), first)
+        first = _cut_into_batches(table, rows.index, _even_width(exp, rows), first)
     return table
 
 
 def halve_batches(table: pd.DataFrame, batches: list[int], devices: int) -> pd.DataFrame:
-    """`table` with the rows of `batches` planned anew, in batches half as wide. Raises `Fault` where none is left.
+    """Assign the rows of some batches to new batches of half the width.
 
-    A width that shares evenly among `devices` stays one where it can.
+    Args:
+        table: All points with their batches.
+        batches: Numbers of the batches to split.
+        devices: Number of devices that share a batch; the new width is a multiple of it where possible.
+
+    Returns:
+        A copy of `table` with new numbers, slots and widths for these rows.
+
+    Raises:
+        Fault: A batch has a single rollout.
     """
     table, first = table.copy(), int(table["batch"].max()) + 1
     for number in batches:
@@ -104,12 +150,12 @@ def halve_batches(table: pd.DataFrame, batches: list[int], devices: int) -> pd.D
         width = int(table["width"].loc[rows].iloc[0]) // 2
         if not width:
             raise Fault("a single rollout does not fit in the memory of the device")
-        first = _cut(table, rows, width // devices * devices or width, first)
+        first = _cut_into_batches(table, rows, width // devices * devices or width, first)
     return table
 
 
-def _cut(table: pd.DataFrame, rows: pd.Index, width: int, first: int) -> int:
-    """Put `rows` of `table` into batches of `width`, numbered from `first`; the number after the last."""
+def _cut_into_batches(table: pd.DataFrame, rows: pd.Index, width: int, first: int) -> int:
+    """Assign `rows` of `table` to batches of `width`, numbered from `first`; return the number after the last."""
     batches, slots = np.divmod(np.arange(len(rows)), width)
     for column, values in (("batch", first + batches), ("slot", slots), ("width", width)):
         table.loc[rows, column] = values
@@ -117,15 +163,15 @@ def _cut(table: pd.DataFrame, rows: pd.Index, width: int, first: int) -> int:
 
 
 def isin_points(rows: pd.DataFrame, points: pd.DataFrame) -> np.ndarray:
-    """Which of `rows` are also in `others`."""
+    """Return the mask (rows,) of the rows whose point is also a row of `points`."""
     key = identity_columns(rows.columns)
     return pd.MultiIndex.from_frame(rows[key]).isin(pd.MultiIndex.from_frame(points[key]))
 
 
 def _even_width(exp: Experiment, rows: pd.DataFrame) -> int:
-    """The width asked for; else the device's best, evened out so that the last batch is nearly full.
+    """Return `engine.width`, else the device's best width, evened out so that the last batch is nearly full.
 
-    Raises `InputError` where neither is known, and where the nominal plan is impossible.
+    Raises `InputError` where a cluster needs a width and none is set, and where the nominal plan is impossible.
     """
     start = make_nominal_batch(exp, rows, exp.settings.width)
     if exp.cluster.is_remote and not start.settings.width:
@@ -133,7 +179,7 @@ def _even_width(exp: Experiment, rows: pd.DataFrame) -> int:
             f"cluster = {exp.cluster.kind} needs engine.width, as the workers' devices are not seen from here: "
             "rollouts in a batch, such as 64 for two CPU cores or 32768 for a GPU"
         )
-    engine = make_engine(exp, start)  # refuses an impossible plan while nothing is written yet
+    engine = make_engine(exp, start)  # refuses an impossible plan before anything is written
     if start.settings.width:
         return start.settings.width
     even = -(-len(rows) // -(-len(rows) // engine.width))

@@ -1,4 +1,4 @@
-"""Whether a command simulates on the CPU of a machine with a GPU, which is told to JAX before it has begun."""
+"""Choose CPU or GPU for a command, before JAX starts."""
 
 import re
 from pathlib import Path
@@ -8,30 +8,31 @@ from sweep.core.files import path_in
 from sweep.engines import devices
 from sweep.study.config import Experiment
 
-ON_CPU = re.compile(r"(\d+ x )?cpu\b")  # how the devices of a folder begin where they are cores
+ON_CPU = re.compile(r"(\d+ x )?cpu\b")  # matches the name of a CPU in study.yaml
 
 
 def choose_device_for_run(exp: Experiment) -> None:
-    """What a folder has rows of goes on where these are from; else few rollouts go to the CPU, where they end sooner.
+    """Choose CPU or GPU for a run: the device of the folder's existing rows, else the CPU for small runs.
 
-    Of how many rollouts rounds and files of points are is not known before they have run.
+    Studies in rounds and studies of a table of points keep JAX's default, as their size is not known beforehand.
     """
     study = exp.study
-    if (exp.out or not study.single) and _rows(exp.folder):
+    if (exp.out or not study.single) and _row_devices(exp.folder):
         choose_device_for_folder(exp.folder)
     elif not study.points and not study.is_sequential and study.max_rollouts <= exp.system.cpu_threshold(exp.settings):
         devices.prefer_cpu(f"where {'a rollout ends' if study.max_rollouts == 1 else 'few rollouts end'} sooner")
 
 
 def choose_device_for_folder(folder: Path) -> None:
-    """Rollouts of a folder again, or more of them, go to the CPU if its rows are from one."""
-    if all(map(ON_CPU.match, found := _rows(folder))) and found:
+    """Choose the CPU if all rows of `folder` were simulated on one, as for a replay; else keep JAX's default."""
+    names = _row_devices(folder)
+    if names and all(map(ON_CPU.match, names)):
         devices.prefer_cpu(f"as the rows of {folder} were")
 
 
-def _rows(folder: Path) -> list[str]:
-    """The devices that rows of a folder are from; none where there are no rows, or it is damaged."""
-    from sweep.runs import store  # whose libraries one rollout has no need of
+def _row_devices(folder: Path) -> list[str]:
+    """Return the names of the devices that simulated a folder's rows; empty without rows, or where it is damaged."""
+    from sweep.runs import store  # slow to import, and a single rollout does not need it
 
     try:
         return store.read_study(folder)["devices"] if path_in(folder, store.STUDY).exists() else []

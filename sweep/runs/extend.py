@@ -1,4 +1,4 @@
-"""More draws of a study that is there: the same draws as before, and others after them."""
+"""Extend a stored study by more draws or replicates; those in its folder stay the same."""
 
 from pathlib import Path
 from typing import Any
@@ -7,16 +7,25 @@ from sweep.core.errors import InputError
 from sweep.runs import runner, store
 from sweep.study.config import Experiment, experiment
 
-GROWING = ("monte_carlo", "sobol")  # designs whose first draws stay as more come
+GROWING = ("monte_carlo", "sobol")  # designs whose first draws stay the same when more are drawn
 
 
 def count_draws(exp: Experiment) -> int:
-    """How many draws the study has, or replicates where nothing is drawn."""
+    """Return the study's number of draws, or its number of replicates if its design draws nothing."""
     return exp.study.design.num if exp.study.design.num else exp.study.replicates
 
 
 def check_extendable(exp: Experiment, folder: Path) -> None:
-    """Raise `InputError` where a study has no draws or replicates that can become more."""
+    """Check that a study can be extended by more draws or replicates.
+
+    Args:
+        exp: Experiment of the study.
+        folder: Its folder, for the message.
+
+    Raises:
+        InputError: Its points are listed in a file or refined, its design cannot add draws, or it has neither draws
+            nor replicates.
+    """
     if exp.study.points or exp.study.is_refined:
         raise InputError(f"{folder} cannot grow: its points are listed in a file, or chosen by what was found")
     if exp.study.design.num and exp.study.design.kind not in GROWING:
@@ -27,14 +36,24 @@ def check_extendable(exp: Experiment, folder: Path) -> None:
 
 
 def grow(exp: Experiment, folder: Path, count: int, progress: runner.Progress) -> Experiment:
-    """Simulate what `folder` lacks of so many draws, or replicates, of its study; the study as it is then.
+    """Extend a stored study to a larger number of draws or replicates, and simulate the rollouts that its folder lacks.
 
-    The code must be that of the rows that are there. Raises `InputError`.
+    Args:
+        exp: Experiment of the study.
+        folder: Its folder.
+        count: New number of draws, or of replicates if the design draws nothing.
+        progress: Receives the rows of every finished batch.
+
+    Returns:
+        The experiment of the extended study.
+
+    Raises:
+        InputError: The rows in the folder are from other code or another study.
     """
-    own: dict[str, Any] = dict(exp.values["study"])
-    own |= {"design": {**own["design"], "num": count}} if exp.study.design.num else {"replicates": count}
-    more = experiment({**exp.values, "study": own, "out": str(folder)})
+    study: dict[str, Any] = dict(exp.values["study"])
+    study |= {"design": {**study["design"], "num": count}} if exp.study.design.num else {"replicates": count}
+    extended = experiment({**exp.values, "study": study, "out": str(folder)})
     with store.lock_folder(folder):
-        runner.repair_folder(more, folder)
-        runner.run(runner.prepare_job(more, folder, runner.select_points(more)), progress)
-    return more
+        runner.repair_folder(extended, folder)
+        runner.run(runner.prepare_job(extended, folder, runner.select_points(extended)), progress)
+    return extended

@@ -1,7 +1,8 @@
-"""The list of a folder's files that count: what is not in it, or is not as it says, is no result.
+"""The manifest lists the files of a study's folder that count; a file that is not listed, or differs, is no result.
 
-Only the command that holds the folder's lock writes it. A worker names its part by what the part holds and hands the
-entry to the command, so that one whose command died or went on without it can do no harm: its part is not listed.
+Only the command that holds the folder's lock writes the manifest. A worker writes its part, names it by a digest of its
+content, and returns the entry to the command. A worker whose command died, or stopped waiting, does no harm, as nobody
+lists its part.
 """
 
 import json
@@ -15,25 +16,25 @@ from sweep.core.errors import InputError
 
 MANIFEST, POINTS = "manifest.txt", "points.parquet"
 PARTS, HISTORIES, LAST_STATES = "parts", "histories", "last_states"
-SUBFOLDERS = (PARTS, HISTORIES, LAST_STATES)  # the only folders of files that the manifest lists
-CHECK = 16  # digits of a line's own digest, before it
-RETRY_PAUSES = (0.01, 0.05, 0.2, 0.5)  # s that who adds a line is given to finish it
+SUBFOLDERS = (PARTS, HISTORIES, LAST_STATES)  # of files that the manifest may list
+CHECK = 16  # digits of the digest at the start of a line
+RETRY_PAUSES = (0.01, 0.05, 0.2, 0.5)  # s, in which another command may finish the last line
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A file of the folder as it was when it was finished."""
+    """A line of the manifest: one file of the folder, as it was when it was written."""
 
     file: str  # below the folder
     length: int  # bytes
     sha256: str  # digest of its content
-    batches: tuple[int, ...] = ()  # that a part holds
+    batches: tuple[int, ...] = ()  # numbers of the batches in a part; empty for other files
     study: str = ""  # digest of what all rows of the folder share
-    labels: str = ""  # digest of the thresholds that the rows were judged by
+    labels: str = ""  # digest of the thresholds that judged the rows
     run_ids: tuple[str, ...] = ()  # of its rows
 
     def find_problem(self, content: Buffer) -> str | None:
-        """What is wrong with the file, if anything is."""
+        """Compare the content of the file with this entry; return what differs, or None."""
         length = memoryview(content).nbytes
         if length != self.length:
             return f"{length} bytes instead of {self.length}"
@@ -41,18 +42,22 @@ class Entry:
 
 
 def format_line(entry: Entry) -> str:
-    """`entry` as text, after a digest of it."""
+    """Return the entry as a line of the manifest: a digest of the text, then the text (JSON)."""
     text = json.dumps(asdict(entry))
     return f"{files.digest(text.encode())[:CHECK]} {text}"
 
 
 def parse(folder: Path) -> tuple[list[Entry], list[int]]:
-    """The entries, and the numbers of the lines that are damaged.
+    """Read the manifest of a folder, damaged lines included.
 
-    Raises `InputError` where a sound line names a file that is none of a study's.
+    Returns:
+        The sound entries, and the numbers (from 1) of the damaged lines.
+
+    Raises:
+        InputError: A sound line names a file that cannot belong to a study.
     """
     try:
-        content = _settled(files.path_in(folder, MANIFEST))
+        content = _read_when_complete(files.path_in(folder, MANIFEST))
     except FileNotFoundError:
         return [], []
     entries, damaged = [], []
@@ -85,8 +90,8 @@ def _parse_entry(folder: Path, number: int, text: bytes) -> Entry:
     return entry
 
 
-def _settled(path: Path) -> bytes:
-    """The content of `path`, whose last line may be half there while a command that runs adds it."""
+def _read_when_complete(path: Path) -> bytes:
+    """Return the content of the manifest; wait for a last line that another command is still writing."""
     for pause in RETRY_PAUSES:
         if (content := path.read_bytes()).endswith(b"\n"):
             return content
@@ -95,7 +100,7 @@ def _settled(path: Path) -> bytes:
 
 
 def read(folder: Path) -> list[Entry]:
-    """The entries of `folder`, in the order in which they were written. Raises `InputError` where one is damaged."""
+    """Return the entries of a folder's manifest in the order of its lines. Raises `InputError` if a line is damaged."""
     entries, damaged = parse(folder)
     if damaged:
         raise InputError(f"{folder / MANIFEST} is damaged in line {damaged[0]}: `sweep run` as before mends it")
@@ -103,23 +108,31 @@ def read(folder: Path) -> list[Entry]:
 
 
 def add(folder: Path, *entries: Entry) -> None:
-    """From now on `entries` count, all at once. Raises `Fault`."""
+    """Append entries to the manifest in one write. Raises `Fault` if the disk refuses it."""
     files.append_line(files.path_in(folder, MANIFEST), "\n".join(map(format_line, entries)))
 
 
 def rewrite(folder: Path, entries: Iterable[Entry]) -> None:
-    """From now on `entries` count and no others. Raises `Fault`."""
+    """Replace all entries of the manifest, atomically. Raises `Fault` if the disk refuses it."""
     files.write_atomically(
         files.path_in(folder, MANIFEST), "".join(f"{format_line(entry)}\n" for entry in entries).encode()
     )
 
 
 def select_current_parts(entries: Sequence[Entry], labels: str) -> list[Entry]:
-    """The parts judged by the thresholds `labels`, in the order of their batches, each batch once."""
+    """Select the parts that hold a folder's rows.
+
+    Args:
+        entries: Entries of the manifest.
+        labels: Digest of the thresholds that judged the rows.
+
+    Returns:
+        One part a batch, the first listed, in the order of their batches.
+    """
     seen: set[int] = set()
-    found = []
+    parts = []
     for entry in entries:
         if entry.batches and entry.labels == labels and not seen.intersection(entry.batches):
             seen.update(entry.batches)
-            found.append(entry)
-    return sorted(found, key=lambda entry: entry.batches[0])
+            parts.append(entry)
+    return sorted(parts, key=lambda entry: entry.batches[0])

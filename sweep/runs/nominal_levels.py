@@ -10,11 +10,11 @@ from sweep.study.config import Experiment
 from sweep.study.designs import Axis, Design
 from sweep.study.study import points
 
-MAX_LEVELS = 12  # levels of an axis that are tried, as each compiles its own program
+MAX_LEVELS = 12  # tried on an axis, as each level compiles a program
 
 
 class FailingLevel(NamedTuple):
-    """A listed name with which the nominal rollout does not succeed."""
+    """A level of a categorical axis, such as a gait, with which the nominal rollout does not succeed."""
 
     axis: str
     value: str
@@ -40,7 +40,7 @@ def find_failing_levels(exp: Experiment) -> list[FailingLevel]:
     """
     if exp.study.points or exp.cluster.is_remote:
         return []
-    return [level for axis in exp.study.axes if _lists_names(axis) for level in _failing(exp, axis)]
+    return [level for axis in exp.study.axes if _lists_names(axis) for level in _iter_failing(exp, axis)]
 
 
 def _lists_names(axis: Axis) -> bool:
@@ -48,7 +48,7 @@ def _lists_names(axis: Axis) -> bool:
     return names and axis.along is None and axis.path is not None and not axis.path.startswith("engine.")
 
 
-def _failing(exp: Experiment, axis: Axis) -> Iterator[FailingLevel]:
+def _iter_failing(exp: Experiment, axis: Axis) -> Iterator[FailingLevel]:
     axis = replace(axis, values=(axis.values or ())[:MAX_LEVELS])
     alone = {"axes": (axis,), "design": Design(), "replicates": 1, "where": None, "resolution": 0.0, "budget": 0}
     exp = replace(exp, study=replace(exp.study, **alone, keep=()))

@@ -1,9 +1,9 @@
-"""Refinement: rollouts only where they tell something, in rounds of whole batches.
+"""Refinement of a map: simulate only where rollouts add information, in rounds of whole batches.
 
-With `study.resolution`, cells of the grid whose corners disagree are halved along every axis, again and again, until
-they are small enough. With `study.budget` and noise or draws, points whose interval straddles `study.level` get more
-rollouts until it does not; as this stops when it suits, the interval is the anytime-valid one. What to run next is a
-function of the rows there are, so that an interrupted refinement goes on where it was.
+With `study.resolution`, cells of the grid whose corners differ in outcome are halved along every axis until they are
+small enough. With `study.budget` and noise or draws, points whose confidence interval contains `study.level` get more
+rollouts until it does not. That stopping rule looks at the data, so the interval is the anytime-valid one. The next
+round depends on the stored rows only, so an interrupted refinement resumes where it stopped.
 """
 
 import itertools
@@ -30,7 +30,7 @@ MISSING, INVALID, FAILS, SUCCEEDS = -2, -1, 0, 1
 
 @dataclass(frozen=True)
 class Lattice:
-    """The finest grid that refinement may reach; a cell of the study's own grid is 2^halvings of its cells wide."""
+    """The finest grid that refinement may reach; a cell of the study's own grid is 2^`halvings` lattice cells wide."""
 
     axes: tuple[Axis, ...]
     values: tuple[np.ndarray, ...]  # along each axis
@@ -38,17 +38,25 @@ class Lattice:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Points along each axis."""
+        """Number of lattice points along each axis."""
         return tuple(len(v) for v in self.values)
 
     def indices(self, rows: pd.DataFrame) -> tuple[np.ndarray, ...]:
-        """Index of every row along each axis."""
+        """Return the index (rows,) of every row's point along each axis."""
         columns = [rows[a.column].to_numpy(dtype=float) for a in self.axes]
         return tuple(np.searchsorted((v[1:] + v[:-1]) / 2, c) for v, c in zip(self.values, columns, strict=True))
 
 
 def make_lattice(study: Study) -> Lattice:
-    """The finest grid of a study that is refined. Raises `InputError` where it cannot be."""
+    """Return the finest grid that a refined study may reach.
+
+    Args:
+        study: A study with `resolution` or `budget`.
+
+    Raises:
+        InputError: The study is not a full grid of numeric axes, draws cannot be added to its design, noise lacks a
+            budget, or the lattice has too many points.
+    """
     listed = [a for a in study.axes if a.values is not None]
     axes = tuple(a for a in listed if not any(isinstance(v, str) for v in a.values or ()))
     if study.points or study.where or study.design.grid != "full" or any(a.along for a in listed):
@@ -71,7 +79,15 @@ def make_lattice(study: Study) -> Lattice:
 
 
 def check(study: Study, first_grid: pd.DataFrame) -> None:
-    """Raise `InputError` where a study whose first grid takes the rollouts `first` cannot be refined."""
+    """Check that a study can be refined.
+
+    Args:
+        study: The study.
+        first_grid: Rollouts of its own grid, a row each.
+
+    Raises:
+        InputError: See `make_lattice`; or the budget is smaller than the first grid.
+    """
     make_lattice(study)
     if 0 < study.budget < len(first_grid):
         raise InputError(
@@ -80,7 +96,15 @@ def check(study: Study, first_grid: pd.DataFrame) -> None:
 
 
 def iter_panels(study: Study, rows: pd.DataFrame) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
-    """Each combination of the listed names, by axis name, and its rows: they are refined apart."""
+    """Split rows by the categorical axes; each combination of their levels is a panel, refined on its own.
+
+    Args:
+        study: The study.
+        rows: Finished rows; may be empty.
+
+    Yields:
+        The levels of one panel by axis name, and its rows.
+    """
     named = [a for a in study.axes if a.values is not None and any(isinstance(v, str) for v in a.values)]
     for names in itertools.product(*(a.values or () for a in named)):
         part = rows
@@ -90,9 +114,18 @@ def iter_panels(study: Study, rows: pd.DataFrame) -> Iterator[tuple[dict[str, st
 
 
 def iter_jobs(exp: Experiment, folder: Path, first_grid: pd.DataFrame) -> Iterator[Job]:
-    """Jobs to be run one after the other: what an earlier run left, the `first` grid, then what their rows ask for.
+    """Yield the jobs of a refinement; run each job before asking for the next.
 
-    All have batches of one width, so that the engine compiles once.
+    First come points that an earlier run left and the study's own grid, then the points that finished rows call for.
+    All batches have one width, so that the engine compiles once.
+
+    Args:
+        exp: Experiment of the study.
+        folder: Its folder, whose finished rows decide what comes next.
+        first_grid: Rollouts of the study's own grid, a row each.
+
+    Yields:
+        The next job, until refinement is done.
     """
     wanted = first_grid
     if len(planned := store.read_points(folder)):
@@ -105,28 +138,41 @@ def iter_jobs(exp: Experiment, folder: Path, first_grid: pd.DataFrame) -> Iterat
 
 
 def next_points(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
-    """The rollouts to run next, after those in `rows`; none where refinement is done. Raises `InputError`."""
+    """Return the rollouts to simulate after those in `rows`.
+
+    Args:
+        exp: Experiment of the study.
+        rows: Finished rows.
+
+    Returns:
+        A row for each new rollout; empty where refinement is done or the budget is spent.
+
+    Raises:
+        InputError: See `make_lattice`.
+    """
     study, grid = exp.study, make_lattice(exp.study)
     first = max(study.design.num * study.design.scrambles, 1) * study.replicates
     tables = []
     room = study.budget - len(rows) if study.budget else math.inf
     for names, part in iter_panels(study, rows):
-        counts = _counts(grid, part)
+        counts = _count_rollouts(grid, part)
         more = np.where(select_lattice_points(study, grid, counts) & (counts.total == 0), first, 0)
         if study.noisy and not more.any():
-            asked = _undecided(study, counts) & (counts.total > 0)
+            asked = _undecided_points(study, counts) & (counts.total > 0)
             more = np.where(asked, np.maximum(counts.total // 2, first), 0)
-        order = np.argsort(counts.total, axis=None, kind="stable")  # what is known least of comes first
+        order = np.argsort(counts.total, axis=None, kind="stable")  # points with the fewest rollouts come first
         before = np.cumsum(more.ravel()[order]) - more.ravel()[order]
         more.ravel()[order] = np.clip(room - before, 0, more.ravel()[order])
         room -= more.sum()
         if more.any():
-            tables.append(_rows(exp, grid, names, counts.total + more, more > 0))
+            tables.append(_point_rollouts(exp, grid, names, counts.total + more, more > 0))
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
-def _rows(exp: Experiment, grid: Lattice, names: dict[str, str], upto: np.ndarray, asked: np.ndarray) -> pd.DataFrame:
-    """The rollouts of the points `asked` for, to a number of `upto` at each."""
+def _point_rollouts(
+    exp: Experiment, grid: Lattice, names: dict[str, str], upto: np.ndarray, asked: np.ndarray
+) -> pd.DataFrame:
+    """Return rollouts for the points in the mask `asked`, up to a number of `upto` at each."""
     study, most = exp.study, int(upto[asked].max())
     if study.design.num:
         draws = -(-most // (study.replicates * study.design.scrambles))
@@ -141,14 +187,14 @@ def _rows(exp: Experiment, grid: Lattice, names: dict[str, str], upto: np.ndarra
 
 @dataclass(frozen=True)
 class Counts:
-    """Rollouts at every lattice point."""
+    """Number of rollouts at every lattice point."""
 
     total: np.ndarray
     valid: np.ndarray
     success: np.ndarray
 
 
-def _counts(grid: Lattice, rows: pd.DataFrame) -> Counts:
+def _count_rollouts(grid: Lattice, rows: pd.DataFrame) -> Counts:
     arrays = [np.zeros(grid.shape, dtype=np.int64) for _ in range(3)]
     if len(rows):
         at, outcome = grid.indices(rows), rows["outcome"].to_numpy()
@@ -157,21 +203,39 @@ def _counts(grid: Lattice, rows: pd.DataFrame) -> Counts:
     return Counts(*arrays)
 
 
-def _undecided(study: Study, counts: Counts) -> np.ndarray:
-    """Points whose interval holds the level; those without a valid rollout are given up."""
+def _undecided_points(study: Study, counts: Counts) -> np.ndarray:
+    """Mask of the points whose interval contains the level; points with invalid rollouts only are given up."""
     low, high = confidence_sequence(counts.success, counts.valid)
     return (low <= study.level) & (study.level <= high) & (counts.valid > 0)
 
 
 def label_points(study: Study, counts: Counts) -> np.ndarray:
-    """What is known of every lattice point."""
+    """Label every lattice point.
+
+    Args:
+        study: The study, with its `level`.
+        counts: Rollouts at every lattice point.
+
+    Returns:
+        SUCCEEDS where the rate of success is at least the level, else FAILS; INVALID where all rollouts are invalid,
+        MISSING where none was simulated.
+    """
     share = counts.success / np.maximum(counts.valid, 1)
     known = np.where(share >= study.level, SUCCEEDS, FAILS)
     return np.where(counts.total == 0, MISSING, np.where(counts.valid == 0, INVALID, known))
 
 
 def select_lattice_points(study: Study, grid: Lattice, counts: Counts) -> np.ndarray:
-    """Lattice points (bool) that bisection, and after it the audit, wants to know; some may still be missing."""
+    """Select the lattice points that bisection needs, and once these are simulated, those of the audit.
+
+    Args:
+        study: The study.
+        grid: Its lattice.
+        counts: Rollouts at every lattice point.
+
+    Returns:
+        Mask of the lattice, simulated points included.
+    """
     label = label_points(study, counts)
     wanted = bisect_cells(label, grid.halvings)
     if not study.audit or (wanted & (label == MISSING)).any():
@@ -180,7 +244,15 @@ def select_lattice_points(study: Study, grid: Lattice, counts: Counts) -> np.nda
 
 
 def expand_audit_points(study: Study, wanted: np.ndarray) -> np.ndarray:
-    """`study.audit` random lattice points among those that bisection left out."""
+    """Draw `study.audit` random lattice points among those that bisection left out.
+
+    Args:
+        study: The study.
+        wanted: Mask of the points that bisection needs.
+
+    Returns:
+        Mask of the drawn points.
+    """
     order = np.random.default_rng([study.seed, 1]).permutation(wanted.size)
     chosen = np.zeros(wanted.size, dtype=bool)
     chosen[order[~wanted.ravel()[order]][: study.audit]] = True
@@ -188,10 +260,17 @@ def expand_audit_points(study: Study, wanted: np.ndarray) -> np.ndarray:
 
 
 def bisect_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
-    """Points (bool) wanted by halving cells that disagree, as far as the labels of wanted points are there.
+    """Select lattice points by halving cells that disagree, as far as labels are there.
 
-    A cell disagrees where both a success and a failure are known in it or on its border, so that a boundary which
-    leaves a halved cell through a side is followed into the next one.
+    A cell disagrees where both a success and a failure lie in it or on its border. So a boundary that leaves a halved
+    cell through a side is followed into the next cell.
+
+    Args:
+        labels: Label of every lattice point, see `label_points`.
+        halvings: How often a cell of the study's own grid may be halved.
+
+    Returns:
+        Mask of the points that bisection needs so far, labelled or still MISSING.
     """
     wanted = np.zeros(labels.shape, dtype=bool)
     wanted[(slice(None, None, 2**halvings),) * labels.ndim] = True
@@ -199,7 +278,7 @@ def bisect_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
         grown = wanted.copy()
         seen = np.where(wanted, labels, MISSING)
         for size in (2**k for k in range(halvings, 0, -1)):
-            cells = np.argwhere(_disagree(seen, size)) * size
+            cells = np.argwhere(_disagreeing_cells(seen, size)) * size
             for offset in itertools.product((0, size // 2, size), repeat=labels.ndim):
                 grown[tuple((cells + offset).T)] = True
         if (grown == wanted).all():
@@ -208,41 +287,54 @@ def bisect_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
     return wanted
 
 
-def _disagree(seen: np.ndarray, size: int) -> np.ndarray:
-    inside = _windows(seen, size)
+def _disagreeing_cells(seen: np.ndarray, size: int) -> np.ndarray:
+    inside = _cell_windows(seen, size)
     axes = tuple(range(seen.ndim, 2 * seen.ndim))
     return (inside == FAILS).any(axis=axes) & (inside == SUCCEEDS).any(axis=axes)
 
 
-def _windows(array: np.ndarray, size: int) -> np.ndarray:
-    """The points in and on the border of every cell of `size`: (cells along each axis ..., size + 1, ...)."""
+def _cell_windows(array: np.ndarray, size: int) -> np.ndarray:
+    """Points in and on the border of every cell of `size`: (cells along each axis ..., size + 1, ...)."""
     windows = np.lib.stride_tricks.sliding_window_view(array, (size + 1,) * array.ndim)
     return windows[(slice(None, None, size),) * array.ndim]
 
 
 def leaf_cells(labels: np.ndarray, halvings: int) -> tuple[np.ndarray, ...]:
-    """Lower corners (cells, d) of the cells that bisection ends with, of those 1, 2, 4, ... lattice cells wide.
+    """Return the cells at which bisection ends.
 
-    `seen` has the labels of the points that bisection wanted.
+    Args:
+        labels: Labels of the lattice points that bisection needed; MISSING elsewhere.
+        halvings: How often a cell of the study's own grid may be halved.
+
+    Returns:
+        Lower corners (cells, d), as lattice indices, of the cells that are 1, 2, 4, ... lattice cells wide.
     """
     whole = np.ones([(n - 1) // 2**halvings for n in labels.shape], dtype=bool)
-    found = []
+    corners = []
     for size in (2**k for k in range(halvings, 0, -1)):
-        halved = whole & _disagree(labels, size)
-        found.append(np.argwhere(whole & ~halved) * size)
+        halved = whole & _disagreeing_cells(labels, size)
+        corners.append(np.argwhere(whole & ~halved) * size)
         whole = np.kron(halved, np.ones((2,) * labels.ndim, dtype=bool))
-    return (np.argwhere(whole), *reversed(found))
+    return (np.argwhere(whole), *reversed(corners))
 
 
 def fill_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
-    """Labels of all lattice points: a cell whose corners are known and which does not disagree is all alike."""
+    """Fill in the labels of lattice points within cells whose corners agree and in which nothing disagrees.
+
+    Args:
+        labels: Label of every lattice point.
+        halvings: How often a cell of the study's own grid may be halved.
+
+    Returns:
+        Labels with those that could be filled in; MISSING where no cell tells.
+    """
     guess = labels.copy()
     for size in (2**k for k in range(1, halvings + 1)):
-        inside = _windows(labels, size)
+        inside = _cell_windows(labels, size)
         corners = inside[(..., *(slice(None, None, size),) * labels.ndim)]
         axes = tuple(range(labels.ndim, 2 * labels.ndim))
         alike = (corners.min(axis=axes) == corners.max(axis=axes)) & (corners.min(axis=axes) >= FAILS)
-        alike &= ~_disagree(labels, size)
+        alike &= ~_disagreeing_cells(labels, size)
         for cell in np.argwhere(alike):
             block = guess[tuple(slice(i * size, (i + 1) * size + 1) for i in cell)]
             block[block == MISSING] = labels[tuple(cell * size)]
@@ -251,26 +343,26 @@ def fill_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RefinedPanel:
-    """What refinement found in one panel."""
+    """Result of refinement in one panel: the labelled lattice, its cells, and how well filled-in labels hold."""
 
-    names: dict[str, str]
+    names: dict[str, str]  # level of each categorical axis, by axis name
     grid: Lattice
-    labels: np.ndarray  # of every lattice point, known or filled in; MISSING where neither
-    known: np.ndarray  # bool
-    cells: tuple[np.ndarray, ...]  # see `leaves`
-    rate: Rate  # of the rollouts
-    audited: int
-    missed: int  # audited points whose label is not what was filled in
-    undecided: int  # points whose interval still holds the level
+    labels: np.ndarray  # of every lattice point, simulated or filled in; MISSING where neither
+    known: np.ndarray  # mask of the simulated points
+    cells: tuple[np.ndarray, ...]  # see `leaf_cells`
+    rate: Rate  # of success, over the rollouts
+    audited: int  # number of points simulated to check the label that was filled in
+    missed: int  # number of audited points with another label than the one filled in
+    undecided: int  # number of points whose interval still contains the level
 
     @property
     def rollouts(self) -> int:
-        """How many rollouts were run."""
+        """Number of simulated rollouts."""
         return self.rate.total
 
     @property
     def missed_share_upper(self) -> float:
-        """Upper end of the exact 95 % interval of the share of points that are filled in wrongly."""
+        """Upper end of the exact 95 % interval of the share of points with a wrong filled-in label."""
         return float(clopper_pearson(self.missed, self.audited).high)
 
     def __str__(self) -> str:
@@ -290,29 +382,37 @@ class RefinedPanel:
 
 
 def summarize_panels(exp: Experiment, rows: pd.DataFrame) -> list[RefinedPanel]:
-    """What is known after refinement, panel by panel."""
-    found, grid = [], make_lattice(exp.study)
+    """Summarize a refined study, panel by panel.
+
+    Args:
+        exp: Experiment of the study.
+        rows: Finished rows.
+
+    Returns:
+        One summary for each combination of levels of the categorical axes, in the order of `iter_panels`.
+    """
+    summaries, grid = [], make_lattice(exp.study)
     for names, part in iter_panels(exp.study, rows):
-        counts = _counts(grid, part)
+        counts = _count_rollouts(grid, part)
         label = label_points(exp.study, counts)
         wanted = bisect_cells(label, grid.halvings)
         seen = np.where(wanted, label, MISSING)
-        promised, cells = fill_cells(seen, grid.halvings), leaf_cells(seen, grid.halvings)
-        audit = expand_audit_points(exp.study, wanted) & (label >= FAILS) & (promised >= FAILS)
-        missed = int((label != promised)[audit].sum())
-        undecided = int(_undecided(exp.study, counts).sum()) if exp.study.noisy else 0
+        filled, cells = fill_cells(seen, grid.halvings), leaf_cells(seen, grid.halvings)
+        audit = expand_audit_points(exp.study, wanted) & (label >= FAILS) & (filled >= FAILS)
+        missed = int((label != filled)[audit].sum())
+        undecided = int(_undecided_points(exp.study, counts).sum()) if exp.study.noisy else 0
         known = counts.total > 0
-        whole = np.where(known, label, promised)
-        run = rate(part["outcome"])
-        found.append(RefinedPanel(names, grid, whole, known, cells, run, int(audit.sum()), missed, undecided))
-    return found
+        merged = np.where(known, label, filled)
+        success = rate(part["outcome"])
+        summaries.append(RefinedPanel(names, grid, merged, known, cells, success, int(audit.sum()), missed, undecided))
+    return summaries
 
 
 def total_effects(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
-    """How much each listed parameter decides about success over the whole of a refined map.
+    """Compute how much each listed parameter decides about success over the whole of a refined map.
 
-    Its rows were placed at the boundary, so that their own distributions say where they were placed; the map's cells
-    are even. A lattice point that is not known counts half.
+    The rows themselves would mislead, as most of them lie next to the boundary; the lattice is even. A lattice point
+    without a label counts half.
 
     Args:
         exp: The experiment of a study with `resolution`.
@@ -322,21 +422,27 @@ def total_effects(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
         A row for each listed axis, a number or a name: `axis`, and `total`, its total Sobol index; the largest first.
         Empty where nothing varies.
     """
-    found, study = summarize_panels(exp, rows), exp.study
+    summaries, study = summarize_panels(exp, rows), exp.study
     named = [a for a in study.axes if a.values is not None and any(isinstance(v, str) for v in a.values)]
     names = [len(a.values or ()) for a in named]
-    value = np.stack([np.where(one.labels < FAILS, 0.5, one.labels == SUCCEEDS) for one in found])
+    value = np.stack([np.where(one.labels < FAILS, 0.5, one.labels == SUCCEEDS) for one in summaries])
     weights = [np.ones(n) for n in names]
-    weights += [np.diff(np.concatenate([v[:1], (v[1:] + v[:-1]) / 2, v[-1:]])) for v in found[0].grid.values]
+    weights += [np.diff(np.concatenate([v[:1], (v[1:] + v[:-1]) / 2, v[-1:]])) for v in summaries[0].grid.values]
     total = sensitivity.total_effects(value.reshape(*names, *value.shape[1:]), weights)
-    table = pd.DataFrame({"axis": [a.column for a in (*named, *found[0].grid.axes)], "total": total})
+    table = pd.DataFrame({"axis": [a.column for a in (*named, *summaries[0].grid.axes)], "total": total})
     return table.dropna().sort_values("total", ascending=False, ignore_index=True)
 
 
 def paint_cells(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
-    """`rows` with `known` set, and a row without it for every lattice point that its cell promises.
+    """Add a row for every lattice point whose label was filled in, so that a map has no holes.
 
-    A failure that was filled in has the cause of the nearest one that was run.
+    Args:
+        exp: Experiment of the study.
+        rows: Finished rows.
+
+    Returns:
+        `rows` with `known` set to True, then the filled-in points: axes, `outcome`, `cause`, and `known` False. A
+        filled-in failure has the cause of the nearest simulated failure.
     """
     from scipy.ndimage import distance_transform_edt
 

@@ -1,4 +1,4 @@
-"""Is a folder what it was when it was written? What is not is named, and mended where the rest of it tells how."""
+"""Check a folder against its manifest and its plan, and repair it as far as the rest of it tells how."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -15,14 +15,19 @@ from sweep.runs import manifest, store
 from sweep.runs.manifest import Entry
 from sweep.runs.plan_check import plan_differences
 
-SMALL, LARGE = 4096, 32768  # rows: parts with fewer are put together into parts with at most so many
-FEW = 8  # parts are not worth it
+SMALL, LARGE = 4096, 32768  # rows: smaller parts than SMALL are merged, into parts of at most LARGE
+FEW = 8  # least number of parts that are merged
 
 
 def verify(folder: Path) -> tuple[list[str], list[str], int]:
-    """What is damaged or missing in `folder`, what is there and does not count, and how many parts are sound.
+    """Check every file of a study's folder; changes nothing.
 
-    Raises `InputError` where `folder` is not a study's.
+    Returns:
+        A line for each damaged or missing file, a line for each file that is not listed and thus ignored, and the count
+        of sound parts.
+
+    Raises:
+        InputError: `folder` is not a study's.
     """
     entries, damaged = manifest.parse(folder)
     problems = [f"{folder / manifest.MANIFEST} is damaged in line {number}" for number in damaged]
@@ -32,49 +37,64 @@ def verify(folder: Path) -> tuple[list[str], list[str], int]:
         if not path_in(folder, store.PARTS).is_dir():
             raise
         problems.append(str(error))
-    planned = _planned(folder, entries)
+    planned = _read_sound_plan(folder, entries)
     if planned is None:
         problems.append(f"{folder / store.POINTS} is lost or damaged")
-    parts = {folder / entry.file: _problem(folder, entry, planned) for entry in entries if entry.batches}
-    others = {folder / entry.file: _problem(folder, entry) for entry in entries if _is_beside(entry)}
-    problems += [f"{path} is damaged ({problem})" for path, problem in {**parts, **others}.items() if problem]
+    parts = {folder / entry.file: _find_problem(folder, entry, planned) for entry in entries if entry.batches}
+    recordings = {folder / entry.file: _find_problem(folder, entry) for entry in entries if _is_recording(entry)}
+    problems += [f"{path} is damaged ({problem})" for path, problem in {**parts, **recordings}.items() if problem]
     sound = list(parts.values()).count(None)
-    strangers = [f"{path} is not in {manifest.MANIFEST}: ignored" for path in _unlisted(folder, entries)]
-    return problems, strangers, sound
+    unlisted = [f"{path} is not in {manifest.MANIFEST}: ignored" for path in _unlisted_files(folder, entries)]
+    return problems, unlisted, sound
 
 
 def repair_files(folder: Path, study: str, labels: str) -> list[str]:
-    """Drop what is damaged from the manifest, list sound parts that it lacks, and rebuild a lost plan; a line for each.
+    """Repair a folder: drop damaged files from the manifest, list sound parts that it lacks, rebuild a lost plan.
 
-    Only parts of the study and the labels with these digests count. Called by who holds the lock. Raises `Fault`.
+    The caller holds the folder's lock.
+
+    Args:
+        folder: Folder of the study.
+        study: Digest of the study; parts of another study are ignored.
+        labels: Digest of the thresholds; parts judged by others are removed.
+
+    Returns:
+        A line for each repair.
+
+    Raises:
+        Fault: The disk refuses a write.
     """
     entries, damaged = manifest.parse(folder)
     lines = [f"{folder / manifest.MANIFEST} is damaged in line {number}: rebuilt" for number in damaged]
     kept = [entry for entry in entries if entry.file == store.POINTS]
-    left = [entry for entry in entries if entry.batches and entry.labels != labels]  # by a relabelling that was killed
-    planned = _planned(folder, entries)
-    for entry in (*manifest.select_current_parts(entries, labels), *filter(_is_beside, entries)):
-        if problem := _problem(folder, entry, planned):
+    # parts of a killed `relabel`, then damaged files; deleted below
+    dropped = [entry for entry in entries if entry.batches and entry.labels != labels]
+    planned = _read_sound_plan(folder, entries)
+    for entry in (*manifest.select_current_parts(entries, labels), *filter(_is_recording, entries)):
+        if problem := _find_problem(folder, entry, planned):
             remedy = "its rollouts are simulated again" if entry.batches else "`sweep replay` shows its rollouts again"
             lines.append(f"{folder / entry.file} is damaged ({problem}): {remedy}")
-            left.append(entry)
+            dropped.append(entry)
         else:
             kept.append(entry)
-    planned, lost = _planned(folder, kept), bool(damaged) or not entries
-    for path in _unlisted(folder, entries):
-        found = _own(folder, path)
-        found = found if found and found.study == study else None
-        beside = found and _is_beside(found)
-        if found and (lost if beside else found.labels == labels and _fits(folder, found, kept, planned)):
-            kept.append(found)
+    planned, has_lost_lines = _read_sound_plan(folder, kept), bool(damaged) or not entries
+    for path in _unlisted_files(folder, entries):
+        entry = _entry_from_metadata(folder, path)
+        entry = entry if entry and entry.study == study else None
+        if entry and (
+            has_lost_lines
+            if _is_recording(entry)
+            else entry.labels == labels and _belongs(folder, entry, kept, planned)
+        ):
+            kept.append(entry)
             lines.append(f"{path} was not in {manifest.MANIFEST}: listed")
-        elif found and set(found.batches) <= {b for entry in kept for b in entry.batches}:
-            path.unlink()  # its rows are in another part: a worker or a merger was too late
+        elif entry and set(entry.batches) <= {b for listed in kept for b in listed.batches}:
+            path.unlink()  # its rows are in another part: a worker or a merge came too late
         else:
             lines.append(f"{path} is not of this study as it is: ignored")
     if damaged or kept != entries:
         manifest.rewrite(folder, kept)
-    for entry in left:
+    for entry in dropped:
         path_in(folder, entry.file).unlink(missing_ok=True)
     parts = [entry for entry in kept if entry.batches]
     if planned is None and (parts or path_in(folder, store.POINTS).exists()):
@@ -86,22 +106,22 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
 
 
 def rebuild_plan(folder: Path, parts: Sequence[Entry]) -> pd.DataFrame:
-    """The planned rows that `parts` hold."""
+    """Return the planned points of `parts`, from the leading columns of their rows."""
     rows = pd.concat([store.read_part(folder, entry) for entry in parts], ignore_index=True)
     return rows[list(rows.columns[: rows.columns.get_loc("run_id")])]
 
 
-def _planned(folder: Path, listed: Sequence[Entry]) -> pd.DataFrame | None:
-    """The plan, if it is sound and has all that is listed."""
+def _read_sound_plan(folder: Path, listed: Sequence[Entry]) -> pd.DataFrame | None:
+    """Return the plan, or None where it is damaged or lacks batches of the listed parts."""
     path = path_in(folder, store.POINTS)
-    if not path.exists() or not any(e.file == store.POINTS and not _problem(folder, e) for e in listed):
+    if not path.exists() or not any(e.file == store.POINTS and not _find_problem(folder, e) for e in listed):
         return None
     planned = store.parse_parquet(path, store.read_buffer(path)).to_pandas()
     return planned if {b for e in listed for b in e.batches} <= set(planned["batch"]) else None
 
 
-def _problem(folder: Path, entry: Entry, planned: pd.DataFrame | None = None) -> str | None:
-    """What is wrong with a listed file; the rows of a part are compared with those `planned`, if these are known."""
+def _find_problem(folder: Path, entry: Entry, planned: pd.DataFrame | None = None) -> str | None:
+    """Describe what is wrong with a listed file, or return None; with a plan, its rows are compared too."""
     path = path_in(folder, entry.file)
     try:
         content = store.read_buffer(path)
@@ -116,7 +136,7 @@ def _problem(folder: Path, entry: Entry, planned: pd.DataFrame | None = None) ->
     return "; ".join(plan_differences(planned, rows, entry.batches)) or None
 
 
-def _unlisted(folder: Path, entries: Sequence[Entry]) -> Iterator[Path]:
+def _unlisted_files(folder: Path, entries: Sequence[Entry]) -> Iterator[Path]:
     listed = {entry.file for entry in entries}
     for place in store.SUBFOLDERS:
         for path in sorted(path_in(folder, place).glob("*")):
@@ -124,12 +144,12 @@ def _unlisted(folder: Path, entries: Sequence[Entry]) -> Iterator[Path]:
                 yield path
 
 
-def _is_beside(entry: Entry) -> bool:
+def _is_recording(entry: Entry) -> bool:
     return not entry.batches and entry.file != store.POINTS
 
 
-def _own(folder: Path, path: Path) -> Entry | None:
-    """What a part that is not listed says of itself; None where it is not one, or not as it was written."""
+def _entry_from_metadata(folder: Path, path: Path) -> Entry | None:
+    """Return the entry of a part that is not listed, from its own metadata; None where it is no part or was changed."""
     try:
         content = store.read_buffer(path_in(folder, path.relative_to(folder)))
         sha256 = files.digest(content)
@@ -144,33 +164,43 @@ def _own(folder: Path, path: Path) -> Entry | None:
     )
 
 
-def _fits(folder: Path, found: Entry, kept: Sequence[Entry], planned: pd.DataFrame | None) -> bool:
-    """Whether the rows of `found` are planned, or not known otherwise where there is no plan, and in no part yet."""
-    if set(found.batches) & {batch for entry in kept for batch in entry.batches}:
+def _belongs(folder: Path, entry: Entry, kept: Sequence[Entry], planned: pd.DataFrame | None) -> bool:
+    """Whether a part that is not listed belongs to the plan and holds no batch of a listed part.
+
+    Without a plan, none of its points may be in a listed part.
+    """
+    if set(entry.batches) & {batch for listed in kept for batch in listed.batches}:
         return False
-    rows = store.read_part(folder, found)
+    rows = store.read_part(folder, entry)
     if planned is not None:
-        here = planned[planned["batch"].isin(found.batches)].sort_values(["batch", "slot"])
-        return here["point_id"].tolist() == rows["point_id"].tolist()
-    parts = [entry for entry in kept if entry.batches]
+        points = planned[planned["batch"].isin(entry.batches)].sort_values(["batch", "slot"])
+        return points["point_id"].tolist() == rows["point_id"].tolist()
+    parts = [listed for listed in kept if listed.batches]
     return not parts or not rows["point_id"].isin(rebuild_plan(folder, parts)["point_id"]).any()
 
 
 def remove_parts(folder: Path, entries: Sequence[Entry]) -> None:
-    """Remove parts that count no longer. Raises `Fault`."""
+    """Remove parts from the manifest, then their files. Raises `Fault` if the disk refuses it."""
     manifest.rewrite(folder, [entry for entry in manifest.read(folder) if entry not in entries])
     for entry in entries:
         path_in(folder, entry.file).unlink(missing_ok=True)
 
 
 def merge_small_parts(folder: Path, planned: pd.DataFrame) -> None:
-    """Put small parts that follow each other together: ten thousand files are slow to read. Raises `Fault`.
+    """Merge small neighbouring parts, since ten thousand files are slow to read.
 
-    Killed at any moment it leaves all rows where the manifest says, and perhaps files that `mend` removes.
+    A process killed at any moment leaves all rows listed, and at most files that `repair_files` removes.
+
+    Args:
+        folder: Folder of the study.
+        planned: Its plan.
+
+    Raises:
+        Fault: The disk refuses a write.
     """
     parts = store.current_parts(folder)
     merged = {}
-    for run in _runs(parts, planned):
+    for run in _mergeable_runs(parts, planned):
         if len(run) >= FEW:
             table = pa.concat_tables([store.read_table(folder, entry) for entry in run])
             merged[run[0].file] = store.write_table(folder, table, run[0].study, run[0].labels)
@@ -179,14 +209,14 @@ def merge_small_parts(folder: Path, planned: pd.DataFrame) -> None:
         listed = manifest.read(folder)
         plan = [entry for entry in listed if entry.file == store.POINTS]
         kept = [merged.get(entry.file, entry) for entry in parts]
-        beside = filter(_is_beside, listed)
-        manifest.rewrite(folder, [*plan[-1:], *beside, *(entry for entry in kept if entry)])
+        recordings = filter(_is_recording, listed)
+        manifest.rewrite(folder, [*plan[-1:], *recordings, *(entry for entry in kept if entry)])
         for file in merged:
             path_in(folder, file).unlink(missing_ok=True)
 
 
-def _runs(parts: Sequence[Entry], planned: pd.DataFrame) -> Iterator[list[Entry]]:
-    """Small parts that follow each other in the plan, of one group and thus of the same columns, up to LARGE rows."""
+def _mergeable_runs(parts: Sequence[Entry], planned: pd.DataFrame) -> Iterator[list[Entry]]:
+    """Yield runs of small parts that are neighbours in the plan and share a group, up to LARGE rows a run."""
     batches = planned.groupby("batch")["group"].agg(["first", "size"])
     place = {batch: k for k, batch in enumerate(batches.index)}
     run: list[Entry] = []

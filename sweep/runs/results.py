@@ -1,4 +1,4 @@
-"""A study's folder as its reports see it."""
+"""Finished rows of a study's folder, as reports read them."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,36 +18,36 @@ from sweep.study.study import name_axes, parameter_columns
 
 @dataclass(frozen=True)
 class Results:
-    """Finished rows of a study, and what is known of how they came about."""
+    """Finished rows of a study with its experiment and the content of its `study.yaml`."""
 
     folder: Path
     stored: dict[str, Any]  # study.yaml
     exp: Experiment
     rows: pd.DataFrame
-    where: str | None  # the condition that chose them
-    done: int = 0  # rows of the folder
-    copies: str = ""  # a sentence about rows that are left out because they repeat others
+    where: str | None  # condition that chose the rows
+    done: int = 0  # number of finished rows in the folder
+    copies: str = ""  # sentence about rows left out because they repeat others
 
     @cached_property
     def axes(self) -> list[str]:
-        """What was varied: the columns of the study's axes, or of its table of points, with more than one value."""
+        """Columns that vary: of the study's axes, or of its table of points."""
         listed = [] if self.exp.study.points else [axis.column for axis in self.exp.study.axes]
         every = listed or parameter_columns(self.rows)
         return [c for c in every if c in self.rows and self.rows[c].nunique() > 1]
 
     @cached_property
     def numeric(self) -> list[str]:
-        """Those that are numbers."""
+        """Varied columns with numbers."""
         return [c for c in self.axes if self.rows[c].dtype.kind in "fi"]
 
     @cached_property
     def categorical(self) -> list[str]:
-        """Those that are names, such as an engine."""
+        """Varied columns with names, such as that of an engine."""
         return [c for c in self.axes if c not in self.numeric]
 
     @cached_property
     def listed_numeric(self) -> list[str]:
-        """Numbers that were listed; of a table of points all of them."""
+        """Varied columns with listed numbers, as in a grid; all numeric ones for a table of points."""
         if self.exp.study.points:
             return self.numeric
         own = [a.column for a in sensitivity.listed_axes(self.rows, self.exp)]
@@ -55,29 +55,33 @@ class Results:
 
     @property
     def one_at_a_time(self) -> bool:
-        """Whether every parameter was varied with the others at their nominal values."""
+        """Whether every parameter is varied alone, with all others at their nominal values."""
         return self.exp.study.design.grid == "one_at_a_time" and not self.exp.study.points
 
     @property
     def name(self) -> str:
-        """The name that its study has."""
+        """Name of the study."""
         return self.exp.study.name
 
     @cached_property
     def stages(self) -> list[str]:
-        """Names of the plan's stages, in its order; of several plans one after the other."""
+        """Names of the plan's stages in their order; stages of further plans follow."""
         return list(dict.fromkeys(name for names in self.stored["stages"].values() for name in names))
 
     @cached_property
     def causes_seen(self) -> dict[str, str]:
-        """Causes that occur and what they mean, in the order of their definition."""
-        found = set(self.rows["cause"].unique())
+        """Causes that occur in the rows, with their meanings, in the order of their definition."""
+        seen = set(self.rows["cause"].unique())
         meanings = self.exp.system.cause_meanings(self.exp.thresholds)
-        return {cause: words for cause, words in meanings.items() if cause in found}
+        return {cause: words for cause, words in meanings.items() if cause in seen}
 
 
 def load_experiment(folder: Path) -> Experiment:
-    """The experiment of `folder`. Raises `InputError`, which names the version of one that this one cannot read."""
+    """Return the experiment of a study's folder.
+
+    Raises:
+        InputError: The folder is not a study's, or this version cannot read its configuration.
+    """
     stored = store.read_study(folder)
     try:
         return experiment(stored["config"])
@@ -86,7 +90,17 @@ def load_experiment(folder: Path) -> Experiment:
 
 
 def read(folder: Path, where: str | None = None) -> Results:
-    """Finished rows of `folder` that match `where`, copies of noise-free ones left out. Raises `InputError`."""
+    """Read the finished rows of a study's folder.
+
+    Rollouts without noise that repeat others are left out.
+
+    Args:
+        folder: Folder of the study.
+        where: Condition on columns that chooses rows; None for all.
+
+    Raises:
+        InputError: The folder is not a study's, is damaged, or no row matches.
+    """
     stored, exp = store.read_study(folder), load_experiment(folder)
     rows = name_axes(store.read_rows(folder), exp.study.axes)
     done = len(rows)

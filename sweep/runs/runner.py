@@ -1,4 +1,4 @@
-"""From an experiment to finished rows on disk, and from a row on disk back to its rollout."""
+"""Run a study: from an experiment to finished rows in its folder, and from a row back to its rollout."""
 
 import socket
 import time
@@ -43,12 +43,12 @@ MUTABLE_KEYS = ("study.axes.", "study.design.num", "study.design.runs", "study.p
                 "study.invalid_max", "study.expect", "study.theory", "scenario.expect", "outcome", "cluster",
                 "out")  # fmt: skip
 PROGRESS_COLUMNS = ["outcome", "wall_s"]
-Progress = Callable[[pd.DataFrame], None]  # told these columns of every finished batch
+Progress = Callable[[pd.DataFrame], None]  # receives these columns of every finished batch
 
 
 @dataclass
 class RunRecord:
-    """What is known only when engines are made and batches are done."""
+    """What `study.yaml` records of a run as engines are made and batches finish."""
 
     stages: dict[int, list[str]] = field(default_factory=dict)  # of the plan, by group
     devices: list[str] = field(default_factory=list)
@@ -56,13 +56,13 @@ class RunRecord:
 
 @dataclass(frozen=True)
 class Job:
-    """A study laid out in its folder: all planned rows, and those that this run asks for."""
+    """Batches to simulate in a study's folder, with the points of all its batches."""
 
     exp: Experiment
     folder: Path
-    table: pd.DataFrame
-    wanted: set[int]  # batches
-    unplanned: int = 0  # rollouts of the study that are in neither
+    table: pd.DataFrame  # all points of the folder, with group, batch, slot and width
+    wanted: set[int]  # numbers of the batches that this run asks for
+    unplanned: int = 0  # number of the study's points that have no batch
 
     @cached_property
     def study(self) -> str:
@@ -71,20 +71,20 @@ class Job:
 
     @cached_property
     def labels(self) -> str:
-        """Digest of how the rows are judged."""
+        """Digest of the thresholds that judge the rows."""
         return labels_id(self.exp.values)
 
     def missing(self) -> list[int]:
-        """Batches that are asked for and not on disk."""
+        """Return the numbers of wanted batches that are not on disk."""
         return sorted(self.wanted - store.finished_batches(self.folder))
 
     @cached_property
     def _places(self) -> dict[int, np.ndarray]:
-        """Where each batch is in the table, which would else be gone through for each of them."""
+        """Positions of each batch's rows in the table, found once for all batches."""
         return self.table.groupby("batch").indices  # pyright: ignore[reportReturnType]
 
     def rows(self, batches: list[int]) -> pd.DataFrame:
-        """Planned rows of `batches`, in the table's order."""
+        """Return the points of `batches`, in the table's order."""
         places = [self._places[number] for number in batches]
         return self.table.take(np.sort(np.concatenate([np.zeros(0, dtype=int), *places])))
 
@@ -92,7 +92,20 @@ class Job:
 def select_points(
     exp: Experiment, where: str | None = None, limit: int | None = None, say: Logger | None = None
 ) -> pd.DataFrame:
-    """The study's points that match `where`, at most `limit` of them. Raises `InputError` where none is left."""
+    """Return the points of a study that a run should simulate.
+
+    Args:
+        exp: Experiment of the study.
+        where: Condition on axes and parameters that chooses points; None for all.
+        limit: Largest number of points; None for all.
+        say: Receives a line where points are left out because they equal others.
+
+    Returns:
+        A row for each rollout.
+
+    Raises:
+        InputError: No point matches, or the study's axes are not allowed.
+    """
     table = points(exp.study, exp.system, exp.settings, say=say)
     table = table[mask(name_axes(table, exp.study.axes), where)].iloc[:limit]
     if table.empty:
@@ -101,9 +114,15 @@ def select_points(
 
 
 def count_unplanned(exp: Experiment, table: pd.DataFrame, wanted: pd.DataFrame) -> int:
-    """How many of the study's points `table` leaves out, as after `--limit`; 0 where they are not known beforehand.
+    """Count the study's points that have no batch, as after `--limit`.
 
-    None are, without a look at each of a million points, where all that the study can have are `wanted`.
+    Args:
+        exp: Experiment of the study.
+        table: Points that have a batch.
+        wanted: Points of this run.
+
+    Returns:
+        The count; 0 where rounds decide the points, or their file is gone.
     """
     if exp.study.is_sequential or (exp.study.points and not Path(exp.study.points).is_file()):
         return 0
@@ -113,7 +132,19 @@ def count_unplanned(exp: Experiment, table: pd.DataFrame, wanted: pd.DataFrame) 
 
 
 def prepare_job(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
-    """Plan `wanted` in `folder`, keeping what is planned there. Writes nothing. Raises `InputError`."""
+    """Assign the wanted points to batches in a study's folder; batches that it has keep their points. Writes nothing.
+
+    Args:
+        exp: Experiment of the study.
+        folder: Its folder; may be missing or empty.
+        wanted: Points to simulate, a row for each rollout.
+
+    Returns:
+        A job whose wanted batches are those with a wanted point.
+
+    Raises:
+        InputError: The folder holds another study, or too many time histories would be kept.
+    """
     planned = store.read_points(folder)
     if len(planned):
         refuse_other_study(store.read_study(folder), exp, folder)
@@ -129,9 +160,17 @@ def prepare_job(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
 
 
 def repair_folder(exp: Experiment, folder: Path) -> list[str]:
-    """Make `folder`, which is locked, whole again, as far as `exp` and what is left of it tell; a line for each repair.
+    """Repair a study's folder before a run, as far as the experiment and its files tell how.
 
-    Raises `InputError` where it holds another study.
+    Args:
+        exp: Experiment that is to run in the folder.
+        folder: The folder, locked by the caller.
+
+    Returns:
+        A line for each repair.
+
+    Raises:
+        InputError: The folder holds another study.
     """
     study, labels, stored = study_id(exp.values), labels_id(exp.values), None
     entries, _ = manifest.parse(folder)
@@ -149,25 +188,35 @@ def repair_folder(exp: Experiment, folder: Path) -> list[str]:
     lines = repair.repair_files(folder, study, labels)
     planned = store.read_points(folder)
     if stored is None and len(planned):
-        job, found = Job(with_delay_buffer(exp, planned), folder, planned, set()), RunRecord()
+        job, record = Job(with_delay_buffer(exp, planned), folder, planned, set()), RunRecord()
         for group, rows in planned.groupby("group"):
             start = make_nominal_batch(job.exp, rows, int(rows["width"].iloc[0]))
-            found.stages[int(group)] = list(make_engine(job.exp, start).stages)  # pyright: ignore[reportArgumentType]
-        write_description(job, found)
+            record.stages[int(group)] = list(make_engine(job.exp, start).stages)  # pyright: ignore[reportArgumentType]
+        write_description(job, record)
         lines.append(f"{folder / store.STUDY} was lost or damaged: written anew")
     return lines
 
 
 def refuse_other_study(stored: Mapping[str, Any], exp: Experiment, folder: Path) -> None:
-    """Raise `InputError` where a folder holds rows that would not belong with those of `exp`."""
+    """Check that new rows would belong with those in a folder.
+
+    Args:
+        stored: Content of the folder's `study.yaml`.
+        exp: Experiment that is to run in the folder.
+        folder: The folder, for the message.
+
+    Raises:
+        InputError: Settings that all rows share, or the version of the code, differ.
+    """
     there, here = immutable_settings(stored["config"]), immutable_settings(exp.values)
-    newer = stored["code"] != provenance.code_version()  # which may have parameters that the other does not
-    for key in sorted({*there} & {*here} if newer else {*there, *here}):
+    is_other_version = stored["code"] != provenance.code_version()
+    # another version may have other parameters, so only common keys are compared
+    for key in sorted({*there} & {*here} if is_other_version else {*there, *here}):
         if there.get(key) != here.get(key):
             raise InputError(
                 f"{folder} holds another study: {key} is {there.get(key)} there and {here.get(key)} here; give out=DIR"
             )
-    if newer:
+    if is_other_version:
         raise InputError(
             f"{folder} was simulated by another version of the code or of its libraries "
             f"({stored['commit'] or stored['code']}): remove it or give out=DIR"
@@ -175,7 +224,14 @@ def refuse_other_study(stored: Mapping[str, Any], exp: Experiment, folder: Path)
 
 
 def describe_changed_axes(exp: Experiment, folder: Path) -> list[str]:
-    """A line for each axis whose listed values were others in `folder`, which is to hold the points of both."""
+    """Return a note for each axis whose listed values differ between a folder and the study that is to run in it.
+
+    The folder then holds the points of both.
+
+    Args:
+        exp: Experiment that is to run in the folder.
+        folder: The folder; may be empty.
+    """
     if store.read_points(folder).empty:
         return []
     there, here = (values_by_path(v["study"]["axes"]) for v in (store.read_study(folder)["config"], exp.values))
@@ -188,66 +244,85 @@ def describe_changed_axes(exp: Experiment, folder: Path) -> list[str]:
 
 
 def immutable_settings(values: Mapping[str, Any]) -> dict[str, Any]:
-    """What may not change between runs into one folder, by dotted path."""
-    whole = values["study"]["design"]["kind"] == "latin_hypercube"  # one draw more changes all of them
+    """Return the settings, by dotted path, that may not change between runs into one folder."""
+    redraws_all = values["study"]["design"]["kind"] == "latin_hypercube"  # another number of draws changes every draw
     return {
         key: value
         for key, value in values_by_path(values).items()
         if not key.startswith(MUTABLE_KEYS)
         or ".distribution" in key
         or key.endswith(".relative")
-        or (whole and key == "study.design.num")
+        or (redraws_all and key == "study.design.num")
     }
 
 
 def study_id(values: Mapping[str, Any]) -> str:
-    """Digest of what all rows of a folder share: configuration and code."""
+    """Return the digest of what all rows of a folder share: configuration and code."""
     return store.digest([immutable_settings(values), provenance.code_version()])
 
 
 def labels_id(values: Mapping[str, Any]) -> str:
-    """Digest of how rows are judged: thresholds and code."""
+    """Return the digest of what judges rows: thresholds and code."""
     return store.digest([values["outcome"], provenance.code_version()])
 
 
 def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
-    """Simulate what is missing, here or as `dispatch` hands it out; a batch is on disk as soon as it is done.
+    """Simulate the missing batches of a job; every batch is stored when it is done.
 
-    Where a device's memory is too small, the batches that it cannot hold are planned anew at half the width; the job
-    as it ended. Raises `Fault` where disk, memory or workers fail.
+    Batches that do not fit into a device's memory are assigned anew, at half the width.
+
+    Args:
+        job: The job, from `prepare_job`.
+        progress: Receives the columns `PROGRESS_COLUMNS` of every finished batch.
+        dispatch: Maps a function over batch numbers, in this process or on workers, in the order of completion.
+
+    Returns:
+        The job with the batches as they were simulated.
+
+    Raises:
+        Fault: Disk, memory or workers fail.
     """
-    folder, exp, found = job.folder, job.exp, RunRecord()
+    folder, exp, record = job.folder, job.exp, RunRecord()
     if path_in(folder, store.STUDY).exists():
         stored = store.read_study(folder)
-        found = RunRecord(stored["stages"], stored["devices"])
+        record = RunRecord(stored["stages"], stored["devices"])
         if stored["labels"] != job.labels:
             relabel(folder, exp.values["outcome"])
-    write_description(job, found)
+    write_description(job, record)
     while missing := job.missing():
         store.write_points(folder, job.table)
-        tight: list[FinishedBatch] = []  # batches that found too little memory
+        out_of_memory: list[FinishedBatch] = []  # batches that did not fit into memory
         work = partial(simulate_on_worker, folder.resolve(), uuid4().hex, provenance.code_version())
-        for done in dispatch(work, iter_batches(job, missing, found, tight)):
+        for done in dispatch(work, iter_batches(job, missing, record, out_of_memory)):
             if done.entry is None:
-                tight.append(done)
+                out_of_memory.append(done)
                 continue
             rows = accept_part(job, done, done.entry)
-            if done.device not in found.devices:
-                found.devices.append(done.device)
-                write_description(job, found)
+            if done.device not in record.devices:
+                record.devices.append(done.device)
+                write_description(job, record)
             where = f"{done.host}, {done.device}"
             store.log(folder, f"batch {done.batch}: {len(rows)} rollouts, {rows['wall_s'].sum():.1f} s on {where}")
             progress(rows)
-        if tight:
-            job = halve_width(job, tight)
+        if out_of_memory:
+            job = halve_width(job, out_of_memory)
     repair.merge_small_parts(folder, job.table)
     return job
 
 
 def accept_part(job: Job, done: "FinishedBatch", entry: Entry) -> pd.DataFrame:
-    """What is told of the rows that a worker wrote; from now on they count.
+    """List the part that a worker wrote, so that its rows count.
 
-    Raises `Fault` where they are not those asked for.
+    Args:
+        job: The job.
+        done: What the worker reports.
+        entry: Entry of its part.
+
+    Returns:
+        The columns `PROGRESS_COLUMNS` of its rows.
+
+    Raises:
+        Fault: The part is not in this folder, or is of another study or other thresholds.
     """
     if not all(path_in(job.folder, one.file).exists() for one in (entry, *done.recordings)):
         raise Fault(f"{done.host} wrote batch {done.batch} to {job.folder.resolve()}, which is not seen here")
@@ -259,7 +334,10 @@ def accept_part(job: Job, done: "FinishedBatch", entry: Entry) -> pd.DataFrame:
 
 
 def limit_last_states(folder: Path, beside: tuple[Entry, ...]) -> list[Entry]:
-    """Those of `beside` that are to be kept: workers that do not know of each other may find too many invalid rows."""
+    """Return the recordings to keep; delete last states of invalid rows beyond the folder's limit.
+
+    Workers do not know of each other, so together they may record too many.
+    """
     last = [entry for entry in beside if entry.file.startswith(f"{store.LAST_STATES}/")]
     room = time_series.INVALID_ROWS - len(store.list_recordings(folder, store.LAST_STATES)) if last else 0
     for entry in last[room:]:
@@ -270,9 +348,15 @@ def limit_last_states(folder: Path, beside: tuple[Entry, ...]) -> list[Entry]:
 def iter_batches(
     job: Job, missing: list[int], record: RunRecord, out_of_memory: Collection["FinishedBatch"]
 ) -> Iterator[int]:
-    """`missing` batches, each group described before its first; those in the group and width of `tight` are left out.
+    """Yield the numbers of missing batches; make the engine of each group, and record it, before its first batch.
 
     An impossible plan is thus refused here, before a worker sees it.
+
+    Args:
+        job: The job.
+        missing: Numbers of the batches.
+        record: Receives the stages of each group; written to `study.yaml`.
+        out_of_memory: Batches that did not fit, which grows meanwhile; others of their group and width are skipped.
     """
     for _, rows in job.rows(missing).groupby(["group", "width"], sort=False):
         group, width = (int(rows[name].iloc[0]) for name in ("group", "width"))
@@ -288,7 +372,10 @@ def iter_batches(
 
 
 def halve_width(job: Job, out_of_memory: list["FinishedBatch"]) -> Job:
-    """`job` with the missing batches in the group and width of `tight` planned anew, at half the width."""
+    """Return the job with too wide batches assigned anew, at half the width.
+
+    These are all unfinished batches of the group and width of a batch that ran out of memory.
+    """
     crowded = job.rows([done.batch for done in out_of_memory])[["group", "width"]].drop_duplicates()
     left = job.table[~job.table["batch"].isin(store.finished_batches(job.folder))]
     batches = left.merge(crowded, on=["group", "width"])["batch"].unique().tolist()
@@ -301,40 +388,52 @@ def halve_width(job: Job, out_of_memory: list["FinishedBatch"]) -> Job:
 
 @dataclass(frozen=True)
 class FinishedBatch:
-    """What a worker tells of a batch; its rows are on disk."""
+    """What a worker reports of a batch, whose rows it has written."""
 
     batch: int
     host: str
     device: str
-    devices: int  # that share a batch
-    entry: Entry | None  # None where there was too little memory
-    recordings: tuple[Entry, ...] = ()  # histories and last states
+    devices: int  # number of devices that share a batch
+    entry: Entry | None  # of its part; None where the device's memory is too small
+    recordings: tuple[Entry, ...] = ()  # files with histories and last states
 
 
 def simulate_on_worker(folder: Path, version: str, code: str, number: int) -> FinishedBatch:
-    """Simulate one batch of the study in `folder`. `version` names its present plan.
+    """Simulate one batch of a study's folder and write its part, in a worker process.
 
-    The rows count when the command that asked for them lists them. Raises `InputError` where the worker's code is not
-    `code`, `Fault` where the part cannot be written.
+    The rows count once the command that sent the batch lists them in the manifest.
+
+    Args:
+        folder: Folder of the study.
+        version: Name of the folder's present plan, so that a worker reads it once.
+        code: Version of the code that the command runs.
+        number: Number of the batch.
+
+    Returns:
+        What was written; no entry where the device's memory is too small.
+
+    Raises:
+        InputError: The worker runs another version of the code.
+        Fault: The part cannot be written.
     """
     host = socket.gethostname()
     if (here := provenance.code_version()) != code:
         raise InputError(f"worker {host} has another version of the code or of its libraries: {here}, not {code}")
-    job = _plan_of(folder, version)
+    job = _read_job(folder, version)
     rows = job.rows([number])
     start = make_nominal_batch(job.exp, rows, int(rows["width"].iloc[0]))
     engine = make_engine(job.exp, start)
     entry, beside = None, ()
     try:
         finished, table = simulate_batch(job.exp, engine, rows)
-        # by what the rows were judged by, whatever the command believes by now
+        # labelled by the thresholds that judged the rows, even if the command has others by now
         entry = store.write_part(folder, finished, job.study, job.labels)
         beside = time_series.write(
             folder, job.study, number, table, last_states_of_invalid_rows(job, engine, rows, finished)
         )
     except MemoryError:
         pass
-    if entry is None:  # after the handler, whose error holds on to the arrays
+    if entry is None:  # outside the handler, whose exception keeps the arrays alive
         forget_engine()
     return FinishedBatch(number, host, job.exp.system.device(start.settings), engine.devices, entry, beside)
 
@@ -342,7 +441,17 @@ def simulate_on_worker(folder: Path, version: str, code: str, number: int) -> Fi
 def last_states_of_invalid_rows(
     job: Job, engine: Engine, rows: pd.DataFrame, finished: pd.DataFrame
 ) -> list[pd.DataFrame]:
-    """The last states of a batch's invalid rows, as long as the folder has few of them, listed yet or not."""
+    """Return the last states of a batch's invalid rows, as far as the folder has room for more.
+
+    Args:
+        job: The job.
+        engine: Engine of the batch, which is simulated again if it has invalid rows.
+        rows: Points of the batch.
+        finished: Its finished rows.
+
+    Returns:
+        A table for each recorded row, see `time_series.simulate_last_states`.
+    """
     if not (finished["outcome"] == INVALID).any():
         return []
     room = time_series.INVALID_ROWS - len(list(path_in(job.folder, store.LAST_STATES).glob("*.parquet")))
@@ -352,25 +461,35 @@ def last_states_of_invalid_rows(
             if room > 0
             else []
         )
-    except MemoryError:  # the rows are there all the same
+    except MemoryError:  # last states are optional; the rows are finished
         return []
 
 
 @lru_cache(maxsize=1)
-def _plan_of(folder: Path, version: str) -> Job:
+def _read_job(folder: Path, version: str) -> Job:
     table = store.read_points(folder)
     return Job(with_delay_buffer(experiment(store.read_study(folder)["config"]), table), folder, table, set())
 
 
 def write_description(job: Job, record: RunRecord) -> None:
-    """Write what the folder holds: study.yaml."""
+    """Write `study.yaml`: configuration, number of rollouts, versions, and what the run has recorded so far."""
     about = {"config": job.exp.values, "rollouts": len(job.table) + job.unplanned, "labels": job.labels}
     there = {"stages": record.stages, "devices": record.devices, **provenance.version_record()}
     store.write_study(job.folder, about | there)
 
 
 def simulate_batch(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame | None]:
-    """The finished rows of one batch: points, figures, outcome, and the wall time of a rollout (s); and histories."""
+    """Simulate the points of one batch and judge them.
+
+    Args:
+        exp: Experiment of the study.
+        engine: Engine of the batch's group.
+        rows: Points of the batch.
+
+    Returns:
+        Finished rows: points, metrics, outcome, and wall time per rollout (s); and the time histories that the study
+        keeps of them, or None.
+    """
     task, slots, samples = make_batch(exp, rows), time_series.recorded_slots(exp, rows), None
     watched = time_series.make_watch(exp, task.settings)
     start = time.perf_counter()
@@ -389,14 +508,25 @@ def simulate_batch(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple
 
 
 def prepare_single_batch(exp: Experiment) -> tuple[Experiment, pd.DataFrame]:
-    """One batch that is not stored, such as a nominal rollout. Raises `InputError` where its plan is impossible."""
+    """Assign all points of a study to batches that are not stored, as for a nominal rollout.
+
+    Returns:
+        The experiment with a batch width and delay buffers, and the points with their batch.
+
+    Raises:
+        InputError: The nominal plan is impossible.
+    """
     exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
     table = assign_batches(exp, pd.DataFrame(), select_points(exp))
     return with_delay_buffer(exp, table), table
 
 
 def run_single_batch(exp: Experiment) -> pd.DataFrame:
-    """Rows of one batch that is not stored. Raises `Fault` where the device cannot hold them."""
+    """Simulate all points of a study in one batch that is not stored; return the finished rows.
+
+    Raises:
+        Fault: The batch does not fit into the device's memory.
+    """
     exp, table = prepare_single_batch(exp)
     start = make_nominal_batch(exp, table, exp.settings.width)
     try:
@@ -406,9 +536,14 @@ def run_single_batch(exp: Experiment) -> pd.DataFrame:
 
 
 def relabel(folder: Path, outcome: Mapping[str, Any]) -> None:
-    """Derive the outcomes of all stored rows from their figures by the thresholds `outcome`, without simulating.
+    """Judge all stored rows of a folder by other thresholds, without simulating.
 
-    The new rows lie beside the old ones until study.yaml names their labels: all are judged anew, or none.
+    New parts are written beside the old ones and count once study.yaml has their digest: all rows are judged anew, or
+    none.
+
+    Args:
+        folder: Folder of the study, locked by the caller.
+        outcome: The thresholds.
     """
     stored = store.read_study(folder)
     config = {**stored["config"], "outcome": dict(outcome)}
@@ -416,9 +551,8 @@ def relabel(folder: Path, outcome: Mapping[str, Any]) -> None:
     before = store.current_parts(folder)
     if labels == stored["labels"]:
         return
-    repair.remove_parts(
-        folder, [e for e in manifest.read(folder) if e.batches and e not in before]
-    )  # of one that was killed
+    unfinished = [e for e in manifest.read(folder) if e.batches and e not in before]  # of a killed `relabel`
+    repair.remove_parts(folder, unfinished)
     for entry in before:
         rows = store.read_part(folder, entry)
         figures = {name: rows[name].to_numpy() for name in figure_columns(rows)}
@@ -429,9 +563,19 @@ def relabel(folder: Path, outcome: Mapping[str, Any]) -> None:
 
 
 def load_point(folder: Path, point: str) -> tuple[Batch, int, pd.Series]:
-    """The batch that `point` (a row number or the start of a point id) was simulated in, its slot, its row.
+    """Return the batch in which a stored row was simulated, so that it can be simulated again.
 
-    Running the same batch again on the same device gives the same bits. Raises `InputError`.
+    On the same device the same batch gives the same bits.
+
+    Args:
+        folder: Folder of the study.
+        point: Row number, or the beginning of a point id.
+
+    Returns:
+        The batch, the row's slot in it, and the row.
+
+    Raises:
+        InputError: No row, or more than one, is meant.
     """
     table = store.read_points(folder)
     row = store.find_row(store.read_rows(folder), point, folder)

@@ -1,4 +1,7 @@
-"""A study's folder: what it is, its points, its finished rows. A file appears whole or not at all, see `manifest`."""
+"""Files of a study's folder: description, points, finished rows, log. Every file is written whole or not at all.
+
+The manifest says which files count, see `manifest`.
+"""
 
 import contextlib
 import json
@@ -23,20 +26,21 @@ from sweep.runs import manifest
 from sweep.runs.manifest import PARTS, POINTS, SUBFOLDERS, Entry
 from sweep.runs.plan_check import plan_differences
 
-pa.set_memory_pool(pa.system_memory_pool())  # a million rows are read in 2 s of a processor; in 8 s by Arrow's own pool
+# reads a million rows in 2 s of CPU time; Arrow's own pool takes 8 s
+pa.set_memory_pool(pa.system_memory_pool())
 STUDY, LOG, LOCK = "study.yaml", "log.txt", ".lock"
 HISTORIES, LAST_STATES = manifest.HISTORIES, manifest.LAST_STATES
 FORMAT = 2  # of the folder
 CHECK = "# sha256 of the lines above: "
-METADATA_KEY = b"sweep"  # key of a part's own account of itself
+METADATA_KEY = b"sweep"  # of the Parquet metadata with a part's study, thresholds and batches
 
 
 class DamagedFile(InputError):
-    """A file is lost or not as it was written; `sweep run` mends it."""
+    """A file is lost or has changed since it was written; `sweep run` repairs it."""
 
 
 def refuse_foreign_folder(folder: Path) -> None:
-    """Raise `InputError` where `folder` holds other files and no results, which come with a folder of parts."""
+    """Raise `InputError` where `folder` holds files but no results."""
     try:
         names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
     except FileNotFoundError:
@@ -49,18 +53,19 @@ def refuse_foreign_folder(folder: Path) -> None:
 
 @contextlib.contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Hold `folder` for this process, making it where missing and clearing what a killed one left half-written.
+    """Lock a study's folder for this process; create it if missing and delete what a killed process left half-written.
 
-    Raises `InputError` where it cannot be written or another process has it.
+    Raises:
+        InputError: The folder cannot be written, or another process holds its lock.
     """
-    held = filelock.FileLock(path_in(folder, LOCK), timeout=0)
-    places = [path_in(folder, name) for name in SUBFOLDERS]
+    lock = filelock.FileLock(path_in(folder, LOCK), timeout=0)
+    subfolders = [path_in(folder, name) for name in SUBFOLDERS]
     try:
         path_in(folder, PARTS).mkdir(parents=True, exist_ok=True)
-        held.acquire()
-        for place in (folder, *places):
-            for left in place.glob(f"{files.HIDDEN}*"):
-                left.unlink(missing_ok=True)
+        lock.acquire()
+        for directory in (folder, *subfolders):
+            for unfinished in directory.glob(f"{files.HIDDEN}*"):
+                unfinished.unlink(missing_ok=True)
     except filelock.Timeout:
         raise InputError(f"{folder} is in use by another sweep process: wait for it, or give out=DIR") from None
     except OSError as error:
@@ -68,17 +73,22 @@ def lock_folder(folder: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        held.release()
+        lock.release()
 
 
 def write_study(folder: Path, content: Mapping[str, Any]) -> None:
-    """What the folder holds: configuration, versions, devices. Raises `Fault`."""
+    """Write `study.yaml`: configuration, versions, devices. Raises `Fault` if the disk refuses it."""
     text = yaml.safe_dump({"format": FORMAT, **content}, sort_keys=False, allow_unicode=True)
     files.write_atomically(path_in(folder, STUDY), f"{text}{CHECK}{files.digest(text.encode())}\n".encode())
 
 
 def read_study(folder: Path) -> dict[str, Any]:
-    """Content of study.yaml. Raises `InputError` where `folder` is not a study's, or one of another format."""
+    """Return the content of `study.yaml`.
+
+    Raises:
+        DamagedFile: The folder is not a study's, or the file has changed.
+        InputError: The folder has another format.
+    """
     path = path_in(folder, STUDY)
     damaged = DamagedFile(f"{path} is damaged: `sweep run` as before mends it")
     try:
@@ -86,7 +96,7 @@ def read_study(folder: Path) -> dict[str, Any]:
         if check and given != f"{files.digest(text)}\n".encode():
             raise damaged
         body = (text if check else given).decode()
-        check_yaml(body, str(path), numbers=False)  # what was dumped has none that are ambiguous
+        check_yaml(body, str(path), numbers=False)  # a dump has no ambiguous numbers
         content = yaml.load(body, project.LOADER)
     except (FileNotFoundError, NotADirectoryError):
         raise DamagedFile(f"{folder} is not a folder of results: it has no {STUDY}") from None
@@ -105,21 +115,26 @@ def read_study(folder: Path) -> dict[str, Any]:
 
 
 def digest(values: Any) -> str:
-    """Of plain values; short."""
+    """Return a digest of plain values, 16 hexadecimal digits."""
     return files.digest(json.dumps(values, sort_keys=True).encode())[:16]
 
 
 def write_points(folder: Path, points: pd.DataFrame) -> None:
-    """The plan: one row per rollout, with its group, batch and slot. Raises `Fault`."""
+    """Write the plan of a folder: all points with group, batch and slot. Raises `Fault` if the disk refuses it."""
     content = _to_parquet(pa.Table.from_pandas(points, preserve_index=False), {})
     entry = Entry(POINTS, len(content), files.digest(content))
-    if entry not in manifest.read(folder):  # any plan that was listed is sound, so that a kill in between does no harm
+    # listed before it is written: any listed plan counts as sound, so a kill in between does no harm
+    if entry not in manifest.read(folder):
         manifest.add(folder, entry)
     files.write_atomically(path_in(folder, POINTS), content)
 
 
 def read_points(folder: Path) -> pd.DataFrame:
-    """The plan, empty where nothing is planned yet. Raises `InputError`."""
+    """Return the plan of a folder: all points with group, batch and slot; empty where nothing is planned yet.
+
+    Raises:
+        DamagedFile: The file has changed since it was listed.
+    """
     path = path_in(folder, POINTS)
     if not path.exists():
         return pd.DataFrame()
@@ -133,12 +148,12 @@ def parse_parquet(path: Path, content: pa.Buffer, columns: list[str] | None = No
     """Parse the content of a Parquet file.
 
     Args:
-        path: Where it is from, for the message.
+        path: Path of the file, for the message.
         content: The bytes of the file.
         columns: Names of the columns to read; None for all.
 
     Raises:
-        InputError: It is no Parquet file, or has no such columns.
+        InputError: The content is not a Parquet file, or lacks a column.
     """
     try:
         return pq.read_table(content, columns=columns)
@@ -147,9 +162,9 @@ def parse_parquet(path: Path, content: pa.Buffer, columns: list[str] | None = No
 
 
 def read_buffer(path: Path) -> pa.Buffer:
-    """The bytes of a file, held by Arrow. Raises `OSError`.
+    """Return the bytes of a file in a buffer that Arrow owns. Raises `OSError`.
 
-    Of bytes held by Python a thread of Arrow may let go while the interpreter ends, which then aborts.
+    Were Python the owner, a thread of Arrow could release them while the interpreter shuts down, which then aborts.
     """
     with pa.OSFile(os.fsencode(path)) as file:
         return file.read_buffer()
@@ -163,46 +178,78 @@ def _to_parquet(table: pa.Table, about: Mapping[str, Any]) -> bytes:
 
 
 def write_part(folder: Path, rows: pd.DataFrame, study: str, labels: str) -> Entry:
-    """Finished rows of one or more batches, as a file that counts when `manifest.add` lists it. Raises `Fault`.
+    """Write finished rows of one or more batches to a part, which counts once it is listed in the manifest.
 
-    `study` and `labels` are digests of what the rows have in common and of the thresholds that judged them.
+    Args:
+        folder: Folder of the study.
+        rows: The finished rows.
+        study: Digest of the study, see `runner.study_id`.
+        labels: Digest of the thresholds that judged the rows, see `runner.labels_id`.
+
+    Returns:
+        Its entry for `manifest.add`.
+
+    Raises:
+        Fault: The disk refuses the write.
     """
     return write_table(folder, pa.Table.from_pandas(rows, preserve_index=False), study, labels)
 
 
 def write_table(folder: Path, table: pa.Table, study: str, labels: str) -> Entry:
-    """As `write_part`, from Arrow's form."""
+    """Write an Arrow table of finished rows to a part; see `write_part`."""
     batches, ids = (tuple(sorted(table[name].unique().to_pylist())) for name in ("batch", "run_id"))
-    return _written(folder, f"{PARTS}/part-{batches[0]:06d}", table, Entry("", 0, "", batches, study, labels, ids))
+    return _write_listed(folder, f"{PARTS}/part-{batches[0]:06d}", table, Entry("", 0, "", batches, study, labels, ids))
 
 
 def write_recording(folder: Path, name: str, rows: pd.DataFrame, study: str) -> Entry:
-    """A file that goes with the parts, which counts when it is listed; `name` without its digest. Raises `Fault`."""
-    return _written(folder, name, pa.Table.from_pandas(rows, preserve_index=False), Entry("", 0, "", study=study))
+    """Write a file that goes with the parts, such as time histories; it counts once it is listed in the manifest.
+
+    Args:
+        folder: Folder of the study.
+        name: Path below `folder`, to which a digest and the suffix are added.
+        rows: Content.
+        study: Digest of the study.
+
+    Returns:
+        Its entry for `manifest.add`.
+
+    Raises:
+        Fault: The disk refuses the write.
+    """
+    return _write_listed(folder, name, pa.Table.from_pandas(rows, preserve_index=False), Entry("", 0, "", study=study))
 
 
-def _written(folder: Path, name: str, table: pa.Table, about: Entry) -> Entry:
-    told = {"study": about.study, "labels": about.labels, "batches": about.batches, "run_ids": about.run_ids}
-    content = _to_parquet(table, told)
+def _write_listed(folder: Path, name: str, table: pa.Table, about: Entry) -> Entry:
+    metadata = {"study": about.study, "labels": about.labels, "batches": about.batches, "run_ids": about.run_ids}
+    content = _to_parquet(table, metadata)
     sha256 = files.digest(content)
     entry = replace(about, file=f"{name}-{sha256[:12]}.parquet", length=len(content), sha256=sha256)
-    with contextlib.suppress(OSError):  # said of the file
+    with contextlib.suppress(OSError):  # reported when the file itself is written
         path_in(folder, entry.file).parent.mkdir(exist_ok=True)
     files.write_atomically(path_in(folder, entry.file), content)
     return entry
 
 
 def list_recordings(folder: Path, subfolder: str) -> list[Entry]:
-    """The listed files of a place beside the parts; of several of one name the last, as of a batch done again.
+    """Return the listed files of a subfolder; of files with one name, as after a repeated batch, the last.
 
-    Raises `InputError`.
+    Args:
+        folder: Folder of the study.
+        subfolder: `HISTORIES` or `LAST_STATES`.
+
+    Raises:
+        InputError: The manifest is damaged.
     """
     listed = (entry for entry in manifest.read(folder) if entry.file.startswith(f"{subfolder}/"))
     return list({entry.file.rpartition("-")[0]: entry for entry in listed}.values())
 
 
 def current_parts(folder: Path) -> list[Entry]:
-    """The parts that hold a folder's rows: those of its manifest, judged by its thresholds. Raises `InputError`."""
+    """Return the parts that hold a folder's rows: listed in its manifest, and judged by its present thresholds.
+
+    Raises:
+        InputError: The manifest is missing or damaged.
+    """
     if not path_in(folder, STUDY).exists():
         return []
     if not path_in(folder, manifest.MANIFEST).exists() and any(path_in(folder, PARTS).glob("*.parquet")):
@@ -211,17 +258,25 @@ def current_parts(folder: Path) -> list[Entry]:
 
 
 def finished_batches(folder: Path) -> set[int]:
-    """Numbers of the batches that are on disk. Raises `InputError`."""
+    """Return the numbers of the batches that are on disk. Raises `InputError` where the manifest is damaged."""
     return {batch for entry in current_parts(folder) for batch in entry.batches}
 
 
 def read_part(folder: Path, entry: Entry) -> pd.DataFrame:
-    """The rows of one part. Raises `InputError` where its file is not what is listed."""
+    """Return the rows of one part.
+
+    Args:
+        folder: Folder of the study.
+        entry: The part's entry in the manifest.
+
+    Raises:
+        InputError: The file is missing or not as listed.
+    """
     return read_table(folder, entry).to_pandas()
 
 
 def read_table(folder: Path, entry: Entry, columns: list[str] | None = None) -> pa.Table:
-    """As `read_part`, in Arrow's form; of all columns or of some."""
+    """Return the rows of one part as an Arrow table; see `read_part`."""
     path = path_in(folder, entry.file)
     try:
         content = read_buffer(path)
@@ -234,18 +289,19 @@ def read_table(folder: Path, entry: Entry, columns: list[str] | None = None) -> 
 
 
 def read_rows(folder: Path) -> pd.DataFrame:
-    """All finished rows, in the order of their batches.
+    """Return all finished rows of a folder, in the order of their batches.
 
-    Raises `InputError` where there are none, and where they are not those of the plan.
+    Raises:
+        InputError: No batch is finished, a file is damaged, or rows are not those of the plan.
     """
     read_study(folder)
     if not (parts := read_parts(folder)):
         raise InputError(f"{folder} has no finished rollouts yet")
-    # into pandas once, column by column: a million rows take seconds and little more memory than they need
+    # converted to pandas once, column by column: a million rows take seconds and little extra memory
     table = pa.concat_tables(parts, promote_options="permissive")
-    del parts  # which would hold all columns
+    del parts  # they would keep all columns in memory
     rows = table.to_pandas(self_destruct=True)
-    planned = read_points(folder)  # after the parts: a run that goes on plans its batches before it finishes them
+    planned = read_points(folder)  # after the parts: a running command plans its batches before it finishes them
     if planned.empty:
         raise DamagedFile(f"{folder / POINTS} is lost: `sweep run` as before mends it")
     if problems := plan_differences(planned, rows, rows["batch"].unique()):
@@ -254,7 +310,20 @@ def read_rows(folder: Path) -> pd.DataFrame:
 
 
 def read_parts(folder: Path, columns: list[str] | None = None) -> list[pa.Table]:
-    """All parts, in the order of their batches, also where a run puts them together meanwhile. Raises `InputError`."""
+    """Read all parts of a folder, in the order of their batches.
+
+    If a running command merges parts meanwhile, the new ones are read instead.
+
+    Args:
+        folder: Folder of the study.
+        columns: Columns to read; None for all.
+
+    Returns:
+        One Arrow table a part.
+
+    Raises:
+        InputError: A file is damaged.
+    """
     while True:
         parts = current_parts(folder)
         try:
@@ -265,19 +334,36 @@ def read_parts(folder: Path, columns: list[str] | None = None) -> list[pa.Table]
 
 
 def find_row(rows: pd.DataFrame, point: str, folder: Path) -> pd.Series:
-    """The row named by its number or by the beginning of its point id. Raises `InputError`."""
+    """Find a row by its number or by the beginning of its point id.
+
+    Args:
+        rows: Finished rows of the folder.
+        point: Row number from 0, or the beginning of a point id.
+        folder: The folder, for the message.
+
+    Raises:
+        InputError: No row, or more than one, is meant.
+    """
     number = int(point) if point.isdecimal() and len(point) < 9 else None  # no study has so many rows
     if number is not None and number < len(rows):
         return rows.iloc[number]
-    found = rows[rows["point_id"].str.startswith(point) & (number is None)]
-    if len(found) != 1:
-        problem = "is not a point" if found.empty else f"means {len(found)} points"
+    matches = rows[rows["point_id"].str.startswith(point) & (number is None)]
+    if len(matches) != 1:
+        problem = "is not a point" if matches.empty else f"means {len(matches)} points"
         raise InputError(f"{point} {problem} of {folder}: give a row from 0 to {len(rows) - 1} or a point_id")
-    return found.iloc[0]
+    return matches.iloc[0]
 
 
 def log(folder: Path, message: str) -> None:
-    """Append one dated line to the log. Raises `Fault`."""
+    """Append a line with the present time to a folder's log.
+
+    Args:
+        folder: Folder of the study.
+        message: The line.
+
+    Raises:
+        Fault: The disk refuses the write.
+    """
     try:
         with path_in(folder, LOG).open("a", encoding="utf-8") as file:
             file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} {message}\n")

@@ -1,6 +1,6 @@
-"""What is recorded over time: of a study's first rows by `study.keep`, and how the first invalid rows came to be so.
+"""Time series of stored rollouts: histories by `study.keep`, and last states of the first invalid rows.
 
-Each batch's histories are a file, each invalid row's last states too; they count as parts do, see `manifest`.
+Each batch's histories are one file, and so are the last states of each invalid row; the manifest lists them like parts.
 """
 
 from collections.abc import Sequence
@@ -19,23 +19,35 @@ from sweep.runs.manifest import Entry
 from sweep.study.config import Experiment
 from sweep.study.study import identity_columns
 
-INVALID_ROWS, LAST_SECONDS = 10, 1.0  # rows of a folder whose last states are kept, and how much of them (s)
-MAX_NUMBERS = 500_000_000  # numbers that a study may keep, of 4 bytes
+INVALID_ROWS = 10  # of a folder, whose last states are stored
+LAST_SECONDS = 1.0  # of such a row that are stored, s
+MAX_NUMBERS = 500_000_000  # of 4 bytes, in the histories of a study
 
 
 def make_watch(exp: Experiment, settings: EngineSettings) -> Watch:
-    """What the study keeps over time."""
+    """Return which columns the engine records, and how often, for a study's `keep`."""
     every = max(1, round(1 / (exp.study.keep_rate * settings.control_period)))
     return Watch(exp.study.keep, every, exp.study.keep_rows)
 
 
 def recorded_slots(exp: Experiment, rows: pd.DataFrame) -> np.ndarray:
-    """The slots of those of a batch's planned `rows`, numbered as in the plan, that the study keeps histories of."""
+    """Return the slots of a batch whose histories the study keeps; `rows` are indexed as in the table of all points."""
     return np.flatnonzero(rows.index < exp.study.keep_rows) if exp.study.keep else np.zeros(0, int)
 
 
 def check_size(exp: Experiment, table: pd.DataFrame) -> int:
-    """About how many numbers are kept of the planned rows `table`. Raises `InputError` where they are too many."""
+    """Estimate how many numbers the histories of a study hold.
+
+    Args:
+        exp: Experiment of the study.
+        table: All its points, with groups and batch widths.
+
+    Returns:
+        The estimate; 0 where the study keeps no histories.
+
+    Raises:
+        InputError: There are more than `MAX_NUMBERS`.
+    """
     if not exp.study.keep:
         return 0
     first = table[table["group"] == table["group"].iloc[0]]
@@ -54,7 +66,18 @@ def check_size(exp: Experiment, table: pd.DataFrame) -> int:
 def to_table(
     rows: pd.DataFrame, samples: np.ndarray, time: np.ndarray, until: np.ndarray, columns: Sequence[str]
 ) -> pd.DataFrame:
-    """`samples` (F, n, c) at `time` (F,) of the n `rows`, one below the other, each up to its end `until` (n,) s."""
+    """Return histories of n rows as a table, one rollout below the other.
+
+    Args:
+        rows: The n rows.
+        samples: Recorded values (F, n, c).
+        time: Times (F,) of the samples, s.
+        until: End (n,) of each rollout, s; later samples are left out.
+        columns: Names of the c values.
+
+    Returns:
+        A row for each sample: columns that identify the rollout, `time_s`, and the values.
+    """
     within = (time[None] <= until[:, None]).ravel()
     number = np.repeat(np.arange(len(rows)), len(time))[within]
     named = rows[identity_columns(rows.columns)].iloc[number].reset_index(drop=True)
@@ -66,7 +89,15 @@ def to_table(
 def histories_table(
     finished: pd.DataFrame, slots: np.ndarray, samples: np.ndarray, watched: Watch, period: float
 ) -> pd.DataFrame:
-    """The histories of the rows of a batch in `slots`, by the control `period` (s)."""
+    """Return the histories of a batch as a table, see `to_table`.
+
+    Args:
+        finished: Finished rows of the batch.
+        slots: Slots that were recorded.
+        samples: Recorded values (F, slots, columns).
+        watched: What was recorded, and how often.
+        period: Control period, s.
+    """
     rows = finished.iloc[slots]
     time = period * watched.every * (1 + np.arange(len(samples)))
     return to_table(rows, samples, time, rows["duration_s"].to_numpy() + period / 2, watched.columns)
@@ -75,9 +106,19 @@ def histories_table(
 def simulate_last_states(
     exp: Experiment, engine: Engine, task: Batch, finished: pd.DataFrame, limit: int
 ) -> list[pd.DataFrame]:
-    """How the first `room` invalid rows of a batch ended: every control tick of the last second before their cause.
+    """Record how invalid rows of a batch ended: every control tick of the last second before their cause.
 
-    The batch is simulated once more, so that a batch without such rows takes no longer for it.
+    The batch is simulated once more for it, so that batches without invalid rows take no longer.
+
+    Args:
+        exp: Experiment of the study.
+        engine: Engine of the batch.
+        task: The batch.
+        finished: Its finished rows.
+        limit: Largest number of rows to record.
+
+    Returns:
+        A table for each recorded row, see `to_table`.
     """
     slots = np.flatnonzero(finished["outcome"] == INVALID)[:limit]
     watched = Watch(tuple(exp.system.history_columns), 1, INVALID_ROWS)
@@ -88,13 +129,16 @@ def simulate_last_states(
         row = finished.iloc[[slot]]
         end = row["t_cause_s"].fillna(row["duration_s"]).to_numpy() + period / 2
         chosen = time > end - LAST_SECONDS
-        after = end + period  # one tick more
-        tables.append(to_table(row, samples[chosen, k : k + 1], time[chosen], after, watched.columns))
+        tables.append(to_table(row, samples[chosen, k : k + 1], time[chosen], end + period, watched.columns))
     return tables
 
 
 def read(folder: Path) -> pd.DataFrame:
-    """The histories kept in `folder`: which row (`point_id`), `time_s`, the study's columns. Raises `InputError`."""
+    """Return the histories in a folder: the columns that identify a row, `time_s`, and the study's `keep`.
+
+    Raises:
+        InputError: The folder holds no histories, or a file is damaged.
+    """
     entries = store.list_recordings(folder, store.HISTORIES)
     if not entries:
         raise InputError(f"{folder} holds no time histories: run the study with study.keep=[tilt_deg]")
@@ -104,7 +148,18 @@ def read(folder: Path) -> pd.DataFrame:
 def write(
     folder: Path, study: str, batch: int, table: pd.DataFrame | None, states: Sequence[pd.DataFrame]
 ) -> tuple[Entry, ...]:
-    """Files of what a batch recorded. Raises `Fault`."""
+    """Write the recordings of a batch and return their entries for the manifest.
+
+    Args:
+        folder: Folder of the study.
+        study: Digest of the study.
+        batch: Number of the batch.
+        table: Its histories, or None.
+        states: Last states, a table for each invalid row.
+
+    Raises:
+        Fault: The disk refuses the write.
+    """
     entries: list[Entry] = []
     if table is not None:
         entries.append(store.write_recording(folder, f"{store.HISTORIES}/batch-{batch:06d}", table, study))

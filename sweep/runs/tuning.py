@@ -1,7 +1,8 @@
-"""Searches for a plan's numbers, which go on after an interruption.
+"""Search for a plan's numbers, by one of three methods that all resume after an interruption.
 
-By CMA-ES, whose state are the scores so far, by gradients where numbers are many, and how numbers follow sizes by
-linear programs, each of which brings down what margins lack by their slopes where the one before has ended.
+CMA-ES minimizes the score of the worst draw. Gradient descent (Adam) serves many free numbers. Sequential linear
+programming finds how numbers follow sizes: each program lowers the margins' deficits by their slopes at the point where
+the program before ended. A log beside the plan's file holds the state of the search.
 """
 
 import json
@@ -18,28 +19,40 @@ from sweep.core.files import append_line, write_atomically
 from sweep.study.config import Experiment
 from sweep.study.study import is_static, parameter_columns, points
 
-STEP = 0.02  # first step of a number that is free, where none is told
-STEPS = {"pitch": 2.0, "elevation": 2.0}  # deg, by the last word of its path
-BOUND = ("time", "seconds", "first", "last", "arc", "rung", "depth")  # words of numbers that are free only with a step
-ENOUGH = 1e-9  # score at which nothing is lacking
-LEAST = 1e-6  # first steps, below which the search is over
-RATE, SLOWER = 0.1, 60  # of Adam: first steps by which numbers move at first, and after how many steps they slow down
-RIDGE = 1e-3  # what a number's own first step from where it was costs: what helps nothing stays
-EVERY = 10  # steps after which they are kept
-FAR, UNKNOWN = 20.0, 1e3  # the longest gradient that a draw has, and the most that it lacks
-PRICE = 2e-3  # of a number that is its first step away in the farthest draw: what hardly helps does not pay
-REST, HALF = 0.1, 5.0  # what all that a draw lacks counts beside the worst of it; cost at which more counts half
-BAND = 1.0  # by how much a margin is over its aim, as lacks are counted, to be left out of a linear program
-RADIUS, WIDEST, TRIES = 0.5, 2.0, 6  # first steps that a program may go: at first, at most; and halvings that are tried
+STEP = 0.02  # first step of a free number for which none is given
+STEPS = {"pitch": 2.0, "elevation": 2.0}  # first steps (deg) by the last word of a number's path
+BOUND = ("time", "seconds", "first", "last", "arc", "rung", "depth")  # last words of numbers freed only with a step
+# CMA-ES ends at this score, or below this step size in first steps
+ENOUGH, LEAST = 1e-9, 1e-6
+# Adam: first learning rate in first steps, and the number of steps after which it falls as their square root
+RATE, SLOWER = 0.1, 60
+RIDGE = 1e-3  # cost of a number one first step from its start, so that numbers without effect stay
+EVERY = 10  # steps between entries of the log
+FAR, UNKNOWN = 20.0, 1e3  # largest norm of a draw's gradient, and largest deficit
+# linear programs
+PRICE = 2e-3  # cost of a number one first step away in the farthest draw, so that numbers with little effect stay
+REST, HALF = 0.1, 5.0  # weight of the sum of deficits beside the largest one; cost at which its growth halves
+BAND = 1.0  # margins whose deficit is below minus this are left out of a program
+RADIUS, WIDEST, TRIES = 0.5, 2.0, 6  # trust radius in first steps: first, largest; and how often it is halved
 
 
 def free_numbers(
     numbers: Mapping[str, float], patterns: Sequence[str], formulas: Collection[str] = ()
 ) -> dict[str, float]:
-    """First steps by path, of numbers named by `PATTERN`, which are no formulas, or `PATTERN=STEP`.
+    """Parse `--free`: which numbers of a plan are searched, and their first steps.
 
-    Raises `InputError`."""
-    found: dict[str, float] = {}
+    Args:
+        numbers: All numbers of the plan by path.
+        patterns: `PATTERN`, which skips numbers that formulas give and those in `BOUND`, or `PATTERN=STEP`.
+        formulas: Paths of numbers that formulas give.
+
+    Returns:
+        First step of each free number by path, in the unit of the number.
+
+    Raises:
+        InputError: A pattern matches nothing, or its step is not a positive number.
+    """
+    first_steps: dict[str, float] = {}
     for text in patterns:
         pattern, sign, step = text.partition("=")
         try:
@@ -50,12 +63,23 @@ def free_numbers(
             raise InputError(f"--free = {text} is not allowed: a pattern, or PATTERN=STEP") from None
         if not steps or min(steps.values()) <= 0:
             raise InputError(f"--free = {text} frees no number{suggest(pattern, numbers).partition(' (allowed')[0]}")
-        found |= steps
-    return found
+        first_steps |= steps
+    return first_steps
 
 
 def draw_beliefs(exp: Experiment, seed: int) -> tuple[Any, int]:
-    """What is believed in the points of the experiment's study, and how many they are. Raises `InputError`."""
+    """Draw the beliefs for which a plan is tuned, by the experiment's study.
+
+    Args:
+        exp: Experiment of the study.
+        seed: Seed of the draws.
+
+    Returns:
+        The belief, with arrays (draws,) as varied leaves, and the number of draws.
+
+    Raises:
+        InputError: An axis changes the stages of the plan.
+    """
     table = points(replace(exp.study, seed=seed), exp.system, exp.settings)
     columns = parameter_columns(table)
     for column in columns:
@@ -68,21 +92,31 @@ def search_by_cma(
     scores: Callable[[np.ndarray], np.ndarray],
     first: np.ndarray,
     steps: np.ndarray,
-    settings: Mapping[str, Any],  # seed, population, generations, and what else makes it another search
+    settings: Mapping[str, Any],
     log: Path,
     progress: Callable[[int, float], None],
 ) -> tuple[np.ndarray, float]:
-    """The best numbers (n,) that were found from `first` on, and their score.
+    """Search for the numbers with the least score by CMA-ES.
 
-    `log` keeps the scores of every generation: a search that finds some of its own takes them, and the same steps, as
-    before. `progress` is told generations and the best score so far. Raises `InputError` where the log is of another
-    search.
+    Args:
+        scores: Function from numbers (population, n) to their scores (population,).
+        first: Numbers (n,) at which the search begins.
+        steps: First steps (n,), in the units of the numbers.
+        settings: `seed`, `population`, `generations`, and what else identifies the search.
+        log: File with the scores of every generation; an interrupted search reads it and takes the same steps again.
+        progress: Receives the number of generations and the least score so far.
+
+    Returns:
+        The best numbers (n,) and their score.
+
+    Raises:
+        InputError: The log is of another search, or the package `cma` is missing.
     """
     try:
         import cma
     except ImportError:
         raise InputError("sweep tune needs the package cma: pip install 'insect-sweep[tune]'") from None
-    told = resume_log(log, settings)
+    entries = resume_log(log, settings)
     options = {
         "popsize": settings["population"],
         "seed": settings["seed"],
@@ -94,14 +128,14 @@ def search_by_cma(
     best, least = first, np.inf
     for k in range(settings["generations"]):
         asked = np.array(strategy.ask())
-        if k < len(told):
-            found = np.array(told[k])
+        if k < len(entries):
+            values = np.array(entries[k])
         else:
-            found = scores(first + steps * asked)
-            append_log(log, found.tolist())
-        strategy.tell(list(asked), found.tolist())
-        if found.min() < least:
-            best, least = first + steps * asked[found.argmin()], float(found.min())
+            values = scores(first + steps * asked)
+            append_log(log, values.tolist())
+        strategy.tell(list(asked), values.tolist())
+        if values.min() < least:
+            best, least = first + steps * asked[values.argmin()], float(values.min())
         progress(k + 1, least)
         if strategy.stop():
             break
@@ -109,22 +143,27 @@ def search_by_cma(
 
 
 class AdamState(NamedTuple):
-    """Where a search by gradients is: numbers (n,), in first steps."""
+    """State of a gradient search: numbers (n,) in units of their first steps, and Adam's moments."""
 
-    steps: int  # steps
-    least: float  # mean of what the draws lack, at the best so far
-    at: np.ndarray
+    steps: int  # number of steps so far
+    least: float  # mean deficit of the draws at `best`
+    at: np.ndarray  # present numbers
     best: np.ndarray
-    mean: np.ndarray  # of the gradients
-    square: np.ndarray  # mean of their squares
+    mean: np.ndarray  # running mean of the gradients
+    square: np.ndarray  # running mean of their squares
 
     def step(self, mean: float, down: np.ndarray) -> "AdamState":
-        """A step of Adam on, where draws lack `mean` and the gradient is `down`."""
+        """Return the state after one step of Adam.
+
+        Args:
+            mean: Mean deficit of the draws at the present numbers.
+            down: Its gradient (n,), in units of first steps.
+        """
         k = self.steps + 1
         least, best = (mean, self.at) if mean < self.least else (self.least, self.best)
         first, second = 0.9 * self.mean + 0.1 * down, 0.99 * self.square + 0.01 * down**2
-        way = first / (1 - 0.9**k) / (np.sqrt(second / (1 - 0.99**k)) + 1e-12)
-        return AdamState(k, least, self.at - RATE * min(1.0, (SLOWER / k) ** 0.5) * way, best, first, second)
+        direction = first / (1 - 0.9**k) / (np.sqrt(second / (1 - 0.99**k)) + 1e-12)
+        return AdamState(k, least, self.at - RATE * min(1.0, (SLOWER / k) ** 0.5) * direction, best, first, second)
 
 
 def search_by_gradients(
@@ -135,14 +174,26 @@ def search_by_gradients(
     log: Path,
     progress: Callable[[int, float], None],
 ) -> np.ndarray:
-    """Numbers (n,) from `first` on, by gradients.
+    """Search for the numbers with the least mean deficit over all draws, by Adam.
 
-    `descent` tells what every draw lacks by numbers, and the gradients of that (draws, n). The mean over the draws
-    is what descends; a draw counts no more than `FAR`: one that is out of reach says more than all others. `log`
-    keeps steps, from the last of which an interrupted search goes on. Raises `InputError` where it is of another one.
+    A draw's gradient is cut to the length `FAR`, so that draws out of reach do not outweigh all others.
+
+    Args:
+        descent: Function from numbers (n,) to the deficit (draws,) of every draw and its gradients (draws, n).
+        first: Numbers (n,) at which the search begins.
+        steps: First steps (n,), in the units of the numbers.
+        settings: `generations`, and what else identifies the search.
+        log: File with the state every few steps, from which an interrupted search resumes.
+        progress: Receives the number of steps and the least mean deficit so far.
+
+    Returns:
+        The best numbers (n,).
+
+    Raises:
+        InputError: The log is of another search.
     """
-    told = resume_log(log, settings)
-    done, least, *parts = told[-1] if told else (0, np.inf, *np.zeros((4, len(first))))
+    entries = resume_log(log, settings)
+    done, least, *parts = entries[-1] if entries else (0, np.inf, *np.zeros((4, len(first))))
     now = AdamState(done, least, *map(np.array, parts))
     while now.steps < settings["generations"]:
         lack, gradients = descent(first + steps * now.at)
@@ -165,34 +216,51 @@ def fit_size_slopes(
     log: Path,
     progress: Callable[[int, float], None],
 ) -> np.ndarray:
-    """Slopes (n, k) by which numbers follow the shares (draws, k) of sizes, by linear programs one after the other.
+    """Find how numbers should follow sizes of robot and obstacle, by sequential linear programming.
 
-    `lacking` tells what margins lack (draws, margins) where every draw's numbers have moved (draws, n); `slopes` that
-    at some moments (draws, moments, margins), and its slopes (..., n). A program goes no farther than a radius, which
-    halves until `cost` is less; where it never is, the search is over. `log` keeps what each finds, from where an
-    interrupted search goes on. Raises `InputError` where it is of another search.
+    A program moves no farther than a trust radius, which halves until the mean `cost` falls; where it never does, the
+    search ends.
+
+    Args:
+        deficits: Function from the change of every draw's numbers (draws, n) to deficits (draws, margins).
+        slopes: Function from the same to deficits at the worst moments (draws, moments, margins) and their slopes
+            (draws, moments, margins, n).
+        steps: First steps (n,), in the units of the numbers.
+        shares: Relative changes (draws, k) of the sizes.
+        settings: `generations`, and what else identifies the search.
+        log: File with the result of every program, from which an interrupted search resumes.
+        progress: Receives the number of programs and the least mean cost so far.
+
+    Returns:
+        Slopes (n, k): change of each number per relative change of each size.
+
+    Raises:
+        InputError: The log is of another search.
     """
     spread = np.maximum(np.abs(shares).max(axis=0), 1e-12)
-    by, told = shares / spread, resume_log(log, settings)
-    radius, at = told[-1] if told else (RADIUS, np.zeros((len(steps), len(spread))))
-    at = np.array(at)  # first steps, in draws of the largest shares
+    by, entries = shares / spread, resume_log(log, settings)
+    radius, at = entries[-1] if entries else (RADIUS, np.zeros((len(steps), len(spread))))
+    at = np.array(at)  # slopes in first steps, per largest share of a draw
     least = cost(deficits(steps * (by @ at.T))).mean()
-    for k in range(len(told), settings["generations"]):
+    for k in range(len(entries), settings["generations"]):
         progress(k, least)
         lack, slope = slopes(steps * (by @ at.T))
         for tried in radius / 2.0 ** np.arange(TRIES):
             to = solve_linear_program(lack, slope * steps, by, at, tried)
-            if (found := cost(deficits(steps * (by @ to.T))).mean()) < least:
+            if (mean_cost := cost(deficits(steps * (by @ to.T))).mean()) < least:
                 break
         else:
             break
-        least, at, radius = found, to, min(1.5 * tried, WIDEST)
+        least, at, radius = mean_cost, to, min(1.5 * tried, WIDEST)
         append_log(log, [radius, at.tolist()])
     return steps[:, None] * at / spread
 
 
 def cost(deficit: np.ndarray) -> np.ndarray:
-    """The most that a draw lacks (draws,), of its margins (draws, margins), and a little of all; beyond `HALF` less."""
+    """Return the cost (draws,) of deficits (draws, margins): the largest of a draw, and a small share of their sum.
+
+    Costs above `HALF` grow logarithmically, so that draws out of reach do not outweigh all others.
+    """
     deficit = np.clip(np.nan_to_num(deficit), 0.0, UNKNOWN)
     return HALF * np.log1p((deficit.max(axis=-1) + REST * deficit.sum(axis=-1)) / HALF)
 
@@ -200,9 +268,17 @@ def cost(deficit: np.ndarray) -> np.ndarray:
 def solve_linear_program(
     deficit: np.ndarray, slope: np.ndarray, by: np.ndarray, at: np.ndarray, radius: float
 ) -> np.ndarray:
-    """Where (n, k), within a radius of `at`, the mean `cost` is least if all goes on by its slopes.
+    """Return the slopes (n, k) within a radius of `at` that minimize the mean `cost`, linearized.
 
-    A linear program: where, up and down of nothing, what each margin of a draw lacks, and the most of every draw.
+    The variables are the positive and negative parts of the slopes, the deficit of each margin of a draw, and the
+    largest deficit of each draw.
+
+    Args:
+        deficit: Deficits (draws, moments, margins) at `at`.
+        slope: Their slopes (draws, moments, margins, n), in units of first steps.
+        by: Sizes of the draws (draws, k), scaled to at most 1.
+        at: Present slopes (n, k).
+        radius: Largest change of a slope, in first steps.
     """
     from scipy.optimize import linprog  # slow to import
     from scipy.sparse import block_array, csr_array, eye_array, kron
@@ -215,37 +291,50 @@ def solve_linear_program(
     moves = csr_array((slope[near][row, number], (row, number * count + draw[row])), (len(draw), wide))
     moves @= kron(eye_array(slope.shape[-1]), by)
 
-    def of(column: np.ndarray, width: int) -> Any:
+    def minus_column(column: np.ndarray, width: int) -> Any:
         return csr_array((-np.ones(len(column)), (np.arange(len(column)), column)), (len(column), width))
 
-    rows = block_array([[moves, -moves, of(pair, len(pairs)), None],
-                        [None, None, eye_array(len(pairs)), of(pairs // deficit.shape[-1], count)]])  # fmt: skip
+    largest = minus_column(pairs // deficit.shape[-1], count)
+    rows = block_array([[moves, -moves, minus_column(pair, len(pairs)), None],
+                        [None, None, eye_array(len(pairs)), largest]])  # fmt: skip
     weight = np.exp(-cost(deficit.max(axis=1)) / HALF) / count
     price = np.concatenate([np.full(2 * at.size, PRICE), REST * weight[pairs // deficit.shape[-1]], weight])
     both = np.concatenate([at.ravel(), -at.ravel()])
     near_by = np.maximum(np.stack([both - radius, both + radius], axis=1), 0.0)
     bounds = np.concatenate([near_by, np.tile([0.0, np.inf], (len(pairs) + count, 1))])
-    found = linprog(
+    solution = linprog(
         price, rows, np.concatenate([moves @ at.ravel() - deficit[near], np.zeros(len(pairs))]), bounds=bounds
     )
-    up, down = found.x[: 2 * at.size].reshape(2, *at.shape)
+    up, down = solution.x[: 2 * at.size].reshape(2, *at.shape)
     return up - down
 
 
 def resume_log(log: Path, settings: Mapping[str, Any]) -> list[Any]:
-    """What a log keeps of a search, which it begins to here. Raises `InputError` where it is of another one."""
-    begun = json.dumps({key: value for key, value in settings.items() if key != "generations"})
+    """Read the log of a search, or begin one.
+
+    Args:
+        log: The file.
+        settings: What identifies the search; `generations` may differ.
+
+    Returns:
+        The entries so far.
+
+    Raises:
+        InputError: The log is damaged or of another search.
+    """
+    header = json.dumps({key: value for key, value in settings.items() if key != "generations"})
     try:
-        lines = log.read_text(encoding="utf-8").split("\n")[:-1] if log.exists() else []  # one is whole with its end
-        told = [json.loads(line) for line in lines[1:]]
+        # a line without its end was cut off by an interruption
+        lines = log.read_text(encoding="utf-8").split("\n")[:-1] if log.exists() else []
+        entries = [json.loads(line) for line in lines[1:]]
     except ValueError:
         raise InputError(f"{log} is damaged: remove it, or choose another out") from None
-    if told and lines[0] != begun:
+    if entries and lines[0] != header:
         raise InputError(f"{log} is of another search: remove it, or choose another out")
-    write_atomically(log, ("\n".join([begun, *lines[1:]]) + "\n").encode())
-    return told
+    write_atomically(log, ("\n".join([header, *lines[1:]]) + "\n").encode())
+    return entries
 
 
 def append_log(log: Path, entry: list[Any]) -> None:
-    """Add what was found to a log, as a line."""
+    """Append an entry to the log of a search, as a line."""
     append_line(log, json.dumps(entry))
