@@ -25,13 +25,13 @@ RETRY_PAUSES = (0.01, 0.05, 0.2, 0.5)  # s, in which another command may finish 
 class Entry:
     """A line of the manifest: one file of the folder, as it was when it was written."""
 
-    file: str  # below the folder
-    length: int  # bytes
+    file: str  # path below the folder
+    length: int  # size in bytes
     sha256: str  # digest of its content
     batches: tuple[int, ...] = ()  # numbers of the batches in a part; empty for other files
     study: str = ""  # digest of what all rows of the folder share
     labels: str = ""  # digest of the thresholds that judged the rows
-    run_ids: tuple[str, ...] = ()  # of its rows
+    run_ids: tuple[str, ...] = ()  # ids of the runs of its rows
 
     def find_problem(self, content: Buffer) -> str | None:
         """Compare the content of the file with this entry; return what differs, or None."""
