@@ -12,7 +12,6 @@ from sweep.report.headline import probability_of_failure
 from sweep.runs import store
 from sweep.runs.results import load_experiment
 from sweep.study.adaptive_sampling import KINDS
-from sweep.study.config import values_by_path
 
 
 def overview_text(folders: list[Path]) -> str:
@@ -38,13 +37,13 @@ def describe_folder(folder: Path) -> dict[str, str]:
         outcome = read_outcomes(folder)
     except InputError as error:
         return {"folder": name, **empty, "study": printable_name(str(error).split(":")[0].removeprefix(f"{folder}/"))}
-    found, config = rate(outcome), values_by_path(stored["config"])
+    found, config = rate(outcome), stored["config"]
     succeed = format_percent(found.share) if found.valid else ""
-    if config.get("study.design.kind") in KINDS and config.get("study.design.num"):
+    if config["study"]["design"]["kind"] in KINDS and config["study"]["design"]["num"]:
         succeed = probability_of_failure(store.read_rows(folder), load_experiment(folder)) if found.total else ""
     return {
         "folder": name,
-        "study": str(config.get("study.name") or config.get("scenario.name", "")),
+        "study": config["study"]["name"] or config["scenario"]["name"],
         "rollouts": f"{found.total:,} of {stored['rollouts']:,}",
         "succeed": succeed,
         "invalid": format_percent(found.invalid_share),
@@ -55,6 +54,5 @@ def describe_folder(folder: Path) -> dict[str, str]:
 
 def read_outcomes(folder: Path) -> pd.Series:
     """The outcomes of finished rows. Raises `InputError` where a part is damaged."""
-    if not store.current_parts(folder):
-        return pd.Series([], dtype=object)
-    return store.read_rows(folder, ["outcome"])["outcome"]
+    parts = [part["outcome"].to_pandas() for part in store.read_parts(folder, ["outcome"])]
+    return pd.concat(parts, ignore_index=True) if parts else pd.Series([], dtype=object)
