@@ -49,12 +49,18 @@ def stabilise_delta(
 ) -> StabilisingMove:
     """Body's moves that stop a ball: delta from 0 to 1, pulse delta'.
 
-    The ball ends at rest with no angular momentum gained.
+    The ball ends at rest with no angular momentum gained. `delta` goes from 0 to 1 in T - Delta with an overshoot
+    (golden ratio) such that its integral over T is T. The body then rests. `pulse` (delta') leaves and returns to 0,
+    its peak is 2 and its integral T - Delta; `pulse_integral_T` is scaled so that the integral is T, as the law of
+    conservation before (3.1.7) wants and (3.1.7) misses unless Delta = 0.
 
-    `delta` goes from 0 to 1 in T - Delta with an overshoot (golden ratio) such that its integral over T is T.
-    The body then rests.
-    `pulse` (delta') leaves and returns to 0, its peak is 2 and its integral T - Delta; `pulse_integral_T` is scaled
-    so that the integral is T, as the law of conservation before (3.1.7) wants and (3.1.7) misses unless Delta = 0.
+    Args:
+        T: duration of the move (s).
+        Delta: rest of the body at its end (s).
+        tau: time since its start (s).
+
+    Returns:
+        The shapes at time tau, and the constants of delta.
     """
     length = jnp.where(Delta < T, T - Delta, jnp.nan)
     s = jnp.clip(tau / length, 0.0, 1.0)
@@ -78,8 +84,15 @@ def lateral_mu(
 ) -> LateralMove:
     """Sideways push of a ball: pulse with a plateau.
 
-    At its peak of 2, with d = T/4. Its integral is 3/2 T, so that the gain of (3.1.8) must be cut by 2/3 where this
-    shape replaces the pulse.
+    The peak is 2, the plateau lasts d = T/4. The integral is 3/2 T, so that the gain of (3.1.8) must be multiplied by
+    2/3 where this shape replaces the pulse.
+
+    Args:
+        T: duration of the push (s).
+        tau: time since its start (s).
+
+    Returns:
+        Value of the pulse at time tau.
     """
     share = tau / T
     without_plateau = jnp.clip(share, 0.0, 0.25) + jnp.clip(share - 0.75, 0.0, 0.25)
@@ -162,7 +175,18 @@ def ball_omega(
 ) -> BallRate:
     """Rate of a ball after the robot moved on it at a constant rate.
 
-    The robot goes from phi0 to phi1 at dphi, which must not be 0.
+    Args:
+        m: mass of the robot (kg).
+        M: mass of the ball (kg).
+        R: radius of the ball (m).
+        rho: distance of the robot's mass centre from the ball's centre (m).
+        phi0: elevation of the mass centre at the start, seen from the ball's centre (rad).
+        phi1: elevation at the end (rad).
+        dphi: rate of the elevation (rad/s), not 0; positive rates climb.
+        omega0: rate of the ball at the start (rad/s).
+
+    Returns:
+        Rate of the ball at the end (rad/s).
     """
     p = _ratio(m, M, R, rho)
     growth = jnp.log1p(p * (jnp.sin(phi1) - jnp.sin(phi0)) / (1 + p * jnp.sin(phi0)))
@@ -236,7 +260,7 @@ def ball_turn(
 
 
 class BallSwerve(NamedTuple):
-    """Of a ball that is turned while the robot goes aside."""
+    """Path radius, spin and gain of speed of a ball that turns while the robot leans sideways."""
 
     rho_phi: Annotated[Float[Array, "..."], "m"]
     omega_zeta: Annotated[Float[Array, "..."], "rad/s"]
@@ -263,11 +287,11 @@ def ball_swerve(
 ) -> BallSwerve:
     """Turn of a rolling ball while the robot leans at a steady rate: radius, spin, gain of speed.
 
-    The ball's speed is v (m/s), the robot leans by phi (rad) to the inside, more by dphi (rad/s), and turns with the
-    ball's way. `h` (m) is the height of its mass centre over the ball, `J_r` and `J_zeta` (kg m^2) are its moments of
-    inertia along the ball's way and about the vertical. `rho_phi` (m) is the radius of that way, (3.1.33) with
-    g + dphi^2 R for g. `omega_zeta` (rad/s) is the spin that the robot's turning leaves to a ball that had none, to
-    first order in phi and without friction against it. `gain` (m/s for each rad of phi) is how the ball's speed grows.
+    The robot leans by phi (rad) to the inside, more by dphi (rad/s), and turns with the ball's path. The ball's speed
+    is v (m/s), `h` (m) the height of the robot's mass centre over the ball; `J_r` and `J_zeta` (kg m^2) are its moments
+    of inertia along the ball's path and about the vertical. `rho_phi` (m) is the radius of that path, (3.1.33) with g +
+    dphi^2 R for g. `omega_zeta` (rad/s) is the spin that the robot's turning leaves to a ball that had none, to first
+    order in phi and without friction against it. `gain` (m/s for each rad of phi) is how the ball's speed grows.
     """
     height, unit = h / R + 1, m * R**2
     C_1 = ROLLING * M / m + 1 + height * jnp.cos(phi)

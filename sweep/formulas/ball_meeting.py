@@ -1,4 +1,4 @@
-"""Balls that meet: how fast one gets there, how it comes back, and the friction that keeps two of them where they are.
+"""Balls that meet: the speed to approach one, its rebound, and the friction that keeps two of them in place.
 
 Monograph 3.2 and 3.5 ask for it and give no equations; these follow from the laws of 3.1 and from statics.
 """

@@ -33,9 +33,18 @@ def max_ball(
 ) -> MaxBall:
     """Radius of the largest ball that can be climbed.
 
-    The front feet reach its region of safe footholds: the largest root of (3.1.19).
-    Thigh l1, shin l2, height hhat of the front hips, b between them (m), friction k_f. The shin only touches the
-    ball, the hip stands over its rim. Starts from (3.1.22), exact for b = 0. Nan where there is no such ball.
+    The front feet reach its region of safe footholds: the largest root of (3.1.19). The shin only touches the ball, and
+    the hip stands over its rim. Newton's method starts from (3.1.22), exact for b = 0.
+
+    Args:
+        l1: length of the thigh (m).
+        l2: length of the shin (m).
+        hhat: height of the front hips (m).
+        b: distance between the front hips (m).
+        k_f: coefficient of friction.
+
+    Returns:
+        The radius (m); nan if no ball can be climbed.
     """
     l1, l2, hhat, b, k_f = jnp.broadcast_arrays(*map(jnp.asarray, (l1, l2, hhat, b, k_f)))
     steepness = 1 + k_f**2

@@ -51,7 +51,7 @@ def corner_balanced(psi: HalfAngle, eps: Offset, k: Friction) -> BalancedForces:
 
 
 class LeastFriction(NamedTuple):
-    """The friction needed, and its two components."""
+    """Least coefficient of friction, and its vertical and horizontal components."""
 
     k: Annotated[Float[Array, "..."], ""]
     k_zeta: Annotated[Float[Array, "..."], ""]

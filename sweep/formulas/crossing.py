@@ -35,11 +35,20 @@ def crossing(
 ) -> Crossing:
     """Push-off speed of a raft, its turn and the time to the other bank.
 
-    Coasting of a raft with quadratic drag.
+    The raft coasts against quadratic drag. Its turn starts with J w0 = mt v0 h.
 
-    Banks S apart, raft sigma long (m), landing speed v_eps (m/s), mass mt of raft and robot (kg), drag al2 (kg/m)
-    and al3 (kg m^2), moment of inertia J (kg m^2), push along a line that passes the centre at h (m): J w0 = mt v0 h.
-    Nan if the raft is longer than the water is wide.
+    Args:
+        S: distance of the banks (m).
+        sigma: length of the raft (m).
+        v_eps: speed of arrival (m/s).
+        mt: mass of raft and robot (kg).
+        al2: drag coefficient of the motion ahead (kg/m).
+        J: moment of inertia about the vertical (kg m^2).
+        al3: drag coefficient of the turn (kg m^2).
+        h: distance of the push's line from the centre (m).
+
+    Returns:
+        Speed and rate of turn after the push, heading and time of arrival; nan if the raft is longer than S.
     """
     stretch = al2 * jnp.where(sigma <= S, S - sigma, jnp.nan) / mt
     v0 = v_eps * jnp.exp(stretch)

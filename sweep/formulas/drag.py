@@ -119,10 +119,20 @@ def raft_drag(
 ) -> RaftDrag:
     """Force and moment of the water on a moving raft.
 
-    Drag on a raft whose centre moves at V (m/s) and which turns at w (rad/s), both in body axes.
+    Monograph (4.1.38), (4.1.39). The bottom is wet, and so are the sides from -d up to the waterline at rest `zeta0`.
 
-    Monograph (4.1.38), (4.1.39). The bottom is wet and so are the sides from -d up to the waterline at rest `zeta0`
-    (m above the centre, nan unless within d of it). k_lin in N s/m^3, k_quad in N s^2/m^4.
+    Args:
+        V: velocity of the raft's centre (m/s, body axes).
+        w: angular velocity (rad/s, body axes).
+        a: half length of the raft (m).
+        b: half width (m).
+        d: half height (m).
+        zeta0: height of the waterline over the centre (m).
+        k_lin: linear friction of the bottom (N s/m^3).
+        k_quad: quadratic drag (N s^2/m^4).
+
+    Returns:
+        Force (N) and moment about the centre (N m), body axes; nan unless |zeta0| <= d.
     """
     Vx, Vy, Vz = jnp.moveaxis(V, -1, 0)
     p, q, r = jnp.moveaxis(w, -1, 0)

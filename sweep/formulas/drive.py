@@ -67,10 +67,10 @@ def servo_delay(
 ) -> ServoDelay:
     """How late a joint drive may know of its own joint before it swings by itself.
 
-    About an inertia J (by default of a shin in the air and its drive), unsaturated, the back-EMF c_e not being late:
-    J phi'' + c_e phi' + damping phi'(t - delay) + stiffness phi(t - delay) = 0. At the limit phi swings for ever at
-    omega, for which both parts, J omega^2 - i c_e omega and stiffness + i damping omega, are of the same size; the
-    delay is the angle between them over omega. Any delay longer than this lets it grow.
+    About an inertia J (by default of a shin in the air and its drive), unsaturated; the back-EMF c_e has no delay:
+    J phi'' + c_e phi' + damping phi'(t - delay) + stiffness phi(t - delay) = 0. At the limit phi oscillates steadily at
+    omega, where J omega^2 - i c_e omega and stiffness + i damping omega have the same magnitude; the delay is the angle
+    between them over omega. The oscillation grows with any longer delay.
     """
     net = damping**2 - c_e**2
     omega = jnp.sqrt((net + jnp.sqrt(net**2 + 4 * (J * stiffness) ** 2)) / 2) / J

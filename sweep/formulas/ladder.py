@@ -24,11 +24,17 @@ def ladder(
 ) -> LadderStatics:
     """How far up a leaning ladder holds, and whether it holds to the top.
 
-    The load's highest place on a ladder at angle phi (rad) with friction f1 on the floor, f2 on the wall.
+    Monograph (2.2.1)-(2.2.4). Both contacts slide at the limit, which gives chi = f1 (tan phi + f2) / (1 + f1 f2); it
+    reaches 1 exactly where tan phi >= 1/f1, the theorem of 2.2. An overhanging ladder (phi > pi/2) holds at most what
+    the wall's friction carries.
 
-    Monograph (2.2.1)-(2.2.4). Both contacts slide at the limit, which gives chi = f1 (tan phi + f2) / (1 + f1 f2);
-    it reaches 1 exactly where tan phi >= 1/f1, the theorem of 2.2. An overhanging ladder (phi > pi/2) holds at most
-    what the wall's friction carries.
+    Args:
+        phi: angle of the ladder to the floor (rad).
+        f1: coefficient of friction on the floor.
+        f2: coefficient of friction on the wall.
+
+    Returns:
+        Highest place of the load as a share of the ladder's length, and whether that is the top.
     """
     sin, cos = jnp.sin(phi), jnp.cos(phi)
     upright = jnp.abs(cos) < 1e-6

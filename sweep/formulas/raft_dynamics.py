@@ -32,9 +32,11 @@ ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 
 
 
 class RaftBody(NamedTuple):
-    """Half sides a, b, d (m), weight of water gamma (N/m^3), waterline zeta0 over the centre at rest (m), drag.
+    """A raft and its load: geometry, water, drag, mass and weight.
 
-    P (N) is the whole weight, acting at `rs` (m, body axes); M (kg) and J (kg m^2, about the body's axes) move.
+    Half sides a, b, d (m), specific weight of water gamma (N/m^3), waterline zeta0 over the centre at rest (m). P (N)
+    is the weight of raft and load, acting at `rs` (m, body axes); M (kg) is the mass and J (kg m^2) the moments of
+    inertia.
     """
 
     a: HalfLength
@@ -88,7 +90,7 @@ class Linear(NamedTuple):
 def raft_linear(raft: RaftBody) -> Linear:
     """Forces and moments per small motion of a raft.
 
-    About the level raft at rest (SI): the coefficients of (4.2.7).
+    Coefficients of (4.2.7) about the level raft at rest (SI units).
 
     Differentiates `wrench`: friction of the bottom acts at the depth d, so that h14 = 4 k a b d and heave is not
     damped in first order; the load turns with the raft.
@@ -120,10 +122,8 @@ class Modes(NamedTuple):
 def raft_modes(raft: RaftBody) -> Modes:
     """Poles of a raft's small motions, and whether any grows.
 
-    The verdict of (4.2.10)-(4.2.15) by eigenvalues.
-
-    Place and heading have poles at 0 (neutral); heave swings undamped; roll and pitch die out if the raft is stable
-    and rubs on the water (k_lin > 0).
+    Answers (4.2.10)-(4.2.15) by eigenvalues. Position and heading have poles at 0 (neutral), heave oscillates undamped;
+    roll and pitch die out if the raft is stable and the water brakes it (k_lin > 0).
     """
     mass = jnp.concatenate([jnp.full(3, raft.M), jnp.asarray(raft.J)])
     motion = jnp.concatenate([jnp.eye(6, 12, 6), raft_linear(raft).matrix / mass[:, None]])

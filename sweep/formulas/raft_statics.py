@@ -121,10 +121,19 @@ def raft_equilibrium(
 ) -> Equilibrium:
     """Tilt and depth of a loaded raft.
 
-    Raft at rest under the weight P (N, its own included) that acts at r_s (m, body axes).
-
     The book's fixed point for two slopes needs one number, q = (slope_x a)^2 + (slope_y b)^2, whose equation is
-    increasing and concave: Newton from q = 0 cannot miss it. Nan if the level raft is unstable under its load.
+    increasing and concave, so that Newton's method from q = 0 converges.
+
+    Args:
+        P: weight of raft and load (N).
+        r_s: point at which it acts (m, body axes).
+        a: half length of the raft (m).
+        b: half width (m).
+        d: half height (m).
+        gamma: specific weight of water (N/m^3).
+
+    Returns:
+        The upward vertical in body axes, and the depth of the centre (m); nan if the level raft is unstable.
     """
     x, y, z = jnp.moveaxis(jnp.asarray(r_s), -1, 0)
     cut = P / (4 * gamma * a * b) - d

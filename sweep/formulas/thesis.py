@@ -39,7 +39,19 @@ def thesis_fk(
     l2: Thigh,
     l3: Shin,
 ) -> ThesisFk:
-    """Foot, Jacobian and determinant of the thesis' leg."""
+    """Foot, Jacobian and determinant of the thesis' leg.
+
+    Args:
+        phi: angle about the vertical (rad).
+        psi: angle of the thigh above the horizontal (rad).
+        gam: angle of the shin against the thigh (rad), negative with the knee up.
+        l1: length of the coxa.
+        l2: length of the thigh.
+        l3: length of the shin.
+
+    Returns:
+        The foot in the frame of (9)-(11), its derivatives by (phi, psi, gam), and their determinant.
+    """
     phi, psi, gam, l1, l2, l3 = jnp.broadcast_arrays(*map(jnp.asarray, (phi, psi, gam, l1, l2, l3)))
     c, s = jnp.cos(phi), jnp.sin(phi)
     shin = l3 * jnp.cos(psi + gam), l3 * jnp.sin(psi + gam)
@@ -124,9 +136,16 @@ def thesis_workspace(
 ) -> Workspace:
     """Inner and outer radius and half angle of a leg's workspace at a height.
 
-    Where a foot may stand at height z; R between the mounts.
+    Args:
+        z: height of the foot over the mount.
+        l1: length of the coxa.
+        l2: length of the thigh.
+        l3: length of the shin.
+        R: distance between the mounts.
 
-    Nan if z is out of reach or l3 <= l2, for which the section has another shape.
+    Returns:
+        The radii from the mount, and the half angle of the sector (rad); nan if z is out of reach or l3 <= l2, for
+        which the section has another shape.
     """
     z, l1, l2, l3, R = jnp.broadcast_arrays(*map(jnp.asarray, (z, l1, l2, l3, R)))
     reach = jnp.where((jnp.abs(z) <= l2 + l3) & (l3 > l2), l2 + l3, jnp.nan)
@@ -168,10 +187,18 @@ def thesis_step(
 ) -> ThesisStep:
     """Largest step of a foot, in support and in transfer.
 
-    Longest move from r0 along p in the sector OA <= r <= OB, at most phimax from +y.
+    The foot goes from r0 along p in the sector OA <= r <= OB, at most phimax from +y.
 
-    `support` keeps the whole segment inside, `transfer` only its end: it may fly over the inner circle. Both are the
-    distance to a border that the line leaves the sector by, the first or the last one. Nan if r0 is outside.
+    Args:
+        r0: start of the step, in the leg's frame.
+        p: direction of the step.
+        OA: inner radius of the sector.
+        OB: outer radius.
+        phimax: half angle of the sector (rad).
+
+    Returns:
+        `support`, the longest step that stays inside, and `transfer`, the longest one that ends inside: a swing may
+        pass over the inner circle. Nan if r0 is outside.
     """
     r0, p = jnp.asarray(r0), jnp.asarray(p)
     p = p / jnp.linalg.norm(p, axis=-1, keepdims=True)
