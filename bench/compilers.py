@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sweep.engines import devices
-from sweep.engines.mjx import Mjx
+from sweep.engines.mjx import MjxEngine
 from sweep.metrics.outcome import classify
 from sweep.study.config import compose
 
@@ -28,7 +28,7 @@ def flips(name: str, num: int) -> str:
     world, rows, walls = replace(exp.case, contact=contact, robot=robot), {}, {}
     for compiler in ("xla", "fused"):
         start = time.perf_counter()
-        engine = Mjx(replace(exp.settings, width=num, compiler=compiler), exp.case, exp.case, exp.thresholds)
+        engine = MjxEngine(replace(exp.settings, width=num, compiler=compiler), exp.case, exp.case, exp.thresholds)
         rows[compiler] = classify(engine.run(world, exp.case, np.arange(num)), exp.thresholds, engine.stages)
         walls[compiler] = time.perf_counter() - start
     differ = [int(np.sum(rows["xla"][key] != rows["fused"][key])) for key in ("outcome", "cause")]

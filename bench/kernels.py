@@ -13,12 +13,12 @@ import jax
 import numpy as np
 
 from sweep.engines import devices, program_cache
-from sweep.engines.mjx import Mjx
+from sweep.engines.mjx import MjxEngine
 from sweep.fused import driver, launch
 from sweep.study.config import Experiment, compose
 from sweep.systems.hexapod import assign
 
-COMPILED, TRANSLATED = launch.compiled, driver._translated
+COMPILED, TRANSLATED = launch.compile_to_ptx, driver._translate
 Figures = dict[str, np.ndarray]
 
 
@@ -37,11 +37,11 @@ def with_timer(function: Any, took: list[float]) -> Any:
 def measure_kernel(exp: Experiment, width: int, few: bool) -> tuple[Figures, list[str]]:
     """Return metrics, and cells: MB of PTX, seconds of driver and rollouts, millions of steps a second."""
     driven, planned, texts = [], [], []
-    driver._made.clear()
-    driver._translated = with_timer(lambda text: texts.append(text) or TRANSLATED(text), driven)
-    launch.compiled = lambda *given, **named: COMPILED(*given, **{**named, "few": few})
+    driver._machine_code.clear()
+    driver._translate = with_timer(lambda text: texts.append(text) or TRANSLATED(text), driven)
+    launch.compile_to_ptx = lambda *given, **named: COMPILED(*given, **{**named, "small_batch": few})
     world, streams = assign(exp.case, "contact.friction", np.linspace(0.9, 1.2, width)), np.arange(width)
-    engine = Mjx(replace(exp.settings, width=width), exp.case, exp.case, exp.thresholds)
+    engine = MjxEngine(replace(exp.settings, width=width), exp.case, exp.case, exp.thresholds)
     with program_cache.without_cache():
         engine.run(world, exp.case, streams)
         ((form, programs),) = engine._programs.items()
@@ -56,7 +56,7 @@ def measure_kernel(exp: Experiment, width: int, few: bool) -> tuple[Figures, lis
 
 def main(name: str, *widths: str) -> None:
     """Print two lines for each width."""
-    devices.FEW = 1 << 30
+    devices.NUMPY_WIDTH = 1 << 30
     exp = compose([f"scenario={name}"])
     print("| scenario | rollouts | kernel for | PTX MB | driver s | rollouts s | M env-steps/s | figures unlike |")
     print("|---|--:|---|--:|--:|--:|--:|--:|")

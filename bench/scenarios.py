@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from sweep.engines import devices, program_cache
-from sweep.engines.mjx import Mjx
+from sweep.engines.mjx import MjxEngine
 from sweep.study.config import compose
 
 NAMES = ("walk_tripod", "pole_climb", "ball_balance", "ball_to_ball")
@@ -24,7 +24,7 @@ def speed(name: str, width: int) -> str:
     scenario, *overrides = name.split(",")
     exp = compose([f"scenario={scenario}", *overrides])
     settings = replace(exp.settings, width=width or devices.default_width())
-    engine = Mjx(settings, exp.case, exp.case, exp.thresholds)
+    engine = MjxEngine(settings, exp.case, exp.case, exp.thresholds)
     world = replace(exp.case, contact=replace(exp.case.contact, friction=np.linspace(0.6, 1.0, settings.width)))
     with program_cache.without_cache():
         start = time.perf_counter()

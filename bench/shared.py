@@ -10,7 +10,7 @@ import filelock
 
 from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
-from sweep.engines.run_id import device
+from sweep.engines.run_id import describe_device
 from sweep.engines.settings import EngineSettings
 
 DATA = Path(__file__).parents[1] / "research" / "data"
@@ -61,7 +61,7 @@ def write_tables(name: str, engines: Sequence[str], start: float, tables: Mappin
     about = {
         "command": f"python bench/{name}.py",
         "engine": " and ".join(f"`{engine}`" for engine in engines) or "none",
-        "devices": sorted({device(EngineSettings(name=engine)) for engine in engines or ("native",)}),
+        "devices": sorted({describe_device(EngineSettings(name=engine)) for engine in engines or ("native",)}),
         **version_record(),
         "seconds": round(time.perf_counter() - start),
         "tables": tables,

@@ -62,7 +62,7 @@ def draw(name: str) -> Path:
             figure = PLOTS["ball"](trace)
     save_figure(figure, path)
     wanted = ("obstacle_x_m", "obstacle_speed_mps", "obstacle_aside_max_m", "slip_max_m")
-    print(path, {key: round(float(trace.figures[key]), 4) for key in wanted})
+    print(path, {key: round(float(trace.metrics[key]), 4) for key in wanted})
     return path
 
 

@@ -54,7 +54,7 @@ class FakeEngine:
             "duration_s": np.full(self.width, self.duration),
         }  # fmt: skip
 
-    def histories(self, world, belief, streams, slots, watch):
+    def run_with_time_series(self, world, belief, streams, slots, watch):
         """Return time series in which every column is the time; the rollout is not finite from half of it on."""
         figures = self.run(world, belief, streams)
         time = self.period * watch.every * (1 + np.arange(int(self.duration / self.period / watch.every + 1e-9)))
@@ -71,7 +71,7 @@ class FakeEngine:
 
         figures, trace = self.run(world, belief, streams), moved()
         rows = [{name: values[slot] for name, values in figures.items()} for slot in range(self.width)]
-        return [replace(trace, stages=self.stages, figures=row) for row in rows]
+        return [replace(trace, stages=self.stages, metrics=row) for row in rows]
 
 
 def install():

@@ -22,8 +22,8 @@ from pathlib import Path
 import jax
 
 from sweep.engines import devices
-from sweep.engines.closed_loop import sensing
-from sweep.engines.mjx import Mjx
+from sweep.engines.closed_loop import classify_sensing
+from sweep.engines.mjx import MjxEngine
 from sweep.fused import cuda, launch
 from sweep.study.config import compose
 
@@ -39,10 +39,10 @@ Counts = dict[str, int]
 def kernel_printer(name: str) -> tuple[launch.Traced, cuda.GpuPrinter]:
     """The program of a scenario's closed loop, and its text for a GPU; nothing is simulated."""
     exp = compose([f"scenario={name}"])
-    engine = Mjx(replace(exp.settings, width=WIDTH), exp.case, exp.case, exp.thresholds)
+    engine = MjxEngine(replace(exp.settings, width=WIDTH), exp.case, exp.case, exp.thresholds)
     cases = jax.tree.map(lambda x: jax.ShapeDtypeStruct((), x.dtype), devices.as_arrays((exp.case, exp.case)))
     key = jax.eval_shape(partial(jax.random.key, 0))
-    plan, carry = jax.eval_shape(partial(engine._start, sensing(exp.case.noise)), *cases, key)
+    plan, carry = jax.eval_shape(partial(engine._start, classify_sensing(exp.case.noise)), *cases, key)
     return launch.print_program(engine._tick, (*cases, plan), carry, lambda carry: carry.is_over, TICKS, 0, WIDTH)
 
 
@@ -75,7 +75,7 @@ def ptxas_release() -> str | None:
 
 def register_counts(printer: cuda.GpuPrinter) -> Counts:
     """Registers of a thread, and bytes that it spills and loads again, by `ptxas`."""
-    with cuda.compiler() as compiler, tempfile.NamedTemporaryFile("w", suffix=".ptx") as file:
+    with cuda.ptx_compiler() as compiler, tempfile.NamedTemporaryFile("w", suffix=".ptx") as file:
         file.write(compiler(printer.text()))
         file.flush()
         command = ["ptxas", "-v", f"-arch={ARCHITECTURE}", file.name, "-o", "/dev/null"]

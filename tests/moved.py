@@ -22,7 +22,7 @@ def moved(*overrides):
     return Trace(
         world=case, belief=case, model=model, time=time, qpos=qpos, qvel=np.zeros((frames, model.nv)),
         joint_target=none, joint_torque=none, foot_position=force, foot_target=force, foot_force=force,
-        base_target=qpos[:, :7], stage=(time > 2).astype(int), stages=("stand", "walk"), figures={},
+        base_target=qpos[:, :7], stage=(time > 2).astype(int), stages=("stand", "walk"), metrics={},
         margin=1 - 0.4 * time, margin_of=np.where(time > 3, "slip_max", "fallen_tilt"),
     )  # fmt: skip
 
@@ -45,7 +45,7 @@ def arm():
     return Trace(
         world=None, belief=None, model=model, time=time, qpos=qpos, qvel=np.zeros((frames, model.nv)),
         joint_target=np.zeros((frames, 0)), joint_torque=np.zeros((frames, 2)), foot_position=none, foot_target=none,
-        foot_force=none, base_target=qpos[:, :7], stage=np.zeros(frames, dtype=int), stages=("run",), figures={},
+        foot_force=none, base_target=qpos[:, :7], stage=np.zeros(frames, dtype=int), stages=("run",), metrics={},
         margin=np.full(frames, np.nan), margin_of=np.full(frames, ""),
     )  # fmt: skip
 

@@ -10,7 +10,7 @@ from small_study import STUDY, one_line
 from sweep.cli.main import main
 from sweep.engines import batching
 from sweep.engines.base import NoTrace
-from sweep.engines.native import Native
+from sweep.engines.native import NativeEngine
 from sweep.models import scene
 from sweep.report import replays
 from sweep.study.config import compose
@@ -54,7 +54,7 @@ def test_a_thin_body_is_built_though_its_inertia_is_rounded(height):
 def test_rows_that_native_cannot_build_are_invalid_and_their_reason_is_said(capsys):
     exp = compose(["scenario=stand_push", "engine=native", "manoeuvre.duration=0.1"])
     world = replace(exp.case, robot=replace(exp.case.robot, thigh_mass=np.array([0.5, 1e-20])))
-    engine = Native(replace(exp.settings, width=2), exp.case, exp.case, exp.thresholds)
+    engine = NativeEngine(replace(exp.settings, width=2), exp.case, exp.case, exp.thresholds)
     figures = engine.run(world, exp.case, np.zeros(2, int))
     assert figures["finite"].tolist() == [True, False]
     one_line(capsys.readouterr().err, "1 of 2 rollouts", "MuJoCo makes no model of them: mass and inertia")
@@ -63,7 +63,7 @@ def test_rows_that_native_cannot_build_are_invalid_and_their_reason_is_said(caps
 def test_a_rollout_that_cannot_be_drawn_has_no_trace_and_the_others_have(monkeypatch):
     exp = compose(["scenario=stand_push", "manoeuvre.duration=0.1"])
     world = replace(exp.case, robot=replace(exp.case.robot, thigh_mass=np.array([0.5, 1e-20])))
-    engine = Native(replace(exp.settings, width=2), exp.case, exp.case, exp.thresholds)
+    engine = NativeEngine(replace(exp.settings, width=2), exp.case, exp.case, exp.thresholds)
     first, second = engine.traces(world, exp.case, np.zeros(2, int), 1)
     assert len(batching.require_trace(first).time)
     assert isinstance(second, NoTrace)

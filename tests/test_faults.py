@@ -207,7 +207,7 @@ def test_kills_of_the_real_engine_leave_the_same_rows(tmp_path, monkeypatch):
 
 
 def test_a_device_without_room_is_told_from_other_errors():
-    with pytest.raises(MemoryError), devices.memory():
+    with pytest.raises(MemoryError), devices.convert_memory_errors():
         jnp.zeros(10**14).block_until_ready()
-    with pytest.raises(RuntimeError), devices.memory():
+    with pytest.raises(RuntimeError), devices.convert_memory_errors():
         raise RuntimeError("another error")

@@ -10,7 +10,7 @@ from small_study import STUDY, content, one_line
 
 import sweep
 from sweep.cli.main import main
-from sweep.engines.base import Watch
+from sweep.engines.base import TimeSeriesRequest
 from sweep.report import time_series_plots
 from sweep.runs import manifest, results, store, time_series
 from sweep.runs.batches import assign_batches, make_batch, make_engine, make_nominal_batch
@@ -123,8 +123,8 @@ def test_rollouts_that_are_watched_are_those_of_the_run(name):
     rows = assign_batches(exp, pd.DataFrame(), select_points(exp))
     engine, task = make_engine(exp, make_nominal_batch(exp, rows, 8)), make_batch(exp, rows)
     inputs = task.world, task.belief, task.streams
-    watch, trace = Watch(("base_z_m", "tilt_deg", "foot1_force_z_n"), 5, 10), engine.trace(*inputs, 6)
-    figures, samples = engine.histories(*inputs, np.array([1, 6, 7]), watch)
+    watch, trace = TimeSeriesRequest(("base_z_m", "tilt_deg", "foot1_force_z_n"), 5, 10), engine.trace(*inputs, 6)
+    figures, samples = engine.run_with_time_series(*inputs, np.array([1, 6, 7]), watch)
     assert samples.shape[1:] == (3, 3)
     frames = len(trace.time) // 5
     np.testing.assert_array_equal(samples[:frames, 1, 0], trace.qpos[4::5, 2][:frames])

@@ -167,7 +167,7 @@ def test_a_row_has_its_bits_on_any_number_of_threads_and_cores(here, monkeypatch
 
     monkeypatch.setattr(batch, "Batch", pool)
     for threads in (1, 2, 5):
-        monkeypatch.setattr(devices, "cores", lambda threads=threads: threads)
+        monkeypatch.setattr(devices, "count_cores", lambda threads=threads: threads)
         found[threads] = figures(exp := compose(noisy), points := select_points(exp))
     assert {one._b.nthread for one in pools} == {*found}
     asked = ["-c", f"{ONE_CORE}sys.exit(main(sys.argv[1:]))", "run", *noisy, "engine.width=5", "out=one_core"]

@@ -20,8 +20,8 @@ def with_a_gpu(monkeypatch, fake_engine):
     jax.config.update("jax_platforms", None)
     monkeypatch.setattr(devices, "find_spec", lambda name: name == "jax_plugins")
     monkeypatch.setattr(devices, "GPUS", "/dev/null")
-    monkeypatch.setattr(devices, "cores", lambda: 2)
-    monkeypatch.setattr(devices, "begin", lambda: None)
+    monkeypatch.setattr(devices, "count_cores", lambda: 2)
+    monkeypatch.setattr(devices, "start_device_search", lambda: None)
     yield
     jax.config.update("jax_platforms", before)
 

@@ -30,7 +30,7 @@ sys.path.insert(0, str(ROOT / "bench"))
 
 from sweep.core.files import write_atomically  # noqa: E402
 from sweep.core.provenance import code_version, version_record  # noqa: E402
-from sweep.engines.run_id import device  # noqa: E402
+from sweep.engines.run_id import describe_device  # noqa: E402
 from sweep.engines.settings import EngineSettings  # noqa: E402
 from validity import chaos, faults, manoeuvres, order, precision, tables  # noqa: E402
 
@@ -70,7 +70,11 @@ def measure(part: str, pattern: str) -> None:
             continue
         start = time.perf_counter()
         rows = [{"job": name, **row} for row in work()]
-        about = {"command": f"python bench/validity {part}", "engine": engine, "devices": [device(EngineSettings())]}
+        about = {
+            "command": f"python bench/validity {part}",
+            "engine": engine,
+            "devices": [describe_device(EngineSettings())],
+        }
         with filelock.FileLock(path.with_suffix(".lock")):  # others may add to it
             before = read_rows(path)
             rows = sorted(before.get("rows", []) + rows, key=lambda row: [*every].index(row["job"]))

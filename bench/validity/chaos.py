@@ -34,7 +34,7 @@ def _row(name: str, engine: str) -> dict[str, Any]:
     made = make(exp.settings, exp.case, exp.case, exp.thresholds)
     found = made.traces(replace(exp.case, robot=robot), exp.case, np.zeros(ROWS, int), EVERY)
     traces = [require_trace(trace) for trace in found]
-    figures = {key: np.asarray([trace.figures[key] for trace in traces]) for key in traces[0].figures}
+    figures = {key: np.asarray([trace.metrics[key] for trace in traces]) for key in traces[0].metrics}
     outcomes = classify(figures, exp.thresholds, made.stages)["outcome"]
     return {
         "scenario": name,

@@ -9,7 +9,7 @@ import numpy as np
 from sweep.core.constants import GRAVITY
 from sweep.engines.base import Trace
 from sweep.engines.batching import require_trace
-from sweep.engines.mjx import Mjx
+from sweep.engines.mjx import MjxEngine
 from sweep.metrics.outcome import classify
 from sweep.models.robot import total_mass
 from sweep.study.config import compose
@@ -43,9 +43,9 @@ def _rows(name: str) -> list[dict[str, Any]]:
 def _run(name: str, h: float, iterations: int) -> tuple[Trace, str]:
     exp = compose([f"scenario={name}"])
     settings = replace(exp.settings, width=1, time_step=h, iterations=iterations)
-    engine = Mjx(settings, exp.case, exp.case, exp.thresholds)
+    engine = MjxEngine(settings, exp.case, exp.case, exp.thresholds)
     trace = require_trace(engine.traces(exp.case, exp.case, np.zeros(1, int), EVERY)[0])
-    figures = {key: np.asarray([value]) for key, value in trace.figures.items()}
+    figures = {key: np.asarray([value]) for key, value in trace.metrics.items()}
     told = classify(figures, exp.thresholds, engine.stages)
     return trace, str(told["outcome"][0]) + (f" ({told['cause'][0]})" if told["cause"][0] else "")
 
@@ -61,8 +61,8 @@ def _apart(trace: Trace, finest: Trace) -> dict[str, Any]:
         "end_mm": short(1e3 * place[-1]),
         "forces": short(_rms(forces) / weight),
         "net": short(_rms(forces.sum(axis=1)) / weight),
-        "slip_mm": short(1e3 * float(trace.figures["slip_max_m"])),
-        "residual": short(float(trace.figures["solver_residual_over_weight"])),
+        "slip_mm": short(1e3 * float(trace.metrics["slip_max_m"])),
+        "residual": short(float(trace.metrics["solver_residual_over_weight"])),
     }
 
 

@@ -23,7 +23,7 @@ from mujoco import rollout
 from sweep.core.constants import GRAVITY
 from sweep.engines.batching import require_trace
 from sweep.engines.closed_loop import start_state
-from sweep.engines.mjx import Mjx
+from sweep.engines.mjx import MjxEngine
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, N_LEGS
 from sweep.models.robot import total_mass
@@ -107,7 +107,7 @@ def standing() -> Task:
 
 def _walking() -> Task:
     exp = compose(["scenario=walk_tripod"])
-    engine = Mjx(dataclasses.replace(exp.settings, width=1), exp.case, exp.case, exp.thresholds)
+    engine = MjxEngine(dataclasses.replace(exp.settings, width=1), exp.case, exp.case, exp.thresholds)
     trace = require_trace(engine.traces(exp.case, exp.case, np.zeros(1, int), 1)[0])
     first = np.asarray(start_state(exp.case, exp.case, exp.case.manoeuvre.plan(exp.case)).qpos, float)
     targets = np.vstack([first[JOINT_Q], trace.joint_target[: round(WALKED / TICK)]]).reshape(-1, N_LEGS, 3)

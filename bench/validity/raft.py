@@ -15,7 +15,7 @@ import numpy as np
 
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential
-from sweep.engines.closed_loop import free_state
+from sweep.engines.closed_loop import free_body_state
 from sweep.formulas.raft_dynamics import RaftBody as Formula
 from sweep.formulas.raft_dynamics import raft_linear
 from sweep.models.obstacles.raft import Raft
@@ -127,7 +127,7 @@ def by_mujoco(h: float) -> Motion:
     found = []
     with jax.enable_x64(True):
         for k, raft in enumerate(rafts()):
-            load = jax.jit(lambda q, v, raft=raft: raft.external_wrench(free_state(q, v, 1))[0])
+            load = jax.jit(lambda q, v, raft=raft: raft.external_wrench(free_body_state(q, v, 1))[0])
             model = _alone(raft, h)
             data = mujoco.MjData(model)
             data.qpos[:] = _start(raft, k)
@@ -154,7 +154,7 @@ def by_mjx(h: float, impl: str) -> Motion:
         there, begun = mjx.put_model(model, impl=impl), mjx.put_data(model, data, impl=impl)
 
         def ahead(now: Any, _: None, raft: Raft = raft, there: Any = there) -> Any:
-            load = raft.external_wrench(free_state(now.qpos, now.qvel, 1))[0]
+            load = raft.external_wrench(free_body_state(now.qpos, now.qvel, 1))[0]
             now = mjx.step(there, now.replace(xfrc_applied=now.xfrc_applied.at[1].set(load)))
             return now, now.qpos
 

@@ -89,7 +89,7 @@ def _stepping(
 def _by_xla(one: Step, case: Case, states: PhysicsState, references: jax.Array) -> Record:
     axes, own = jax.tree.map(lambda x: -1 if np.ndim(x) else None, case), references.ndim == 4
     references = jnp.moveaxis(references, 1, -1) if own else references
-    batch = batch_last_vmap(one, (axes, -1, -1 if own else None), devices.reuse_from())
+    batch = batch_last_vmap(one, (axes, -1, -1 if own else None), devices.reuse_threshold())
     states = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states)
     # run once, it is not worth the minute or two that optimising it takes
     program = jax.jit(
@@ -192,10 +192,12 @@ def on_gpu(
 
     start, width = time.perf_counter(), len(states.q)
     flag = jax.ShapeDtypeStruct((), bool)
-    code = launch.compiled(endless, shapes[0], (shapes[1], flag), lambda carried: carried[1], ticks, len(kept), width)
+    code = launch.compile_to_ptx(
+        endless, shapes[0], (shapes[1], flag), lambda carried: carried[1], ticks, len(kept), width
+    )
 
     def all_ticks(given: Any, states: PhysicsState) -> Any:
-        return launch.run(code, given, (states, jnp.zeros(width, bool)), jnp.int32(0), jnp.asarray(kept))[1]
+        return launch.run_kernel(code, given, (states, jnp.zeros(width, bool)), jnp.int32(0), jnp.asarray(kept))[1]
 
     program = jax.jit(all_ticks, compiler_options=launch.OPTIONS).lower(given, states).compile()
     return Running(lambda: jax.tree.map(np.asarray, program(given, states)), time.perf_counter() - start)

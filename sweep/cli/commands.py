@@ -263,7 +263,7 @@ def run_command(argv: list[str]) -> int:
         if exp.cluster.kind == "local" and not several:
             device_choice.choose_device_for_run(exp)
         if exp.settings.name == "mjx" and not args.dry_run and not exp.cluster.is_remote:
-            devices.begin()
+            devices.start_device_search()
         from sweep.cli.run import Flags, execute  # takes another, which what is wrong need not wait for
 
         return execute(exp, Flags(args.dry_run, args.check, args.limit, args.where))

@@ -60,7 +60,7 @@ def report_simulated_again(results: Results, number: int, seed: int = 0, toleran
     lines: list[dict[str, Any]] = []
     with show_wait(lambda: f"{len(lines)} of {number} rollouts simulated again"):
         for row, trace, labels in replays.simulate_again(results.exp, rows, store.read_points(results.folder)):
-            lines.append(compare_row(row, trace.figures, labels, tolerance))
+            lines.append(compare_row(row, trace.metrics, labels, tolerance))
     table = pd.DataFrame(lines)
     print(format_summary(table, tolerance))
     for one in table.to_dict("records"):

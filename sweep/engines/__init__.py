@@ -1,4 +1,4 @@
-"""Engines run batches of rollouts: `mjx` (the primary one) and `native` (C MuJoCo, the second opinion)."""
+"""Engines simulate batches of rollouts: `mjx`, the primary one, and `native` (C MuJoCo), the independent check."""
 
 from sweep.engines.base import Engine
 from sweep.engines.settings import EngineSettings
@@ -7,18 +7,28 @@ from sweep.models.case import Case
 
 
 def make(settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None) -> Engine:
-    """The engine of a scenario.
+    """Make the engine that simulates a scenario.
 
-    `world` and `belief` give its structure, and plain numbers for a nominal plan; `limits` say when to note a cause.
+    Args:
+        settings: engine, time steps, precision and batch width.
+        world: nominal parameters of the simulated side; they fix the structure of the compiled programs.
+        belief: nominal parameters that the planner receives.
+        limits: thresholds of the metrics that end a success; by default the standard ones.
+
+    Returns:
+        The engine. Its programs are compiled at the first batch.
+
+    Raises:
+        InputError: The nominal parameters admit no plan, or the settings do not fit the scenario.
     """
     if world.control.calibrate == "simulated":
-        from sweep.engines.calibration_rollout import Calibrating
+        from sweep.engines.calibration_rollout import CalibratingEngine
 
-        return Calibrating(make, settings, world, belief, limits or Thresholds())
+        return CalibratingEngine(make, settings, world, belief, limits or Thresholds())
     if settings.name == "native":
-        from sweep.engines.native import Native
+        from sweep.engines.native import NativeEngine
 
-        return Native(settings, world, belief, limits)
-    from sweep.engines.mjx import Mjx
+        return NativeEngine(settings, world, belief, limits)
+    from sweep.engines.mjx import MjxEngine
 
-    return Mjx(settings, world, belief, limits)
+    return MjxEngine(settings, world, belief, limits)

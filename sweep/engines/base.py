@@ -1,4 +1,4 @@
-"""What every engine offers, whatever it simulates, and what a traced rollout holds."""
+"""The interface of all engines, whatever system they simulate, and the record of a traced rollout."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,77 +11,100 @@ from sweep.core.errors import InputError
 if TYPE_CHECKING:
     import mujoco
 
-SLIDE = 2  # mjtJoint.mjJNT_SLIDE, before hinges and after joints of more freedoms
-Figures = dict[str, np.ndarray]  # column name (with its unit) -> one number per rollout
+SLIDE = 2  # mjtJoint.mjJNT_SLIDE; hinges have a larger number, free and ball joints a smaller one
+Metrics = dict[str, np.ndarray]  # column name (with its unit) -> one number per rollout
 Sides = Callable[[Mapping[str, Any]], tuple[Any, Any]]  # world and belief with values by column
 
 
-class Watch(NamedTuple):
-    """What is to be recorded of some rollouts of a batch."""
+class TimeSeriesRequest(NamedTuple):
+    """Which columns an engine records over time, and how often."""
 
     columns: tuple[str, ...]
-    every: int  # control ticks
-    most: int  # rollouts that are ever asked for at a time, so that one program serves them all
+    every: int  # number of control ticks between samples
+    max_rollouts: int  # largest number of rollouts recorded at a time, so that one program serves all requests
 
 
 @dataclass(frozen=True)
 class Trace:
-    """One rollout, sampled at the end of every control tick, or of one in several. World axes, SI units; F = frames."""
+    """Time series of one simulated rollout, made by `Engine.trace` and `Engine.traces`.
 
-    world: Any  # as it was, plain numbers
-    belief: Any  # as the planner was told
+    Each array has F samples, taken at the end of control ticks. World axes and SI units.
+    """
+
+    world: Any  # simulated parameters, plain numbers
+    belief: Any  # parameters that the planner received
     model: "mujoco.MjModel"  # the world's model, for drawing
     time: np.ndarray  # (F,)
     qpos: np.ndarray  # (F, nq)
     qvel: np.ndarray  # (F, nv)
-    joint_target: np.ndarray  # (F, J) of the `single_joints`; of an own model its controls
+    joint_target: np.ndarray  # (F, J) of the `single_joints`; of a user's model its controls
     joint_torque: np.ndarray  # (F, J), peak of the tick
-    foot_position: np.ndarray  # (F, N, 3), of a robot whose feet are known
+    foot_position: np.ndarray  # (F, N, 3); N = 0 for models without known feet
     foot_target: np.ndarray  # (F, N, 3), as planned
     foot_force: np.ndarray  # (F, N, 3), mean of the tick, on the robot
     base_target: np.ndarray  # (F, 7), planned position and quaternion (w, x, y, z)
     stage: np.ndarray  # (F,) index into `stages`
-    margin: np.ndarray  # (F,) to the nearest limit that is watched in every tick, as the row's `margin` at its end
-    margin_of: np.ndarray  # (F,) names of these limits
+    margin: np.ndarray  # (F,) to the nearest threshold that is checked in every tick; the last one is the row's
+    margin_of: np.ndarray  # (F,) names of these thresholds
     stages: tuple[str, ...]
-    figures: dict[str, Any]  # the row's figures, as `run` gives them
-    torque_limit: float | None = None  # N m, where all joints have the same
+    metrics: dict[str, Any]  # the row's metrics, as from `run`
+    torque_limit: float | None = None  # N m, if it is the same for all joints
 
 
 class NoTrace(NamedTuple):
-    """Stands for the `Trace` of a rollout whose model cannot be drawn."""
+    """Takes the place of a `Trace` where the rollout's model cannot be compiled for drawing."""
 
     reason: str
 
 
 def single_joints(model: "mujoco.MjModel") -> np.ndarray:
-    """Numbers of the hinges and slides of a model, in its order; of a legged robot leg by leg."""
+    """Indices of the hinge and slide joints of a model, in the model's order (for a legged robot leg by leg)."""
     return np.flatnonzero(model.jnt_type >= SLIDE)
 
 
-def substeps(period: float, step: float, told: str) -> int:
-    """Physics steps of a control tick, both in s. Raises `InputError`, in the words `told`, where they do not fit."""
+def substeps(period: float, step: float, message: str) -> int:
+    """Number of physics steps in a control tick.
+
+    Args:
+        period: length of a control tick (s).
+        step: length of a physics step (s).
+        message: text of the error.
+
+    Raises:
+        InputError: The period is no whole multiple of the step.
+    """
     if period < step or abs(period / step - round(period / step)) > 1e-6:
-        raise InputError(told)
+        raise InputError(message)
     return round(period / step)
 
 
 def same_bits(a: Any, b: Any) -> bool:
-    """Whether two figures are the same to the last bit; all that is not a number is the same."""
+    """Whether two metrics are equal to the last bit.
+
+    Args:
+        a: number or array; it is compared in double precision.
+        b: the other one.
+
+    Returns:
+        True where all values are equal; NaN equals NaN.
+    """
     return bool(np.array_equal(np.asarray(a, dtype=float), np.asarray(b, dtype=float), equal_nan=True))
 
 
 class Engine(Protocol):
-    """A compiled simulation of one scenario; parameters come as data."""
+    """A compiled simulation of one scenario that takes parameters as data."""
 
     stages: tuple[str, ...]  # names of the plan's stages
     duration: float  # simulated seconds of a rollout
-    width: int  # rollouts of one batch; `run` takes exactly so many
-    dynamics: str  # where the smooth dynamics come from: arrowhead, mjx or C MuJoCo
-    devices: int  # that share a batch; only a width that they divide evenly uses them all
+    width: int  # number of rollouts in a batch; `run` takes exactly so many
+    dynamics: str  # source of the smooth dynamics: arrowhead, mjx or C MuJoCo
+    devices: int  # number that share a batch; a width that they do not divide evenly uses one
 
     def rollout_bytes(self) -> int | None:
-        """Plan, state and figures of a rollout, None where C keeps them; work within a tick takes several times it."""
+        """Bytes of plan, state and metrics of one rollout; None if C code owns them.
+
+        Temporary arrays within a control tick take several times as much.
+        """
         ...
 
     def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
@@ -96,35 +119,52 @@ class Engine(Protocol):
         """
         ...
 
-    def run(self, world: Any, belief: Any, streams: np.ndarray) -> Figures:
-        """Figures of `width` rollouts; `streams` (width,) are the numbers folded into the noise key.
+    def run(self, world: Any, belief: Any, streams: np.ndarray) -> Metrics:
+        """Simulate a batch.
 
-        Raises `MemoryError` where the device cannot hold the batch.
+        Args:
+            world: parameters of the simulated side, numbers or arrays (width,).
+            belief: parameters that the planner receives, likewise.
+            streams: number of each rollout's noise stream (width,), folded into the random key.
+
+        Returns:
+            Metrics by column name, an array (width,) each.
+
+        Raises:
+            MemoryError: The device cannot hold the batch.
         """
         ...
 
-    def histories(
-        self, world: Any, belief: Any, streams: np.ndarray, slots: np.ndarray, watch: Watch
-    ) -> tuple[Figures, np.ndarray]:
-        """As `run`, with what is to be watched of the rollouts in `slots` (n,): (samples, n, columns).
+    def run_with_time_series(
+        self, world: Any, belief: Any, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
+    ) -> tuple[Metrics, np.ndarray]:
+        """Simulate a batch and record columns of some rollouts over time.
 
-        Samples are at the ends of control ticks `watch.every`, twice that, ... of all; those after a rollout's own end
-        mean nothing.
+        Args:
+            world: see `run`.
+            belief: see `run`.
+            streams: see `run`.
+            slots: indices (n,) of the recorded rollouts in the batch.
+            watch: columns to record, and the number of control ticks between samples.
+
+        Returns:
+            Metrics as from `run`, and samples (samples, n, columns) at the ends of control ticks `watch.every`,
+            2 `watch.every`, ... Samples after the end of a rollout are undefined.
         """
         ...
 
     def trace(self, world: Any, belief: Any, streams: np.ndarray, slot: int) -> Trace:
-        """The rollout in `slot` of a batch, recorded."""
+        """Simulate a batch and record all that a `Trace` holds of the rollout at index `slot`, see `run`."""
         ...
 
     def traces(self, world: Any, belief: Any, streams: np.ndarray, every: int) -> Sequence[Trace | NoTrace]:
-        """Record all rollouts of a batch, which runs once.
+        """Simulate a batch once and record a trace of each of its rollouts.
 
         Args:
-            world: parameters of the simulated side, numbers or arrays over the batch.
-            belief: parameters that the controller believes in, likewise.
-            streams: numbers (width,) that are folded into the noise key.
-            every: control ticks from one sample to the next.
+            world: see `run`.
+            belief: see `run`.
+            streams: see `run`.
+            every: number of control ticks between samples.
 
         Returns:
             A trace for each rollout, or the reason that its model cannot be drawn.

@@ -1,12 +1,12 @@
-"""Batch a function of one rollout along the last axis: neighbouring numbers in memory are neighbouring rollouts.
+"""Batch a function of one rollout along the last axis, so that neighbours in memory are neighbouring rollouts.
 
 `jax.vmap` puts the batch first: a foot's three coordinates then lie side by side, and neither a CPU's vector units nor
 a GPU's memory can take many rollouts at a time. `batch_last_vmap` goes through the same program operation by operation
-and keeps the batch last. Products of small matrices become sums of products. What it has no rule for, `jax.vmap` does.
+and keeps the batch last. Products of small matrices become sums of products. Primitives without a rule use `jax.vmap`.
 
-A compiler for a CPU merges a value into every loop that uses it and works it out again in each. In a long program
-that multiplies: it made a physics step twelve times as slow. So a value that is used more than once is kept in memory
-where working it out again would take `reuse_from` operations or more.
+A CPU compiler fuses a value into every loop that uses it and computes it again in each. In a long program that
+multiplies: it made a physics step twelve times as slow. So a value with several uses is kept in memory if computing it
+again would take `reuse_from` operations or more.
 """
 
 from collections import Counter
@@ -32,31 +32,45 @@ ELEMENTWISE = frozenset("""
 REDUCTIONS = frozenset(
     ("argmax", "argmin", "reduce_and", "reduce_max", "reduce_min", "reduce_or", "reduce_prod", "reduce_sum")
 )
-SAME_AXES = REDUCTIONS | {"cummax", "cummin", "cumprod", "cumsum", "rev", "squeeze"}  # counted from the front
+SAME_AXES = REDUCTIONS | {
+    "cummax",
+    "cummin",
+    "cumprod",
+    "cumsum",
+    "rev",
+    "squeeze",
+}  # primitives whose axes count from the front
 COST = {"convert_element_type": 0, "copy": 0, "div": 8, "sqrt": 8, "rsqrt": 8, "sin": 20, "cos": 20, "atan2": 20,
         "acos": 20, "pow": 20, "exp": 20, "log": 20}  # of an operation, where it is not 1  # fmt: skip
 
 
 class Operand(NamedTuple):
-    """A value of the program: with a last axis over the batch, or the same for all of it."""
+    """A value of the program; its last axis is the batch, or it is the same for the whole batch."""
 
     value: Any
     batched: bool
-    cost: int = 0  # operations to work it out anew from what is kept in memory
+    cost: int = 0  # operations to compute it again from values in memory
 
 
-class Shared(NamedTuple):
-    """What is the same in the whole program: the batch's size, and from what cost on a value is kept."""
+class BatchContext(NamedTuple):
+    """Constants of one batched program: the size of the batch, and the cost from which values are kept in memory."""
 
     size: int
     reuse_from: int
 
 
 def batch_last_vmap(function: Callable, in_axes: Sequence[Any], reuse_from: int) -> Callable:
-    """`function` of one rollout, over a batch that is the last axis of all results.
+    """Batch a function of one rollout along the last axis.
 
-    `in_axes` holds for every argument None (the same for the whole batch), -1, or a tree of its structure whose leaves
-    are None or -1. Equal to `jax.vmap(function, in_axes, out_axes=-1)` to round-off.
+    Equal to `jax.vmap(function, in_axes, out_axes=-1)` to round-off.
+
+    Args:
+        function: function of one rollout.
+        in_axes: for each argument None (shared), -1 (batched along the last axis), or a tree of these.
+        reuse_from: number of operations from which a value with several uses is kept in memory.
+
+    Returns:
+        The batched function; all its results have the batch as last axis.
     """
 
     def batched(*args: Any) -> Any:
@@ -67,25 +81,25 @@ def batch_last_vmap(function: Callable, in_axes: Sequence[Any], reuse_from: int)
         one = [jax.ShapeDtypeStruct(x.value.shape[: x.value.ndim - x.batched], x.value.dtype) for x in inputs]
         trace = jax.make_jaxpr(lambda *leaves: function(*jax.tree.unflatten(tree, leaves)), return_shape=True)
         program, shape = trace(*one)
-        outputs = _evaluate(program, inputs, Shared(size, reuse_from))
-        return jax.tree.unflatten(jax.tree.structure(shape), [_spread(out, size) for out in outputs])
+        outputs = _evaluate(program, inputs, BatchContext(size, reuse_from))
+        return jax.tree.unflatten(jax.tree.structure(shape), [_broadcast_batch(out, size) for out in outputs])
 
     return batched
 
 
-def _leaf_axes(arg: Any, given: Any) -> list[int | None]:
-    if given is None or given == -1:
-        return [given] * len(jax.tree.leaves(arg))
-    return jax.tree.leaves(given, is_leaf=lambda x: x is None)
+def _leaf_axes(arg: Any, axes: Any) -> list[int | None]:
+    if axes is None or axes == -1:
+        return [axes] * len(jax.tree.leaves(arg))
+    return jax.tree.leaves(axes, is_leaf=lambda x: x is None)
 
 
-def _spread(x: Operand, size: int) -> Array:
+def _broadcast_batch(x: Operand, size: int) -> Array:
     """The value with its last axis over the batch."""
     value = jnp.asarray(x.value)
     return value if x.batched else jnp.broadcast_to(value[..., None], (*value.shape, size))
 
 
-def _evaluate(program: ClosedJaxpr, inputs: Sequence[Operand], batch: Shared) -> list[Operand]:
+def _evaluate(program: ClosedJaxpr, inputs: Sequence[Operand], batch: BatchContext) -> list[Operand]:
     """Results of `program` on `inputs`."""
     jaxpr = program.jaxpr
     known: dict[Any, Operand] = {}
@@ -111,7 +125,7 @@ def _evaluate(program: ClosedJaxpr, inputs: Sequence[Operand], batch: Shared) ->
     return [read(atom) for atom in jaxpr.outvars]
 
 
-def _apply(eqn: Any, args: list[Operand], batch: Shared) -> list[Operand]:
+def _apply(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
     """Results of one operation."""
     name, params, size = eqn.primitive.name, eqn.params, batch.size
     if name in CALLS:
@@ -142,9 +156,9 @@ def _results(out: Any, batched: bool, cost: int = 0) -> list[Operand]:
 
 
 def _elementwise(eqn: Any, args: list[Operand]) -> Any:
-    """Operands of one rank and the batch; JAX lets single numbers stand beside arrays."""
+    """Elementwise operation on operands of one rank plus the batch axis; JAX lets scalars stand beside arrays."""
     rank = max(jnp.ndim(x.value) - x.batched for x in args)
-    whole = eqn.primitive.name in ("select_n", "clamp", "add_any")  # which do not stretch axes of length 1
+    whole = eqn.primitive.name in ("select_n", "clamp", "add_any")  # these do not broadcast axes of length 1
     values = []
     for x in args:
         value, ndim = jnp.asarray(x.value), jnp.ndim(x.value) - x.batched
@@ -159,11 +173,11 @@ def _elementwise(eqn: Any, args: list[Operand]) -> Any:
     return eqn.primitive.bind(*values, **eqn.params)
 
 
-def _scan(eqn: Any, args: list[Operand], batch: Shared) -> list[Operand]:
-    """A loop over the first axis; all that it carries becomes batched."""
+def _scan(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
+    """A loop over the first axis; everything that it carries becomes batched."""
     program = eqn.params["jaxpr"]
     inner = program.jaxpr if isinstance(program, ClosedJaxpr) else program
-    # what is looped over, or stacked up, has one axis less inside
+    # scanned and stacked values have one axis less inside
     n_xs = sum(_rank(x) != _rank(y) for x, y in zip(eqn.invars, inner.invars, strict=True))
     n_ys = sum(_rank(x) != _rank(y) for x, y in zip(eqn.outvars, inner.outvars, strict=True))
     n_carry = len(eqn.outvars) - n_ys
@@ -173,19 +187,19 @@ def _scan(eqn: Any, args: list[Operand], batch: Shared) -> list[Operand]:
     def body(state: list[Array], x: list[Array]) -> tuple[list[Array], list[Array]]:
         here = [Operand(s, True) for s in state]
         there = [Operand(v, operand.batched) for v, operand in zip(x, xs, strict=True)]
-        values = [_spread(v, batch.size) for v in _evaluate(_closed(program), [*consts, *here, *there], batch)]
+        values = [_broadcast_batch(v, batch.size) for v in _evaluate(_closed(program), [*consts, *here, *there], batch)]
         return values[:n_carry], values[n_carry:]
 
     loop = {key: eqn.params[key] for key in ("length", "reverse", "unroll")}
-    last, ys = lax.scan(body, [_spread(x, batch.size) for x in carry], [x.value for x in xs], **loop)
+    last, ys = lax.scan(body, [_broadcast_batch(x, batch.size) for x in carry], [x.value for x in xs], **loop)
     return [Operand(x, True) for x in (*last, *ys)]
 
 
-def _cond(eqn: Any, args: list[Operand], batch: Shared) -> list[Operand]:
-    """A choice that is the same for the whole batch."""
+def _cond(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
+    """A branch that is the same for the whole batch."""
 
     def spread(branch: ClosedJaxpr) -> list[Array]:
-        return [_spread(x, batch.size) for x in _evaluate(branch, args[1:], batch)]
+        return [_broadcast_batch(x, batch.size) for x in _evaluate(branch, args[1:], batch)]
 
     return _results(lax.switch(args[0].value, [partial(spread, branch) for branch in eqn.params["branches"]]), True)
 
@@ -221,11 +235,11 @@ def _pad(args: list[Operand], size: int, padding_config: tuple) -> Array:
 
 
 def _concatenate(args: list[Operand], size: int, dimension: int) -> Array:
-    return lax.concatenate([_spread(x, size) for x in args], dimension)
+    return lax.concatenate([_broadcast_batch(x, size) for x in args], dimension)
 
 
 def _dot_general(args: list[Operand], size: int, dimension_numbers: tuple, **_: Any) -> Array:
-    """Products summed one after the other: the matrices are a few rows, the batch is long."""
+    """Sum products one after the other: the matrices have a few rows, the batch is long."""
     (contract_l, contract_r), (batch_l, batch_r) = dimension_numbers
     left, right = ((jnp.asarray(x.value) if x.batched else jnp.asarray(x.value)[..., None]) for x in args)
     free_l = [d for d in range(left.ndim - 1) if d not in (*contract_l, *batch_l)]
@@ -270,7 +284,7 @@ def _scatter(put: Callable, args: list[Operand], size: int, dimension_numbers: A
     numbers = lax.ScatterDimensionNumbers(window, dims.inserted_window_dims, dims.scatter_dims_to_operand_dims,
                                           dims.operand_batching_dims, dims.scatter_indices_batching_dims)  # fmt: skip
     rest = {k: v for k, v in rest.items() if k in ("unique_indices", "indices_are_sorted", "mode")}
-    return put(_spread(operand, size), indices.value, _spread(updates, size), numbers, **rest)
+    return put(_broadcast_batch(operand, size), indices.value, _broadcast_batch(updates, size), numbers, **rest)
 
 
 def _dynamic_update_slice(args: list[Operand], size: int) -> Array:
@@ -278,7 +292,9 @@ def _dynamic_update_slice(args: list[Operand], size: int) -> Array:
     if any(start.batched for start in starts):
         return NotImplemented
     places = [jnp.asarray(start.value) for start in starts]
-    return lax.dynamic_update_slice(_spread(operand, size), _spread(update, size), (*places, jnp.zeros_like(places[0])))
+    return lax.dynamic_update_slice(
+        _broadcast_batch(operand, size), _broadcast_batch(update, size), (*places, jnp.zeros_like(places[0]))
+    )
 
 
 RULES: dict[str, Callable] = {

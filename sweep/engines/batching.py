@@ -1,4 +1,4 @@
-"""What engines share in handling batches: batch axes, keys, precision, records of a traced rollout."""
+"""Handling of batches that both engines share: nominal plan, batch width, and traces from recorded ticks."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -15,7 +15,7 @@ from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
 from sweep.core.progress import timed_part
 from sweep.engines import base, devices, planning, pre_rollout, program_cache
-from sweep.engines.base import Figures, NoTrace, Sides, Trace
+from sweep.engines.base import Metrics, NoTrace, Sides, Trace
 from sweep.engines.settings import EngineSettings
 from sweep.fused.dependence import find_unread_columns
 from sweep.metrics import accumulator, outcome
@@ -27,22 +27,26 @@ from sweep.models.legs import N_JOINTS
 
 
 def nominal_plan(belief: Case) -> Plan:
-    """The plan by plain numbers. Raises `InputError` where they admit none; a swept row is then invalid.
+    """Compute the plan of nominal parameters.
 
-    A process has the last one at hand, as layout and engine ask for the same, and later ones find it with the programs.
+    The last plan is cached in this process, since layout and engine ask for the same one; later processes load it
+    together with the compiled programs.
+
+    Raises:
+        InputError: The parameters admit no plan. In a study a row without a plan is invalid instead.
     """
     return _nominal_plan(belief, jnp.zeros(()).dtype)
 
 
 @lru_cache(maxsize=1)
-def _nominal_plan(belief: Case, kind: np.dtype) -> Plan:
-    """For JAX's float type of the moment."""
-    made_of = "nominal plan", belief, str(kind)
-    (plan,) = program_cache.programs(made_of, jax.devices()[:1], lambda: [_planned(belief)])
+def _nominal_plan(belief: Case, dtype: np.dtype) -> Plan:
+    """Cached by belief and JAX's present float type."""
+    made_of = "nominal plan", belief, str(dtype)
+    (plan,) = program_cache.load_or_compile(made_of, jax.devices()[:1], lambda: [_compute_nominal_plan(belief)])
     return plan
 
 
-def _planned(belief: Case) -> Plan:
+def _compute_nominal_plan(belief: Case) -> Plan:
     with timed_part("nominal plan"):
         plan = planning.evaluate_plan(lambda: belief.manoeuvre.plan(belief))
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(plan)):
@@ -52,26 +56,40 @@ def _planned(belief: Case) -> Plan:
 
 
 def substeps(settings: EngineSettings) -> int:
-    """Physics steps of a control tick. Raises `InputError` where they do not fit."""
+    """Number of physics steps in a control tick. Raises `InputError` if the period is no whole multiple of the step."""
     key = "native_time_step" if settings.name == "native" else "time_step"
     step, period = settings.step, settings.control_period
     allowed = f"a whole fraction of engine.control_period = {period:g} s"
     return base.substeps(period, step, f"engine.{key} = {step:g} is not allowed: {allowed}")
 
 
-def pick(case: Case, slot: int) -> Case:
-    """One row's parameters as plain numbers."""
+def select_row(case: Case, slot: int) -> Case:
+    """Parameters of the rollout at index `slot` of a batch, as plain numbers."""
     return jax.tree.map(lambda x: float(x[slot]) if np.ndim(x) else x, case)
 
 
-def check(streams: np.ndarray, width: int) -> None:
-    """Raises `ValueError` where a batch does not have the engine's width."""
+def check_width(streams: np.ndarray, width: int) -> None:
+    """Raise `ValueError` if a batch does not have the engine's width."""
     if len(streams) != width:
         raise ValueError(f"a batch of {len(streams)} rollouts for an engine of width {width}")
 
 
-def record(command: Command, state: TrackerState, tick: Tick, q: Array, v: Array, judged: Array) -> dict[str, Array]:
-    """What a trace keeps of a tick; `judged` are the figures so far that it is judged by."""
+def record_tick(
+    command: Command, state: TrackerState, tick: Tick, q: Array, v: Array, judged: Array
+) -> dict[str, Array]:
+    """Quantities of one control tick that a trace stores.
+
+    Args:
+        command: command of the controller.
+        state: state of the tracker.
+        tick: summary of the physics steps.
+        q: positions in MuJoCo's layout (nq,).
+        v: velocities in MuJoCo's layout (nv,).
+        judged: present values of the metrics that have thresholds (w,).
+
+    Returns:
+        Arrays by name; foot quantities (6, 3) in world axes, SI units.
+    """
     return {
         "qpos": q,
         "qvel": v,
@@ -86,8 +104,8 @@ def record(command: Command, state: TrackerState, tick: Tick, q: Array, v: Array
     }
 
 
-class Batched:
-    """How engines of the robot simulate rollouts: all of a batch, recorded or not, so that numbers are the same."""
+class BatchEngine:
+    """Base class of the hexapod's engines, which simulate the same numbers with and without recording."""
 
     width: int
 
@@ -97,16 +115,19 @@ class Batched:
         self.substeps = substeps(settings)
         with devices.precision(settings):
             plan = nominal_plan(belief)
-            pre_rollout.check(world, belief, plan)
+            pre_rollout.check_control_settings(world, belief, plan)
         self.stages, self.duration = plan.names, float(GRACE * np.sum(np.asarray(plan.duration)))
         self._searches = plan.layer(Feedforward) is not None  # for planned forces
         self._replans = world.control.replan != "never"
-        self._programs: dict[Any, Any] = {}  # by the form of what they are given
+        self._programs: dict[Any, Any] = {}  # by the signature of their arguments
 
     def _simulate(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
-    ) -> tuple[Figures, list[Any]]:
-        """Figures of a batch; of the rollouts in `slots`, if any, parts of what is recorded at one in `every` ticks."""
+    ) -> tuple[Metrics, list[Any]]:
+        """Simulate a batch, and record the rollouts in `slots`, if any, at one in `every` ticks.
+
+        Returns: metrics, and the recorded parts in order of time.
+        """
         raise NotImplementedError
 
     def rollout_outputs(self, world: Case, belief: Case, key: Array) -> Any:
@@ -118,19 +139,19 @@ class Batched:
         with devices.precision(self.settings):
             return find_unread_columns(self.rollout_outputs, sides, ends)
 
-    @devices.memory()
-    def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
-        """See `Engine`; stops early when every rollout is over."""
+    @devices.convert_memory_errors()
+    def run(self, world: Case, belief: Case, streams: np.ndarray) -> Metrics:
+        """See `Engine`. The simulation stops early once every rollout is over."""
         return self._simulate(world, belief, streams)[0]
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
-        """One rollout of a batch recorded, see `Engine`."""
+        """See `Engine`."""
         return require_trace(self.traces(world, belief, streams, 1, np.array([slot]))[0])
 
     def traces(
         self, world: Case, belief: Case, streams: np.ndarray, every: int, slots: np.ndarray | None = None
     ) -> list[Trace | NoTrace]:
-        """See `Engine`; of the rollouts in `slots`, if they are named."""
+        """See `Engine`; `slots` selects rollouts, by default all."""
         slots = np.arange(self.width) if slots is None else slots
         figures, parts = self._simulate(world, belief, streams, slots, every)
         records = jax.tree.map(lambda *each: np.concatenate(each), *parts)
@@ -148,22 +169,33 @@ def require_trace(trace: Trace | NoTrace) -> Trace:
 def to_traces(
     cases: tuple[Case, Case],
     slots: np.ndarray,
-    figures: Figures,
+    figures: Metrics,
     records: dict[str, np.ndarray],
     stages: tuple[str, ...],
     limits: Thresholds,
     tick: float,
     every: int,
 ) -> list[Trace | NoTrace]:
-    """The rollouts in `slots` of a batch, of world and belief `cases`, each up to its end.
+    """Make traces of rollouts from the records of a batch; each trace ends with its rollout.
 
-    `records` (samples, slots, ...) are of one in `every` control ticks of `tick` seconds.
+    Args:
+        cases: world and belief of the batch.
+        slots: indices of the recorded rollouts in the batch.
+        figures: metrics of the batch, by column name.
+        records: recorded arrays (samples, slots, ...), see `record_tick`.
+        stages: names of the plan's stages.
+        limits: thresholds, for the margin of each sample.
+        tick: length of a control tick (s).
+        every: number of control ticks between samples.
+
+    Returns:
+        A trace for each slot, or the reason that its model cannot be drawn.
     """
     traces: list[Trace | NoTrace] = []
     for place, slot in enumerate(slots):
-        world, belief = (pick(case, slot) for case in cases)
+        world, belief = (select_row(case, slot) for case in cases)
         row = {name: values[slot] for name, values in figures.items()}
-        samples = round(float(row["duration_s"]) / tick) // every  # the sum of many ticks is rough
+        samples = round(float(row["duration_s"]) / tick) // every  # rounds off the error of summing many ticks
         kept = {name: values[:samples, place] for name, values in records.items()}
         causes, judged = accumulator.tick_causes(world), kept.pop("judged").T
         watched = dict(zip(accumulator.tick_metrics(world), judged, strict=True))
@@ -183,7 +215,7 @@ def to_traces(
                 stages=stages,
                 margin=margin,
                 margin_of=margin_of,
-                figures=row,
+                metrics=row,
                 torque_limit=float(np.max(world.drive.torque_limit)),
                 **kept,
             )

@@ -1,6 +1,6 @@
-"""A batch that calibrates itself in physics before it begins: the poses in soft drives, then the manoeuvre.
+"""Simulated calibration: a batch first goes through the calibration poses with soft drives, then does its manoeuvre.
 
-Both are rollouts of the same engine. The second begins with what was learned, standing as its plan wants.
+Both are rollouts of the same engine. The second one starts in its plan's start pose, with the estimated sizes.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from sweep.controllers.calibration_poses import HOLD, MOVE, CalibrationPoses, he
 from sweep.core.errors import InputError
 from sweep.core.outcomes import FAILURE, INVALID
 from sweep.engines import batching, devices, pre_rollout
-from sweep.engines.base import Engine, Figures, NoTrace, Trace, Watch
+from sweep.engines.base import Engine, Metrics, NoTrace, TimeSeriesRequest, Trace
 from sweep.engines.batching import require_trace
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import calibration, outcome
@@ -24,30 +24,30 @@ from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, KINDS, LEGS, N_LEGS
 
-EVERY = 0.04  # s between the samples of a pose that is held
-WATCHED = (
+SAMPLE_INTERVAL = 0.04  # s between samples while a pose is held
+SAMPLED_COLUMNS = (
     *(f"qpos_{k}" for k in range(JOINT_Q.stop)),
     *(f"foot{leg}_force_{axis}_n" for leg in LEGS for axis in "xyz"),
 )
-KEPT = {  # figures of the poses that a row keeps
+POSE_METRICS = {  # metrics of the poses that a row keeps, by their column in it
     "calibration_slip_max_m": "slip_max_m",
     "calibration_clearance_min_m": "clearance_min_m",
     "calibration_torque_peak_nm": "torque_peak_nm",
 }
 
 
-class Calibrating:
-    """An engine for `control.calibrate=simulated`, of two by `make`."""
+class CalibratingEngine:
+    """Engine for `control.calibrate=simulated`: one engine simulates the calibration poses, another the manoeuvre."""
 
     def __init__(
         self, make: Callable[..., Engine], settings: EngineSettings, world: Case, belief: Case, limits: Thresholds
     ):
         self.settings, self.limits = settings, limits
-        pre_rollout.check_level(belief, batching.nominal_plan(belief), world.control.calibrate)
+        pre_rollout.check_level_start(belief, batching.nominal_plan(belief), world.control.calibrate)
         others = {name: None for name in world.manoeuvre.goal if name not in CalibrationPoses.goal}
         self._limits = replace(limits, **others)  # pyright: ignore[reportArgumentType]
-        self._poses = make(settings, _in_poses(world), _in_poses(belief), self._limits)
-        self._then = make(settings, _informed(world), _informed(belief), limits)
+        self._poses = make(settings, _pose_case(world), _pose_case(belief), self._limits)
+        self._then = make(settings, _manoeuvre_case(world), _manoeuvre_case(belief), limits)
         self.stages = self._poses.stages + self._then.stages
         self.duration = self._poses.duration + self._then.duration
         self.width, self.dynamics, self.devices = self._then.width, self._then.dynamics, self._then.devices
@@ -58,52 +58,54 @@ class Calibrating:
         sizes = self._poses.rollout_bytes(), self._then.rollout_bytes()
         return None if None in sizes else max(size for size in sizes if size is not None)
 
-    def run(self, world: Case, belief: Case, streams: np.ndarray) -> Figures:
-        """Figures of both rollouts as one, see `Engine`."""
-        sides, before = self._calibrated(world, belief, streams)
-        return self._joined(before, self._then.run(*sides, streams))
+    def run(self, world: Case, belief: Case, streams: np.ndarray) -> Metrics:
+        """Metrics of both rollouts as one row, see `Engine`."""
+        sides, before = self._run_calibration(world, belief, streams)
+        return self._join_metrics(before, self._then.run(*sides, streams))
 
-    def histories(
-        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: Watch
-    ) -> tuple[Figures, np.ndarray]:
-        """See `Engine`. Raises `InputError`: there is one clock to a history."""
+    def run_with_time_series(
+        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
+    ) -> tuple[Metrics, np.ndarray]:
+        """See `Engine`. Raises `InputError`, since the two rollouts have no common clock."""
         raise InputError("study.keep is not allowed with control.calibrate = simulated: none, sizes")
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
-        """The poses and what follows as one record, see `Engine`."""
-        sides, before = self._calibrated(world, belief, streams)
-        first = self._poses.trace(_in_poses(world), _in_poses(belief), streams, slot)
-        return self._chained(before, slot, first, self._then.trace(*sides, streams, slot))
+        """Poses and manoeuvre as one trace, see `Engine`."""
+        sides, before = self._run_calibration(world, belief, streams)
+        first = self._poses.trace(_pose_case(world), _pose_case(belief), streams, slot)
+        return self._join_traces(before, slot, first, self._then.trace(*sides, streams, slot))
 
     def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace | NoTrace]:
-        """The same of all rollouts, see `Engine`."""
-        sides, before = self._calibrated(world, belief, streams)
-        firsts = self._poses.traces(_in_poses(world), _in_poses(belief), streams, every)
+        """Poses and manoeuvre of each rollout as one trace, see `Engine`."""
+        sides, before = self._run_calibration(world, belief, streams)
+        firsts = self._poses.traces(_pose_case(world), _pose_case(belief), streams, every)
         thens = self._then.traces(*sides, streams, every)
         both = enumerate(zip(firsts, thens, strict=True))
         return [
             next((one for one in (first, then) if isinstance(one, NoTrace)), None)
-            or self._chained(before, slot, require_trace(first), require_trace(then))
+            or self._join_traces(before, slot, require_trace(first), require_trace(then))
             for slot, (first, then) in both
         ]
 
-    def _calibrated(self, world: Case, belief: Case, streams: np.ndarray) -> tuple[tuple[Case, Case], Figures]:
-        """World and belief after the poses, and what a row keeps of these."""
-        every = max(1, round(EVERY / self.settings.control_period))
-        watch, slots = Watch(WATCHED, every, self.width), np.arange(self.width)
-        figures, seen = self._poses.histories(_in_poses(world), _in_poses(belief), streams, slots, watch)
+    def _run_calibration(self, world: Case, belief: Case, streams: np.ndarray) -> tuple[tuple[Case, Case], Metrics]:
+        """Simulate the poses. Returns world and belief for the manoeuvre, and the metrics of the poses."""
+        every = max(1, round(SAMPLE_INTERVAL / self.settings.control_period))
+        watch, slots = TimeSeriesRequest(SAMPLED_COLUMNS, every, self.width), np.arange(self.width)
+        figures, seen = self._poses.run_with_time_series(_pose_case(world), _pose_case(belief), streams, slots, watch)
         with devices.precision(self.settings):
-            true = _means(seen, every * self.settings.control_period, float(np.max(world.control.load_threshold)))
+            true = _average_poses(
+                seen, every * self.settings.control_period, float(np.max(world.control.load_threshold))
+            )
             given = devices.as_arrays((world, belief, true))
-            form = devices.form(given[:2])
+            form = devices.program_signature(given[:2])
             if form not in self._learn:
-                self._learn[form] = _learner(given)
-            sizes, told = jax.tree.map(np.asarray, self._learn[form](*given, devices.keys(streams)))
+                self._learn[form] = _compile_estimation(given)
+            sizes, told = jax.tree.map(np.asarray, self._learn[form](*given, devices.noise_keys(streams)))
         known = replace(belief, robot=replace(belief.robot, **sizes))
-        return (_informed(world), _informed(known)), self._judged(figures) | told
+        return (_manoeuvre_case(world), _manoeuvre_case(known)), self._calibration_metrics(figures) | told
 
-    def _judged(self, figures: Figures) -> Figures:
-        """What a row keeps of the poses, and how near they came to what fails them."""
+    def _calibration_metrics(self, figures: Metrics) -> Metrics:
+        """Metrics that a row keeps of the poses, with their margin to failure."""
         labels = outcome.classify(figures, self._limits, self._poses.stages)
         failed, margin = labels["outcome"] == FAILURE, labels["margin"].astype(float)
         margin = np.where(failed & (margin >= 0), -1.0, margin)
@@ -111,15 +113,15 @@ class Calibrating:
         peaks = [figures[f"torque_peak_{joint}_nm"] for joint in KINDS]
         figures = figures | {"torque_peak_nm": np.max(peaks, axis=0)}
         return {
-            **{name: figures[own] for name, own in KEPT.items() if own in figures},
+            **{name: figures[own] for name, own in POSE_METRICS.items() if own in figures},
             "calibration_margin": np.where(labels["outcome"] == INVALID, np.nan, margin),
             "uncalibrated_time_s": np.where(failed, np.nan_to_num(labels["t_cause_s"].astype(float)), np.nan),
             "uncalibrated_stage": np.array([number.get(name, -1) for name in labels["stage"]]),
             "calibration_s": figures["duration_s"],
         }
 
-    def _joined(self, before: Figures, after: Figures) -> Figures:
-        """Figures of a row: of the manoeuvre, counted on in time and stages from the poses, and theirs."""
+    def _join_metrics(self, before: Metrics, after: Metrics) -> Metrics:
+        """Metrics of a row: those of the manoeuvre, its times and stages counted from the start of the poses."""
         joined, first = dict(after), len(self._poses.stages)
         for name, values in after.items():
             if name.endswith("_time_s") or name == "duration_s":
@@ -128,29 +130,29 @@ class Calibrating:
                 joined[name] = np.where(values < 0, values, values + first)
         return joined | before
 
-    def _chained(self, before: Figures, slot: int, first: Trace, then: Trace) -> Trace:
-        """One trace of the poses and of what follows."""
+    def _join_traces(self, before: Metrics, slot: int, first: Trace, then: Trace) -> Trace:
+        """One trace of the poses and the manoeuvre after them."""
         own = {name: values[slot] for name, values in before.items()}
         rows = {k: np.concatenate([x, getattr(then, k)]) for k, x in vars(first).items() if isinstance(x, np.ndarray)}
         rows["time"][len(first.time) :] += own["calibration_s"]
         rows["stage"][len(first.time) :] += len(first.stages)
-        return replace(then, **rows, stages=self.stages, figures=self._joined(own, then.figures))
+        return replace(then, **rows, stages=self.stages, metrics=self._join_metrics(own, then.metrics))
 
 
-def _in_poses(case: Case) -> Case:
-    """The case of the poses: soft drives, nothing learned while it goes through them."""
+def _pose_case(case: Case) -> Case:
+    """Case of the calibration poses: soft drives, and no estimation during the rollout."""
     control = replace(case.control, calibrate="none", touch="none", replan="never")
     drive = replace(case.drive, stiffness=case.control.stiffness, damping=case.control.damping)
     return replace(case, manoeuvre=CalibrationPoses(case.manoeuvre), drive=drive, control=control)
 
 
-def _informed(case: Case) -> Case:
-    """The case of the manoeuvre."""
+def _manoeuvre_case(case: Case) -> Case:
+    """Case of the manoeuvre after calibration."""
     return replace(case, control=replace(case.control, calibrate="none"))
 
 
-def _learner(given: tuple[Case, Case, PoseMeasurements]) -> Callable[..., Any]:
-    """What rollouts like `given` learn of what really was in their poses: sizes by name, and figures."""
+def _compile_estimation(cases: tuple[Case, Case, PoseMeasurements]) -> Callable[..., Any]:
+    """Compile the estimation of sizes from the true means of the poses: estimated sizes by name, and metrics."""
 
     def learned(world: Case, belief: Case, true: PoseMeasurements, key: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         found = pre_rollout.calibrate_from_poses(world, belief, true, key)
@@ -158,15 +160,21 @@ def _learner(given: tuple[Case, Case, PoseMeasurements]) -> Callable[..., Any]:
             found
         )
 
-    return jax.jit(jax.vmap(learned, in_axes=(*devices.axes(given), 0)))
+    return jax.jit(jax.vmap(learned, in_axes=(*devices.batch_axes(cases), 0)))
 
 
-def _means(seen: np.ndarray, every: float, threshold: float) -> PoseMeasurements:
-    """Of each pose, from samples (s, n, columns) every so many seconds: base and joints, and which feet bear load."""
-    pose = np.array([held_pose_index(every * (k + 1)) for k in range(round(len(MOVES) * (MOVE + HOLD) / every))])
-    missing = max(0, len(pose) - len(seen))  # where all rollouts were over before
-    seen = np.concatenate([seen, np.full((missing, *seen.shape[1:]), np.nan, seen.dtype)])[: len(pose)]
-    each = [seen[pose == k] for k in range(len(MOVES))]  # not all as many
+def _average_poses(samples: np.ndarray, interval: float, threshold: float) -> PoseMeasurements:
+    """Average each calibration pose over the samples taken while it was held.
+
+    Args:
+        samples: recorded columns (samples, rollouts, columns).
+        interval: time between samples (s).
+        threshold: force above which a foot carries load (N).
+    """
+    pose = np.array([held_pose_index(interval * (k + 1)) for k in range(round(len(MOVES) * (MOVE + HOLD) / interval))])
+    missing = max(0, len(pose) - len(samples))  # all rollouts ended earlier
+    samples = np.concatenate([samples, np.full((missing, *samples.shape[1:]), np.nan, samples.dtype)])[: len(pose)]
+    each = [samples[pose == k] for k in range(len(MOVES))]  # numbers of samples differ
     mean = np.stack([x.mean(axis=0) for x in each], axis=1)
     shape = *mean.shape[:2], N_LEGS, 3
     force = [np.linalg.norm(x[..., JOINT_Q.stop :].reshape(*x.shape[:2], N_LEGS, 3), axis=-1) for x in each]

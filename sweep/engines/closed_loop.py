@@ -1,4 +1,7 @@
-"""What both engines do once a control tick: observe, command, measure. Pure functions of one rollout."""
+"""The closed loop of one rollout, shared by both engines: in each control tick observe, control and update metrics.
+
+All functions are pure and are written for one rollout; the engines batch them.
+"""
 
 import dataclasses
 from typing import Literal, NamedTuple
@@ -39,26 +42,26 @@ from sweep.models.obstacles.surface import (
     surface_at,
 )
 
-CHUNK = 1.0  # s of simulated time between two looks of the host, and from plan to plan of who plans again
-CLEAR = 0.1  # m, by which a foot inside is lifted to tell what it stands on: more than errors of sizes put it there
+CHUNK = 1.0  # s of simulated time between two checks whether all rollouts are over, and between replans
+CLEAR = 0.1  # m, height above a penetrating foot at which its ground is looked up; more than any error of sizes
 FLAT = 1e-3  # cosine to the vertical, below which a face is a wall
-LONGEST = 600.0  # s; a rollout that takes longer is cut off unfinished: absurd parameters must not hold up a batch
+LONGEST = 600.0  # s; longer rollouts are cut off, so that absurd parameters do not hold up a batch
 
 
 class ClosedLoop(NamedTuple):
-    """Controller, sensors and figures of one rollout."""
+    """State of controller, sensors and metrics of one rollout between two control ticks."""
 
     tracker: TrackerState
-    sensors: Sensors | None  # where measurement is not exact
+    sensors: Sensors | None  # None for exact measurements
     running: RunningMetrics
-    seen: Observation  # the truth at the end of the last tick
-    servo: Servo  # what the drives were told last
+    actual: Observation  # exact observation at the end of the last tick
+    servo: Servo  # drive target of the last tick
     key: Array
     learned: LearnedState
 
 
 class Start(NamedTuple):
-    """MuJoCo's positions and velocities: base, legs, free bodies."""
+    """State of MuJoCo at the start: positions and velocities of base, legs and free bodies."""
 
     qpos: Float[Array, " nq"]
     qvel: Float[Array, " nv"]
@@ -68,34 +71,48 @@ Sensing = Literal["exact", "late", "noisy"]
 DELAYS = {"delay": 0.0, "load_delay": 0.0, "body_delay": 0.0}
 
 
-def sensing(noise: Noise) -> Sensing:
-    """Classify what sensors need to be simulated: nothing, a delay, or random errors as well.
+def classify_sensing(noise: Noise) -> Sensing:
+    """Classify which sensor errors have to be simulated: none, a delay, or random errors as well.
 
     Random numbers take a third of the compile time of a walk, so they are left out where all errors are zero. Fields of
     `noise` are numbers or arrays over a batch.
     """
 
-    def is_zero(some: Noise) -> bool:
-        return all(isinstance(x, float) and x == 0 for x in jax.tree.leaves(some))
+    def is_zero(fields: Noise) -> bool:
+        return all(isinstance(x, float) and x == 0 for x in jax.tree.leaves(fields))
 
     if noise.delay_buffer == 0 and is_zero(noise):
         return "exact"
     return "late" if is_zero(dataclasses.replace(noise, **DELAYS)) else "noisy"
 
 
-def most_ticks(plans: Plan, period: float) -> int:
-    """Control ticks of the longest rollout of a batch; a plan that is not finite has none, one too long is cut off."""
+def count_ticks(plans: Plan, period: float) -> int:
+    """Number of control ticks that the longest rollout of a batch may take.
+
+    Args:
+        plans: plans of the batch, stage durations (rollouts, stages) in s. Infinite and NaN durations are ignored.
+        period: length of a control tick (s).
+    """
     durations = np.sum(np.asarray(plans.duration), axis=-1, dtype=float)
     longest = np.max(durations, initial=0.0, where=np.isfinite(durations))
     return int(np.ceil((min(GRACE * longest, LONGEST) + REST) / period))
 
 
 def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = None) -> Start:
-    """The world at the start, free bodies where the obstacle has them if not `free` says otherwise.
+    """State of the simulated world at the start of the manoeuvre.
 
-    The robot stands with the joint angles that it believes right, displaced as `execution` says, and lowered along the
-    ground's normal (or raised) until its lowest foot touches; on free bodies it goes down upright, and rides along
-    with them.
+    The robot stands with the joint angles that it believes to be right, displaced by the placement error of
+    `world.execution`. It is then lowered or raised along the ground's normal until its lowest foot touches. On free
+    bodies it moves vertically, and has their velocity.
+
+    Args:
+        world: simulated parameters.
+        belief: parameters that the planner received.
+        plan: plan of the manoeuvre; its start gives base pose and footholds.
+        free: state of the obstacle's free bodies; by default their own start state.
+
+    Returns:
+        Positions and velocities in MuJoCo's layout; world axes, SI units.
     """
     free = free_start_state(world.obstacle) if free is None else free
     joints, _ = joint_targets(belief.robot, plan.start)
@@ -104,7 +121,9 @@ def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = 
     ground = _beneath(world.obstacle, feet, rotate(start.quat, jnp.array([0.0, 0.0, 1.0])), body_poses(free))
     along = jnp.array([0.0, 0.0, 1.0]) if world.obstacle.free_bodies else ground.normal[jnp.argmax(ground.depth)]
     slant = ground.normal @ along
-    below = jnp.where(slant > FLAT, ground.depth / jnp.maximum(slant, FLAT), -jnp.inf)  # no wall stops a foot's descent
+    below = jnp.where(
+        slant > FLAT, ground.depth / jnp.maximum(slant, FLAT), -jnp.inf
+    )  # walls do not stop a descending foot
     position = start.position + jnp.max(below) * along
     velocity, moving = jnp.zeros_like(position), jnp.zeros_like(feet)
     for k in range(free.position.shape[0]):
@@ -112,7 +131,7 @@ def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = 
         velocity = velocity + jnp.mean(on_it, axis=0) * free.velocity[k]
         moving = moving + on_it * (free.velocity[k] + jnp.cross(free.turn[k], feet - free.position[k]))
     rates = jnp.zeros_like(joints)
-    if world.obstacle.free_bodies:  # on fixed ground nothing moves, and a straight leg's angles have no derivative
+    if world.obstacle.free_bodies:  # not on fixed ground: nothing moves, and a straight leg's angles have no derivative
         stance = start._replace(feet=feet)
         moved = stance._replace(feet=moving, position=velocity, quat=jnp.zeros_like(start.quat))
         _, rates = jax.jvp(lambda s: joint_targets(belief.robot, s)[0], (stance,), (moved,))
@@ -123,7 +142,7 @@ def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = 
 
 
 def _beneath(obstacle: Obstacle, feet: Float[Array, "6 3"], up: Float[Array, " 3"], bodies: BodyPoses) -> Surface:
-    """The surface under feet that may be inside; within an edge they came from above, however near the wall is."""
+    """Surface under each foot. A foot inside a solid is treated as if it came from above, also near a vertical wall."""
     at, above = surface_at(obstacle, feet, bodies), surface_at(obstacle, feet + CLEAR * up, bodies)
     rise = above.normal @ up
     inside = (at.depth > 0) & (at.normal @ up < FLAT) & (rise > FLAT)
@@ -134,28 +153,46 @@ def _beneath(obstacle: Obstacle, feet: Float[Array, "6 3"], up: Float[Array, " 3
 
 
 def apply_placement_error(execution: Execution, start: Stance) -> Stance:
-    """The start with the errors of the robot's placement."""
+    """Displace the start pose by the placement error of `execution` (m, and rad about the vertical)."""
     position = start.position + point(execution.start_x, execution.start_y, 0.0)
     turn = rotation_about_vertical(jnp.asarray(execution.start_yaw, float))
     feet = position + rotate(turn[None], start.feet - start.position)
     return Stance(feet, position, multiply(turn, start.quat))
 
 
-def free_state(qpos: Array, qvel: Array, count: int) -> FreeState:
-    """The last `count` bodies of a state of MuJoCo: the obstacle's free bodies."""
+def free_body_state(qpos: Array, qvel: Array, count: int) -> FreeState:
+    """Take the state of the obstacle's free bodies out of a MuJoCo state.
+
+    Args:
+        qpos: positions (nq,); the last 7 `count` numbers are those of the free bodies.
+        qvel: velocities (nv,); the last 6 `count` numbers are those of the free bodies.
+        count: number of free bodies.
+
+    Returns:
+        Position, orientation, velocity and angular velocity of each body, world axes.
+    """
     pose = qpos[qpos.shape[0] - 7 * count :].reshape(count, 7)
     motion = qvel[qvel.shape[0] - 6 * count :].reshape(count, 6)
     return FreeState(pose[:, :3], pose[:, 3:], motion[:, :3], rotate(pose[:, 3:], motion[:, 3:]))
 
 
-def truth(qpos: Array, qvel: Array, count: int, load: Float[Array, " 6"]) -> Observation:
-    """What exact sensors see of a state of MuJoCo with `count` free bodies, its feet under a `load` (N)."""
+def exact_observation(qpos: Array, qvel: Array, count: int, load: Float[Array, " 6"]) -> Observation:
+    """Observation of sensors without error and delay.
+
+    Args:
+        qpos: positions (nq,) in MuJoCo's layout: base, legs, free bodies.
+        qvel: velocities (nv,) likewise.
+        count: number of the obstacle's free bodies.
+        load: normal force on each foot (N).
+    """
     joints, rates = qpos[JOINT_Q].reshape(N_LEGS, 3), qvel[JOINT_V].reshape(N_LEGS, 3)
     base = qpos[:3], qpos[3:7], qvel[:3], qvel[3:6]
-    return Observation(*base, joints, rates, jnp.zeros_like(joints), load > LOADED, free_state(qpos, qvel, count), load)
+    return Observation(
+        *base, joints, rates, jnp.zeros_like(joints), load > LOADED, free_body_state(qpos, qvel, count), load
+    )
 
 
-def init(
+def init_loop(
     world: Case,
     belief: Case,
     plan: Plan,
@@ -163,37 +200,58 @@ def init(
     energy: Array,
     key: Array,
     learned: LearnedState,
-    sensors_are: Sensing,
+    sensing: Sensing,
 ) -> ClosedLoop:
-    """Before the first tick; `belief` holds what was learned already. `sensors_are`: see `sensing`."""
-    seen = truth(start.qpos, start.qvel, len(world.obstacle.free_bodies), jnp.full(N_LEGS, jnp.inf))
+    """Make the state of the closed loop before the first control tick.
+
+    Args:
+        world: simulated parameters.
+        belief: parameters that the planner received, with estimates made before the start.
+        plan: plan of the manoeuvre.
+        start: state of MuJoCo at the start.
+        energy: mechanical energy at the start (J).
+        key: random key of the rollout's noise.
+        learned: estimates made before the start.
+        sensing: which sensor errors are simulated, see `classify_sensing`.
+    """
+    seen = exact_observation(start.qpos, start.qvel, len(world.obstacle.free_bodies), jnp.full(N_LEGS, jnp.inf))
     bias_key, key = jax.random.split(key)
     sensors = None
-    if sensors_are != "exact":
+    if sensing != "exact":
         marked = seen._replace(free=surface.landmark_state(world.obstacle, seen.free))
-        sensors = init_sensors(world.noise, bias_key, marked, has_errors=sensors_are == "noisy")
+        sensors = init_sensors(world.noise, bias_key, marked, has_errors=sensing == "noisy")
     feet = feet_in_world(world.robot, seen.position, seen.quat, seen.angles)
     running = accumulator.begin(RolloutStart(world, plan, seen.position, seen.quat, feet, seen.free, energy, learned))
     servo = position_mode(world.drive, seen.angles)
-    return ClosedLoop(
-        tracker.init(belief, plan, exact=sensors_are == "exact"), sensors, running, seen, servo, key, learned
-    )
+    return ClosedLoop(tracker.init(belief, plan, exact=sensing == "exact"), sensors, running, seen, servo, key, learned)
 
 
-def act(
+def run_controller(
     world: Case, belief: Case, plan: Plan, loop: ClosedLoop, tick: Array, period: float
 ) -> tuple[ClosedLoop, Command]:
-    """The controller's part of a tick; the drives then go linearly from the old reference to the new one.
+    """Run the controller for one control tick: observe, update estimates, and compute the joint command.
 
-    Free bodies are seen by their landmarks, and taken to be where those that are believed have these.
+    The drives then go linearly from the last target to the new one. The controller sees free bodies by their landmarks,
+    and computes their poses from the shape that it believes in.
+
+    Args:
+        world: simulated parameters.
+        belief: parameters that the planner received.
+        plan: plan of the manoeuvre.
+        loop: state of the closed loop.
+        tick: number of the control tick.
+        period: length of a control tick (s).
+
+    Returns:
+        The state of the closed loop with the new drive target, and the command.
     """
-    sensors, seen = loop.sensors, loop.seen._replace(free=surface.landmark_state(world.obstacle, loop.seen.free))
+    sensors, seen = loop.sensors, loop.actual._replace(free=surface.landmark_state(world.obstacle, loop.actual.free))
     if sensors is not None:
         sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick), tick)
     free = surface.state_from_landmarks(initial_obstacle(belief, loop.learned), seen.free)
     seen = with_contact_detection(world.control, belief.noise, seen._replace(free=free))
     state, followed, beside, learned = update_from_touch(world, belief, plan, loop.tracker, loop.learned, seen, period)
-    exact = None if sensors is None else loop.seen
+    exact = None if sensors is None else loop.actual
     state, command = tracker.step(updated_belief(belief, learned), followed, state, seen, period, beside, exact)
     servo = position_mode(world.drive, command.joints - seen.joint_error)
     if command.servo is not None:
@@ -203,7 +261,7 @@ def act(
     return loop._replace(tracker=state, sensors=sensors, servo=servo, learned=learned), command
 
 
-def measure(
+def update_metrics(
     world: Case,
     plan: Plan,
     limits: Thresholds,
@@ -213,10 +271,24 @@ def measure(
     number: Array,
     period: float,
 ) -> tuple[ClosedLoop, Float[Array, " w"]]:
-    """The metrics' part of a tick, and the figures that it is judged by so far, see `accumulator.update`.
+    """Update the metrics with one control tick, and end the rollout if it is over.
 
-    A rollout that has rested after its plan, or had its time, is over. One that is to end in motion is over with its
-    plan: nobody steps on.
+    A rollout is over once it has rested after its plan, or its time is up. A driving manoeuvre, which ends in motion,
+    is over with its plan.
+
+    Args:
+        world: simulated parameters.
+        plan: plan from before the start.
+        thresholds: values of metrics at which causes apply.
+        loop: state of the closed loop after `run_controller`.
+        command: command of this tick.
+        tick: summary of the tick's physics steps.
+        number: number of the control tick.
+        period: length of a control tick (s).
+
+    Returns:
+        The state of the closed loop, and the present values of the metrics that have thresholds (w,), see
+        `accumulator.update`.
     """
     plan = loop.learned.plan or plan
     state, time = loop.tracker, loop.running.time + period
@@ -240,9 +312,15 @@ def measure(
     rest = 0.0 if isinstance(world.manoeuvre, Driving) else REST
     rested = state.finished & (running.rested > rest - period / 2)
     running = running._replace(over=running.over | rested | late)
-    return loop._replace(running=running, seen=tick.truth), judged
+    return loop._replace(running=running, actual=tick.truth), judged
 
 
-def figures_of(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
-    """The row's figures of a rollout as far as it has come, see `accumulator.compute`; it began with `plan`."""
+def compute_metrics(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
+    """Compute the metrics of a rollout from what has been accumulated so far, see `accumulator.compute`.
+
+    Args:
+        world: simulated parameters.
+        plan: plan from before the start.
+        loop: state of the closed loop.
+    """
     return accumulator.compute(world, loop.learned.plan or plan, loop.running, loop.tracker.stage)

@@ -1,4 +1,4 @@
-"""The closed loop of a CPU as a fused kernel, between programs that NumPy goes through."""
+"""The closed loop on a CPU: a kernel of the fused compiler, between programs that NumPy executes."""
 
 import functools
 import sys
@@ -14,7 +14,7 @@ from sweep.controllers.belief_update import LearnedState
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.engines import devices
-from sweep.engines.base import Watch
+from sweep.engines.base import TimeSeriesRequest
 from sweep.engines.planning import Planning
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import select_columns
@@ -25,52 +25,72 @@ from sweep.fused.kernel import Kernel, Tiles
 from sweep.models.case import Case
 
 
-class Going(NamedTuple):
-    """A batch in a kernel's memory."""
+class FusedBatch(NamedTuple):
+    """A batch in the memory of a kernel."""
 
     tiles: Tiles
 
     @property
     def is_over(self) -> np.ndarray:
-        """Which rollouts have ended."""
-        return self.tiles.look(lambda carried: carried.loop.running.over)
+        """Which rollouts have ended (width,)."""
+        return self.tiles.read(lambda carried: carried.loop.running.over)
 
 
-class Fused(NamedTuple):
-    """What a batch runs through."""
+class FusedPrograms(NamedTuple):
+    """Programs of a batch: planning, the kernel of the closed loop, and the metrics at the end."""
 
-    begin: Planning
+    planning: Planning
     kernel: Kernel
-    end: Callable[..., dict[str, Array]]
-    again: Callable[..., LearnedState] | None  # what plans again before each chunk, if any
-    ticks: int  # of a chunk
+    metrics: Callable[..., dict[str, Array]]
+    replan: Callable[..., LearnedState] | None  # plans again before each chunk; None if the scenario does not
+    ticks: int  # control ticks of a chunk
     width: int
-    watch: Watch | None
+    watch: TimeSeriesRequest | None
 
-    def start(self, world: Case, belief: Case, keys: Array) -> tuple[Plan, Going]:
-        """Plans, and the batch before its first tick."""
-        plans, carry = self.begin(world, belief, keys)
-        return plans, Going(self.kernel.enter((world, belief, plans), carry, self.width))
+    def start(self, world: Case, belief: Case, keys: Array) -> tuple[Plan, FusedBatch]:
+        """Plan, and put the batch into the kernel's memory before its first tick."""
+        plans, carry = self.planning(world, belief, keys)
+        return plans, FusedBatch(self.kernel.enter((world, belief, plans), carry, self.width))
 
     def chunk(
-        self, world: Case, belief: Case, plans: Plan, carry: Going, tick: int, kept: np.ndarray | None
-    ) -> tuple[Going, Any]:
-        """Go on from `tick`; records of the rollouts `kept`, of all there is or of the columns watched."""
-        if self.again is not None:
-            known = carry.tiles.look(lambda carried: (carried.loop.tracker.stage, carried.loop.learned))
-            carry.tiles.change(lambda carried: carried.loop.learned, self.again(belief, plans, *known))
-        record = carry.tiles.advance(tick, self.ticks, kept)
+        self, world: Case, belief: Case, plans: Plan, carry: FusedBatch, tick: int, slots: np.ndarray | None
+    ) -> tuple[FusedBatch, Any]:
+        """Simulate one chunk of control ticks.
+
+        Args:
+            world: parameters of the simulated side.
+            belief: parameters that the planner received.
+            plans: plans of the batch.
+            carry: the batch.
+            tick: number of the first control tick.
+            slots: rollouts to record; None for none.
+
+        Returns:
+            The batch, and records of the rollouts in `slots`: all quantities, or the requested columns.
+        """
+        if self.replan is not None:
+            known = carry.tiles.read(lambda carried: (carried.loop.tracker.stage, carried.loop.learned))
+            carry.tiles.replace(lambda carried: carried.loop.learned, self.replan(belief, plans, *known))
+        record = carry.tiles.advance(tick, self.ticks, slots)
         if record is None or self.watch is None:
             return carry, record
         return carry, select_columns(world, record, self.watch.columns)
 
-    def finish(self, world: Case, plans: Plan, carry: Going) -> dict[str, Array]:
-        """Figures of a batch that has gone through its ticks."""
-        return self.end(world, plans, carry.tiles.leave())
+    def finish(self, world: Case, plans: Plan, carry: FusedBatch) -> dict[str, Array]:
+        """Metrics of a batch after its last chunk."""
+        return self.metrics(world, plans, carry.tiles.read_all())
 
 
 def single_rollout_shapes(arrays: tuple[Case, Case, Array], batch: Any) -> tuple[tuple[Case, Case, Plan], Any]:
-    """The form of what a rollout is given, and of what it carries on; a `batch` has plans and the latter."""
+    """Shapes of the tick function's arguments for one rollout.
+
+    Args:
+        arrays: world, belief and random keys of a batch.
+        batch: shapes of its plans and of its carry.
+
+    Returns:
+        Shapes of (world, belief, plan), and of the carry.
+    """
 
     def one(x: Any, axes: int) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(x.shape[axes:], x.dtype)
@@ -80,34 +100,47 @@ def single_rollout_shapes(arrays: tuple[Case, Case, Array], batch: Any) -> tuple
     return (world, belief, plan), carry
 
 
-def eager_or(by_xla: Callable[[], Compiled], function: Callable[..., Any], *given: Any) -> Eager | Compiled:
-    """A function that is run a few times for a batch, of `given` shapes of a rollout; XLA's where it has to be."""
+def trace_or_compile(by_xla: Callable[[], Compiled], function: Callable[..., Any], *shapes: Any) -> Eager | Compiled:
+    """Make a program that runs only a few times for each batch: for NumPy if it has a rule for all, else by XLA.
+
+    Args:
+        by_xla: compiles the function over the batch with XLA.
+        function: function of one rollout.
+        shapes: shapes of its arguments for one rollout.
+    """
     try:
-        return eager.trace(function, *given)
+        return eager.trace(function, *shapes)
     except Unsupported:
         return by_xla()
 
 
-def ready(program: Eager | Compiled, width: int) -> Callable[..., Any]:
-    """`program` of one rollout, or of a batch, as a function of a batch of `width`."""
-    return functools.partial(*(program, width) if isinstance(program, Eager) else (devices.run, program))
+def bind_width(program: Eager | Compiled, width: int) -> Callable[..., Any]:
+    """Turn a program of one rollout (`Eager`) or of a batch (`Compiled`) into a function over batches of `width`."""
+    return functools.partial(*(program, width) if isinstance(program, Eager) else (devices.run_program, program))
 
 
-def or_what_is_missing(compiled: Callable[..., tuple]) -> Callable[..., tuple]:
-    """The same; or what the fused compiler has no rule for, so that this can be kept as well."""
+def return_missing_rule(compile_programs: Callable[..., tuple]) -> Callable[..., tuple]:
+    """Wrap a function that compiles programs: where the fused compiler has no rule, it returns the rule's name instead.
 
-    @functools.wraps(compiled)
-    def tried(*of: Any) -> tuple:
+    So the cache can store that the programs cannot be fused.
+    """
+
+    @functools.wraps(compile_programs)
+    def with_missing_rule(*args: Any) -> tuple:
         try:
-            return compiled(*of)
+            return compile_programs(*args)
         except Unsupported as missing:
             return (str(missing),)
 
-    return tried
+    return with_missing_rule
 
 
-def give_up(settings: EngineSettings, missing: str) -> None:
-    """Say that XLA compiles the closed loop. Raises `InputError` where it was to be fused."""
+def report_fallback(settings: EngineSettings, missing: str) -> None:
+    """Say on standard error that XLA compiles the closed loop, as the fused compiler has no rule for `missing`.
+
+    Raises:
+        InputError: The settings require the fused compiler.
+    """
     why = f"the fused compiler has no rule for {missing}"
     if settings.compiler == "fused":
         raise InputError(f"engine.compiler = fused is not allowed here: {why}")

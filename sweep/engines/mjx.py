@@ -1,4 +1,4 @@
-"""The primary engine: controller, physics and metrics of a tick in one program, by this package's compiler or XLA."""
+"""The primary engine: controller, physics and metrics of a tick in one program, fused or compiled by XLA."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -20,22 +20,22 @@ from sweep.dynamics import interface as dynamics
 from sweep.dynamics.free_bodies import start_at_rest
 from sweep.dynamics.step import PhysicsState, state_at_rest
 from sweep.engines import batching, devices, fused_loop, physics, planning, program_cache
-from sweep.engines.base import Figures, Watch
+from sweep.engines.base import Metrics, TimeSeriesRequest
 from sweep.engines.batch_last import batch_last_vmap
-from sweep.engines.batching import Batched
+from sweep.engines.batching import BatchEngine
 from sweep.engines.closed_loop import (
     CHUNK,
     ClosedLoop,
     Sensing,
-    act,
-    figures_of,
-    init,
-    measure,
-    most_ticks,
-    sensing,
+    classify_sensing,
+    compute_metrics,
+    count_ticks,
+    init_loop,
+    run_controller,
     start_state,
+    update_metrics,
 )
-from sweep.engines.fused_loop import Fused, single_rollout_shapes
+from sweep.engines.fused_loop import FusedPrograms, single_rollout_shapes
 from sweep.engines.planning import Planning
 from sweep.engines.pre_rollout import prepare_belief
 from sweep.engines.settings import EngineSettings
@@ -49,51 +49,51 @@ from sweep.models.case import Case
 
 
 class Carry(NamedTuple):
-    """One rollout between two control ticks."""
+    """State of one rollout between two control ticks."""
 
     state: PhysicsState
     loop: ClosedLoop
 
     @property
     def is_over(self) -> Array:
-        """Whether nothing is to come."""
+        """Whether the rollout has ended."""
         return self.loop.running.over
 
 
 class XlaPrograms(NamedTuple):
-    """What a batch runs through, compiled."""
+    """Compiled programs of a batch: planning, a chunk of control ticks, and the metrics at the end."""
 
     start: Callable[[Case, Case, Array], tuple[Plan, Any]]
     chunk: Callable[[Case, Case, Plan, Any, int, Any], tuple[Any, Any]]
     finish: Callable[[Case, Plan, Any], dict[str, Array]]
 
 
-class Mjx(Batched):
-    """The implicit contact step on structured or on MJX's smooth dynamics."""
+class MjxEngine(BatchEngine):
+    """Engine with the implicit contact step, on the structured (`arrowhead`) or on MJX's smooth dynamics."""
 
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
         super().__init__(settings, world, belief, limits)
         self.dynamics = physics.dynamics_name(settings)
         self.width = settings.width or devices.default_width()
-        self._mesh = devices.mesh(self.width)
+        self._mesh = devices.make_mesh(self.width)
         self.devices = jax.device_count()
-        self.fused = _fused(settings)
+        self.fused = _uses_fused_compiler(settings)
         with devices.precision(settings):
             self.topology = dynamics.topology(world)
             self.physics = physics.make_physics(settings, self.topology)
 
     def rollout_bytes(self) -> int:
-        """See `Engine`; nothing is compiled for it."""
+        """See `Engine`. Nothing is compiled for it."""
         with devices.precision(self.settings):
-            start = partial(self._start, sensing(self._nominal[0].noise))
+            start = partial(self._start, classify_sensing(self._nominal[0].noise))
             held = jax.eval_shape(start, *devices.as_arrays(self._nominal), jax.random.key(0))
         return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(held))
 
-    @devices.memory()
-    def histories(
-        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: Watch
-    ) -> tuple[Figures, np.ndarray]:
-        """Figures, and columns over time, see `Engine`."""
+    @devices.convert_memory_errors()
+    def run_with_time_series(
+        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
+    ) -> tuple[Metrics, np.ndarray]:
+        """See `Engine`."""
         figures, parts = self._simulate(world, belief, streams, slots, watch.every, watch)
         return figures, np.concatenate([np.zeros((0, len(slots), len(watch.columns)), np.float32), *parts])
 
@@ -104,22 +104,24 @@ class Mjx(Batched):
         streams: np.ndarray,
         slots: np.ndarray | None = None,
         every: int = 1,
-        watch: Watch | None = None,
-    ) -> tuple[Figures, list[Any]]:
-        """Figures of the batch, and of the rollouts in `slots`, if any, what is recorded in each chunk of ticks.
+        watch: TimeSeriesRequest | None = None,
+    ) -> tuple[Metrics, list[Any]]:
+        """Simulate a batch, and record the rollouts in `slots`, if any, at one in `every` ticks.
 
-        That is one in `every` ticks: all there is of them, or what is to be watched.
+        Returns: metrics, and for each chunk of ticks a record of all quantities, or of the columns in `watch`.
         """
-        most = watch.most if watch else 1 if slots is None else len(slots)  # slots that room is made for
+        most = (
+            watch.max_rollouts if watch else 1 if slots is None else len(slots)
+        )  # number of recorded rollouts to make room for
         with devices.precision(self.settings):
             (world, belief, keys), programs, kept, places = self._prepare(world, belief, streams, slots, most, watch)
             plans, carry = programs.start(world, belief, keys)
             records = []
-            for tick in range(0, most_ticks(plans, self.settings.control_period), self._chunk_ticks):
+            for tick in range(0, count_ticks(plans, self.settings.control_period), self._chunk_ticks):
                 carry, record = programs.chunk(world, belief, plans, carry, tick, kept)
                 first = (every - 1 - tick) % every
                 records.append(jax.tree.map(lambda x, first=first: np.asarray(x)[first::every][:, places], record))
-                # on the host: among devices it would take their collective operations, which can hang
+                # on the host, since collective operations among devices can hang
                 over = np.asarray(carry.is_over)
                 if np.all(over if slots is None or watch else over[slots]):
                     break
@@ -127,59 +129,64 @@ class Mjx(Batched):
             return {name: np.asarray(values) for name, values in figures}, records
 
     @property
-    def _by_host(self) -> bool:
-        """Whether the closed loop goes on outside of XLA's programs."""
+    def _runs_outside_xla(self) -> bool:
+        """Whether the closed loop runs as a kernel of its own, outside XLA's programs."""
         return self.fused and jax.default_backend() == "cpu"
 
     @property
-    def _few(self) -> bool:
-        """Whether NumPy goes through what is run once a batch: on a GPU where that is quicker than XLA compiles it."""
-        return self._by_host or (self.fused and self.width <= devices.FEW)
+    def _uses_numpy(self) -> bool:
+        """Whether NumPy executes what runs once a batch: on a GPU only where XLA would take longer to compile it."""
+        return self._runs_outside_xla or (self.fused and self.width <= devices.NUMPY_WIDTH)
 
     @property
-    def _local(self) -> int:
-        """Rollouts that a device has of a batch."""
+    def _rollouts_per_device(self) -> int:
         return self.width // self._mesh.size
 
-    def _kept(self, slots: np.ndarray | None, room: int) -> tuple[Any, np.ndarray | None]:
-        """What each device records, as `room` places among its rollouts, and where `slots` are among all of these."""
-        if slots is None or self._by_host:
+    def _recording_slots(self, slots: np.ndarray | None, room: int) -> tuple[Any, np.ndarray | None]:
+        """Rollouts that each device records, padded to `room`, and where `slots` are among all of these."""
+        if slots is None or self._runs_outside_xla:
             return slots, None if slots is None else np.arange(len(slots))
         local, places = np.zeros((self._mesh.size, room), np.int32), np.zeros(len(slots), int)
         for device in range(self._mesh.size):
-            mine = np.flatnonzero(slots // self._local == device)
-            local[device, : len(mine)] = slots[mine] % self._local
+            mine = np.flatnonzero(slots // self._rollouts_per_device == device)
+            local[device, : len(mine)] = slots[mine] % self._rollouts_per_device
             places[mine] = device * room + np.arange(len(mine))
-        return devices.spread(jnp.asarray(local.ravel()), self._mesh), places
+        return devices.shard(jnp.asarray(local.ravel()), self._mesh), places
 
     @property
     def _chunk_ticks(self) -> int:
         return max(1, round(CHUNK / self.settings.control_period))
 
     def _prepare(
-        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None, most: int, watch: Watch | None
-    ) -> tuple[tuple[Case, Case, Array], XlaPrograms | Fused, Any, np.ndarray | None]:
-        """Arguments as arrays of the right type, and the programs for their batch axes; what is recorded, and where."""
-        batching.check(streams, self.width)
-        kept, places = self._kept(slots, min(self._local, most))
-        sensors_are = sensing(world.noise)
-        recorded = None if kept is None or self._by_host else (kept.shape, watch and watch.columns)
-        form = devices.form((world, belief)), sensors_are, recorded
-        arrays = devices.spread((*devices.as_arrays((world, belief)), devices.keys(streams)), self._mesh)
+        self,
+        world: Case,
+        belief: Case,
+        streams: np.ndarray,
+        slots: np.ndarray | None,
+        most: int,
+        watch: TimeSeriesRequest | None,
+    ) -> tuple[tuple[Case, Case, Array], XlaPrograms | FusedPrograms, Any, np.ndarray | None]:
+        """Arguments as arrays, programs for their batch axes, rollouts to record, and their places in the record."""
+        batching.check_width(streams, self.width)
+        kept, places = self._recording_slots(slots, min(self._rollouts_per_device, most))
+        sensing = classify_sensing(world.noise)
+        recorded = None if kept is None or self._runs_outside_xla else (kept.shape, watch and watch.columns)
+        form = devices.program_signature((world, belief)), sensing, recorded
+        arrays = devices.shard((*devices.as_arrays((world, belief)), devices.noise_keys(streams)), self._mesh)
         if form not in self._programs:
-            compiled = partial(self._compile, arrays, sensors_are, kept, watch)
-            made_of, on = (form, *self._made_of), list(self._mesh.devices.flat)
-            parts = program_cache.programs(made_of, on, compiled)
+            compiled = partial(self._compile, arrays, sensing, kept, watch)
+            key_parts, on = (form, *self._cache_key), list(self._mesh.devices.flat)
+            parts = program_cache.load_or_compile(key_parts, on, compiled)
             if isinstance(parts[0], str):
-                fused_loop.give_up(self.settings, parts[0])
+                fused_loop.report_fallback(self.settings, parts[0])
                 self.fused = False
                 return self._prepare(world, belief, streams, slots, most, watch)
-            self._programs[form] = self._ready(*parts)
+            self._programs[form] = self._bind_programs(*parts)
         programs = self._programs[form]
-        programs = programs._replace(watch=watch) if isinstance(programs, Fused) else programs
+        programs = programs._replace(watch=watch) if isinstance(programs, FusedPrograms) else programs
         return arrays, programs, kept, places
 
-    def _ready(
+    def _bind_programs(
         self,
         start: Eager | Compiled,
         searches: dict[str, Code],
@@ -187,35 +194,35 @@ class Mjx(Batched):
         finish: Eager | Compiled,
         again: Eager | Compiled | None = None,
         machine: driver.GpuKernel | None = None,
-    ) -> XlaPrograms | Fused:
-        begin, end = Planning.from_programs(start, searches), fused_loop.ready(finish, self.width)
+    ) -> XlaPrograms | FusedPrograms:
+        begin, end = Planning.from_programs(start, searches), fused_loop.bind_width(finish, self.width)
         if not isinstance(chunk, Code):
             if machine:
                 driver.add_kernel(machine)
             compiled = isinstance(start, Compiled)
             return XlaPrograms(
-                begin if compiled else lambda *of: devices.put_on_devices(begin(*of), self._mesh), chunk, end
+                begin if compiled else lambda *args: devices.put_on_devices(begin(*args), self._mesh), chunk, end
             )
-        new = again and fused_loop.ready(again, self.width)
-        return Fused(begin, Kernel(chunk), end, new, self._chunk_ticks, self.width, None)
+        new = again and fused_loop.bind_width(again, self.width)
+        return FusedPrograms(begin, Kernel(chunk), end, new, self._chunk_ticks, self.width, None)
 
     @property
-    def _made_of(self) -> tuple:
-        """All that the programs depend on beside the form of their arguments; MJX's dynamics hold the nominal model."""
+    def _cache_key(self) -> tuple:
+        """All that the programs depend on besides their arguments' shapes; MJX's dynamics contain the nominal model."""
         top = self.topology
         model = model_bytes(top.model) if self.dynamics == "mjx" else None
         return self.settings, self.limits, self.width, self.dynamics, self.fused, top.names, top.owner, model
 
-    @fused_loop.or_what_is_missing
+    @fused_loop.return_missing_rule
     def _compile(
-        self, arrays: tuple[Case, Case, Array], sensors_are: Sensing, kept: Array | None, watch: Watch | None
+        self, arrays: tuple[Case, Case, Array], sensing: Sensing, slots: Array | None, watch: TimeSeriesRequest | None
     ) -> tuple[Any, ...]:
-        """The programs over batches like `arrays`, split over the devices.
+        """Compile the programs for batches like `arrays`, sharded over the devices.
 
-        They are compiled side by side: the compiler needs no Python, which traces the next one meanwhile.
+        They compile in parallel: the compiler needs no Python, which traces the next program meanwhile.
         """
         world, belief, _ = arrays
-        axes, specs = devices.axes((world, belief)), devices.specs((world, belief))
+        axes, specs = devices.batch_axes((world, belief)), devices.partition_specs((world, belief))
         split, whole = PartitionSpec(devices.BATCH), PartitionSpec()
         on_devices = partial(jax.shard_map, mesh=self._mesh, check_vma=False)
         control = self._nominal[0].control
@@ -223,105 +230,121 @@ class Mjx(Batched):
 
         def many(start: Callable) -> Callable:
             at_once = jax.vmap(start, in_axes=(*axes, 0))
-            batched = at_once if self._by_host or one_plan else devices.in_turns(start, self._local)
+            batched = (
+                at_once
+                if self._runs_outside_xla or one_plan
+                else devices.vmap_in_chunks(start, self._rollouts_per_device)
+            )
             return on_devices(batched, in_specs=(*specs, split), out_specs=split)
 
         recorded = (split, PartitionSpec(None, devices.BATCH))
         with ThreadPoolExecutor() as pool:
-            batch, started = planning.start_compilation(
-                pool, partial(self._start, sensors_are), arrays, many, self._searches, self._few
+            batch, wait_for_start = planning.start_compilation(
+                pool, partial(self._start, sensing), arrays, many, self._searches, self._uses_numpy
             )
-            plans, carry = devices.split(batch, self._mesh)
-            if self._by_host:
+            plans, carry = devices.sharded_shapes(batch, self._mesh)
+            if self._runs_outside_xla:
                 with timed_part("closed loop"):
-                    lanes = kernel.tile(self.width, devices.cores())
-                    chunked = pool.submit(
+                    lanes = kernel.choose_lanes(self.width, devices.count_cores())
+                    chunk_future = pool.submit(
                         kernel.start_compilation(self._tick, *single_rollout_shapes(arrays, batch), lanes=lanes)
                     )
-                    finished = self._compile_finish(arrays, batch, on_devices)
-                    again = self._compile_again(arrays, batch, on_devices)
-                    return *started(), chunked.result(), finished, again
-            make = self._fused_chunk if self.fused else self._chunk
-            chunk, key = make(arrays, batch, kept, watch)
+                    finish_program = self._compile_finish(arrays, batch, on_devices)
+                    again = self._compile_replan(arrays, batch, on_devices)
+                    return *wait_for_start(), chunk_future.result(), finish_program, again
+            make = self._fused_chunk if self.fused else self._xla_chunk
+            chunk, key = make(arrays, batch, slots, watch)
             chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
             options = launch.OPTIONS if self.fused else None
-            go_on = jax.jit(chunk, donate_argnums=3, compiler_options=options)
+            chunk_program = jax.jit(chunk, donate_argnums=3, compiler_options=options)
             with timed_part("closed loop"):
-                chunked = pool.submit(go_on.lower(world, belief, plans, carry, 0, kept).compile)
-                finished = self._compile_finish(arrays, batch, on_devices)
-                return *started(), chunked.result(), finished, None, key and driver.finished_kernel(key)
+                chunk_future = pool.submit(chunk_program.lower(world, belief, plans, carry, 0, slots).compile)
+                finish_program = self._compile_finish(arrays, batch, on_devices)
+                return (
+                    *wait_for_start(),
+                    chunk_future.result(),
+                    finish_program,
+                    None,
+                    key and driver.wait_for_kernel(key),
+                )
 
-    def _compile_again(
+    def _compile_replan(
         self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
     ) -> Eager | Compiled | None:
-        """What plans again, if anything does."""
+        """Program that plans again between chunks, if the scenario does so."""
         if not self._replans:
             return None
         (_, belief, plan), carry = single_rollout_shapes(arrays, batch)
-        plans, carries = devices.split(batch, self._mesh)
+        plans, carries = devices.sharded_shapes(batch, self._mesh)
 
         def by_xla() -> Compiled:
             split = PartitionSpec(devices.BATCH)
-            again = jax.vmap(replan_rest, in_axes=(devices.axes(arrays[1]), 0, 0, 0))
-            again = on_devices(again, in_specs=(devices.specs(arrays[1]), split, split, split), out_specs=split)
+            again = jax.vmap(replan_rest, in_axes=(devices.batch_axes(arrays[1]), 0, 0, 0))
+            again = on_devices(
+                again, in_specs=(devices.partition_specs(arrays[1]), split, split, split), out_specs=split
+            )
             return jax.jit(again).lower(arrays[1], plans, carries.loop.tracker.stage, carries.loop.learned).compile()
 
         with timed_part("new plan"):
-            return fused_loop.eager_or(by_xla, replan_rest, belief, plan, carry.loop.tracker.stage, carry.loop.learned)
+            return fused_loop.trace_or_compile(
+                by_xla, replan_rest, belief, plan, carry.loop.tracker.stage, carry.loop.learned
+            )
 
     def _compile_finish(
         self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
     ) -> Eager | Compiled:
-        """The program that makes figures of a batch, see `_compile`."""
+        """Program that computes the metrics of a batch, see `_compile`."""
         split = PartitionSpec(devices.BATCH)
 
         def by_xla() -> Compiled:
-            finish = jax.vmap(self._finish, in_axes=(devices.axes(arrays[0]), 0, 0))
-            finish = on_devices(finish, in_specs=(devices.specs(arrays[0]), split, split), out_specs=split)
-            return jax.jit(finish).lower(arrays[0], *devices.split(batch, self._mesh)).compile()
+            finish = jax.vmap(self._finish, in_axes=(devices.batch_axes(arrays[0]), 0, 0))
+            finish = on_devices(finish, in_specs=(devices.partition_specs(arrays[0]), split, split), out_specs=split)
+            return jax.jit(finish).lower(arrays[0], *devices.sharded_shapes(batch, self._mesh)).compile()
 
         with timed_part("figures"):
-            if not self._few:
+            if not self._uses_numpy:
                 return by_xla()
             (world, _, plan), carry = single_rollout_shapes(arrays, batch)
-            return fused_loop.eager_or(by_xla, self._finish, world, plan, carry)
+            return fused_loop.trace_or_compile(by_xla, self._finish, world, plan, carry)
 
     def _fused_chunk(
-        self, arrays: tuple[Case, Case, Array], batch: Any, kept: Array | None, watch: Watch | None
+        self, arrays: tuple[Case, Case, Array], batch: Any, slots: Array | None, watch: TimeSeriesRequest | None
     ) -> tuple[Callable, str]:
-        """A second of the batch that a GPU has, as one kernel, and its key; see `_chunk`."""
-        room = 0 if kept is None else len(kept) // self._mesh.size
-        form, over, width = single_rollout_shapes(arrays, batch), lambda carry: carry.is_over, self._local
-        code = launch.compiled(self._tick, *form, over, self._chunk_ticks, room, width, few=self._few)
+        """Chunk of control ticks as one GPU kernel, and the kernel's key; see `_xla_chunk`."""
+        room = 0 if slots is None else len(slots) // self._mesh.size
+        form, over, width = single_rollout_shapes(arrays, batch), lambda carry: carry.is_over, self._rollouts_per_device
+        code = launch.compile_to_ptx(
+            self._tick, *form, over, self._chunk_ticks, room, width, small_batch=self._uses_numpy
+        )
 
-        def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:
+        def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, slots: Array | None) -> Any:
             if self._replans:
-                carry = _with_new_plan(devices.axes(arrays[1]))(belief, plans, carry)
-            carry, record = launch.run(code, (world, belief, plans), carry, first, kept)
+                carry = _replan_batch(devices.batch_axes(arrays[1]))(belief, plans, carry)
+            carry, record = launch.run_kernel(code, (world, belief, plans), carry, first, slots)
             if watch is None or record is None:
                 return carry, record
             return carry, select_columns(self._nominal[0], record, watch.columns)
 
-        return chunk, driver.key(code.text)
+        return chunk, driver.kernel_key(code.text)
 
-    def _chunk(
-        self, arrays: tuple[Case, Case, Array], batch: Any, kept: Array | None, watch: Watch | None
+    def _xla_chunk(
+        self, arrays: tuple[Case, Case, Array], batch: Any, slots: Array | None, watch: TimeSeriesRequest | None
     ) -> tuple[Callable, None]:
-        """A second of the batch that a device has, of which some rollouts may be recorded: columns, or all there is."""
-        axes, columns = devices.axes(arrays[:2]), available_columns(self._nominal[0])
-        last = jax.tree.map(lambda _: -1, (*axes, batch[0]))  # batch axes of what has been put `_batch_last`
-        tick = batch_last_vmap(self._tick, (last, -1, None), devices.reuse_from())
+        """Chunk of control ticks of a device's rollouts; those in `slots` are recorded: all quantities, or columns."""
+        axes, columns = devices.batch_axes(arrays[:2]), available_columns(self._nominal[0])
+        last = jax.tree.map(lambda _: -1, (*axes, batch[0]))  # batch axes after `_batch_last`
+        tick = batch_last_vmap(self._tick, (last, -1, None), devices.reuse_threshold())
 
-        def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, kept: Array | None) -> Any:
+        def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, slots: Array | None) -> Any:
             if self._replans:
-                carry = _with_new_plan(axes[1])(belief, plans, carry)
+                carry = _replan_batch(axes[1])(belief, plans, carry)
             given, carry = _batch_last(((world, belief, plans), carry))
 
             def body(carry: Carry, k: Array) -> tuple[Carry, Any]:
                 carry, record = tick(given, carry, k)
-                if kept is None:
+                if slots is None:
                     return carry, None
-                record = jax.tree.map(lambda x: x[..., kept], record)
+                record = jax.tree.map(lambda x: x[..., slots], record)
                 chosen = jnp.stack([columns[name](record) for name in watch.columns]) if watch else record
                 return carry, jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), chosen)
 
@@ -331,8 +354,8 @@ class Mjx(Batched):
         return chunk, None
 
     def rollout_outputs(self, world: Case, belief: Case, key: Array) -> dict[str, Array]:
-        """See `Batched`: the metrics."""
-        plan, carry = self._start(sensing(world.noise), world, belief, key)
+        """See `BatchEngine`: the metrics."""
+        plan, carry = self._start(classify_sensing(world.noise), world, belief, key)
 
         def tick(carry: Carry, number: Array) -> tuple[Carry, None]:
             if self._replans:
@@ -343,36 +366,36 @@ class Mjx(Batched):
         carry, _ = jax.lax.scan(tick, carry, jnp.arange(self._chunk_ticks))
         return self._finish(world, plan, carry)
 
-    def _start(self, sensors_are: Sensing, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
+    def _start(self, sensing: Sensing, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
         known, plan, learned = prepare_belief(world, belief, key)
         start = start_state(world, known, plan, start_at_rest(world))
         state = state_at_rest(self.topology, start.qpos)._replace(v=start.qvel)
         energy = self.physics.energy(world, state)
-        return plan, Carry(state, init(world, known, plan, start, energy, key, learned, sensors_are))
+        return plan, Carry(state, init_loop(world, known, plan, start, energy, key, learned, sensing))
 
     def _finish(self, world: Case, plan: Plan, carry: Carry) -> dict[str, Array]:
-        return figures_of(world, plan, carry.loop)
+        return compute_metrics(world, plan, carry.loop)
 
-    def _tick(self, given: tuple[Case, Case, Plan], carry: Carry, tick: Array) -> tuple[Carry, dict[str, Array]]:
-        world, belief, plan = given
+    def _tick(self, inputs: tuple[Case, Case, Plan], carry: Carry, tick: Array) -> tuple[Carry, dict[str, Array]]:
+        world, belief, plan = inputs
         period, old = self.settings.control_period, carry.loop.servo
-        loop, command = act(world, belief, plan, carry.loop, tick, period)
+        loop, command = run_controller(world, belief, plan, carry.loop, tick, period)
         state, summary = self.physics.advance(world, carry.state, old, loop.servo, tick)
-        loop, judged = measure(world, plan, self.limits, loop, command, summary, tick, period)
-        record = batching.record(command, loop.tracker, summary, state.q, state.v, judged)
+        loop, judged = update_metrics(world, plan, self.limits, loop, command, summary, tick, period)
+        record = batching.record_tick(command, loop.tracker, summary, state.q, state.v, judged)
         return Carry(state, loop), record
 
 
-def _fused(settings: EngineSettings) -> bool:
-    """Whether this package's own compiler makes the closed loop, as it does where it can."""
+def _uses_fused_compiler(settings: EngineSettings) -> bool:
+    """Whether the fused compiler compiles the closed loop, as it does where it can."""
     known = (device := jax.default_backend()) in ("cpu", "gpu")
     if settings.compiler == "fused" and not known:
         raise InputError(f"engine.compiler = fused is not allowed on a {device}: auto or xla")
     return settings.fusible and known
 
 
-def _with_new_plan(axes: Case) -> Callable[[Case, Plan, Carry], Carry]:
-    """Every rollout of a batch plans again; `axes` are those of what is believed."""
+def _replan_batch(axes: Case) -> Callable[[Case, Plan, Carry], Carry]:
+    """Batched replanning; `axes` are the batch axes of the belief."""
 
     def one(belief: Case, plan: Plan, carry: Carry) -> Carry:
         loop = carry.loop
@@ -382,5 +405,5 @@ def _with_new_plan(axes: Case) -> Callable[[Case, Plan, Carry], Carry]:
 
 
 def _batch_last(tree: Any) -> Any:
-    """Leaves that vary over the batch with that axis last; the others are plain numbers."""
+    """Move the batch axis of each leaf to the end; leaves without one stay plain numbers."""
     return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1) if jnp.ndim(x) else x, tree)

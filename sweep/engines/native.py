@@ -1,4 +1,4 @@
-"""The second opinion: C MuJoCo with its own contact solver on a thread pool, under the same controller and metrics."""
+"""The independent check: C MuJoCo with its own contact solver on a thread pool, under the same controller."""
 
 import sys
 import warnings
@@ -23,22 +23,22 @@ from sweep.core.errors import InputError
 from sweep.core.progress import timed_part
 from sweep.core.rotations import exponential, multiply
 from sweep.engines import batching, devices, fused_loop, planning, program_cache
-from sweep.engines.base import Figures, Sides, Watch
-from sweep.engines.batching import Batched
+from sweep.engines.base import Metrics, Sides, TimeSeriesRequest
+from sweep.engines.batching import BatchEngine
 from sweep.engines.closed_loop import (
     CHUNK,
     ClosedLoop,
     Sensing,
     Start,
-    act,
-    figures_of,
-    free_state,
-    init,
-    measure,
-    most_ticks,
-    sensing,
+    classify_sensing,
+    compute_metrics,
+    count_ticks,
+    exact_observation,
+    free_body_state,
+    init_loop,
+    run_controller,
     start_state,
-    truth,
+    update_metrics,
 )
 from sweep.engines.physics import push_force
 from sweep.engines.planning import Planning
@@ -63,166 +63,176 @@ CONTROL = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPL
 RECORD = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "site_xpos", "subtree_com")
 
 
-class Recorded(NamedTuple):
-    """What C MuJoCo records of a tick's n physics steps; places are those before the last one."""
+class StepRecord(NamedTuple):
+    """Record of a control tick's n physics steps in C MuJoCo; points are those before the last step."""
 
     qpos: Float[Array, "n q"]
     qvel: Float[Array, "n v"]
     actuator_force: Float[Array, "n 18"]
-    foot_force: Float[Array, "n 18"]  # of the feet on the ground
+    foot_force: Float[Array, "n 18"]  # force of the feet on the ground
     energy: Float[Array, ""]
-    links: Float[Array, "l 3"]  # where the legs' links begin
+    links: Float[Array, "l 3"]  # origins of the legs' links
     feet: Float[Array, "6 3"]
     centre_of_mass: Float[Array, " 3"]
     broken: Bool[Array, ""]
 
 
-class Orders(NamedTuple):
-    """What C MuJoCo is told for a tick's n physics steps; wrenches are force, then torque, world axes."""
+class PhysicsInputs(NamedTuple):
+    """Inputs of C MuJoCo for the n physics steps of a control tick; world axes, wrenches are force, then torque."""
 
-    torques: Float[Array, "n 18"]  # beside those of stiffness and damping (N m)
+    torques: Float[Array, "n 18"]  # feed-forward, without those of stiffness and damping (N m)
     push: Float[Array, "n 3"]  # at the base (N)
     loads: Float[Array, "n w"]  # wrenches on the obstacle's free bodies
 
 
-class Between(NamedTuple):
-    """One rollout between controller and physics."""
+class LoopState(NamedTuple):
+    """State of one rollout between controller and physics."""
 
     loop: ClosedLoop
     command: Command
-    steps: Recorded
-    orders: Orders
-    judged: Float[Array, " w"]  # see `measure`
+    steps: StepRecord
+    inputs: PhysicsInputs
+    judged: Float[Array, " w"]  # see `update_metrics`
 
 
 class NativePrograms(NamedTuple):
-    """What a batch runs through, compiled."""
+    """Compiled programs of a batch: planning, a control tick, the metrics at the end, and replanning."""
 
-    start: Callable[[Case, Case, Array], tuple[Plan, tuple[Between, Start]]]
-    tick: Kernel | Callable[[Any, Between, int], Between]
+    start: Callable[[Case, Case, Array], tuple[Plan, tuple[LoopState, Start]]]
+    tick: Kernel | Callable[[Any, LoopState, int], LoopState]
     finish: Callable[[Case, Plan, ClosedLoop], dict[str, Array]]
     replan: Callable[..., LearnedState] | None  # see `replan_rest`
 
-    def enter(self, given: Any, carried: Between, width: int) -> "Tiles | ByXla":
-        """A batch that goes through ticks."""
+    def enter(self, inputs: Any, carried: LoopState, width: int) -> "Tiles | XlaBatch":
+        """Put a batch into the form in which it goes through control ticks.
+
+        Args:
+            inputs: world, belief and plans of the batch.
+            carried: its state before the first tick.
+            width: number of rollouts.
+        """
         if isinstance(self.tick, Kernel):
-            return self.tick.enter(given, carried, width)
-        return ByXla(partial(self.tick, given), carried)
+            return self.tick.enter(inputs, carried, width)
+        return XlaBatch(partial(self.tick, inputs), carried)
 
 
-class ByXla:
-    """A batch that goes through ticks of XLA's, see `Tiles`."""
+class XlaBatch:
+    """A batch that goes through control ticks compiled by XLA; it has the methods of `kernel.Tiles`."""
 
-    def __init__(self, tick: Callable[[Between, int], Between], carried: Between):
+    def __init__(self, tick: Callable[[LoopState, int], LoopState], carried: LoopState):
         self._tick, self._carried = tick, carried
 
-    def change(self, which: Callable[[Any], Any], tree: Any) -> None:
-        """Go on with other values of what `which` picks."""
+    def replace(self, select: Callable[[Any], Any], tree: Any) -> None:
+        """Replace the values that `select` picks from the carry by those of `tree`."""
         leaves, form = jax.tree.flatten(self._carried)
-        places = jax.tree.leaves(which(jax.tree.unflatten(form, range(len(leaves)))))
+        places = jax.tree.leaves(select(jax.tree.unflatten(form, range(len(leaves)))))
         for place, x in zip(places, jax.tree.leaves(tree), strict=True):
             leaves[place] = jnp.asarray(x, leaves[place].dtype)
         self._carried = jax.tree.unflatten(form, leaves)
 
     def advance(self, first: int, ticks: int) -> None:
-        """Go on by `ticks` from control tick `first`."""
+        """Run `ticks` control ticks from number `first` on."""
         for k in range(first, first + ticks):
             self._carried = self._tick(self._carried, k)
 
-    def leave(self) -> Between:
-        """What all rollouts carry on."""
+    def read_all(self) -> LoopState:
+        """The carry of all rollouts."""
         return self._carried
 
-    def look(self, which: Callable[[Any], Any]) -> Any:
-        """What `which` picks of what is carried, as NumPy's."""
-        return jax.tree.map(np.asarray, which(self._carried))
+    def read(self, select: Callable[[Any], Any]) -> Any:
+        """The values that `select` picks from the carry, as NumPy arrays."""
+        return jax.tree.map(np.asarray, select(self._carried))
 
 
-class Native(Batched):
-    """One C simulation per rollout; the host goes through the control ticks."""
+class NativeEngine(BatchEngine):
+    """Engine with one C simulation for each rollout; the host goes through the control ticks."""
 
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
         super().__init__(settings, world, belief, limits)
-        mujoco.set_mju_user_warning(lambda _: None)  # or it fills screen and disk; a row that it is about is invalid
+        mujoco.set_mju_user_warning(lambda _: None)  # they would fill screen and disk; their rows become invalid
         self.dynamics = "C MuJoCo"
-        self.devices = 1  # threads share it
+        self.devices = 1  # shared by threads
         self.width = settings.width or devices.NATIVE_WIDTH
         self.fused = settings.compiler != "xla"
 
     def rollout_bytes(self) -> None:
-        """Nothing: C keeps plan, state and figures."""
+        """None: C code owns plan, state and metrics."""
         return None
 
-    @devices.memory()
-    def histories(
-        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: Watch
-    ) -> tuple[Figures, np.ndarray]:
-        """Figures, and columns over time, see `Engine`."""
+    @devices.convert_memory_errors()
+    def run_with_time_series(
+        self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
+    ) -> tuple[Metrics, np.ndarray]:
+        """See `Engine`."""
         figures, parts = self._simulate(world, belief, streams, slots, watch.every)
         return figures, np.concatenate([select_columns(self._nominal[0], part, watch.columns) for part in parts])
 
     def _simulate(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
-    ) -> tuple[Figures, list[Any]]:
-        batching.check(streams, self.width)
+    ) -> tuple[Metrics, list[Any]]:
+        batching.check_width(streams, self.width)
         with devices.precision(self.settings):
             models, unbuilt = self._models(world)
-            sensors_are = sensing(world.noise)
-            (world, belief), keys = devices.as_arrays((world, belief)), devices.keys(streams)
-            programs = self._prepare((world, belief, keys), sensors_are)
-            batch = Batch(models[0], self.width, devices.cores())
+            sensing = classify_sensing(world.noise)
+            (world, belief), keys = devices.as_arrays((world, belief)), devices.noise_keys(streams)
+            programs = self._prepare((world, belief, keys), sensing)
+            batch = Batch(models[0], self.width, devices.count_cores())
             batch.set_models(models)
             plans, (between, state) = programs.start(world, belief, keys)
-            told = np.full((self.width, N_JOINTS, 2), np.nan)  # models are built for a mode that may be another one
+            # models may be built for another servo mode: NaN differs from all gains, so that they are set first
+            gains = np.full((self.width, N_JOINTS, 2), np.nan)
             batch.reset()
             batch.qpos[:], batch.qvel[:] = (np.asarray(x) for x in state)
-            going = programs.enter((world, belief, plans), between, self.width)
+            running_batch = programs.enter((world, belief, plans), between, self.width)
             controls = np.zeros((self.width, self.substeps, N_JOINTS + 6 * models[0].nbody))
             steps, records = None, []
-            for k in range(most_ticks(plans, self.settings.control_period)):
+            for k in range(count_ticks(plans, self.settings.control_period)):
                 if programs.replan and k % round(CHUNK / self.settings.control_period) == 0:
-                    known = going.look(lambda now: (now.loop.tracker.stage, now.loop.learned))
-                    going.change(lambda now: now.loop.learned, programs.replan(belief, plans, *known))
+                    known = running_batch.read(lambda state: (state.loop.tracker.stage, state.loop.learned))
+                    running_batch.replace(lambda state: state.loop.learned, programs.replan(belief, plans, *known))
                 if plans.layer(Flywheel) is not None:
-                    told = _retune(batch, models, told, _gains(going.look(lambda now: now.loop.servo)))
-                controls = _ordered(controls, *going.look(lambda now: now.orders))
+                    gains = _update_gains(
+                        batch, models, gains, _gains(running_batch.read(lambda state: state.loop.servo))
+                    )
+                controls = _write_controls(controls, *running_batch.read(lambda state: state.inputs))
                 steps = batch.rollout(self.substeps, controls, CONTROL, RECORD, out=steps)
-                if k == 0:  # derived fields are those before a step, hence the start's
+                if k == 0:  # MuJoCo's derived fields are those before the step, here of the start
                     energy = steps["energy"][:, 0].sum(axis=-1)
-                    going.change(lambda now: now.loop, _with_energy(self._nominal[0], going.leave().loop, energy))
+                    running_batch.replace(
+                        lambda state: state.loop, _with_energy(self._nominal[0], running_batch.read_all().loop, energy)
+                    )
                 due = slots if (k + 1) % every == 0 else None
                 if due is not None:
-                    records.append(_record(world, going, steps, due))
+                    records.append(_tick_record(world, running_batch, steps, due))
                 broken = unbuilt | np.any(batch.warning[:, :, 0] > 0, axis=1)
-                going.change(lambda now: now.steps, self._steps(steps, broken))
-                going.advance(k + 1, 1)
+                running_batch.replace(lambda state: state.steps, self._step_record(steps, broken))
+                running_batch.advance(k + 1, 1)
                 if due is not None:
-                    records[-1]["judged"] = going.look(lambda now: now.judged)[due]
-                if np.all(going.look(lambda now: now.loop.running.over)):
+                    records[-1]["judged"] = running_batch.read(lambda state: state.judged)[due]
+                if np.all(running_batch.read(lambda state: state.loop.running.over)):
                     break
-            if (
-                slots is not None and steps and not records
-            ):  # all ended before the first one, which is kept for its form
-                judged = going.look(lambda now: now.judged)[slots]
-                records.append({**_record(world, going, steps, slots), "judged": judged})
-            figures = programs.finish(world, plans, going.leave().loop)
+            # all ended before the first sample: one is taken for the shapes of the records
+            if slots is not None and steps and not records:
+                judged = running_batch.read(lambda state: state.judged)[slots]
+                records.append({**_tick_record(world, running_batch, steps, slots), "judged": judged})
+            figures = programs.finish(world, plans, running_batch.read_all().loop)
             parts = [jax.tree.map(lambda *each: np.stack(each), *records)] if records else []
             return {name: np.asarray(values) for name, values in figures.items()}, parts
 
     def _models(self, world: Case) -> tuple[list[mujoco.MjModel], np.ndarray]:
-        """Each row's model, and which rows MuJoCo makes no model of: the nominal one runs in their place.
+        """Model of each row, and which rows have none: MuJoCo cannot compile it, so the nominal model takes its place.
 
-        These rows are invalid; a line on the standard error says why.
+        Such a row is invalid. A line on standard error gives MuJoCo's reason.
         """
         models: list[mujoco.MjModel | None] = []
         reasons: dict[str, int] = {}
         for i in range(self.width):
             try:
-                with warnings.catch_warnings(action="ignore", category=UserWarning):  # as of a singular inertia
-                    models.append(self._model(batching.pick(world, i)))
+                with warnings.catch_warnings(action="ignore", category=UserWarning):  # such as a singular inertia
+                    models.append(self._model(batching.select_row(world, i)))
             except InputError:
                 raise
-            except ValueError as error:  # of MuJoCo's compiler
+            except ValueError as error:  # from MuJoCo's compiler
                 models.append(None)
                 reason = " ".join(str(error).removeprefix("Error: ").split())
                 reasons[reason] = reasons.get(reason, 0) + 1
@@ -236,123 +246,135 @@ class Native(Batched):
     def _model(self, world: Case) -> mujoco.MjModel:
         return scene.native_model(world, self.settings.native_time_step, self.settings.solid)
 
-    def _prepare(self, arrays: tuple[Case, Case, Array], sensors_are: Sensing) -> NativePrograms:
+    def _prepare(self, arrays: tuple[Case, Case, Array], sensing: Sensing) -> NativePrograms:
         """The programs for the batch axes of `arrays`."""
-        form = devices.form(arrays[:2]), sensors_are
+        form = devices.program_signature(arrays[:2]), sensing
         if form not in self._programs:
-            made_of = "native", form, self.settings, self.limits, self.width, self.fused
-            parts = program_cache.programs(made_of, jax.devices()[:1], lambda: self._compile(arrays, sensors_are))
+            key_parts = "native", form, self.settings, self.limits, self.width, self.fused
+            parts = program_cache.load_or_compile(key_parts, jax.devices()[:1], lambda: self._compile(arrays, sensing))
             if isinstance(parts[0], str):
-                fused_loop.give_up(self.settings, parts[0])
+                fused_loop.report_fallback(self.settings, parts[0])
                 self.fused = False
-                return self._prepare(arrays, sensors_are)
+                return self._prepare(arrays, sensing)
             start, searches, tick, *rest = parts
-            finish, again = (one and fused_loop.ready(one, self.width) for one in rest)
+            finish, again = (one and fused_loop.bind_width(one, self.width) for one in rest)
             tick = Kernel(tick) if isinstance(tick, Code) else tick
             self._programs[form] = NativePrograms(Planning.from_programs(start, searches), tick, finish, again)
         return self._programs[form]
 
     def rollout_outputs(self, world: Case, belief: Case, key: Array) -> Any:
-        """See `Batched`: the metrics, and what C MuJoCo is told, whose answer is taken as given."""
-        plan, (between, state) = self._start(sensing(world.noise), world, belief, key)
+        """See `BatchEngine`: the metrics, and the inputs of C MuJoCo, whose results are constants here."""
+        plan, (between, state) = self._start(classify_sensing(world.noise), world, belief, key)
         between = between._replace(steps=jax.tree.map(jnp.zeros_like, between.steps))
 
-        def tick(now: Between, number: Array) -> tuple[Between, Any]:
+        def tick(state: LoopState, number: Array) -> tuple[LoopState, Any]:
             if self._replans:
-                learned = replan_rest(belief, plan, now.loop.tracker.stage, now.loop.learned)
-                now = now._replace(loop=now.loop._replace(learned=learned))
-            after, _ = self._tick((world, belief, plan), now, number)
-            return after, (now.orders, now.loop.servo)
+                learned = replan_rest(belief, plan, state.loop.tracker.stage, state.loop.learned)
+                state = state._replace(loop=state.loop._replace(learned=learned))
+            after, _ = self._tick((world, belief, plan), state, number)
+            return after, (state.inputs, state.loop.servo)
 
         numbers = 1 + jnp.arange(round(CHUNK / self.settings.control_period))
-        between, told = jax.lax.scan(tick, between, numbers)
-        return state, told, figures_of(world, plan, between.loop)
+        between, inputs = jax.lax.scan(tick, between, numbers)
+        return state, inputs, compute_metrics(world, plan, between.loop)
 
     def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """See `Engine`: those, too, that change no number of MuJoCo's model from end to end."""
+        """See `Engine`. Such a parameter must not change MuJoCo's model either, from its low to its high end."""
         unread = super().find_unread_columns(sides, ends)
         models = {c: [model_bytes(self._model(sides({c: end})[0])) for end in ends[c]] for c in sorted(unread)}
         return {c for c, (low, high) in models.items() if low == high}
 
-    def _start(self, sensors_are: Sensing, world: Case, belief: Case, key: Array) -> tuple[Plan, tuple[Between, Start]]:
+    def _start(self, sensing: Sensing, world: Case, belief: Case, key: Array) -> tuple[Plan, tuple[LoopState, Start]]:
         known, plan, learned = prepare_belief(world, belief, key)
         state = start_state(world, known, plan)
-        loop = init(world, known, plan, state, jnp.zeros(()), key, learned, sensors_are)
+        loop = init_loop(world, known, plan, state, jnp.zeros(()), key, learned, sensing)
         nothing = jnp.zeros(len(accumulator.tick_metrics(world)), plan.duration.dtype)
-        return plan, (self._acted(world, belief, plan, loop, self._nothing(state), nothing, jnp.int32(0)), state)
+        between = self._run_controller(world, belief, plan, loop, self._empty_record(state), nothing, jnp.int32(0))
+        return plan, (between, state)
 
-    def _tick(self, given: tuple[Case, Case, Plan], now: Between, k: Array) -> tuple[Between, dict[str, Array]]:
-        world, belief, plan = given
+    def _tick(self, inputs: tuple[Case, Case, Plan], state: LoopState, k: Array) -> tuple[LoopState, dict[str, Array]]:
+        world, belief, plan = inputs
         period = self.settings.control_period
-        summary = self._summary(world, now.steps, k - 1, now.loop.seen.free)
-        loop, judged = measure(world, plan, self.limits, now.loop, now.command, summary, k - 1, period)
-        return self._acted(world, belief, plan, loop, now.steps, judged, k), {}
+        summary = self._tick_summary(world, state.steps, k - 1, state.loop.actual.free)
+        loop, judged = update_metrics(world, plan, self.limits, state.loop, state.command, summary, k - 1, period)
+        return self._run_controller(world, belief, plan, loop, state.steps, judged, k), {}
 
-    @fused_loop.or_what_is_missing
-    def _compile(self, arrays: tuple[Case, Case, Array], sensors_are: Sensing) -> tuple[Any, ...]:
+    @fused_loop.return_missing_rule
+    def _compile(self, arrays: tuple[Case, Case, Array], sensing: Sensing) -> tuple[Any, ...]:
         world, belief, _ = arrays
-        axes, start = devices.axes((world, belief)), partial(self._start, sensors_are)
+        axes, start = devices.batch_axes((world, belief)), partial(self._start, sensing)
 
         def many(start: Callable) -> Callable:
             return jax.vmap(start, in_axes=(*axes, 0))
 
-        by_host = self.fused and jax.default_backend() == "cpu"
+        use_numpy = self.fused and jax.default_backend() == "cpu"
         with ThreadPoolExecutor() as pool:
-            batch, started = planning.start_compilation(pool, start, arrays, many, self._searches, by_host)
+            batch, wait_for_start = planning.start_compilation(pool, start, arrays, many, self._searches, use_numpy)
             plans, (between, _) = batch
-            (one, known, plan), now = fused_loop.single_rollout_shapes(arrays, (plans, between))
+            shapes, state = fused_loop.single_rollout_shapes(arrays, (plans, between))
+            world_shape, belief_shape, plan_shape = shapes
 
-            def made(name: str, function: Callable, given: tuple, of_one: tuple, axes: tuple) -> Eager | Compiled:
+            def make_program(
+                name: str, function: Callable, inputs: tuple, shapes: tuple, axes: tuple
+            ) -> Eager | Compiled:
                 def by_xla() -> Compiled:
-                    return jax.jit(jax.vmap(function, in_axes=axes)).lower(*given).compile()
+                    return jax.jit(jax.vmap(function, in_axes=axes)).lower(*inputs).compile()
 
                 with timed_part(name):
-                    return fused_loop.eager_or(by_xla, function, *of_one) if by_host else by_xla()
+                    return fused_loop.trace_or_compile(by_xla, function, *shapes) if use_numpy else by_xla()
 
             with timed_part("closed loop"):
                 if self.fused:
-                    ticks = pool.submit(kernel.start_compilation(self._tick, (one, known, plan), now))
+                    ticks = pool.submit(kernel.start_compilation(self._tick, shapes, state))
                 else:
-                    rows = jax.vmap(lambda *of: self._tick(*of)[0], in_axes=((*axes, 0), 0, None))
+                    rows = jax.vmap(lambda *args: self._tick(*args)[0], in_axes=((*axes, 0), 0, None))
                     ticks = pool.submit(jax.jit(rows).lower((world, belief, plans), between, 0).compile)
-                finished = made(
-                    "figures", figures_of, (world, plans, between.loop), (one, plan, now.loop), (axes[0], 0, 0)
+                finish_program = make_program(
+                    "figures",
+                    compute_metrics,
+                    (world, plans, between.loop),
+                    (world_shape, plan_shape, state.loop),
+                    (axes[0], 0, 0),
                 )
                 again = None
                 if self._replans:
-                    given, of_it = ((x.loop.tracker.stage, x.loop.learned) for x in (between, now))
-                    again = made(
-                        "new plan", replan_rest, (belief, plans, *given), (known, plan, *of_it), (axes[1], 0, 0, 0)
+                    args, replan_shapes = ((x.loop.tracker.stage, x.loop.learned) for x in (between, state))
+                    again = make_program(
+                        "new plan",
+                        replan_rest,
+                        (belief, plans, *args),
+                        (belief_shape, plan_shape, *replan_shapes),
+                        (axes[1], 0, 0, 0),
                     )
-                return *started(), ticks.result(), finished, again
+                return *wait_for_start(), ticks.result(), finish_program, again
 
-    def _acted(
+    def _run_controller(
         self,
         world: Case,
         belief: Case,
         plan: Plan,
         loop: ClosedLoop,
-        steps: Recorded,
+        steps: StepRecord,
         judged: Array,
         tick: Array,
-    ) -> Between:
-        """The controller's part of a tick, and what follows for the physics."""
-        n, period, old = self.substeps, self.settings.control_period, loop.servo
-        loop, command = act(world, belief, plan, loop, tick, period)
-        told = interpolate_target(old, loop.servo, (1 + jnp.arange(n))[:, None, None] / n)
-        torques = (told.stiffness * told.target + told.torque).reshape(n, N_JOINTS)
-        orders = Orders(torques, *self._outside(world, tick, loop.seen.free))
-        return Between(loop, command, steps, orders, judged)
+    ) -> LoopState:
+        """Run the controller for one control tick, and compute the inputs of its physics steps."""
+        n, period, servo_before = self.substeps, self.settings.control_period, loop.servo
+        loop, command = run_controller(world, belief, plan, loop, tick, period)
+        servo = interpolate_target(servo_before, loop.servo, (1 + jnp.arange(n))[:, None, None] / n)
+        torques = (servo.stiffness * servo.target + servo.torque).reshape(n, N_JOINTS)
+        inputs = PhysicsInputs(torques, *self._external_forces(world, tick, loop.actual.free))
+        return LoopState(loop, command, steps, inputs, judged)
 
-    def _nothing(self, start: Start) -> Recorded:
-        """Before the first physics step."""
+    def _empty_record(self, start: Start) -> StepRecord:
+        """Record before the first physics step."""
         n, count = self.substeps, N_LEGS * len(link_names(self._nominal[0].robot))
         qpos, qvel, forces = jnp.tile(start.qpos, (n, 1)), jnp.tile(start.qvel, (n, 1)), jnp.zeros((n, N_JOINTS))
         axes, feet, centre = jnp.zeros((count, 3)), jnp.zeros((N_LEGS, 3)), jnp.zeros(3)
-        return Recorded(qpos, qvel, forces, forces, jnp.zeros(()), axes, feet, centre, jnp.zeros((), bool))
+        return StepRecord(qpos, qvel, forces, forces, jnp.zeros(()), axes, feet, centre, jnp.zeros((), bool))
 
-    def _steps(self, steps: dict[str, np.ndarray], broken: np.ndarray) -> tuple[np.ndarray, ...]:
-        """`Recorded` of a batch, from its record."""
+    def _step_record(self, steps: dict[str, np.ndarray], broken: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Fields of `StepRecord` from MuJoCo's record of a batch."""
         count = N_LEGS * len(link_names(self._nominal[0].robot))
         return (
             steps["qpos"],
@@ -366,10 +388,12 @@ class Native(Batched):
             broken,
         )
 
-    def _outside(self, world: Case, tick: Array, free: FreeState) -> tuple[Float[Array, "n 3"], Float[Array, "n w"]]:
-        """The push, and the wrenches on the obstacle's free bodies, in the steps of tick number `tick`.
+    def _external_forces(
+        self, world: Case, tick: Array, free: FreeState
+    ) -> tuple[Float[Array, "n 3"], Float[Array, "n w"]]:
+        """The push, and the wrenches on the obstacle's free bodies, for the physics steps of a control tick.
 
-        The latter are those of the bodies moved on from the tick's start, `free`, as fast as they are there.
+        The wrenches are computed for bodies that keep their velocity `free` from the start of the tick.
         """
         h, numbers = self.settings.native_time_step, jnp.arange(self.substeps)
         push = jax.vmap(lambda step: push_force(world.execution, step, h))(tick * self.substeps + numbers)
@@ -377,27 +401,27 @@ class Native(Batched):
         loads = jnp.zeros((self.substeps, 6 * len(world.obstacle.free_bodies)))
         if (
             loads.size
-            and (load := jax.vmap(lambda t: world.obstacle.external_wrench(_ahead(free, t)))(ahead)) is not None
+            and (load := jax.vmap(lambda t: world.obstacle.external_wrench(_extrapolate(free, t)))(ahead)) is not None
         ):
             loads = load.reshape(loads.shape)
         return push, loads
 
-    def _summary(self, world: Case, steps: Recorded, number: Array, before: FreeState) -> Tick:
-        """What the metrics want of a tick; free bodies were `before` it."""
+    def _tick_summary(self, world: Case, steps: StepRecord, number: Array, before: FreeState) -> Tick:
+        """Summary of a tick for the metrics; `before` is the state of the free bodies before it."""
         h, drive = self.settings.native_time_step, world.drive
         rate = steps.qvel[:, JOINT_V]
-        torque = _torque(steps.actuator_force, rate, drive.back_emf)
+        torque = _joint_torque(steps.actuator_force, rate, drive.back_emf)
         effort = jnp.abs(steps.actuator_force)
         limit = world.execution.torque_scale * drive.torque_limit
         power = torque * rate
-        push, loads = self._outside(world, number, before)
+        push, loads = self._external_forces(world, number, before)
         count = len(world.obstacle.free_bodies)
         force = -jnp.mean(steps.foot_force.reshape(-1, N_LEGS, 3), axis=0)
-        bodies = body_poses(free_state(steps.qpos[-1], steps.qvel[-1], count))
+        bodies = body_poses(free_body_state(steps.qpos[-1], steps.qvel[-1], count))
         normals = surface_at(world.obstacle, steps.feet, bodies).normal
         normal = jnp.sum(force * normals, axis=-1)
         last = -jnp.sum(steps.foot_force[-1].reshape(N_LEGS, 3) * normals, axis=-1)
-        seen = truth(steps.qpos[-1], steps.qvel[-1], count, last)
+        seen = exact_observation(steps.qpos[-1], steps.qvel[-1], count, last)
         outside = jnp.sum(push * steps.qvel[:, :3]) + jnp.sum(loads * _twists(steps, count))
         return Tick(
             torque_peak=jnp.max(jnp.abs(torque), axis=0).reshape(N_LEGS, 3),
@@ -417,23 +441,23 @@ class Native(Batched):
         )
 
 
-def _ordered(controls: np.ndarray, torques: np.ndarray, push: np.ndarray, loads: np.ndarray) -> np.ndarray:
-    """Controls, then outside wrenches on all bodies: the world, the robot from its base on, free bodies last."""
+def _write_controls(controls: np.ndarray, torques: np.ndarray, push: np.ndarray, loads: np.ndarray) -> np.ndarray:
+    """Write joint controls, then external wrenches on all bodies: world, robot from its base on, free bodies last."""
     controls[..., :N_JOINTS], controls[..., N_JOINTS + 6 : N_JOINTS + 9] = torques, push
     controls[..., controls.shape[-1] - loads.shape[-1] :] = loads
     return controls
 
 
-def _ahead(free: FreeState, time: Array) -> FreeState:
-    """Free bodies that went on as they do for `time` (s)."""
+def _extrapolate(free: FreeState, time: Array) -> FreeState:
+    """State of free bodies after `time` (s) at constant velocity."""
     return free._replace(
         position=free.position + time * free.velocity, quat=multiply(exponential(time * free.turn), free.quat)
     )
 
 
-def _twists(steps: Recorded, count: int) -> Float[Array, "n 6k"]:
-    """Velocities and rates of turning of the free bodies after each step, world axes."""
-    free = jax.vmap(lambda q, v: free_state(q, v, count))(steps.qpos, steps.qvel)
+def _twists(steps: StepRecord, count: int) -> Float[Array, "n 6k"]:
+    """Linear and angular velocity of the free bodies after each step, world axes."""
+    free = jax.vmap(lambda q, v: free_body_state(q, v, count))(steps.qpos, steps.qvel)
     return jnp.concatenate([free.velocity, free.turn], axis=-1).reshape(len(steps.qpos), 6 * count)
 
 
@@ -442,35 +466,37 @@ def _gains(servo: Servo) -> Float[np.ndarray, "b 18 2"]:
     return np.stack([np.asarray(servo.stiffness), np.asarray(servo.damping)], axis=-1).reshape(-1, N_JOINTS, 2)
 
 
-def _retune(batch: Batch, models: list[mujoco.MjModel], old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Give the servos of rollouts where a joint's mode has changed their new gains; which are returned."""
-    changed = np.flatnonzero(np.any(old != new, axis=(1, 2)))
+def _update_gains(
+    batch: Batch, models: list[mujoco.MjModel], gains_before: np.ndarray, gains_after: np.ndarray
+) -> np.ndarray:
+    """Set the servo gains of rollouts in which a joint's mode has changed. Returns the new gains."""
+    changed = np.flatnonzero(np.any(gains_before != gains_after, axis=(1, 2)))
     for i in changed:
-        models[i].actuator_biasprm[:, 1:3] = -models[i].actuator_gainprm[:, :1] * new[i]
+        models[i].actuator_biasprm[:, 1:3] = -models[i].actuator_gainprm[:, :1] * gains_after[i]
     if len(changed):
         batch.set_models(models)
-    return new
+    return gains_after
 
 
 def _with_energy(world: Case, loops: ClosedLoop, start: np.ndarray) -> ClosedLoop:
-    """Energy is counted from that of the start."""
+    """Count the energy from its value at the start."""
     energy = jnp.asarray(start, loops.running.time.dtype)
     return loops._replace(running=accumulator.with_start_energy(world, loops.running, energy))
 
 
-def _torque[A: (Array, np.ndarray)](effort: A, rate: A, back_emf: Any) -> A:
-    """At the joints (N m), of what servos exert: to C MuJoCo back-EMF is damping of the joint, no part of that."""
+def _joint_torque[A: (Array, np.ndarray)](effort: A, rate: A, back_emf: Any) -> A:
+    """Torque at the joints (N m) from the servo's effort; to C MuJoCo back-EMF is damping of the joint."""
     return effort - back_emf * rate
 
 
-def _record(
-    world: Case, going: Tiles | ByXla, steps: dict[str, np.ndarray], slots: np.ndarray
+def _tick_record(
+    world: Case, running_batch: Tiles | XlaBatch, steps: dict[str, np.ndarray], slots: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """What is kept of a tick of the rollouts in `slots`, before it is judged."""
+    """Record of a tick of the rollouts in `slots`, without the values that are compared with thresholds."""
     back_emf = np.broadcast_to(world.drive.back_emf, steps["qpos"].shape[:1])[slots, None, None]
-    torque = _torque(steps["actuator_force"][slots], steps["qvel"][slots][..., JOINT_V], back_emf)
-    told = going.look(lambda now: (now.command.joints, now.command.target, now.loop.tracker.stage))
-    (joints, target, stage), n = jax.tree.map(lambda x: x[slots], told), len(slots)
+    torque = _joint_torque(steps["actuator_force"][slots], steps["qvel"][slots][..., JOINT_V], back_emf)
+    commands = running_batch.read(lambda state: (state.command.joints, state.command.target, state.loop.tracker.stage))
+    (joints, target, stage), n = jax.tree.map(lambda x: x[slots], commands), len(slots)
     return {
         "qpos": steps["qpos"][slots, -1],
         "qvel": steps["qvel"][slots, -1],

@@ -1,4 +1,7 @@
-"""The physics steps of one control tick of `mjx`, and what the metrics want of them. Functions of one rollout."""
+"""The physics steps of one control tick in the `mjx` engine, and their summary for the metrics.
+
+All functions are written for one rollout.
+"""
 
 import io
 from collections.abc import Callable
@@ -18,7 +21,7 @@ from sweep.dynamics.interface import SmoothDynamics, Topology
 from sweep.dynamics.spatial import Rates, map_joints
 from sweep.dynamics.step import DriveLimits, PhysicsState, StepReport, StepStart, from_components, to_components
 from sweep.engines import batching
-from sweep.engines.closed_loop import truth
+from sweep.engines.closed_loop import exact_observation
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.metric import Tick
 from sweep.models.case import Case
@@ -30,15 +33,20 @@ from sweep.models.robot import link_names
 
 
 def dynamics_name(settings: EngineSettings) -> str:
-    """The smooth dynamics that `settings` mean."""
+    """Name of the smooth dynamics that the settings select: `arrowhead` or `mjx`."""
     return "arrowhead" if settings.dynamics == "auto" else settings.dynamics
 
 
 def make_physics(settings: EngineSettings, top: Topology) -> "Physics":
-    """The physics of a scenario."""
+    """Make the physics of a scenario.
+
+    Args:
+        settings: smooth dynamics, time step and solver iterations.
+        top: bodies and joints of the nominal model.
+    """
     if dynamics_name(settings) == "arrowhead":
         return Physics(settings, batching.substeps(settings), tree.tree_dynamics)
-    with redirect_stdout(io.StringIO()):  # MJX is slow to import, and prints that
+    with redirect_stdout(io.StringIO()):  # MJX prints a message at import
         from sweep.dynamics import mjx
 
     return Physics(settings, batching.substeps(settings), mjx.mjx_dynamics(top))
@@ -62,10 +70,10 @@ def execution_limits(world: Case, step: Array, h: float) -> DriveLimits:
 
 
 def push_force(execution: Execution, step: Array, h: float) -> Float[Array, " 3"]:
-    """Mean force of the push during one physics step.
+    """Mean force of the push on the base during one physics step.
 
-    A step that the push fills in part gets that part of its force, so that the forces of all steps add up to the
-    impulse, whatever the duration. A push shorter than a step has its impulse in one step, or in two.
+    A step that overlaps the push in part gets that part of its force, so that the impulse is exact for any duration. A
+    push shorter than a step has its impulse in one step, or in two.
 
     Args:
         execution: the push: impulse (N s), direction (rad), beginning and duration (s).
@@ -75,7 +83,10 @@ def push_force(execution: Execution, step: Array, h: float) -> Float[Array, " 3"
     Returns:
         Force on the base (N, world axes).
     """
-    begin, length = _whole(execution.push_time / h), _whole(execution.push_duration / h)  # in steps
+    begin, length = (
+        _remove_rounding(execution.push_time / h),
+        _remove_rounding(execution.push_duration / h),
+    )  # physics steps
     since = step - begin
     part = jnp.clip(since + 1, 0, length) - jnp.clip(since, 0, length)
     size = execution.push_impulse / jnp.maximum(execution.push_duration, h) * (part / jnp.minimum(length, 1))
@@ -83,14 +94,14 @@ def push_force(execution: Execution, step: Array, h: float) -> Float[Array, " 3"
     return size * jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(jnp.cos(angle))])
 
 
-def _whole(steps: Array | float) -> Array:
-    """A number of steps without its rounding: whole where it is within a millionth of a whole number."""
+def _remove_rounding(steps: Array | float) -> Array:
+    """Round a number of steps to the nearest integer if it is within a millionth of it."""
     nearest = jnp.round(steps)
     return jnp.where(jnp.abs(steps - nearest) <= 1e-6 * jnp.abs(steps), nearest, steps)
 
 
-class Totals(NamedTuple):
-    """Of the physics steps of a tick together: peaks of torque and residual, sums of the rest."""
+class TickTotals(NamedTuple):
+    """Totals over the physics steps of a control tick: peaks of torque and residual, sums of everything else."""
 
     torque_peak: Rates
     saturated: Rates
@@ -98,12 +109,12 @@ class Totals(NamedTuple):
     normal: Array
     residual: Array
     power: Rates  # (l,)
-    effort: Array  # (l,), of drives that drive
-    outside: Array
+    effort: Array  # (l,), power of driving joints only
+    external_power: Array
 
-    def plus(self, report: StepReport) -> "Totals":
-        """These with what one more step reports."""
-        return Totals(
+    def add_step(self, report: StepReport) -> "TickTotals":
+        """Add the report of one more physics step."""
+        return TickTotals(
             map_joints(lambda peak, u: jnp.maximum(peak, jnp.abs(u)), self.torque_peak, report.torque),
             map_joints(add, self.saturated, report.saturated),
             self.force + report.force,
@@ -111,12 +122,12 @@ class Totals(NamedTuple):
             jnp.maximum(self.residual, report.residual),
             map_joints(add, self.power, report.power),
             reduce(add, (jnp.maximum(p, 0.0) for p in report.power), self.effort),
-            self.outside + report.external_power,
+            self.external_power + report.external_power,
         )
 
 
 class Physics(NamedTuple):
-    """A way to simulate the world between two control ticks."""
+    """Simulates the world from one control tick to the next."""
 
     settings: EngineSettings
     substeps: int
@@ -127,23 +138,32 @@ class Physics(NamedTuple):
         return dynamics.mechanical_energy(self.smooth_dynamics(world), world, to_components(state))[0]
 
     def advance(
-        self, world: Case, state: PhysicsState, old: Servo, new: Servo, tick: Array
+        self, world: Case, state: PhysicsState, servo_before: Servo, servo_after: Servo, tick: Array
     ) -> tuple[PhysicsState, Tick]:
-        """The state and the summary after tick number `tick`, what the drives are told going from `old` to `new`.
+        """Simulate one control tick.
 
-        Positions and energy in the summary are those at the start of the last step: no kinematics twice.
+        Args:
+            world: simulated parameters.
+            state: state before the tick.
+            servo_before: drive target at the start of the tick.
+            servo_after: drive target at its end; the target goes linearly from one to the other.
+            tick: number of the control tick.
+
+        Returns:
+            The state after the tick, and its summary. Positions and energy in the summary are those at the start of the
+            last physics step, which saves a second pass of kinematics.
         """
         n, h = self.substeps, self.settings.time_step
         smooth_dynamics = self.smooth_dynamics(world)
 
         def substep(carry: tuple, k: Array) -> tuple[tuple, None]:
             moving, totals, *_ = carry
-            servo = interpolate_target(old, new, (k + 1) / n)
+            servo = interpolate_target(servo_before, servo_after, (k + 1) / n)
             limits = execution_limits(world, tick * n + k, h)
             moving, report = dynamics.step(smooth_dynamics, world, limits, moving, servo, h, self.settings.iterations)
             return (moving, totals.plus(report), report.normal, report.start), None
 
-        nothing = _nothing(world, state.q.dtype)
+        nothing = _initial_totals(world, state.q.dtype)
         (moving, totals, load, before), _ = jax.lax.scan(substep, (to_components(state), *nothing), jnp.arange(n))
         state = from_components(moving)
         force, normal = (1 / n) * totals.force, totals.normal / n
@@ -155,26 +175,26 @@ class Physics(NamedTuple):
             normal=normal,
             tangential=jnp.sqrt(along.dot(along)),
             residual=totals.residual[0],
-            work=h * (jnp.sum(reduce(add, totals.power)) + totals.outside[0]),
+            work=h * (jnp.sum(reduce(add, totals.power)) + totals.external_power[0]),
             effort=h * jnp.sum(totals.effort),
             power=_by_joint(totals.power) / n,
             energy=before.energy[0],
-            truth=truth(state.q, state.v, before.bodies.position.shape[0], load),
+            truth=exact_observation(state.q, state.v, before.bodies.position.shape[0], load),
             centre_of_mass=before.centre_of_mass.array()[0],
             joints=jnp.stack([joint.array() for joint in before.joints], axis=1),
             bodies=before.bodies,
         )
 
 
-def _nothing(world: Case, dtype: jnp.dtype) -> tuple[Totals, Array, StepStart]:
-    """Totals, loads and places before the first step."""
+def _initial_totals(world: Case, dtype: jnp.dtype) -> tuple[TickTotals, Array, StepStart]:
+    """Totals, foot loads and step start before the first physics step."""
     leg, one, bodies = jnp.zeros(N_LEGS, dtype), jnp.zeros(1, dtype), len(world.obstacle.free_bodies)
     legs, base, three = Vector(leg, leg, leg), Vector(one, one, one), (leg, leg, leg)
     joints = (legs,) * (len(link_names(world.robot)) + 1)
     before = StepStart(
         legs, one, base, joints, BodyPoses(jnp.zeros((bodies, 3), dtype), jnp.zeros((bodies, 3, 3), dtype))
     )
-    return Totals(three, three, legs, leg, one, three, leg, one), leg, before
+    return TickTotals(three, three, legs, leg, one, three, leg, one), leg, before
 
 
 def _by_joint(parts: Rates) -> Array:

@@ -1,7 +1,8 @@
-"""What comes before a batch's first tick: its plans, and how the robots stand when they begin with them.
+"""Planning of a batch: the plans, and the state in which each rollout starts.
 
-On a CPU NumPy goes through it (`fused.eager`), as it is run once a batch and long to compile; but this package's
-compiler makes the search for planned forces. Elsewhere, and where something has no rule, all is a program of XLA's.
+On a CPU, NumPy executes the traced program (`fused.eager`): it runs once for each batch and takes long to compile.
+Only its search for planned forces is compiled, by the fused compiler. On other devices, and where a rule is missing,
+XLA compiles the whole program.
 """
 
 from collections.abc import Callable
@@ -25,72 +26,91 @@ from sweep.fused.eager import Eager
 from sweep.fused.kernel import Code, Kernel
 from sweep.models.legs import N_LEGS
 
-Start = Callable[..., Any]  # of a rollout's world, belief and random key
-Parts = tuple[Eager | Compiled, dict[str, Code]]  # of `Planning`, as they are kept
-SLICE = 1 << 16  # poses that the search has in memory at a time
+Start = Callable[..., Any]  # function of a rollout's world, belief and random key
+Parts = tuple[Eager | Compiled, dict[str, Code]]  # of `Planning`, as the cache stores them
+SLICE = 1 << 16  # poses that are in memory at a time
 
 
 class Planning(NamedTuple):
-    """A start, and what searches for its forces, by the names of `forces.SEARCHES`."""
+    """A compiled start of a batch, with kernels that search for planned forces, by the names of `forces.SEARCHES`."""
 
     program: Eager | Compiled
     searches: dict[str, Kernel]
 
     @classmethod
     def from_programs(cls, program: Eager | Compiled, searches: dict[str, Code]) -> "Planning":
-        """From the programs that are kept of it on disk."""
+        """Load the programs that the cache stores."""
         return cls(program, {name: Kernel(code) for name, code in searches.items()})
 
     def __call__(self, world: Any, belief: Any, keys: Array) -> Any:
-        """What a batch starts with."""
+        """Plan a batch: world and belief (numbers or arrays over the batch), and a random key for each rollout."""
         if not isinstance(self.program, Eager):
             return self.program(world, belief, keys)
-        apart = {name: partial(_searched, search) for name, search in self.searches.items()}
-        return self.program(len(keys), world, belief, keys, apart=apart)
+        apart = {name: partial(_search_forces, search) for name, search in self.searches.items()}
+        return self.program(len(keys), world, belief, keys, external=apart)
 
 
 def start_compilation(
-    pool: Executor, start: Start, arrays: tuple[Any, Any, Array], many: Callable[[Start], Start], forced: bool,
-    by_host: bool,
-) -> tuple[Any, Callable[[], Parts]]:  # fmt: skip
-    """Begins to make what a batch like `arrays` starts with; its form, and what waits for the parts of `Planning`.
+    pool: Executor,
+    start: Start,
+    arrays: tuple[Any, Any, Array],
+    batch_start: Callable[[Start], Start],
+    has_forces: bool,
+    use_numpy: bool,
+) -> tuple[Any, Callable[[], Parts]]:
+    """Start to compile the planning of batches.
 
-    `many` makes of a rollout's start that of a batch, for XLA. Whether plans are `forced`, with planned forces, tells
-    how that compiles.
+    Args:
+        pool: threads in which XLA compiles.
+        start: function of a rollout's world, belief and random key.
+        arrays: world, belief and keys of a batch.
+        batch_start: makes a function of a batch from `start`, for XLA.
+        has_forces: whether the plans have planned forces, which changes XLA's options.
+        use_numpy: whether NumPy executes the program, where the fused compiler has all its rules.
+
+    Returns:
+        Shapes of the results for a batch, and a function that waits for the programs.
     """
-    if by_host:
+    if use_numpy:
         with suppress(Unsupported), timed_part("plan"):
-            program = eager.trace(start, *single_rollout_shapes(arrays), apart=forces.SEARCHES)
-            return batch_shapes(program.form, len(arrays[2])), lambda: (program, _searches(program))
-    lowered = jax.jit(many(start)).lower(*arrays)
-    program = compile_in_pool(pool, "plan", lowered, devices.plan_options(forced))
+            program = eager.trace(start, *key_and_case_shapes(arrays), external=forces.SEARCHES)
+            return batch_shapes(program.form, len(arrays[2])), lambda: (program, _compile_searches(program))
+    lowered = jax.jit(batch_start(start)).lower(*arrays)
+    program = compile_in_pool(pool, "plan", lowered, devices.plan_options(has_forces))
     return lowered.out_info, lambda: (program.result(), {})
 
 
 def evaluate_plan(function: Callable[[], Any]) -> Any:
-    """What a function of plain numbers gives, which may search for forces."""
+    """Evaluate a function of plain numbers that may search for planned forces."""
 
-    def searched(name: str, *asked: Shaped[np.ndarray, "n ... 1"]) -> Float[np.ndarray, "n 6 3 1"]:
-        forms = tuple(jax.ShapeDtypeStruct(x.shape[:-1], x.dtype) for x in asked)
-        return _searched(Kernel(_search(forces.SEARCHES[name], forms)), *asked)
+    def searched(name: str, *problems: Shaped[np.ndarray, "n ... 1"]) -> Float[np.ndarray, "n 6 3 1"]:
+        forms = tuple(jax.ShapeDtypeStruct(x.shape[:-1], x.dtype) for x in problems)
+        return _search_forces(Kernel(_compile_search(forces.SEARCHES[name], forms)), *problems)
 
     return eager.evaluate_constants(function, {name: partial(searched, name) for name in forces.SEARCHES})
 
 
-def single_rollout_shapes(arrays: Any) -> Any:
-    """The form of a rollout's worlds, beliefs and keys, of a batch's."""
+def key_and_case_shapes(arrays: Any) -> Any:
+    """Shapes of world, belief and key of one rollout, from those of a batch."""
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct((), x.dtype), arrays)
 
 
 def batch_shapes(form: Any, width: int) -> Any:
-    """The form of a batch of what has this form in a rollout."""
+    """Shapes of a batch of `width`, from the shapes of one rollout."""
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct((width, *x.shape), x.dtype), form)
 
 
 def compile_in_pool(
     pool: Executor, name: str, program: jax.stages.Lowered, options: dict[str, Any] | None = None
 ) -> Future[Compiled]:
-    """XLA compiles a program, told as the part `name`, while Python goes on."""
+    """Have XLA compile a program in a thread, since the compiler needs no Python.
+
+    Args:
+        pool: threads to compile in.
+        name: name of the part, under which its time is reported.
+        program: the lowered program.
+        options: options of XLA's compiler.
+    """
 
     def compiled() -> Compiled:
         with timed_part(name):
@@ -99,43 +119,43 @@ def compile_in_pool(
     return pool.submit(compiled)
 
 
-def _searches(program: Eager) -> dict[str, Code]:
-    """What takes the place of a program's searches."""
-    return {name: _search(forces.SEARCHES[name], asked) for name, asked in program.apart.items()}
+def _compile_searches(program: Eager) -> dict[str, Code]:
+    """Kernels for the searches that a program calls."""
+    return {name: _compile_search(forces.SEARCHES[name], asked) for name, asked in program.external.items()}
 
 
 @cache
-def _search(least: Effort, asked: tuple[jax.ShapeDtypeStruct, ...]) -> Code:
-    """The search for one pose of those for which it is `asked`."""
+def _compile_search(least: Effort, problems: tuple[jax.ShapeDtypeStruct, ...]) -> Code:
+    """Compile the search for the forces of one pose."""
 
-    def tick(sought: ForceProblem, so_far: SearchState, number: Array) -> tuple[SearchState, dict[str, Array]]:
-        return forces.search_step(least, sought, so_far, number), {}
+    def tick(problem: ForceProblem, state: SearchState, number: Array) -> tuple[SearchState, dict[str, Array]]:
+        return forces.search_step(least, problem, state, number), {}
 
-    sought = _sought([jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in asked])
+    sought = _force_problem([jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in problems])
     with timed_part("search for forces"):
-        return kernel.compile_function(tick, sought, _nothing(sought.pose.arm))
+        return kernel.compile_function(tick, sought, _initial_search(sought.pose.arm))
 
 
-def _sought(leaves: Any) -> ForceProblem:
+def _force_problem(leaves: Any) -> ForceProblem:
     pose = len(StaticPose._fields)
     return ForceProblem(StaticPose(*leaves[:pose]), Bounds(*leaves[pose:]))
 
 
-def _searched(search: Kernel, *asked: Shaped[np.ndarray, "n ... b"]) -> Float[np.ndarray, "n 6 3 b"]:
-    """Forces in weights for n poses of every rollout."""
-    width = max(x.shape[-1] for x in asked)
-    rows = [np.moveaxis(np.broadcast_to(x, (*x.shape[:-1], width)), -1, 0) for x in asked]
-    sought = _sought([x.reshape(-1, *x.shape[2:]) for x in rows])
+def _search_forces(search: Kernel, *problems: Shaped[np.ndarray, "n ... b"]) -> Float[np.ndarray, "n 6 3 b"]:
+    """Forces of n poses of each rollout, in units of the robot's weight."""
+    width = max(x.shape[-1] for x in problems)
+    rows = [np.moveaxis(np.broadcast_to(x, (*x.shape[:-1], width)), -1, 0) for x in problems]
+    sought = _force_problem([x.reshape(-1, *x.shape[2:]) for x in rows])
     force = np.empty_like(sought.pose.arm)
     for first in range(0, len(force), SLICE):
         some = jax.tree.map(lambda x, first=first: x[first : first + SLICE], sought)
-        tiles = search.enter(some, _nothing(force[0]), len(some.pose.arm))
+        tiles = search.enter(some, _initial_search(force[0]), len(some.pose.arm))
         tiles.advance(0, len(forces.SLACK))
-        force[first : first + SLICE] = tiles.look(lambda so_far: so_far.force)
+        force[first : first + SLICE] = tiles.read(lambda state: state.force)
     return np.moveaxis(force.reshape(width, -1, *force.shape[1:]), 0, -1)
 
 
-def _nothing(force: Any) -> SearchState:
-    """The search before its first step."""
+def _initial_search(force: Any) -> SearchState:
+    """State of the search before its first step."""
     zeros: Any = np.zeros((N_LEGS, 4), force.dtype)
     return SearchState(zeros[:, :3], zeros[:, 3])

@@ -1,7 +1,7 @@
-"""What comes before a rollout: the robot calibrates itself, if it does, and plans by what it believes then.
+"""What precedes a rollout: the optional calibration of the robot, and the plan from its belief.
 
-Calibration is computed here: with drives soft enough every foot stays where it stands while the base goes its way, so
-that joint angles follow from the true sizes. `calibrating` simulates it.
+Calibration is computed here, not simulated. It assumes drives so soft that every foot stays where it stands while the
+base moves; joint angles then follow from the true sizes. `calibration_rollout` simulates it.
 """
 
 import jax
@@ -23,13 +23,22 @@ from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, N_LEGS
 from sweep.models.obstacles.surface import Surface, body_poses, free_start_state, surface_at
 
-LEVEL = 5e-3  # m, within which feet are on one plane: footholds may lie below it
-FLAT = 1e-5  # within which ground is the floor, z = 0
-ERRORS, PLACES = 1, 2  # folded into a rollout's key to draw the errors of calibration, and of the bodies' places
+LEVEL = 5e-3  # m, tolerance of feet on one plane, since footholds may lie below it
+FLAT = 1e-5  # tolerance of ground that is the floor, z = 0
+ERRORS, PLACES = 1, 2  # folded into a rollout's key to draw errors of calibration and of body positions
 
 
 def prepare_belief(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, LearnedState]:
-    """What is believed from the start on, the plan that follows, what was learned for it; `key` is the rollout's."""
+    """Calibrate and touch as the settings ask, and plan by the resulting belief.
+
+    Args:
+        world: simulated parameters.
+        belief: parameters that the planner receives at first.
+        key: random key of the rollout.
+
+    Returns:
+        The updated belief, the plan that follows from it, and the estimates by which it was updated.
+    """
     plan, control = belief.manoeuvre.plan(belief), world.control
     if control.calibrate == "none" and control.touch == "none":
         return belief, plan, LearnedState()
@@ -41,7 +50,9 @@ def prepare_belief(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, L
     if control.touch != "none":
         nothing = touch.init_touch(control, belief.obstacle)
         if not touch.is_learned_by_feet(belief.obstacle):
-            touched = touch.update_from_resting_bodies(control, belief.noise, nothing, places(world, key))
+            touched = touch.update_from_resting_bodies(
+                control, belief.noise, nothing, measure_body_positions(world, key)
+            )
         else:
             robot, at_first = updated_belief(belief, learned).robot, (seen.position[0], seen.quat[0], seen.angles[0])
             touched = touch.update_from_stance(control, belief.noise, robot, plan.start, nothing, *at_first)
@@ -53,11 +64,16 @@ def prepare_belief(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, L
     return belief, plan, learned
 
 
-def check(world: Case, belief: Case, plan: Plan) -> None:
-    """Raises `InputError` where `control` asks for what this robot cannot do.
+def check_control_settings(world: Case, belief: Case, plan: Plan) -> None:
+    """Raise `InputError` if `control` asks for estimates that this robot cannot make on this obstacle.
 
-    To calibrate itself it has to start with all feet on one plane; it touches what rests, and plans again by that. Of
-    what moves only balls can be learned, as they lie.
+    To calibrate, all feet have to start on one plane. Only resting obstacles can be touched and planned for again; of
+    moving ones only the positions of balls can be learned.
+
+    Args:
+        world: simulated parameters.
+        belief: parameters that the planner receives.
+        plan: nominal plan.
     """
     control, obstacle = world.control, belief.obstacle
     moves = f"obstacle = {obstacle.kind} may move"
@@ -68,39 +84,53 @@ def check(world: Case, belief: Case, plan: Plan) -> None:
     if control.replan != "never" and control.touch == "none":
         raise InputError(f"control.replan = {control.replan} is not allowed: it needs control.touch = obstacle")
     if world.control.calibrate != "none":
-        check_level(belief, plan, control.calibrate)
+        check_level_start(belief, plan, control.calibrate)
 
 
-def check_level(belief: Case, plan: Plan, calibrate: str) -> None:
-    """Raises `InputError` where a robot that is to calibrate itself does not start with all feet on one plane."""
-    if not planning.evaluate_plan(lambda: _starts_level(belief, plan.start)):
+def check_level_start(belief: Case, plan: Plan, calibrate: str) -> None:
+    """Raise `InputError` if a robot that has to calibrate does not start with all feet on one plane.
+
+    Args:
+        belief: parameters that the planner receives.
+        plan: nominal plan.
+        calibrate: value of `control.calibrate`, for the message.
+    """
+    if not planning.evaluate_plan(lambda: _feet_start_level(belief, plan.start)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
         asked = f"control.calibrate = {calibrate} is not allowed"
         raise InputError(f"{asked}: {kinds} does not start with all feet on the floor")
 
 
-def _starts_level(belief: Case, start: Stance) -> Bool[Array, ""]:
-    """Whether all feet start on one plane that no body carries."""
-    feet, surface = start.feet, _under(belief, start)
+def _feet_start_level(belief: Case, start: Stance) -> Bool[Array, ""]:
+    """Whether all feet start on one plane that belongs to no free body."""
+    feet, surface = start.feet, _surface_under_feet(belief, start)
     down = feet + surface.depth[:, None] * surface.normal
     even = jnp.abs((down - down[0]) @ surface.normal[0]) < LEVEL
     return jnp.all(even & (jnp.abs(surface.depth) < LEVEL) & (surface.body < 0))
 
 
-def _under(belief: Case, start: Stance) -> Surface:
-    """What is believed to be under the feet at the start."""
+def _surface_under_feet(belief: Case, start: Stance) -> Surface:
+    """Believed surface under the feet at the start."""
     return surface_at(belief.obstacle, start.feet, body_poses(free_start_state(belief.obstacle)))
 
 
 def _ground(belief: Case, start: Stance) -> Ground:
-    surface, foot = _under(belief, start), start.feet[0]
+    surface, foot = _surface_under_feet(belief, start), start.feet[0]
     normal = surface.normal[0]
     point = foot + surface.depth[0] * normal
     return Ground(point, normal, (jnp.abs(point[2]) > FLAT) | (normal[2] < 1 - FLAT))
 
 
-def places(world: Case, key: Array) -> Float[Array, "k 3"]:
-    """Where the sensors of a rollout see the obstacle's free bodies (m) before it begins."""
+def measure_body_positions(world: Case, key: Array) -> Float[Array, "k 3"]:
+    """Measure the obstacle's free bodies before the rollout: true positions plus the sensor errors of this rollout (m).
+
+    Args:
+        world: simulated parameters.
+        key: random key of the rollout.
+
+    Returns:
+        Position (k, 3) of each body, world axes.
+    """
     noise, free = world.noise, free_start_state(world.obstacle)
     bias = draw_body_biases(noise, jax.random.split(key)[0], free)[:, 0]
     draws = jax.random.normal(jax.random.fold_in(key, PLACES), free.position.shape, float)
@@ -108,16 +138,21 @@ def places(world: Case, key: Array) -> Float[Array, "k 3"]:
 
 
 def measure_poses(world: Case, start: Start, key: Array) -> PoseMeasurements:
-    """What the sensors of a rollout say of the poses, their biases those of its key.
+    """Measure the calibration poses with the sensor errors of this rollout.
 
-    The feet come down to the ground where the robot starts, and slip a little from pose to pose. A foot that a pose
-    puts out of reach does not stand.
+    The feet are put on the ground where the robot starts, and slip a little from pose to pose. A foot that a pose puts
+    out of reach does not stand.
+
+    Args:
+        world: simulated parameters.
+        start: state of MuJoCo at the start.
+        key: random key of the rollout.
     """
     control, quat = world.control, start.qpos[3:7]
     feet = feet_in_world(world.robot, start.qpos[:3], quat, start.qpos[JOINT_Q].reshape(N_LEGS, 3))
     ground = surface_at(world.obstacle, feet, body_poses(free_start_state(world.obstacle)))
     feet = feet + ground.depth[:, None] * ground.normal
-    slips = jax.random.normal(_drawn(key)[0], (len(MOVES), N_LEGS, 3), float)
+    slips = jax.random.normal(_error_keys(key)[0], (len(MOVES), N_LEGS, 3), float)
     up = jnp.sum(slips * ground.normal, axis=-1, keepdims=True) * ground.normal
     feet = feet + control.slip * (slips - up) + HEIGHT * up
     position, turned = calibration.base_poses(control, Stance(feet[0], start.qpos[:3], quat))
@@ -126,9 +161,15 @@ def measure_poses(world: Case, start: Start, key: Array) -> PoseMeasurements:
 
 
 def add_sensor_errors(world: Case, true: PoseMeasurements, key: Array) -> PoseMeasurements:
-    """What the sensors of a rollout make of `true` means in each pose, their biases those of its key."""
+    """Add the sensor errors of a rollout to the true means of the calibration poses.
+
+    Args:
+        world: simulated parameters; `noise` gives the sizes of errors.
+        true: true means over each pose.
+        key: random key of the rollout, from which its biases are drawn.
+    """
     noise, bias = world.noise, draw_biases(world.noise, jax.random.split(key)[0])
-    draws = jax.random.normal(_drawn(key)[1], (len(MOVES), 24), float) / jnp.sqrt(world.control.samples)
+    draws = jax.random.normal(_error_keys(key)[1], (len(MOVES), 24), float) / jnp.sqrt(world.control.samples)
     turn = bias.turn + noise.orientation_noise * draws[:, 3:6]
     return PoseMeasurements(
         true.position + bias.position + noise.position_noise * draws[:, :3],
@@ -139,12 +180,19 @@ def add_sensor_errors(world: Case, true: PoseMeasurements, key: Array) -> PoseMe
 
 
 def calibrate_from_poses(world: Case, belief: Case, true: PoseMeasurements, key: Array) -> CalibrationResult:
-    """What a rollout's robot learns of its sizes where `true` is what really was in the poses."""
+    """Estimate the robot's sizes from simulated calibration poses.
+
+    Args:
+        world: simulated parameters.
+        belief: parameters that the planner receives.
+        true: true means over each pose; the rollout's sensor errors are added.
+        key: random key of the rollout.
+    """
     start = belief.manoeuvre.plan(belief).start
     seen = add_sensor_errors(world, true, key)
     return calibration.estimate_sizes(world.control, belief.noise, belief.robot, _ground(belief, start), seen)
 
 
-def _drawn(key: Array) -> Array:
-    """Keys to draw the feet's slips, and the sensors' noise."""
+def _error_keys(key: Array) -> Array:
+    """Random keys for the slip of the feet, and for sensor noise."""
     return jax.random.split(jax.random.fold_in(key, ERRORS))

@@ -1,9 +1,9 @@
-"""Compiled programs kept between processes, so that a later start need not even trace them.
+"""Cache of compiled programs on disk, so that a later process need not trace them again.
 
-JAX keeps what its compiler makes, but has to trace a program to find it again, which takes longer than to load it.
-A kept program is machine code within a pickle, as JAX serialises no other way: to load one is to run it. So they are
-loaded only from a folder and files of this user that nobody else can write, and only where a digest of their content
-is as it was written: XLA aborts the process over a damaged program.
+JAX caches what its compiler makes, but has to trace a program to find it, which takes longer than to load it. A stored
+program is machine code within a pickle, since JAX serialises no other way: to load it is to run it. So programs are
+loaded only from a folder and files of this user that nobody else can write, and only if their digest matches: XLA
+aborts the process over a damaged program.
 """
 
 import contextlib
@@ -28,45 +28,56 @@ from sweep.core.errors import InputError
 from sweep.core.progress import timed_compilation
 from sweep.fused import driver
 
-MOST = 200  # files, of about a MB each
+MAX_FILES = 200  # of about a MB each; the oldest are deleted
 DIGEST = hashlib.sha256().digest_size  # bytes before the compressed content
 _jax_settings = threading.RLock()
 
 
 class Serialized(NamedTuple):
-    """A program of XLA's, as JAX gives it; all others are kept as they are."""
+    """A program of XLA in the form that JAX serialises. Other programs are pickled as they are."""
 
-    what: tuple[Any, ...]
+    content: tuple[Any, ...]
 
 
-def programs(made_of: Any, devices: Sequence[Any], compiled: Callable[[], Sequence[Any]]) -> Sequence[Any]:
-    """What `compiled` gives for `devices`, or gave in an earlier process.
+def load_or_compile(
+    key_parts: Any, devices: Sequence[Any], compile_programs: Callable[[], Sequence[Any]]
+) -> Sequence[Any]:
+    """Load compiled programs from the cache, or compile and store them.
 
-    The text of `made_of`, the code of this package, its libraries' versions, JAX's settings and the devices' kind have
-    to be all that the programs depend on.
+    Args:
+        key_parts: all that the programs depend on, beyond the code of this package, the versions of its libraries,
+            JAX's settings and the kind of the devices. Its `repr` is hashed.
+        devices: devices that the programs are for.
+        compile_programs: compiles the programs.
+
+    Returns:
+        The programs.
+
+    Raises:
+        InputError: Other users can write to the cached file.
     """
-    with _jax_settings:  # which another thread may be changing
+    with _jax_settings:  # another thread may be changing them
         folder = _folder()
         if folder is None:
             with timed_compilation():
-                return compiled()
-        file = folder / f"{_key(made_of, devices)}.programs"
+                return compile_programs()
+        file = folder / f"{_key(key_parts, devices)}.programs"
         if (found := _load(file, devices)) is not None:
             return found
         with without_cache(), timed_compilation():
-            made = compiled()
+            made = compile_programs()
     try:
-        _store(file, pickle.dumps([_saved(part) for part in made]))
-    except Exception as error:  # such as a full disk: what is made can run, and the next start makes it again
-        _tell("kept", error)
+        _store(file, pickle.dumps([_serialize(part) for part in made]))
+    except Exception as error:  # such as a full disk: the programs can run, and the next process compiles them again
+        _warn("kept", error)
     return made
 
 
 @contextlib.contextmanager
 def without_cache() -> Iterator[None]:
-    """Inside, nothing is kept or found, by JAX neither; one thread at a time.
+    """Disable the compilation cache, JAX's included, within this context. One thread at a time enters it.
 
-    A program for a CPU that JAX has from a file of its own lacks functions when it is kept once more.
+    A CPU program that JAX loads from its own cache lacks functions when it is serialised again.
     """
     with _jax_settings:
         before = jax.config.jax_enable_compilation_cache
@@ -80,7 +91,7 @@ def without_cache() -> Iterator[None]:
 
 
 def _folder() -> Path | None:
-    """Where JAX keeps its own, if it does. Sources that changed meanwhile are not what was traced."""
+    """Folder of JAX's cache if it is in use. None also where sources have changed since they were imported."""
     place = jax.config.jax_compilation_cache_dir if jax.config.jax_enable_compilation_cache else None
     if not place or provenance.sources_changed():
         return None
@@ -88,12 +99,12 @@ def _folder() -> Path | None:
     return folder if files.ensure_private_folder(folder) else None
 
 
-def _key(made_of: Any, devices: Sequence[Any]) -> str:
+def _key(key_parts: Any, devices: Sequence[Any]) -> str:
     kind, version = devices[0].device_kind, devices[0].client.platform_version
-    where = kind, version, driver.version(), [device.id for device in devices], provenance.processor()
+    where = kind, version, driver.driver_version(), [device.id for device in devices], provenance.processor()
     how = sorted(jax.config.values.items()), os.environ.get("XLA_FLAGS")
     return hashlib.blake2b(
-        repr((made_of, provenance.program_version(), where, how)).encode(), digest_size=20
+        repr((key_parts, provenance.program_version(), where, how)).encode(), digest_size=20
     ).hexdigest()
 
 
@@ -104,32 +115,32 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
         check, content = packed[:DIGEST], zlib.decompress(packed[DIGEST:])
         if check != hashlib.sha256(content).digest():
             raise ValueError("its content has changed")
-        if b"lapack_" in content:  # whose functions JAX looks up when it first lowers a call of one, and not before
+        if b"lapack_" in content:  # JAX registers LAPACK only once it lowers a call of it
             jax.jit(jax.lax.linalg.cholesky).lower(np.eye(1))
         parts = pickle.loads(content)
         return [
-            deserialize_and_load(*part.what, execution_devices=devices) if isinstance(part, Serialized) else part
+            deserialize_and_load(*part.content, execution_devices=devices) if isinstance(part, Serialized) else part
             for part in parts
         ]
     except FileNotFoundError:
         return None
     except InputError:
         raise
-    except Exception as error:  # cut short, or not for these devices after all
-        _tell("found again", error)
+    except Exception as error:  # truncated, or made for other devices after all
+        _warn("found again", error)
         return None
 
 
-def _tell(what: str, error: Exception) -> None:
-    """Once, as starts are slow without anything else to see."""
-    warnings.warn(f"a compiled program was not {what}: {type(error).__name__}: {error}", RuntimeWarning, stacklevel=3)
+def _warn(action: str, error: Exception) -> None:
+    """Warn that starts will be slow, since nothing else shows it."""
+    warnings.warn(f"a compiled program was not {action}: {type(error).__name__}: {error}", RuntimeWarning, stacklevel=3)
 
 
-def _saved(part: Any) -> Any:
+def _serialize(part: Any) -> Any:
     return Serialized(serialize(part)) if isinstance(part, Compiled) else part
 
 
 def _store(file: Path, content: bytes) -> None:
     files.write_atomically(file, hashlib.sha256(content).digest() + zlib.compress(content, level=1))
-    for old in sorted(file.parent.glob("*.programs"), key=lambda f: f.stat().st_mtime)[:-MOST]:
+    for old in sorted(file.parent.glob("*.programs"), key=lambda f: f.stat().st_mtime)[:-MAX_FILES]:
         old.unlink(missing_ok=True)

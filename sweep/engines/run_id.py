@@ -1,4 +1,4 @@
-"""How a row was simulated: rows are equal bit for bit only at an equal `run_id`."""
+"""Identity of the way in which a row was simulated: only rows of one `run_id` are equal bit for bit."""
 
 import hashlib
 import os
@@ -9,7 +9,7 @@ from sweep.core import provenance
 from sweep.engines import devices
 from sweep.engines.settings import EngineSettings
 
-# of the environment, which change what is compiled or drawn
+# environment variables that change compiled code or random numbers
 FLAGS = (
     "XLA_FLAGS",
     "JAX_ENABLE_X64",
@@ -19,8 +19,8 @@ FLAGS = (
 )
 
 
-def device(settings: EngineSettings) -> str:
-    """Kind of the devices an engine runs on, how many share a batch, and what else changes the code made for them."""
+def describe_device(settings: EngineSettings) -> str:
+    """Describe the devices of an engine: kind, number that share a batch, and settings that change compiled code."""
     devices.configure()
     native = settings.name == "native"
     parts = ["cpu" if native else f"{jax.device_count()} x {jax.devices()[0].device_kind}"]
@@ -31,7 +31,12 @@ def device(settings: EngineSettings) -> str:
     return ", ".join(parts)
 
 
-def run_id(settings: EngineSettings, *more: str) -> str:
-    """Hash of how a row is simulated: engine, steps, precision, width, device, code, and what `more` tells."""
-    content = repr((settings, device(settings), provenance.code_version(), *more))
+def run_id(settings: EngineSettings, *extra: str) -> str:
+    """Hash of all that rounding depends on: engine, steps, precision, width, device and code.
+
+    Args:
+        settings: settings of the engine.
+        extra: more text to hash, from the system.
+    """
+    content = repr((settings, describe_device(settings), provenance.code_version(), *extra))
     return hashlib.blake2b(content.encode(), digest_size=6).hexdigest()

@@ -1,4 +1,4 @@
-"""How a simulation is run, as opposed to what is simulated."""
+"""Settings of a simulation run, as opposed to what is simulated."""
 
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, exclude_from_run_id, flag, parameters, quantity
@@ -6,26 +6,31 @@ from sweep.core.parameters import choice, count, exclude_from_run_id, flag, para
 
 @parameters
 class EngineSettings:
-    """`mjx` is the primary engine, `native` (C MuJoCo, its own contact) the second opinion."""
+    """Engine, time steps, precision, compiler and batch width; the `engine` group of the configuration.
+
+    `mjx` is the primary engine; `native` (C MuJoCo with its own contact solver) is an independent check.
+    """
 
     name: str = choice("mjx", "mjx", "native")  # which engine simulates: mjx, or native as the independent check
-    # smooth dynamics of mjx: structured, MJX's own, or structured wherever robot and obstacle fit
+    # smooth dynamics of mjx: structured (arrowhead), MJX's own, or structured wherever robot and obstacle fit
     dynamics: str = choice("auto", "auto", "arrowhead", "mjx")
-    time_step: float = quantity(2e-3, "s", above=0, at_most=0.01)  # a physics step of mjx
-    native_time_step: float = quantity(1e-3, "s", above=0, at_most=0.01)  # its contact solver fails at 2 ms
-    # of the closed loop: XLA, this package's own (fused), or that, on CPU and GPU, wherever it has a rule for all
+    time_step: float = quantity(2e-3, "s", above=0, at_most=0.01)  # physics step of mjx
+    native_time_step: float = quantity(
+        1e-3, "s", above=0, at_most=0.01
+    )  # physics step of native, whose contact solver fails at 2 ms
+    # of the closed loop: XLA, this package's own (fused), or fused wherever it has rules for the whole program
     compiler: str = choice("auto", "auto", "xla", "fused")
-    # between two orders of the controller: a whole number of physics steps
+    # between two commands of the controller: a whole number of physics steps
     control_period: float = quantity(4e-3, "s", above=0, at_most=0.05)
-    iterations: int = count(2, at_least=1, at_most=20)  # of the implicit contact step
-    precision: str = choice("float32", "float32", "float64")  # of all numbers of mjx and of the controller
-    width: int = count(0, at_most=1 << 24)  # rollouts in a batch; 0 asks for the device's best
+    iterations: int = count(2, at_least=1, at_most=20)  # Newton iterations of the implicit contact step
+    precision: str = choice("float32", "float32", "float64")  # of all numbers in mjx and in the controller
+    width: int = count(0, at_most=1 << 24)  # rollouts in a batch; 0 selects the device's best
     solid: bool = flag(False)  # base and links collide with the obstacle and each other; native only
-    # own models: mjx and warp compare the first ticks of a study with C MuJoCo; no part of a row's `run_id`
+    # user models: mjx and warp compare the first ticks of a study with C MuJoCo; not part of a row's `run_id`
     cross_check: bool = exclude_from_run_id(flag(True))
 
     def __post_init__(self) -> None:
-        """Raises `InputError` where an engine cannot do what is asked."""
+        """Raise `InputError` if an engine cannot do what the settings ask."""
         if self.solid and self.name != "native":
             raise InputError("engine.solid = True is not allowed: false, or engine=native (elsewhere only feet touch)")
         if self.compiler == "fused" and self.dynamics == "mjx":
@@ -38,5 +43,5 @@ class EngineSettings:
 
     @property
     def fusible(self) -> bool:
-        """Whether this package's own compiler may make the closed loop of mjx: it has rules for its own dynamics."""
+        """Whether the fused compiler may compile the closed loop; it has rules for this package's own dynamics only."""
         return self.compiler != "xla" and self.dynamics != "mjx"

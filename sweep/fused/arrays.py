@@ -1,8 +1,7 @@
-"""Operations on arrays of numbers, number by number, and for the legs at once where one operation gives all six.
+"""Array operations as operations on single numbers, or on all legs at once where one operation gives all six.
 
-An array is a NumPy array of nodes of the same shape; moving numbers about is NumPy's own indexing of it and makes no
-operation. Where an axis as long as the group holds what one operation gives for the legs, the operation on it is one
-for the legs too.
+An array is a NumPy array of nodes of the same shape. Moving elements is NumPy's own indexing and makes no operation.
+Along an axis as long as the group, nodes that one operation gives for all legs are combined into one operation.
 """
 
 import math
@@ -15,42 +14,59 @@ from typing import Any
 import numpy as np
 
 from sweep.fused.operations import fold, simplify
-from sweep.fused.program import At, Node, OneOf, Over, Program, Region, Store, is_uniform, value_of
+from sweep.fused.program import (
+    Address,
+    LegIndex,
+    LegReduction,
+    Node,
+    Program,
+    Region,
+    Store,
+    constant_value,
+    is_uniform,
+)
 
-EMPTY = {"add": 0, "mul": 1, "or": False, "and": True, "max": -np.inf, "min": np.inf}  # of no numbers at all
-CHAIN = 64  # places that a number may be chosen from, where it is not in memory
+EMPTY = {
+    "add": 0,
+    "mul": 1,
+    "or": False,
+    "and": True,
+    "max": -np.inf,
+    "min": np.inf,
+}  # results of reductions over nothing
+CHAIN = 64  # largest number of elements to choose among that are not in memory
 
-Array = Any  # of NumPy, of nodes
+Array = Any  # NumPy array of nodes
 
 
 @dataclass(frozen=True, eq=False)
 class RowUpdate:
-    """An array in memory of which one row is replaced. Saved to that memory, it is a store at a computed address."""
+    """An array in memory with one row replaced; written back there, it is one store at a computed address."""
 
-    array: Array  # (rows, ...), as it lies in memory
-    row: Node  # number of the row, within the array, the same for all rollouts
-    new: Array  # (1, ...)
+    array: Array  # (rows, ...), unchanged in memory
+    row: Node  # index of the row, within the array and the same for all rollouts
+    new: Array  # (1, ...), the row
 
 
 class Unsupported(Exception):
-    """A primitive, or a form of it, that has no rule."""
+    """Raised for a JAX primitive, or a form of it, that the fused compiler has no rule for."""
 
 
 class Arrays:
-    """Arrays of a `Program` that is being written."""
+    """Builds array operations into the `Program` that is being written."""
 
     def __init__(self, program: Program):
         self.program, self.group = program, program.group
 
     def constant(self, value: Any) -> Array:
-        """A constant array, of numbers that are known."""
+        """Constant array of known numbers."""
         value = np.asarray(value)
         return build_array(value.shape, lambda at: self.program.const(value[at], value.dtype.name))
 
-    def op(self, name: str, dtype: str, *args: Node) -> Node:
-        """An operation on numbers, simplified."""
+    def emit(self, name: str, dtype: str, *args: Node) -> Node:
+        """Add an operation on numbers to the program, or return the operand that it simplifies to."""
         if all(x.op == "const" for x in args):
-            value = fold(name, dtype, [value_of(x) for x in args])
+            value = fold(name, dtype, [constant_value(x) for x in args])
             return self.program.const(tuple(value) if np.ndim(value) else value, dtype)
         if (simple := simplify(name, args)) is not None:
             return simple
@@ -59,44 +75,57 @@ class Arrays:
         return self.program.node(name, args, dtype)
 
     def lift(self, name: str, args: Sequence[Array], dtype: str) -> Array:
-        """An operation number by number, for the legs at once along an axis of theirs."""
+        """Apply an operation element by element, and once for all legs along an axis of theirs.
+
+        Args:
+            name: operation, by JAX's name.
+            args: operands, arrays of one shape.
+            dtype: type of the result.
+        """
         whole: list[Array] = list(np.broadcast_arrays(*args)) if len(args) > 1 else list(args)
         shape = whole[0].shape
         axis = next((a for a in range(len(shape)) if shape[a] == self.group and self._over_legs(whole, a)), None)
         if axis is None:
-            return build_array(shape, lambda at: self.op(name, dtype, *(x[at] for x in whole)))
+            return build_array(shape, lambda at: self.emit(name, dtype, *(x[at] for x in whole)))
         whole = [np.moveaxis(x, axis, -1) for x in whole]
         result = np.empty(whole[0].shape, object)
         for at in np.ndindex(result.shape[:-1]):
             rows = [x[at] for x in whole]
             if (legs := self._legs(rows)) is None:
                 for k in range(self.group):
-                    result[(*at, k)] = self.op(name, dtype, *[row[k] for row in rows])
+                    result[(*at, k)] = self.emit(name, dtype, *[row[k] for row in rows])
             else:
-                result[at] = self.parts(self.op(name, dtype, *legs))
+                result[at] = self.leg_values(self.emit(name, dtype, *legs))
         return np.moveaxis(result, -1, axis)
 
     def reduce(self, name: str, x: Array, axes: Sequence[int], dtype: Any) -> Array:
-        """Along `axes`, in order; over the legs last."""
+        """Reduce an array along `axes` in order of the elements; the legs' axis comes last.
+
+        Args:
+            name: operation that combines two numbers.
+            x: array of nodes.
+            axes: axes to reduce.
+            dtype: type of the result.
+        """
         kept = [d for d in range(x.ndim) if d not in axes]
         if not x.size:
             return self.constant(np.full([x.shape[d] for d in kept], EMPTY[name], dtype))
         rows = np.transpose(x, (*kept, *axes))
         legs = next((k for k, a in enumerate(axes) if x.shape[a] == self.group and self._over_legs([x], a)), None)
         shape = tuple(x.shape[d] for d in kept)
-        if legs is None:  # maybe for the legs at once, along an axis that is kept
+        if legs is None:  # along a remaining axis it may still be one operation for all legs
             parts = slices_along(rows.reshape(*shape, -1), -1)
             return reduce(lambda total, one: self.lift(name, [total, one], np.dtype(dtype).name), parts)
         rows = np.moveaxis(rows, len(kept) + legs, -1)
 
-        def total(at: tuple) -> Node:
-            row = rows[at].reshape(-1, self.group)
+        def total(index: tuple) -> Node:
+            row = rows[index].reshape(-1, self.group)
             found = [self._legs([six]) for six in row]
             if any(one is None for one in found):
                 return self._fold(name, list(row.ravel()))
             whole = self._fold(name, [one[0] for one in found if one is not None])
             return (
-                self.program.node("over_legs", (whole,), whole.dtype, Over(name), leg=False)
+                self.program.node("over_legs", (whole,), whole.dtype, LegReduction(name), leg=False)
                 if whole.leg
                 else self._fold(name, [whole] * self.group)
             )
@@ -106,40 +135,45 @@ class Arrays:
     def _fold(self, name: str, row: list[Node]) -> Node:
         total = row[0]
         for x in row[1:]:
-            total = self.op(name, total.dtype, total, x)
+            total = self.emit(name, total.dtype, total, x)
         return total
 
     def choose(self, index: Array, cases: Sequence[Array]) -> Array:
-        """The case that `index` names, number by number."""
+        """Select, element by element, the case that `index` names.
+
+        Args:
+            index: array of indices.
+            cases: arrays of one shape.
+        """
         dtype = cases[0].flat[0].dtype if cases[0].size else "float32"
         if len(cases) == 2 and (not index.size or index.flat[0].dtype == "bool"):
             return self.lift("select", [index, cases[1], cases[0]], dtype)
         result, kind = cases[-1], index.flat[0].dtype if index.size else "int32"
-        for k in reversed(_ends(cases)):
+        for k in reversed(_run_ends(cases)):
             first = self.lift("le", [index, self.constant(np.asarray(k, kind))], "bool")
             result = self.lift("select", [first, cases[k], result], dtype)
         return result
 
     # the legs
 
-    def parts(self, node: Node) -> list[Node]:
-        """What a node gives for each leg."""
+    def leg_values(self, node: Node) -> list[Node]:
+        """Nodes of each leg's value, from a node that stands for all legs."""
         if not node.leg:
             return [node] * self.group
         if node.op == "const":
-            return [self.program.const(value, node.dtype) for value in value_of(node)]
+            return [self.program.const(value, node.dtype) for value in constant_value(node)]
         if node.op in ("load", "gather"):
-            places = node.attribute(At).each(self.group)
+            places = node.attribute(Address).leg_addresses(self.group)
             return [self.program.node(node.op, node.args, node.dtype, place, leg=False) for place in places]
-        return [self.program.node("part", (node,), node.dtype, OneOf(k), leg=False) for k in range(self.group)]
+        return [self.program.node("part", (node,), node.dtype, LegIndex(k), leg=False) for k in range(self.group)]
 
     def _over_legs(self, arrays: Sequence[Array], axis: int) -> bool:
-        """Whether any row along `axis` is one for the legs."""
+        """Whether any row along `axis` is a single node for all legs."""
         rows = [np.moveaxis(x, axis, -1).reshape(-1, self.group) for x in arrays]
         return any(self._legs(alike) is not None for alike in zip(*rows, strict=True))
 
     def _legs(self, rows: Sequence[Array]) -> list[Node] | None:
-        """Rows of a number for each leg as nodes for the legs; None where that saves nothing."""
+        """Nodes for all legs in place of rows with a number for each leg; None if that saves nothing."""
         found = [self._leg(row) for row in rows]
         if not any(x is not None and x.leg for x in found):
             return None
@@ -151,7 +185,7 @@ class Arrays:
         return self.program.node("pack", tuple(row), row[0].dtype, leg=True)
 
     def _leg(self, row: Array) -> Node | None:
-        """One node for a row: the same for all, parts of one, or alike in memory."""
+        """One node for a row that is uniform, consists of one node's parts, or lies evenly in memory."""
         first, second = row[0], row[1]
         if all(x is first for x in row):
             return first
@@ -161,34 +195,40 @@ class Arrays:
             whole = first.args[0]
             return (
                 whole
-                if all(x.op == "part" and x.args[0] is whole and x.extra == OneOf(k) for k, x in enumerate(row))
+                if all(x.op == "part" and x.args[0] is whole and x.extra == LegIndex(k) for k, x in enumerate(row))
                 else None
             )
         if first.op == "const":
             same = all(x.op == "const" for x in row)
-            return self.program.const(tuple(value_of(x) for x in row), first.dtype) if same else None
+            return self.program.const(tuple(constant_value(x) for x in row), first.dtype) if same else None
         if first.op in ("load", "gather"):
-            region, index, depth, _ = first.attribute(At)
-            step = second.attribute(At).first - index
+            region, index, depth, _ = first.attribute(Address)
+            step = second.attribute(Address).first - index
             for k, x in enumerate(row):
-                if x.op != first.op or x.args != first.args or x.extra != At(region, index + k * step, depth, 0):
+                if x.op != first.op or x.args != first.args or x.extra != Address(region, index + k * step, depth, 0):
                     return None
-            return self.program.node(first.op, first.args, first.dtype, At(region, index, depth, step), leg=True)
+            return self.program.node(first.op, first.args, first.dtype, Address(region, index, depth, step), leg=True)
         return None
 
     # memory
 
     def load(self, region: Region, index: int, depth: int) -> Node:
-        """A number in memory, as it is in the block at `depth`."""
-        return self.program.node("load", (), region.dtype, At(region, index, depth, 0), leg=False)
+        """Number `index` of a memory region, as the block at `depth` sees it."""
+        return self.program.node("load", (), region.dtype, Address(region, index, depth, 0), leg=False)
 
     def load_array(self, region: Any, shape: tuple, depth: int) -> Array:
-        """An array in memory, as it is in the block at `depth`."""
+        """Array of `shape` in a memory region, as the block at `depth` sees it."""
         at = np.arange(math.prod(shape)).reshape(shape)
         return build_array(shape, lambda i: self.load(region, int(at[i]), depth))
 
     def save(self, region: Region | None, x: Array | RowUpdate, items: list[Any]) -> None:
-        """Have an array put into memory; what is there already is left."""
+        """Store an array to a region; numbers that the region holds already are skipped.
+
+        Args:
+            region: the memory; None to store nothing.
+            x: array of nodes, or an update of one row.
+            items: items of the block, to which the stores are added.
+        """
         if region is None:
             return
         if isinstance(x, RowUpdate) and (memory := self._memory(x.array)) and memory[:2] == (region, 0):
@@ -196,7 +236,7 @@ class Arrays:
             items.extend(replace(store, row=x.row, stride=x.new.size) for store in stores)
             return
         for store in self._stores(region, self.resolve_update(x)):
-            unchanged = store.value.op == "load" and store.value.attribute(At)[:2] == (region, store.index)
+            unchanged = store.value.op == "load" and store.value.attribute(Address)[:2] == (region, store.index)
             if not unchanged:
                 items.append(store)
 
@@ -216,22 +256,22 @@ class Arrays:
                 yield Store(region, k, node)
 
     def _memory(self, x: Array) -> tuple[Region, int, int] | None:
-        """Region, first place and depth of an array that lies in memory as it is."""
+        """Region, first index and depth of an array that lies in memory unchanged; else None."""
         if not x.size or x.flat[0].op != "load":
             return None
-        region, first, depth, _ = x.flat[0].attribute(At)
-        lies = all(n.op == "load" and n.extra == At(region, first + k, depth, 0) for k, n in enumerate(x.flat))
+        region, first, depth, _ = x.flat[0].attribute(Address)
+        lies = all(n.op == "load" and n.extra == Address(region, first + k, depth, 0) for k, n in enumerate(x.flat))
         return (region, first, depth) if lies else None
 
-    # where the place depends on the rollout
+    # indices that depend on the rollout
 
-    def pick(self, x: Array, starts: Sequence[Node], sizes: Sequence[int]) -> Array:
-        """The part of `x` of `sizes` that begins at `starts`, which are put within it."""
+    def read_window(self, x: Array, starts: Sequence[Node], sizes: Sequence[int]) -> Array:
+        """The window of `x` of shape `sizes` at `starts`, which are clamped as in `lax.dynamic_slice`."""
         last = [n - size for n, size in zip(x.shape, sizes, strict=True)]
         starts = [self.clamp_index(s, most) for s, most in zip(starts, last, strict=True)]
         moving = [d for d, s in enumerate(starts) if s.op != "const"]
-        known = tuple(slice(0, None) if d in moving else slice(int(value_of(s)), int(value_of(s)) + sizes[d])
-                      for d, s in enumerate(starts))  # fmt: skip
+        fixed = {d: int(constant_value(s)) for d, s in enumerate(starts) if d not in moving}
+        known = tuple(slice(fixed[d], fixed[d] + size) if d in fixed else slice(None) for d, size in enumerate(sizes))
         if not moving or not math.prod(sizes):
             return x[known][tuple(slice(0, n) for n in sizes)]
         strides = [math.prod(x.shape[d + 1 :]) for d in range(x.ndim)]
@@ -239,55 +279,72 @@ class Arrays:
             region, first, depth = memory
             place: Any = None
             for d in moving:
-                term = self.op("mul", "int32", starts[d], self.program.const(strides[d], "int32"))
-                place = term if place is None else self.op("add", "int32", place, term)
+                term = self.emit("mul", "int32", starts[d], self.program.const(strides[d], "int32"))
+                place = term if place is None else self.emit("add", "int32", place, term)
             at = np.arange(x.size).reshape(x.shape)[known]
             at = at[tuple(slice(0, sizes[d]) for d in range(x.ndim))]
-            return build_array(at.shape, lambda i: self.program.node(
-                "gather", (place,), region.dtype, At(region, first + int(at[i]), depth, 0), leg=False))  # fmt: skip
+
+            def gathered(i: tuple) -> Node:
+                address = Address(region, first + int(at[i]), depth, 0)
+                return self.program.node("gather", (place,), region.dtype, address, leg=False)
+
+            return build_array(at.shape, gathered)
         x = x[known]
         many = 1
         for d in moving:
             windows = [np.take(x, range(k, k + sizes[d]), axis=d) for k in range(last[d] + 1)]
-            many *= len(_ends(windows)) + 1
+            many *= len(_run_ends(windows)) + 1
             if many > CHAIN:
                 raise Unsupported("a choice among many numbers that are not in memory")
             x = self.choose(np.full(windows[0].shape, starts[d], object), windows)
         return x
 
     def resolve_update(self, x: Array | RowUpdate) -> Array:
-        """The array itself: every number that a row may replace is chosen by the row's number."""
+        """Turn a row update into a plain array, each element of which chooses by the row's number."""
         if not isinstance(x, RowUpdate):
             return x
         result = x.array.copy()
-        self.put(result, x.new, {0: x.row}, None)
+        self.write_window(result, x.new, {0: x.row}, None)
         return result
 
-    def update(self, x: Array, new: Array, starts: dict[int, Node]) -> Array | RowUpdate:
-        """Replace the part of `x` that begins at `starts` by `new`; a row of an array in memory stays a `RowUpdate`."""
-        if not new.size:
+    def update_window(self, x: Array, part: Array, starts: dict[int, Node]) -> Array | RowUpdate:
+        """Replace a window of `x`; one row of an array in memory stays a `RowUpdate`.
+
+        Args:
+            x: array of nodes.
+            part: new elements.
+            starts: first index by axis; axes that are missing start at 0.
+        """
+        if not part.size:
             return x
         moving = [axis for axis, start in starts.items() if start.op != "const"]
-        row = moving == [0] and new.shape == (1, *x.shape[1:]) and is_uniform(starts[0])
+        row = moving == [0] and part.shape == (1, *x.shape[1:]) and is_uniform(starts[0])
         if row and self._memory(x):
-            return RowUpdate(x, starts[0], new)
+            return RowUpdate(x, starts[0], part)
         result = x.copy()
-        self.put(result, new, starts, None)
+        self.write_window(result, part, starts, None)
         return result
 
-    def put(self, x: Array, update: Array, starts: dict[int, Node], combine: str | None) -> None:
-        """Put `update` into `x` where it begins at `starts`, on other axes at 0; nothing where it would not fit."""
+    def write_window(self, x: Array, update: Array, starts: dict[int, Node], combine: str | None) -> None:
+        """Write `update` into `x` in place, as `lax.scatter` does; nothing happens where it would not fit.
+
+        Args:
+            x: array of nodes.
+            update: new elements.
+            starts: first index by axis; axes that are missing start at 0.
+            combine: operation that combines old and new elements; None to replace them.
+        """
         ranges = []
         for d, (n, m) in enumerate(zip(x.shape, update.shape, strict=True)):
             start = starts.get(d)
-            fixed = 0 if start is None else int(value_of(start)) if start.op == "const" else None
+            fixed = 0 if start is None else int(constant_value(start)) if start.op == "const" else None
             ranges.append([k for k in range(n - m + 1) if fixed in (None, k)])
         for place in product(*ranges):
             here = None
             for d, start in starts.items():
                 if start.op != "const":
-                    same = self.op("eq", "bool", start, self.program.const(place[d], start.dtype))
-                    here = same if here is None else self.op("and", "bool", here, same)
+                    same = self.emit("eq", "bool", start, self.program.const(place[d], start.dtype))
+                    here = same if here is None else self.emit("and", "bool", here, same)
             window = tuple(slice(k, k + m) for k, m in zip(place, update.shape, strict=True))
             dtype = x.flat[0].dtype
             new = update if combine is None else self.lift(combine, [x[window], update], dtype)
@@ -295,34 +352,34 @@ class Arrays:
                 "select", [np.full(update.shape, here, object), new, x[window]], dtype)  # fmt: skip
 
     def clamp_index(self, start: Node, most: int) -> Node:
-        """A place from 0 to `most`."""
+        """Clamp an index to 0 .. `most`."""
         if start.dtype != "int32":
-            start = self.op("convert", "int32", start)
+            start = self.emit("convert", "int32", start)
         zero, top = (self.program.const(v, "int32") for v in (0, most))
-        return self.op("min", "int32", self.op("max", "int32", start, zero), top)
+        return self.emit("min", "int32", self.emit("max", "int32", start, zero), top)
 
 
-def build_array(shape: tuple, at: Callable[[tuple], Any]) -> Array:
-    """An array of what `at` gives for each index."""
+def build_array(shape: tuple, element: Callable[[tuple], Any]) -> Array:
+    """Array of nodes from a function of the index."""
     out = np.empty(shape, object)
     for i in np.ndindex(shape):
-        out[i] = at(i)
+        out[i] = element(i)
     return out
 
 
 def slices_along(x: Array, axis: int) -> list[Array]:
-    """The parts of an array along an axis."""
+    """Slices of an array along an axis."""
     moved = np.moveaxis(x, axis, 0)
     return [moved[k, ...] for k in range(len(moved))]
 
 
 def stack(arrays: Sequence[Array], axis: int = 0) -> Array:
-    """Arrays along a new axis."""
+    """Stack arrays along a new axis."""
     return np.stack(list(arrays), axis) if arrays else np.empty(0, object)
 
 
-def _ends(cases: Sequence[Array]) -> list[int]:
-    """The last of every run of cases that are the same, but for that of the very last."""
+def _run_ends(cases: Sequence[Array]) -> list[int]:
+    """Last index of each run of equal cases, except for the very last run."""
     return [
         k for k, (a, b) in enumerate(pairwise(cases)) if any(x is not y for x, y in zip(a.flat, b.flat, strict=True))
     ]

@@ -1,7 +1,7 @@
-"""What JAX's primitives do to NumPy arrays, of which the last axis is over rollouts, or of length 1 where they agree.
+"""JAX's primitives on NumPy arrays whose last axis is the batch, or of length 1 where all rollouts agree.
 
-A rule is a module's function or a ufunc, with what does not depend on the rollouts bound, so that it can be kept. None
-lets a number depend on how many rollouts there are, or on which is where: sums go term by term.
+A rule is a function of this module or a ufunc with all static parameters bound, so that it can be pickled. No result
+depends on the number of rollouts or on their order: sums go term by term.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,22 +12,22 @@ import numpy as np
 from jaxtyping import Shaped
 
 Values = Shaped[np.ndarray, "... b"]
-BLOCK = 1 << 14  # numbers of a product that are summed at a time
-COPIED = 4096  # numbers from which stretching without copying is faster
+BLOCK = 1 << 14  # numbers of a product that are in cache at a time
+COPIED = 4096  # size from which broadcasting without a copy is faster
 
 
 def convert(dtype: np.dtype, x: Values) -> Values:
-    """Numbers of another type."""
+    """Convert numbers to another type."""
     return x.astype(dtype)
 
 
 def reinterpret(dtype: np.dtype, x: Values) -> Values:
-    """The same bits as another type of the same size."""
+    """Reinterpret bits as another type of the same size."""
     return x.view(dtype)
 
 
 def power(exponent: int, x: Values) -> Values:
-    """A whole power, by squares."""
+    """Integer power by repeated squaring."""
     result, square = None, x
     for bit in bin(abs(exponent))[:1:-1]:
         if bit == "1":
@@ -39,7 +39,7 @@ def power(exponent: int, x: Values) -> Values:
 
 
 def quotient(x: Values, y: Values) -> Values:
-    """Of integers, towards zero."""
+    """Integer division that rounds towards zero."""
     return np.trunc(x / y).astype(x.dtype)
 
 
@@ -49,8 +49,8 @@ def reciprocal_root(x: Values) -> Values:
 
 
 def erf_inv(x: Values) -> Values:
-    """The inverse of the error function."""
-    from scipy.special import erfinv  # as few programs have it, and it takes long to load
+    """Inverse of the error function."""
+    from scipy.special import erfinv  # slow to import, and few programs need it
 
     return erfinv(x)
 
@@ -61,17 +61,17 @@ def logistic(x: Values) -> Values:
 
 
 def one_minus_square(x: Values) -> Values:
-    """1 - x^2, exact next to 1."""
+    """1 - x^2, accurate near 1."""
     return (1 - x) * (1 + x)
 
 
 def clamp(low: Values, x: Values, high: Values) -> Values:
-    """`x`, or the nearer one of `low` and `high`."""
+    """Clamp `x` to the range from `low` to `high`."""
     return np.minimum(np.maximum(x, low), high)
 
 
 def polynomial(x: Values, *coefficients: Values) -> Values:
-    """By Horner's rule, of coefficients that begin with the constant."""
+    """Polynomial by Horner's rule; the coefficients begin with the constant."""
     total = np.broadcast_to(coefficients[-1], np.broadcast_shapes(x.shape, coefficients[-1].shape))
     for c in reversed(coefficients[:-1]):
         total = total * x + c
@@ -79,7 +79,7 @@ def polynomial(x: Values, *coefficients: Values) -> Values:
 
 
 def select(index: Values, *cases: Values) -> Values:
-    """The case of each index."""
+    """Select by `index` among `cases`, element by element."""
     if len(cases) == 2:
         return np.where(index, cases[1], cases[0])
     result = cases[-1]
@@ -88,16 +88,16 @@ def select(index: Values, *cases: Values) -> Values:
     return result
 
 
-# where numbers lie; the axes of a random key's words, and that over rollouts, follow those told of
+# layout; the axis of a random key's words and that of the batch come after the axes in the parameters
 
 
 def reshape(rank: int, shape: tuple[int, ...], x: Values) -> Values:
-    """In another order of axes' lengths."""
+    """Reshape all axes but the batch."""
     return x.reshape(shape + x.shape[rank:])
 
 
 def broadcast_in_dim(places: tuple[int, ...], shape: tuple[int, ...], x: Values) -> Values:
-    """Its axes at `places` of a larger `shape`."""
+    """Broadcast to a larger `shape`, with the axes of `x` at `places`."""
     rest = x.shape[len(places) :]
     new = [1] * len(shape)
     for place, length in zip(places, x.shape, strict=False):
@@ -111,22 +111,22 @@ def broadcast_in_dim(places: tuple[int, ...], shape: tuple[int, ...], x: Values)
 
 
 def tile(times: tuple[int, ...], x: Values) -> Values:
-    """Again and again along axes."""
+    """Repeat an array along its axes."""
     return np.tile(x, (*times, 1))
 
 
 def transpose(order: tuple[int, ...], x: Values) -> Values:
-    """The same numbers, axes in another order."""
+    """Permute all axes but the batch."""
     return x.transpose(*order, *range(len(order), x.ndim))
 
 
-def part(window: tuple[slice, ...], x: Values) -> Values:
-    """What lies in a window of slices."""
+def window_of(window: tuple[slice, ...], x: Values) -> Values:
+    """Slice an array."""
     return x[window]
 
 
 def pad(shape: tuple[int, ...], window: tuple[slice, ...], x: Values, value: Values) -> Values:
-    """`x` in a window of an array of one value."""
+    """Put `x` into a window of an array that is filled with `value`."""
     result = np.empty((*shape, max(x.shape[-1], value.shape[-1])), x.dtype)
     result[...] = value
     result[window] = x
@@ -134,40 +134,40 @@ def pad(shape: tuple[int, ...], window: tuple[slice, ...], x: Values, value: Val
 
 
 def flip(axes: tuple[int, ...], x: Values) -> Values:
-    """The same numbers in reverse along axes."""
+    """Reverse the elements along axes."""
     return np.flip(x, axes)
 
 
 def concatenate(axis: int, *parts: Values) -> Values:
-    """One after the other along an axis."""
-    return np.concatenate(_of_one_width(parts), axis)
+    """Concatenate arrays along an axis."""
+    return np.concatenate(_broadcast_widths(parts), axis)
 
 
 def stack(axis: int, *parts: Values) -> Values:
-    """Parts side by side along a new axis."""
-    return np.stack(_of_one_width(parts), axis)
+    """Stack arrays along a new axis."""
+    return np.stack(_broadcast_widths(parts), axis)
 
 
 def unstack(axis: int, x: Values) -> list[Values]:
-    """What lies along an axis."""
+    """Slices of an array along an axis."""
     return list(np.moveaxis(x, axis, 0))
 
 
 def split(axis: int, ends: tuple[int, ...], x: Values) -> list[Values]:
-    """Parts of an array along an axis, by where they end."""
+    """Split an array along an axis at `ends`."""
     return np.split(x, ends, axis)
 
 
-def _of_one_width(parts: Sequence[Values]) -> list[Values]:
+def _broadcast_widths(parts: Sequence[Values]) -> list[Values]:
     width = max(x.shape[-1] for x in parts)
     return [x if x.shape[-1] == width else np.repeat(x, width, axis=-1) for x in parts]
 
 
-# along axes
+# reductions
 
 
 def sum_terms(add: np.ufunc, axes: tuple[int, ...], x: Values) -> Values:
-    """Term by term along axes, of which there is something."""
+    """Reduce along axes term by term, in a fixed order."""
     kept = [d for d in range(x.ndim) if d not in axes]
     total, *others = x.transpose(*axes, *kept).reshape(-1, *[x.shape[d] for d in kept])
     for k, term in enumerate(others):
@@ -175,13 +175,13 @@ def sum_terms(add: np.ufunc, axes: tuple[int, ...], x: Values) -> Values:
     return total
 
 
-def extreme(of: np.ufunc, axes: tuple[int, ...], x: Values) -> Values:
-    """What does not depend on the order."""
-    return of.reduce(x, axis=axes)
+def reduce_extreme(ufunc: np.ufunc, axes: tuple[int, ...], x: Values) -> Values:
+    """Reduce along axes by a maximum or minimum, whose order does not matter."""
+    return ufunc.reduce(x, axis=axes)
 
 
 def iota(shape: tuple[int, ...], axis: int, dtype: np.dtype) -> Values:
-    """The place of every number along an axis."""
+    """Index of every element along an axis."""
     return np.broadcast_to(
         np.arange(shape[axis], dtype=dtype).reshape([-1 if d == axis else 1 for d in range(len(shape) + 1)]),
         (*shape, 1),
@@ -189,29 +189,29 @@ def iota(shape: tuple[int, ...], axis: int, dtype: np.dtype) -> Values:
 
 
 def full(value: Any, dtype: np.dtype) -> Values:
-    """A single number, the same for all rollouts."""
+    """A constant that all rollouts share."""
     return np.full(1, value, dtype)
 
 
 def fill(shape: tuple[int, ...], value: Any, x: Values) -> Values:
-    """One value, in the place of an array without numbers."""
+    """Array of one value, in place of an array without elements."""
     return np.full((*shape, 1), value, x.dtype)
 
 
-def best(of: Callable, axis: int, dtype: np.dtype, x: Values) -> Values:
-    """Where the first extreme is."""
-    return of(x, axis=axis).astype(dtype)
+def argextreme(argfunc: Callable, axis: int, dtype: np.dtype, x: Values) -> Values:
+    """Index of the first maximum or minimum along an axis."""
+    return argfunc(x, axis=axis).astype(dtype)
 
 
-def running(add: np.ufunc, axis: int, reverse: bool, x: Values) -> Values:
-    """Totals so far along an axis, or from its end."""
+def accumulate(add: np.ufunc, axis: int, reverse: bool, x: Values) -> Values:
+    """Cumulative reduction along an axis, from its start or its end."""
     if reverse:
         return np.flip(add.accumulate(np.flip(x, axis), axis), axis)
     return add.accumulate(x, axis)
 
 
 class Product(NamedTuple):
-    """A product of matrices: orders of axes, what is summed over first, and how many of these there are."""
+    """Static parameters of a product of matrices: orders of axes, and numbers of contracted, shared and free ones."""
 
     left: tuple[int, ...]
     right: tuple[int, ...]
@@ -222,7 +222,7 @@ class Product(NamedTuple):
 
 
 def dot_general(how: Product, a: Values, b: Values) -> Values:
-    """Products of two arrays, summed term by term."""
+    """Product of two arrays as `lax.dot_general`, summed term by term."""
     a, b = transpose(how.left, a), transpose(how.right, b)
     n = how.contracted + how.shared
     a = a.reshape(-1, *a.shape[how.contracted : -1], *[1] * how.free[1], a.shape[-1])
@@ -233,7 +233,7 @@ def dot_general(how: Product, a: Values, b: Values) -> Values:
 
 
 def _products(a: Values, b: Values, result: Values) -> None:
-    """Products summed term by term; block by block of what a processor has near."""
+    """Sum products term by term, in blocks that fit into a processor's cache."""
     if result.size > BLOCK and result.ndim > 1 and len(result) > 1:
         half = len(result) // 2
         for rows in (slice(0, half), slice(half, None)):
@@ -250,7 +250,7 @@ def _products(a: Values, b: Values, result: Values) -> None:
 
 
 def cholesky(x: Values) -> Values:
-    """The lower triangle of Cholesky's, of the last two axes."""
+    """Lower triangle of the Cholesky decomposition of the matrices in the last two axes before the batch."""
     rest, result = x.copy(), np.zeros_like(x)
     for k in range(x.shape[-2]):
         column = rest[..., k:, k, :] / np.sqrt(rest[..., k, k, :])[..., None, :]
@@ -260,17 +260,17 @@ def cholesky(x: Values) -> Values:
     return result
 
 
-class Triangle(NamedTuple):
-    """How a triangular system is told."""
+class TriangularSystem(NamedTuple):
+    """Static parameters of a triangular system of equations."""
 
-    left: bool  # the triangle is the left factor
+    left: bool  # whether the triangle is the left factor
     lower: bool
     transposed: bool
-    unit: bool  # its diagonal is of ones
+    unit: bool  # whether its diagonal is all ones
 
 
-def solve_triangular(how: Triangle, a: Values, b: Values) -> Values:
-    """What a triangle makes `b` of, by substitution."""
+def solve_triangular(how: TriangularSystem, a: Values, b: Values) -> Values:
+    """Solve a triangular system by substitution."""
     if how.transposed == how.left:
         a = a.swapaxes(-3, -2)
     if not how.left:
@@ -287,22 +287,29 @@ def solve_triangular(how: Triangle, a: Values, b: Values) -> Values:
     return x if how.left else x.swapaxes(-3, -2)
 
 
-# where the place depends on numbers
+# indices that are data
 
 
-class Places(NamedTuple):
-    """Places of windows of an array."""
+class WindowPlaces(NamedTuple):
+    """Static parameters of a gather or scatter: where windows lie in an array."""
 
-    shape: tuple[int, ...]  # of the array
-    sizes: tuple[int, ...]  # of a window, by axis of the array
-    starts: tuple[tuple[int, int], ...]  # axis of the array, and which part of an index begins there
-    aligned: tuple[tuple[int, int], ...]  # axis of the array, and axis of the indices that goes along with it
-    window: tuple[tuple[int, int], ...]  # axis of the array, and axis of the result that goes through a window
-    batch: tuple[int, ...]  # axes of the result that go through indices
-    rank: int  # of the result
+    shape: tuple[int, ...]  # shape of the array
+    sizes: tuple[int, ...]  # sizes of a window, by axis of the array
+    starts: tuple[tuple[int, int], ...]  # axis of the array, and the component of the index that gives its start
+    aligned: tuple[tuple[int, int], ...]  # axis of the array, and the batching axis of the indices
+    window: tuple[tuple[int, int], ...]  # axis of the array, and the axis of the result that runs over a window
+    batch: tuple[int, ...]  # axes of the result that run over the indices
+    rank: int  # rank of the result
 
     def resolve(self, indices: Values) -> tuple[list[Values], Values]:
-        """For each axis of the array where every number of the result lies, and whether its window lies within."""
+        """Compute where each element of the result lies.
+
+        Args:
+            indices: start of each window.
+
+        Returns:
+            Index of every element along each axis of the array, and whether its window lies within the array.
+        """
         count = indices.shape[:-2]
         shape = [1] * self.rank
         for axis, length in zip(self.batch, count, strict=True):
@@ -322,8 +329,8 @@ class Places(NamedTuple):
         return found, within
 
 
-def gather(places: Places, fill: Any, x: Values, indices: Values) -> Values:
-    """Windows of `x`; outside of it `fill`, or the nearest if that is None."""
+def gather(places: WindowPlaces, fill: Any, x: Values, indices: Values) -> Values:
+    """Windows of `x`. Outside of the array an element is `fill`, or clamped to the nearest one if `fill` is None."""
     at, within = places.resolve(indices)
     if all(i.shape[-1] == 1 for i in at):
         result = x[(*np.broadcast_arrays(*[i[..., 0] for i in at]), slice(None))]
@@ -333,8 +340,10 @@ def gather(places: Places, fill: Any, x: Values, indices: Values) -> Values:
     return result if fill is None else np.where(within, result, np.asarray(fill, x.dtype))
 
 
-def scatter(add: np.ufunc | None, places: Places, clip: bool, x: Values, indices: Values, updates: Values) -> Values:
-    """`x` with updates in windows, or added to them; outside of it nothing is done."""
+def scatter(
+    add: np.ufunc | None, places: WindowPlaces, clip: bool, x: Values, indices: Values, updates: Values
+) -> Values:
+    """Write updates into windows of `x`, or add them; windows outside of the array are ignored."""
     width = max(y.shape[-1] for y in (x, indices, updates))
     result = np.repeat(x, width, axis=-1) if x.shape[-1] < width else x.copy()
     at, within = places.resolve(indices)
@@ -350,7 +359,7 @@ def scatter(add: np.ufunc | None, places: Places, clip: bool, x: Values, indices
 
 
 def dynamic_slice(sizes: tuple[int, ...], x: Values, *starts: Values) -> Values:
-    """A window of `x`, put within it."""
+    """Window of `x` at `starts`, clamped to lie within the array."""
     lasts = [n - size for n, size in zip(x.shape, sizes, strict=False)]
     if all(s.shape[-1] == 1 for s in starts):
         first = [min(max(int(s[0]), 0), last) for s, last in zip(starts, lasts, strict=True)]
@@ -360,7 +369,7 @@ def dynamic_slice(sizes: tuple[int, ...], x: Values, *starts: Values) -> Values:
 
 
 def dynamic_update_slice(x: Values, update: Values, *starts: Values) -> Values:
-    """`x` with a window replaced, which is put within it."""
+    """`x` with a window replaced; the window is clamped to lie within the array."""
     width = max(y.shape[-1] for y in (x, update, *starts))
     result = np.repeat(x, width, axis=-1) if x.shape[-1] < width else x.copy()
     lasts = [n - size for n, size in zip(x.shape, update.shape[:-1], strict=False)]
@@ -369,7 +378,7 @@ def dynamic_update_slice(x: Values, update: Values, *starts: Values) -> Values:
 
 
 def _window(starts: Sequence[Values], lasts: Sequence[int], sizes: Sequence[int]) -> list[Values]:
-    """Places along each axis."""
+    """Index along each axis of a window."""
     n = len(sizes)
     return [np.clip(s.astype(np.int64), 0, last) + np.arange(size).reshape([-1 if d == k else 1 for d in range(n + 1)])
             for k, (s, last, size) in enumerate(zip(starts, lasts, sizes, strict=True))]  # fmt: skip

@@ -1,10 +1,10 @@
-"""The program as PTX, for NVIDIA's GPUs: all ticks in a kernel, of which a block of threads has some rollouts.
+"""GPU code: the program as LLVM assembly for NVIDIA GPUs. One kernel runs all ticks; a thread block has some rollouts.
 
-Loops, such as those of physics, have a lane of a warp for each leg and five rollouts in a warp; what the legs share is
-worked out by each lane. The parts between them, of which legs have less, have a thread for each rollout, where there
-are many: what is one operation for the legs is six there, and takes as long to compile. What one part hands on lies in
-memory. Sums over the legs are in one order, so that a rollout's numbers depend neither on the rollouts beside it nor on
-how many there are; kernels for few and for many may round otherwise.
+Loops, such as those of physics, have a lane of a warp for each leg, five rollouts in a warp; each lane computes what
+the legs share. The parts between them, where legs have less to do, have a thread for each rollout if the batch is
+large: one operation for all legs is six operations there, and takes as long to compile. Parts pass values on in memory.
+Sums over the legs have one order, so that a rollout's results depend neither on its neighbours nor on their number.
+Kernels for small and for large batches may round differently.
 """
 
 import subprocess
@@ -19,32 +19,45 @@ import numpy as np
 
 from sweep.fused import lanes
 from sweep.fused.arrays import Unsupported
-from sweep.fused.lanes import ANEW, Part, Place
-from sweep.fused.program import At, Block, Branch, Count, HandedOn, Loop, Node, OneOf, Over, Region, Store, value_of
+from sweep.fused.lanes import RECOMPUTED, Part, Place
+from sweep.fused.program import (
+    Address,
+    Block,
+    Branch,
+    LegIndex,
+    LegReduction,
+    Loop,
+    LoopCount,
+    Node,
+    Region,
+    Store,
+    StoredNode,
+    constant_value,
+)
 from sweep.fused.text import INTRINSICS, TYPES, Text
 
-THREADS = 32  # of a warp
-WARPS = 8  # of a block: as many as registers allow
-EVERY = "i32 -1"  # lane
+THREADS = 32  # threads of a warp
+WARPS = 8  # warps of a block, as many as registers allow
+EVERY = "i32 -1"  # mask of all lanes
 NATIVE = {"sqrt", "floor", "ceil", "round"}
 ZERO, HALF, ONE = "0.0", "0.5", "1.0"
 
 
-class Kept(NamedTuple):
-    """Where in a rollout's state a value lies that one part works out and later ones ask for."""
+class StoredValue(NamedTuple):
+    """Where a value that one part computes for later ones lies in a rollout's state."""
 
     word: int
     step: int  # words from leg to leg
     node: Node
-    leg: bool  # one for each leg
-    apart: bool  # in room of its own, not where the state has it
+    leg: bool  # whether there is one for each leg
+    has_own_room: bool  # whether it has room of its own, outside of the state's arrays
 
 
 class GpuPrinter(Text):
-    """The text of a kernel `run(given, first, state)`, or with `kept` and `record`; `ticks` in one launch.
+    """Prints a program as a kernel `run(given, first, state)`, or with `kept` and `record` besides.
 
-    `given` and `state` are tiles. `kept` has for each rollout where it is among the `room` that are recorded, or -1.
-    Where none is recorded, a warp whose rollouts are all `over` leaves them as they are.
+    A launch runs `ticks` ticks. `given` and `state` are tiles of memory. `kept` holds each rollout's place among the
+    recorded ones, or -1. If none is recorded, a warp leaves its rollouts as they are once all of them are over.
     """
 
     def __init__(
@@ -53,42 +66,45 @@ class GpuPrinter(Text):
         needed: set[int],
         sizes: tuple[int, int, int],
         ticks: int,
-        over: int,
-        room: int,
+        is_over: int,
+        record_capacity: int,
         turns: int,
         group: int,
-        few: bool,
+        small_batch: bool,
     ):
         super().__init__(1)
-        self.group, self.beside = group, lanes_of(group)
-        self.needed, self.sizes, self.ticks, self.over, self.room = needed, sizes, ticks, over, room
-        self.rollouts = self.beside * WARPS * turns  # of a block
-        self.row = 4 * self.rollouts  # bytes of a number's rollouts in memory
+        self.group, self.beside = group, rollouts_per_warp(group)
+        self.needed, self.sizes, self.ticks, self.over, self.room = needed, sizes, ticks, is_over, record_capacity
+        self.rollouts = self.beside * WARPS * turns  # rollouts of a block
+        self.row = 4 * self.rollouts  # bytes of one number for all rollouts of a block
         self.names: dict[Any, str] = {}
-        self.found: dict[Any, Any] = {}  # in this basic block
-        self.rollout = self.given = self.state = ""  # of this part
-        self.alone: lanes.Alone | None = None  # this part, where each thread has a rollout
+        self.found: dict[Any, Any] = {}  # names of values in this basic block
+        self.rollout = self.given = self.state = ""  # names in this part
+        self.alone: lanes.ThreadPart | None = None  # this part, if each thread has a rollout
         self.counts: dict[int, str] = {}
         self.tables: list[str] = []
-        self.here: dict[Place, str] = {}  # what numbers of inner memory are now
-        self.rows, self.inner = lanes.rows(top, needed, group)
-        self.words = sizes[1]  # numbers of a rollout's state, then those that are looked up by place, then what is kept
+        self.here: dict[Place, str] = {}  # present values of inner memory
+        self.rows, self.inner = lanes.find_leg_rows(top, needed, group)
+        self.words = sizes[1]  # words of a rollout: its state, then indexed memory, then values passed between parts
         self.scratch: dict[Region, int] = {}
         for region in self.inner:
             self.scratch[region] = self.words
             self.words += region.size
-        self.kept: dict[int | Place, Kept] = {}  # values of one part for the next ones
+        self.kept: dict[int | Place, StoredValue] = {}  # values that parts pass on
         self.home: dict[int | Place, Part] = {}
         (loop,) = (item for item in top.items if isinstance(item, Loop))
-        before = [item for item in lanes.depth_first(top, needed) if item is not loop]
-        flag = next((s.region for s in loop.body.stores if s.region.place == over and not s.region.record), None)
-        parts = [Part(before, top.stores, False), *lanes.parts(loop.body, needed, flag, group, few, self.rows)]
+        before = [item for item in lanes.order_depth_first(top, needed) if item is not loop]
+        flag = next((s.region for s in loop.body.stores if s.region.place == is_over and not s.region.record), None)
+        parts = [
+            Part(before, top.stores, False),
+            *lanes.split_into_parts(loop.body, needed, flag, group, small_batch, self.rows),
+        ]
         self._keep(parts)
         self._head()
         self._ticks(*parts)
 
     def text(self) -> str:
-        """The module as LLVM's assembly for a GPU."""
+        """The module as LLVM assembly for a GPU."""
         told = ["readonly %kept_", "%record_"] if self.room else []
         operands = ", ".join(f"ptr noalias {x}" for x in ("readonly %given_", "readonly %first_", "%state_", *told))
         return "\n".join([
@@ -99,7 +115,7 @@ class GpuPrinter(Text):
         ])  # fmt: skip
 
     def _nvvm(self, name: str, kind: str, *args: str, to: str | None = None) -> str:
-        """What only this processor does."""
+        """Call one of NVIDIA's intrinsics."""
         self.declared.add(f"declare {kind} @llvm.nvvm.{name}({', '.join(x.split()[0] for x in args)})")
         call = f"call {kind} @llvm.nvvm.{name}({', '.join(args)})"
         if kind != "void":
@@ -108,7 +124,7 @@ class GpuPrinter(Text):
         return ""
 
     def _head(self) -> None:
-        """Which leg of which rollout this lane is for, and which rollouts this block has."""
+        """Compute which leg of which rollout this lane has, and which rollouts this block has."""
         thread = self._nvvm("read.ptx.sreg.tid.x", "i32", to="%thread")
         block = self._nvvm("read.ptx.sreg.ctaid.x", "i32", to="%block")
         lane, warp = self.emit(f"and i32 {thread}, 31"), self.emit(f"lshr i32 {thread}, 5", "%warp")
@@ -132,7 +148,7 @@ class GpuPrinter(Text):
     def _items(self, items: Iterable[Any]) -> None:
         for item in items:
             if isinstance(item, Node):
-                if item.op not in ANEW:
+                if item.op not in RECOMPUTED:
                     self.names[item.number] = self._work(item)
             elif isinstance(item, Store):
                 self._stores([item])
@@ -141,9 +157,9 @@ class GpuPrinter(Text):
             else:
                 self._branch(item)
 
-    def _thread_items(self, alone: lanes.Alone, part: Part) -> None:
-        """A part of one rollout in each thread, which puts values away as soon as it can: few are alive at a time."""
-        ready = {}  # by the number of a node, words for the next parts
+    def _thread_items(self, alone: lanes.ThreadPart, part: Part) -> None:
+        """Print a part with one rollout in each thread; it stores values early, so that few are alive at a time."""
+        ready = {}  # words for later parts, by the number of a node
         for key, (word, step, node, _, apart) in self.kept.items():
             if self.home[key] is part and apart and isinstance(key, int):
                 for k, x in enumerate(alone.values_by_leg(node)):
@@ -165,46 +181,46 @@ class GpuPrinter(Text):
         self._stores([store for store in alone.stores if id(store) not in done], part)
 
     def _block(self, block: Block) -> None:
-        self._items(block.items if self.alone else lanes.depth_first(block, self.needed))
+        self._items(block.items if self.alone else lanes.order_depth_first(block, self.needed))
         self._stores(block.stores)
 
     def _start(self, label: str) -> None:
-        self.start(label)
+        self.start_block(label)
         self.found = {}
 
     def _keep(self, parts: Sequence[Part]) -> None:
-        """Find room for what a part has to hand on and does not put into the state anyway."""
-        stored: dict[int | Place, Kept] = {}
+        """Allocate room for the values that a part passes on and that the state does not hold anyway."""
+        stored: dict[int | Place, StoredValue] = {}
         for part in parts:
-            for node in lanes.operands(part, self.needed):
-                if node.op == "load" and not self._is_outer(node.attribute(At).region):
-                    key, leg = (place := self._row(*node.attribute(At)[:2])[0]), place in self.rows
-                elif node.op not in ANEW:
+            for node in lanes.part_operands(part, self.needed):
+                if node.op == "load" and not self._is_outer(node.attribute(Address).region):
+                    key, leg = (place := self._row(*node.attribute(Address)[:2])[0]), place in self.rows
+                elif node.op not in RECOMPUTED:
                     key, leg = node.number, node.leg
                 else:
                     continue
                 if self.home.get(key, part) is not part and key not in self.kept:
-                    self.kept[key] = stored.get(key) or Kept(self.words, 1 if leg else 0, node, leg, True)
-                    self.words += (self.group if leg else 1) * self.kept[key].apart
+                    self.kept[key] = stored.get(key) or StoredValue(self.words, 1 if leg else 0, node, leg, True)
+                    self.words += (self.group if leg else 1) * self.kept[key].has_own_room
             self.home |= {item.number: part for item in part.items if isinstance(item, Node)}
-            self.home |= dict.fromkeys(self._changed(part.items), part)
+            self.home |= dict.fromkeys(self._changed_places(part.items), part)
             if part is not parts[0]:
                 stored |= dict(self._in_state(part))
 
-    def _in_state(self, part: Part) -> Iterator[tuple[int | Place, "Kept"]]:
-        """What a part puts into the state anyway, from where the next parts can read it."""
+    def _in_state(self, part: Part) -> Iterator[tuple[int | Place, "StoredValue"]]:
+        """Values that a part stores to the state anyway, from where later parts can read them."""
         for store in part.stores:
             node, region = store.value, store.region
             key, leg = node.number, node.leg
             if node.op == "load":
-                key = self._row(*node.attribute(At)[:2])[0]
+                key = self._row(*node.attribute(Address)[:2])[0]
                 leg = key in self.rows
             fixed = self._is_outer(region) and not region.record and not store.row
             if self.home.get(key) is part and leg == node.leg and fixed:
-                yield key, Kept(self._start_of(region) + store.index, store.step if leg else 0, node, leg, False)
+                yield key, StoredValue(self._start_of(region) + store.index, store.step if leg else 0, node, leg, False)
 
     def _ticks(self, before: Part, *parts: Part) -> None:
-        """All ticks, part by part: a block's rollouts go through one before they go through the next."""
+        """Print all ticks, part by part: a block's rollouts all go through one part before the next."""
         self._part("P", before)
         at, entered = len(self.lines) + 2, self.label
         self.lines.append("br label %tick")
@@ -218,19 +234,19 @@ class GpuPrinter(Text):
         self._start("end")
 
     def _part(self, name: str, part: Part) -> None:
-        """A part for all rollouts of this block, some at a time; warps go side by side: they share instructions."""
-        size = self.beside * WARPS if part.together else 32 * WARPS
+        """Print a part for all rollouts of a block, a few at a time; warps run side by side and share instructions."""
+        size = self.beside * WARPS if part.legs_in_lanes else 32 * WARPS
         turns, ragged = -(-self.rollouts // size), self.rollouts % size > 0
-        if not part.together:
+        if not part.legs_in_lanes:
             self._nvvm("barrier0", "void")
         at, entered = len(self.lines) + 2, self.label
         self.lines.append(f"br label %{name}")
         self._start(name)
-        if part.together:
+        if part.legs_in_lanes:
             self._nvvm("barrier0", "void")
         self.names, self.here = {}, {}
         start, idle = self.emit(f"mul i32 %{name}_t, {size}"), "false"
-        self.rollout = self.emit(f"add i32 {start}, {'%own' if part.together else '%thread'}")
+        self.rollout = self.emit(f"add i32 {start}, {'%own' if part.legs_in_lanes else '%thread'}")
         if ragged:
             idle = self.emit(
                 f"icmp uge i32 {self.emit(f'add i32 {start}, {self.emit("shl i32 %warp, 5")}')}, {self.rollouts}"
@@ -246,7 +262,7 @@ class GpuPrinter(Text):
             idle = self.emit(f"or i1 {idle}, {every}") if ragged else every
         self.lines.append(f"br i1 {idle}, label %{name}_d, label %{name}_g")
         self._start(f"{name}_g")
-        self.alone = None if part.together else lanes.Alone(part, self.needed, self.group)
+        self.alone = None if part.legs_in_lanes else lanes.ThreadPart(part, self.needed, self.group)
         if self.alone:
             self._thread_items(self.alone, part)
         else:
@@ -266,7 +282,7 @@ class GpuPrinter(Text):
         self.lines.append(f"br label %{name}")
         self._start(name)
         count, following = f"%{name}_k", f"%{name}_n"
-        moving = [place for place in self._changed([*loop.body.items, *loop.body.stores]) if place in self.here]
+        moving = [place for place in self._changed_places([*loop.body.items, *loop.body.stores]) if place in self.here]
         old = {place: self.here[place] for place in moving}
         self.here |= {place: f"%{name}_{k}" for k, place in enumerate(moving)}
         self.counts[loop.body.depth] = count
@@ -299,25 +315,25 @@ class GpuPrinter(Text):
             self.here[place] = self.emit(f"phi {TYPES[place[0].dtype]} {values}")
 
     def _uniform(self, node: Node) -> str:
-        """What all rollouts go by, worked out where it is asked for.
+        """Compute a value that decides a branch where the branch needs it.
 
-        A part hands nothing on where all rollouts of its warp are over, and lanes of the next part's warps that got
-        theirs from different warps would go different ways: they wait for each other for ever.
+        Parts pass nothing on for warps whose rollouts are all over. Lanes of the next part's warps that read such a
+        value from different warps could take different branches, and would wait for each other for ever.
         """
-        if node.op in ANEW or node.op == "count":
-            return self.counts[node.attribute(Count).depth] if node.op == "count" else self.value(node)
+        if node.op in RECOMPUTED or node.op == "count":
+            return self.counts[node.attribute(LoopCount).depth] if node.op == "count" else self.value(node)
         args = [self._uniform(x) for x in node.args]
         return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
 
-    def _changed(self, items: Iterable[Any]) -> Iterator[Place]:
-        """Places in inner memory where something is stored, each once."""
+    def _changed_places(self, items: Iterable[Any]) -> Iterator[Place]:
+        """Places in inner memory that are stored to, each once."""
         stores = (x for item in items for x in (item, *lanes.items_inside(item)) if isinstance(x, Store))
         yield from dict.fromkeys(self._place(x.region, x.index) for x in stores if not self._is_outer(x.region))
 
     # memory
 
     def _row(self, region: Region, index: int) -> tuple[Place, int]:
-        """Where the first leg's number is in the row of a place in inner memory, and which leg's that place is."""
+        """First place of the legs' row that a place in inner memory belongs to, and the leg of this place."""
         first, _, leg = self.rows.get((region, index), (index, 0, 0))
         return (region, first), leg
 
@@ -325,13 +341,13 @@ class GpuPrinter(Text):
         return (region, index) if self.alone else self._row(region, index)[0]
 
     def _stores(self, stores: Sequence[Store], part: Part | None = None) -> None:
-        """Put values away, all of which are worked out before; at the end of a part, with those that others ask for."""
+        """Store values that are all computed; at the end of a part also those that later parts need."""
         values = [(store, self.value(store.value)) for store in stores]
         told = [pair for pair in values if pair[0].region.record]
         if told:
-            self._tell(told)
+            self._record(told)
         outer = [pair for pair in values if self._is_outer(pair[0].region) and not pair[0].region.record]
-        handed = [*self._handing(part)] if part else []
+        handed = [*self._outgoing_values(part)] if part else []
         if outer or handed:
             self._nvvm("bar.warp.sync", "void", EVERY)
         for store, value in values:
@@ -349,8 +365,8 @@ class GpuPrinter(Text):
             self._nvvm("bar.warp.sync", "void", EVERY)
             self.found = {key: x for key, x in self.found.items() if not isinstance(key, tuple)}
 
-    def _handing(self, part: Part) -> Iterator[tuple[int, int, str, str]]:
-        """What this part hands on: where, the step from leg to leg, its type and value."""
+    def _outgoing_values(self, part: Part) -> Iterator[tuple[int, int, str, str]]:
+        """Values that this part passes on: word, step from leg to leg, type and name."""
         for key, (word, step, node, leg, apart) in self.kept.items():
             if self.home[key] is not part or not apart or (self.alone and isinstance(key, int)):
                 continue
@@ -365,8 +381,8 @@ class GpuPrinter(Text):
             for k, value in enumerate(values):
                 yield word + k * step, 0 if self.alone else step, node.dtype, value
 
-    def _handed_on(self, key: int | Place, leg: int | None = None) -> str:
-        """What an earlier part has worked out, for this lane or for a leg."""
+    def _incoming_value(self, key: int | Place, leg: int | None = None) -> str:
+        """Value that an earlier part computed, for this lane or for a leg."""
         if (key, leg) not in self.found:
             word, step, node, legs, _ = self.kept[key]
             base = self._leg(self.state, step) if legs and leg is None else self.state
@@ -381,8 +397,8 @@ class GpuPrinter(Text):
             value = self.emit(f"select i1 {here}, {kind} {value}, {kind} {self.here.get(place, 'poison')}")
         self.here[place] = value
 
-    def _tell(self, told: Sequence[tuple[Store, str]]) -> None:
-        """Record, where any rollout of this warp is to be; the others go to a last place that nobody reads."""
+    def _record(self, values: Sequence[tuple[Store, str]]) -> None:
+        """Store to the record if any rollout of this warp is recorded; the others write to a spare place."""
         self._fresh += 1
         name = f"R{self._fresh}"
         number = self.emit(f"add i32 {self.emit(f'mul i32 %block, {self.rollouts}')}, {self.rollout}")
@@ -393,7 +409,7 @@ class GpuPrinter(Text):
         row = self.emit(f"add i32 {self.emit(f'mul i32 %k, {self.room + 1}')}, {place}")
         start = self.emit(f"mul i64 {self.emit(f'zext i32 {row} to i64')}, {4 * self.sizes[2]}")
         base = self.emit(f"getelementptr i8, ptr %record_, i64 {start}")
-        for store, value in told:
+        for store, value in values:
             at = base
             if store.value.leg:
                 offset = self.emit(f"mul i32 %leg, {4 * store.step}")
@@ -412,7 +428,7 @@ class GpuPrinter(Text):
         return self.given if region.place >= 0 and region.depth == 0 else self.state
 
     def _leg(self, base: str, step: int) -> str:
-        """Where this leg's number is that is `step` numbers after the one of the leg before."""
+        """Address of this leg's number; legs are `step` numbers apart."""
         key = f"{base} {step}"
         if key not in self.found:
             offset = self.emit(f"mul i32 %leg, {step * self.row}")
@@ -431,7 +447,7 @@ class GpuPrinter(Text):
         self.lines.append(f"store {kind} {value}, ptr {at}, align 4")
 
     def _put_word(self, word: int, step: int, dtype: str, value: str, base: str = "") -> None:
-        """A number of this rollout's state, or with a step this leg's; or of what `base` points to."""
+        """Store a number to this rollout's state, with a step to this leg's; or to the memory at `base`."""
         base = base or self.state
         self._put(self._leg(base, step) if step else base, word * self.row, dtype, value)
 
@@ -446,33 +462,33 @@ class GpuPrinter(Text):
     # values
 
     def value(self, node: Node) -> str:
-        """A value, of this lane's leg where it is one of legs."""
+        """Name of a node's value, for this lane's leg if it is one of the legs."""
         if node.op == "const" and not node.leg:
-            return self.literal(value_of(node))
+            return self.literal(constant_value(node))
         if node.op == "handed_on":
-            return self._handed_on(*node.attribute(HandedOn))
-        if node.op not in ANEW:
-            return self.names.get(node.number) or self._handed_on(node.number)
-        if node.op == "load" and not self._is_outer(node.attribute(At).region):
-            return self._now(node)
+            return self._incoming_value(*node.attribute(StoredNode))
+        if node.op not in RECOMPUTED:
+            return self.names.get(node.number) or self._incoming_value(node.number)
+        if node.op == "load" and not self._is_outer(node.attribute(Address).region):
+            return self._register_value(node)
         key = node.number, "memory"
         if key not in self.found:
             again = {"const": self._table, "load": self._load, "tick": self._tick}
             self.found[key] = again[node.op](node)
         return self.found[key]
 
-    def _now(self, node: Node) -> str:
-        """A number of inner memory, which is no memory here."""
-        region, index, _, _ = node.attribute(At)
+    def _register_value(self, node: Node) -> str:
+        """Value of a number of inner memory, which is held in a register."""
+        region, index, _, _ = node.attribute(Address)
         (first, leg), there = self._row(region, index), self._place(region, index)
         if self.alone:
-            return self.here.get(there) or self._handed_on(first, leg)
-        value = self.here.get(there) or self._handed_on(first)
+            return self.here.get(there) or self._incoming_value(first, leg)
+        value = self.here.get(there) or self._incoming_value(first)
         whole = node.leg or (region, index) not in self.rows
-        return value if whole else self._shuffled(value, region.dtype, self._lane(leg))
+        return value if whole else self._shuffle(value, region.dtype, self._lane(leg))
 
     def _load(self, node: Node) -> str:
-        region, index, _, step = node.attribute(At)
+        region, index, _, step = node.attribute(Address)
         base = self._base(region)
         offset = (self._start_of(region) + index) * self.row
         return self._read(region.dtype, self._leg(base, step) if node.leg else base, offset)
@@ -481,7 +497,7 @@ class GpuPrinter(Text):
         return self.emit("add i32 %k, %first")
 
     def _table(self, node: Node) -> str:
-        values, kind = value_of(node), TYPES[node.dtype]
+        values, kind = constant_value(node), TYPES[node.dtype]
         if kind == "i1":
             bits = sum(1 << k for k, x in enumerate(values) if x)
             return self.emit(f"trunc i32 {self.emit(f'lshr i32 {bits}, %leg')} to i1")
@@ -497,8 +513,8 @@ class GpuPrinter(Text):
             self.found[key] = self.emit(f"add i32 %base, {leg}")
         return self.found[key] if leg else "%base"
 
-    def _shuffled(self, value: str, dtype: str, lane: str) -> str:
-        """The value that another lane has."""
+    def _shuffle(self, value: str, dtype: str, lane: str) -> str:
+        """Value that another lane holds."""
         kind = TYPES[dtype]
         if kind == "i1":
             wide = self.emit(f"zext i1 {value} to i32")
@@ -508,27 +524,27 @@ class GpuPrinter(Text):
         return self._nvvm(f"shfl.sync.idx.{short}", kind, EVERY, f"{kind} {value}", f"i32 {lane}", "i32 31")
 
     def _over_legs(self, node: Node) -> str:
-        """Opposite legs first, then the pairs in order."""
-        value, kinds, op = self.value(node.args[0]), [node.dtype] * 2, node.attribute(Over).op
-        pair = self.arithmetic(op, node.dtype, [value, self._shuffled(value, node.dtype, "%across")], kinds)
-        total = self._shuffled(pair, node.dtype, self._lane(0))
+        """Reduce over the legs: opposite legs first, then the pairs in order."""
+        value, kinds, op = self.value(node.args[0]), [node.dtype] * 2, node.attribute(LegReduction).op
+        pair = self.arithmetic(op, node.dtype, [value, self._shuffle(value, node.dtype, "%across")], kinds)
+        total = self._shuffle(pair, node.dtype, self._lane(0))
         for k in range(1, self.group // 2):
-            one = self._shuffled(pair, node.dtype, self._lane(k))
+            one = self._shuffle(pair, node.dtype, self._lane(k))
             total = self.arithmetic(op, node.dtype, [total, one], kinds)
         return total
 
     def _work(self, node: Node) -> str:
-        """A node from its operands."""
+        """Print a node's operation."""
         match node.op:
             case "gather":
-                region, index, _, step = node.attribute(At)
+                region, index, _, step = node.attribute(Address)
                 base = self._base(region)
                 place = self.emit(f"mul i32 {self.value(node.args[0])}, {self.row}")
                 offset = self.emit(f"add i32 {place}, {(self._start_of(region) + index) * self.row}")
                 return self._read(region.dtype, self._leg(base, step) if node.leg else base, offset)
             case "part":
                 whole = node.args[0]
-                return self._shuffled(self.value(whole), whole.dtype, self._lane(node.attribute(OneOf).leg))
+                return self._shuffle(self.value(whole), whole.dtype, self._lane(node.attribute(LegIndex).leg))
             case "pack":
                 value, kind = self.value(node.args[-1]), TYPES[node.dtype]
                 for k in range(self.group - 2, -1, -1):
@@ -538,7 +554,7 @@ class GpuPrinter(Text):
             case "over_legs":
                 return self._over_legs(node)
             case "count":
-                return self.counts[node.attribute(Count).depth]
+                return self.counts[node.attribute(LoopCount).depth]
             case _ if node.op in INTRINSICS and node.op not in NATIVE:
                 raise Unsupported(f"{node.op} of {node.dtype} on a GPU")
             case _:
@@ -546,16 +562,23 @@ class GpuPrinter(Text):
                 return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
 
     def arithmetic(self, op: str, dtype: str, args: list[str], kinds: Sequence[str]) -> str:
-        """An operation; those that take several instructions without a branch, which would part this basic block."""
+        """Print an operation without branches, which would split this basic block.
+
+        Args:
+            op: operation, by JAX's name.
+            dtype: type of the result.
+            args: names of the operands.
+            kinds: their types.
+        """
         if dtype == "float32" and op == "div":
             return self._quotient(*args)
         if dtype in ("int32", "uint32") and op == "add":
-            # what it becomes, but one of LLVM's passes compares each sum with all others: 20 s for the words of noise
+            # not `add`: one of LLVM's passes compares each sum with all others, 20 s for the words of noise
             return self.emit(f"sub i32 {args[0]}, {self.emit(f'sub i32 0, {args[1]}')}")
         return self._root(*args) if dtype == "float32" and op == "sqrt" else super().arithmetic(op, dtype, args, kinds)
 
     def _quotient(self, a: str, b: str) -> str:
-        """a / b, rounded as IEEE has it where neither 1 / b nor the quotient is too large or small for its exponent."""
+        """a / b with IEEE rounding, if neither 1 / b nor the quotient overflows or underflows."""
         if (b, "inverse") not in self.found:
             near = self._nvvm("rcp.approx.ftz.f", "float", f"float {b}")
             minus = self.emit(f"fneg float {b}")
@@ -565,11 +588,11 @@ class GpuPrinter(Text):
         first = self.emit(f"fmul float {a}, {near}")
         left = self.call("fma", "float32", [minus, first, a])
         quotient = self.call("fma", "float32", [left, inverse, first])
-        odd = self.emit(f"fcmp uno float {quotient}, {quotient}")  # of 0, infinity and NaN
+        odd = self.emit(f"fcmp uno float {quotient}, {quotient}")  # for 0, infinity and NaN
         return self.emit(f"select i1 {odd}, float {first}, float {quotient}")
 
     def _root(self, x: str) -> str:
-        """The square root, rounded as IEEE has it: of a small number, from one 2^64 times as large."""
+        """Square root with IEEE rounding; a small number is scaled by 2^64 first."""
         small = self.emit(f"fcmp olt float {x}, {self.literal(np.float32(2**-96))}")
         scale = [self.literal(np.float32(2.0**k)) for k in (64, -32)]
         up, down = (self.emit(f"select i1 {small}, float {by}, float {ONE}") for by in scale)
@@ -578,19 +601,26 @@ class GpuPrinter(Text):
         root, half = self.emit(f"fmul float {scaled}, {inverse}"), self.emit(f"fmul float {inverse}, {HALF}")
         left = self.call("fma", "float32", [self.emit(f"fneg float {root}"), root, scaled])
         root = self.emit(f"fmul float {self.call('fma', 'float32', [left, half, root])}, {down}")
-        odd = self.emit(f"fcmp uno float {root}, {root}")  # of 0 and infinity as well
+        odd = self.emit(f"fcmp uno float {root}, {root}")  # for 0 and infinity, too
         itself = self.emit(f"and i1 {odd}, {self.emit(f'fcmp oge float {x}, {ZERO}')}")
         return self.emit(f"select i1 {itself}, float {x}, float {root}")
 
     def extreme(self, op: str, dtype: str, args: list[str]) -> str:
-        """The greater or lesser of two; NaN if either is."""
+        """Print a maximum or minimum of two; NaN if either is NaN.
+
+        Args:
+            op: `max` or `min`.
+            dtype: type of the numbers.
+            args: names of the operands.
+        """
         return self.call("maximum" if op == "max" else "minimum", dtype, args)
 
 
-def lanes_of(group: int) -> int:
-    """Rollouts of a warp where legs have lanes; the lanes that are left do again what others do.
+def rollouts_per_warp(group: int) -> int:
+    """Number of rollouts in a warp whose lanes are legs; spare lanes repeat the work of others.
 
-    Raises `Unsupported` where the legs have no opposite ones, or a warp too few lanes.
+    Raises:
+        Unsupported: The number of legs is odd, or too large for a warp.
     """
     if group % 2 or not 0 < group <= THREADS:
         raise Unsupported(f"a group of {group} on a GPU")
@@ -598,8 +628,12 @@ def lanes_of(group: int) -> int:
 
 
 @contextmanager
-def compiler() -> Iterator[Callable[[str], str]]:
-    """PTX of a module, by a process that gets ready meanwhile. Raises `Unsupported` where LLVM cannot make it."""
+def ptx_compiler() -> Iterator[Callable[[str], str]]:
+    """Context that yields a compiler from LLVM assembly to PTX, in a process that starts meanwhile.
+
+    Raises:
+        Unsupported: LLVM cannot compile the module.
+    """
     asked = [sys.executable, "-P", str(Path(__file__).with_name("nvptx.py"))]
     with subprocess.Popen(asked, stdin=PIPE, stdout=PIPE, stderr=PIPE, text=True) as process:
 

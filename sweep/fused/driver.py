@@ -1,8 +1,8 @@
-"""Kernels by NVIDIA's driver: PTX as machine code, once, and its launch from a program of XLA's.
+"""Interface to NVIDIA's driver: PTX is translated to machine code once, and launched from an XLA program.
 
-XLA's own call of a kernel keeps it as text: PTX, which the driver translates at every start. Machine code, not being
-UTF-8, is lost with the program there. So it is kept beside the program, which a handler of XLA's typed interface
-(`xla/ffi/api/c_api.h`) knows it from by its key alone: XLA compiles the one while the driver translates the other.
+XLA's own call of a kernel keeps its PTX text, which the driver translates at every start; machine code, which is not
+UTF-8, is lost when XLA serialises the program. So the machine code is stored beside the program. A handler of XLA's
+typed interface (`xla/ffi/api/c_api.h`) finds it by its key. XLA compiles the program while the driver translates.
 """
 
 import ctypes
@@ -20,30 +20,30 @@ from jaxtyping import Array
 from sweep.fused.arrays import Unsupported
 
 TARGET, PLATFORM = "insect_sweep_kernel", "CUDA"
-ENTRY = b"run"  # the kernel of every module
-OLDEST = 0, 1  # version of the interface whose structures these are; later ones only add to them
-EXECUTE = 3  # the stage of a call in which it is made
-PTX = 1  # what the linker is given
-INTERNAL = 13  # code of an error
-LOG, LOG_SIZE = 5, 6  # options: where it writes what is wrong
+ENTRY = b"run"  # name of the kernel in every module
+OLDEST = 0, 1  # version of XLA's interface with these structures; later ones only append to them
+EXECUTE = 3  # stage of a call in which the handler does its work
+PTX = 1  # type of the linker's input
+INTERNAL = 13  # XLA's code of an internal error
+LOG, LOG_SIZE = 5, 6  # the linker's options for its error log
 Launch = Callable[["Call"], None]
 
 
 class Call(NamedTuple):
-    """One of a kernel, as XLA has it."""
+    """One call of a kernel, as XLA passes it to the handler."""
 
-    stream: int | None  # none on a CPU
+    stream: int | None  # None on a CPU
     key: str
     blocks: int
-    threads: int  # of a block
-    operands: list[int]  # where they are
+    threads: int  # threads of a block
+    operands: list[int]  # their addresses
 
 
 class GpuKernel(NamedTuple):
-    """A GPU's kernel as machine code, as it is kept."""
+    """Machine code of a GPU kernel as the cache stores it."""
 
     key: str
-    code: bytes  # for a machine
+    code: bytes  # machine code
 
 
 class _Metadata(ctypes.Structure):
@@ -51,7 +51,7 @@ class _Metadata(ctypes.Structure):
                 ("major", ctypes.c_int), ("minor", ctypes.c_int)]  # fmt: skip
 
 
-class _Extension(ctypes.Structure):  # the one there is asks for the handler's version
+class _Extension(ctypes.Structure):  # the only extension asks for the handler's version
     _fields_ = [("size", ctypes.c_size_t), ("kind", ctypes.c_int), ("next", ctypes.c_void_p),
                 ("metadata", ctypes.POINTER(_Metadata))]  # fmt: skip
 
@@ -106,15 +106,25 @@ class _Frame(ctypes.Structure):
                 ("attributes", _Attributes)]  # fmt: skip
 
 
-def key(text: str) -> str:
-    """Of a kernel, from its PTX."""
+def kernel_key(text: str) -> str:
+    """Key of a kernel: the hash of its PTX."""
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def call(key: str, threads: int, operands: Sequence[Array], changed: Sequence[int], target: str = TARGET) -> Any:
-    """The operands `changed` by a kernel, of which the first has a block for each of its rows.
+def call_kernel(key: str, threads: int, operands: Sequence[Array], changed: Sequence[int], target: str = TARGET) -> Any:
+    """Have a kernel change some operands, within a function that XLA compiles.
 
-    It has to be there by the time of the call, or begun; see `begin` and `add`.
+    By the time of the call the kernel has to be added (`add_kernel`), or its translation started (`start_translation`).
+
+    Args:
+        key: key of the kernel.
+        threads: threads of a block; the first operand has a block in each row.
+        operands: arrays that the kernel gets.
+        changed: indices of the operands that it changes.
+        target: name of the handler.
+
+    Returns:
+        The changed operands.
     """
     kernel = jax.ffi.ffi_call(
         target,
@@ -124,18 +134,18 @@ def call(key: str, threads: int, operands: Sequence[Array], changed: Sequence[in
     return kernel(*operands, key=key, threads=np.int32(threads))
 
 
-def handler(launch: Launch) -> Any:
-    """What XLA calls, by a pointer, for calls that `launch` makes; it has to be kept."""
+def make_handler(launch: Launch) -> Any:
+    """Make a handler that XLA calls by a pointer, and that passes calls to `launch`. It has to be kept alive."""
 
     @ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(_Frame))
-    def called(at: Any) -> int | None:
-        frame = at.contents
+    def called(address: Any) -> int | None:
+        frame = address.contents
         if frame.extension:
             told = frame.extension.contents.metadata.contents
             told.major, told.minor = OLDEST
             return None
         try:
-            _called(frame, launch)
+            _handle_call(frame, launch)
         except Exception as error:
             made = _ErrorMade(ctypes.sizeof(_ErrorMade), None, f"{type(error).__name__}: {error}".encode(), INTERNAL)
             return frame.api.contents.error(made)
@@ -144,7 +154,7 @@ def handler(launch: Launch) -> Any:
     return called
 
 
-def _called(frame: _Frame, launch: Launch) -> None:
+def _handle_call(frame: _Frame, launch: Launch) -> None:
     if frame.stage != EXECUTE:
         return
     values = frame.attributes
@@ -162,79 +172,79 @@ def _read(text: _Text) -> bytes:
     return ctypes.string_at(text.data, text.size)
 
 
-def version() -> int:
-    """The driver's, 0 without one: older ones may not take the machine code of this one."""
+def driver_version() -> int:
+    """Version of NVIDIA's driver, 0 without one: an older driver may not accept machine code of a newer one."""
     found = ctypes.c_int(0)
     with suppress(OSError):
-        _do("cuDriverGetVersion", ctypes.byref(found))
+        _call_driver("cuDriverGetVersion", ctypes.byref(found))
     return found.value
 
 
 def start_translation(text: str) -> str:
-    """Have PTX translated in a thread; its key."""
-    if (name := key(text)) not in _made:
-        _made[name] = _pool.submit(_translated, text)
+    """Start to translate PTX in a thread. Returns the kernel's key."""
+    if (name := kernel_key(text)) not in _machine_code:
+        _machine_code[name] = _pool.submit(_translate, text)
     return name
 
 
-def finished_kernel(name: str) -> GpuKernel:
-    """What has been translated. Raises `Unsupported` with what is wrong."""
-    return GpuKernel(name, _made[name].result())
+def wait_for_kernel(name: str) -> GpuKernel:
+    """Wait for a translation. Raises `Unsupported`, with the driver's message, if it failed."""
+    return GpuKernel(name, _machine_code[name].result())
 
 
 def add_kernel(kernel: GpuKernel) -> None:
-    """Have it at hand for calls, as it was kept."""
-    _made[kernel.key] = done = Future()
+    """Make a kernel that was loaded from the cache available for calls."""
+    _machine_code[kernel.key] = done = Future()
     done.set_result(kernel.code)
 
 
-def _translated(text: str) -> bytes:
-    """PTX as machine code of the GPU that programs are made for."""
+def _translate(text: str) -> bytes:
+    """Translate PTX to machine code of the GPU that programs are compiled for."""
     device, context, link, made = ctypes.c_int(), ctypes.c_void_p(), ctypes.c_void_p(), ctypes.c_void_p()
     size, log, given = ctypes.c_size_t(), ctypes.create_string_buffer(4096), text.encode() + b"\0"
     options, values = (ctypes.c_int * 2)(LOG, LOG_SIZE), (ctypes.c_void_p * 2)(ctypes.addressof(log), len(log))
-    _do("cuDeviceGet", ctypes.byref(device), jax.devices()[0].local_hardware_id or 0)
-    _do("cuDevicePrimaryCtxRetain", ctypes.byref(context), device)  # which is XLA's
+    _call_driver("cuDeviceGet", ctypes.byref(device), jax.devices()[0].local_hardware_id or 0)
+    _call_driver("cuDevicePrimaryCtxRetain", ctypes.byref(context), device)  # XLA's context
     try:
-        with _current(context):
-            _do("cuLinkCreate_v2", 2, options, values, ctypes.byref(link))
-            _do("cuLinkAddData_v2", link, PTX, given, ctypes.c_size_t(len(given)), b"kernel", 0, None, None)
-            _do("cuLinkComplete", link, ctypes.byref(made), ctypes.byref(size))
+        with _use_context(context):
+            _call_driver("cuLinkCreate_v2", 2, options, values, ctypes.byref(link))
+            _call_driver("cuLinkAddData_v2", link, PTX, given, ctypes.c_size_t(len(given)), b"kernel", 0, None, None)
+            _call_driver("cuLinkComplete", link, ctypes.byref(made), ctypes.byref(size))
             code = ctypes.string_at(made, size.value)
-            _do("cuLinkDestroy", link)
+            _call_driver("cuLinkDestroy", link)
             return code
     except RuntimeError as error:
         raise Unsupported(f"{error}: {log.value.decode(errors='replace').strip()}") from None
     finally:
-        _do("cuDevicePrimaryCtxRelease_v2", device)
+        _call_driver("cuDevicePrimaryCtxRelease_v2", device)
 
 
-def _launched(call: Call) -> None:
+def _launch(call: Call) -> None:
     if call.stream is None:
         raise RuntimeError("no stream")
     stream, context = ctypes.c_void_p(call.stream), ctypes.c_void_p()
-    _do("cuStreamGetCtx", stream, ctypes.byref(context))
+    _call_driver("cuStreamGetCtx", stream, ctypes.byref(context))
     places = [ctypes.c_void_p(x) for x in call.operands]
     operands = (ctypes.c_void_p * len(places))(*map(ctypes.addressof, places))
     size = [ctypes.c_uint(x) for x in (call.blocks, 1, 1, call.threads, 1, 1, 0)]
-    with _current(context):
+    with _use_context(context):
         at = context.value, call.key
         if at not in _loaded:
             module, kernel = ctypes.c_void_p(), ctypes.c_void_p()
-            _do("cuModuleLoadData", ctypes.byref(module), finished_kernel(call.key).code)
-            _do("cuModuleGetFunction", ctypes.byref(kernel), module, ENTRY)
+            _call_driver("cuModuleLoadData", ctypes.byref(module), wait_for_kernel(call.key).code)
+            _call_driver("cuModuleGetFunction", ctypes.byref(kernel), module, ENTRY)
             _loaded[at] = kernel
-        _do("cuLaunchKernel", _loaded[at], *size, stream, operands, None)
+        _call_driver("cuLaunchKernel", _loaded[at], *size, stream, operands, None)
 
 
 @contextmanager
-def _current(context: ctypes.c_void_p) -> Iterator[None]:
-    """Inside, the driver's calls of this thread are of `context`."""
-    _do("cuCtxPushCurrent_v2", context)
+def _use_context(context: ctypes.c_void_p) -> Iterator[None]:
+    """Context in which this thread's calls of the driver use the CUDA context `context`."""
+    _call_driver("cuCtxPushCurrent_v2", context)
     try:
         yield
     finally:
-        _do("cuCtxPopCurrent_v2", ctypes.byref(ctypes.c_void_p()))
+        _call_driver("cuCtxPopCurrent_v2", ctypes.byref(ctypes.c_void_p()))
 
 
 @functools.cache
@@ -242,16 +252,16 @@ def _driver() -> ctypes.CDLL:
     return ctypes.CDLL("libcuda.so.1")
 
 
-def _do(name: str, *given: Any) -> None:
-    """A call of the driver's. Raises RuntimeError where it fails, OSError where there is none."""
-    if failed := getattr(_driver(), name)(*given):
+def _call_driver(name: str, *args: Any) -> None:
+    """Call a function of the driver. Raises RuntimeError if it fails, and OSError if there is no driver."""
+    if failed := getattr(_driver(), name)(*args):
         told = ctypes.c_char_p()
         _driver().cuGetErrorName(failed, ctypes.byref(told))
         raise RuntimeError(f"{name}: {(told.value or b'error').decode()} ({failed})")
 
 
 _pool = ThreadPoolExecutor(1)
-_made: dict[str, Future[bytes]] = {}  # machine code, by key
+_machine_code: dict[str, Future[bytes]] = {}  # machine code, by key
 _loaded: dict[tuple[int | None, str], ctypes.c_void_p] = {}  # kernels, by context and key
-_handler = handler(_launched)
+_handler = make_handler(_launch)
 jax.ffi.register_ffi_target(TARGET, jax.ffi.pycapsule(_handler), platform=PLATFORM)

@@ -1,8 +1,8 @@
-"""Programs that are not worth compiling: JAX's trace of one rollout, operation by operation by NumPy for a whole batch.
+"""Programs that are not worth compiling: NumPy executes JAX's trace of one rollout for a whole batch.
 
-What is run once a batch takes some microseconds for each of its operations, and a compiler ten thousand times that. An
-array's last axis is over rollouts; it has length 1 where they agree, so that this is worked out once. A rollout's
-numbers are the same in any batch and at any place in it, to the last bit.
+Executing an operation takes some microseconds, compiling it ten thousand times as long, so this pays for what runs once
+a batch. The last axis of an array is the batch; it has length 1 where all rollouts agree, so that this is computed
+once. A rollout's results are equal to the last bit in any batch and at any place in it.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -24,30 +24,38 @@ ALIAS = frozenset(("stop_gradient", "copy", "optimization_barrier", "random_wrap
 
 
 class Operation(NamedTuple):
-    """An operation on values by number."""
+    """An operation on numbered values."""
 
-    rule: Callable[..., Any] | str  # or the name of what is set apart
+    rule: Callable[..., Any] | str  # or the name of an external function
     reads: tuple[int, ...]
     writes: tuple[int, ...]
-    done: tuple[int, ...]  # what nobody reads later
+    last_reads: tuple[int, ...]  # values that nothing reads later
 
 
 class Listing(NamedTuple):
-    """A program: operations in their order, on values by number."""
+    """A program as a list of operations on numbered values."""
 
-    size: int  # values
-    known: dict[int, Values]
-    given: tuple[int, ...]
+    size: int  # number of values
+    constants: dict[int, Values]
+    inputs: tuple[int, ...]
     steps: list[Operation]
-    made: tuple[int, ...]
+    outputs: tuple[int, ...]
 
-    def run(self, given: Sequence[Values], apart: Mapping[str, Callable[..., Any]]) -> list[Values]:
-        """What comes of what is given."""
+    def run(self, args: Sequence[Values], external: Mapping[str, Callable[..., Any]]) -> list[Values]:
+        """Run the program.
+
+        Args:
+            args: values of its inputs.
+            external: functions that replace external calls, by name.
+
+        Returns:
+            Values of its outputs.
+        """
         values: list[Any] = [None] * self.size
-        for place, value in (*self.known.items(), *zip(self.given, given, strict=True)):
+        for place, value in (*self.constants.items(), *zip(self.inputs, args, strict=True)):
             values[place] = value
         for rule, reads, writes, done in self.steps:
-            made = (apart[rule] if isinstance(rule, str) else rule)(*[values[k] for k in reads])
+            made = (external[rule] if isinstance(rule, str) else rule)(*[values[k] for k in reads])
             if isinstance(made, np.ndarray):
                 values[writes[0]] = made
             else:
@@ -55,72 +63,87 @@ class Listing(NamedTuple):
                     values[place] = value
             for k in done:
                 values[k] = None
-        return [values[k] for k in self.made]
+        return [values[k] for k in self.outputs]
 
 
 class Eager(NamedTuple):
-    """A function of one rollout for a batch, as it is kept."""
+    """A traced function of one rollout that NumPy executes for a batch; it can be pickled."""
 
     steps: Listing
-    given: list[jax.ShapeDtypeStruct]  # of a rollout
-    form: Any  # shapes of what it gives of a rollout
-    apart: dict[str, tuple[jax.ShapeDtypeStruct, ...]]  # what is set apart, and what that is given
+    shapes: list[jax.ShapeDtypeStruct]  # of the arguments, for one rollout
+    form: Any  # tree of the results' shapes, for one rollout
+    external: dict[str, tuple[jax.ShapeDtypeStruct, ...]]  # shapes of the arguments of external functions
 
-    def __call__(self, width: int, *given: Any, apart: Mapping[str, Callable[..., Any]] | None = None) -> Any:
-        """What it gives for `width` rollouts, (width, ...) each.
+    def __call__(self, width: int, *args: Any, external: Mapping[str, Callable[..., Any]] | None = None) -> Any:
+        """Evaluate the function for a batch.
 
-        Leaves with one axis more than traced differ among them. What was set apart is done by functions of arrays whose
-        last axis is over rollouts.
+        Args:
+            width: number of rollouts.
+            args: trees like those of the trace; leaves with one more axis differ among rollouts.
+            external: functions that replace external calls, by name; the last axis of their arrays is the batch.
+
+        Returns:
+            The results, with a leading axis (width, ...).
         """
-        leaves = jax.tree.leaves(key_words(given))
-        taken = [_taken(np.asarray(x, one.dtype), one.ndim) for x, one in zip(leaves, self.given, strict=True)]
+        leaves = jax.tree.leaves(key_words(args))
+        taken = [
+            _batch_axis_last(np.asarray(x, one.dtype), one.ndim) for x, one in zip(leaves, self.shapes, strict=True)
+        ]
         with np.errstate(all="ignore"):
-            made = self.steps.run(taken, apart or {})
+            made = self.steps.run(taken, external or {})
         rows = [np.moveaxis(np.broadcast_to(x, (*x.shape[:-1], width)), -1, 0) for x in made]
         forms, tree = jax.tree.flatten(self.form)
         return jax.tree.unflatten(tree, [restore_keys(x, form) for x, form in zip(rows, forms, strict=True)])
 
 
-def trace(function: Callable[..., Any], *given: Any, apart: Collection[str] = ()) -> Eager:
-    """A function of trees like `given`: shapes, or arrays of one rollout. Raises `Unsupported`.
+def trace(function: Callable[..., Any], *shapes: Any, external: Collection[str] = ()) -> Eager:
+    """Trace a function of one rollout so that NumPy can execute it for batches.
 
-    Calls of jitted functions of the names `apart` are set apart: others take their place as it is run.
+    Args:
+        function: the function.
+        shapes: its arguments: trees of shapes, or of arrays of one rollout.
+        external: names of jitted functions that are not traced; another function takes the place of each when it runs.
+
+    Raises:
+        Unsupported: A primitive has no rule.
     """
-    leaves, tree = jax.tree.flatten(given)
+    leaves, tree = jax.tree.flatten(shapes)
 
     def flat(*of: Any) -> Any:
         return function(*jax.tree.unflatten(tree, [restore_keys(x, like) for x, like in zip(of, leaves, strict=True)]))
 
-    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in key_words(leaves)]
-    program, made = jax.make_jaxpr(flat, return_shape=True)(*shapes)
-    writer = Writer(apart)
+    leaf_shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in key_words(leaves)]
+    program, results_shape = jax.make_jaxpr(flat, return_shape=True)(*leaf_shapes)
+    writer = Writer(external)
     with np.errstate(all="ignore"):
-        inputs = tuple(writer.new() for _ in shapes)
+        inputs = tuple(writer.new() for _ in leaf_shapes)
         results = writer.write(program.jaxpr, program.consts, inputs)
     steps = writer.steps(inputs, results)
     asked = {step.rule: writer.asked[step.rule] for step in steps.steps if isinstance(step.rule, str)}
-    return Eager(steps, shapes, made, asked)
+    return Eager(steps, leaf_shapes, results_shape, asked)
 
 
-def evaluate_constants(function: Callable[[], Any], apart: Mapping[str, Callable[..., Any]] | None = None) -> Any:
-    """What a function of plain numbers gives, also while another one is traced; XLA works out what has no rule.
+def evaluate_constants(function: Callable[[], Any], external: Mapping[str, Callable[..., Any]] | None = None) -> Any:
+    """Evaluate a function of plain numbers, even while another one is traced. XLA does it if a primitive has no rule.
 
-    `apart`: what does the calls of jitted functions of these names.
+    Args:
+        function: function without arguments.
+        external: functions that replace calls of jitted functions of these names.
     """
     try:
-        program = trace(function, apart=apart or {})
+        program = trace(function, external=external or {})
     except Unsupported:
         with jax.ensure_compile_time_eval():
             made = jax.jit(function, compiler_options={"xla_backend_optimization_level": 0})()
             return jax.tree.map(np.asarray, made)
-    return jax.tree.map(lambda x: x[0], program(1, apart=apart))
+    return jax.tree.map(lambda x: x[0], program(1, external=external))
 
 
 class Writer:
-    """Goes through what JAX traced. What is known is worked out, and what is there already is not done twice."""
+    """Makes a `Listing` from JAX's trace. It folds constants and merges equal operations."""
 
-    def __init__(self, apart: Collection[str] = ()):
-        self.apart = apart
+    def __init__(self, external: Collection[str] = ()):
+        self.apart = external
         self.asked: dict[str, tuple[jax.ShapeDtypeStruct, ...]] = {}
         self.known: dict[int, Values] = {}
         self._size = 0
@@ -129,12 +152,12 @@ class Writer:
         self._there: dict[Any, tuple[int, ...]] = {}
 
     def new(self) -> int:
-        """The number of another value."""
+        """Number for another value."""
         self._size += 1
         return self._size - 1
 
     def constant(self, value: Values) -> int:
-        """The number of a known value."""
+        """Number of a known value."""
         value = np.ascontiguousarray(value)
         what = value.dtype.str, value.shape, value.tobytes()
         if what not in self._constants:
@@ -143,7 +166,16 @@ class Writer:
         return self._constants[what]
 
     def write(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[int]) -> list[int]:
-        """Numbers of the results of `jaxpr`."""
+        """Add the operations of a jaxpr.
+
+        Args:
+            jaxpr: the program.
+            consts: its constants.
+            args: numbers of its arguments.
+
+        Returns:
+            Numbers of its results.
+        """
         at = dict(zip(jaxpr.invars, args, strict=True))
         at |= zip(jaxpr.constvars, (self.constant(_array(x)) for x in consts), strict=True)
 
@@ -157,19 +189,19 @@ class Writer:
             at |= zip(eqn.outvars, self._apply(eqn, [read(atom) for atom in eqn.invars]), strict=True)
         return [read(atom) for atom in jaxpr.outvars]
 
-    def steps(self, given: tuple[int, ...], made: Sequence[int]) -> Listing:
-        """All that is needed for the values `made`."""
-        wanted, kept = set(made), []
+    def steps(self, inputs: tuple[int, ...], outputs: Sequence[int]) -> Listing:
+        """The program that computes `outputs` from `inputs`, without unused operations."""
+        wanted, kept = set(outputs), []
         for rule, reads, writes in reversed(self._steps):
             if wanted.intersection(writes):
                 new = set(reads) - wanted
                 kept.append(Operation(rule, reads, writes, tuple(new - self.known.keys())))
                 wanted |= new
         known = {k: self.known[k] for k in wanted & self.known.keys()}
-        return Listing(self._size, known, given, kept[::-1], tuple(made))
+        return Listing(self._size, known, inputs, kept[::-1], tuple(outputs))
 
-    def do(self, rule: Any, reads: Sequence[int], count: int = 1) -> tuple[int, ...]:
-        """An operation's results."""
+    def emit(self, rule: Any, reads: Sequence[int], count: int = 1) -> tuple[int, ...]:
+        """Add an operation, and return the numbers of its `count` results."""
         reads = tuple(reads)
         if not isinstance(rule, str) and all(k in self.known for k in reads):
             made = rule(*[self.known[k] for k in reads])
@@ -178,18 +210,18 @@ class Writer:
         try:
             if what in self._there:
                 return self._there[what]
-        except TypeError:  # with a program in it
+        except TypeError:  # parameters that contain a program cannot be hashed
             what = object()
         writes = self._there[what] = tuple(self.new() for _ in range(count))
         self._steps.append((rule, reads, writes))
         return writes
 
     def _apply(self, eqn: Any, args: list[int]) -> Sequence[int]:
-        """Results of one operation of JAX."""
+        """Add one of JAX's operations."""
         name, params = eqn.primitive.name, eqn.params
         if name in CALLS:
             if params.get("name") in self.apart:
-                return self._set_apart(params["name"], args, eqn)
+                return self._call_external(params["name"], args, eqn)
             inner = params[CALLS[name]]
             return self.write(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), args)
         if not eqn.outvars:
@@ -202,20 +234,20 @@ class Writer:
             return self._cond(args, eqn)
         if name == "convert_element_type" and eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype:
             return args
-        if name in randomness.WRITTEN:
+        if name in randomness.EXPANSIONS:
             return self._random(args, eqn)
         if rule := RULES.get(name):
-            return self.do(rule(eqn), args, len(eqn.outvars))
+            return self.emit(rule(eqn), args, len(eqn.outvars))
         if rule := COMPUTED.get(name):
-            return self.do(rule, args)
+            return self.emit(rule, args)
         raise Unsupported(name)
 
-    def _set_apart(self, name: str, args: list[int], eqn: Any) -> Sequence[int]:
-        """What another function does. Raises `Unsupported` where it would have to be two."""
+    def _call_external(self, name: str, args: list[int], eqn: Any) -> Sequence[int]:
+        """Add a call of an external function. Raises `Unsupported` if two calls differ in shapes."""
         asked = tuple(map(_form, eqn.invars))
         if self.asked.setdefault(name, asked) != asked:
             raise Unsupported(f"{name} of several shapes")
-        return self.do(name, args, len(eqn.outvars))
+        return self.emit(name, args, len(eqn.outvars))
 
     def _random(self, args: list[int], eqn: Any) -> list[int]:
         """Random numbers of one key."""
@@ -223,12 +255,12 @@ class Writer:
         if key.aval.shape:
             raise Unsupported("random numbers of several keys at once")
         shapes = [jax.ShapeDtypeStruct((2,), np.uint32), *map(_form, others)]
-        function = randomness.WRITTEN[eqn.primitive.name]
+        function = randomness.EXPANSIONS[eqn.primitive.name]
         traced = jax.make_jaxpr(lambda *of: function(*of, **eqn.params))(*shapes)
         return self.write(traced.jaxpr, traced.consts, args)
 
     def _scan(self, args: list[int], eqn: Any) -> Sequence[int]:
-        """Results of a loop over steps."""
+        """Loop over steps."""
         inner, length = eqn.params["jaxpr"], eqn.params["length"]
         if not length:
             raise Unsupported("a loop without steps")
@@ -237,21 +269,21 @@ class Writer:
         n_carry = len(eqn.outvars) - n_ys
         n_consts = len(args) - n_carry - n_xs
         body, consts = self._inner(inner, args[:n_consts])
-        how = Repetition(body, length, eqn.params["reverse"], len(consts), n_carry)
-        return self.do(partial(run_scan, how), [*consts, *args[n_consts:]], len(eqn.outvars))
+        how = Scan(body, length, eqn.params["reverse"], len(consts), n_carry)
+        return self.emit(partial(run_scan, how), [*consts, *args[n_consts:]], len(eqn.outvars))
 
     def _cond(self, args: list[int], eqn: Any) -> Sequence[int]:
-        """One of the branches where all rollouts go the same way, else what each of them takes of all."""
+        """One branch if all rollouts agree, else all branches, of which each rollout takes one."""
         index, *operands = args
         branches = eqn.params["branches"]
         if index in self.known:
             branch = branches[min(max(int(self.known[index][0]), 0), len(branches) - 1)]
             return self.write(branch.jaxpr, branch.consts, operands)
         each = tuple(self._inner(branch, ())[0] for branch in branches)
-        return self.do(partial(run_switch, each), args, len(eqn.outvars))
+        return self.emit(partial(run_switch, each), args, len(eqn.outvars))
 
     def _inner(self, closed: Any, first: Sequence[int]) -> tuple[Listing, list[int]]:
-        """An inner program, which has those of its `first` operands that are known, and the others of these."""
+        """Listing of an inner program, and its other operands: constants among the `first` ones are folded into it."""
         writer = Writer()
         there = [writer.constant(self.known[k]) if k in self.known else writer.new() for k in first]
         others = [writer.new() for _ in closed.jaxpr.invars[len(first) :]]
@@ -260,19 +292,19 @@ class Writer:
         return writer.steps((*given, *others), made), [k for k in first if k not in self.known]
 
 
-class Repetition(NamedTuple):
-    """What goes on step by step."""
+class Scan(NamedTuple):
+    """Static parameters of a loop."""
 
     body: Listing
     length: int
     reverse: bool
-    consts: int  # operands that stay
-    carry: int  # and those that a step changes; the others are looked at row by row
+    consts: int  # number of constant operands
+    carry: int  # number of carried operands; the others are scanned row by row
 
 
-def run_scan(how: Repetition, *given: Values) -> list[Values]:
-    """What is carried in the end, and what each step gives beside it."""
-    consts, carry, rows = given[: how.consts], given[how.consts :][: how.carry], given[how.consts + how.carry :]
+def run_scan(how: Scan, *args: Values) -> list[Values]:
+    """Run a loop. Returns the carry at the end and the stacked outputs of its steps."""
+    consts, carry, rows = args[: how.consts], args[how.consts :][: how.carry], args[how.consts + how.carry :]
     beside = []
     for k in range(how.length)[:: -1 if how.reverse else 1]:
         made = how.body.run([*consts, *carry, *(x[k] for x in rows)], {})
@@ -282,17 +314,17 @@ def run_scan(how: Repetition, *given: Values) -> list[Values]:
     return [*carry, *(batch_ops.stack(0, *each) for each in zip(*beside, strict=True))]
 
 
-def run_switch(branches: Sequence[Listing], index: Any, *given: Values) -> list[Values]:
-    """What the branch of an index gives, or for each rollout that of its own."""
+def run_switch(branches: Sequence[Listing], index: Any, *args: Values) -> list[Values]:
+    """Run the branch that `index` names, or for each rollout its own."""
     index = index.astype(int)
     if len(index) == 1:
-        return branches[min(max(int(index[0]), 0), len(branches) - 1)].run(given, {})
-    each = [branch.run(given, {}) for branch in branches]
+        return branches[min(max(int(index[0]), 0), len(branches) - 1)].run(args, {})
+    each = [branch.run(args, {}) for branch in branches]
     return [batch_ops.select(index, *cases) for cases in zip(*each, strict=True)]
 
 
-def _taken(x: Any, rank: int) -> Values:
-    """What is given, its axis over rollouts last."""
+def _batch_axis_last(x: Any, rank: int) -> Values:
+    """The value with its batch axis last."""
     return np.ascontiguousarray(np.moveaxis(x, 0, -1)) if x.ndim > rank else x[..., None]
 
 
@@ -301,5 +333,5 @@ def _form(atom: Any) -> jax.ShapeDtypeStruct:
 
 
 def _array(value: Any) -> Values:
-    """A constant, the same for all rollouts."""
+    """A constant that all rollouts share."""
     return np.asarray(jax.random.key_data(value) if is_key(value) else value)[..., None]

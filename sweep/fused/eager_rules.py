@@ -1,4 +1,4 @@
-"""JAX's primitives as operations of `batch_ops`: what a primitive's parameters say is bound to them."""
+"""JAX's primitives as functions of `batch_ops`, with the primitive's static parameters bound."""
 
 from collections.abc import Callable
 from functools import partial
@@ -9,7 +9,7 @@ import numpy as np
 
 from sweep.fused import batch_ops as ops
 from sweep.fused.arrays import EMPTY, Unsupported
-from sweep.fused.batch_ops import Places, Product, Triangle
+from sweep.fused.batch_ops import Product, TriangularSystem, WindowPlaces
 from sweep.fused.operations import COMPARE, REDUCTIONS
 from sweep.fused.rules import out_of_bounds_value
 
@@ -70,7 +70,7 @@ def _broadcast_in_dim(eqn: Any) -> Callable:
 
 def _slice(eqn: Any) -> Callable:
     first, last, strides = (eqn.params[name] for name in ("start_indices", "limit_indices", "strides"))
-    return partial(ops.part, tuple(map(slice, first, last, strides or (1,) * len(first))))
+    return partial(ops.window_of, tuple(map(slice, first, last, strides or (1,) * len(first))))
 
 
 def _pad(eqn: Any) -> Callable:
@@ -94,19 +94,19 @@ def _reduction(eqn: Any) -> Callable:
     name, axes = REDUCTIONS[eqn.primitive.name], tuple(eqn.params["axes"])
     if not all(_shape(eqn.invars[0])):
         return partial(ops.fill, _shape(eqn.outvars[0]), EMPTY[name])
-    return partial(ops.sum_terms if name in ("add", "mul") else ops.extreme, UFUNCS[name], axes)
+    return partial(ops.sum_terms if name in ("add", "mul") else ops.reduce_extreme, UFUNCS[name], axes)
 
 
-def _argmax(of: Callable) -> Callable:
+def _argmax(argfunc: Callable) -> Callable:
     def rule(eqn: Any) -> Callable:
         (axis,) = eqn.params["axes"]
-        return partial(ops.best, of, axis, eqn.outvars[0].aval.dtype)
+        return partial(ops.argextreme, argfunc, axis, eqn.outvars[0].aval.dtype)
 
     return rule
 
 
 def _cumulative(eqn: Any) -> Callable:
-    return partial(ops.running, UFUNCS[CUMULATIVE[eqn.primitive.name]], eqn.params["axis"], eqn.params["reverse"])
+    return partial(ops.accumulate, UFUNCS[CUMULATIVE[eqn.primitive.name]], eqn.params["axis"], eqn.params["reverse"])
 
 
 def _dot_general(eqn: Any) -> Callable:
@@ -122,7 +122,7 @@ def _gather(eqn: Any) -> Callable:
     dims, out = eqn.params["dimension_numbers"], eqn.outvars[0].aval
     inside = [d for d in range(len(_shape(eqn.invars[0])))
               if d not in (*dims.collapsed_slice_dims, *dims.operand_batching_dims)]  # fmt: skip
-    places = Places(
+    places = WindowPlaces(
         _shape(eqn.invars[0]),
         tuple(eqn.params["slice_sizes"]),
         tuple(zip(dims.start_index_map, range(len(dims.start_index_map)), strict=True)),
@@ -147,7 +147,7 @@ def _scatter(add: np.ufunc | None) -> Callable:
         for d, through in zip(windows, dims.update_window_dims, strict=True):
             sizes[d] = updates[through]
         over = dims.scatter_dims_to_operand_dims
-        places = Places(
+        places = WindowPlaces(
             _shape(eqn.invars[0]),
             tuple(sizes),
             tuple(zip(over, range(len(over)), strict=True)),
@@ -165,7 +165,7 @@ def _triangular_solve(eqn: Any) -> Callable:
     left, lower, transposed, unit = (
         bool(eqn.params[name]) for name in ("left_side", "lower", "transpose_a", "unit_diagonal")
     )
-    return partial(ops.solve_triangular, Triangle(left, lower, transposed, unit))
+    return partial(ops.solve_triangular, TriangularSystem(left, lower, transposed, unit))
 
 
 def _platform_index(eqn: Any) -> Callable:

@@ -1,6 +1,6 @@
-"""From the program that JAX traces for one rollout to operations on single numbers: calls, loops and branches.
+"""Translation of the program that JAX traces for one rollout into operations on single numbers.
 
-What has no rule raises `Unsupported`.
+Calls, loops and branches are handled here. A primitive without a rule raises `Unsupported`.
 """
 
 import math
@@ -14,7 +14,7 @@ from jax.extend import core
 from sweep.fused import maths
 from sweep.fused.arrays import Array, Arrays, RowUpdate, Unsupported, build_array, stack
 from sweep.fused.operations import REDUCTIONS
-from sweep.fused.program import At, Branch, Count, Node, Region, is_uniform, value_of
+from sweep.fused.program import Address, Branch, LoopCount, Node, Region, constant_value, is_uniform
 from sweep.fused.rules import MANY, RULES
 
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "checkpoint": "jaxpr",
@@ -24,14 +24,23 @@ ELEMENTWISE = frozenset("""
     shift_right_arithmetic shift_right_logical sqrt sub xor bitcast_convert_type
 """.split())  # fmt: skip  # noqa: SIM905
 ALIAS = {"stop_gradient": None, "copy": None, "optimization_barrier": None, "add_any": "add"}
-UNROLLED = 1000  # operations up to which a loop is written out
+UNROLLED = 1000  # operations up to which a loop is unrolled
 
 
 class Interpreter(Arrays):
-    """Rules for JAX's primitives, writing a `Program`."""
+    """Applies the rules for JAX's primitives and writes a `Program`."""
 
     def evaluate(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Array | RowUpdate]) -> list[Array | RowUpdate]:
-        """Results of `jaxpr` on arrays of nodes."""
+        """Add the operations of a jaxpr to the program.
+
+        Args:
+            jaxpr: the program that JAX traced.
+            consts: its constants.
+            args: its arguments, arrays of nodes.
+
+        Returns:
+            Its results, arrays of nodes.
+        """
         known: dict[Any, Array | RowUpdate] = {}
 
         def read(atom: Any) -> Array | RowUpdate:
@@ -47,7 +56,7 @@ class Interpreter(Arrays):
         return [read(atom) for atom in jaxpr.outvars]
 
     def apply(self, eqn: Any, args: list[Array | RowUpdate]) -> list[Array | RowUpdate]:
-        """Results of one operation of JAX."""
+        """Add one of JAX's operations on `args`."""
         name, params = eqn.primitive.name, eqn.params
         if name in CALLS:
             inner = params[CALLS[name]]
@@ -76,13 +85,19 @@ class Interpreter(Arrays):
         raise Unsupported(name)
 
     def trace_expansion(self, function: Callable, args: Sequence[Array], dtypes: Sequence[Any]) -> Array:
-        """What `function` gives, which is written in other primitives."""
+        """Replace an operation by `function`, which is written in other primitives.
+
+        Args:
+            function: function of JAX arrays.
+            args: operands, arrays of nodes.
+            dtypes: their types.
+        """
         shapes = [jax.ShapeDtypeStruct(x.shape, dtype) for x, dtype in zip(args, dtypes, strict=True)]
         traced = jax.make_jaxpr(function)(*shapes)
         return self.resolve_update(self.evaluate(traced.jaxpr, traced.consts, args)[0])
 
     def scan(self, args: list[Array], eqn: Any) -> list[Array]:
-        """A loop, written out where it is short."""
+        """A loop; a short one is unrolled."""
         closed, length = eqn.params["jaxpr"], eqn.params["length"]
         inner = closed.jaxpr
         n_xs = sum(x.ndim != y.aval.ndim for x, y in zip(args, inner.invars, strict=True))
@@ -103,7 +118,7 @@ class Interpreter(Arrays):
         regions = [self._saved(x, outside + 1) for x in carry]
         tables = [self._saved(x, outside + 1) for x in xs]
         with self.program.loop(length) as body:
-            count = self.program.node("count", (), "int32", Count(body.depth))
+            count = self.program.node("count", (), "int32", LoopCount(body.depth))
             state = [self.load_array(r, x.shape, body.depth) for r, x in zip(regions, carry, strict=True)]
             here = [self._looked_up(r, x.shape[1:], count) for r, x in zip(tables, xs, strict=True)]
             results = self.evaluate(inner, closed.consts, [*consts, *state, *here])
@@ -121,19 +136,19 @@ class Interpreter(Arrays):
 
     def _looked_up(self, region: Any, shape: tuple, count: Node) -> Array:
         size = math.prod(shape)
-        place = self.op("mul", "int32", count, self.program.const(size, "int32"))
+        place = self.emit("mul", "int32", count, self.program.const(size, "int32"))
         at = np.arange(size).reshape(shape)
         return build_array(shape, lambda i: self._gathered(region, int(at[i]), place))
 
     def _gathered(self, region: Region, index: int, place: Node) -> Node:
-        return self.program.node("gather", (place,), region.dtype, At(region, index, region.depth, 0), leg=False)
+        return self.program.node("gather", (place,), region.dtype, Address(region, index, region.depth, 0), leg=False)
 
     def cond(self, args: list[Array], eqn: Any) -> list[Array]:
-        """One of the branches where all rollouts go the same way, else all of them."""
+        """One branch if all rollouts agree, else all branches, of which each rollout takes one."""
         branches, (index, *operands) = eqn.params["branches"], args
         which = index[()]
         if which.op == "const":
-            branch = branches[int(value_of(which))]
+            branch = branches[int(constant_value(which))]
             return self.evaluate(branch.jaxpr, branch.consts, operands)
         if not is_uniform(which):
             each = [map(self.resolve_update, self.evaluate(b.jaxpr, b.consts, operands)) for b in branches]
@@ -153,7 +168,7 @@ class Interpreter(Arrays):
 
 
 def _operations(jaxpr: Any) -> int:
-    """Of a program on whole arrays, those of inner ones with it."""
+    """Number of operations on whole arrays in a jaxpr, those of inner ones included."""
     total = 0
     for eqn in jaxpr.eqns:
         inner = [v for v in eqn.params.values() if hasattr(v, "eqns") or hasattr(v, "jaxpr")]

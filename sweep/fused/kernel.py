@@ -1,4 +1,4 @@
-"""Batches through a fused program: the memory of their rollouts, tile by tile of lanes, and threads that take tiles."""
+"""CPU kernels: the memory of a batch in tiles of vector lanes, and the threads that process tiles."""
 
 import ctypes
 import os
@@ -19,48 +19,82 @@ ALIGN = llvm.ALIGN
 
 
 class Code(NamedTuple):
-    """A compiled program, as it is kept."""
+    """A compiled CPU kernel as the cache stores it."""
 
     machine: bytes
     given: list[Leaf]
     carried: list[Leaf]
     recorded: dict[str, Leaf]
-    scratch: int  # bytes that a thread needs
-    form: Any  # the tree of what is carried, True where that is a random key
+    scratch: int  # bytes of scratch memory of a thread
+    form: Any  # tree of the carry: True for random keys
     lanes: int  # rollouts of a tile
 
 
-Tick = Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]]  # of a rollout: given, carried, number
+Tick = Callable[
+    [Any, Any, Array], tuple[Any, dict[str, Array]]
+]  # tick of one rollout: (inputs, carry, number) -> (carry, record)
 
 
-def tile(width: int, cores: int) -> int:
-    """Lanes for `width` rollouts: few as long as no core has two such tiles. Numbers are the same to the bit."""
+def choose_lanes(width: int, cores: int) -> int:
+    """Number of vector lanes for a batch: few as long as no core would get two such tiles. Results do not depend on it.
+
+    Args:
+        width: number of rollouts.
+        cores: number of CPU cores.
+    """
     return llvm.NARROW if width <= llvm.NARROW * cores else llvm.LANES
 
 
 def print_program(
-    function: Tick, given: Any, carried: Any, group: int = GROUP, lanes: int = llvm.LANES
+    function: Tick, inputs: Any, carry: Any, group: int = GROUP, lanes: int = llvm.LANES
 ) -> tuple[Traced, llvm.CpuPrinter]:
-    """A program, and its text as LLVM's assembly; see `traced`. What is given and carried share a memory, in bytes."""
-    program = trace_program(function, given, carried, partial(_laid_out, lanes), together=True, group=group)
-    order = schedule.order(program.top, schedule.used_nodes(program.top))
-    return program, llvm.CpuPrinter(order, schedule.slots(order), group, lanes)
+    """Trace a tick function and print it as LLVM assembly.
+
+    Args:
+        function: tick of one rollout, `(inputs, carry, number) -> (carry, record)`.
+        inputs: shapes of what does not change from tick to tick.
+        carry: shapes of what does.
+        group: how many numbers one operation may give at once, such as the six legs; see `program`.
+        lanes: rollouts of a tile.
+
+    Returns:
+        The program, and a printer that holds its text. Inputs and carry share a memory, whose layout is in bytes.
+    """
+    program = trace_program(function, inputs, carry, partial(_lay_out, lanes), share_memory=True, group=group)
+    order = schedule.order_block(program.top, schedule.used_nodes(program.top))
+    return program, llvm.CpuPrinter(order, schedule.assign_slots(order), group, lanes)
 
 
-def compile_function(function: Tick, given: Any, carried: Any, group: int = GROUP, lanes: int = llvm.LANES) -> Code:
-    """The program of a function, made at once, see `begun`."""
-    return start_compilation(function, given, carried, group, lanes)()
+def compile_function(function: Tick, inputs: Any, carry: Any, group: int = GROUP, lanes: int = llvm.LANES) -> Code:
+    """Compile a tick function for this CPU.
+
+    Args:
+        function: tick of one rollout, `(inputs, carry, number) -> (carry, record)`.
+        inputs: shapes of what does not change from tick to tick.
+        carry: shapes of what does.
+        group: how many numbers one operation may give at once, such as the six legs; see `program`.
+        lanes: rollouts of a tile.
+    """
+    return start_compilation(function, inputs, carry, group, lanes)()
 
 
 def start_compilation(
-    function: Tick, given: Any, carried: Any, group: int = GROUP, lanes: int = llvm.LANES
+    function: Tick, inputs: Any, carry: Any, group: int = GROUP, lanes: int = llvm.LANES
 ) -> Callable[[], Code]:
-    """The rest of `compiled` once its text is there: most of the time, without Python, which can go on meanwhile."""
-    program, text = print_program(function, given, carried, group, lanes)
-    form = jax.tree.map(is_key, carried)
+    """Print a tick function, and return a function that compiles the text; that takes most of the time and no Python.
+
+    Args:
+        function: tick of one rollout, `(inputs, carry, number) -> (carry, record)`.
+        inputs: shapes of what does not change from tick to tick.
+        carry: shapes of what does.
+        group: how many numbers one operation may give at once, such as the six legs; see `program`.
+        lanes: rollouts of a tile.
+    """
+    program, text = print_program(function, inputs, carry, group, lanes)
+    form = jax.tree.map(is_key, carry)
 
     def rest() -> Code:
-        target = llvm.machine()
+        target = llvm.target_machine()
         machine = llvm.compile_text(text.text(target.triple), target)
         return Code(machine, program.given, program.carried, program.recorded, text.scratch, form, lanes)
 
@@ -68,52 +102,58 @@ def start_compilation(
 
 
 def _size(leaf: Leaf, lanes: int) -> int:
-    """Bytes that a leaf takes in all lanes."""
-    return leaf.size * llvm.row(leaf.dtype, lanes)
+    """Bytes of a leaf in all lanes."""
+    return leaf.size * llvm.row_bytes(leaf.dtype, lanes)
 
 
-def _laid_out(lanes: int, shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
-    """Arrays one after the other in memory, in bytes, and where the last ends."""
+def _lay_out(lanes: int, shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
+    """Lay arrays out one after the other. Returns their places in bytes, and the end of the last."""
     leaves = []
     for x in shapes:
         leaves.append(Leaf(start, tuple(x.shape), np.dtype(x.dtype).name))
-        start += llvm.round_up(_size(leaves[-1], lanes))
+        start += llvm.round_to_alignment(_size(leaves[-1], lanes))
     return leaves, start
 
 
 class Kernel:
-    """A program in this process."""
+    """A compiled CPU kernel loaded into this process."""
 
     def __init__(self, code: Code):
         self.code = code
-        self._kept, address = llvm.load_machine_code(code.machine, llvm.machine())
+        self._kept, address = llvm.load_machine_code(code.machine, llvm.target_machine())
         self.run = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3, *[ctypes.c_int64] * 3)(address)
 
-    def enter(self, given: Any, carried: Any, width: int) -> "Tiles":
-        """The memory of `width` rollouts. Leaves with one axis more than the program's differ among them."""
+    def enter(self, inputs: Any, carry: Any, width: int) -> "Tiles":
+        """Put a batch into memory.
+
+        Args:
+            inputs: tree of inputs; leaves with one more axis than the kernel's differ among rollouts.
+            carry: tree of the carry, likewise.
+            width: number of rollouts.
+        """
         tiles = Tiles(self, width)
-        tiles.put(self.code.given, given)
-        tiles.put(self.code.carried, carried)
+        tiles.write(self.code.given, inputs)
+        tiles.write(self.code.carried, carry)
         return tiles
 
 
 class Tiles:
-    """A batch that goes through a program. `which` picks arrays of what is carried, or trees of them."""
+    """A batch in a kernel's memory. `select` picks arrays, or trees of them, from the carry."""
 
     def __init__(self, kernel: Kernel, width: int):
         self.code, self.width, lanes = kernel.code, width, kernel.code.lanes
-        self._kernel = kernel  # whose machine code is gone when nobody holds it
-        self.memory = _aligned(-(-width // lanes), _end(self.code.carried, lanes))
+        self._kernel = kernel  # keeps its machine code alive
+        self.memory = _allocate_aligned(-(-width // lanes), _end(self.code.carried, lanes))
         tree = jax.tree.structure(self.code.form)
         self._places = jax.tree.unflatten(tree, range(tree.num_leaves))
         rooms = range(min(len(os.sched_getaffinity(0)), len(self.memory)))
-        self._scratch = [_aligned(1, self.code.scratch) for _ in rooms]
+        self._scratch = [_allocate_aligned(1, self.code.scratch) for _ in rooms]
 
-    def put(self, leaves: Sequence[Leaf], tree: Any) -> None:
-        """Values of a batch, or one for all of it; the last tile's idle lanes repeat the last rollout."""
+    def write(self, leaves: Sequence[Leaf], tree: Any) -> None:
+        """Write values of a batch, or one for all of it. Idle lanes of the last tile repeat the last rollout."""
         lanes = self.code.lanes
         for leaf, given in zip(leaves, jax.tree.leaves(key_words(tree)), strict=True):
-            values, whole = np.asarray(given), _within(self.memory, leaf, lanes)
+            values, whole = np.asarray(given), _view(self.memory, leaf, lanes)
             if values.ndim == len(leaf.shape):
                 whole[...] = values.reshape(1, leaf.size, 1)
                 continue
@@ -123,19 +163,28 @@ class Tiles:
             if rest:
                 whole[full, :, :rest], whole[full, :, rest:] = rows[-rest:].T, rows[-1][:, None]
 
-    def change(self, which: Callable[[Any], Any], tree: Any) -> None:
-        """Go on with other values of what `which` picks."""
-        self.put([self.code.carried[place] for place in jax.tree.leaves(which(self._places))], tree)
+    def replace(self, select: Callable[[Any], Any], tree: Any) -> None:
+        """Replace the values that `select` picks from the carry by those of `tree`."""
+        self.write([self.code.carried[place] for place in jax.tree.leaves(select(self._places))], tree)
 
     def advance(self, first: int, ticks: int, slots: np.ndarray | None = None) -> dict[str, np.ndarray] | None:
-        """Go on by `ticks`. Records (ticks, slots, ...) of the rollouts in `slots`."""
+        """Run control ticks.
+
+        Args:
+            first: number of the first tick.
+            ticks: how many.
+            slots: rollouts to record; None for none.
+
+        Returns:
+            Records (ticks, slots, ...) by name; None without slots.
+        """
         recorded, lanes = self.code.recorded, self.code.lanes
         size = _end([*recorded.values()], lanes)
         wanted = sorted(set(() if slots is None else (slots // lanes).tolist()))
-        told: dict[Any, np.ndarray] = {tile: _aligned(ticks, size) for tile in wanted}
+        told: dict[Any, np.ndarray] = {tile: _allocate_aligned(ticks, size) for tile in wanted}
 
         def work(thread: int, threads: int) -> None:
-            run, scratch, nowhere = self._kernel.run, self._scratch[thread], _aligned(1, size)
+            run, scratch, nowhere = self._kernel.run, self._scratch[thread], _allocate_aligned(1, size)
             for tile in range(thread, len(self.memory), threads):
                 into = told.get(tile)
                 record, stride = (nowhere, 0) if into is None else (into, size)
@@ -148,42 +197,44 @@ class Tiles:
             work(0, 1)
         if slots is None:
             return None
-        rows = {name: {tile: _got(told[tile], leaf, lanes) for tile in wanted} for name, leaf in recorded.items()}
+        rows = {name: {tile: _unpack(told[tile], leaf, lanes) for tile in wanted} for name, leaf in recorded.items()}
         return {name: np.stack([of[k // lanes][:, k % lanes] for k in slots], axis=1) for name, of in rows.items()}
 
-    def leave(self) -> Any:
-        """What is carried, (width, ...) each."""
-        rows = self.look(lambda carried: carried)
+    def read_all(self) -> Any:
+        """The carry, (width, ...) for each leaf."""
+        rows = self.read(lambda carry: carry)
         return jax.tree.map(lambda x, key: jax.random.wrap_key_data(x) if key else x, rows, self.code.form)
 
-    def look(self, which: Callable[[Any], Any]) -> Any:
-        """What `which` picks, (width, ...) each, without the others."""
+    def read(self, select: Callable[[Any], Any]) -> Any:
+        """The values that `select` picks from the carry, (width, ...) each."""
 
         def rows(place: int) -> np.ndarray:
             leaf, lanes = self.code.carried[place], self.code.lanes
-            return np.array(_got(self.memory, leaf, lanes).reshape(len(self.memory) * lanes, *leaf.shape)[: self.width])
+            return np.array(
+                _unpack(self.memory, leaf, lanes).reshape(len(self.memory) * lanes, *leaf.shape)[: self.width]
+            )
 
-        return jax.tree.map(rows, which(self._places))
+        return jax.tree.map(rows, select(self._places))
 
 
-def _aligned(rows: int, size: int) -> np.ndarray:
-    """Memory of rows that begin where vectors may."""
+def _allocate_aligned(rows: int, size: int) -> np.ndarray:
+    """Memory whose rows are aligned for vectors."""
     raw = np.zeros(rows * size + ALIGN, np.uint8)
     start = -raw.ctypes.data % ALIGN
     return raw[start : start + rows * size].reshape(rows, size)
 
 
 def _end(leaves: Sequence[Leaf], lanes: int) -> int:
-    """Bytes up to where arrays end that lie one after the other."""
-    return max((leaf.place + llvm.round_up(_size(leaf, lanes)) for leaf in leaves), default=ALIGN)
+    """Bytes up to the end of arrays that lie one after the other."""
+    return max((leaf.place + llvm.round_to_alignment(_size(leaf, lanes)) for leaf in leaves), default=ALIGN)
 
 
-def _within(memory: np.ndarray, leaf: Leaf, lanes: int) -> np.ndarray:
-    """An array in memory (rows of memory, numbers, lanes)."""
+def _view(memory: np.ndarray, leaf: Leaf, lanes: int) -> np.ndarray:
+    """View of an array in memory: (rows of memory, numbers, lanes)."""
     found = memory[:, leaf.place : leaf.place + _size(leaf, lanes)].view(leaf.dtype)
     return found.reshape(len(memory), leaf.size, lanes)
 
 
-def _got(memory: np.ndarray, leaf: Leaf, lanes: int) -> np.ndarray:
-    """Values (rows of memory, lanes, ...)."""
-    return _within(memory, leaf, lanes).transpose(0, 2, 1).reshape(len(memory), lanes, *leaf.shape)
+def _unpack(memory: np.ndarray, leaf: Leaf, lanes: int) -> np.ndarray:
+    """Values of an array: (rows of memory, lanes, ...)."""
+    return _view(memory, leaf, lanes).transpose(0, 2, 1).reshape(len(memory), lanes, *leaf.shape)

@@ -1,54 +1,54 @@
-"""Before a GPU's text is printed: an order in which few values are alive, parts, and which numbers are legs'."""
+"""Preparation of a GPU kernel: an order in which few values are alive, parts, and rows of the legs' numbers."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from sweep.fused.program import (
-    At,
+    Address,
     Block,
     Branch,
     Const,
     Extra,
-    HandedOn,
+    LegIndex,
+    LegReduction,
     Loop,
     Node,
-    OneOf,
-    Over,
     Region,
     Store,
-    inside,
+    StoredNode,
+    walk_block,
 )
 
-ANEW = frozenset(("const", "load", "tick"))  # worked out again wherever it is needed
-LARGE = 1 << 30  # operations of a value, those of a shared operand counted for each use
-Place = tuple[Region, int]  # a number, or six that are a number of each leg's
-Rows = dict[Place, tuple[int, int, int]]  # see `rows`
+RECOMPUTED = frozenset(("const", "load", "tick"))  # operations that are repeated wherever their value is needed
+LARGE = 1 << 30  # cap on the count of a value's operations, which counts shared operands for each use
+Place = tuple[Region, int]  # place of a number in memory, or of the six of the legs
+Rows = dict[Place, tuple[int, int, int]]  # see `find_leg_rows`
 
 
 class Part(NamedTuple):
-    """A part of a block: what is to be done in order, then stores."""
+    """A part of a block: operations in order, then stores."""
 
     items: list[Any]
     stores: list[Store]
-    together: bool  # with the legs in lanes of a warp; else each thread has all legs of a rollout
+    legs_in_lanes: bool  # whether lanes of a warp have the legs; else each thread has a rollout with all legs
 
 
-def depth_first(block: Block, needed: set[int]) -> Iterator[Any]:
-    """What is to be done, a value soon before it is used: few are alive at a time."""
+def order_depth_first(block: Block, needed: set[int]) -> Iterator[Any]:
+    """Items of a block in an order that computes each value shortly before its use, so that few are alive at a time."""
     straight: dict[int, Node] = {}
     for item in [*block.items, None]:
         if isinstance(item, Node):
             if item.number in needed and item.op not in ("const", "load"):
                 straight[item.number] = item
             continue
-        yield from _ordered(straight)
+        yield from _order_nodes(straight)
         straight = {}
         if item is not None:
             yield item
 
 
-def _ordered(nodes: dict[int, Node]) -> Iterator[Node]:
+def _order_nodes(nodes: dict[int, Node]) -> Iterator[Node]:
     inner = {arg.number for node in nodes.values() for arg in node.args}
     size: dict[int, int] = {}
     for node in nodes.values():
@@ -69,22 +69,29 @@ def _ordered(nodes: dict[int, Node]) -> Iterator[Node]:
             yield pending.pop()
 
 
-def rows(top: Block, needed: set[int], group: int) -> tuple[Rows, list[Region]]:
-    """Of inner memory, the numbers that are always read and written as six of the legs: (first, step, which).
+def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[Rows, list[Region]]:
+    """Find the numbers of inner memory that are always read and written as the six of the legs.
 
-    And the regions that have to be memory, since they are looked up by place or read in other rows than written.
+    Args:
+        top: outermost block.
+        needed: numbers of the nodes that are used.
+        group: number of legs.
+
+    Returns:
+        For each number (first index of its row, step, leg); and the regions that have to lie in memory, because they
+        are indexed by place or are read in other rows than written.
     """
     rows: dict[Place, tuple[int, int, int]] = {}
     memory: dict[Region, None] = {}
     uses: list[tuple[Region, int, int]] = []
-    for x in inside(top):
+    for x in walk_block(top):
         if isinstance(x, Store) and x.value.leg:
             uses.append((x.region, x.index, x.step))
         elif isinstance(x, Node) and x.number in needed and x.op == "load" and x.leg:
-            region, index, _, step = x.attribute(At)
+            region, index, _, step = x.attribute(Address)
             uses.append((region, index, step))
-        elif isinstance(x, Node) and x.number in needed and x.op == "gather" and x.attribute(At).region.place < 0:
-            memory[x.attribute(At).region] = None
+        elif isinstance(x, Node) and x.number in needed and x.op == "gather" and x.attribute(Address).region.place < 0:
+            memory[x.attribute(Address).region] = None
         if isinstance(x, Store) and x.row and x.region.place < 0:
             memory[x.region] = None
     for region, index, step in uses:
@@ -95,41 +102,52 @@ def rows(top: Block, needed: set[int], group: int) -> tuple[Rows, list[Region]]:
     return {place: row for place, row in rows.items() if place[0] not in memory}, list(memory)
 
 
-def parts(block: Block, needed: set[int], last: Region | None, group: int, few: bool, rows: Rows) -> list[Part]:
-    """A block in parts: its loops, and what is between them, which has a thread for each rollout but for `few`.
+def split_into_parts(
+    block: Block, needed: set[int], last: Region | None, group: int, small_batch: bool, rows: Rows
+) -> list[Part]:
+    """Split a block into parts: its loops, and what lies between them.
 
-    A result is put into memory as soon as it is there and nothing asks any more for what was there; `last` at the end.
+    A loop has the legs in lanes of a warp. What lies between loops has a thread for each rollout, unless `small_batch`.
+    A result is stored as soon as it is known and nothing needs the old value.
+
+    Args:
+        block: body of the loop over ticks.
+        needed: numbers of the nodes that are used.
+        last: region that is stored at the end.
+        group: number of legs.
+        small_batch: whether all parts have the legs in lanes.
+        rows: see `find_leg_rows`.
     """
-    made = [part._replace(together=few or part.together) for part in _cut(block, needed)]
+    made = [part._replace(legs_in_lanes=small_batch or part.legs_in_lanes) for part in _cut_at_loops(block, needed)]
     home: dict[int | Region, int] = {}
     for k, part in enumerate(made):
         home |= {item.number: k for item in part.items if isinstance(item, Node)}
         home |= {x.region: k for item in part.items for x in (item, *items_inside(item)) if isinstance(x, Store)}
-    asked: dict[Any, int] = {}  # the last part that reads a place, or by place somewhere in a region
+    asked: dict[Any, int] = {}  # last part that reads a place, or that indexes a region
     for k, part in enumerate(made):
-        for node in operands(part, needed):
+        for node in part_operands(part, needed):
             asked |= dict.fromkeys(_places(node, group), k)
-    stores = _by_legs(block.stores, rows, group)
+    stores = _merge_leg_stores(block.stores, rows, group)
     late = [store for store in stores if store.region is last or _is_outer_load(store.value)]
     for store in late:
         asked |= dict.fromkeys(_places(store.value, group), len(made) - 1)
     for store in stores:
         places = [(store.region, store.index + k * store.step) for k in (range(group) if store.value.leg else (0,))]
-        if store.row:  # it may be any row of the region
+        if store.row:  # it may write any row of the region
             places += [place for place in asked if isinstance(place, tuple) and place[0] is store.region]
         free = max(asked.get(place, 0) for place in (*places, store.region))
-        of = store.value.attribute(At).region if store.value.op == "load" else store.value.number
+        of = store.value.attribute(Address).region if store.value.op == "load" else store.value.number
         k = len(made) - 1 if store in late else max(free, home.get(of, 0))
         made[k].stores.append(store)
     return [part for part in made if part.items or part.stores]
 
 
-def _by_legs(stores: Sequence[Store], rows: Rows, group: int) -> list[Store]:
-    """These stores, with one for all legs in place of those that each put away one leg's number of a row."""
+def _merge_leg_stores(stores: Sequence[Store], rows: Rows, group: int) -> list[Store]:
+    """Merge stores that each write one leg's number of a row into one store for all legs."""
     found: dict[tuple[Region, Place], list[Store | None]] = {}
     for store in stores:
         if store.value.op == "load" and not store.value.leg and not store.row:
-            region, index, _, _ = store.value.attribute(At)
+            region, index, _, _ = store.value.attribute(Address)
             if row := rows.get((region, index)):
                 found.setdefault((store.region, (region, row[0])), [None] * group)[row[2]] = store
     made, done = [], set()
@@ -138,22 +156,22 @@ def _by_legs(stores: Sequence[Store], rows: Rows, group: int) -> list[Store]:
         step = whole[1].index - whole[0].index if len(whole) == group else 0
         if step > 0 and [store.index - whole[0].index for store in whole] == [k * step for k in range(group)]:
             like = whole[0].value
-            at = At(region, first, like.attribute(At).depth, rows[region, first][1])
+            at = Address(region, first, like.attribute(Address).depth, rows[region, first][1])
             value = Node("load", (), at, like.dtype, True, (like.number, "legs"), like.block)
             made.append(replace(whole[0], value=value, step=step))
             done |= {id(store) for store in whole}
     return [store for store in stores if id(store) not in done] + made
 
 
-def _cut(block: Block, needed: set[int]) -> list[Part]:
+def _cut_at_loops(block: Block, needed: set[int]) -> list[Part]:
     made, begun = [Part([], [], False)], []
-    for item in depth_first(Block(block.depth, _around_branches(block, needed)), needed):
-        if isinstance(item, Store):  # of what a loop begins with: there may be operations between it and the loop
+    for item in order_depth_first(Block(block.depth, _around_branches(block, needed)), needed):
+        if isinstance(item, Store):  # the start of a loop's carry; operations may lie between it and the loop
             begun.append(item)
         elif isinstance(item, Loop):
             made += [Part([*begun, item], [], True), Part([], [], False)]
             begun = []
-        elif isinstance(item, Branch) and _of_legs(item, needed):
+        elif isinstance(item, Branch) and _is_for_legs(item, needed):
             if not made[-1].items and len(made) > 1 and isinstance(made[-2].items[-1], Branch):
                 made[-2].items.append(item)
             else:
@@ -164,21 +182,23 @@ def _cut(block: Block, needed: set[int]) -> list[Part]:
 
 
 def _around_branches(block: Block, needed: set[int]) -> list[Any]:
-    """Items of a block in an order in which the branches of the legs after its last loop cut it into few parts.
+    """Order a block's items so that branches over the legs after its last loop cut it into few parts.
 
-    All that does not depend on these branches goes before them, and the rest after them, so that one part has to hand
-    little on to the next. Only operations on inputs alone wait until something needs them.
+    Everything that does not depend on these branches goes before them, and the rest after them, so that few values pass
+    from one part to the next. Operations on inputs alone wait until something needs them.
     """
     start = max((k + 1 for k, item in enumerate(block.items) if isinstance(item, Loop)), default=0)
     head, tail = block.items[:start], block.items[start:]
-    branches = [x for x in tail if isinstance(x, Branch) and _of_legs(x, needed)]
-    late: set[Any] = set()  # what depends on such a branch: items, and regions that they write to
-    plain: set[Any] = set()  # nodes worked out from inputs alone
+    branches = [x for x in tail if isinstance(x, Branch) and _is_for_legs(x, needed)]
+    late: set[Any] = set()  # items that depend on such a branch, and regions that they write to
+    plain: set[Any] = set()  # nodes computed from inputs alone
     early: list[Any] = []
     for item in tail:
         operands = _operands(item, needed) or [item]
-        if item in branches or any(x in late or (x.op == "load" and x.attribute(At).region in late) for x in operands):
-            late |= {item, *_written(item)}
+        if item in branches or any(
+            x in late or (x.op == "load" and x.attribute(Address).region in late) for x in operands
+        ):
+            late |= {item, *_written_regions(item)}
         elif isinstance(item, Node) and all(_is_input(x, block) or x in plain for x in operands):
             plain.add(item)
         else:
@@ -193,52 +213,57 @@ def _around_branches(block: Block, needed: set[int]) -> list[Any]:
     ]
 
 
-def _written(item: Any) -> set[Region]:
-    """The regions that a branch or loop writes to."""
+def _written_regions(item: Any) -> set[Region]:
+    """Regions that a branch or loop stores to."""
     return {x.region for x in items_inside(item) if isinstance(x, Store)}
 
 
 def _operands(item: Any, needed: set[int] | None = None) -> list[Node]:
-    """All that an item of a block is worked out from, what is in a branch with it; all operations by default."""
+    """All operands of an item of a block, those inside a branch included; by default of all operations."""
     nodes = [x for x in (item, *items_inside(item)) if isinstance(x, Node) and (needed is None or x.number in needed)]
     stored = [x.value for x in items_inside(item) if isinstance(x, Store)]
     return [*(arg for x in nodes for arg in x.args), *stored, *([item.index] if isinstance(item, Branch) else [])]
 
 
 def _is_input(node: Node, block: Block) -> bool:
-    """Whether it can be read anywhere in `block`: it lies in outer memory, or was worked out before."""
-    return _is_outer_load(node) or (node.op in ANEW and node.op != "load") or node.block is not block
+    """Whether a node can be read anywhere in `block`: it lies in outer memory, or was computed before."""
+    return _is_outer_load(node) or (node.op in RECOMPUTED and node.op != "load") or node.block is not block
 
 
 def _is_outer_load(node: Node) -> bool:
-    return node.op == "load" and node.attribute(At).region.place >= 0
+    return node.op == "load" and node.attribute(Address).region.place >= 0
 
 
 def _with_operands(items: list[Any], tail: list[Any], needed: set[int], among: set[Any]) -> set[Any]:
-    """These items, and those of `tail` from which they are worked out, directly or not, as far as they are `among`."""
+    """These items, and those of `tail` that they depend on, directly or not, as far as they are `among`."""
     found = {*items}
     for item in reversed(tail):
-        if item in found or not found.isdisjoint(_written(item)):
+        if item in found or not found.isdisjoint(_written_regions(item)):
             operands = _operands(item, needed)
-            read = {x.attribute(At).region for x in operands if x.op == "load"}
+            read = {x.attribute(Address).region for x in operands if x.op == "load"}
             found |= {item} | among.intersection(operands) | among.intersection(read)
     return found
 
 
-def _of_legs(branch: Branch, needed: set[int]) -> bool:
-    """Whether most of it is one operation for the legs."""
-    nodes = [x for x in items_inside(branch) if isinstance(x, Node) and x.number in needed and x.op not in ANEW]
+def _is_for_legs(branch: Branch, needed: set[int]) -> bool:
+    """Whether most of a branch are operations for all legs at once."""
+    nodes = [x for x in items_inside(branch) if isinstance(x, Node) and x.number in needed and x.op not in RECOMPUTED]
     return 2 * sum(x.leg for x in nodes) > len(nodes)
 
 
 def items_inside(item: Any) -> Iterator[Any]:
-    """All that is in a loop or branch."""
+    """All items in a loop or branch."""
     for block in [item.body] if isinstance(item, Loop) else item.blocks if isinstance(item, Branch) else ():
-        yield from inside(block)
+        yield from walk_block(block)
 
 
-def operands(part: Part, needed: set[int]) -> Iterator[Node]:
-    """What all of a part is worked out from, inner blocks with it, but for what branches go by."""
+def part_operands(part: Part, needed: set[int]) -> Iterator[Node]:
+    """Operands of all items of a part, inner blocks included, without the indices of branches.
+
+    Args:
+        part: the part.
+        needed: numbers of the nodes that are used.
+    """
     for one in [*part.items, *part.stores]:
         for item in (one, *items_inside(one)):
             if isinstance(item, Node) and item.number in needed:
@@ -250,29 +275,29 @@ def operands(part: Part, needed: set[int]) -> Iterator[Node]:
 def _places(node: Node, group: int) -> list[Any]:
     if node.op not in ("load", "gather"):
         return []
-    region, index, _, step = node.attribute(At)
+    region, index, _, step = node.attribute(Address)
     if node.op == "gather":
         return [region]
     return [(region, index + k * step) for k in (range(group) if node.leg else (0,))]
 
 
-class Alone:
-    """A part without legs: what was one operation for them is as many as there are legs."""
+class ThreadPart:
+    """A part in which each thread has a rollout: one operation for all legs becomes one operation for each leg."""
 
     def __init__(self, part: Part, needed: set[int], group: int):
         self.group = group
         self.made: dict[int, list[Node]] = {}
         self.items = [x for item in part.items for x in self._item(item, needed)]
         self.stores = [x for store in part.stores for x in self._store(store)]
-        self.early = self._early()
+        self.early = self._early_stores()
 
-    def _early(self) -> dict[int, list[Store]]:
-        """By the place among the items after which they can be made, stores that need not wait for the part's end.
+    def _early_stores(self) -> dict[int, list[Store]]:
+        """Stores that need not wait for the end of the part, by the index of the item after which they can be made.
 
-        These are of values that are worked out by then, at places that nothing in the part reads any more.
+        Their values are computed by then, and nothing in the part reads their places any more.
         """
         made = {item.number: k for k, item in enumerate(self.items) if isinstance(item, Node)}
-        read: dict[Any, int] = {}  # the last item that reads a place, or by place somewhere in a region
+        read: dict[Any, int] = {}  # last item that reads a place, or that indexes a region
         for k, item in enumerate(self.items):
             for node in _operands(item):
                 read |= dict.fromkeys(_places(node, self.group), k)
@@ -289,7 +314,7 @@ class Alone:
         return early
 
     def values_by_leg(self, node: Node) -> list[Node]:
-        """What a node has become: one for each leg, or one."""
+        """Nodes that take the place of a node: one for each leg, or a single one."""
         if node.number not in self.made:
             if not node.leg:
                 return [node]
@@ -297,16 +322,16 @@ class Alone:
                 case "const":
                     extras = [Const((bits,)) for bits in node.attribute(Const).bits]
                 case "load":
-                    extras = node.attribute(At).each(self.group)
-                case _:  # of another part
-                    extras = [HandedOn(node.number, k) for k in range(self.group)]
-            op = node.op if node.op in ANEW else "handed_on"
+                    extras = node.attribute(Address).leg_addresses(self.group)
+                case _:  # a node of another part
+                    extras = [StoredNode(node.number, k) for k in range(self.group)]
+            op = node.op if node.op in RECOMPUTED else "handed_on"
             self.made[node.number] = [self._node(node, op, (), extra, k) for k, extra in enumerate(extras)]
         return self.made[node.number]
 
     @staticmethod
-    def _node(like: Node, op: str, args: Sequence[Node], extra: Extra, k: Any) -> Node:
-        return Node(op, tuple(args), extra, like.dtype, False, (like.number, k), like.block)
+    def _node(original: Node, op: str, args: Sequence[Node], extra: Extra, k: Any) -> Node:
+        return Node(op, tuple(args), extra, original.dtype, False, (original.number, k), original.block)
 
     def _item(self, item: Any, needed: set[int]) -> list[Any]:
         if isinstance(item, Store):
@@ -321,10 +346,10 @@ class Alone:
                 self.made[item.number] = [x[0] for x in args]
                 return []
             case "part":
-                self.made[item.number] = [args[0][item.attribute(OneOf).leg]]
+                self.made[item.number] = [args[0][item.attribute(LegIndex).leg]]
                 return []
             case "over_legs":  # opposite legs first, then the pairs in order
-                x, made, half, op = args[0], [], self.group // 2, item.attribute(Over).op
+                x, made, half, op = args[0], [], self.group // 2, item.attribute(LegReduction).op
                 for k in range(half):
                     made.append(self._node(item, op, (x[k], x[k + half]), None, k))
                 for k in range(1, half):
@@ -336,15 +361,15 @@ class Alone:
                 pass
         legs = range(self.group) if item.leg else [0]
         extras = [item.extra] * self.group
-        if isinstance(item.extra, At) and item.leg:
-            extras = item.extra.each(self.group)
+        if isinstance(item.extra, Address) and item.leg:
+            extras = item.extra.leg_addresses(self.group)
         made = [self._node(item, item.op, [x[k % len(x)] for x in args], extras[k], k) for k in legs]
         self.made[item.number] = made
         return made
 
     def _block(self, block: Block, needed: set[int]) -> Block:
         made = Block(block.depth)
-        made.items = [x for item in depth_first(block, needed) for x in self._item(item, needed)]
+        made.items = [x for item in order_depth_first(block, needed) for x in self._item(item, needed)]
         made.stores = [x for store in block.stores for x in self._store(store)]
         return made
 

@@ -1,4 +1,4 @@
-"""A batch through a fused kernel on a GPU, within a program of XLA's, which has the memory and the devices."""
+"""GPU kernels: a batch goes through a fused kernel inside an XLA program, which owns memory and devices."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -13,118 +13,155 @@ from sweep.fused import cuda, driver, schedule
 from sweep.fused.randomness import key_words, restore_keys
 from sweep.fused.trace import GROUP, Leaf, Traced, trace_program
 
-BLOCK = cuda.lanes_of(GROUP) * cuda.WARPS  # rollouts that a block of threads has at least, of robots
-TURNS = 25  # times as many that it has at most
-OPTIONS = {"xla_gpu_graph_min_graph_size": 1 << 30}  # no graphs of kernels, from which one long kernel gains nothing
+BLOCK = cuda.rollouts_per_warp(GROUP) * cuda.WARPS  # smallest number of rollouts in a thread block
+TURNS = 25  # largest factor by which a block has more
+OPTIONS = {"xla_gpu_graph_min_graph_size": 1 << 30}  # CUDA graphs do not help one long kernel
 
 
 class Ptx(NamedTuple):
-    """A compiled program, and where its arrays lie in the memory of rollouts."""
+    """A GPU kernel as PTX text, and the places of its arrays in the memory of a rollout."""
 
     text: str
     given: list[Leaf]
     carried: list[Leaf]
     recorded: dict[str, Leaf]
-    words: int  # of what is carried, and of the kernel's own
+    words: int  # words of a rollout: its carry, and the kernel's own
     ticks: int
-    room: int  # for rollouts that are recorded
-    rollouts: int  # of a block of threads
+    room: int  # number of rollouts that can be recorded
+    rollouts: int  # rollouts of a thread block
 
 
-Tick = Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]]  # of a rollout: given, carried, number
+Tick = Callable[
+    [Any, Any, Array], tuple[Any, dict[str, Array]]
+]  # tick of one rollout: (inputs, carry, number) -> (carry, record)
 
 
-def compiled(
+def compile_to_ptx(
     function: Tick,
-    given: Any,
-    carried: Any,
-    over: Callable[[Any], Any],
+    inputs: Any,
+    carry: Any,
+    is_over: Callable[[Any], Any],
     ticks: int,
-    room: int,
+    record_capacity: int,
     width: int,
     group: int = GROUP,
-    few: bool = False,
+    small_batch: bool = False,
 ) -> Ptx:
-    """See `trace_program`. `over` picks the array of what is carried that tells a rollout without anything to come.
+    """Compile a tick function for an NVIDIA GPU.
 
-    Blocks have as many rollouts as make use of all multiprocessors, of a batch of `width`; with `few` it is compiled
-    sooner, as each part of it has the legs in lanes.
+    Args:
+        function: tick of one rollout, `(inputs, carry, number) -> (carry, record)`.
+        inputs: shapes of what does not change from tick to tick.
+        carry: shapes of what does.
+        is_over: picks from the carry the flag of a rollout that has ended.
+        ticks: number of ticks in one launch.
+        record_capacity: number of rollouts that can be recorded.
+        width: number of rollouts; blocks are sized so that all multiprocessors are busy.
+        group: how many numbers one operation may give at once, such as the six legs; see `program`.
+        small_batch: whether all parts have the legs in lanes of a warp, which compiles sooner.
     """
 
-    with cuda.compiler() as compiler:
-        program, printer = print_program(function, given, carried, over, ticks, room, width, group, few)
+    with cuda.ptx_compiler() as compiler:
+        program, printer = print_program(
+            function, inputs, carry, is_over, ticks, record_capacity, width, group, small_batch
+        )
         text = compiler(printer.text())
-    return Ptx(text, program.given, program.carried, program.recorded, printer.words, ticks, room, printer.rollouts)
+    return Ptx(
+        text, program.given, program.carried, program.recorded, printer.words, ticks, record_capacity, printer.rollouts
+    )
 
 
 def print_program(
     function: Tick,
-    given: Any,
-    carried: Any,
-    over: Callable[[Any], Any],
+    inputs: Any,
+    carry: Any,
+    is_over: Callable[[Any], Any],
     ticks: int,
-    room: int,
+    record_capacity: int,
     width: int,
     group: int = GROUP,
-    few: bool = False,
+    small_batch: bool = False,
 ) -> tuple[Traced, cuda.GpuPrinter]:
-    """The program and its text as LLVM's assembly for a GPU, for the arguments of `compiled`."""
+    """Trace a tick function and print it as LLVM assembly for a GPU, see `compile_to_ptx`.
 
-    def recorded(given: Any, carried: Any, number: Array) -> tuple[Any, dict[str, Array]]:
-        carried, record = function(given, carried, number)
-        return carried, record if room else {}
+    Args:
+        function: tick of one rollout.
+        inputs: shapes of what does not change from tick to tick.
+        carry: shapes of what does.
+        is_over: picks from the carry the flag of a rollout that has ended.
+        ticks: number of ticks in one launch.
+        record_capacity: number of rollouts that can be recorded.
+        width: number of rollouts.
+        group: how many numbers one operation may give at once.
+        small_batch: whether all parts have the legs in lanes of a warp.
 
-    program = trace_program(recorded, given, carried, _laid_out, together=False, group=group)
-    tree = jax.tree.structure(carried)
-    flag = program.carried[over(jax.tree.unflatten(tree, range(tree.num_leaves)))].place
-    sizes = _end(program.given), _end(program.carried), _end([*program.recorded.values()])
-    turns, needed = _turns(width, group), schedule.used_nodes(program.top)
-    return program, cuda.GpuPrinter(program.top, needed, sizes, ticks, flag, room, turns, group, few)
-
-
-def run(code: Ptx, given: Any, carried: Any, first: Array, kept: Int[Array, " room"] | None) -> tuple[Any, Any]:
-    """What is carried after all ticks from `first` on, and records (ticks, room, ...) of the rollouts `kept`.
-
-    Leaves of `given` may be the same for all rollouts.
+    Returns:
+        The program, and a printer that holds its text.
     """
-    like, tree = jax.tree.flatten(carried)
+
+    def recorded(inputs: Any, carry: Any, number: Array) -> tuple[Any, dict[str, Array]]:
+        carry, record = function(inputs, carry, number)
+        return carry, record if record_capacity else {}
+
+    program = trace_program(recorded, inputs, carry, _lay_out, share_memory=False, group=group)
+    tree = jax.tree.structure(carry)
+    flag = program.carried[is_over(jax.tree.unflatten(tree, range(tree.num_leaves)))].place
+    sizes = _end(program.given), _end(program.carried), _end([*program.recorded.values()])
+    turns, needed = _rollouts_factor(width, group), schedule.used_nodes(program.top)
+    return program, cuda.GpuPrinter(program.top, needed, sizes, ticks, flag, record_capacity, turns, group, small_batch)
+
+
+def run_kernel(code: Ptx, inputs: Any, carry: Any, first: Array, slots: Int[Array, " room"] | None) -> tuple[Any, Any]:
+    """Run a GPU kernel over a batch, within a function that XLA compiles.
+
+    Args:
+        code: the kernel.
+        inputs: tree of inputs; leaves without a batch axis are shared by all rollouts.
+        carry: tree of the carry, with leading batch axis.
+        first: number of the first tick.
+        slots: indices of the recorded rollouts (room,); None for none.
+
+    Returns:
+        The carry after all ticks of a launch, and records (ticks, room, ...) by name.
+    """
+    like, tree = jax.tree.flatten(carry)
     width = len(like[0])
-    state = _packed(code, code.carried, like, width, code.words)
+    state = _pack(code, code.carried, like, width, code.words)
     operands = [
-        _packed(code, code.given, jax.tree.leaves(given), width, _end(code.given)),
+        _pack(code, code.given, jax.tree.leaves(inputs), width, _end(code.given)),
         jnp.asarray(first, jnp.int32),
         state,
     ]
     places = jnp.zeros(0, jnp.int32)
-    if kept is not None:
+    if slots is not None:
         places = jnp.full(state.shape[0] * code.rollouts, code.room, jnp.int32)
-        places = places.at[kept].min(jnp.arange(code.room, dtype=jnp.int32))
+        places = places.at[slots].min(jnp.arange(code.room, dtype=jnp.int32))
         numbers = _end([*code.recorded.values()])
         operands += [places, jnp.zeros((code.ticks, code.room + 1, numbers), jnp.uint32)]
-    moved, *record = call(code, operands)
+    moved, *record = call_kernel(code, operands)
     rows = moved.transpose(0, 2, 1).reshape(-1, code.words)[:width]
-    after = [restore_keys(_got(rows, leaf), x) for leaf, x in zip(code.carried, like, strict=True)]
+    after = [restore_keys(_unpack(rows, leaf), x) for leaf, x in zip(code.carried, like, strict=True)]
     after = jax.tree.unflatten(tree, after)
-    if kept is None:
+    if slots is None:
         return after, None
-    record = record[0][:, places[kept]]
-    return after, {name: _got(record, leaf) for name, leaf in code.recorded.items()}
+    record = record[0][:, places[slots]]
+    return after, {name: _unpack(record, leaf) for name, leaf in code.recorded.items()}
 
 
-def call(code: Ptx, operands: Sequence[Array]) -> Sequence[Array]:
-    """The operands that the kernel changes: state, and records where there are any."""
+def call_kernel(code: Ptx, operands: Sequence[Array]) -> Sequence[Array]:
+    """Call the kernel from XLA. Returns the operands that it changes: the state, and the records if any."""
     changed = [2] if len(operands) == 3 else [2, 4]
-    return driver.call(driver.start_translation(code.text), 32 * cuda.WARPS, operands, changed)
+    return driver.call_kernel(driver.start_translation(code.text), 32 * cuda.WARPS, operands, changed)
 
 
-def _turns(width: int, group: int) -> int:
-    """Times the least rollouts that a block has, so that every multiprocessor has one block."""
+def _rollouts_factor(width: int, group: int) -> int:
+    """By how much a block has more rollouts than the least, so that every multiprocessor has one block."""
     cores = getattr(jax.devices()[0], "core_count", None) or 1
-    return min(TURNS, -(-width // (cores * cuda.lanes_of(group) * cuda.WARPS)))
+    return min(TURNS, -(-width // (cores * cuda.rollouts_per_warp(group) * cuda.WARPS)))
 
 
-def _laid_out(shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
-    """Arrays one after the other, each number a word."""
+def _lay_out(shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
+    """Lay arrays out one after the other, a word for each number."""
     leaves = []
     for x in shapes:
         leaves.append(Leaf(start, tuple(x.shape), np.dtype(x.dtype).name))
@@ -136,10 +173,10 @@ def _end(leaves: Sequence[Leaf]) -> int:
     return max((leaf.place + leaf.size for leaf in leaves), default=1)
 
 
-def _packed(
+def _pack(
     code: Ptx, leaves: Sequence[Leaf], values: Sequence[Array], width: int, size: int
 ) -> UInt32[Array, "blocks size rollouts"]:
-    """Arrays of a batch, those of each block together; rollouts beyond its width repeat the last."""
+    """Memory of a batch in blocks; rollouts beyond its width repeat the last."""
     rollouts = -(-width // code.rollouts) * code.rollouts
 
     def column(x: Array, leaf: Leaf) -> Array:
@@ -153,7 +190,7 @@ def _packed(
     return rows.reshape(-1, code.rollouts, size).transpose(0, 2, 1)
 
 
-def _got(rows: UInt32[Array, "*batch numbers"], leaf: Leaf) -> Array:
+def _unpack(rows: UInt32[Array, "*batch numbers"], leaf: Leaf) -> Array:
     """An array from the last axis of memory."""
     bits = rows[..., leaf.place : leaf.place + leaf.size].reshape(*rows.shape[:-1], *leaf.shape)
     return bits != 0 if leaf.dtype == "bool" else lax.bitcast_convert_type(bits, leaf.dtype)

@@ -1,6 +1,6 @@
-"""The program as LLVM's assembly, rollouts in the lanes of vectors, and its compilation for this processor.
+"""CPU code: the program as LLVM assembly with rollouts in vector lanes, and its compilation for this processor.
 
-A rollout's numbers depend neither on the rollouts beside it nor on how many there are.
+A rollout's results depend neither on its neighbours nor on their number.
 """
 
 from collections.abc import Sequence
@@ -9,29 +9,47 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 
-from sweep.fused.program import At, Branch, Count, Loop, Node, OneOf, Over, Region, Store, value_of
-from sweep.fused.schedule import Order, Slots, Turn, regions
+from sweep.fused.program import (
+    Address,
+    Branch,
+    LegIndex,
+    LegReduction,
+    Loop,
+    LoopCount,
+    Node,
+    Region,
+    Store,
+    constant_value,
+)
+from sweep.fused.schedule import Order, Slots, Turn, used_regions
 from sweep.fused.text import TYPES, Text
 
-LANES, NARROW = 16, 4  # rollouts of a tile; a narrow one takes half as long
+LANES, NARROW = 16, 4  # rollouts of a tile; a narrow tile takes half as long
 ALIGN = 64  # bytes
-FIRST = {"add": -0.0, "mul": 1, "max": -np.inf, "min": np.inf, "and": True, "or": False}  # of a reduction over the legs
+FIRST = {
+    "add": -0.0,
+    "mul": 1,
+    "max": -np.inf,
+    "min": np.inf,
+    "and": True,
+    "or": False,
+}  # start of a reduction over the legs
 
 
-def row(dtype: str, lanes: int) -> int:
-    """Bytes of a number's lanes in memory."""
+def row_bytes(dtype: str, lanes: int) -> int:
+    """Bytes of one number in all lanes."""
     return lanes * np.dtype(dtype).itemsize
 
 
-def round_up(size: int) -> int:
-    """Bytes after which memory is aligned again."""
+def round_to_alignment(size: int) -> int:
+    """Round bytes up to a multiple of the alignment."""
     return -(-size // ALIGN) * ALIGN
 
 
 class CpuPrinter(Text):
-    """The text of a function `run(rollouts, scratch, record, stride, first, ticks)`.
+    """Prints a program as an LLVM function `run(rollouts, scratch, record, stride, first, ticks)`.
 
-    `record` goes on by `stride` bytes each tick; `first` is the number of the first tick.
+    `record` advances by `stride` bytes each tick; `first` is the number of the first tick.
     """
 
     def __init__(self, top: Order, slots: Slots, group: int, lanes: int):
@@ -39,17 +57,17 @@ class CpuPrinter(Text):
         self.group = group
         self.slots = slots
         self.names: dict[int, str] = {}
-        self.counts: dict[int, str] = {}  # of the loops that are open, by depth
+        self.counts: dict[int, str] = {}  # counters of the open loops, by depth
         self.row = lanes * slots.size
-        self.scratch = round_up(slots.count * self.group * self.row)
+        self.scratch = round_to_alignment(slots.count * self.group * self.row)
         self.places: dict[Region, int] = {}
-        for region in sorted((r for r in regions(top) if r.place < 0), key=id):
+        for region in sorted((r for r in used_regions(top) if r.place < 0), key=id):
             self.places[region] = self.scratch
-            self.scratch += round_up(region.size * self.size(region.dtype))
+            self.scratch += round_to_alignment(region.size * self.size(region.dtype))
         self._order(top)
 
     def text(self, triple: str) -> str:
-        """The module as LLVM's assembly for a CPU."""
+        """The module as LLVM assembly for a CPU."""
         head = "define void @run(ptr noalias %rollouts, ptr noalias %scratch, ptr noalias %record, i64 %stride, "
         declared = "\n".join(sorted(self.declared))
         return (f'target triple = "{triple}"\n{declared}\n{head}i64 %first, i64 %ticks) {{\nentry:\n{self.body()}\n'
@@ -57,22 +75,22 @@ class CpuPrinter(Text):
 
     # blocks
 
-    def _order(self, one: Order) -> None:
-        for at, step in enumerate(one.steps):
+    def _order(self, order: Order) -> None:
+        for at, step in enumerate(order.steps):
             if isinstance(step, Turn):
-                (self._legs if step.legs else self._plain)(step)
+                (self._legs_turn if step.legs else self._plain_turn)(step)
             elif isinstance(step, Store):
                 self._store(step)
             elif isinstance(step, Loop):
-                self._loop(step, one.inner[at][0])
+                self._loop(step, order.inner[at][0])
             elif isinstance(step, Branch):
-                self._branch(step, one.inner[at])
+                self._branch(step, order.inner[at])
 
     def _loop(self, loop: Loop, body: Order) -> None:
         self._fresh += 1
         name, before = f"L{self._fresh}", self.label
         self.lines.append(f"br label %{name}")
-        self.start(name)
+        self.start_block(name)
         count, following = f"%{name}_k", f"%{name}_n"
         at = len(self.lines)
         self.lines.append("")
@@ -83,7 +101,7 @@ class CpuPrinter(Text):
         self.emit(f"icmp eq i64 {following}, {length}", f"%{name}_c")
         self.lines[at] = f"{count} = phi i64 [0, %{before}], [{following}, %{self.label}]"
         self.lines.append(f"br i1 %{name}_c, label %{name}_x, label %{name}")
-        self.start(f"{name}_x")
+        self.start_block(f"{name}_x")
 
     def _branch(self, branch: Branch, orders: Sequence[Order]) -> None:
         self._fresh += 1
@@ -92,14 +110,14 @@ class CpuPrinter(Text):
         first = self.emit(f"extractelement {self.vector(branch.index.dtype)} {index}, i32 0")
         self.switch(TYPES[branch.index.dtype], first, name, len(orders))
         for k, one in enumerate(orders):
-            self.start(f"{name}_{k}")
+            self.start_block(f"{name}_{k}")
             names = dict(self.names)
             self._order(one)
             self.names = names
             self.lines.append(f"br label %{name}_x")
-        self.start(f"{name}_x")
+        self.start_block(f"{name}_x")
 
-    def _plain(self, turn: Turn) -> None:
+    def _plain_turn(self, turn: Turn) -> None:
         for node in turn.nodes:
             if node.op == "pack":
                 for k, x in enumerate(node.args):
@@ -107,17 +125,17 @@ class CpuPrinter(Text):
             else:
                 self.names[node.number] = self._work(node, [self.value(x) if not x.leg else "" for x in node.args])
 
-    def _legs(self, turn: Turn) -> None:
+    def _legs_turn(self, turn: Turn) -> None:
         self._fresh += 1
         name, before = f"T{self._fresh}", self.label
         leg = Leg(self, f"%{name}_k")
         sums = [n for n in turn.nodes if n.op == "over_legs"]
         self.lines.append(f"br label %{name}")
-        self.start(name)
+        self.start_block(name)
         self.lines.append(f"%{name}_k = phi i64 [0, %{before}], [%{name}_n, %{name}]")
         totals = []
         for k, node in enumerate(sums):
-            op = node.attribute(Over).op
+            op = node.attribute(LegReduction).op
             first = FIRST[op]
             if not np.issubdtype(node.dtype, np.floating) and not isinstance(first, bool):
                 first = {"add": 0, "mul": 1, "max": np.iinfo(node.dtype).min, "min": np.iinfo(node.dtype).max}[op]
@@ -126,7 +144,7 @@ class CpuPrinter(Text):
         for node in turn.nodes:
             if node.op == "over_legs":
                 k = sums.index(node)
-                op = node.attribute(Over).op
+                op = node.attribute(LegReduction).op
                 total = self.arithmetic(op, node.dtype, [totals[k], leg.value(node.args[0])], [node.dtype] * 2)
                 self.emit(
                     f"select i1 true, {self.vector(node.dtype)} {total}, {self.vector(node.dtype)} {total}",
@@ -135,25 +153,25 @@ class CpuPrinter(Text):
                 self.names[node.number] = f"%{name}_s{k}"
                 continue
             value = leg.here[node.number] = self._work(node, [leg.value(x) for x in node.args], leg)
-            if node.number in self.slots.of:
+            if node.number in self.slots.by_node:
                 self._put(value, node.dtype, "%scratch", leg.offset(self.row, self.slot(node)))
         self.emit(f"add i64 %{name}_k, 1", f"%{name}_n")
         self.emit(f"icmp eq i64 %{name}_n, {self.group}", f"%{name}_c")
         self.lines.append(f"br i1 %{name}_c, label %{name}_x, label %{name}")
-        self.start(f"{name}_x")
+        self.start_block(f"{name}_x")
 
     def slot(self, node: Node) -> int:
-        """Where the legs' values of a node are kept, in bytes."""
-        return self.slots.of[node.number] * self.group * self.row
+        """Place in scratch memory of a node's values for the legs, in bytes."""
+        return self.slots.by_node[node.number] * self.group * self.row
 
     # memory
 
     def size(self, dtype: str) -> int:
-        """Bytes of a number's lanes."""
-        return row(dtype, self.lanes)
+        """Bytes of one number in all lanes."""
+        return row_bytes(dtype, self.lanes)
 
     def base(self, region: Region) -> tuple[str, int]:
-        """Pointer and bytes from there to a region."""
+        """Pointer to a region's memory, and the region's offset in bytes."""
         if region in self.places:
             return "%scratch", self.places[region]
         return "%rollouts", region.place
@@ -178,11 +196,11 @@ class CpuPrinter(Text):
             self._put(one, region.dtype, base, str(place + (store.index + k * store.step) * size))
 
     def part(self, node: Node, k: int) -> str:
-        """One leg's of a value for all."""
+        """One leg's value, from a node that stands for all legs."""
         if node.op == "const":
-            return self.literal(value_of(node)[k])
+            return self.literal(constant_value(node)[k])
         if node.op == "load":
-            region, index, _, step = node.attribute(At)
+            region, index, _, step = node.attribute(Address)
             base, place = self.base(region)
             return self.get(region.dtype, base, str(place + (index + k * step) * self.size(region.dtype)))
         return self.get(node.dtype, "%scratch", str(self.slot(node) + k * self.row))
@@ -195,7 +213,14 @@ class CpuPrinter(Text):
         self.lines.append(f"store {stored} {value}, ptr {at}, align {min(64, self.size(dtype))}")
 
     def get(self, dtype: str, base: str, offset: str, name: str | None = None) -> str:
-        """A number from memory, `offset` bytes from a pointer."""
+        """Load a number from memory, `offset` bytes from a pointer.
+
+        Args:
+            dtype: type of the number.
+            base: the pointer.
+            offset: bytes from there.
+            name: name of the value; by default a new one.
+        """
         at = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
         if dtype == "bool":
             found = self.emit(f"load {self.vector('int8')}, ptr {at}, align {self.lanes}")
@@ -203,8 +228,8 @@ class CpuPrinter(Text):
         return self.emit(f"load {self.vector(dtype)}, ptr {at}, align {min(64, self.size(dtype))}", name)
 
     def gather(self, node: Node, place: str, offset: str) -> str:
-        """From a place of each rollout's own, `offset` bytes further on."""
-        region = node.attribute(At).region
+        """Load a number from a place of each rollout's own, plus `offset` bytes."""
+        region = node.attribute(Address).region
         base, _ = self.base(region)
         size, wide = self.size(region.dtype), self.vector("int64")
         lanes = ", ".join(f"i64 {k * np.dtype(region.dtype).itemsize}" for k in range(self.lanes))
@@ -226,26 +251,26 @@ class CpuPrinter(Text):
     # values
 
     def value(self, node: Node) -> str:
-        """A node's value, of all legs alike."""
-        return self.literal(value_of(node)) if node.op == "const" else self.names[node.number]
+        """Name of a node's value that is not a leg's."""
+        return self.literal(constant_value(node)) if node.op == "const" else self.names[node.number]
 
     def _work(self, node: Node, args: list[str], leg: "Leg | None" = None) -> str:
-        """A node from its operands."""
+        """Print a node's operation."""
         match node.op:
             case "load":
-                region, index, _, _ = node.attribute(At)
+                region, index, _, _ = node.attribute(Address)
                 base, place = self.base(region)
                 return self.get(region.dtype, base, str(place + index * self.size(region.dtype)))
             case "gather":
-                region, index, _, step = node.attribute(At)
+                region, index, _, step = node.attribute(Address)
                 _, place = self.base(region)
                 offset = place + index * self.size(region.dtype)
                 at = leg.offset(step * self.size(region.dtype), offset) if leg and node.leg else str(offset)
                 return self.gather(node, args[0], at)
             case "part":
-                return self.part(node.args[0], node.attribute(OneOf).leg)
+                return self.part(node.args[0], node.attribute(LegIndex).leg)
             case "count":
-                return self._whole(self.counts[node.attribute(Count).depth])
+                return self._whole(self.counts[node.attribute(LoopCount).depth])
             case "tick":
                 return self._whole(self.emit(f"add i64 {self.counts[1]}, %first"))
             case _:
@@ -259,7 +284,7 @@ class CpuPrinter(Text):
 
 
 class Leg:
-    """Values inside a loop over the legs."""
+    """Names of values inside a loop over the legs."""
 
     def __init__(self, printer: CpuPrinter, count: str):
         self.printer, self.count = printer, count
@@ -267,13 +292,13 @@ class Leg:
         self.steps: dict[int, str] = {}
 
     def offset(self, step: int, start: int) -> str:
-        """Bytes to this leg's number."""
+        """Offset of this leg's number, in bytes."""
         if step not in self.steps:
             self.steps[step] = self.printer.emit(f"mul i64 {self.count}, {step}")
         return self.printer.emit(f"add i64 {self.steps[step]}, {start}")
 
     def value(self, node: Node) -> str:
-        """A value of this leg, or a plain one."""
+        """Name of this leg's value of a node, or of its value for all legs."""
         printer = self.printer
         if not node.leg:
             return printer.value(node)
@@ -284,7 +309,7 @@ class Leg:
     def _found(self, node: Node) -> str:
         printer = self.printer
         if node.op == "const":
-            values = value_of(node)
+            values = constant_value(node)
             value = printer.literal(values[-1])
             for k in range(printer.group - 2, -1, -1):
                 test = self._is(k)
@@ -292,7 +317,7 @@ class Leg:
                 value = printer.emit(f"select i1 {test}, {kind} {printer.literal(values[k])}, {kind} {value}")
             return value
         if node.op == "load":
-            region, index, _, step = node.attribute(At)
+            region, index, _, step = node.attribute(Address)
             base, place = printer.base(region)
             size = printer.size(region.dtype)
             return printer.get(region.dtype, base, self.offset(step * size, place + index * size))
@@ -305,8 +330,8 @@ class Leg:
         return self.steps[key]
 
 
-def machine() -> llvm.TargetMachine:
-    """This processor, as LLVM compiles for it."""
+def target_machine() -> llvm.TargetMachine:
+    """This processor as a target of LLVM."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     features = llvm.get_host_cpu_features().flatten()
@@ -315,14 +340,14 @@ def machine() -> llvm.TargetMachine:
 
 
 def compile_text(text: str, target: llvm.TargetMachine) -> bytes:
-    """Machine code of a module, as an object file."""
+    """Compile LLVM assembly to an object file."""
     module = llvm.parse_assembly(text)
     module.verify()
     return target.emit_object(module)
 
 
 def load_machine_code(code: bytes, target: llvm.TargetMachine) -> tuple[Any, int]:
-    """What keeps `run` in this process, and its address."""
+    """Load an object file into this process. Returns an object that keeps `run` alive, and its address."""
     jit = llvm.create_lljit_compiler(target, use_jit_link=True, suppress_errors=False)
     library = llvm.JITLibraryBuilder().add_object_img(code).export_symbol("run").add_current_process()
     kept = library.link(jit, "rollouts")

@@ -1,6 +1,6 @@
-"""Functions that vector units lack, in single precision, from arithmetic. Double precision is left to the C library.
+"""Elementary functions in single precision from arithmetic, since vector units lack them. Double precision uses C's.
 
-The coefficients are fits of the least relative error on Chebyshev points, good to 2e-8 or better; results are within
+The coefficients are fits of the least relative error on Chebyshev points, good to 2e-8 or better. Results are within
 three units in the last place for angles up to some thousand radians.
 """
 
@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-SIN = (1.0, -0.1666666663, 0.00833332869, -0.0001983917835, 2.717152793e-06)  # of sin(x)/x in x^2, to pi/4
-COS = (1.0, -0.4999999957, 0.04166661323, -0.001388652915, 2.437267913e-05)  # in x^2, to pi/4
+SIN = (1.0, -0.1666666663, 0.00833332869, -0.0001983917835, 2.717152793e-06)  # sin(x)/x in x^2, up to pi/4
+COS = (1.0, -0.4999999957, 0.04166661323, -0.001388652915, 2.437267913e-05)  # cos(x) in x^2, up to pi/4
 ATAN = (0.9999999976, -0.3333328364, 0.1999826587, -0.1426193135, 0.1094202159, -0.08377289117, 0.05755165368,
         -0.03080415247, 0.01072670635, -0.001753877222)  # of atan(x)/x in x^2, to 1  # fmt: skip
 EXP = (1.0, 1.000000036, 0.4999999208, 0.166664201, 0.04166822621, 0.008374822042, 0.0013836829)  # to ln(2)/2
@@ -21,7 +21,7 @@ NEAR = (1.50140941, 0.246640727, -0.00417768164, -0.00125372503, 0.00021858087, 
         3.43273939e-07, 2.81022636e-08)  # fmt: skip
 FAR = (2.83297682, 1.00167406, 0.00943887047, -0.0076224613, 0.00573950773, -0.00367342844, 0.00134934322,
        0.000100950558, -0.000200214257)  # fmt: skip
-QUARTER = (1.5703125, 4.837512969970703e-4, 7.549790126404332e-8)  # pi/2 in parts of few digits
+QUARTER = (1.5703125, 4.837512969970703e-4, 7.549790126404332e-8)  # pi/2 as a sum of parts with few digits
 LN2 = (0.693359375, -2.12194440e-4)
 PI, HALF_PI = 3.14159265358979, 1.57079632679490
 
@@ -33,8 +33,8 @@ def _sum(coefficients: Sequence[float], x: Array) -> Array:
     return total
 
 
-def _turned(x: Float[Array, "..."]) -> tuple[Array, Int[Array, "..."]]:
-    """What is left of an angle by quarter turns, and how many those are."""
+def _reduce_angle(x: Float[Array, "..."]) -> tuple[Array, Int[Array, "..."]]:
+    """Angle minus its quarter turns, and their number."""
     turns = jnp.round(x * (1 / HALF_PI))
     for part in QUARTER:
         x = x - turns * part
@@ -42,7 +42,7 @@ def _turned(x: Float[Array, "..."]) -> tuple[Array, Int[Array, "..."]]:
 
 
 def _wave(x: Array, ahead: int) -> Array:
-    rest, turns = _turned(x)
+    rest, turns = _reduce_angle(x)
     turns = turns + ahead
     square = rest * rest
     value = jnp.where(turns & 1 == 0, rest * _sum(SIN, square), _sum(COS, square))
@@ -65,7 +65,7 @@ def tan(x: Array) -> Array:
 
 
 def atan2(y: Array, x: Array) -> Array:
-    """Angle (rad) of a point."""
+    """Angle (rad) of the point (x, y)."""
     a, b = jnp.abs(x), jnp.abs(y)
     least, most = jnp.minimum(a, b), jnp.maximum(a, b)
     ratio = least / jnp.where(most == 0, 1.0, most)
@@ -76,26 +76,26 @@ def atan2(y: Array, x: Array) -> Array:
 
 
 def acos(x: Array) -> Array:
-    """Angle (rad) of a cosine."""
+    """Angle (rad) whose cosine is x."""
     return atan2(jnp.sqrt((1.0 - x) * (1.0 + x)), x)
 
 
 def asin(x: Array) -> Array:
-    """The angle (rad) whose sine is x."""
+    """Angle (rad) whose sine is x."""
     return atan2(x, jnp.sqrt((1.0 - x) * (1.0 + x)))
 
 
 def atan(x: Array) -> Array:
-    """Angle (rad) of a tangent."""
+    """Angle (rad) whose tangent is x."""
     return atan2(x, jnp.ones_like(x))
 
 
 def exp(x: Array) -> Array:
-    """The exponential function."""
+    """Exponential function."""
     x = jnp.clip(x, -87.0, 89.0)
     power = jnp.round(x * 1.442695041)
     rest = (x - power * LN2[0]) - power * LN2[1]
-    half = (power * 0.5).astype(jnp.int32)  # in two parts: 2^128 is no number
+    half = (power * 0.5).astype(jnp.int32)  # in two factors, since 2^128 is infinite
     value = _sum(EXP, rest)
     for n in (half, power.astype(jnp.int32) - half):
         value = value * lax.bitcast_convert_type((n + 127) << 23, jnp.float32)
@@ -103,9 +103,9 @@ def exp(x: Array) -> Array:
 
 
 def log(x: Array) -> Array:
-    """The natural logarithm of x."""
+    """Natural logarithm of x."""
     bits = lax.bitcast_convert_type(x, jnp.int32)
-    power = ((bits - 0x3F3504F3) >> 23).astype(jnp.float32)  # so that what is left lies around 1
+    power = ((bits - 0x3F3504F3) >> 23).astype(jnp.float32)  # so that the mantissa lies around 1
     rest = lax.bitcast_convert_type(bits - (power.astype(jnp.int32) << 23), jnp.float32) - 1.0
     value = rest * _sum(LOG, rest) + power * LN2[1] + power * LN2[0]
     value = jnp.where(x > 0, value, jnp.where(x == 0, -jnp.inf, jnp.nan))
@@ -113,14 +113,14 @@ def log(x: Array) -> Array:
 
 
 def erf_inv(x: Array) -> Array:
-    """The inverse of the error function, by Giles' two polynomials (2010)."""
+    """Inverse of the error function, by Giles' two polynomials (2010)."""
     tail = -log((1.0 - x) * (1.0 + x))
     value = jnp.where(tail < 5.0, _sum(NEAR, tail - 2.5), _sum(FAR, jnp.sqrt(tail) - 3.0))
     return jnp.where(jnp.abs(x) == 1.0, x * jnp.inf, x * value)
 
 
 def rem(x: Array, y: Array) -> Array:
-    """What is left of x by whole y, of the sign of x; for quotients of some thousand."""
+    """Remainder of x / y with the sign of x, for quotients up to some thousand."""
     rest = x - jnp.trunc(x / y) * y
     size = jnp.where(x < 0, -jnp.abs(y), jnp.abs(y))
     rest = jnp.where(rest * x < 0, rest + size, rest)
@@ -128,12 +128,12 @@ def rem(x: Array, y: Array) -> Array:
 
 
 def sign(x: Array) -> Array:
-    """The sign of x: -1, 0 or 1."""
+    """Sign of x: -1, 0 or 1."""
     return jnp.where(x > 0, jnp.ones_like(x), jnp.where(x < 0, -jnp.ones_like(x), x))
 
 
 def log1p(x: Array) -> Array:
-    """The natural logarithm of 1 + x."""
+    """Natural logarithm of 1 + x."""
     return log(1.0 + x)
 
 

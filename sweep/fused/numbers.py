@@ -1,11 +1,11 @@
-"""Numbers worked out at once: `eager`, imported when it is asked for, since a wrong value is told without it."""
+"""`eager.evaluate_constants`, but `eager` is imported only when it is called: wrong input is reported without it."""
 
 from collections.abc import Callable
 from typing import Any
 
 
 def evaluate_constants(function: Callable[[], Any]) -> Any:
-    """What a function of plain numbers gives, as `eager.worked_out` has it."""
+    """Evaluate a function of plain numbers, see `eager.evaluate_constants`."""
     from sweep.fused import eager
 
     return eager.evaluate_constants(function)

@@ -1,7 +1,7 @@
-"""LLVM's assembly from standard input as PTX on standard output, in a process of its own.
+"""Program that compiles LLVM assembly from standard input to PTX on standard output.
 
-What LLVM cannot compile ends its process, and XLA's LLVM may be at work in the one that asks. So this file imports
-nothing else.
+It runs in a process of its own, since LLVM ends the process over code that it cannot compile, and XLA's LLVM may be at
+work in the caller's. So this file imports nothing of the package.
 """
 
 import sys
@@ -10,7 +10,7 @@ import llvmlite.binding as llvm
 
 
 def main() -> None:
-    """For any GPU from Ampere on."""
+    """Compile for any GPU from Ampere on."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     target = llvm.Target.from_triple("nvptx64-nvidia-cuda").create_target_machine("sm_80", "+ptx78", opt=3)

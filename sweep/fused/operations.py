@@ -1,11 +1,11 @@
-"""What operations on numbers do to constants, and which of them need not be done."""
+"""Constant folding and simplification of operations on numbers."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from sweep.fused.program import Node, value_of
+from sweep.fused.program import Node, constant_value
 
 COMPARE = {"eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater,
            "ge": np.greater_equal}  # fmt: skip
@@ -24,7 +24,13 @@ REDUCTIONS = {"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "re
 
 
 def fold(name: str, dtype: str, values: Sequence[Any]) -> Any:
-    """The result of an operation on constants."""
+    """Result of an operation on constants.
+
+    Args:
+        name: operation, by JAX's name.
+        dtype: type of the result.
+        values: the constants.
+    """
     with np.errstate(all="ignore"):
         match name:
             case "convert":
@@ -44,8 +50,13 @@ def fold(name: str, dtype: str, values: Sequence[Any]) -> Any:
 
 
 def simplify(name: str, args: Sequence[Node]) -> Node | None:
-    """An operand that the result equals, if one is plain to see: to the bit but for the sign of zero, of NaN too."""
-    known = [_plain(x) for x in args]
+    """Operand that an operation's result obviously equals, or None. Equal to the bit, but for the sign of zero.
+
+    Args:
+        name: operation, by JAX's name.
+        args: its operands.
+    """
+    known = [_uniform_constant(x) for x in args]
     match name, known:
         case ("add", [_, value]) | ("sub", [_, value]) if value == 0 and value is not None:
             return args[0]
@@ -78,12 +89,12 @@ def simplify(name: str, args: Sequence[Node]) -> Node | None:
 
 
 def _finite(node: Node) -> bool:
-    """Whether it is plain to see that a number is neither infinite nor NaN, whatever the rollout."""
+    """Whether a number is obviously neither infinite nor NaN for any rollout."""
     if not np.issubdtype(node.dtype, np.floating):
         return True
     match node.op:
         case "const":
-            return bool(np.all(np.isfinite(value_of(node))))
+            return bool(np.all(np.isfinite(constant_value(node))))
         case "convert":
             return not np.issubdtype(node.args[0].dtype, np.floating)
         case "select":
@@ -92,6 +103,6 @@ def _finite(node: Node) -> bool:
             return False
 
 
-def _plain(node: Node) -> Any:
-    """The number of a constant that is the same for all legs."""
-    return value_of(node) if node.op == "const" and not node.leg else None
+def _uniform_constant(node: Node) -> Any:
+    """Value of a constant that is the same for all legs, else None."""
+    return constant_value(node) if node.op == "const" and not node.leg else None

@@ -1,8 +1,8 @@
-"""Operations on single numbers of a rollout, as a graph without repetitions, in blocks: the program, loops, branches.
+"""Representation of the program: operations on single numbers of a rollout, a graph without repetition, in blocks.
 
-A program has a group, such as a robot's six legs. As many numbers that the same operation gives for the legs are one
-node, of which `part` takes one leg's; that holds for inputs and tables too. An operation stands in the outermost block
-that has its operands: what does not change in a loop is worked out before it.
+A program has a group, such as a robot's six legs. One node stands for the numbers that the same operation gives for all
+of them, and `part` takes one leg's; that holds for inputs and tables, too. An operation stands in the outermost block
+that has its operands: what does not change in a loop is computed before it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,54 +14,57 @@ import numpy as np
 
 
 class Const(NamedTuple):
-    """What a `const` is: its value."""
+    """Extra of `const`: the bytes of its value."""
 
-    bits: tuple[bytes, ...]  # one, or one for each leg: they tell -0 from 0 and one NaN from the next
+    bits: tuple[bytes, ...]  # one, or one for each leg; bytes distinguish -0 from 0 and NaNs from each other
 
 
-class At(NamedTuple):
-    """Of `load` and `gather`: where the number lies that is read from memory, or the numbers of all legs."""
+class Address(NamedTuple):
+    """Extra of `load` and `gather`: place of a number in memory, or of the numbers of all legs."""
 
     region: "Region"
-    first: int  # index of the number, of the first leg's; `gather` adds its operand
-    depth: int  # of the block in which it is as it is read
-    step: int  # from leg to leg; 0 for a number of no leg's
+    first: int  # index of the (first leg's) number; `gather` adds its operand
+    depth: int  # depth of the block in which it does not change
+    step: int  # from leg to leg; 0 for a number that is not a leg's
 
-    def each(self, group: int) -> list["At"]:
-        """Where each leg's number is."""
-        return [At(self.region, self.first + k * self.step, self.depth, 0) for k in range(group)]
+    def leg_addresses(self, group: int) -> list["Address"]:
+        """Address of each leg's number."""
+        return [Address(self.region, self.first + k * self.step, self.depth, 0) for k in range(group)]
 
 
-class Count(NamedTuple):
-    """Of `count` and `tick`: which loop's turns are counted."""
+class LoopCount(NamedTuple):
+    """Extra of `count` and `tick`: the loop whose iterations are counted."""
 
     depth: int
 
 
-class OneOf(NamedTuple):
-    """Of `part`: which leg's number it is."""
+class LegIndex(NamedTuple):
+    """Extra of `part`: the leg whose number is taken."""
 
     leg: int
 
 
-class Over(NamedTuple):
-    """Of `over_legs`: the operation that adds up or compares."""
+class LegReduction(NamedTuple):
+    """Extra of `over_legs`: the operation that combines the legs' numbers."""
 
     op: str  # add, mul, max, min, and, or
 
 
-class HandedOn(NamedTuple):
-    """Of `handed_on`: what another part of a GPU's kernel has put into memory."""
+class StoredNode(NamedTuple):
+    """Extra of `handed_on`: a node that another part of a GPU kernel has computed and put into memory."""
 
-    number: int  # of the node
+    number: int  # number of the node
     leg: int
 
 
-type Extra = Const | At | Count | OneOf | Over | HandedOn | None
+type Extra = Const | Address | LoopCount | LegIndex | LegReduction | StoredNode | None
 
 
 class Node:
-    """A number, or one for each leg. `extra` says what its operands do not, in the class of its operation."""
+    """An operation that gives a number, or one for each leg.
+
+    `extra` holds parameters of the operation that are not operands; its class depends on the operation.
+    """
 
     __slots__ = ("args", "block", "dtype", "extra", "leg", "number", "op")
 
@@ -72,25 +75,25 @@ class Node:
         self.block = block
 
     def attribute[T](self, kind: type[T]) -> T:
-        """Its `extra`, which has to be of a class."""
+        """`extra`, checked to be of the class `kind`."""
         assert isinstance(self.extra, kind), f"{self.op} has {self.extra}"
         return self.extra
 
 
 @dataclass(eq=False)
 class Region:
-    """Numbers in memory, each of them a row of lanes: an input, what a loop carries, a result."""
+    """A piece of memory, each number of which is a row of lanes: an input, a loop's carry, or a result."""
 
     size: int
     dtype: str
-    depth: int  # of the block in which it does not change
-    place: int = -1  # bytes from the start of the rollouts' memory, where it is an input or a result
-    record: bool = False  # in a memory of each tick's own
+    depth: int  # depth of the block in which it does not change
+    place: int = -1  # bytes from the start of the rollouts' memory, for inputs and results
+    record: bool = False  # whether it lies in the record of a tick
 
 
 @dataclass(eq=False)
 class Store:
-    """Put a value into memory once the whole block is computed.
+    """Store of a value to memory after the whole block is computed.
 
     With a `row`, the address is counted from the start of that row of the region, whose rows have `stride` numbers. The
     row's number is the same for all rollouts.
@@ -112,12 +115,12 @@ class Block:
     items: list[Any] = field(default_factory=list)
     stores: list[Store] = field(default_factory=list)
     known: dict[Any, Node] = field(default_factory=dict)
-    held: bool = False  # nothing leaves it: it may not be run at all
+    is_conditional: bool = False  # it may not run, so that no operation is moved out of it
 
 
 @dataclass(eq=False)
 class Loop:
-    """A block run `length` times; None: as often as the caller says."""
+    """A block that runs `length` times; None: as often as the caller asks."""
 
     length: int | None
     body: Block
@@ -125,22 +128,22 @@ class Loop:
 
 @dataclass(eq=False)
 class Branch:
-    """The block that `index`, the same for all rollouts, chooses."""
+    """Blocks of which `index`, the same for all rollouts, chooses one."""
 
     index: Node
     blocks: list[Block]
 
 
-def inside(block: Block) -> Iterator[Any]:
-    """All that is in a block, and in the blocks in it."""
+def walk_block(block: Block) -> Iterator[Any]:
+    """Yield all items of a block, those of inner blocks included."""
     for item in [*block.items, *block.stores]:
         yield item
         for inner in [item.body] if isinstance(item, Loop) else item.blocks if isinstance(item, Branch) else ():
-            yield from inside(inner)
+            yield from walk_block(inner)
 
 
 class Program:
-    """A program that is being written: the blocks from the outermost to the one that grows."""
+    """A program that is being written: the nested blocks from the outermost to the current one."""
 
     def __init__(self, group: int) -> None:
         if group < 2:
@@ -151,11 +154,19 @@ class Program:
 
     @property
     def top(self) -> Block:
-        """The block that all others are in."""
+        """The outermost block."""
         return self.blocks[0]
 
     def node(self, op: str, args: Sequence[Node], dtype: str, extra: Extra = None, leg: bool | None = None) -> Node:
-        """The node of an operation, the one that there is where it has been met before."""
+        """Node of an operation; an equal one is reused.
+
+        Args:
+            op: operation, by JAX's name.
+            args: operands.
+            dtype: type of the result.
+            extra: parameters that are not operands.
+            leg: whether it gives a number for each leg; by default if an operand does.
+        """
         args = tuple(args)
         leg = any(x.leg for x in args) if leg is None else leg
         key = op, tuple(x.number for x in args), dtype, extra
@@ -163,12 +174,12 @@ class Program:
             if key in block.known:
                 return block.known[key]
         depth = max((x.block.depth for x in args), default=0)
-        if isinstance(extra, At):
+        if isinstance(extra, Address):
             depth = max(depth, extra.depth)
-        elif isinstance(extra, Count):
+        elif isinstance(extra, LoopCount):
             depth = extra.depth
         for block in reversed(self.blocks):
-            if block.held and op != "const":
+            if block.is_conditional and op != "const":
                 depth = max(depth, block.depth)
                 break
         home = self.blocks[depth]
@@ -179,7 +190,7 @@ class Program:
         return made
 
     def const(self, value: Any, dtype: str) -> Node:
-        """A number, or a tuple of one for each leg."""
+        """Constant: a number, or a tuple with one for each leg."""
         if isinstance(value, tuple):
             if len({_bits(v, dtype) for v in value}) == 1:
                 value = value[0]
@@ -189,7 +200,7 @@ class Program:
 
     @contextmanager
     def loop(self, length: int | None) -> Iterator[Block]:
-        """Inside, the program grows in a loop's body."""
+        """Context in which the current block is the body of a new loop."""
         body = Block(len(self.blocks))
         self.blocks.append(body)
         yield body
@@ -198,19 +209,19 @@ class Program:
 
     @contextmanager
     def branch(self) -> Iterator[Block]:
-        """Inside, the program grows in a block that may not be run."""
-        block = Block(len(self.blocks), held=True)
+        """Context in which the current block is one that may not run."""
+        block = Block(len(self.blocks), is_conditional=True)
         self.blocks.append(block)
         yield block
         self.blocks.pop()
 
     def add(self, item: Any) -> None:
-        """A loop, branch or store in the block that grows."""
+        """Add a loop, branch or store to the current block."""
         self.blocks[-1].items.append(item)
 
 
 def is_uniform(node: Node) -> bool:
-    """Whether a number is the same for all rollouts, since it follows from constants and loop counters alone."""
+    """Whether a number is the same for all rollouts, because it follows from constants and loop counters alone."""
     if node.op in ("gather", "pack", "part", "over_legs"):
         return False
     return node.op in ("const", "count", "tick") or (bool(node.args) and all(is_uniform(x) for x in node.args))
@@ -220,7 +231,7 @@ def _bits(value: Any, dtype: str) -> bytes:
     return np.asarray(value, dtype).tobytes()
 
 
-def value_of(node: Node) -> Any:
-    """The number of a constant; an array of six where it has one for each leg."""
+def constant_value(node: Node) -> Any:
+    """Value of a constant: a number, or an array with one for each leg."""
     found = np.frombuffer(b"".join(node.attribute(Const).bits), node.dtype)
     return found if node.leg else found[0]

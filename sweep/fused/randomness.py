@@ -1,6 +1,6 @@
-"""JAX's random numbers, to the last bit: Threefry-2x32 with 20 rounds (Salmon et al., 2011) on counters.
+"""JAX's random numbers to the last bit: Threefry-2x32 with 20 rounds (Salmon et al., 2011) on counters.
 
-A random key is one element of an array: the pair of its words.
+A random key is one element of an array of keys: a pair of words.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ PARITY = 0x1BD11BDA
 
 
 def key_words(tree: Any) -> Any:
-    """Arrays, or their shapes, with random keys as the words that they are."""
+    """Replace random keys in a tree of arrays or shapes by arrays of their words (..., 2)."""
 
     def one(x: Any) -> Any:
         if not is_key(x):
@@ -28,20 +28,26 @@ def key_words(tree: Any) -> Any:
     return jax.tree.map(one, tree)
 
 
-def restore_keys(x: Any, like: Any) -> Any:
-    """Words as a random key, where it is like one."""
-    return jax.random.wrap_key_data(x) if is_key(like) else x
+def restore_keys(x: Any, original: Any) -> Any:
+    """Turn words into a random key if `original` is one."""
+    return jax.random.wrap_key_data(x) if is_key(original) else x
 
 
 def is_key(x: Any) -> bool:
-    """Whether an array, or its shape, is of random keys."""
+    """Whether an array, or its shape, holds random keys."""
     return not isinstance(x.dtype, np.dtype) and jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
 
 
 def threefry(
     key: UInt32[Array, " 2"], first: UInt32[Array, "..."], second: UInt32[Array, "..."]
 ) -> tuple[Array, Array]:
-    """Two words for every counter of two words."""
+    """Two random words for every counter of two words.
+
+    Args:
+        key: words of the key.
+        first: first words of the counters.
+        second: second words.
+    """
     words = (key[0], key[1], key[0] ^ key[1] ^ jnp.uint32(PARITY))
     a, b = first + words[0], second + words[1]
     for i in range(5):
@@ -57,39 +63,43 @@ def _counted(key: Array, count: int) -> tuple[Array, Array]:
 
 
 def fold_in(key: Array, number: Array) -> Array:
-    """The words of a key for a number."""
+    """Words of a key for a number, as `jax.random.fold_in`."""
     return jnp.stack(threefry(key, jnp.uint32(0), number.astype(jnp.uint32)))
 
 
-def bits(key: Array, shape: tuple[int, ...]) -> Array:
+def random_bits(key: Array, shape: tuple[int, ...]) -> Array:
     """Random words of 32 bits."""
     a, b = _counted(key, int(np.prod(shape)))
     return (a ^ b).reshape(shape)
 
 
-def long_bits(key: Array, shape: tuple[int, ...]) -> Array:
+def random_long_bits(key: Array, shape: tuple[int, ...]) -> Array:
     """Random words of 64 bits."""
     a, b = _counted(key, int(np.prod(shape)))
     return ((a.astype(jnp.uint64) << jnp.uint64(32)) | b.astype(jnp.uint64)).reshape(shape)
 
 
-def split(key: Array, shape: tuple[int, ...]) -> Array:
-    """The words of as many keys, (*shape, 2)."""
+def split_key(key: Array, shape: tuple[int, ...]) -> Array:
+    """Words of an array of new keys (*shape, 2), as `jax.random.split`."""
     return jnp.stack(_counted(key, int(np.prod(shape))), axis=-1).reshape((*shape, 2))
 
 
 def _bits(key: Array, bit_width: int, shape: tuple[int, ...]) -> Array:
     if bit_width not in (32, 64):
         raise Unsupported(f"random words of {bit_width} bits")
-    return bits(key, shape) if bit_width == 32 else long_bits(key, shape)
+    return random_bits(key, shape) if bit_width == 32 else random_long_bits(key, shape)
 
 
-# of a key's words, other operands and JAX's parameters; what gives keys gives their words
-WRITTEN: dict[str, Callable[..., Array]] = {"random_bits": _bits, "random_split": split, "random_fold_in": fold_in}
+# functions of a key's words, other operands and JAX's parameters; keys are returned as words
+EXPANSIONS: dict[str, Callable[..., Array]] = {
+    "random_bits": _bits,
+    "random_split": split_key,
+    "random_fold_in": fold_in,
+}
 
 
 def rules() -> dict[str, Callable]:
-    """Rules of an interpreter, for scalar keys."""
+    """The interpreter's rules for primitives on scalar keys."""
 
     def written(function: Callable) -> Callable:
         def rule(self: Any, keys: np.ndarray, *args: np.ndarray, out: Any, **params: Any) -> np.ndarray:
@@ -107,7 +117,7 @@ def rules() -> dict[str, Callable]:
     return {
         "random_wrap": lambda self, x, out, **_: _pairs(x),
         "random_unwrap": lambda self, x, out, **_: _words(x),
-        **{name: written(function) for name, function in WRITTEN.items()},
+        **{name: written(function) for name, function in EXPANSIONS.items()},
     }
 
 

@@ -1,4 +1,4 @@
-"""Rules for JAX's primitives, but for those that are one operation for each number.
+"""Rules for JAX's primitives, apart from elementwise operations.
 
 A rule is a function of the program's arrays, the operands and the primitive's parameters.
 """
@@ -116,12 +116,12 @@ def _cumulative(name: str) -> Callable:
 
 
 def _dynamic_slice(self: Arrays, x: Array, *starts: Array, out: Any, slice_sizes: tuple) -> Array:
-    return self.pick(x, [s[()] for s in starts], slice_sizes)
+    return self.read_window(x, [s[()] for s in starts], slice_sizes)
 
 
 def _dynamic_update_slice(self: Arrays, x: Array, update: Array, *starts: Array, out: Any) -> Array:
     within = [self.clamp_index(s[()], n - m) for s, n, m in zip(starts, x.shape, update.shape, strict=True)]
-    return self.update(x, update, dict(enumerate(within)))
+    return self.update_window(x, update, dict(enumerate(within)))
 
 
 def _gather(
@@ -145,13 +145,13 @@ def _gather(
             starts[d] = indices[(*at, k)]
         for d, i in zip(dims.operand_batching_dims, dims.start_indices_batching_dims, strict=True):
             starts[d] = self.program.const(at[i], "int32")
-        found = self.pick(x, starts, slice_sizes)
+        found = self.read_window(x, starts, slice_sizes)
         if "FILL" in str(mode):
             inside = self.program.const(True, "bool")
             for s, n, size in zip(starts, x.shape, slice_sizes, strict=True):
                 for test, edge in (("ge", 0), ("le", n - size)):
-                    ok = self.op(test, "bool", s, self.program.const(edge, s.dtype))
-                    inside = self.op("and", "bool", inside, ok)
+                    ok = self.emit(test, "bool", s, self.program.const(edge, s.dtype))
+                    inside = self.emit("and", "bool", inside, ok)
             fill = self.constant(
                 np.asarray(out_of_bounds_value(out.dtype) if fill_value is None else fill_value, out.dtype)
             )
@@ -166,14 +166,14 @@ def _gather(
 
 
 def _platform_index(self: Arrays, out: Any, platforms: tuple) -> Array:
-    """The way that any platform can go."""
+    """Index of the branch that any platform can take."""
     if None not in platforms:
         raise Unsupported("what is for some platforms alone")
     return self.constant(np.asarray(platforms.index(None), out.dtype))
 
 
 def out_of_bounds_value(dtype: np.dtype) -> Any:
-    """What JAX gives for a place outside."""
+    """JAX's default value for elements outside of an array."""
     if dtype.kind == "f":
         return np.nan
     return True if dtype.kind == "b" else np.iinfo(dtype).min
@@ -208,7 +208,7 @@ def _scatter(combine: str | None) -> Callable:
             starts = {d: indices[(*at, k)] for k, d in enumerate(dims.scatter_dims_to_operand_dims)}
             if "CLIP" in str(mode):
                 starts = {d: self.clamp_index(s, x.shape[d] - sizes[d]) for d, s in starts.items()}
-            self.put(result, update, starts, combine)
+            self.write_window(result, update, starts, combine)
         return result
 
     return rule

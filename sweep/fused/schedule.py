@@ -1,7 +1,7 @@
-"""What is worked out leg by leg: a block's operations in turns, plain ones and those of all legs.
+"""Schedule of a CPU kernel: operations of a block in alternating turns, plain ones and those of all legs.
 
-Turns with even numbers are plain, those with odd ones a loop over the legs. A value of a leg that another turn needs is
-kept in memory, in a slot that is free by then.
+Even turns are plain, odd turns are loops over the legs. A leg's value that another turn needs is stored in a slot of
+scratch memory.
 """
 
 from collections.abc import Iterator
@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from sweep.fused.program import At, Block, Branch, Loop, Node, Region, Store, inside
+from sweep.fused.program import Address, Block, Branch, Loop, Node, Region, Store, walk_block
 
-ANEW = frozenset(("const", "load"))  # worked out again wherever it is needed
+RECOMPUTED = frozenset(("const", "load"))  # operations that are repeated wherever their value is needed
 
 
 @dataclass(eq=False)
 class Turn:
-    """Operations of one turn, in order."""
+    """Operations of one turn in order."""
 
     legs: bool
     nodes: list[Node] = field(default_factory=list)
@@ -25,32 +25,40 @@ class Turn:
 
 @dataclass(eq=False)
 class Order:
-    """A block in order: turns, stores, loops and branches with orders of theirs."""
+    """Schedule of a block: turns, stores, loops and branches, with schedules of inner blocks."""
 
     block: Block
     steps: list[Any] = field(default_factory=list)
-    inner: dict[int, list["Order"]] = field(default_factory=dict)  # by the place of their loop or branch among `steps`
+    inner: dict[int, list["Order"]] = field(default_factory=dict)  # by the index of their loop or branch in `steps`
 
 
 @dataclass(eq=False)
 class Slots:
-    """Where values of legs are kept, by number of node; `count` slots, each of six rows of lanes of `size` bytes."""
+    """Slots of scratch memory for values of the legs.
 
-    of: dict[int, int] = field(default_factory=dict)
+    There are `count` slots, each of six rows of lanes of `size` bytes; `by_node` has a node's slot by its number.
+    """
+
+    by_node: dict[int, int] = field(default_factory=dict)
     free: list[int] = field(default_factory=list)
     count: int = 0
     size: int = 4
 
     def take(self) -> int:
-        """The number of a slot that is free, or of a new one."""
+        """Number of a free slot, or of a new one."""
         if self.free:
             return self.free.pop()
         self.count += 1
         return self.count - 1
 
 
-def order(block: Block, needed: set[int]) -> Order:
-    """The order of all that is `needed`, see `used`."""
+def order_block(block: Block, needed: set[int]) -> Order:
+    """Schedule a block.
+
+    Args:
+        block: the block.
+        needed: numbers of the nodes to compute, see `used_nodes`.
+    """
     made, straight = Order(block), []
     for item in [*block.items, None]:
         if isinstance(item, Node):
@@ -60,9 +68,9 @@ def order(block: Block, needed: set[int]) -> Order:
         made.steps.extend(_turns(straight))
         straight = []
         if isinstance(item, Loop):
-            made.inner[len(made.steps)] = [order(item.body, needed)]
+            made.inner[len(made.steps)] = [order_block(item.body, needed)]
         elif isinstance(item, Branch):
-            made.inner[len(made.steps)] = [order(b, needed) for b in item.blocks]
+            made.inner[len(made.steps)] = [order_block(b, needed) for b in item.blocks]
         if item is not None:
             made.steps.append(item)
     made.steps.extend(block.stores)
@@ -70,17 +78,17 @@ def order(block: Block, needed: set[int]) -> Order:
 
 
 def _turns(nodes: list[Node]) -> Iterator[Turn]:
-    """Nodes that follow each other without a loop between them, in as few turns as their operands allow."""
+    """Group nodes between two loops into as few turns as their operands allow."""
     here, turns = {}, {}
     for node in nodes:
-        if node.op in ANEW and (node.leg or node.op == "const"):
+        if node.op in RECOMPUTED and (node.leg or node.op == "const"):
             continue
         number = 1 if (node.leg and node.op != "pack") or node.op == "over_legs" else 0
         for arg in node.args:
             if (at := here.get(arg.number)) is None:
                 continue
             if number % 2 and not (arg.leg and arg.op != "pack"):
-                at += 1  # a loop comes after what is plain; a sum over the legs is there when its own loop is over
+                at += 1  # loops follow plain turns; a sum over the legs is known after its own loop
             number = max(number, at + (at + number) % 2)
         here[node.number] = number
         turns.setdefault(number, Turn(number % 2 == 1)).nodes.append(node)
@@ -101,7 +109,7 @@ def used_nodes(block: Block) -> set[int]:
 
 
 def _roots(block: Block) -> Iterator[Node]:
-    for item in inside(block):
+    for item in walk_block(block):
         if isinstance(item, Store):
             yield item.value
             if item.row:
@@ -110,33 +118,33 @@ def _roots(block: Block) -> Iterator[Node]:
             yield item.index
 
 
-def slots(top: Order) -> Slots:
-    """Slots for the values of legs that leave the turn in which they are worked out."""
+def assign_slots(top: Order) -> Slots:
+    """Assign slots to the values of legs that are used outside of their turn."""
     found = Slots()
-    _assign(top, found)
+    _assign_slots(top, found)
     return found
 
 
-def _assign(one: Order, found: Slots) -> None:
-    own = {node.number for step in one.steps if isinstance(step, Turn) for node in step.nodes}
-    last: dict[int, int] = {}  # step that is the last to read a value of this block
-    for at, step in enumerate(one.steps):
-        last |= {number: at for number in _read(step, one.inner.get(at, [])) if number in own}
+def _assign_slots(order: Order, slots: Slots) -> None:
+    own = {node.number for step in order.steps if isinstance(step, Turn) for node in step.nodes}
+    last: dict[int, int] = {}  # last step that reads a value of this block
+    for at, step in enumerate(order.steps):
+        last |= {number: at for number in _reads_from_memory(step, order.inner.get(at, [])) if number in own}
     done: dict[int, list[int]] = {}
     for number, at in last.items():
         done.setdefault(at, []).append(number)
-    for at, step in enumerate(one.steps):
+    for at, step in enumerate(order.steps):
         if isinstance(step, Turn):
             kept = [node for node in step.nodes if node.number in last]
-            found.of |= {node.number: found.take() for node in kept}
-            found.size = max(found.size, *(np.dtype(node.dtype).itemsize for node in kept), 0)
-        for inner in one.inner.get(at, []):
-            _assign(inner, found)
-        found.free.extend(found.of[number] for number in done.get(at, []))
+            slots.by_node |= {node.number: slots.take() for node in kept}
+            slots.size = max(slots.size, *(np.dtype(node.dtype).itemsize for node in kept), 0)
+        for inner in order.inner.get(at, []):
+            _assign_slots(inner, slots)
+        slots.free.extend(slots.by_node[number] for number in done.get(at, []))
 
 
-def _read(step: Any, inner: list[Order]) -> Iterator[int]:
-    """Numbers of the values of legs that a step, or what is in it, reads from memory."""
+def _reads_from_memory(step: Any, inner: list[Order]) -> Iterator[int]:
+    """Numbers of the legs' values that a step, or what is inside it, reads from slots."""
     if isinstance(step, Store):
         args = [step.value]
     elif isinstance(step, Turn):
@@ -144,23 +152,23 @@ def _read(step: Any, inner: list[Order]) -> Iterator[int]:
         args = [arg for node in step.nodes for arg in node.args if arg.number not in here]
     else:
         args = []
-    yield from (arg.number for arg in args if arg.leg and arg.op not in ANEW)
+    yield from (arg.number for arg in args if arg.leg and arg.op not in RECOMPUTED)
     for one in inner:
         for at, each in enumerate(one.steps):
-            yield from _read(each, one.inner.get(at, []))
+            yield from _reads_from_memory(each, one.inner.get(at, []))
 
 
-def regions(one: Order) -> set[Region]:
-    """All memory that is stored to or read."""
+def used_regions(order: Order) -> set[Region]:
+    """All memory regions that a schedule loads from or stores to."""
     found: set[Region] = set()
-    for at, step in enumerate(one.steps):
+    for at, step in enumerate(order.steps):
         if isinstance(step, Turn):
             nodes = step.nodes
-            found |= {n.extra.region for n in nodes if isinstance(n.extra, At)}
-            found |= {a.extra.region for n in nodes for a in n.args if isinstance(a.extra, At)}
+            found |= {n.extra.region for n in nodes if isinstance(n.extra, Address)}
+            found |= {a.extra.region for n in nodes for a in n.args if isinstance(a.extra, Address)}
         elif isinstance(step, Store):
             found.add(step.region)
-            found |= {step.value.extra.region} if isinstance(step.value.extra, At) else set()
-        for inner in one.inner.get(at, []):
-            found |= regions(inner)
+            found |= {step.value.extra.region} if isinstance(step.value.extra, Address) else set()
+        for inner in order.inner.get(at, []):
+            found |= used_regions(inner)
     return found

@@ -1,6 +1,6 @@
-"""Lines of LLVM's assembly: names, constants and arithmetic, on vectors of rollouts or on plain numbers.
+"""Printer of LLVM assembly: names, constants and arithmetic, on vectors of rollouts or on single numbers.
 
-No operation is reordered and none made less exact: only a product and the sum that takes it may be one rounding.
+No operation is reordered or made less accurate; only a product and the sum that takes it may be rounded together (FMA).
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ INTRINSICS = {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "round": "rounde
 
 
 class Text:
-    """A function that is being written, on vectors of `lanes` numbers; 1: on numbers."""
+    """A function that is being printed, on vectors of `lanes` numbers; 1 means single numbers."""
 
     def __init__(self, lanes: int):
         self.lanes = lanes
@@ -30,27 +30,39 @@ class Text:
         self._fresh = 0
 
     def body(self) -> str:
-        """The lines written so far, as text."""
+        """The lines printed so far."""
         return "\n".join(f"  {line}" if not line.endswith(":") else line for line in self.lines)
 
-    def fresh(self) -> str:
-        """A name that is not taken."""
+    def fresh_name(self) -> str:
+        """A name that is not in use."""
         self._fresh += 1
         return f"%v{self._fresh}"
 
     def emit(self, text: str, name: str | None = None) -> str:
-        """A line that gives a value its name."""
-        name = name or self.fresh()
+        """Print a line that gives a value its name, and return the name.
+
+        Args:
+            text: the instruction.
+            name: name of the value; by default a new one.
+        """
+        name = name or self.fresh_name()
         self.lines.append(f"{name} = {text}")
         return name
 
-    def start(self, label: str) -> None:
-        """Begin a basic block of this label."""
+    def start_block(self, label: str) -> None:
+        """Begin a basic block."""
         self.lines.append(f"{label}:")
         self.label = label
 
     def switch(self, kind: str, index: str, name: str, count: int) -> None:
-        """Go on in the block of a number, of `name`_0, `name`_1, ...: the nearest of them."""
+        """Jump to the block `name`_k of an index k, clamped to 0 .. count - 1.
+
+        Args:
+            kind: type of the index.
+            index: name of the index.
+            name: prefix of the blocks' labels.
+            count: number of blocks.
+        """
         if kind != "i1":
             below = self.emit(f"icmp slt {kind} {index}, 0")
             index = self.emit(f"select i1 {below}, {kind} 0, {kind} {index}")
@@ -58,20 +70,20 @@ class Text:
         self.lines.append(f"switch {kind} {index}, label %{name}_{count - 1} [{cases}]")
 
     def vector(self, dtype: str) -> str:
-        """LLVM's name for a number in all lanes."""
+        """LLVM's type of a number in all lanes."""
         return TYPES[dtype] if self.lanes == 1 else f"<{self.lanes} x {TYPES[dtype]}>"
 
-    def short(self, dtype: str) -> str:
-        """The type in the names of LLVM's own functions."""
+    def type_suffix(self, dtype: str) -> str:
+        """Suffix of LLVM's intrinsics for a type."""
         kind = {"float": "f32", "double": "f64"}.get(TYPES[dtype], TYPES[dtype])
         return kind if self.lanes == 1 else f"v{self.lanes}{kind}"
 
     def splat(self, kind: str, value: Any) -> str:
-        """A constant of one value in all lanes."""
+        """Constant with one value in all lanes, of LLVM's type `kind`."""
         return str(value) if self.lanes == 1 else "<" + ", ".join([f"{kind} {value}"] * self.lanes) + ">"
 
     def literal(self, value: Any) -> str:
-        """A constant in all lanes."""
+        """Constant with one value in all lanes."""
         value = np.asarray(value)
         kind = TYPES[value.dtype.name]
         if value.dtype == bool:
@@ -81,13 +93,27 @@ class Text:
         return self.splat(kind, int(value))
 
     def call(self, name: str, dtype: str, args: Sequence[str], extra: str = "") -> str:
-        """One of LLVM's own functions."""
-        vector, function = self.vector(dtype), f"@llvm.{name}.{self.short(dtype)}"
+        """Call an LLVM intrinsic.
+
+        Args:
+            name: the intrinsic.
+            dtype: type of the result.
+            args: names of the operands.
+            extra: further operands as text.
+        """
+        vector, function = self.vector(dtype), f"@llvm.{name}.{self.type_suffix(dtype)}"
         self.declared.add(f"declare {vector} {function}({', '.join([vector] * len(args))}{', i1' if extra else ''})")
         return self.emit(f"call {vector} {function}({', '.join(f'{vector} {x}' for x in args)}{extra})")
 
     def arithmetic(self, op: str, dtype: str, args: list[str], kinds: Sequence[str]) -> str:
-        """An operation on vectors."""
+        """Print an operation on vectors.
+
+        Args:
+            op: operation, by JAX's name.
+            dtype: type of the result.
+            args: names of the operands.
+            kinds: their types.
+        """
         of, vector = kinds[-1], self.vector(kinds[-1])
         floating = np.issubdtype(of, np.floating)
         match op:
@@ -126,28 +152,35 @@ class Text:
                 return self.emit(f"{unsigned.get(WHOLE[op], WHOLE[op])} {vector} {args[0]}, {args[1]}")
 
     def extreme(self, op: str, dtype: str, args: list[str]) -> str:
-        """The greater or lesser of two; NaN if either is, as the first operand or by the comparison."""
+        """Print a maximum or minimum of two; NaN if either is NaN.
+
+        Args:
+            op: `max` or `min`.
+            dtype: type of the numbers.
+            args: names of the operands.
+        """
         vector, chosen = self.vector(dtype), self.vector("bool")
         better = self.emit(f"fcmp {'ogt' if op == 'max' else 'olt'} {vector} {args[0]}, {args[1]}")
         best = self.emit(f"select {chosen} {better}, {vector} {args[0]}, {vector} {args[1]}")
         nan = self.emit(f"fcmp uno {vector} {args[0]}, {args[0]}")
         return self.emit(f"select {chosen} {nan}, {vector} {args[0]}, {vector} {best}")
 
-    def _convert(self, value: str, old: str, new: str) -> str:
-        a, b = self.vector(old), self.vector(new)
-        was, to = np.dtype(old), np.dtype(new)
+    def _convert(self, value: str, from_type: str, to_type: str) -> str:
+        a, b = self.vector(from_type), self.vector(to_type)
+        was, to = np.dtype(from_type), np.dtype(to_type)
         if to.kind == "b":
             test = "fcmp une" if was.kind == "f" else "icmp ne"
             return self.emit(f"{test} {a} {value}, zeroinitializer")
         if was.kind == "f" and to.kind == "f":
             return self.emit(f"{'fpext' if to.itemsize > was.itemsize else 'fptrunc'} {a} {value} to {b}")
         if was.kind == "f":
-            name = f"@llvm.fpto{'u' if to.kind == 'u' else 's'}i.sat.{self.short(new)}.{self.short(old)}"
+            types = f"{self.type_suffix(to_type)}.{self.type_suffix(from_type)}"
+            name = f"@llvm.fpto{'u' if to.kind == 'u' else 's'}i.sat.{types}"
             self.declared.add(f"declare {b} {name}({a})")
             return self.emit(f"call {b} {name}({a} {value})")
         if to.kind == "f":
             return self.emit(f"{'sitofp' if was.kind == 'i' else 'uitofp'} {a} {value} to {b}")
-        if TYPES[old] == TYPES[new]:
+        if TYPES[from_type] == TYPES[to_type]:
             return value
         wider = "sext" if was.kind == "i" else "zext"
         return self.emit(f"{wider if was.kind == 'b' or to.itemsize > was.itemsize else 'trunc'} {a} {value} to {b}")

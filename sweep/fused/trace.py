@@ -1,4 +1,4 @@
-"""The program of one rollout's ticks from the function that JAX traces, and where its arrays lie in memory."""
+"""Tracing of a rollout's tick function with JAX, and the layout of its arrays in memory."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -10,14 +10,14 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.fused.interpret import Interpreter
-from sweep.fused.program import Block, Count, Program, Region
+from sweep.fused.program import Block, LoopCount, Program, Region
 from sweep.fused.randomness import key_words, restore_keys
 
-GROUP = 6  # of a robot: its legs
+GROUP = 6  # the robot's legs
 
 
 class Leaf(NamedTuple):
-    """Where an array of each rollout lies in memory: its first number, and what follows it in order."""
+    """Place of an array in a rollout's memory: its first number; the others follow in order."""
 
     place: int
     shape: tuple[int, ...]
@@ -25,36 +25,45 @@ class Leaf(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many numbers it has in a rollout."""
+        """Number of elements."""
         return math.prod(self.shape)
 
 
 class Traced(NamedTuple):
-    """A program, and its arrays."""
+    """A traced program with the layout of its arrays."""
 
     top: Block
-    given: list[Leaf]  # what does not change
-    carried: list[Leaf]  # what goes on from tick to tick
-    recorded: dict[str, Leaf]  # of each tick, in a memory of its own
+    given: list[Leaf]  # inputs, which do not change
+    carried: list[Leaf]  # carry from tick to tick
+    recorded: dict[str, Leaf]  # record of each tick, in memory of its own
 
 
-Layout = Callable[[Sequence[Any], int], tuple[list[Leaf], int]]  # arrays one after the other, and where the last ends
+Layout = Callable[[Sequence[Any], int], tuple[list[Leaf], int]]  # (shapes, first place) -> (leaves, end of the last)
 
 
 def trace_program(
     function: Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]],
-    given: Any,
-    carried: Any,
+    inputs: Any,
+    carry: Any,
     layout: Layout,
-    together: bool,
+    share_memory: bool,
     group: int,
 ) -> Traced:
-    """The ticks `function(given, carried, number) -> (carried, record)` of one rollout, for trees of arrays like these.
+    """Trace the tick function `(inputs, carry, number) -> (carry, record)` of one rollout.
 
-    `together`: what is given and what is carried share a memory. `group`: how many numbers are one operation's, see
-    `program`. Raises `Unsupported`, and `TypeError` where what is carried changes its shapes, as its memory does not.
+    Args:
+        function: the tick function.
+        inputs: tree of shapes of what does not change from tick to tick.
+        carry: tree of shapes of what does.
+        layout: lays arrays out in memory, from a first place on.
+        share_memory: whether inputs and carry lie in the same memory.
+        group: how many numbers one operation may give at once, such as the six legs; see `program`.
+
+    Raises:
+        Unsupported: A primitive has no rule.
+        TypeError: The carry changes its shapes.
     """
-    (first, tree), (second, other) = jax.tree.flatten(given), jax.tree.flatten(carried)
+    (first, tree), (second, other) = jax.tree.flatten(inputs), jax.tree.flatten(carry)
     n = len(first)
 
     def flat(*leaves: Array) -> Any:
@@ -69,7 +78,7 @@ def trace_program(
     if changed := [f"{old} to {new}" for old, new in both if old != new]:
         raise TypeError(f"what is carried changes its shapes: {', '.join(changed)}")
     constant, size = layout(shapes[:n], 0)
-    moving, _ = layout(shapes[n:], size if together else 0)
+    moving, _ = layout(shapes[n:], size if share_memory else 0)
     names = sorted(record)  # as JAX flattens them
     recorded, _ = layout([record[name] for name in names], 0)
 
@@ -78,7 +87,7 @@ def trace_program(
     regions = [[Region(x.size, x.dtype, depth, x.place, told) for x in leaves]
                for leaves, depth, told in ((constant, 0, False), (moving, 1, False), (recorded, 1, True))]  # fmt: skip
     with program.loop(None) as body:
-        tick = np.full((), program.node("tick", (), "int32", Count(1)), object)
+        tick = np.full((), program.node("tick", (), "int32", LoopCount(1)), object)
         inputs = [interpreter.load_array(region, leaf.shape, region.depth)
                   for group, leaves in zip(regions[:2], (constant, moving), strict=True)
                   for region, leaf in zip(group, leaves, strict=True)]  # fmt: skip

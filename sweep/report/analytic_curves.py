@@ -21,8 +21,8 @@ def limit_curve(theory: Theory, exp: Experiment, rows: pd.DataFrame, along: str)
         agreed = group.loc[:, group.nunique() == 1].iloc[0]
         here = {split_side(str(name))[1]: one for name, one in agreed.items()}
 
-        def value_of(path: str, here: dict = here) -> float:
-            return here[path] if path in here else exp.system.nominal(path, exp.settings)
+        def value_of(path: str, rows: dict = here) -> float:
+            return rows[path] if path in rows else exp.system.nominal(path, exp.settings)
 
         found.append((value, theory.limit(value_of)))
     return pd.DataFrame(found, columns=["along", "limit"])

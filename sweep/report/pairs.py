@@ -65,7 +65,15 @@ def pairs_headline(pairs: pd.DataFrame, a: Path, b: Path, unit: np.ndarray | Non
 
 
 def pairs_tables(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield tables of pairs by region, with p-values by independent `unit` (n,), by cause, and of those that differ."""
+    """Yield tables of pairs: by region, by cause, and the pairs whose outcomes differ.
+
+    Args:
+        pairs: paired rows, see `compare.pair`.
+        unit: independent unit of each pair (n,), for p-values; None where pairs are no sample.
+
+    Returns:
+        Title and table of each; nothing if all outcomes agree.
+    """
     if not compare.outcome_changes(pairs).any():
         return
     if axes := default_regions(pairs):
@@ -117,7 +125,7 @@ def replay_names(rows: pd.DataFrame, mark: str) -> pd.Series:
     return rows[f"run_id{mark}"].astype(str) + "-" + point.astype(str)
 
 
-def difference_figure(found: Results, pairs: pd.DataFrame) -> Iterator[StudyFigure]:
+def difference_figure(difference: Results, pairs: pd.DataFrame) -> Iterator[StudyFigure]:
     """Yield maps of where A succeeds, where B does, and of the difference.
 
     Args:
@@ -129,12 +137,12 @@ def difference_figure(found: Results, pairs: pd.DataFrame) -> Iterator[StudyFigu
         x, y = axes
         valid = (pairs["outcome"] != INVALID) & (pairs[f"outcome{SECOND}"] != INVALID)
         data = pairs.loc[valid, [x, y, "outcome", f"outcome{SECOND}"]].reset_index(drop=True)
-        title = f"{axis_words(y, found.exp)} by {axis_words(x, found.exp)}"
+        title = f"{axis_words(y, difference.exp)} by {axis_words(x, difference.exp)}"
         caption = "Rate of success of A, of B, and B's less A's, of the pairs that are valid in both."
-        yield StudyFigure("difference", title, caption, data, lambda: draw_difference(found, data, x, y))
+        yield StudyFigure("difference", title, caption, data, lambda: draw_difference(difference, data, x, y))
 
 
-def draw_difference(found: Results, data: pd.DataFrame, x: str, y: str) -> Figure:
+def draw_difference(difference: Results, data: pd.DataFrame, x: str, y: str) -> Figure:
     """Draw maps of A, of B and of the difference over the same cells."""
     places = {"x": bin_values(data[x], BINS), "y": bin_values(data[y], BINS)}
     won, won_b = (data[f"outcome{mark}"] == SUCCESS for mark in ("", SECOND))
@@ -147,8 +155,8 @@ def draw_difference(found: Results, data: pd.DataFrame, x: str, y: str) -> Figur
         maps.draw_cells(ax, maps.cell_means(own, cells, column), cells, **look)
         mark_values(ax, cells)
         ax.set_title(title)
-        ax.set_xlabel(wrap_text(axis_title(x, found.exp), 72 * PAGE / 4))
-    spots[0].set_ylabel(axis_title(y, found.exp))
+        ax.set_xlabel(wrap_text(axis_title(x, difference.exp), 72 * PAGE / 4))
+    spots[0].set_ylabel(axis_title(y, difference.exp))
     for ax, look, label in ((spots[1], RATE, "rate of success"), (spots[2], CHANGE, "difference of rates")):
         scale = ScalarMappable(Normalize(look["vmin"], look["vmax"]), look["cmap"])
         figure.colorbar(scale, ax=ax, label=label, shrink=0.8)

@@ -184,10 +184,12 @@ def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
             yield f"statistics-{number}", escape_latex(title) + ".", content
 
 
-def quotable_numbers(results: Results, found: rare.WeightedEstimate | rare.SubsetEstimate | None) -> Iterator[Number]:
+def quotable_numbers(results: Results, failure: rare.WeightedEstimate | rare.SubsetEstimate | None) -> Iterator[Number]:
     """Yield every number of the text, and those that a paper about the study is likely to quote.
 
-    `found` is the probability of failure of a study that searches for failures.
+    Args:
+        results: study with its rows.
+        failure: estimated probability of failure, of a study that searches for failures; None for others.
     """
     rows, start = results.rows, macro_prefix(results)
     one, valid = pooled_rate(rows, results.exp), 'outcome != "invalid"'
@@ -199,15 +201,15 @@ def quotable_numbers(results: Results, found: rare.WeightedEstimate | rare.Subse
     ):
         yield Number(start + name, count, str(count), "number of rows", where)
     share = 'share of outcome == "success"'
-    if not found:
+    if failure is None:
         yield _percent(start + "Rate", one.share, share, valid)
     if not np.isnan(one.low):
         interval = f"end of the 95 % interval ({interval_method(results.exp.study)}) of the {share}"
         yield _percent(start + "RateLow", one.low, f"lower {interval}", valid)
         yield _percent(start + "RateHigh", one.high, f"upper {interval}", valid)
     yield _percent(start + "InvalidRate", one.invalid_share, 'share of outcome == "invalid"', None)
-    if found:
-        for name, value in zip(("", "Low", "High"), (found.probability, *found.interval), strict=True):
+    if failure:
+        for name, value in zip(("", "Low", "High"), (failure.probability, *failure.interval), strict=True):
             what = (
                 f"probability of failing{f', its {name.lower()} 95 % end' if name else ''}, by where rows were sought"
             )

@@ -80,7 +80,7 @@ def simulate_again(
             if isinstance(trace, NoTrace):
                 print(f"sweep: no replay of {row['point_id']}: {trace.reason}", file=sys.stderr)
                 continue
-            yield row, trace, judge_one(exp.system, trace.figures, exp.thresholds, engine.stages)
+            yield row, trace, judge_one(exp.system, trace.metrics, exp.thresholds, engine.stages)
 
 
 def pack_batches(rows: pd.DataFrame, widest: int) -> pd.DataFrame:
@@ -112,13 +112,13 @@ def replay_content(row: pd.Series, trace: Trace) -> dict[str, Any]:
         row: row of the study.
         trace: its recorded rollout.
     """
-    same = [name for name, value in trace.figures.items() if name in row and same_bits(row[name], value)]
+    same = [name for name, value in trace.metrics.items() if name in row and same_bits(row[name], value)]
     return {
         **motion(trace),
         "bodies": bodies(trace.model, trace.foot_position.shape[1]),
         "stages": list(trace.stages),
         "equal": len(same),  # figures that are the row's to the last bit
-        "of": len([name for name in trace.figures if name in row]),
+        "of": len([name for name in trace.metrics if name in row]),
         "why": str(row.get("why", "")),
     }
 

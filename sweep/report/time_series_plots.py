@@ -46,14 +46,14 @@ def time_series_figure(results: Results) -> Iterator[StudyFigure]:
     yield StudyFigure("histories", "Over time", caption, table, lambda: draw_time_series(results, kept, table))
 
 
-def draw_time_series(results: Results, kept: pd.DataFrame, quantiles: pd.DataFrame) -> Figure:
+def draw_time_series(results: Results, samples: pd.DataFrame, quantiles: pd.DataFrame) -> Figure:
     """Draw a panel for each column: single rollouts, and the quantiles of each outcome."""
     columns = results.exp.study.keep[:PANELS]
     figure = new_figure(0.8 + 1.4 * len(columns))
     spots = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
     for name, ax in zip(columns, spots, strict=True):
         for outcome, colour in COLOURS.items():
-            _lines(ax, kept[kept["outcome"] == outcome], name, colour)
+            _lines(ax, samples[samples["outcome"] == outcome], name, colour)
             of = quantiles[(quantiles["outcome"] == outcome) & (quantiles["column"] == name)].sort_values("time_s")
             ax.fill_between(of["time_s"], of["low"], of["high"], color=colour, alpha=0.2, linewidth=0)
             if len(of):
@@ -65,9 +65,9 @@ def draw_time_series(results: Results, kept: pd.DataFrame, quantiles: pd.DataFra
     return figure
 
 
-def _lines(ax: Axes, kept: pd.DataFrame, name: str, colour: str) -> None:
+def _lines(ax: Axes, samples: pd.DataFrame, name: str, colour: str) -> None:
     """Evenly chosen rollouts, as one picture inside the figure."""
-    groups = [part for _, part in kept.groupby(identity_columns(kept.columns), sort=False)]
+    groups = [part for _, part in samples.groupby(identity_columns(samples.columns), sort=False)]
     lines = [groups[k][["time_s", name]].to_numpy() for k in evenly_spaced_indices(len(groups), LINES)]
     look = mpl.rcParams["lines.linewidth"] / 3
     ax.add_collection(LineCollection(lines, colors=colour, linewidths=look, alpha=0.4, rasterized=True))

@@ -17,7 +17,7 @@ import pandas as pd
 
 from sweep.core.errors import InputError
 from sweep.core.spacing import evenly_spaced_indices
-from sweep.engines.base import Figures
+from sweep.engines.base import Metrics
 from sweep.runs.batches import forget_engine, make_batch, make_engine, make_nominal_batch, with_delay_buffer
 from sweep.study.config import Experiment
 from sweep.study.study import is_static, parameter_columns
@@ -109,7 +109,7 @@ def _find_inactive(
     nominal |= {c: middle[c] for c in nominal if c == ENGINE}
     acts = {c: np.zeros(len(values) - 1, dtype=bool) for c, values in levels.items()}
 
-    def simulate(base: Mapping[str, Any], k: int) -> Figures:
+    def simulate(base: Mapping[str, Any], k: int) -> Metrics:
         rows = _rows(table, base, swept, k)
         task = make_batch(exp, rows)
         metrics = make_engine(exp, make_nominal_batch(exp, rows, len(rows))).run(task.world, task.belief, task.streams)
@@ -160,7 +160,7 @@ def _rows(table: pd.DataFrame, base: Mapping[str, Any], levels: Levels, k: int) 
     return pd.DataFrame({**columns, "stream": table["stream"].iloc[0], "width": n + 2})
 
 
-def _changed_rows(a: Figures, b: Figures) -> np.ndarray:
+def _changed_rows(a: Metrics, b: Metrics) -> np.ndarray:
     """Mask (n,) of the rows of two batches that differ by a bit in any metric."""
     pairs = [(np.asarray(a[name], float), np.asarray(b[name], float)) for name in a.keys() & b.keys()]
     differ = [(x != y) & ~(np.isnan(x) & np.isnan(y)) for x, y in pairs]

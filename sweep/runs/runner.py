@@ -494,7 +494,7 @@ def simulate_batch(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple
     watched = time_series.make_watch(exp, task.settings)
     start = time.perf_counter()
     if len(slots):
-        figures, samples = engine.histories(task.world, task.belief, task.streams, slots, watched)
+        figures, samples = engine.run_with_time_series(task.world, task.belief, task.streams, slots, watched)
     else:
         figures = engine.run(task.world, task.belief, task.streams)
     wall = time.perf_counter() - start

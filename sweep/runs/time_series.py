@@ -11,7 +11,7 @@ import pandas as pd
 
 from sweep.core.errors import InputError
 from sweep.core.outcomes import INVALID
-from sweep.engines.base import Engine, Watch
+from sweep.engines.base import Engine, TimeSeriesRequest
 from sweep.engines.settings import EngineSettings
 from sweep.runs import store
 from sweep.runs.batches import Batch, make_engine, make_nominal_batch
@@ -24,10 +24,10 @@ LAST_SECONDS = 1.0  # of such a row that are stored, s
 MAX_NUMBERS = 500_000_000  # of 4 bytes, in the histories of a study
 
 
-def make_watch(exp: Experiment, settings: EngineSettings) -> Watch:
+def make_watch(exp: Experiment, settings: EngineSettings) -> TimeSeriesRequest:
     """Return which columns the engine records, and how often, for a study's `keep`."""
     every = max(1, round(1 / (exp.study.keep_rate * settings.control_period)))
-    return Watch(exp.study.keep, every, exp.study.keep_rows)
+    return TimeSeriesRequest(exp.study.keep, every, exp.study.keep_rows)
 
 
 def recorded_slots(exp: Experiment, rows: pd.DataFrame) -> np.ndarray:
@@ -87,7 +87,7 @@ def to_table(
 
 
 def histories_table(
-    finished: pd.DataFrame, slots: np.ndarray, samples: np.ndarray, watched: Watch, period: float
+    finished: pd.DataFrame, slots: np.ndarray, samples: np.ndarray, watched: TimeSeriesRequest, period: float
 ) -> pd.DataFrame:
     """Return the histories of a batch as a table, see `to_table`.
 
@@ -121,8 +121,8 @@ def simulate_last_states(
         A table for each recorded row, see `to_table`.
     """
     slots = np.flatnonzero(finished["outcome"] == INVALID)[:limit]
-    watched = Watch(tuple(exp.system.history_columns), 1, INVALID_ROWS)
-    _, samples = engine.histories(task.world, task.belief, task.streams, slots, watched)
+    watched = TimeSeriesRequest(tuple(exp.system.history_columns), 1, INVALID_ROWS)
+    _, samples = engine.run_with_time_series(task.world, task.belief, task.streams, slots, watched)
     period = task.settings.control_period
     time, tables = period * (1 + np.arange(len(samples))), []
     for k, slot in enumerate(slots):

@@ -21,7 +21,16 @@ from sweep.controllers.layers import Feedforward
 from sweep.core.errors import InputError
 from sweep.core.parameters import LARGEST
 from sweep.engines.batching import nominal_plan
-from sweep.engines.closed_loop import GRACE, act, figures_of, init, measure, sensing, start_state, truth
+from sweep.engines.closed_loop import (
+    GRACE,
+    classify_sensing,
+    compute_metrics,
+    exact_observation,
+    init_loop,
+    run_controller,
+    start_state,
+    update_metrics,
+)
 from sweep.engines.pre_rollout import prepare_belief
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.metric import GOAL, REST, Tick
@@ -54,7 +63,7 @@ def check(case: Case) -> None:
         f"obstacle.kind = {case.obstacle.kind} is not allowed: it may move": bool(case.obstacle.free_bodies),
         f"{kind} is not allowed: it changes its servos' gains": plan.layer(Flywheel) is not None,
         f"{kind} is not allowed: it searches forces before it starts": plan.layer(Feedforward) is not None,
-        "noise is not allowed: an own model has its own": sensing(case.noise) != "exact",
+        "noise is not allowed: an own model has its own": classify_sensing(case.noise) != "exact",
         "execution.push_impulse is not allowed: controllers of own models do not push": case.execution.push_impulse
         != 0,
         "control is not allowed: nothing is learned": (case.control.calibrate, case.control.touch) != ("none", "none"),
@@ -135,21 +144,23 @@ def make_controller(case: Case, settings: EngineSettings, limits: Thresholds) ->
         own = believed(belief)
         _, plan, _ = prepare_belief(own, own, key)
         start = start_state(own, own, plan)
-        loop = init(own, own, plan, start, jnp.zeros(()), key, LearnedState(), sensors_are="exact")
-        _, command = act(own, own, plan, loop, jnp.int32(0), period)
+        loop = init_loop(own, own, plan, start, jnp.zeros(()), key, LearnedState(), sensing="exact")
+        _, command = run_controller(own, own, plan, loop, jnp.int32(0), period)
         state = {"plan": plan, "loop": loop, "command": command, "tick": jnp.int32(0)}
         return start.qpos, state, GRACE * jnp.sum(plan.duration) + REST
 
     def policy(belief: Mapping[str, Array], seen: Array, state: Any, key: Array) -> tuple[Array, Any]:
         own, plan, loop, tick = believed(belief), state["plan"], state["loop"], state["tick"]
-        now, _ = measure(own, plan, limits, loop, state["command"], summarize_tick(own, seen, period), tick - 1, period)
+        now, _ = update_metrics(
+            own, plan, limits, loop, state["command"], summarize_tick(own, seen, period), tick - 1, period
+        )
         loop = jax.tree.map(lambda a, b: jnp.where(tick > 0, a, b), now, loop)
-        loop, command = act(own, own, plan, loop, tick, period)
+        loop, command = run_controller(own, own, plan, loop, tick, period)
         angles = loop.servo.target + loop.servo.torque / own.drive.stiffness
         return angles.reshape(N_JOINTS), {"plan": plan, "loop": loop, "command": command, "tick": tick + 1}
 
     def figures(belief: Mapping[str, Array], state: Any) -> dict[str, Array]:
-        found = figures_of(believed(belief), state["plan"], state["loop"])
+        found = compute_metrics(believed(belief), state["plan"], state["loop"])
         return {name: jnp.asarray(found[name], float) for name in measured}
 
     return Controller(begin, policy, figures, numbers, measured)
@@ -162,7 +173,7 @@ def summarize_tick(case: Case, seen: Float[Array, " k"], period: float) -> Tick:
     qpos, qvel, load, centre, places, feet, effort = jnp.split(seen, np.cumsum(sizes)[:-1])
     feet, rates = feet.reshape(N_LEGS, 3), qvel[JOINT_V]
     torque = effort - drive.back_emf * rates
-    exact = truth(qpos, qvel, 0, load)
+    exact = exact_observation(qpos, qvel, 0, load)
     bodies = body_poses(exact.free)
     normals = surface_at(case.obstacle, feet, bodies).normal
     return Tick(

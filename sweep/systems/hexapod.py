@@ -76,7 +76,7 @@ class Hexapod:
     replay_formats = ("mcap", "states", "model", "plot", "png", "video")
     unsupported_commands = MappingProxyType({})
     audit_variants = WAYS
-    device = staticmethod(run_id.device)
+    device = staticmethod(run_id.describe_device)
     run_id = staticmethod(run_id.run_id)
     judge = staticmethod(outcome.classify)
     why = staticmethod(outcome.explain_cause)
@@ -200,7 +200,7 @@ class Hexapod:
         """See `System`: where this package compiles, a full tile for each core."""
         from sweep.fused.llvm import LANES  # whose library what is wrong need not wait for
 
-        return LANES * devices.cores() if settings.fusible else 0
+        return LANES * devices.count_cores() if settings.fusible else 0
 
     def inactive_reason(self, column: str, settings: EngineSettings) -> str:
         """Of errors that only the world has, see `System`."""

@@ -10,7 +10,7 @@ import numpy as np
 from sweep.controllers.layers import Feedforward, interpolate_moments
 from sweep.core.constants import GRAVITY, LOADED
 from sweep.engines.base import Trace
-from sweep.engines.closed_loop import free_state
+from sweep.engines.closed_loop import free_body_state
 from sweep.models.obstacles.surface import Obstacle, Surface, body_poses, surface_at
 from sweep.models.robot import total_mass
 
@@ -60,7 +60,7 @@ def surfaces(trace: Trace, points: np.ndarray, frames: slice | np.ndarray = slic
 @jax.jit
 def _surfaces(obstacle: Obstacle, points: jax.Array, qpos: jax.Array, qvel: jax.Array) -> Surface:
     def there(points: jax.Array, qpos: jax.Array, qvel: jax.Array) -> Surface:
-        return surface_at(obstacle, points, body_poses(free_state(qpos, qvel, len(obstacle.free_bodies))))
+        return surface_at(obstacle, points, body_poses(free_body_state(qpos, qvel, len(obstacle.free_bodies))))
 
     return jax.vmap(there)(points, qpos, qvel)
 

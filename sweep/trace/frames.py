@@ -61,7 +61,7 @@ def caption(trace: Trace, k: int, outcome: str = "", title: str = "") -> str:
 
 def known(trace: Trace, k: int, outcome: str) -> str:
     """The outcome from its cause on, or in the last frame where it has none; empty before."""
-    cause = float(trace.figures.get("t_cause_s", np.nan))
+    cause = float(trace.metrics.get("t_cause_s", np.nan))
     return outcome if trace.time[k] >= (trace.time[-1] if np.isnan(cause) else cause) else ""
 
 

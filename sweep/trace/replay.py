@@ -97,7 +97,7 @@ def replay(folder: Path, point: str) -> Replay:
     start = make_nominal_batch(exp, table.loc[table["batch"] == row["batch"]], len(task.streams))
     engine = make_engine(exp, start)
     trace = engine.trace(task.world, task.belief, task.streams, slot)
-    again = {**judge_one(exp.system, trace.figures, exp.thresholds, engine.stages), **trace.figures}
+    again = {**judge_one(exp.system, trace.metrics, exp.thresholds, engine.stages), **trace.metrics}
     values = {name: row[name] for name in (*parameter_columns(table), "replicate", "stream")}
     other_run = None
     if str(row["run_id"]) != exp.system.run_id(task.settings):
@@ -127,7 +127,7 @@ def model_xml(world: Case, settings: EngineSettings) -> str:
 def comparison(result: Replay) -> str:
     """The stored outcome beside the new one, and the figures that differ."""
     stored, again = result.stored, result.again
-    figures = [name for name in result.trace.figures if name in stored]
+    figures = [name for name in result.trace.metrics if name in stored]
     changed = [name for name in figures if not same_bits(stored[name], again[name])]
     rows = [(name, _shown(stored[name]), _shown(again[name])) for name in (*LABELS[:4], *changed)]
     lines = [

@@ -21,7 +21,7 @@ from sweep.controllers.manoeuvres.balancing.ball import stance_on_ball, stand_po
 from sweep.controllers.manoeuvres.balancing.ball_turn import BallTurn
 from sweep.controllers.observation import Observation
 from sweep.core.rotations import exponential, multiply, rotate
-from sweep.engines.closed_loop import free_state, start_state
+from sweep.engines.closed_loop import free_body_state, start_state
 from sweep.formulas.mass_centre import ball_jacobian
 from sweep.models import scene
 from sweep.models.frames import WORLD, body_frame, koenig_frame
@@ -108,7 +108,7 @@ def test_angular_momentum_is_that_of_the_simulation():
         body = model.body(name).id
         moment = np.cross(data.subtree_com[body], data.subtree_linvel[body])
         expected += data.subtree_angmom[body] + model.body_subtreemass[body] * moment
-    free = free_state(start.qpos, start.qvel, 1)
+    free = free_body_state(start.qpos, start.qvel, 1)
     seen = Observation(start.qpos[:3], start.qpos[3:7], start.qvel[:3], jnp.zeros(3), start.qpos[7:25].reshape(6, 3),
                        jnp.zeros((6, 3)), jnp.zeros((6, 3)), jnp.ones(6, bool), free)  # fmt: skip
     got = np.asarray(jax.jit(lambda: angular_momentum(CASE.robot, CASE.obstacle, seen))())

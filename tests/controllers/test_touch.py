@@ -21,7 +21,7 @@ from sweep.controllers.tracker import init
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
 from sweep.engines import make
-from sweep.engines.pre_rollout import places, prepare_belief
+from sweep.engines.pre_rollout import measure_body_positions, prepare_belief
 from sweep.models.frames import WORLD
 from sweep.models.noise import Noise
 from sweep.models.obstacles.ball import Ball
@@ -227,7 +227,7 @@ def test_balls_tell_their_radius_by_how_high_they_lie(scenario):
     world = dataclasses.replace(belief, obstacle=dataclasses.replace(belief.obstacle_as(Ball), radius=larger))
     for bias in (0.0, 0.01):
         key, noise = jax.random.key(3), Noise(body_position_bias=bias)
-        seen = places(dataclasses.replace(world, noise=noise), key)
+        seen = measure_body_positions(dataclasses.replace(world, noise=noise), key)
         np.testing.assert_allclose(seen, free_start_state(world.obstacle).position, atol=4 * bias + 1e-6)
         nothing = touch.init_touch(belief.control, belief.obstacle)
         found = touch.update_from_resting_bodies(belief.control, noise, nothing, seen)

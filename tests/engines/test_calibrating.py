@@ -20,7 +20,7 @@ def simulated(*overrides: str):
     world = dataclasses.replace(exp.case, robot=dataclasses.replace(exp.case.robot, **off))
     engine = make(dataclasses.replace(exp.settings, width=2), exp.case, exp.case, exp.thresholds)
     traces = engine.traces(world, exp.case, np.arange(2), 1)
-    figures = {name: np.array([trace.figures[name] for trace in traces]) for name in traces[0].figures}
+    figures = {name: np.array([trace.metrics[name] for trace in traces]) for name in traces[0].metrics}
     return figures, classify(figures, exp.thresholds, engine.stages), traces[0], off
 
 

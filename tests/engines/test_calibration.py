@@ -29,9 +29,9 @@ def learned(*overrides):
     """Relative errors (robots, sizes) before and after calibration, and the covariance it claims."""
     case = compose([*STAND, *overrides]).case
     world = wrong(case, ROBOTS)
-    over = (devices.axes(world), None, 0)
+    over = (devices.batch_axes(world), None, 0)
     calibrate = jax.vmap(lambda *of_one: pre_rollout.prepare_belief(*of_one)[2].calibration, in_axes=over)
-    arrays = devices.as_arrays(world), devices.as_arrays(case), devices.keys(np.arange(ROBOTS))
+    arrays = devices.as_arrays(world), devices.as_arrays(case), devices.noise_keys(np.arange(ROBOTS))
     found = jax.jit(calibrate)(*arrays)
     true = [getattr(world.robot, n) for n in learnable_sizes(case.robot)]
     pairs = [

@@ -16,12 +16,12 @@ CODE = bytes(range(256)) * 8  # no UTF-8, and zeros in it
 
 def made_up(target, launch):
     """A handler on a CPU, and a program that calls it for three blocks."""
-    handler = driver.handler(launch)
+    handler = driver.make_handler(launch)
     jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(handler), platform="cpu")
     given = jnp.zeros((3, 5), jnp.uint32), jnp.int32(7), jnp.zeros((3, len(CODE)), jnp.uint8)
 
     def program(*operands):
-        (state,) = driver.call("of a kernel", 64, operands, [2], target)
+        (state,) = driver.call_kernel("of a kernel", 64, operands, [2], target)
         return state
 
     return handler, given, lambda: [jax.jit(program).lower(*given).compile()]
@@ -40,7 +40,7 @@ def test_a_program_that_is_kept_knows_its_kernel_by_key(tmp_path, monkeypatch):
     handler, given, compiled = made_up("made_up_kernel", launch)
     made = []
     for _ in range(2):  # pyproject.toml makes errors of warnings that a program is not kept
-        (program,) = program_cache.programs("kernel", jax.devices()[:1], lambda: made.append(1) or compiled())
+        (program,) = program_cache.load_or_compile("kernel", jax.devices()[:1], lambda: made.append(1) or compiled())
         np.testing.assert_array_equal(program(*given), np.tile(np.frombuffer(CODE, np.uint8), (3, 1)))
     assert made == [1]
     assert calls == [(None, "of a kernel", 3, 64, 3)] * 2
@@ -99,7 +99,7 @@ class Driver:
 def test_what_the_driver_links_is_its_machine_code_and_what_it_cannot_is_told(monkeypatch):
     made_up = Driver()
     monkeypatch.setattr(driver, "_driver", lambda: made_up)
-    assert driver.finished_kernel(driver.start_translation("ret;")) == (driver.key("ret;"), CODE)
+    assert driver.wait_for_kernel(driver.start_translation("ret;")) == (driver.kernel_key("ret;"), CODE)
     with pytest.raises(Unsupported, match=r"cuLinkAddData_v2: error \(218\): line 1; error"):
-        driver.finished_kernel(driver.start_translation("rat;"))
+        driver.wait_for_kernel(driver.start_translation("rat;"))
     assert made_up.contexts == []

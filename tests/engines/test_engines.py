@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sweep.core.constants import GRAVITY
-from sweep.engines.mjx import Mjx
-from sweep.engines.native import Native
+from sweep.engines.mjx import MjxEngine
+from sweep.engines.native import NativeEngine
 from sweep.formulas import stepping
 from sweep.metrics import accumulator
 from sweep.metrics.outcome import Thresholds, classify, least_margins
@@ -77,7 +77,7 @@ def world(nominal):
 
 @pytest.fixture(scope="module")
 def mjx(nominal, world):
-    return Mjx(
+    return MjxEngine(
         dataclasses.replace(compose(WALK).settings, width=WIDTH), world_structure(world, nominal), nominal, Thresholds()
     )
 
@@ -106,7 +106,9 @@ def again(mjx, world, nominal):
 
 @pytest.fixture(scope="module")
 def native(nominal):
-    engine = Native(dataclasses.replace(compose(WALK).settings, name="native", width=1), nominal, nominal, Thresholds())
+    engine = NativeEngine(
+        dataclasses.replace(compose(WALK).settings, name="native", width=1), nominal, nominal, Thresholds()
+    )
     return engine.run(nominal, nominal, np.zeros(1, int))
 
 
@@ -192,7 +194,7 @@ def test_a_trace_is_the_run(mjx, world, nominal, figures):
     belief = replace(nominal, obstacle={"slope": world.obstacle.slope})
     trace = mjx.trace(world, belief, STREAMS, NOISY)
     for name in ("distance_m", "tilt_max_deg", "speed_mps", "duration_s", "progress"):
-        assert trace.figures[name] == pytest.approx(figures[name][NOISY], rel=1e-2, abs=1e-3), name
+        assert trace.metrics[name] == pytest.approx(figures[name][NOISY], rel=1e-2, abs=1e-3), name
     moved = np.linalg.norm(trace.qpos[-1, :2] - trace.qpos[0, :2])
     assert moved == pytest.approx(figures["distance_m"][NOISY], abs=5e-3)
     assert len(trace.time) == len(trace.qpos) == round(figures["duration_s"][NOISY] / 4e-3)
@@ -207,11 +209,11 @@ def test_all_rollouts_of_a_batch_are_recorded_as_one_is(name, mjx, world, nomina
     engine, cases, streams, slot = mjx, (world, belief), STREAMS, NOISY
     if name == "native":
         settings = dataclasses.replace(compose(WALK).settings, name="native", width=2)
-        engine = Native(settings, nominal, nominal, Thresholds())
+        engine = NativeEngine(settings, nominal, nominal, Thresholds())
         cases, streams, slot = (nominal, nominal), np.zeros(2, int), 1
     one, every = engine.trace(*cases, streams, slot), engine.traces(*cases, streams, 25)
     peaks = one.joint_torque.reshape(-1, 6, 3).max(axis=(0, 1))  # back-EMF taken off, as in the row
-    np.testing.assert_allclose(peaks, [one.figures[f"torque_peak_{joint}_nm"] for joint in KINDS], rtol=1e-5)
+    np.testing.assert_allclose(peaks, [one.metrics[f"torque_peak_{joint}_nm"] for joint in KINDS], rtol=1e-5)
     assert len(every) == len(streams)
     again = every[slot]
     assert again.time == pytest.approx(one.time[24::25])
@@ -220,11 +222,11 @@ def test_all_rollouts_of_a_batch_are_recorded_as_one_is(name, mjx, world, nomina
     assert one.margin_of[-1] in {c.threshold for c in accumulator.tick_causes(nominal)}
     for field in ("qpos", "foot_force", "joint_torque", "stage", "margin"):
         assert np.array_equal(getattr(again, field), getattr(one, field)[24::25]), field
-    assert all(np.array_equal(again.figures[k], one.figures[k], equal_nan=True) for k in one.figures)
+    assert all(np.array_equal(again.metrics[k], one.metrics[k], equal_nan=True) for k in one.metrics)
     assert not len(engine.traces(*cases, streams, 10**6)[slot].time)  # not one sample is due
 
 
 def _watched(limits, case, trace):
     """Least margin of a rollout's figures to the limits that are watched in every tick."""
-    figures = {name: np.asarray(value) for name, value in trace.figures.items()}
+    figures = {name: np.asarray(value) for name, value in trace.metrics.items()}
     return least_margins(accumulator.tick_causes(case), figures, limits)[0]

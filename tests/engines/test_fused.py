@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sweep.core.errors import InputError
-from sweep.engines.mjx import Mjx
-from sweep.engines.native import Native
+from sweep.engines.mjx import MjxEngine
+from sweep.engines.native import NativeEngine
 from sweep.engines.settings import EngineSettings
 from sweep.fused.arrays import Unsupported
 from sweep.study.config import compose
@@ -22,7 +22,7 @@ def walks():
     def figures(compiler: str, width: int = 20, pick=slice(None)):
         values = friction[pick]
         world = replace(exp.case, contact=replace(exp.case.contact, friction=values))
-        engine = Mjx(EngineSettings(width=width, compiler=compiler), exp.case, exp.case)
+        engine = MjxEngine(EngineSettings(width=width, compiler=compiler), exp.case, exp.case)
         return engine.run(world, exp.case, np.arange(20)[pick])
 
     return figures
@@ -35,7 +35,7 @@ def test_a_rollout_is_that_of_xla_to_round_off(walks):
 
 
 def test_a_rollouts_bits_depend_neither_on_its_neighbours_nor_on_their_number(walks, monkeypatch):
-    monkeypatch.setattr("sweep.engines.devices.cores", lambda: 1)  # twenty take wide tiles, three a narrow one
+    monkeypatch.setattr("sweep.engines.devices.count_cores", lambda: 1)  # twenty take wide tiles, three a narrow one
     whole, part = walks("fused"), walks("fused", 3, slice(16, 19))
     for name, values in part.items():
         np.testing.assert_array_equal(values, whole[name][16:19], err_msg=name)
@@ -44,7 +44,7 @@ def test_a_rollouts_bits_depend_neither_on_its_neighbours_nor_on_their_number(wa
 def test_what_cannot_be_fused_is_refused_where_it_was_to_be(monkeypatch):
     monkeypatch.setattr("sweep.fused.interpret.ELEMENTWISE", frozenset())
     exp = compose(["scenario=walk_tripod", "manoeuvre.steps=1"])
-    engine = Mjx(EngineSettings(width=1, compiler="fused"), exp.case, exp.case)
+    engine = MjxEngine(EngineSettings(width=1, compiler="fused"), exp.case, exp.case)
     with pytest.raises(InputError, match=r"engine\.compiler = fused is not allowed here: .* no rule for \w+"):
         engine.run(exp.case, exp.case, np.arange(1))
     with pytest.raises(InputError, match=r"not allowed with engine\.dynamics = mjx"):
@@ -56,7 +56,7 @@ def test_under_native_the_controller_is_that_of_xla_which_takes_what_has_no_rule
     world = replace(exp.case, contact=replace(exp.case.contact, friction=np.array([0.6, 0.8, 1.0])))
 
     def figures():
-        engine = Native(replace(exp.settings, width=3), exp.case, exp.case, exp.thresholds)
+        engine = NativeEngine(replace(exp.settings, width=3), exp.case, exp.case, exp.thresholds)
         return engine.run(world, exp.case, np.arange(3)), engine.fused
 
     def without(*_, **__):
@@ -76,6 +76,6 @@ def test_under_native_the_controller_is_that_of_xla_which_takes_what_has_no_rule
 def test_a_robot_that_learns_is_fused_too():
     exp = compose(["scenario=walk_kerb", "manoeuvre.steps=2", "control=learn"])
     world = replace(exp.case, obstacle=replace(exp.case.obstacle, height=np.array([0.095, 0.105])))
-    engine = Mjx(EngineSettings(width=2, compiler="fused"), exp.case, exp.case)
+    engine = MjxEngine(EngineSettings(width=2, compiler="fused"), exp.case, exp.case)
     figures = engine.run(world, exp.case, np.arange(2))
     np.testing.assert_allclose(figures["learned_height_m"], [0.095, 0.105], atol=1e-3)

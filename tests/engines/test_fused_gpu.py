@@ -12,7 +12,7 @@ from validity.scenes import kick_on_slope
 
 from sweep.core.errors import InputError
 from sweep.engines import program_cache
-from sweep.engines.mjx import Mjx
+from sweep.engines.mjx import MjxEngine
 from sweep.engines.settings import EngineSettings
 from sweep.fused import driver, launch
 from sweep.fused.arrays import Unsupported
@@ -25,18 +25,25 @@ HOW = pytest.mark.parametrize("few", [False, True], ids=["many", "few"])  # some
 @pytest.fixture(autouse=True)
 def without_a_gpu(monkeypatch):
     if jax.default_backend() != "gpu":
-        monkeypatch.setattr(launch, "call", ptx.call)
+        monkeypatch.setattr(launch, "call_kernel", ptx.call)
 
 
 def both(function, *batch, few=False):
     """What `function` of one rollout records for a batch, by a kernel and by XLA."""
     one = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in batch]
     state = [jax.ShapeDtypeStruct((), jnp.bool)]
-    code = launch.compiled(
-        lambda given, carried, k: (carried, function(*given)), one, state, lambda x: x[0], 1, WIDTH, WIDTH, few=few
+    code = launch.compile_to_ptx(
+        lambda given, carried, k: (carried, function(*given)),
+        one,
+        state,
+        lambda x: x[0],
+        1,
+        WIDTH,
+        WIDTH,
+        small_batch=few,
     )
     every = jnp.arange(WIDTH)
-    _, record = launch.run(code, list(batch), [jnp.zeros(WIDTH, bool)], jnp.int32(0), every)
+    _, record = launch.run_kernel(code, list(batch), [jnp.zeros(WIDTH, bool)], jnp.int32(0), every)
     return {name: x[0] for name, x in record.items()}, jax.vmap(function)(*batch)
 
 
@@ -80,8 +87,8 @@ def test_a_row_is_stored_at_a_computed_address(few, shape):
     delays = jnp.arange(WIDTH) % size
     start = some(size, *shape), some(*shape, seed=1), jnp.zeros(WIDTH, bool)
     one = jax.tree.map(lambda x: x[0], (delays, start))
-    code = launch.compiled(tick, *one, lambda x: x[2], ticks, WIDTH, WIDTH, few=few)
-    after, record = launch.run(code, delays, start, jnp.int32(0), jnp.arange(WIDTH))
+    code = launch.compile_to_ptx(tick, *one, lambda x: x[2], ticks, WIDTH, WIDTH, small_batch=few)
+    after, record = launch.run_kernel(code, delays, start, jnp.int32(0), jnp.arange(WIDTH))
     carried = start
     for number in range(ticks):
         carried, expected = jax.vmap(tick, (0, 0, None))(delays, carried, number)
@@ -144,9 +151,11 @@ def test_rollouts_go_on_until_all_of_their_warp_are_over():
         return (count + 1, over | (count + 1 >= given)), {}
 
     like = (jax.ShapeDtypeStruct((), jnp.int32), jax.ShapeDtypeStruct((), jnp.bool))
-    code = launch.compiled(counted, like[0], like, lambda x: x[1], 6, 0, 34)
+    code = launch.compile_to_ptx(counted, like[0], like, lambda x: x[1], 6, 0, 34)
     ends = jnp.where(jnp.arange(34) < 32, 3, 9)  # a warp has 32 rollouts
-    (count, over), _ = launch.run(code, ends, (jnp.zeros(34, jnp.int32), jnp.zeros(34, bool)), jnp.int32(0), None)
+    (count, over), _ = launch.run_kernel(
+        code, ends, (jnp.zeros(34, jnp.int32), jnp.zeros(34, bool)), jnp.int32(0), None
+    )
     assert count.tolist() == [3] * 32 + [6] * 2
     assert over.tolist() == [True] * 32 + [False] * 2
 
@@ -164,8 +173,8 @@ def test_lanes_do_not_part_where_some_rollouts_of_a_warp_are_over_with_all_besid
     feet = 0.1 * jnp.arange(WIDTH * 18.0).reshape(WIDTH, 6, 3)
     carried = feet, jnp.zeros(WIDTH, bool), jnp.full(WIDTH, 9.0)
     one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), (given, carried))
-    code = launch.compiled(ticked, *one, lambda carried: carried[1], 7, 0, WIDTH, few=few)
-    kernel, _ = launch.run(code, given, carried, jnp.int32(0), None)
+    code = launch.compile_to_ptx(ticked, *one, lambda carried: carried[1], 7, 0, WIDTH, small_batch=few)
+    kernel, _ = launch.run_kernel(code, given, carried, jnp.int32(0), None)
     for k in range(7):
         carried, _ = jax.vmap(ticked, (0, 0, None))(given, carried, jnp.int32(k))
     going = np.asarray(given) > 2
@@ -200,9 +209,9 @@ def test_parts_hand_on_what_they_have_worked_out_however_many_rollouts_a_block_h
 
     def run(turns):
         monkeypatch.setattr(launch, "TURNS", turns)
-        code = launch.compiled(ticked, *one, lambda carried: carried[2], 2, WIDTH, width, few=few)
+        code = launch.compile_to_ptx(ticked, *one, lambda carried: carried[2], 2, WIDTH, width, small_batch=few)
         assert code.rollouts == turns * WIDTH
-        return launch.run(code, given, carried, jnp.int32(3), jnp.arange(WIDTH))
+        return launch.run_kernel(code, given, carried, jnp.int32(3), jnp.arange(WIDTH))
 
     parts, xla = run(1), carried
     jax.tree.map(np.testing.assert_array_equal, parts, run(2))
@@ -229,8 +238,8 @@ def test_branches_of_the_legs_that_depend_on_one_another_go_in_their_order(few):
     given = jnp.linspace(0.1, 0.4, WIDTH)
     carried = 0.1 * some(6, 3), jnp.zeros(WIDTH), jnp.zeros(WIDTH, bool)
     one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), (given, carried))
-    code = launch.compiled(ticked, *one, lambda carried: carried[2], 3, 0, WIDTH, few=few)
-    kernel, _ = launch.run(code, given, carried, jnp.int32(0), None)
+    code = launch.compile_to_ptx(ticked, *one, lambda carried: carried[2], 3, 0, WIDTH, small_batch=few)
+    kernel, _ = launch.run_kernel(code, given, carried, jnp.int32(0), None)
     for k in range(3):
         carried, _ = jax.vmap(ticked, (0, 0, None))(given, carried, jnp.int32(k))
     for a, b in zip(kernel, carried, strict=True):
@@ -245,17 +254,17 @@ def test_what_a_gpu_has_no_rule_for_is_named():
 @HOW
 def test_a_walk_is_that_of_the_cpu(monkeypatch, few):
     exp = compose(["scenario=walk_tripod", "manoeuvre.steps=1"])
-    engine = Mjx(replace(exp.settings, width=WIDTH, compiler="fused"), exp.case, exp.case)
+    engine = MjxEngine(replace(exp.settings, width=WIDTH, compiler="fused"), exp.case, exp.case)
     world = replace(exp.case, contact=replace(exp.case.contact, friction=np.linspace(0.1, 1.0, WIDTH)))
     (world, belief, keys), program, *_ = engine._prepare(world, exp.case, np.arange(WIDTH), None, 1, None)
     given, tick = (world, belief, program.start(world, belief, keys)[0]), engine._tick
-    _, carry = program.begin(world, belief, keys)
+    _, carry = program.planning(world, belief, keys)
     one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:] if x.ndim else (), x.dtype), (given, carry))
-    code = launch.compiled(tick, *one, lambda carry: carry.is_over, 2, WIDTH, WIDTH, few=few)
-    gpu, _ = launch.run(code, given, carry, jnp.int32(0), jnp.arange(WIDTH))
+    code = launch.compile_to_ptx(tick, *one, lambda carry: carry.is_over, 2, WIDTH, WIDTH, small_batch=few)
+    gpu, _ = launch.run_kernel(code, given, carry, jnp.int32(0), jnp.arange(WIDTH))
     _, going = program.start(world, belief, keys)
     going.tiles.advance(0, 2)
-    cpu = going.tiles.leave()
+    cpu = going.tiles.read_all()
     for name, step in (("q", 1e-6), ("v", 1e-3)):
         np.testing.assert_allclose(getattr(gpu.state, name), getattr(cpu.state, name), atol=step, err_msg=name)
 
@@ -274,7 +283,7 @@ def test_steps_alone_are_those_of_the_cpu(monkeypatch, name):
         return jax.pure_callback(lambda *of: ptx.call(code, of), changed, *operands)
 
     if jax.default_backend() != "gpu":
-        monkeypatch.setattr(launch, "call", interpreted)
+        monkeypatch.setattr(launch, "call_kernel", interpreted)
         monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     gpu = simulation.compile_batch(*given).advance()
     assert cpu["q"].shape == (2, 1, q.shape[1])
@@ -288,25 +297,29 @@ def test_few_rollouts_begin_and_end_as_on_a_cpu_and_their_kernel_is_kept_beside_
     launched, translated = [], []
 
     def ended(chunks):
-        engine = Mjx(replace(exp.settings, width=2), exp.case, exp.case)
+        engine = MjxEngine(replace(exp.settings, width=2), exp.case, exp.case)
         (world, belief, keys), programs, kept, _ = engine._prepare(exp.case, exp.case, np.arange(2), None, 1, None)
         plans, carry = programs.start(world, belief, keys)
         for _ in range(chunks):
             carry, _ = programs.chunk(world, belief, plans, carry, 0, kept)
         return programs.finish(world, plans, carry)
 
-    handler = driver.handler(lambda call: launched.append(driver.finished_kernel(call.key).code))  # changes nothing
+    handler = driver.make_handler(
+        lambda call: launched.append(driver.wait_for_kernel(call.key).code)
+    )  # changes nothing
     jax.ffi.register_ffi_target("idle", jax.ffi.pycapsule(handler), platform="cpu")
     monkeypatch.setattr(
-        launch, "call", lambda code, of: driver.call(driver.start_translation(code.text), 1, of, [2], "idle")
+        launch,
+        "call_kernel",
+        lambda code, of: driver.call_kernel(driver.start_translation(code.text), 1, of, [2], "idle"),
     )
-    monkeypatch.setattr(driver, "_translated", lambda text: translated.append(text) or b"machine code")
+    monkeypatch.setattr(driver, "_translate", lambda text: translated.append(text) or b"machine code")
     begun = ended(0)
     monkeypatch.setattr(program_cache, "_folder", lambda: tmp_path)
-    monkeypatch.setattr(Mjx, "_by_host", False)
+    monkeypatch.setattr(MjxEngine, "_runs_outside_xla", False)
     monkeypatch.setattr(launch, "OPTIONS", {})
     for _ in range(2):  # the second finds all there is
-        monkeypatch.setattr(driver, "_made", {})
+        monkeypatch.setattr(driver, "_machine_code", {})
         for name, figure in ended(1).items():
             np.testing.assert_array_equal(figure, begun[name], err_msg=name)
     assert (set(launched), len(translated)) == ({b"machine code"}, 1)
@@ -319,7 +332,9 @@ def test_rollouts_on_a_gpu_are_those_of_xla():
     world = replace(exp.case, contact=replace(exp.case.contact, friction=np.linspace(0.05, 1.0, 20)))
 
     def figures(compiler):
-        return Mjx(EngineSettings(width=20, compiler=compiler), exp.case, exp.case).run(world, exp.case, np.arange(20))
+        return MjxEngine(EngineSettings(width=20, compiler=compiler), exp.case, exp.case).run(
+            world, exp.case, np.arange(20)
+        )
 
     fused, xla = figures("fused"), figures("xla")
     for name in ("distance_m", "duration_s", "tilt_max_deg", "torque_peak_alpha_nm"):
@@ -330,4 +345,4 @@ def test_no_other_device_is_fused_for(monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "tpu")
     exp = compose(["scenario=walk_tripod"])
     with pytest.raises(InputError, match=r"engine\.compiler = fused is not allowed on a tpu"):
-        Mjx(EngineSettings(width=1, compiler="fused"), exp.case, exp.case)
+        MjxEngine(EngineSettings(width=1, compiler="fused"), exp.case, exp.case)

@@ -62,4 +62,4 @@ def test_buoy_heaves_and_its_work_is_counted(name):
     begins = t < 1.0
     np.testing.assert_allclose(heave[begins], HEAVE * np.cos(20 * t[begins]), atol=0.03 * HEAVE)
     assert np.ptp(heave[t > t[-1] - 1.0]) == pytest.approx(2 * HEAVE, rel=0.01)
-    assert trace.figures["energy_gain_max_j"] < 0.02 * 0.5 * 2e4 * HEAVE**2
+    assert trace.metrics["energy_gain_max_j"] < 0.02 * 0.5 * 2e4 * HEAVE**2

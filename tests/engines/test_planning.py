@@ -34,7 +34,7 @@ def many(one):
 def begun(arrays):
     """What a batch starts with where all is the host's."""
     with ThreadPoolExecutor() as pool:
-        form, parts = planning.start_compilation(pool, start, arrays, many, forced=True, by_host=True)
+        form, parts = planning.start_compilation(pool, start, arrays, many, has_forces=True, use_numpy=True)
         return form, Planning.from_programs(*parts())
 
 
@@ -64,14 +64,14 @@ def test_one_search_is_made_for_all_rollouts_of_the_same_pose():
     searched, enter = [], search.enter
     search.enter = lambda given, carried, width: searched.append(width) or enter(given, carried, width)
     several = begin(*arrays)[0].force
-    apart = {name: partial(planning._searched, search) for name in begin.searches}
-    once = begin.program(1, np.float32(0.5), np.float32(0.4), key, apart=apart)
+    external = {name: partial(planning._search_forces, search) for name in begin.searches}
+    once = begin.program(1, np.float32(0.5), np.float32(0.4), key, external=external)
     assert searched == [3, 1]
     np.testing.assert_array_equal(several, np.repeat(once[0].force, 3, axis=0))
 
 
 def test_some_rollouts_at_a_time_are_all_of_them(monkeypatch):
-    monkeypatch.setattr(devices, "PLANNED", 8)
+    monkeypatch.setattr(devices, "PLANNING_WIDTH", 8)
 
     def of_one(world, belief, key, bodies):
         return {"base": jnp.sin(world * belief) + jnp.arange(3.0), "draw": jax.random.normal(key), "bodies": bodies}
@@ -79,4 +79,4 @@ def test_some_rollouts_at_a_time_are_all_of_them(monkeypatch):
     keys, bodies = jax.random.split(jax.random.key(0), 24), jnp.zeros((24, 0, 7))
     arrays = jnp.float32(2.0), jnp.arange(24.0), keys, bodies
     many = jax.vmap(of_one, (None, 0, 0, 0))(*arrays)
-    jax.tree.map(np.testing.assert_array_equal, jax.jit(devices.in_turns(of_one, 24))(*arrays), many)
+    jax.tree.map(np.testing.assert_array_equal, jax.jit(devices.vmap_in_chunks(of_one, 24))(*arrays), many)

@@ -17,7 +17,7 @@ import pytest
 from sweep.core import files, provenance
 from sweep.core.errors import InputError
 from sweep.engines import fused_loop, program_cache
-from sweep.engines.mjx import Mjx
+from sweep.engines.mjx import MjxEngine
 from sweep.engines.settings import EngineSettings
 from sweep.fused import driver
 from sweep.fused.arrays import Unsupported
@@ -62,7 +62,7 @@ class Compiler:
 
 def test_what_one_process_compiled_the_next_loads(folder):
     compiler = Compiler(2.0)
-    first, again = (program_cache.programs("two", ONE, compiler)[0](X)["y"] for _ in range(2))
+    first, again = (program_cache.load_or_compile("two", ONE, compiler)[0](X)["y"] for _ in range(2))
     np.testing.assert_array_equal(first, again)
     np.testing.assert_array_equal(again, 2 * X)
     assert compiler.times == 1
@@ -74,7 +74,7 @@ def test_a_program_that_calls_lapack_runs_where_nothing_else_has_called_it(tmp_p
         from sweep.engines import program_cache
         jax.config.update("jax_compilation_cache_dir", sys.argv[1])
         compiled = lambda: print("anew") or [jax.jit(jnp.linalg.cholesky).lower(jnp.eye(2)).compile()]
-        (program,) = program_cache.programs("cholesky", jax.devices()[:1], compiled)
+        (program,) = program_cache.load_or_compile("cholesky", jax.devices()[:1], compiled)
         print(program(4 * jnp.eye(2))[1, 1])
     """
     run = partial(subprocess.run, [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True)
@@ -83,37 +83,37 @@ def test_a_program_that_calls_lapack_runs_where_nothing_else_has_called_it(tmp_p
 
 @pytest.mark.parametrize("change", ["made of", "code", "compiler flags", "JAX's settings", "driver"])
 def test_where_anything_differs_it_is_compiled_anew(folder, monkeypatch, change):
-    program_cache.programs("two", ONE, Compiler(2.0))
+    program_cache.load_or_compile("two", ONE, Compiler(2.0))
     if change == "code":
         monkeypatch.setattr(provenance, "program_version", lambda: "another")
     if change == "driver":
-        monkeypatch.setattr(driver, "version", lambda: 12090)
+        monkeypatch.setattr(driver, "driver_version", lambda: 12090)
     if change == "compiler flags":
         monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=true")
     precision = "bfloat16" if change == "JAX's settings" else jax.config.jax_default_matmul_precision
     compiler = Compiler(3.0)
     with setting(jax_default_matmul_precision=precision):
-        (program,) = program_cache.programs("three" if change == "made of" else "two", ONE, compiler)
+        (program,) = program_cache.load_or_compile("three" if change == "made of" else "two", ONE, compiler)
     np.testing.assert_array_equal(program(X)["y"], 3 * X)
     assert compiler.times == 1
 
 
 @pytest.mark.parametrize("damage", [b"", b"not a program"])
 def test_a_damaged_file_is_replaced(folder, damage):
-    program_cache.programs("two", ONE, Compiler(2.0))
+    program_cache.load_or_compile("two", ONE, Compiler(2.0))
     (file,) = folder.glob("*.programs")
     whole = file.read_bytes()
     file.write_bytes(damage)
     compiler = Compiler(2.0)
     with pytest.warns(RuntimeWarning, match="was not found again"):
-        (program,) = program_cache.programs("two", ONE, compiler)
+        (program,) = program_cache.load_or_compile("two", ONE, compiler)
     np.testing.assert_array_equal(program(X)["y"], 2 * X)
     assert compiler.times == 1
     assert len(file.read_bytes()) == pytest.approx(len(whole), rel=0.05)
 
 
 def test_a_program_that_is_damaged_within_its_archive_never_reaches_xla(folder, monkeypatch):
-    program_cache.programs("two", ONE, Compiler(2.0))
+    program_cache.load_or_compile("two", ONE, Compiler(2.0))
     (file,) = folder.glob("*.programs")
     whole = file.read_bytes()
     content = bytearray(zlib.decompress(whole[program_cache.DIGEST :]))
@@ -122,14 +122,14 @@ def test_a_program_that_is_damaged_within_its_archive_never_reaches_xla(folder, 
     monkeypatch.setattr(program_cache, "deserialize_and_load", lambda *_, **__: pytest.fail("XLA was given it"))
     compiler = Compiler(2.0)
     with pytest.warns(RuntimeWarning, match="its content has changed"):
-        program_cache.programs("two", ONE, compiler)
+        program_cache.load_or_compile("two", ONE, compiler)
     assert compiler.times == 1
 
 
 def test_a_folder_that_cannot_be_written_is_no_fault(tmp_path):
     (tmp_path / "file").touch()
     with setting(jax_compilation_cache_dir=str(tmp_path / "file")):
-        np.testing.assert_array_equal(program_cache.programs("two", ONE, Compiler(2.0))[0](X)["y"], 2 * X)
+        np.testing.assert_array_equal(program_cache.load_or_compile("two", ONE, Compiler(2.0))[0](X)["y"], 2 * X)
 
 
 def test_a_program_that_cannot_be_kept_runs_and_says_so(folder, monkeypatch):
@@ -138,20 +138,20 @@ def test_a_program_that_cannot_be_kept_runs_and_says_so(folder, monkeypatch):
 
     monkeypatch.setattr(program_cache, "serialize", refuse)
     with pytest.warns(RuntimeWarning, match="was not kept: NotImplementedError: mutable arrays"):
-        (program,) = program_cache.programs("two", ONE, Compiler(2.0))
+        (program,) = program_cache.load_or_compile("two", ONE, Compiler(2.0))
     np.testing.assert_array_equal(program(X)["y"], 2 * X)
 
 
 def test_two_threads_that_compile_at_once_leave_keeping_as_it_was(folder):
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda k: program_cache.programs(k, ONE, Compiler(float(k))), (2, 3)))
+        list(pool.map(lambda k: program_cache.load_or_compile(k, ONE, Compiler(float(k))), (2, 3)))
     assert jax.config.jax_enable_compilation_cache
     assert len(list(folder.glob("*.programs"))) == 2
 
 
 def test_nothing_is_kept_of_sources_written_since_the_start(folder, monkeypatch):
     monkeypatch.setattr(provenance, "STARTED", 0.0)
-    program_cache.programs("two", ONE, Compiler(2.0))
+    program_cache.load_or_compile("two", ONE, Compiler(2.0))
     assert not list(folder.glob("*.programs"))
 
 
@@ -159,12 +159,12 @@ def made_of(monkeypatch, settings=(), limits=(), case=CASE, vary=False, slots=No
     """What an engine says that its programs depend on."""
     asked = []
     none = None, {}, None, None
-    engine = Mjx(
+    engine = MjxEngine(
         EngineSettings(**{"width": 2, "compiler": "xla", **dict(settings)}), case, case, Thresholds(**dict(limits))
     )
     world = dataclasses.replace(case, contact=dataclasses.replace(case.contact, friction=np.ones(2) if vary else 1.0))
     with jax.enable_x64(engine.settings.precision == "float64"), monkeypatch.context() as patch:
-        patch.setattr(program_cache, "programs", lambda parts, *_: asked.append(repr(parts)) or none)
+        patch.setattr(program_cache, "load_or_compile", lambda parts, *_: asked.append(repr(parts)) or none)
         engine._prepare(world, case, np.zeros(2, int), slots, 1, None)
     return asked[0]
 
@@ -200,9 +200,9 @@ def test_what_has_no_rule_is_traced_once(folder, monkeypatch):
         traced.append(1)
         raise Unsupported("sort")
 
-    monkeypatch.setattr(Mjx, "_compile", fused_loop.or_what_is_missing(none))
+    monkeypatch.setattr(MjxEngine, "_compile", fused_loop.return_missing_rule(none))
     for _ in range(2):
-        engine = Mjx(EngineSettings(width=1, compiler="fused"), CASE, CASE)
+        engine = MjxEngine(EngineSettings(width=1, compiler="fused"), CASE, CASE)
         with pytest.raises(InputError, match="no rule for sort"):
             engine.run(CASE, CASE, np.arange(1))
     assert len(traced) == 1
@@ -211,7 +211,7 @@ def test_what_has_no_rule_is_traced_once(folder, monkeypatch):
 @pytest.mark.parametrize("what", ["folder", "programs"])
 @pytest.mark.parametrize("how", ["others may write it", "another user's"])
 def test_what_others_could_have_written_is_not_run(folder, monkeypatch, what, how):
-    program_cache.programs("two", ONE, Compiler(2.0))
+    program_cache.load_or_compile("two", ONE, Compiler(2.0))
     (path,) = [folder] if what == "folder" else folder.glob("*.programs")
     if how == "others may write it":
         path.chmod(0o777)
@@ -220,7 +220,7 @@ def test_what_others_could_have_written_is_not_run(folder, monkeypatch, what, ho
     else:
         monkeypatch.setattr(os, "geteuid", lambda: 12345)
     with pytest.raises(InputError, match=path.name):
-        program_cache.programs("two", ONE, Compiler(2.0))
+        program_cache.load_or_compile("two", ONE, Compiler(2.0))
 
 
 def test_programs_are_kept_in_an_absolute_folder_or_not_at_all(monkeypatch, tmp_path):

@@ -60,6 +60,6 @@ def test_an_impulse_that_the_solver_loses_makes_the_rollout_invalid():
     """15 N s within one step of 2 ms are 48 times the weight: two iterations of the solver do not settle that."""
     traces, limits = pushed("engine=mjx", "engine.iterations=2")
     for trace, duration in zip(traces, DURATIONS, strict=True):
-        row = {name: np.asarray([value]) for name, value in trace.figures.items()}
+        row = {name: np.asarray([value]) for name, value in trace.metrics.items()}
         lost = momentum_after(trace, duration) != pytest.approx(IMPULSE, rel=0.01)
         assert lost == (classify(row, limits, trace.stages)["cause"][0] == "solver"), duration

@@ -93,7 +93,7 @@ def rolled_out(exp, solid):
     """Outcome, cause and stage, and the trace of the nominal rollout."""
     engine = make(dataclasses.replace(exp.settings, solid=solid), exp.case, exp.case, exp.thresholds)
     trace = engine.trace(exp.case, exp.case, np.zeros(1, int), 0)
-    labels = judge_one(exp.system, trace.figures, exp.thresholds, engine.stages)
+    labels = judge_one(exp.system, trace.metrics, exp.thresholds, engine.stages)
     return [labels[name] for name in ("outcome", "cause", "stage")], trace
 
 

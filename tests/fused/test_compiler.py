@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from sweep.fused import kernel, llvm
 from sweep.fused.arrays import Unsupported
-from sweep.fused.program import Node, inside
+from sweep.fused.program import Node, walk_block
 
 PAGE = Path(__file__).parents[2] / "docs/compiler.md"
 WIDTH = 5
@@ -181,7 +181,7 @@ def test_a_batch_keeps_the_program_that_it_goes_through():
         tiles = Kernel(code).enter(one + 2, one[None], 1)
         gc.collect()
         tiles.advance(0, 3)
-        print(tiles.leave())
+        print(tiles.read_all())
     """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "[6.]\n"), done.stderr
@@ -291,7 +291,7 @@ def test_a_group_may_have_another_size(group):
         np.testing.assert_allclose(values, xla[name], rtol=1e-5, atol=1e-6, err_msg=name)
     one = jax.ShapeDtypeStruct(x.shape[1:], x.dtype)
     program, _ = kernel.print_program(lambda given, carried, k: (carried, moved(given)), one, jnp.zeros(()), group)
-    roots = [n for n in inside(program.top) if isinstance(n, Node) and n.op == "sqrt"]
+    roots = [n for n in walk_block(program.top) if isinstance(n, Node) and n.op == "sqrt"]
     assert [n.leg for n in roots] == [True]
 
 
@@ -303,7 +303,7 @@ def test_rows_that_are_alike_leave_the_others_one_operation_for_the_legs():
     np.testing.assert_allclose(fused["x"], xla["x"], rtol=1e-6)
     one = jax.ShapeDtypeStruct(x.shape[1:], x.dtype)
     program, _ = kernel.print_program(lambda given, carried, k: (carried, rooted(given)), one, jnp.zeros(()))
-    roots = [n for n in inside(program.top) if isinstance(n, Node) and n.op == "sqrt"]
+    roots = [n for n in walk_block(program.top) if isinstance(n, Node) and n.op == "sqrt"]
     assert sorted(n.leg for n in roots) == [False, True]
 
 
@@ -315,6 +315,6 @@ def test_the_pages_example_runs_and_its_operations_are_those_of_the_code(capsys)
     assert names["record"]["sum"].shape == (2, 1)
     assert "define void @run" in capsys.readouterr().out
     told = set(re.findall(r"^\| `(\w+)` \| .* \| .* \|$", text, re.MULTILINE))
-    with_extra = {n.op for n in inside(names["program"].top) if isinstance(n, Node) and n.extra is not None}
+    with_extra = {n.op for n in walk_block(names["program"].top) if isinstance(n, Node) and n.extra is not None}
     assert with_extra
     assert with_extra <= told

@@ -137,9 +137,9 @@ def test_what_is_set_apart_is_done_by_others():
         return dear(x, 2.0) + y.sum()
 
     x, y, _ = batch(3)
-    program = eager.trace(function, x[0], y, apart=("dear",))
-    assert [(a.shape, a.dtype) for a in program.apart["dear"]] == [((4, 6), np.float32), ((), np.float32)]
-    made = program(3, x, y, apart={"dear": lambda rows, scale: np.sort(rows, axis=1) * scale})
+    program = eager.trace(function, x[0], y, external=("dear",))
+    assert [(a.shape, a.dtype) for a in program.external["dear"]] == [((4, 6), np.float32), ((), np.float32)]
+    made = program(3, x, y, external={"dear": lambda rows, scale: np.sort(rows, axis=1) * scale})
     np.testing.assert_allclose(made, np.sort(x, axis=2) * 2 + y.sum(), rtol=1e-6)
     with pytest.raises(Unsupported, match="sort"):
         eager.trace(function, x[0], y)

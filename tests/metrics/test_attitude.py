@@ -25,7 +25,7 @@ def test_a_tilted_sensor_makes_no_fall_of_a_level_robot(engine):
     )
     for trace in simulation.traces(world, trial.case, np.zeros(len(OFFSETS), int), 1):
         true_tilt = np.asarray(tilt_deg(trace.qpos[:, 3:7].T))
-        tilt, fell = float(trace.figures["tilt_max_deg"]), float(trace.figures["fell_time_s"])
+        tilt, fell = float(trace.metrics["tilt_max_deg"]), float(trace.metrics["fell_time_s"])
         # the plan is level, and an error at a stage's start fades: the true command is never farther from the true pose
         assert tilt <= true_tilt.max() + 0.01
         if np.isfinite(fell):

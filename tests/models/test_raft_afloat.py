@@ -256,5 +256,5 @@ def test_native_heaves_for_ever_and_stops_at_a_bank(nominal):
     heaves, stops = engine.traces(case, case, np.arange(2), 5)
     height = heaves.qpos[:, 27] - float(Raft().start().position[0, 2])
     assert np.abs(height[heaves.time > 38.0]).max() == pytest.approx(0.02, abs=1e-4)
-    assert heaves.figures["energy_gain_max_j"] < 0.1 * 0.5 * GAMMA * 3.15 * 2.1 * 0.02**2
+    assert heaves.metrics["energy_gain_max_j"] < 0.1 * 0.5 * GAMMA * 3.15 * 2.1 * 0.02**2
     assert np.abs(stops.qvel[stops.time > 0.5, 24]).max() < 0.2 * SPEED

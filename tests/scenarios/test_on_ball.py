@@ -121,8 +121,8 @@ def test_it_gets_over_a_ball(engine):
     trial = compose(["scenario=ball_over", f"engine={engine}"])
     simulation = make(replace(trial.settings, width=1), trial.case, trial.case, trial.thresholds)
     trace = simulation.trace(trial.case, trial.case, np.zeros(1, int), 0)
-    assert classify(trace.figures, trial.thresholds, simulation.stages)["outcome"] == "success"
-    assert trace.figures["slip_max_m"] < 0.04  # of 0.05
+    assert classify(trace.metrics, trial.thresholds, simulation.stages)["outcome"] == "success"
+    assert trace.metrics["slip_max_m"] < 0.04  # of 0.05
     begins = {name: np.flatnonzero(trace.stage == k) for k, name in enumerate(trace.stages)}
     base, ball = trace.qpos[:, 0], trace.qpos[:, -7]
     assert np.ptp(trace.qpos[trace.time < 0.4, -5]) < 2e-4  # m: it rests until it is touched
@@ -157,8 +157,8 @@ def test_it_drives_a_ball_aside(engine):
     speed = trace.qvel[after, 25].mean()
     lost = ball.rolling_friction * GRAVITY * aside.period / (ROLLING * ball.radius)
     assert aside.speed - lost < speed < aside.speed
-    assert classify(trace.figures, trial.thresholds, simulation.stages)["outcome"] == "success"
-    assert trace.figures["slip_max_m"] < 0.005
+    assert classify(trace.metrics, trial.thresholds, simulation.stages)["outcome"] == "success"
+    assert trace.metrics["slip_max_m"] < 0.005
 
 
 @pytest.mark.parametrize("engine", ["native", "mjx"])

@@ -73,7 +73,7 @@ def _trace() -> Trace:
         stages=("stand", "left tripod", "right tripod"),
         margin=np.full(FRAMES, 0.5),
         margin_of=np.full(FRAMES, "slip_max"),
-        figures={"slip_max_m": np.float32(0.001)},
+        metrics={"slip_max_m": np.float32(0.001)},
     )
 
 

@@ -66,7 +66,7 @@ def test_stills_say_when_what_and_how_it_ended(drawable):
 
 
 def test_a_film_tells_the_outcome_when_it_comes(trace):
-    cause = dataclasses.replace(trace, figures={"t_cause_s": 0.5})
+    cause = dataclasses.replace(trace, metrics={"t_cause_s": 0.5})
     assert [frames.known(cause, k, "slipped") for k in (0, 123, 124, 249)] == ["", "", "slipped", "slipped"]
     assert [frames.known(trace, k, "success") for k in (0, 248, 249)] == ["", "", "success"]
 

@@ -39,7 +39,7 @@ class StandInEngine:
 
     def trace(self, world, belief, streams, slot):
         figures = {name: values[slot] for name, values in self.run(world, belief, streams).items()}
-        return dataclasses.replace(self._trace, figures=figures)
+        return dataclasses.replace(self._trace, metrics=figures)
 
 
 @pytest.fixture(scope="module")

@@ -175,12 +175,16 @@ def render_page(
     )
 
 
-def plate_for_page(one: StudyFigure) -> Plate:
+def plate_for_page(figure: StudyFigure) -> Plate:
     """Draw a figure for the page: as pixels where the script draws it on screen, so that only paper needs it."""
-    live = one.key.startswith("map-") or one.key in ("draws", "causes", "distributions")
+    live = figure.key.startswith("map-") or figure.key in ("draws", "causes", "distributions")
     with plot_style():
         return Plate(
-            one.key, one.title, one.caption, (png_element if live else svg_element)(one.draw(), one.title), live
+            figure.key,
+            figure.title,
+            figure.caption,
+            (png_element if live else svg_element)(figure.draw(), figure.title),
+            live,
         )
 
 
@@ -204,17 +208,17 @@ def statistics_as_html(
             yield title, Markup(note) + as_html(tables.format_rows(content.head(LINES), exp), index=False)
 
 
-def representative_values(one: Representative, exp: Experiment) -> Iterator[tuple[str, str]]:
+def representative_values(representative: Representative, exp: Experiment) -> Iterator[tuple[str, str]]:
     """Yield parameters and a few metrics of a representative rollout."""
-    names = [*(c for c in one.row.index if "." in c), *(c for c in TELLING if c in one.row)]
+    names = [*(c for c in representative.row.index if "." in c), *(c for c in TELLING if c in representative.row)]
     for name in names:
-        if shown := tables.format_value(one.row[name]):
+        if shown := tables.format_value(representative.row[name]):
             yield heading(name, exp), shown
 
 
-def picture_url(one: Representative) -> str:
+def picture_url(representative: Representative) -> str:
     """The picture of a representative rollout as a data URL; empty where there is none."""
-    return data_url(one.picture.read_bytes()) if one.picture.exists() else ""
+    return data_url(representative.picture.read_bytes()) if representative.picture.exists() else ""
 
 
 def first_rows_table(rows: pd.DataFrame, exp: Experiment) -> Markup:

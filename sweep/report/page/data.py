@@ -22,7 +22,7 @@ from sweep.systems.base import split_side
 from sweep.trace.mcap import plain
 
 ROWS, SAMPLE = 40_000, 20_000  # with more rows than that the page has a sample of them, and maps of densities
-FIGURES = 28  # that are on the page, the ones that outcomes are judged by first
+MAX_METRICS = 28  # that are on the page, the ones that outcomes are judged by first
 LEVELS = 1024  # a column with at most so many values has them to the last bit
 COARSE, ROOM = 12, 400_000  # bits of a measured number, where all of them take more bytes than `ROOM`; else 15
 MISSING = 2**16 - 1
@@ -44,7 +44,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
     rows = results.rows.iloc[sample_places(len(results.rows))]
     kinds, axes = page_kinds(results), [*results.categorical, *results.numeric]
     figures = ["margin", "t_cause_s"] if "margin" in rows else []
-    figures = [c for c in figures if rows[c].nunique() > 1] + metrics_with_threshold_first(results)[:FIGURES]
+    figures = [c for c in figures if rows[c].nunique() > 1] + metrics_with_threshold_first(results)[:MAX_METRICS]
     bits = COARSE if len(rows) * len(figures) * 2 > ROOM else 15
     coded = [encode_column(rows[c], bits) for c in (*axes, *figures)]
     judged, words = metric_thresholds(results), unique_words((*axes, *figures), results.exp)

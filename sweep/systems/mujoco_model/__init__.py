@@ -59,7 +59,7 @@ class MujocoModel(ModelSpec):
         {"tune": "its controller's numbers are axes (controller.*)", "export-model": "it is an own model already"}
     )
     audit_variants = MappingProxyType(WAYS)
-    device = staticmethod(run_id.device)
+    device = staticmethod(run_id.describe_device)
     inactive_reason = inactive_parameters.explain_inactive
     judge = staticmethod(outcome.judge)
 

@@ -46,7 +46,7 @@ def start_batch(own: ModelSpec, settings: EngineSettings, world: Side, belief: S
     """Rollouts of a batch of two sides. Raises `InputError` where MuJoCo makes no batch of such a model."""
     n, number = len(streams), np.dtype(settings.precision).type
     try:
-        batch = Batch(own.model, n, devices.cores())
+        batch = Batch(own.model, n, devices.count_cores())
     except ValueError as error:  # as of bodies that sleep
         reason = " ".join(str(error).split())
         raise InputError(f"model.mjcf = {own.config.mjcf} cannot be simulated in batches: {reason}") from None
@@ -59,7 +59,7 @@ def start_batch(own: ModelSpec, settings: EngineSettings, world: Side, belief: S
     given = {
         **jax.tree.map(lambda value: np.broadcast_to(number(value), (n,)), inputs),
         "delay": np.broadcast_to(np.rint(inputs["delay"]).astype(np.int32), (n,)),
-        "key": np.asarray(jax.random.key_data(devices.keys(streams))),
+        "key": np.asarray(jax.random.key_data(devices.noise_keys(streams))),
     }
     limits = {name: batch.expand(name) for name in ("actuator_forcerange", "jnt_range")}
     return BatchStart(batch, qpos, qvel, sensors, given, batch.expand("body_mass").sum(axis=1), limits)

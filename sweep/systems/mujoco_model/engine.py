@@ -15,7 +15,7 @@ from mujoco.batch import SimulationError
 
 from sweep.core.errors import InputError
 from sweep.engines import devices
-from sweep.engines.base import Figures, Sides, Trace, Watch, single_joints, substeps
+from sweep.engines.base import Metrics, Sides, TimeSeriesRequest, Trace, single_joints, substeps
 from sweep.engines.settings import EngineSettings
 from sweep.fused.dependence import find_unread_columns
 from sweep.systems.mujoco_model import batch, metrics
@@ -36,7 +36,7 @@ class TickSample(NamedTuple):
     force: np.ndarray
 
 
-BatchResult = tuple[Figures, list[TickSample], list[mujoco.MjModel]]  # of a batch; of some slots of it
+BatchResult = tuple[Metrics, list[TickSample], list[mujoco.MjModel]]  # of a batch; of some slots of it
 
 
 class ModelEngine:
@@ -89,13 +89,13 @@ class ModelEngine:
         with self._within():
             return find_unread_columns(self._programs.rollout_outputs, sides, ends)
 
-    def run(self, world: Side, belief: Side, streams: np.ndarray) -> Figures:
+    def run(self, world: Side, belief: Side, streams: np.ndarray) -> Metrics:
         """Figures of a batch, see `Engine`."""
         return self._simulate(world, belief, streams)[0]
 
-    def histories(
-        self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray, watch: Watch
-    ) -> tuple[Figures, np.ndarray]:
+    def run_with_time_series(
+        self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
+    ) -> tuple[Metrics, np.ndarray]:
         """Figures, and columns over time, see `Engine`."""
         found, frames, _ = self._simulate(world, belief, streams, slots, watch.every)
         columns = [self._own.record(frame.qpos, frame.qvel) for frame in frames]

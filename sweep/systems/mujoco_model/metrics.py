@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from sweep.core.constants import GRAVITY, LOADED
-from sweep.engines.base import Figures
+from sweep.engines.base import Metrics
 from sweep.systems.mujoco_model.model_spec import ModelSpec, angle_deg, cosine_of_tilt, namespace
 
 STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")  # what a step tells
@@ -105,12 +105,12 @@ class MetricAccumulator:
         new |= {name: xp.where(going[:, None], value, sofar[name]) for name, value in ends.items()}
         return {**sofar, **new, "finite": sofar["finite"] & (~going | finite)}
 
-    def figures(self, sofar: Tree, mass: Any, gained: Any, broken: Any, full: Any) -> Figures:
+    def figures(self, sofar: Tree, mass: Any, gained: Any, broken: Any, full: Any) -> Metrics:
         """By name, (n,), of models of a `mass` (n,) kg whose energy is `gained` (n,) J more than at the start.
 
         `broken` and `full` are what an engine found itself.
         """
-        found: Figures = {}
+        found: Metrics = {}
         sofar = {name: np.asarray(value) for name, value in sofar.items()}
         steps, step = np.maximum(sofar["steps"], 1), self._step
         energy = sofar["power"] * step

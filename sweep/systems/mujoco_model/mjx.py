@@ -21,7 +21,7 @@ from jaxtyping import Array
 
 from sweep.core.errors import InputError
 from sweep.engines import devices
-from sweep.engines.base import Figures, Watch
+from sweep.engines.base import Metrics, TimeSeriesRequest
 from sweep.engines.settings import EngineSettings
 from sweep.systems.mujoco_model import batch, fields, metrics
 from sweep.systems.mujoco_model.engine import RECORDED, BatchResult, ModelEngine, TickSample, find_unsolved_steps
@@ -139,19 +139,19 @@ class MjxModelEngine(ModelEngine):
                 raise self._refusal(f"MJX has no {name.removeprefix('opt.')}, which {path} varies", "other axes, ")
         return self.known_differences()
 
-    def run(self, world: Side, belief: Side, streams: np.ndarray) -> Figures:
+    def run(self, world: Side, belief: Side, streams: np.ndarray) -> Metrics:
         """Metrics of a batch; the engine's first one is compared with C MuJoCo before, see `_cross_check`."""
         self._cross_check(world, belief, streams)
         return super().run(world, belief, streams)
 
-    def histories(
-        self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray, watch: Watch
-    ) -> tuple[Figures, np.ndarray]:
+    def run_with_time_series(
+        self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
+    ) -> tuple[Metrics, np.ndarray]:
         """Metrics, and columns over time; the engine's first batch is compared with C MuJoCo before."""
         self._cross_check(world, belief, streams)
-        return super().histories(world, belief, streams, slots, watch)
+        return super().run_with_time_series(world, belief, streams, slots, watch)
 
-    @devices.memory()
+    @devices.convert_memory_errors()
     def _cross_check(self, world: Side, belief: Side, streams: np.ndarray) -> None:
         """Compare the first control ticks of three rollouts with C MuJoCo; raise `InputError` where they differ.
 
@@ -208,7 +208,7 @@ class MjxModelEngine(ModelEngine):
             "(engine=native, or engine.cross_check=off if that is meant)"
         )
 
-    @devices.memory()
+    @devices.convert_memory_errors()
     def _simulate(self, world: Side, belief: Side, streams: np.ndarray, slots: Any = (), every: int = 1) -> BatchResult:
         own, frames = self._own, []
         with self._within():
