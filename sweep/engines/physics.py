@@ -161,7 +161,7 @@ class Physics(NamedTuple):
             servo = interpolate_target(servo_before, servo_after, (k + 1) / n)
             limits = execution_limits(world, tick * n + k, h)
             moving, report = dynamics.step(smooth_dynamics, world, limits, moving, servo, h, self.settings.iterations)
-            return (moving, totals.plus(report), report.normal, report.start), None
+            return (moving, totals.add_step(report), report.normal, report.start), None
 
         nothing = _initial_totals(world, state.q.dtype)
         (moving, totals, load, before), _ = jax.lax.scan(substep, (to_components(state), *nothing), jnp.arange(n))
