@@ -59,7 +59,7 @@ def by_node(code):
 def test_cells_of_names_are_of_one_size():
     script = json.dumps(str(files("sweep.report.page") / "axes.js"))
     column = '{ names: ["a", "b"], low: 0, high: 1 }'
-    code = f"import {{ scaleOf }} from {script}; console.log(JSON.stringify([...scaleOf({column}, null, 9).edges]))"
+    code = f"import {{ makeScale }} from {script}; console.log(JSON.stringify([...makeScale({column}, null, 9).edges]))"
     assert by_node(code) == [[0, 0.5, 1]]
 
 
@@ -75,8 +75,8 @@ def test_what_matters_counts_names():
         for (const values of [{good + bad}, {even}])
           console.log(JSON.stringify(nameDistance({{ names: ["a", "b"], values }}, side)));"""
     differs, alike = by_node(code)
-    assert (differs["distance"], differs["told"]) == (0.625, True)
-    assert (alike["distance"], alike["told"]) == (0, False)
+    assert (differs["distance"], differs["significant"]) == (0.625, True)
+    assert (alike["distance"], alike["significant"]) == (0, False)
 
 
 def test_a_level_that_fails_at_the_nominal_point_is_reported(monkeypatch, tmp_path, capsys):

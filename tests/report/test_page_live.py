@@ -423,7 +423,7 @@ def test_feet_and_base_are_told_where_mujoco_has_them(shown):
         shown,
         told,
         """const reel = { model: told.bodies, motion: readMotion(told, told.bodies, await inflate(told.states)) };
-        return pathsOf(reel, 0)""",
+        return replayPaths(reel, 0)""",
     )
     data = mujoco.MjData(trace.model)
     for frame in (0, 30, 49):
@@ -475,7 +475,7 @@ def test_python_writes_the_keys_that_the_script_reads(browser, refined):
                       ("Theory", about["theory"][0])):  # fmt: skip
         assert set(one) == told[name], name
     for one in about["columns"]:
-        assert set(one) <= told["Told"]
+        assert set(one) <= told["ColumnFormat"]
 
 
 def test_a_refined_map_has_cells(browser, refined, tmp_path):
@@ -541,7 +541,7 @@ def test_a_histogram_of_a_grid_has_a_bin_for_each_value(shown):
         shown,
         {},
         """const grid = [0.1, 0.2, 0.4, 0.8, 1.6], values = [...grid, NaN];
-        return Array.from(binsOf({ values }, grid.length, uneven(Float64Array.from(grid), 1).to))""",
+        return Array.from(binRows({ values }, grid.length, equalCellScale(Float64Array.from(grid), 1).to))""",
     )
     assert found == [0, 1, 2, 3, 4, 255]
 
@@ -552,9 +552,9 @@ def test_axes_of_a_margin_are_bent_about_zero(shown):
     found = by_script(
         shown,
         {},
-        f"""const column = {{ low: {low}, high: {high}, diverges: true }}, along = alongOf(column);
+        f"""const column = {{ low: {low}, high: {high}, diverges: true }}, along = axisMapping(column);
         const values = [-5, -1, -0.1, 0, 0.1, 1];
-        return [values.map(along.to), values.map((one) => along.back(along.to(one))), ticksAlong(column, undefined, 9)]
+        return [values.map(along.to), values.map((one) => along.back(along.to(one))), axisTicks(column, undefined, 9)]
         """,
     )
     bent = np.arcsinh(np.array([-5, -1, -0.1, 0, 0.1, 1]) / 0.1)
@@ -811,7 +811,7 @@ def places_by_script(browser, told, frame):
         told,
         f"""const motion = readMotion(told, told.bodies, await inflate(told.states));
             const state = stateAt(motion, {frame + 1} * motion.step);
-            return posesOf(told.bodies, state).map((pose) => Array.from(pose.pos))""",
+            return bodyPoses(told.bodies, state).map((pose) => Array.from(pose.pos))""",
     )
 
 
@@ -837,7 +837,7 @@ def test_what_matters_is_what_the_statistics_tell(shown):
         if not 0.04 < told < 0.06:  # between which the page only estimates
             sets.append((values.tolist(), failed.astype(int).tolist(), bool(told < 0.05)))
     order = "values.map((_, k) => k).sort((a, b) => values[a] - values[b])"
-    code = f"return told.map(([values, sides]) => smirnov({order}, values, (row) => sides[row]).told)"
+    code = f"return told.map(([values, sides]) => kolmogorovSmirnov({order}, values, (row) => sides[row]).significant)"
     assert by_script(shown, sets, code) == [told for *_, told in sets]
 
 

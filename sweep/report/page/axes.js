@@ -1,5 +1,5 @@
-// Axes of charts: from values to pixels and back, ticks and titles.
-import { bent, clamp, edgesOf, placeIn, shortly, ticks, unbent } from "./numbers.js";
+// Axes of charts: conversion between values and pixels, ticks and titles.
+import { asinhLike, clamp, cellEdges, lastIndexBelow, formatShort, ticks, inverseAsinhLike } from "./numbers.js";
 
 /** @import { Column } from "./data.js" */
 /** @import { Sheet, Theme } from "./dom.js" */
@@ -7,79 +7,87 @@ import { bent, clamp, edgesOf, placeIn, shortly, ticks, unbent } from "./numbers
 /** @typedef {{ scale: Scale, title: string }} Titled */
 
 /**
- * A way from values to a share of an axis, 0 to 1, and back.
+ * Conversion between values and shares of an axis, 0 to 1.
  * @typedef {object} Scale
  * @property {(value: number) => number} to
  * @property {(share: number) => number} back
  * @property {Mark[]} ticks
- * @property {Float64Array | null} edges of cells, as shares, where the axis has cells
+ * @property {Float64Array | null} edges of cells as shares, if the axis has cells
  * @property {Float64Array | null} cells their values
  */
 
-const UNEVEN = 3; // gaps between cells that differ more have cells of equal width
+const UNEVEN_RATIO = 3; // if gaps between cells differ by more than this factor, cells get equal width
 
 /**
- * The scale of a column: of names or of cells where it has `cells`, else even between its ends with some room.
+ * Make the scale of a column: one cell for each name or value in `cells`, else linear with some room at the ends.
  * @param {Column} column
  * @param {Float64Array | null} cells sorted values
- * @param {number} room ticks that have room
+ * @param {number} room number of ticks that fit
  * @returns {Scale}
  */
-export function scaleOf(column, cells, room) {
+export function makeScale(column, cells, room) {
   if (column.names) {
     const count = column.names.length;
     const values = Float64Array.from({ length: count }, (_, k) => k);
     const every = Math.max(1, Math.ceil(count / room));
     const marks = column.names.map((text, value) => ({ value, text })).filter(({ value }) => value % every === 0);
     const edges = Float64Array.from({ length: count + 1 }, (_, k) => k / count); // also below the first name, whose code is 0
-    return { ...even(-0.5, count - 0.5, marks, null), edges, cells: values };
+    return { ...linearScale(-0.5, count - 0.5, marks, null), edges, cells: values };
   }
-  if (!cells && column.diverges) return bentScale(column, room);
+  if (!cells && column.diverges) return asinhScale(column, room);
   if (!cells) {
     const margin = 0.03 * (column.high - column.low) || 0.5;
     const low = column.low >= 0 ? Math.max(0, column.low - margin) : column.low - margin;
-    return even(low, column.high + margin, numbered(low, column.high + margin, room), null);
+    return linearScale(low, column.high + margin, labelledTicks(low, column.high + margin, room), null);
   }
   const gaps = Array.from(cells.subarray(1), (value, k) => value - cells[k]);
-  if (!gaps.length || Math.max(...gaps) < UNEVEN * Math.min(...gaps)) {
-    const edges = edgesOf(cells);
+  if (!gaps.length || Math.max(...gaps) < UNEVEN_RATIO * Math.min(...gaps)) {
+    const edges = cellEdges(cells);
     const [low, high] = [edges[0], edges[edges.length - 1]];
     const few = cells.length <= room / 1.5;
-    const marks = few ? Array.from(cells, (value) => ({ value, text: shortly(value) })) : numbered(low, high, room);
-    return even(low, high, marks, cells);
+    const marks = few
+      ? Array.from(cells, (value) => ({ value, text: formatShort(value) }))
+      : labelledTicks(low, high, room);
+    return linearScale(low, high, marks, cells);
   }
-  return uneven(cells, room);
+  return equalCellScale(cells, room);
 }
 
 /** @type {(low: number, high: number, room: number) => Mark[]} */
-function numbered(low, high, room) {
-  return ticks(low, high, room).map((value) => ({ value, text: shortly(value) }));
+function labelledTicks(low, high, room) {
+  return ticks(low, high, room).map((value) => ({ value, text: formatShort(value) }));
 }
 
 /** @type {(low: number, high: number, marks: Mark[], cells: Float64Array | null) => Scale} */
-function even(low, high, marks, cells) {
+function linearScale(low, high, marks, cells) {
   const size = high - low || 1;
   const to = (/** @type {number} */ value) => (value - low) / size;
-  const edges = cells ? edgesOf(cells).map((edge) => clamp(to(edge), 0, 1)) : null;
+  const edges = cells ? cellEdges(cells).map((edge) => clamp(to(edge), 0, 1)) : null;
   return { to, back: (share) => low + share * size, ticks: marks, edges, cells };
 }
 
 /**
- * A scale that shows how near zero values are, however far a few of them are from it.
+ * Make a scale that is linear near zero and logarithmic beyond, so that values near zero are told apart.
  * @type {(column: Column, room: number) => Scale}
  */
-function bentScale({ low, high }, room) {
-  const [first, last] = [bent(low) - 0.1, bent(high) + 0.1];
-  const to = (/** @type {number} */ value) => (bent(value) - first) / (last - first);
-  const marks = bentTicks(low, high, room).map((value) => ({ value, text: shortly(value) }));
-  return { to, back: (share) => unbent(first + share * (last - first)), ticks: marks, edges: null, cells: null };
+function asinhScale({ low, high }, room) {
+  const [first, last] = [asinhLike(low) - 0.1, asinhLike(high) + 0.1];
+  const to = (/** @type {number} */ value) => (asinhLike(value) - first) / (last - first);
+  const marks = asinhTicks(low, high, room).map((value) => ({ value, text: formatShort(value) }));
+  return {
+    to,
+    back: (share) => inverseAsinhLike(first + share * (last - first)),
+    ticks: marks,
+    edges: null,
+    cells: null,
+  };
 }
 
 /**
- * Zero, and powers of ten on both sides of it.
+ * Ticks at zero and at powers of ten on both sides.
  * @type {(low: number, high: number, room: number) => number[]}
  */
-function bentTicks(low, high, room) {
+function asinhTicks(low, high, room) {
   const size = Math.max(-low, high);
   const powers = Array.from({ length: Math.max(1, Math.ceil(Math.log10(size / 0.1)) + 1) }, (_, k) => 10 ** (k - 1));
   const every = Math.max(1, Math.ceil((2 * powers.length) / room));
@@ -90,28 +98,28 @@ function bentTicks(low, high, room) {
 /** @typedef {Pick<Scale, "to" | "back">} Along */
 
 /**
- * The way from values of a column to shares of an axis from its lowest to its highest, and back: even, or bent about zero
- * where the column diverges.
+ * Conversion between values of a column and shares of an axis from its lowest to its highest: linear, or inverse hyperbolic
+ * sine if the column diverges about zero.
  * @type {(column: Column, way?: Way) => Along}
  */
-export function alongOf({ low, high, diverges }, way) {
+export function axisMapping({ low, high, diverges }, way) {
   if (!(high > low)) return { to: () => 0.5, back: () => low };
-  const [on, off] = way === "log" ? [Math.log, Math.exp] : diverges ? [bent, unbent] : [Number, Number];
+  const [on, off] = way === "log" ? [Math.log, Math.exp] : diverges ? [asinhLike, inverseAsinhLike] : [Number, Number];
   const [first, last] = way === "inverted" ? [high, low] : [low, high];
   const [start, size] = [on(first), on(last) - on(first)];
   return {
     to: (value) => (on(value) - start) / size,
-    back: (share) => (share <= 0 ? first : share >= 1 ? last : off(start + share * size)), // the ends to the last bit
+    back: (share) => (share <= 0 ? first : share >= 1 ? last : off(start + share * size)), // exact at the ends
   };
 }
 
 /**
- * Round values, or names, along such an axis.
+ * Ticks along such an axis: round values, or names.
  * @type {(column: Column, way: Way | undefined, room: number) => number[]}
  */
-export function ticksAlong({ names, low, high, diverges }, way, room) {
+export function axisTicks({ names, low, high, diverges }, way, room) {
   if (names) {
-    const every = Math.ceil(names.length / (3 * room)); // words lie flat
+    const every = Math.ceil(names.length / (3 * room)); // horizontal words
     return names.map((_, k) => k).filter((k) => k > low && k < high && k % every === 0);
   }
   if (way === "log") {
@@ -121,25 +129,25 @@ export function ticksAlong({ names, low, high, diverges }, way, room) {
       (_, k) => k % every === 0,
     );
   }
-  return diverges ? bentTicks(low, high, room) : ticks(low, high, room);
+  return diverges ? asinhTicks(low, high, room) : ticks(low, high, room);
 }
 
 /**
- * The range between two places of an axis, as shares of it: of a grid's sorted values as many as it comes nearest to.
+ * Range of values between two shares of an axis, snapped to the sorted values of a grid.
  * @type {(along: Along, grid: number[] | null, a: number, b: number) => { low: number, high: number }}
  */
-export function snapped({ to, back }, grid, a, b) {
-  if (!grid) return whole({ edges: null, back }, a, b);
+export function snapToGrid({ to, back }, grid, a, b) {
+  if (!grid) return wholeCells({ edges: null, back }, a, b);
   const places = grid.map(to).sort((p, q) => p - q);
   const edges = Float64Array.of(0, ...places.slice(1).map((place, k) => (places[k] + place) / 2), 1);
-  return whole({ edges, back }, a, b);
+  return wholeCells({ edges, back }, a, b);
 }
 
 /**
- * The range between two places of an axis, as shares of it; of cells as many as it touches, whole.
+ * Range of values between two shares of an axis, widened to whole cells.
  * @type {(scale: Pick<Scale, "edges" | "back">, a: number, b: number) => { low: number, high: number }}
  */
-export function whole({ edges, back }, a, b) {
+export function wholeCells({ edges, back }, a, b) {
   const [low, high] = [Math.min(a, b), Math.max(a, b)];
   if (!edges) return { low: back(low), high: back(high) };
   const below = edges.findLast((edge) => edge <= low + 1e-9) ?? 0;
@@ -148,13 +156,13 @@ export function whole({ edges, back }, a, b) {
 }
 
 /**
- * Cells of equal width, whose values are not evenly spaced.
+ * Make a scale with cells of equal width, for values that are not evenly spaced.
  * @type {(cells: Float64Array, room: number) => Scale}
  */
-export function uneven(cells, room) {
+export function equalCellScale(cells, room) {
   const count = cells.length;
   const to = (/** @type {number} */ value) => {
-    const k = clamp(placeIn(cells, value), 0, count - 2);
+    const k = clamp(lastIndexBelow(cells, value), 0, count - 2);
     return (clamp(k + (value - cells[k]) / (cells[k + 1] - cells[k]), -0.5, count - 0.5) + 0.5) / count;
   };
   const back = (/** @type {number} */ share) => {
@@ -163,7 +171,7 @@ export function uneven(cells, room) {
     return cells[k] + (place - k) * (cells[k + 1] - cells[k]);
   };
   const every = Math.max(1, Math.ceil(count / room));
-  const marks = Array.from(cells, (value) => ({ value, text: shortly(value) })).filter((_, k) => k % every === 0);
+  const marks = Array.from(cells, (value) => ({ value, text: formatShort(value) })).filter((_, k) => k % every === 0);
   const edges = Float64Array.from({ length: count + 1 }, (_, k) => k / count);
   return { to, back, ticks: marks, edges, cells };
 }
@@ -171,7 +179,7 @@ export function uneven(cells, room) {
 /** @typedef {{ left: number, top: number, width: number, height: number }} Box */
 
 /**
- * The frame of a chart: ticks with numbers along the lower and the left side, and the axes' titles.
+ * Draw the frame of a chart: ticks with numbers along the lower and the left side, and the axes' titles.
  * @type {(sheet: Sheet, theme: Theme, box: Box, x: Titled, y: Titled) => void}
  */
 export function drawFrame({ pen }, theme, box, x, y) {

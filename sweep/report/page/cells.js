@@ -1,6 +1,6 @@
-// What a map shows where: rows as cells of a grid, as quarters of a refined mesh's cells, or as marks.
-import { scaleOf } from "./axes.js";
-import { clamp, lotOf } from "./numbers.js";
+// Places of a map's rows: as cells of a grid, as quarters of a refined mesh's cells, or as marks.
+import { makeScale } from "./axes.js";
+import { clamp, rowLottery } from "./numbers.js";
 
 /** @import { Scale } from "./axes.js" */
 /** @import { Column, Table } from "./data.js" */
@@ -8,63 +8,63 @@ import { clamp, lotOf } from "./numbers.js";
 
 /**
  * Rows and where they are; boxes are left, low, right and high as shares of the axes.
- * @typedef {object} Places
+ * @typedef {object} PlacedRows
  * @property {Scale} x
  * @property {Scale} y
  * @property {Form} form
  * @property {Int32Array} rows
- * @property {Float64Array} boxes four for each of `rows`; of marks the first two are the place
- * @property {Int32Array} cell number of the cell, or of marks the bin, that each of `rows` is in
- * @property {number} bins along either axis, of marks; else 0
+ * @property {Float64Array} boxes four for each of `rows`; for marks the first two are the position
+ * @property {Int32Array} cell index of the cell, or for marks of the bin, of each of `rows`
+ * @property {number} bins bins along either axis for marks; else 0
  * @property {Float64Array} outlines of a refined mesh's cells, four each
  */
 
-const FULLEST = 400; // more values along an axis than that are no grid that a picture could show
+const MAX_GRID_VALUES = 400; // with more values along an axis, a grid is drawn as marks
 
-/** @type {Pick<Places, "form" | "bins" | "outlines">} of a plain grid */
-const GRIDDED = { form: "cells", bins: 0, outlines: new Float64Array() };
+/** @type {Pick<PlacedRows, "form" | "bins" | "outlines">} of a plain grid */
+const PLAIN_GRID = { form: "cells", bins: 0, outlines: new Float64Array() };
 
 /**
  * @param {Table} table
  * @param {Column} x
  * @param {Column} y
- * @param {(row: number) => boolean} within whether a row lies in the slice that is shown
- * @param {number} room ticks that have room
- * @returns {Places}
+ * @param {(row: number) => boolean} within whether a row lies in the slice shown
+ * @param {number} room number of ticks that fit
+ * @returns {PlacedRows}
  */
-export function placesOf(table, x, y, within, room) {
+export function placeRows(table, x, y, within, room) {
   const rows = [];
   for (let row = 0; row < table.rows; row++)
     if (within(row) && !Number.isNaN(x.values[row]) && !Number.isNaN(y.values[row])) rows.push(row);
   const about = table.about.refined_cells;
   if (about && table.mesh && about.axes.includes(x.key) && about.axes.includes(y.key) && x !== y)
-    return meshed(table, x, y, within, room, about.axes[0] === x.key);
-  const [across, up] = [distinct(x.values, rows), distinct(y.values, rows)];
+    return placeInMesh(table, x, y, within, room, about.axes[0] === x.key);
+  const [across, up] = [distinctValues(x.values, rows), distinctValues(y.values, rows)];
   const full = across.length * up.length <= 2 * rows.length || (x.names && y.names);
-  const gridded = full && x.axis && y.axis && Math.max(across.length, up.length) <= FULLEST && rows.length > 1;
-  if (!gridded) return marked(x, y, rows, room);
-  const [sx, sy] = [scaleOf(x, across, room), scaleOf(y, up, room)];
-  return celled(x, y, sx, sy, rows);
+  const gridded = full && x.axis && y.axis && Math.max(across.length, up.length) <= MAX_GRID_VALUES && rows.length > 1;
+  if (!gridded) return placeAsMarks(x, y, rows, room);
+  const [sx, sy] = [makeScale(x, across, room), makeScale(y, up, room)];
+  return placeInCells(x, y, sx, sy, rows);
 }
 
 /**
- * Values of some rows, sorted.
+ * Distinct values of some rows, sorted.
  * @type {(values: Float64Array, rows: number[]) => Float64Array}
  */
-function distinct(values, rows) {
+function distinctValues(values, rows) {
   const seen = new Set();
   for (const row of rows) {
     seen.add(values[row]);
-    if (seen.size > FULLEST) break;
+    if (seen.size > MAX_GRID_VALUES) break;
   }
   return Float64Array.from(seen).sort();
 }
 
 /**
- * Rows of a cell share its width.
- * @type {(x: Column, y: Column, sx: Scale, sy: Scale, rows: number[]) => Places}
+ * Place rows in the cells of a grid; rows of one cell share its width.
+ * @type {(x: Column, y: Column, sx: Scale, sy: Scale, rows: number[]) => PlacedRows}
  */
-function celled(x, y, sx, sy, rows) {
+function placeInCells(x, y, sx, sy, rows) {
   const column = new Map(Array.from(sx.cells ?? [], (value, k) => [value, k]));
   const line = new Map(Array.from(sy.cells ?? [], (value, k) => [value, k]));
   const wide = column.size;
@@ -80,45 +80,45 @@ function celled(x, y, sx, sy, rows) {
     const start = left + step * taken[cell[k]]++;
     boxes.set([start, sy.edges?.[j] ?? 0, start + step, sy.edges?.[j + 1] ?? 1], 4 * k);
   });
-  return { ...GRIDDED, x: sx, y: sy, rows: Int32Array.from(rows), boxes, cell };
+  return { ...PLAIN_GRID, x: sx, y: sy, rows: Int32Array.from(rows), boxes, cell };
 }
 
-/** @type {(x: Column, y: Column, rows: number[], room: number) => Places} */
-function marked(x, y, rows, room) {
-  const [sx, sy] = [scaleOf(x, null, room), scaleOf(y, null, room)];
+/** @type {(x: Column, y: Column, rows: number[], room: number) => PlacedRows} */
+function placeAsMarks(x, y, rows, room) {
+  const [sx, sy] = [makeScale(x, null, room), makeScale(y, null, room)];
   const boxes = new Float64Array(4 * rows.length);
   rows.forEach((row, k) => {
-    boxes[4 * k] = sx.to(x.values[row] + (x.names ? scattered(row) : 0));
-    boxes[4 * k + 1] = sy.to(y.values[row] + (y.names ? scattered(row + 1) : 0));
+    boxes[4 * k] = sx.to(x.values[row] + (x.names ? jitter(row) : 0));
+    boxes[4 * k + 1] = sy.to(y.values[row] + (y.names ? jitter(row + 1) : 0));
   });
-  const bins = clamp(Math.round(Math.sqrt(rows.length / 20)), 3, 40); // in which some 20 marks are counted for a rate
+  const bins = clamp(Math.round(Math.sqrt(rows.length / 20)), 3, 40); // bins of some 20 marks for a rate
   const bin = (/** @type {number} */ share) => clamp(Math.floor(share * bins), 0, bins - 1);
   const cell = Int32Array.from(rows, (_, k) => bin(boxes[4 * k + 1]) * bins + bin(boxes[4 * k]));
-  return { ...GRIDDED, x: sx, y: sy, form: "marks", rows: Int32Array.from(rows), boxes, cell, bins };
+  return { ...PLAIN_GRID, x: sx, y: sy, form: "marks", rows: Int32Array.from(rows), boxes, cell, bins };
 }
 
 /**
- * Where a mark of a name stands beside its middle, so that marks do not cover each other.
+ * Offset of a mark from the middle of its name's cell, so that marks do not cover each other.
  * @type {(row: number) => number}
  */
-function scattered(row) {
-  return lotOf(row) / 1400 - 0.357;
+function jitter(row) {
+  return rowLottery(row) / 1400 - 0.357;
 }
 
 /**
- * A cell of a refined map has the colours of the rollouts at its corners, in its quarters.
+ * Place rows in a refined map: each quarter of a cell has the colour of the rollout at its corner.
  * @param {Table} table
  * @param {Column} x
  * @param {Column} y
  * @param {(row: number) => boolean} within
  * @param {number} room
  * @param {boolean} straight whether x is the first of the mesh's axes
- * @returns {Places}
+ * @returns {PlacedRows}
  */
-function meshed(table, x, y, within, room, straight) {
+function placeInMesh(table, x, y, within, room, straight) {
   const [sx, sy] = [x, y].map((column) => {
     const size = column.high - column.low || 1;
-    const scale = scaleOf(column, null, room);
+    const scale = makeScale(column, null, room);
     const to = (/** @type {number} */ value) => (value - column.low) / size;
     return { ...scale, to, back: (/** @type {number} */ share) => column.low + share * size };
   });
@@ -141,7 +141,7 @@ function meshed(table, x, y, within, room, straight) {
     outlines.push(left, low, right, high);
   }
   return {
-    ...GRIDDED,
+    ...PLAIN_GRID,
     x: sx,
     y: sy,
     rows: Int32Array.from(rows),

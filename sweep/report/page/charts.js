@@ -1,41 +1,50 @@
-// Smaller charts of what passes the filters: causes, what matters, distributions, rates, all pairs.
-import { alongOf, drawFrame, scaleOf, uneven, whole } from "./axes.js";
-import { binsOf, clipped, distanceOf, gridOf, smirnov } from "./data.js";
-import { byId, cssOf, element, offer, optionsOf, pointerOn, sheetOf, straight } from "./dom.js";
-import { clamp, grouped, packRgb, rgbOf, shortly, wilson } from "./numbers.js";
-import { glyphOf, paintKind, pixelsOf, stampAt, stampOf } from "./raster.js";
-import { narrow } from "./selection.js";
+// Smaller charts of the rows that pass the filters: causes, importance of parameters, distributions, rates, pairs.
+import { axisMapping, drawFrame, makeScale, equalCellScale, wholeCells } from "./axes.js";
+import { binRows, clipName, distributionDistance, gridValues, kolmogorovSmirnov } from "./data.js";
+import {
+  byId,
+  cssColour,
+  element,
+  fillSelect,
+  columnOptions,
+  pointerPosition,
+  prepareCanvas,
+  drawLine,
+} from "./dom.js";
+import { clamp, formatCount, packRgb, parseColour, formatShort, wilsonInterval } from "./numbers.js";
+import { makeGlyph, paintKind, makePixels, drawStamp, makeStamp } from "./raster.js";
+import { setRange } from "./selection.js";
 
 /** @import { Along, Scale } from "./axes.js" */
 /** @import { Column, Table } from "./data.js" */
 /** @import { Look, Rgb, Sheet } from "./dom.js" */
 /** @import { App, View } from "./main.js" */
 
-const [BINS, LISTED] = [32, 60]; // bins of what was drawn or measured; values of a grid that have one each
-const SHOWN = 8; // distributions before one asks for more
-const MARK = 5; // CSS pixels of the radius of a mark beside the name of its kind
-const PAIRED = 6; // columns of the matrix of pairs
+const [BINS, LISTED] = [32, 60]; // bins of continuous values; most values of a grid that get a bin each
+const SHOWN_DISTRIBUTIONS = 8; // distributions shown before the user asks for more
+const MARK_RADIUS = 5; // CSS pixels, radius of a mark beside the name of its kind
+const PAIRED_COLUMNS = 6; // columns of the matrix of pairs
 
 /**
- * 0 for a success, 1 for a failure, 2 for what counts neither way or does not pass.
+ * Make a function of a row: 0 for a success, 1 for a failure, 2 for an invalid or filtered row.
  * @type {(app: App) => (row: number) => number}
  */
-function sideOf({ table, state }) {
-  const side = ofAll(table);
+function makeOutcomeSide({ table, state }) {
+  const side = outcomeSideOfAll(table);
   return (row) => (state.mask[row] ? side(row) : 2);
 }
 
 /**
- * The same, whether a row passes or not.
+ * Like `makeOutcomeSide`, regardless of filters.
  * @type {(table: Table) => (row: number) => number}
  */
-function ofAll(table) {
+function outcomeSideOfAll(table) {
   const sides = Uint8Array.from(table.about.kinds, ({ outcome }) => ({ success: 0, failure: 1, invalid: 2 })[outcome]);
   return (row) => sides[table.kind[row]];
 }
 
 /**
- * Causes by the stage in which they came.
+ * Chart of causes by the stage in which they occurred.
  * @type {(app: App) => View}
  */
 export function stageView(app) {
@@ -43,11 +52,11 @@ export function stageView(app) {
   const canvas = /** @type {HTMLCanvasElement} */ (byId("stages"));
   const { kinds } = table.about;
   const stages = table.about.stages
-    .map((name, k) => ({ name: clipped(name), code: k + 1 }))
+    .map((name, k) => ({ name: clipName(name), code: k + 1 }))
     .filter(({ code }) => table.stage.some((one, row) => one === code && kinds[table.kind[row]].outcome !== "success"));
   canvas.style.height = `${40 + 26 * Math.max(1, stages.length)}px`;
   const draw = () => {
-    const { pen, width, ratio } = sheetOf(canvas);
+    const { pen, width, ratio } = prepareCanvas(canvas);
     const { ink, soft } = app.theme();
     const looks = app.looks();
     const counts = stages.map(() => kinds.map(() => 0));
@@ -69,12 +78,12 @@ export function stageView(app) {
       counts[k].forEach((count, kind) => {
         const size = (count / most) * (width - left - 50);
         if (!count) return;
-        boxed(pen, x, y, Math.max(1, size), 18, looks[kind], ratio);
+        drawKindBox(pen, x, y, Math.max(1, size), 18, looks[kind], ratio);
         x += size;
       });
       pen.fillStyle = soft;
       pen.textAlign = "left";
-      pen.fillText(grouped(totals[k]), x + 6, y + 9);
+      pen.fillText(formatCount(totals[k]), x + 6, y + 9);
     });
     if (!stages.length) {
       pen.fillStyle = soft;
@@ -85,7 +94,7 @@ export function stageView(app) {
 }
 
 /**
- * A box in the colour of a kind, with its glyph: as a cell of the map.
+ * Draw a box in the colour of a kind with its glyph, like a cell of the map.
  * @param {CanvasRenderingContext2D} pen
  * @param {number} x
  * @param {number} y
@@ -94,28 +103,28 @@ export function stageView(app) {
  * @param {Look} look
  * @param {number} ratio
  */
-export function boxed(pen, x, y, width, height, look, ratio) {
+export function drawKindBox(pen, x, y, width, height, look, ratio) {
   const [wide, high] = [Math.max(1, Math.round(width * ratio)), Math.max(1, Math.round(height * ratio))];
-  const pixels = pixelsOf(wide, high);
-  const glyph = width >= 12 ? glyphOf(look, ratio) : null;
+  const pixels = makePixels(wide, high);
+  const glyph = width >= 12 ? makeGlyph(look, ratio) : null;
   paintKind(pixels, { left: 0, top: 0, right: wide, bottom: high }, look, glyph, -1, ratio);
   pen.putImageData(pixels.image, Math.round(x * ratio), Math.round(y * ratio));
 }
 
 /**
- * A mark of a kind on paper: as those of the map.
+ * Draw a mark of a kind, like those of the map.
  * @type {(sheet: Sheet, look: Look, paper: Rgb) => void}
  */
-export function keyMark(sheet, look, paper) {
+export function drawKeyMark(sheet, look, paper) {
   const { pen, width, height, ratio } = sheet;
-  const pixels = pixelsOf(Math.round(width * ratio), Math.round(height * ratio));
+  const pixels = makePixels(Math.round(width * ratio), Math.round(height * ratio));
   pixels.colours.fill(packRgb(...paper));
-  stampAt(pixels, stampOf(look.shape, MARK * ratio), pixels.width / 2, pixels.height / 2, look.mark, 1, -2);
+  drawStamp(pixels, makeStamp(look.shape, MARK_RADIUS * ratio), pixels.width / 2, pixels.height / 2, look.mark, 1, -2);
   pen.putImageData(pixels.image, 0, 0);
 }
 
 /**
- * How much each parameter has to do with failure.
+ * Chart of how strongly each parameter is related to failure.
  * @type {(app: App) => View}
  */
 export function importanceView(app) {
@@ -124,43 +133,43 @@ export function importanceView(app) {
   const columns = table.columns.filter((column) => column.axis);
   canvas.style.height = `${44 + 24 * Math.min(16, Math.max(1, columns.length))}px`;
   const draw = () => {
-    const { pen, width } = sheetOf(canvas);
+    const { pen, width } = prepareCanvas(canvas);
     const { ink, soft, line, accent } = app.theme();
-    const side = sideOf(app);
-    const { effects, independent } = table.about; // rows at the boundary of a refined map say where they were placed
+    const side = makeOutcomeSide(app);
+    const { effects, independent } = table.about; // rows of a refined map lie at the boundary, so its Sobol indices are used
     const found = columns.map((column) => {
-      const one = distanceOf(column, app.order, side);
+      const one = distributionDistance(column, app.order, side);
       const distance = effects ? (effects[column.key] ?? 0) : one.distance;
-      return { column, ...one, distance, told: one.told || !independent };
+      return { column, ...one, distance, significant: one.significant || !independent };
     });
     found.sort((a, b) => b.distance - a.distance);
     const left = Math.min(190, 0.42 * width);
     const room = width - left - 48;
     pen.textBaseline = "middle";
-    found.slice(0, 16).forEach(({ column, distance, told }, k) => {
+    found.slice(0, 16).forEach(({ column, distance, significant }, k) => {
       const y = 6 + 24 * k;
       pen.textAlign = "right";
       pen.fillStyle = ink;
       pen.fillText(column.label, left - 8, y + 8, left - 10);
-      pen.fillStyle = told ? accent : line;
+      pen.fillStyle = significant ? accent : line;
       pen.fillRect(left, y, Math.max(1, distance * room), 16);
       pen.textAlign = "left";
       pen.fillStyle = soft;
       pen.fillText(distance.toFixed(2), left + distance * room + 6, y + 8);
     });
     pen.strokeStyle = line;
-    straight(pen, left - 0.5, 2, left - 0.5, 6 + 24 * Math.min(16, found.length));
+    drawLine(pen, left - 0.5, 2, left - 0.5, 6 + 24 * Math.min(16, found.length));
     const one = found[0];
     byId("importance-note").textContent =
       one?.counts[0] && one.counts[1]
-        ? `Among ${grouped(one.counts[0])} successes and ${grouped(one.counts[1])} failures.`
+        ? `Among ${formatCount(one.counts[0])} successes and ${formatCount(one.counts[1])} failures.`
         : "Needs both successes and failures among the rollouts shown.";
   };
   return { root: canvas, draw };
 }
 
 /**
- * The rate of success of all rollouts up to a value, or up to a number of rollouts.
+ * Chart of the success rate of all rollouts up to a value, or up to a number of rollouts.
  * @type {(app: App) => View}
  */
 export function rateView(app) {
@@ -168,17 +177,17 @@ export function rateView(app) {
   const canvas = /** @type {HTMLCanvasElement} */ (byId("rates"));
   const select = /** @type {HTMLSelectElement} */ (byId("rates-by"));
   const numbers = table.columns.filter((column) => !column.names);
-  // a grid is run point by point in the order of its axes, so that its first rollouts are no sample of it
+  // a grid is run point by point in the order of its axes, so its first rollouts are no sample of it
   const grid = table.columns.some((column) => column.axis && !column.drawn);
   const sorted = app.ranked.map(({ column }) => column).find(({ names }) => !names) ?? numbers[0];
   const planned = /** @type {[string, string][]} */ (grid && sorted ? [] : [["", "number of rollouts"]]);
-  offer(select, [...planned, ...optionsOf(numbers)], planned.length ? "" : sorted.key);
+  fillSelect(select, [...planned, ...columnOptions(numbers)], planned.length ? "" : sorted.key);
   select.addEventListener("change", () => app.redraw());
   const counting = Float64Array.from({ length: table.rows }, (_, row) => row);
   const draw = () => {
-    const sheet = sheetOf(canvas);
+    const sheet = prepareCanvas(canvas);
     const { pen, width, height } = sheet;
-    const side = sideOf(app);
+    const side = makeOutcomeSide(app);
     const column = table.named.get(select.value);
     const order = column ? app.order(column) : counting;
     const box = { left: 64, top: 10, width: width - 78, height: height - 58 };
@@ -192,18 +201,18 @@ export function rateView(app) {
       if (of === 0) good++;
       const tied = column && k + 1 < order.length && column.values[order[k + 1]] === column.values[order[k]];
       if (of < 2 && !tied && (k % steps === 0 || k + 1 === order.length || all < 60))
-        curve.push({ at: column ? column.values[order[k]] : all, rate: good / all, ends: wilson(good, all) });
+        curve.push({ at: column ? column.values[order[k]] : all, rate: good / all, ends: wilsonInterval(good, all) });
     }
     const [low, high] = column ? [column.low, column.high] : [0, Math.max(1, all)];
     /** @type {Column} */
     const shown = { ...(column ?? numbers[0] ?? table.columns[0]), names: null, low, high };
-    const x = scaleOf(shown, null, width / 80);
+    const x = makeScale(shown, null, width / 80);
     const marks = [0, 0.25, 0.5, 0.75, 1].map((value) => ({ value, text: `${100 * value} %` }));
     const y = { to: Number, back: Number, ticks: marks, edges: null, cells: null };
     const spot = (/** @type {number} */ at, /** @type {number} */ rate) =>
       /** @type {const} */ ([box.left + x.to(at) * box.width, box.top + (1 - rate) * box.height]);
     if (table.about.sure) {
-      pen.fillStyle = cssOf(rgbOf(table.about.colours.success), 0.3);
+      pen.fillStyle = cssColour(parseColour(table.about.colours.success), 0.3);
       pen.beginPath();
       curve.forEach(({ at, ends }) => pen.lineTo(...spot(at, ends[1])));
       [...curve].reverse().forEach(({ at, ends }) => pen.lineTo(...spot(at, ends[0])));
@@ -221,15 +230,17 @@ export function rateView(app) {
 }
 
 /**
- * Distributions of columns among failures beside successes.
+ * Histograms of columns, failures beside successes.
  * @type {(app: App) => View}
  */
 export function distributionsView(app) {
   const { table, state } = app;
   const root = byId("distributions-live");
-  const side = sideOf(app);
+  const side = makeOutcomeSide(app);
   const columns = table.columns.filter((column) => !column.names && column.high > column.low);
-  const ranks = new Map(columns.map((column) => [column, smirnov(app.order(column), column.values, side).distance]));
+  const ranks = new Map(
+    columns.map((column) => [column, kolmogorovSmirnov(app.order(column), column.values, side).distance]),
+  );
   columns.sort(
     (a, b) =>
       Number(b.axis && b.drawn) - Number(a.axis && a.drawn) ||
@@ -242,7 +253,7 @@ export function distributionsView(app) {
     .sort((a, b) => a - b);
   const many = clamp(Math.round(1.6 * Math.sqrt(few ?? 1)), 8, BINS);
   const more = byId("distributions-more");
-  let shown = SHOWN;
+  let shown = SHOWN_DISTRIBUTIONS;
   /** @typedef {Pick<Scale, "to" | "back" | "edges">} Across */
   /** @type {{ canvas: HTMLCanvasElement, column: Column, many: number, bins: Uint8Array, across: Across }[]} */
   let panels = [];
@@ -250,12 +261,12 @@ export function distributionsView(app) {
     panels = columns.slice(0, shown).map((column) => {
       const label = `${column.title}: distributions of successes and failures; drag to choose a range`;
       const canvas = element("canvas", { class: "small", role: "img", "aria-label": label });
-      const grid = gridOf(column) ?? []; // a bin for each of its values, as wide as any other
+      const grid = gridValues(column) ?? []; // one bin for each value, all of equal width
       const listed = grid.length > 1 && grid.length <= LISTED;
-      const across = listed ? uneven(Float64Array.from(grid), 1) : { ...alongOf(column), edges: null };
+      const across = listed ? equalCellScale(Float64Array.from(grid), 1) : { ...axisMapping(column), edges: null };
       const number = listed ? grid.length : many;
       brushed(canvas, column, across);
-      return { canvas, column, many: number, bins: binsOf(column, number, across.to), across };
+      return { canvas, column, many: number, bins: binRows(column, number, across.to), across };
     });
     root.replaceChildren(...panels.map(({ canvas }) => canvas));
     more.hidden = shown >= columns.length;
@@ -273,18 +284,18 @@ export function distributionsView(app) {
     let from = null;
     const shareAt = (/** @type {number} */ x) => clamp((x - 10) / (canvas.clientWidth - 20), 0, 1);
     canvas.addEventListener("pointerdown", (event) => {
-      from = pointerOn(event, canvas)[0];
+      from = pointerPosition(event, canvas)[0];
       canvas.setPointerCapture(event.pointerId);
     });
     canvas.addEventListener("pointermove", (event) => {
-      const [x] = pointerOn(event, canvas);
+      const [x] = pointerPosition(event, canvas);
       if (from === null || Math.abs(x - from) < 4) return;
-      narrow(state, column.key, whole(across, shareAt(from), shareAt(x)));
+      setRange(state, column.key, wholeCells(across, shareAt(from), shareAt(x)));
       app.filtered();
     });
     canvas.addEventListener("pointerup", (event) => {
-      if (from !== null && Math.abs(pointerOn(event, canvas)[0] - from) < 4) {
-        narrow(state, column.key, null);
+      if (from !== null && Math.abs(pointerPosition(event, canvas)[0] - from) < 4) {
+        setRange(state, column.key, null);
         app.filtered();
       }
       from = null;
@@ -292,12 +303,12 @@ export function distributionsView(app) {
   }
 
   const draw = () => {
-    const sides = sideOf(app);
+    const sides = makeOutcomeSide(app);
     const { ink, soft, line, accent } = app.theme();
     const { success, failure } = table.about.colours;
     const colours = [success, failure];
     for (const { canvas, column, many, bins, across } of panels) {
-      const { pen, width, height } = sheetOf(canvas);
+      const { pen, width, height } = prepareCanvas(canvas);
       const counts = [new Float64Array(many), new Float64Array(many)];
       for (let row = 0; row < table.rows; row++) {
         const of = sides(row);
@@ -327,13 +338,13 @@ export function distributionsView(app) {
       });
       pen.setLineDash([]);
       pen.strokeStyle = line;
-      straight(pen, left, bottom + 0.5, left + wide, bottom + 0.5);
+      drawLine(pen, left, bottom + 0.5, left + wide, bottom + 0.5);
       const place = (/** @type {number} */ value) => left + clamp(across.to(value), 0, 1) * wide;
       const limit = column.diverges ? 0 : column.limit;
       if (limit !== null && limit >= column.low && limit <= column.high) {
         pen.strokeStyle = ink;
         pen.setLineDash([3, 3]);
-        straight(pen, place(limit), 8, place(limit), bottom);
+        drawLine(pen, place(limit), 8, place(limit), bottom);
         pen.setLineDash([]);
       }
       const range = state.ranges.get(column.key);
@@ -346,9 +357,9 @@ export function distributionsView(app) {
       pen.fillStyle = soft;
       pen.textBaseline = "top";
       pen.textAlign = "left";
-      pen.fillText(shortly(column.low), left, bottom + 4);
+      pen.fillText(formatShort(column.low), left, bottom + 4);
       pen.textAlign = "right";
-      pen.fillText(shortly(column.high), left + wide, bottom + 4);
+      pen.fillText(formatShort(column.high), left + wide, bottom + 4);
       pen.fillStyle = ink;
       pen.textAlign = "center";
       pen.fillText(column.title, width / 2, bottom + 18, width - 4);
@@ -358,7 +369,7 @@ export function distributionsView(app) {
 }
 
 /**
- * All pairs of the columns that matter most, when they are asked for.
+ * Matrix of scatter plots of the most important columns, drawn on demand.
  * @type {(app: App) => View}
  */
 export function pairsView(app) {
@@ -369,18 +380,18 @@ export function pairsView(app) {
   const columns = [
     ...app.ranked.map(({ column }) => column).filter(({ names }) => !names),
     ...table.columns.filter(({ key }) => key === "margin"),
-  ].slice(0, PAIRED);
+  ].slice(0, PAIRED_COLUMNS);
   const draw = () => {
     if (!details.open || columns.length < 2) return;
     canvas.style.height = `${canvas.clientWidth}px`;
-    const { pen, width, ratio } = sheetOf(canvas);
+    const { pen, width, ratio } = prepareCanvas(canvas);
     const { ink, soft, line, paper } = app.theme();
     const looks = app.looks();
     const cell = (width - 8) / columns.length;
     const size = Math.round((cell - 10) * ratio);
     const radius = clamp(30 / Math.sqrt(table.rows), 0.9, 3) * ratio;
-    const stamps = looks.map((look) => stampOf(look.shape, radius));
-    const alongs = columns.map((column) => alongOf(column));
+    const stamps = looks.map((look) => makeStamp(look.shape, radius));
+    const alongs = columns.map((column) => axisMapping(column));
     columns.forEach((y, j) =>
       columns.forEach((x, i) => {
         const [left, top] = [4 + i * cell, 4 + j * cell];
@@ -390,11 +401,16 @@ export function pairsView(app) {
           pen.textBaseline = "middle";
           pen.fillText(x.title, left + cell / 2 - 5, top + cell / 2 - 5, cell - 14);
           pen.fillStyle = soft;
-          pen.fillText(`${shortly(x.low)} to ${shortly(x.high)}`, left + cell / 2 - 5, top + cell / 2 + 12, cell - 14);
+          pen.fillText(
+            `${formatShort(x.low)} to ${formatShort(x.high)}`,
+            left + cell / 2 - 5,
+            top + cell / 2 + 12,
+            cell - 14,
+          );
           return;
         }
         if (i > j) return;
-        const pixels = pixelsOf(size, size);
+        const pixels = makePixels(size, size);
         pixels.colours.fill(packRgb(...paper));
         for (let row = 0; row < table.rows; row++) {
           if (!state.mask[row]) continue;
@@ -403,7 +419,7 @@ export function pairsView(app) {
           const at = (/** @type {Along} */ column, /** @type {number} */ value) => 0.03 + 0.94 * column.to(value);
           const kind = table.kind[row];
           const [across, down] = [at(alongs[i], u) * size, (1 - at(alongs[j], v)) * size];
-          stampAt(pixels, stamps[kind], across, down, looks[kind].mark, 0.6, -2);
+          drawStamp(pixels, stamps[kind], across, down, looks[kind].mark, 0.6, -2);
         }
         pen.putImageData(pixels.image, Math.round(left * ratio), Math.round(top * ratio));
         pen.strokeStyle = line;
@@ -415,13 +431,13 @@ export function pairsView(app) {
 }
 
 /**
- * Parameters by how much they have to do with failure, over all rows.
+ * Rank parameters by how strongly they are related to failure, over all rows.
  * @type {(table: Table, order: (column: Column) => Uint32Array) => { column: Column, distance: number }[]}
  */
-export function rankedOf(table, order) {
-  const side = ofAll(table);
+export function rankParameters(table, order) {
+  const side = outcomeSideOfAll(table);
   return table.columns
     .filter((column) => column.axis)
-    .map((column) => ({ column, distance: distanceOf(column, order, side).distance }))
+    .map((column) => ({ column, distance: distributionDistance(column, order, side).distance }))
     .sort((a, b) => b.distance - a.distance);
 }

@@ -1,12 +1,12 @@
-// Where a figure is zero between the rollouts of a map: straight lines across the cells of a grid or a refined mesh.
+// Zero contour of a metric on a map: straight lines across the cells of a grid or a refined mesh.
 
-/** @import { Places } from "./cells.js" */
+/** @import { PlacedRows } from "./cells.js" */
 
 /**
- * Where a figure is zero, between the middles of a grid's cells or the corners of a mesh's. Of several rollouts in a cell
- * their mean counts.
- * @param {Places} here
- * @param {(row: number) => number} value NaN where there is none
+ * Zero contour of a metric between the middles of a grid's cells, or the corners of a mesh's. Several rollouts in a cell
+ * are averaged.
+ * @param {PlacedRows} here
+ * @param {(row: number) => number} value NaN if missing
  * @returns {number[]} left, low, right and high of each piece, as shares of the axes
  */
 export function zeroLines(here, value) {
@@ -26,7 +26,7 @@ export function zeroLines(here, value) {
 
 /** @typedef {[number, number, number][]} Corners around a cell: places and values */
 
-/** @type {(here: Places, value: (row: number) => number) => Generator<Corners>} */
+/** @type {(here: PlacedRows, value: (row: number) => number) => Generator<Corners>} */
 function* gridCorners({ x, y, rows, cell, form }, value) {
   if (form !== "cells" || !x.cells || !y.cells) return;
   const [across, up] = [x.cells, y.cells];
@@ -46,7 +46,7 @@ function* gridCorners({ x, y, rows, cell, form }, value) {
       yield [corner(i, j), corner(i + 1, j), corner(i + 1, j + 1), corner(i, j + 1)];
 }
 
-/** @type {(here: Places, value: (row: number) => number) => Generator<Corners>} */
+/** @type {(here: PlacedRows, value: (row: number) => number) => Generator<Corners>} */
 function* meshCorners({ rows, outlines }, value) {
   for (let k = 0; k < outlines.length; k += 4) {
     const [left, low, right, high] = outlines.subarray(k, k + 4);

@@ -1,5 +1,5 @@
-// What the page holds, read: rows by column, the cells of a refined map, densities.
-// The records from `Kind` to `About` are what Python writes (`data.py`, `stage.py`): a test holds both to the same keys.
+// Decoding of the page's data: rows by column, cells of a refined map, densities.
+// Python writes the records from `Kind` to `About` (`data.py`, `replay_data.py`); a test compares their keys.
 import { clamp } from "./numbers.js";
 
 /**
@@ -14,15 +14,15 @@ import { clamp } from "./numbers.js";
  */
 
 /**
- * A column; what stands for its values is either names, listed levels, or two ends and the bend between them.
- * @typedef {object} Told
+ * Format of a column. Its codes stand for names, for listed levels, or for a range, linear or by inverse hyperbolic sine.
+ * @typedef {object} ColumnFormat
  * @property {string} key
  * @property {string} label
  * @property {string} unit
- * @property {string} path of a parameter, with its unit; empty for a figure
+ * @property {string} path of a parameter, with its unit; empty for a metric
  * @property {boolean} axis
  * @property {boolean} drawn
- * @property {boolean} diverges whether it is good above zero and bad below it
+ * @property {boolean} diverges whether positive values are good and negative ones bad
  * @property {number | null} limit
  * @property {string[]} [names]
  * @property {number[]} [levels]
@@ -61,7 +61,7 @@ import { clamp } from "./numbers.js";
 /**
  * @typedef {object} Arrow
  * @property {number} metres for a newton
- * @property {number} least newtons that have an arrow
+ * @property {number} least smallest force with an arrow, N
  */
 
 /**
@@ -78,11 +78,11 @@ import { clamp } from "./numbers.js";
  * @property {number} frames
  * @property {number[]} scales
  * @property {number} force_scale
- * @property {number} torque_scale 0 where no torques are kept
+ * @property {number} torque_scale 0 if torques are not stored
  * @property {number | null} torque_limit N m
  * @property {number} margin_scale
- * @property {number} friction_scale of shares of the friction that there is, 0 where they are not kept
- * @property {string[]} limits that a margin is kept to, none where it is not
+ * @property {number} friction_scale scale of used friction shares, 0 if they are not stored
+ * @property {string[]} limits thresholds of the margin, empty if it is not stored
  * @property {string[]} stages
  */
 
@@ -94,14 +94,14 @@ import { clamp } from "./numbers.js";
  * @property {number} rows
  * @property {Kind[]} kinds
  * @property {string[]} stages
- * @property {Told[]} columns
+ * @property {ColumnFormat[]} columns
  * @property {number} digits
  * @property {string} block
  * @property {boolean} one_at_a_time whether each parameter was varied alone
- * @property {boolean} sure whether every row is an independent draw, so that all of them have an interval
- * @property {boolean} independent whether a test may take every row as independent
- * @property {boolean} adaptive whether rollouts were placed by a search for failures: their shares are no rates
- * @property {Record<string, number> | null} effects of a refined map, by column
+ * @property {boolean} sure whether all rows are independent draws, so that their rate has a confidence interval
+ * @property {boolean} independent whether tests may treat rows as independent
+ * @property {boolean} adaptive whether a search for failures placed the rollouts, so that their shares are no rates
+ * @property {Record<string, number> | null} effects Sobol indices of a refined map, by column
  * @property {string[]} start
  * @property {Theory[]} theory
  * @property {Mesh | null} refined_cells
@@ -112,7 +112,7 @@ import { clamp } from "./numbers.js";
  * @property {number} open
  * @property {Arrow} arrow
  * @property {string[]} legs colours of the legs
- * @property {{ success: string, failure: string }} colours of all that succeed, and of all that fail
+ * @property {{ success: string, failure: string }} colours of successes and failures in general
  */
 
 /**
@@ -121,13 +121,13 @@ import { clamp } from "./numbers.js";
  * @property {string} label
  * @property {string} unit
  * @property {string} title label and unit
- * @property {string} path of a parameter, with its unit; empty for a figure
+ * @property {string} path of a parameter, with its unit; empty for a metric
  * @property {boolean} axis
  * @property {boolean} drawn
  * @property {boolean} diverges
  * @property {number | null} limit
- * @property {string[] | null} names of the codes that are its values
- * @property {Float64Array} values NaN where there is none
+ * @property {string[] | null} names by code; the values are codes
+ * @property {Float64Array} values NaN if missing
  * @property {number} low
  * @property {number} high
  */
@@ -137,7 +137,7 @@ import { clamp } from "./numbers.js";
  * @property {About} about
  * @property {number} rows
  * @property {Uint8Array} kind index of each row's kind
- * @property {Uint8Array} stage one more than the index of its stage, 0 without one
+ * @property {Uint8Array} stage index of its stage plus one, 0 without a stage
  * @property {Column[]} columns
  * @property {Map<string, Column>} named by key
  * @property {Uint8Array} ids bytes of point ids
@@ -145,11 +145,11 @@ import { clamp } from "./numbers.js";
  * @property {Map<number, number>} replayed replays by row
  */
 
-const NONE = 65535;
-export const LONGEST = 120; // letters of a name that are shown
+const MISSING = 65535;
+export const NAME_LENGTH = 120; // characters of a name that are shown
 
 /**
- * The bytes that a text of the page stands for.
+ * Decode base64 and inflate the bytes.
  * @type {(text: string) => Promise<ArrayBuffer>}
  */
 export async function inflate(text) {
@@ -158,11 +158,11 @@ export async function inflate(text) {
 }
 
 /**
- * A name that is not too long to be shown.
+ * Shorten a long name.
  * @type {(text: string) => string}
  */
-export function clipped(text) {
-  return text.length > LONGEST ? `${text.slice(0, LONGEST)}…` : text;
+export function clipName(text) {
+  return text.length > NAME_LENGTH ? `${text.slice(0, NAME_LENGTH)}…` : text;
 }
 
 /** @type {(about: About) => Promise<Table>} */
@@ -172,10 +172,10 @@ export async function readTable(about) {
   const bytes = new Uint8Array(buffer);
   const half = about.digits / 2;
   let at = (2 + half) * rows;
-  const columns = about.columns.map((told) => {
-    const values = readColumn(told, bytes.subarray(at, at + 2 * rows), rows);
+  const columns = about.columns.map((format) => {
+    const values = readColumn(format, bytes.subarray(at, at + 2 * rows), rows);
     at += 2 * rows;
-    return columnOf(told, values);
+    return makeColumn(format, values);
   });
   return {
     about,
@@ -191,24 +191,24 @@ export async function readTable(about) {
 }
 
 /**
- * Values of a column, from all its low bytes and then all its high ones.
- * @type {(told: Told, bytes: Uint8Array, rows: number) => Float64Array}
+ * Decode the values of a column from its low bytes followed by its high bytes.
+ * @type {(format: ColumnFormat, bytes: Uint8Array, rows: number) => Float64Array}
  */
-export function readColumn(told, bytes, rows) {
+export function readColumn(format, bytes, rows) {
   const values = new Float64Array(rows);
-  const { levels, low = 0, step = 1, bend = 0, middle = 0 } = told;
+  const { levels, low = 0, step = 1, bend = 0, middle = 0 } = format;
   for (let k = 0; k < rows; k++) {
     const code = bytes[k] | (bytes[rows + k] << 8);
-    if (code === NONE) values[k] = NaN;
-    else if (told.names) values[k] = code;
+    if (code === MISSING) values[k] = NaN;
+    else if (format.names) values[k] = code;
     else if (levels) values[k] = levels[code];
     else values[k] = bend ? middle + bend * Math.sinh(low + step * code) : low + step * code;
   }
   return values;
 }
 
-/** @type {(told: Told, values: Float64Array) => Column} */
-function columnOf(told, values) {
+/** @type {(format: ColumnFormat, values: Float64Array) => Column} */
+function makeColumn(format, values) {
   let low = Infinity;
   let high = -Infinity;
   for (const value of values) {
@@ -216,25 +216,25 @@ function columnOf(told, values) {
     if (value > high) high = value;
   }
   if (!(high >= low)) low = high = 0;
-  const label = clipped(told.label);
-  const title = told.unit ? `${label} [${told.unit}]` : label;
-  const names = told.names ? told.names.map(clipped) : null;
-  const path = told.path ?? ""; // a page that an earlier version wrote has none
-  return { ...told, label, title, path, names, values, low, high };
+  const label = clipName(format.label);
+  const title = format.unit ? `${label} [${format.unit}]` : label;
+  const names = format.names ? format.names.map(clipName) : null;
+  const path = format.path ?? ""; // pages of earlier versions have none
+  return { ...format, label, title, path, names, values, low, high };
 }
 
 /**
- * The beginning of a row's point id.
+ * First digits of a row's point id.
  * @type {(table: Table, row: number) => string}
  */
-export function pointOf(table, row) {
+export function pointId(table, row) {
   const half = table.about.digits / 2;
   const bytes = table.ids.subarray(row * half, (row + 1) * half);
   return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
 /**
- * Counts of densities by kind, from their bytes in planes.
+ * Decode the counts of a density by kind from their byte planes.
  * @type {(buffer: ArrayBuffer) => Uint32Array}
  */
 export function readCounts(buffer) {
@@ -247,11 +247,11 @@ export function readCounts(buffer) {
 }
 
 /**
- * Replayed rows by their distance from a row, in units of the range of each parameter; a name that differs counts one.
- * The row's own replay comes first.
+ * Find the replay nearest to a row, by distance in units of each parameter's range; different names count one. The row's
+ * own replay comes first.
  * @param {Table} table
  * @param {number} row
- * @returns {number} the replay's number, -1 where there is none
+ * @returns {number} number of the replay, -1 for none
  */
 export function nearestReplay(table, row) {
   const own = table.replayed.get(row);
@@ -260,7 +260,7 @@ export function nearestReplay(table, row) {
   let least = Infinity;
   const axes = table.columns.filter((column) => column.axis);
   for (const [other, number] of table.replayed) {
-    let sum = table.kind[other] === table.kind[row] ? 0 : 1e-9; // of two as far, the one that ends alike
+    let sum = table.kind[other] === table.kind[row] ? 0 : 1e-9; // breaks ties in favour of the same kind
     for (const { names, values, low, high } of axes) {
       const apart = names ? Number(values[row] !== values[other]) : (values[row] - values[other]) / (high - low || 1);
       sum += apart * apart || 0;
@@ -271,21 +271,21 @@ export function nearestReplay(table, row) {
 }
 
 /**
- * How differently a column's values are distributed in two sets of rows (Kolmogorov and Smirnov's distance), and whether
- * that would be seldom by chance (5 %). `order` are the rows by value.
+ * Two-sample Kolmogorov-Smirnov distance of a column's values between two sets of rows, and whether it is significant at
+ * 5 %. `order` holds the rows sorted by value.
  * @param {ArrayLike<number>} order
  * @param {ArrayLike<number>} values
  * @param {(row: number) => number} side 0 or 1 for the sets, anything else for neither
- * @returns {{ distance: number, told: boolean, counts: [number, number] }}
+ * @returns {{ distance: number, significant: boolean, counts: [number, number] }}
  */
-export function smirnov(order, values, side) {
+export function kolmogorovSmirnov(order, values, side) {
   /** @type {[number, number]} */
   const counts = [0, 0];
   for (let k = 0; k < order.length; k++) {
     const of = side(order[k]);
     if (of === 0 || of === 1) counts[of]++;
   }
-  if (!counts[0] || !counts[1]) return { distance: 0, told: false, counts };
+  if (!counts[0] || !counts[1]) return { distance: 0, significant: false, counts };
   const seen = [0, 0];
   let distance = 0;
   for (let k = 0; k < order.length; k++) {
@@ -295,17 +295,16 @@ export function smirnov(order, values, side) {
     distance = Math.max(distance, Math.abs(seen[0] / counts[0] - seen[1] / counts[1]));
   }
   const root = Math.sqrt((counts[0] * counts[1]) / (counts[0] + counts[1]));
-  const rare = 1.358 / (root + 0.12 + 0.11 / root); // of few rows, too (Stephens 1970)
-  return { distance, told: distance > rare, counts };
+  const rare = 1.358 / (root + 0.12 + 0.11 / root); // also for few rows (Stephens 1970)
+  return { distance, significant: distance > rare, counts };
 }
 
 /**
- * How differently a column's names are distributed in two sets of rows: the largest difference of the shares of any
- * choice of names (total variation; what Kolmogorov and Smirnov's distance is for numbers), and whether that would be
- * seldom by chance (5 %, chi-squared test of homogeneity).
+ * Total variation distance of a column's names between two sets of rows, and whether it is significant at 5 % (chi-squared
+ * test of homogeneity). It is to names what the Kolmogorov-Smirnov distance is to numbers.
  * @param {Column} column
  * @param {(row: number) => number} side 0 or 1 for the sets, anything else for neither
- * @returns {{ distance: number, told: boolean, counts: [number, number] }}
+ * @returns {{ distance: number, significant: boolean, counts: [number, number] }}
  */
 export function nameDistance({ names, values }, side) {
   const seen = (names ?? []).map(() => [0, 0]);
@@ -317,7 +316,7 @@ export function nameDistance({ names, values }, side) {
     seen[values[row]][of]++;
     counts[of]++;
   }
-  if (!counts[0] || !counts[1]) return { distance: 0, told: false, counts };
+  if (!counts[0] || !counts[1]) return { distance: 0, significant: false, counts };
   let distance = 0;
   let square = 0;
   let degrees = -1;
@@ -330,23 +329,23 @@ export function nameDistance({ names, values }, side) {
   }
   // 95 % quantile of chi-squared (Wilson and Hilferty 1931)
   const limit = degrees > 0 ? degrees * (1 - 2 / (9 * degrees) + 1.6449 * Math.sqrt(2 / (9 * degrees))) ** 3 : Infinity;
-  return { distance, told: square > limit, counts };
+  return { distance, significant: square > limit, counts };
 }
 
 /**
- * How differently a parameter is distributed in two sets of rows, whether it has numbers or names.
+ * Distance between a parameter's distributions in two sets of rows, for numbers or names.
  * @type {(column: Column, order: (column: Column) => Uint32Array, side: (row: number) => number)
- *   => { distance: number, told: boolean, counts: [number, number] }}
+ *   => { distance: number, significant: boolean, counts: [number, number] }}
  */
-export function distanceOf(column, order, side) {
-  return column.names ? nameDistance(column, side) : smirnov(order(column), column.values, side);
+export function distributionDistance(column, order, side) {
+  return column.names ? nameDistance(column, side) : kolmogorovSmirnov(order(column), column.values, side);
 }
 
 /**
- * Rows in the order of a column's values; those without one are left out.
+ * Rows sorted by a column's values, without missing ones.
  * @type {(column: Column) => Uint32Array}
  */
-export function orderOf(column) {
+export function sortedRows(column) {
   const { values } = column;
   const rows = [];
   for (let row = 0; row < values.length; row++) if (!Number.isNaN(values[row])) rows.push(row);
@@ -354,13 +353,13 @@ export function orderOf(column) {
 }
 
 /**
- * Rows of a column by bins of equal width along an axis.
+ * Bin of each row of a column, of equal width along an axis.
  * @param {Column} column
  * @param {number} bins
  * @param {(value: number) => number} to the share of the axis
  * @returns {Uint8Array} 255 for none
  */
-export function binsOf({ values }, bins, to) {
+export function binRows({ values }, bins, to) {
   return Uint8Array.from(values, (value) =>
     Number.isNaN(value) ? 255 : clamp(Math.floor(to(value) * bins), 0, bins - 1),
   );
@@ -370,15 +369,15 @@ export function binsOf({ values }, bins, to) {
  * The values of a column that are those of a grid, or its names' codes; sorted.
  * @type {(column: Column) => number[] | null}
  */
-export function gridOf(column) {
+export function gridValues(column) {
   if (column.names) return column.names.map((_, code) => code);
-  return column.axis && !column.drawn ? valuesOf(column) : null;
+  return column.axis && !column.drawn ? sortedValues(column) : null;
 }
 
 /**
  * The values of a column, each once, sorted.
  * @type {(column: Column) => number[]}
  */
-export function valuesOf({ values }) {
+export function sortedValues({ values }) {
   return [...new Set(values)].filter((value) => !Number.isNaN(value)).sort((a, b) => a - b);
 }

@@ -1,12 +1,12 @@
 // Elements, canvases and the colours of the page's theme.
-import { rgbOf } from "./numbers.js";
+import { parseColour } from "./numbers.js";
 import { VectorPen } from "./vector.js";
 
 /** @import { Column, Kind } from "./data.js" */
 /** @typedef {[number, number, number]} Rgb */
 
 /**
- * The element with an id of the page.
+ * Find an element of the page by its id.
  * @type {(id: string) => HTMLElement}
  */
 export function byId(id) {
@@ -16,7 +16,7 @@ export function byId(id) {
 }
 
 /**
- * An element with attributes, and with children of which strings are text and nothing else.
+ * Make an element with attributes and children; strings become text nodes.
  * @template {keyof HTMLElementTagNameMap} Tag
  * @param {Tag} tag
  * @param {Record<string, string>} attributes
@@ -31,20 +31,20 @@ export function element(tag, attributes = {}, ...children) {
 }
 
 /**
- * A button with attributes and children, and what it does when it is pressed.
+ * Make a button with attributes, children and an action.
  * @type {(attributes: Record<string, string>, pressed: () => void, ...children: (Node | string)[]) => HTMLButtonElement}
  */
-export function buttonOf(attributes, pressed, ...children) {
+export function makeButton(attributes, pressed, ...children) {
   const made = element("button", { type: "button", ...attributes }, ...children);
   made.addEventListener("click", pressed);
   return made;
 }
 
 /**
- * Columns as options of a selection list.
+ * Options of a selection list, one for each column.
  * @type {(columns: Column[]) => [string, string, string][]}
  */
-export function optionsOf(columns) {
+export function columnOptions(columns) {
   return columns.map(({ key, title, path }) => [key, title, path]);
 }
 
@@ -52,21 +52,21 @@ export function optionsOf(columns) {
  * Fill a selection list; options are values, words, and what is shown on hover.
  * @type {(select: HTMLSelectElement, options: [string, string, string?][], chosen: string) => void}
  */
-export function offer(select, options, chosen) {
+export function fillSelect(select, options, chosen) {
   select.replaceChildren(...options.map(([value, text, title = ""]) => element("option", { value, title }, text)));
   select.value = chosen;
 }
 
 /** @typedef {{ pen: CanvasRenderingContext2D, width: number, height: number, ratio: number }} Sheet */
 
-/** @type {Map<HTMLCanvasElement, VectorPen>} pens that write down what is drawn on these canvases, while it is saved */
+/** @type {Map<HTMLCanvasElement, VectorPen>} pens that record what is drawn on these canvases while they are saved */
 export const recorders = new Map();
 
 /**
- * A canvas ready to be drawn on in CSS pixels, as sharp as the screen, cleared.
+ * Clear a canvas and prepare it for drawing in CSS pixels at the screen's resolution.
  * @type {(canvas: HTMLCanvasElement) => Sheet}
  */
-export function sheetOf(canvas) {
+export function prepareCanvas(canvas) {
   const ratio = Math.min(window.devicePixelRatio || 1, 2);
   const { clientWidth: width, clientHeight: height } = canvas;
   if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
@@ -84,10 +84,10 @@ export function sheetOf(canvas) {
 }
 
 /**
- * A straight line.
+ * Draw a straight line.
  * @type {(pen: CanvasRenderingContext2D, x: number, y: number, toX: number, toY: number) => void}
  */
-export function straight(pen, x, y, toX, toY) {
+export function drawLine(pen, x, y, toX, toY) {
   pen.beginPath();
   pen.moveTo(x, y);
   pen.lineTo(toX, toY);
@@ -95,10 +95,10 @@ export function straight(pen, x, y, toX, toY) {
 }
 
 /**
- * A text, cut short where there is no room (in pixels) for all of it: squeezed into it nobody could read it.
+ * Shorten a text to fit into `room` CSS pixels.
  * @type {(pen: CanvasRenderingContext2D, text: string, room: number) => string}
  */
-export function fitting(pen, text, room) {
+export function shortenToFit(pen, text, room) {
   let cut = text;
   for (let kept = text.length; kept > 0 && pen.measureText(cut).width > room; kept--) cut = `${text.slice(0, kept)}…`;
   return cut;
@@ -116,27 +116,27 @@ export function fitting(pen, text, room) {
  */
 
 /**
- * The colours that the style sheet gives now.
+ * Read the present colours from the style sheet.
  * @returns {Theme}
  */
-export function themeNow() {
+export function readTheme() {
   const style = getComputedStyle(document.documentElement);
   const value = (/** @type {string} */ name) => style.getPropertyValue(`--${name}`).trim();
   const dark = value("dark") === "1";
   const panel = value("panel");
   const [ink, soft, line, accent] = ["ink", "soft", "line", "accent"].map(value);
-  return { dark, paper: rgbOf(panel), ink, soft, line, accent, panel };
+  return { dark, paper: parseColour(panel), ink, soft, line, accent, panel };
 }
 
 /** @typedef {{ cell: Rgb, mark: Rgb, ink: Rgb, hatched: boolean, glyphed: boolean, shape: number[] }} Look */
 
 /**
- * How a kind of outcome looks, whatever the theme: as a mark or a line, and as a cell with its glyph. What is invalid has no
- * colour of its own as a cell.
+ * Style of a kind of outcome: as a mark or a line, and as a cell with its glyph. Cells of invalid rows have the theme's
+ * colours.
  * @type {(kind: Kind, theme: Theme) => Look}
  */
-export function lookOf({ colour, shape, outcome }, theme) {
-  const mark = rgbOf(colour);
+export function kindStyle({ colour, shape, outcome }, theme) {
+  const mark = parseColour(colour);
   if (outcome === "invalid") return { cell: theme.paper, mark, ink: mark, hatched: true, glyphed: false, shape };
   const dark = 0.299 * mark[0] + 0.587 * mark[1] + 0.114 * mark[2] < 110;
   const ink = /** @type {Rgb} */ (dark ? [255, 255, 255] : [28, 32, 36]);
@@ -144,15 +144,15 @@ export function lookOf({ colour, shape, outcome }, theme) {
 }
 
 /** @type {(rgb: Rgb, opacity?: number) => string} */
-export function cssOf(rgb, opacity = 1) {
+export function cssColour(rgb, opacity = 1) {
   return `rgba(${rgb.map(Math.round).join(",")},${opacity})`;
 }
 
 /**
- * Where a pointer is on an element.
+ * Position of a pointer on an element, CSS pixels.
  * @type {(event: { clientX: number, clientY: number }, target: HTMLElement) => [number, number]}
  */
-export function pointerOn(event, target) {
+export function pointerPosition(event, target) {
   const box = target.getBoundingClientRect();
   return [event.clientX - box.left, event.clientY - box.top];
 }

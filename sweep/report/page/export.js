@@ -1,25 +1,25 @@
-// What a reader takes away: pictures of views, the chosen rows as a table, a replay as a video.
-import { pointOf } from "./data.js";
-import { buttonOf, element, recorders } from "./dom.js";
+// Exports: pictures of views, the filtered rows as CSV, a replay as a video.
+import { pointId } from "./data.js";
+import { makeButton, element, recorders } from "./dom.js";
 import { VectorPen } from "./vector.js";
 
 /** @import { App } from "./main.js" */
 
 /**
- * Give the reader a file.
+ * Let the user download a file.
  * @type {(content: Blob, name: string) => void}
  */
-export function give(content, name) {
+export function download(content, name) {
   const address = URL.createObjectURL(content);
   element("a", { href: address, download: name }).click();
   setTimeout(() => URL.revokeObjectURL(address), 10_000);
 }
 
 /**
- * The rows that pass the filters as CSV, a column for each that the page holds.
+ * Format the rows that pass the filters as CSV, with all columns of the page.
  * @type {(app: App) => string}
  */
-export function csvOf({ table, state }) {
+export function formatCsv({ table, state }) {
   const { kinds, stages } = table.about;
   const quoted = (/** @type {string} */ text) => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
   const lines = [["point_id", "outcome", "cause", "stage", ...table.columns.map(({ key }) => quoted(key))].join()];
@@ -31,16 +31,16 @@ export function csvOf({ table, state }) {
       const value = values[row];
       return Number.isNaN(value) ? "" : names ? quoted(names[value]) : String(Number(value.toPrecision(6)));
     });
-    lines.push([pointOf(table, row), outcome, outcome === "success" ? "" : key, quoted(stage), ...values].join());
+    lines.push([pointId(table, row), outcome, outcome === "success" ? "" : key, quoted(stage), ...values].join());
   }
   return `${lines.join("\n")}\n`;
 }
 
 /**
- * What a panel draws, where it does: canvases of an explanation or a button are none of it.
+ * Canvases on which a panel draws, and their boxes, without those in explanations or buttons.
  * @type {(panel: Element) => { canvases: HTMLCanvasElement[], boxes: DOMRect[], whole: DOMRect }}
  */
-function drawnIn(panel) {
+function panelCanvases(panel) {
   const canvases = [.../** @type {NodeListOf<HTMLCanvasElement>} */ (panel.querySelectorAll("canvas"))].filter(
     (one) => one.clientHeight && !one.closest("p, button"),
   );
@@ -51,12 +51,12 @@ function drawnIn(panel) {
 }
 
 /**
- * A panel's canvases as one picture of pixels.
+ * Compose a panel's canvases into one PNG picture.
  * @type {(app: App, panel: Element) => Promise<Blob | null>}
  */
-async function pictureOf(app, panel) {
+async function panelPng(app, panel) {
   await app.drawn();
-  const { canvases, boxes, whole } = drawnIn(panel);
+  const { canvases, boxes, whole } = panelCanvases(panel);
   const ratio = canvases[0].width / boxes[0].width;
   const paper = element("canvas", { width: `${ratio * whole.width}`, height: `${ratio * whole.height}` });
   const pen = /** @type {CanvasRenderingContext2D} */ (paper.getContext("2d"));
@@ -71,11 +71,11 @@ async function pictureOf(app, panel) {
 }
 
 /**
- * A panel's canvases as one drawing: its lines and words stay such, its cells and marks are images.
+ * Compose a panel's canvases into one SVG drawing: lines and text stay vectors, cells and marks are images.
  * @type {(app: App, panel: Element) => Promise<Blob>}
  */
-async function drawingOf(app, panel) {
-  const { canvases, boxes, whole } = drawnIn(panel);
+async function panelSvg(app, panel) {
+  const { canvases, boxes, whole } = panelCanvases(panel);
   const pens = canvases.map((one) => new VectorPen(one));
   canvases.forEach((one, k) => recorders.set(one, pens[k]));
   await app.drawn().finally(() => recorders.clear());
@@ -89,7 +89,7 @@ async function drawingOf(app, panel) {
 }
 
 /**
- * Buttons that save what a panel draws.
+ * Add buttons that save the pictures of each panel.
  * @param {App} app
  */
 export function offerPictures(app) {
@@ -97,27 +97,27 @@ export function offerPictures(app) {
     const head = panel.querySelector("h2, details > p");
     const name = panel.querySelector("h2, summary")?.textContent ?? "view";
     for (const [word, made] of /** @type {const} */ ([
-      ["PNG", pictureOf],
-      ["SVG", drawingOf],
+      ["PNG", panelPng],
+      ["SVG", panelSvg],
     ])) {
       const save = async () => {
-        if (!drawnIn(panel).canvases.length) return;
+        if (!panelCanvases(panel).canvases.length) return;
         const content = await made(app, panel);
-        if (content) give(content, `${name}.${word.toLowerCase()}`);
+        if (content) download(content, `${name}.${word.toLowerCase()}`);
       };
-      const button = buttonOf({ class: "save", title: `save "${name}" as ${word}` }, save, word);
+      const button = makeButton({ class: "save", title: `save "${name}" as ${word}` }, save, word);
       if (!panel.querySelector("#list")) head?.append(" ", button);
     }
   }
 }
 
 /**
- * What canvases show from now on, those that are seen side by side, as WebM, until it is stopped.
+ * Record the visible canvases side by side as a WebM video until it is stopped.
  * @param {HTMLCanvasElement[]} canvases
  * @param {string} ground colour behind them
- * @returns {{ stop: () => void, taken: () => void }} to be told of each picture that has been drawn
+ * @returns {{ stop: () => void, taken: () => void }} `taken` is called after each frame is drawn
  */
-export function recorded(canvases, ground) {
+export function recordVideo(canvases, ground) {
   const parts = /** @type {Blob[]} */ ([]);
   const seen = canvases.filter((one) => one.clientHeight);
   const width = seen.reduce((sum, one) => sum + one.width, 0);
@@ -132,7 +132,7 @@ export function recorded(canvases, ground) {
   taken();
   const recorder = new MediaRecorder(paper.captureStream(30), { mimeType: "video/webm", videoBitsPerSecond: 6e6 });
   recorder.addEventListener("dataavailable", ({ data }) => parts.push(data));
-  recorder.addEventListener("stop", () => give(new Blob(parts, { type: "video/webm" }), "replay.webm"));
+  recorder.addEventListener("stop", () => download(new Blob(parts, { type: "video/webm" }), "replay.webm"));
   recorder.start();
   return { stop: () => recorder.stop(), taken };
 }

@@ -1,8 +1,8 @@
-// What goes with a replay over time: margin, forces, friction, torques, joints, base and slip, stages behind them, a line where the replay is.
-import { byId, element, pointerOn, sheetOf, straight } from "./dom.js";
-import { frameAt, plus, spansOf, turnOf } from "./kinematics.js";
-import { clamp, shortly, ticks } from "./numbers.js";
-import { BESIDE, drawPaths, drawRuled, pathsOf, pointPaths, FACES } from "./path.js";
+// Plots of a replay over time: margin, forces, friction, torques, joints, base and slip, with stages and the present time.
+import { byId, element, pointerPosition, prepareCanvas, drawLine } from "./dom.js";
+import { frameAt, addScaled, stageSpans, rotationMatrix } from "./kinematics.js";
+import { clamp, formatShort, ticks } from "./numbers.js";
+import { PANEL_MARGIN, drawPaths, drawRuledFrame, replayPaths, pointPaths, PATH_VIEWS } from "./path.js";
 
 /** @import { Model, Motion } from "./kinematics.js" */
 /** @import { App } from "./main.js" */
@@ -14,24 +14,24 @@ import { BESIDE, drawPaths, drawRuled, pathsOf, pointPaths, FACES } from "./path
  * @property {string} title with the unit
  * @property {Float64Array[]} lines a value for each frame; of legs in their order
  * @property {number | null} limit that the lines are held by, on both sides of zero
- * @property {string[]} [told] what the line is of in each frame
+ * @property {string[]} [limitNames] nearest threshold in each frame
  */
 
-const LOADED = 1; // N on a foot that stands
+const LOADED_FORCE = 1; // N, force from which a foot is in stance
 
 /**
- * What a replay tells over time.
+ * Time series of a replay.
  * @type {(reel: Reel, paths: Paths) => Histories[]}
  */
-export function historiesOf({ model, motion }, paths) {
+export function replaySeries({ model, motion }, paths) {
   const { frames, coordinates, qpos, force, torque, friction } = motion;
   const over = (/** @type {(frame: number) => number} */ value) =>
     Float64Array.from({ length: frames }, (_, k) => value(k));
   const legs = (/** @type {(frame: number, leg: number) => number} */ value) =>
     model.feet.map((_, leg) => over((frame) => value(frame, leg)));
-  const free = freeOf(model);
+  const free = freeJointIndex(model);
   const tilt = (/** @type {number} */ k) => {
-    const upright = turnOf(qpos.subarray(k * coordinates + free + 3, k * coordinates + free + 7))[8];
+    const upright = rotationMatrix(qpos.subarray(k * coordinates + free + 3, k * coordinates + free + 7))[8];
     return (Math.acos(clamp(upright, -1, 1)) * 180) / Math.PI;
   };
   const pull = (/** @type {number} */ k, /** @type {number} */ leg) => {
@@ -67,7 +67,7 @@ export function historiesOf({ model, motion }, paths) {
       title: "margin to the nearest limit",
       lines: motion.margin ? [motion.margin] : [],
       limit: motion.margin ? 0 : null,
-      told: motion.limits,
+      limitNames: motion.limits,
     },
     { title: "force on a foot [N]", lines: legs(pull), limit: null },
     {
@@ -75,7 +75,7 @@ export function historiesOf({ model, motion }, paths) {
       lines: friction ? legs((k, leg) => friction[model.feet.length * k + leg]) : [],
       limit: 1,
     },
-    { title: "slip of a standing foot [m]", lines: slips(paths.feet, pull), limit: null },
+    { title: "slip of a standing foot [m]", lines: footSlips(paths.feet, pull), limit: null },
     { title: "height of a foot [m]", lines: paths.feet.map((foot) => over((k) => foot[k][2])), limit: null },
     ...["x of the base [m]", "y of the base [m]", "height of the base [m]"].map((title, part) => ({
       title,
@@ -90,36 +90,36 @@ export function historiesOf({ model, motion }, paths) {
 }
 
 /**
- * Where the robot's free joint is among the coordinates, -1 where it has none.
+ * Index of the robot's free joint among the coordinates, -1 without one.
  * @type {(model: Model) => number}
  */
-function freeOf({ bodies, geoms }) {
+function freeJointIndex({ bodies, geoms }) {
   let body = geoms.find(({ robot }) => robot)?.body ?? 0;
   while (body && bodies[body].joints[0]?.length !== 1) body = bodies[body].parent;
   return bodies[body].joints[0]?.length === 1 ? bodies[body].joints[0][0] : -1;
 }
 
 /**
- * How far each foot has gone since it was put down, while it is loaded.
- * @param {number[][][]} feet where they are, by leg and frame
+ * Distance of each loaded foot from its touchdown.
+ * @param {number[][][]} feet positions by leg and frame
  * @param {(frame: number, leg: number) => number} pull
  * @returns {Float64Array[]} m
  */
-function slips(feet, pull) {
+function footSlips(feet, pull) {
   return feet.map((foot, leg) => {
     const way = new Float64Array(foot.length);
     for (let k = 1; k < foot.length; k++) {
-      const stood = pull(k, leg) > LOADED && pull(k - 1, leg) > LOADED;
-      way[k] = stood ? way[k - 1] + Math.hypot(...plus(foot[k], foot[k - 1], -1)) : 0;
+      const stood = pull(k, leg) > LOADED_FORCE && pull(k - 1, leg) > LOADED_FORCE;
+      way[k] = stood ? way[k - 1] + Math.hypot(...addScaled(foot[k], foot[k - 1], -1)) : 0;
     }
     return way;
   });
 }
 
 /**
- * The panels below the replay.
+ * Panels below the replay.
  * @param {App} app
- * @param {(time: number) => void} to goes to a time
+ * @param {(time: number) => void} to jumps to a time
  * @returns {{ show: (reels: (Reel | null)[], total: number) => void, draw: () => void, point: (time: number) => void }}
  */
 export function historyView(app, to) {
@@ -137,33 +137,33 @@ export function historyView(app, to) {
   const pointed = new Map();
 
   const xOf = (/** @type {number} */ at, /** @type {number} */ width) =>
-    BESIDE.left + (at / total) * (width - BESIDE.left - BESIDE.right);
+    PANEL_MARGIN.left + (at / total) * (width - PANEL_MARGIN.left - PANEL_MARGIN.right);
 
   const draw = () => {
     if (!box.open || !shown.length) return;
     panels.forEach(({ base }, k) => drawPanel(base, k));
     const paths = shown.map((one) => one.paths);
-    maps.forEach(({ base }, k) => drawPaths(app, base, paths, FACES[k]));
+    maps.forEach(({ base }, k) => drawPaths(app, base, paths, PATH_VIEWS[k]));
     pointed.clear();
     point(time);
   };
 
   /** @type {(canvas: HTMLCanvasElement, k: number) => void} */
   const drawPanel = (canvas, k) => {
-    const sheet = sheetOf(canvas);
+    const sheet = prepareCanvas(canvas);
     const { pen, width, height } = sheet;
     const { ink, line } = app.theme();
     const colours = app.table.about.legs;
-    const [top, bottom] = [BESIDE.top, height - BESIDE.bottom];
+    const [top, bottom] = [PANEL_MARGIN.top, height - PANEL_MARGIN.bottom];
     const [first] = shown;
     pen.fillStyle = line;
-    for (const { stage, from, to } of spansOf(first.reel.motion)) {
+    for (const { stage, from, to } of stageSpans(first.reel.motion)) {
       pen.globalAlpha = stage % 2 ? 0.34 : 0.1;
       const left = xOf(from, width);
       pen.fillRect(left, top, xOf(to, width) - left, bottom - top);
     }
     pen.globalAlpha = 1;
-    const { title, limit, told } = first.histories[k];
+    const { title, limit, limitNames } = first.histories[k];
     const like = shown.map(({ histories }) => histories.find((other) => other.title === title)?.lines ?? []);
     const lines = like.flat();
     let [low, high] = [Infinity, -Infinity];
@@ -174,14 +174,14 @@ export function historyView(app, to) {
     const room = 0.04 * (high - low);
     const yOf = (/** @type {number} */ value) =>
       bottom - ((value - low + room) / (high - low + 2 * room)) * (bottom - top);
-    const across = ticks(low, high, 4).map((value) => ({ at: yOf(value), text: shortly(value) }));
-    const below = ticks(0, total, width / 90).map((at) => ({ at: xOf(at, width), text: `${shortly(at)} s` }));
-    drawRuled(sheet, app.theme(), across, below, title, width / (told ? 2 : 1) - BESIDE.left);
+    const across = ticks(low, high, 4).map((value) => ({ at: yOf(value), text: formatShort(value) }));
+    const below = ticks(0, total, width / 90).map((at) => ({ at: xOf(at, width), text: `${formatShort(at)} s` }));
+    drawRuledFrame(sheet, app.theme(), across, below, title, width / (limitNames ? 2 : 1) - PANEL_MARGIN.left);
     if (limit !== null && reached) {
       pen.strokeStyle = ink;
       pen.setLineDash([2, 3]);
       for (const at of low < 0 ? [limit, -limit] : [limit])
-        straight(pen, BESIDE.left, yOf(at), width - BESIDE.right, yOf(at));
+        drawLine(pen, PANEL_MARGIN.left, yOf(at), width - PANEL_MARGIN.right, yOf(at));
     }
     shown.forEach(({ reel }, number) => {
       const own = like[number];
@@ -203,24 +203,24 @@ export function historyView(app, to) {
     if (!box.open || !shown.length) return;
     const paths = shown.map((one) => one.paths);
     maps.forEach(({ over }, k) => {
-      if (app.visible(over)) pointPaths(app, over, paths, FACES[k], shown[0].reel.motion, time);
+      if (app.visible(over)) pointPaths(app, over, paths, PATH_VIEWS[k], shown[0].reel.motion, time);
     });
     panels.forEach(({ over }, k) => {
       if (!app.visible(over)) return;
       const [{ reel, histories }] = shown;
-      const { told, lines } = histories[k];
+      const { limitNames, lines } = histories[k];
       const frame = frameAt(reel.motion, time);
-      const words = told ? `${told[frame]} ${shortly(lines[0][frame])}` : "";
+      const words = limitNames ? `${limitNames[frame]} ${formatShort(lines[0][frame])}` : "";
       const x = Math.round(xOf(time, over.clientWidth));
       if (pointed.get(over) === `${x} ${words}`) return; // most frames of a long replay move it by less than a pixel
       pointed.set(over, `${x} ${words}`);
-      const { pen, width, height } = sheetOf(over);
+      const { pen, width, height } = prepareCanvas(over);
       pen.fillStyle = app.theme().ink;
-      pen.fillRect(x - 0.75, BESIDE.top, 1.5, height - BESIDE.top - BESIDE.bottom);
+      pen.fillRect(x - 0.75, PANEL_MARGIN.top, 1.5, height - PANEL_MARGIN.top - PANEL_MARGIN.bottom);
       pen.font = pen.font.replace(/\d+px/, "11px");
       pen.textAlign = "right";
       pen.textBaseline = "top";
-      pen.fillText(words, width - BESIDE.right, 3, width / 2);
+      pen.fillText(words, width - PANEL_MARGIN.right, 3, width / 2);
     });
   };
 
@@ -231,7 +231,11 @@ export function historyView(app, to) {
       const base = element("canvas", { role: "img", "aria-label": label });
       const over = element("canvas", { class: "over", "aria-hidden": "true" });
       const scrub = (/** @type {PointerEvent} */ event) =>
-        to(((pointerOn(event, over)[0] - BESIDE.left) / (over.clientWidth - BESIDE.left - BESIDE.right)) * total);
+        to(
+          ((pointerPosition(event, over)[0] - PANEL_MARGIN.left) /
+            (over.clientWidth - PANEL_MARGIN.left - PANEL_MARGIN.right)) *
+            total,
+        );
       over.addEventListener("pointerdown", (event) => {
         over.setPointerCapture(event.pointerId);
         scrub(event);
@@ -240,7 +244,7 @@ export function historyView(app, to) {
       return { base, over };
     });
     const moves = shown[0]?.paths.base.length;
-    maps = (moves ? FACES : []).map(({ title }) => ({
+    maps = (moves ? PATH_VIEWS : []).map(({ title }) => ({
       base: element("canvas", { role: "img", "aria-label": `${title}, of the base and each foot` }),
       over: element("canvas", { class: "over", "aria-hidden": "true" }),
     }));
@@ -262,8 +266,8 @@ export function historyView(app, to) {
       total = length;
       shown = reels.flatMap((reel) => {
         if (!reel) return [];
-        const paths = pathsOf(reel, freeOf(reel.model));
-        return [{ reel, histories: historiesOf(reel, paths), paths }];
+        const paths = replayPaths(reel, freeJointIndex(reel.model));
+        return [{ reel, histories: replaySeries(reel, paths), paths }];
       });
       lay();
       draw();

@@ -1,4 +1,4 @@
-// A replay's stream of states, and where its bodies are in each.
+// Decoding of a replay's states, and forward kinematics of its bodies.
 
 /** @import { Shown } from "./data.js" */
 
@@ -27,21 +27,21 @@
 
 /**
  * @typedef {object} Motion
- * @property {number} step s between frames, and of the first
+ * @property {number} step s between frames, and time of the first
  * @property {number} frames
  * @property {number} coordinates
  * @property {Float64Array} qpos frame by frame
  * @property {Float64Array} force of the feet, N, three a foot and frame
  * @property {Int16Array} stage
- * @property {Float64Array | null} torque of the hinges, N m, frame by frame; of replays that were kept before, none
+ * @property {Float64Array | null} torque of the hinges, N m, frame by frame; null in replays of earlier versions
  * @property {number | null} torqueLimit N m
- * @property {Float64Array | null} margin to the nearest limit; of replays that were kept before, none
- * @property {string[]} limits which one that is in each frame
- * @property {Float64Array | null} friction that each foot uses, of what there is; of replays that were kept before, none
+ * @property {Float64Array | null} margin to the nearest threshold; null in replays of earlier versions
+ * @property {string[]} limits name of this threshold in each frame
+ * @property {Float64Array | null} friction share of the available friction that each foot uses; null in replays of earlier versions
  */
 
 /**
- * Columns of whole numbers from planes of bytes: differences from frame to frame, low bytes of a column first.
+ * Decode columns of integers from byte planes: differences from frame to frame, the low bytes of a column first.
  * @param {Uint8Array} bytes
  * @param {number} frames
  * @param {number} columns
@@ -75,7 +75,7 @@ export function readMotion(shown, model, buffer) {
   const states = readPlanes(bytes, frames, coordinates, 2);
   const forces = 3 * model.feet.length;
   const torques = shown.torque_scale ? model.hinges.length : 0;
-  const margins = forces + 1 + torques; // after feet's forces and the stage
+  const margins = forces + 1 + torques; // follow the feet's forces and the stage
   const shares = margins + (shown.limits.length ? 2 : 0);
   const feet = shown.friction_scale ? model.feet.length : 0;
   const wide = shares + feet;
@@ -102,15 +102,15 @@ export function readMotion(shown, model, buffer) {
 }
 
 /**
- * When the last frame is, s.
+ * Time of the last frame, s.
  * @type {(motion: Motion) => number}
  */
-export function endOf(motion) {
+export function endTime(motion) {
   return motion.step * motion.frames;
 }
 
 /**
- * The frame that is shown at a time.
+ * Index of the frame shown at a time.
  * @type {(motion: Motion, time: number) => number}
  */
 export function frameAt(motion, time) {
@@ -118,10 +118,10 @@ export function frameAt(motion, time) {
 }
 
 /**
- * The stages of a motion one after the other.
+ * Yield the stages of a motion in order.
  * @type {(motion: Motion) => Generator<{ stage: number, from: number, to: number }>} s, when each begins and ends
  */
-export function* spansOf({ stage, frames, step }) {
+export function* stageSpans({ stage, frames, step }) {
   for (let from = 0, to = 0; from < frames; from = to) {
     while (to < frames && stage[to] === stage[from]) to++;
     yield { stage: stage[from], from: from * step, to: to * step };
@@ -129,7 +129,7 @@ export function* spansOf({ stage, frames, step }) {
 }
 
 /**
- * Coordinates at a time (s) between frames, on a cubic through the four around (Catmull and Rom).
+ * Coordinates at a time (s), interpolated by a Catmull-Rom cubic through the four frames around it.
  * @type {(motion: Motion, time: number) => Float64Array}
  */
 export function stateAt(motion, time) {
@@ -150,10 +150,10 @@ export function stateAt(motion, time) {
 }
 
 /**
- * The rotation matrix of a quaternion w, x, y, z of any length, by lines.
+ * Rotation matrix, row by row, of a quaternion w, x, y, z of any norm.
  * @type {(quat: ArrayLike<number>) => number[]}
  */
-export function turnOf(quat) {
+export function rotationMatrix(quat) {
   const size = Math.hypot(quat[0], quat[1], quat[2], quat[3]) || 1;
   const [w, x, y, z] = [quat[0] / size, quat[1] / size, quat[2] / size, quat[3] / size];
   return [
@@ -170,10 +170,10 @@ export function turnOf(quat) {
 }
 
 /**
- * The product of two matrices.
+ * Product of two 3 x 3 matrices.
  * @type {(a: number[], b: number[]) => number[]}
  */
-export function turned(a, b) {
+export function multiplyMatrices(a, b) {
   const made = new Array(9);
   for (let i = 0; i < 3; i++)
     for (let j = 0; j < 3; j++) made[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j];
@@ -181,7 +181,7 @@ export function turned(a, b) {
 }
 
 /** @type {(turn: number[], v: ArrayLike<number>) => number[]} */
-export function rotated(turn, v) {
+export function rotateVector(turn, v) {
   return [0, 3, 6].map((i) => turn[i] * v[0] + turn[i + 1] * v[1] + turn[i + 2] * v[2]);
 }
 
@@ -189,7 +189,7 @@ export function rotated(turn, v) {
  * a + times b
  * @type {(a: ArrayLike<number>, b: ArrayLike<number>, times?: number) => number[]}
  */
-export function plus(a, b, times = 1) {
+export function addScaled(a, b, times = 1) {
   return [a[0] + times * b[0], a[1] + times * b[1], a[2] + times * b[2]];
 }
 
@@ -201,35 +201,35 @@ export function dot(a, b) {
 /** @typedef {{ pos: number[], turn: number[] }} Pose */
 
 /**
- * Where all bodies are: MuJoCo's kinematics.
+ * Poses of all bodies by MuJoCo's forward kinematics.
  * @type {(model: Model, state: Float64Array) => Pose[]}
  */
-export function posesOf(model, state) {
+export function bodyPoses(model, state) {
   /** @type {Pose[]} */
   const poses = [];
   for (const body of model.bodies) {
     const parent = poses[body.parent] ?? { pos: [0, 0, 0], turn: [1, 0, 0, 0, 1, 0, 0, 0, 1] };
-    let pos = plus(parent.pos, rotated(parent.turn, body.pos));
-    let turn = turned(parent.turn, turnOf(body.quat));
+    let pos = addScaled(parent.pos, rotateVector(parent.turn, body.pos));
+    let turn = multiplyMatrices(parent.turn, rotationMatrix(body.quat));
     for (const [address, ...joint] of body.joints) {
       if (!joint.length) {
         pos = Array.from(state.subarray(address, address + 3));
-        turn = turnOf(state.subarray(address + 3, address + 7));
+        turn = rotationMatrix(state.subarray(address + 3, address + 7));
         continue;
       }
       const axis = joint.slice(0, 3);
       if (joint.length < 6) {
-        pos = plus(pos, rotated(turn, axis), state[address] - (joint[3] ?? 0)); // a slide
+        pos = addScaled(pos, rotateVector(turn, axis), state[address] - (joint[3] ?? 0)); // slide joint
         continue;
       }
       const anchor = joint.slice(3, 6);
-      const fixed = plus(pos, rotated(turn, anchor));
+      const fixed = addScaled(pos, rotateVector(turn, anchor));
       const half = (state[address] - (joint[6] ?? 0)) / 2;
       const about = axis.some((part) => part)
         ? [Math.cos(half), ...axis.map((part) => part * Math.sin(half))]
-        : state.subarray(address, address + 4); // a ball
-      turn = turned(turn, turnOf(about));
-      pos = plus(fixed, rotated(turn, anchor), -1);
+        : state.subarray(address, address + 4); // ball joint
+      turn = multiplyMatrices(turn, rotationMatrix(about));
+      pos = addScaled(fixed, rotateVector(turn, anchor), -1);
     }
     poses.push({ pos, turn });
   }

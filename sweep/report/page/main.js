@@ -1,38 +1,38 @@
-// The page: reads what it holds, makes its views, and draws those that are seen when something changes.
-import { addressOf, conditionOf, wantedOf } from "./url_state.js";
+// The page: decodes its data, makes its views, and redraws the visible ones when something changes.
+import { formatAddress, formatCondition, parseAddress } from "./url_state.js";
 import {
-  boxed,
+  drawKindBox,
   distributionsView,
   importanceView,
-  keyMark,
+  drawKeyMark,
   pairsView,
-  rankedOf,
+  rankParameters,
   rateView,
   stageView,
 } from "./charts.js";
-import { clipped, orderOf, pointOf, readTable } from "./data.js";
-import { buttonOf, byId, element, lookOf, sheetOf, themeNow } from "./dom.js";
-import { listView } from "./table.js";
-import { mapView, worded } from "./map.js";
-import { grouped, shortly } from "./numbers.js";
+import { clipName, sortedRows, pointId, readTable } from "./data.js";
+import { makeButton, byId, element, kindStyle, prepareCanvas, readTheme } from "./dom.js";
+import { rowsTableView } from "./table.js";
+import { mapView, formatColumnValue } from "./map.js";
+import { formatCount, formatShort } from "./numbers.js";
 import { parallelView } from "./parallel.js";
-import { playerOf } from "./player.js";
-import { csvOf, give, offerPictures } from "./export.js";
-import { narrow, showAll, sift, stateOf } from "./selection.js";
+import { makePlayer } from "./player.js";
+import { formatCsv, download, offerPictures } from "./export.js";
+import { setRange, clearFilters, applyFilters, makeState } from "./selection.js";
 
-/** @import { Wanted } from "./url_state.js" */
+/** @import { AddressState } from "./url_state.js" */
 /** @import { Column, Kind, Table } from "./data.js" */
 /** @import { Look, Theme } from "./dom.js" */
 /** @import { State } from "./selection.js" */
 
 /**
- * What views may ask for and say.
+ * Services that the page offers to its views.
  * @typedef {object} App
  * @property {Table} table
  * @property {State} state
- * @property {Wanted} wanted what the page's address asks for
- * @property {() => void} remember what is looked at, in the address
- * @property {{ column: Column, distance: number }[]} ranked parameters by how much they have to do with failure
+ * @property {AddressState} wanted state in the page's address
+ * @property {() => void} remember stores the present view in the address
+ * @property {{ column: Column, distance: number }[]} ranked parameters by how strongly they are related to failure
  * @property {() => Theme} theme
  * @property {() => Look[]} looks of kinds
  * @property {(column: Column) => Uint32Array} order rows by value
@@ -40,39 +40,39 @@ import { narrow, showAll, sift, stateOf } from "./selection.js";
  * @property {(row: number) => void} point at a row
  * @property {(row: number) => void} mark a row as chosen
  * @property {(row: number) => void} choose a row: mark it and open its replay
- * @property {(form: Form) => void} drawnAs says what the map is made of, so that the names of kinds show the same
+ * @property {(form: Form) => void} drawnAs reports the map's form, so that the legend of kinds shows the same
  * @property {() => Form} form
- * @property {() => void} filtered says that filters have changed
- * @property {() => void} redraw everything that is seen
- * @property {() => Promise<void>} drawn draws everything, seen or not
- * @property {(text: string) => void} tell those who listen
- * @property {(row: number, columns: Column[]) => Node[]} words about a row
+ * @property {() => void} filtered reports that filters have changed
+ * @property {() => void} redraw draws all visible views
+ * @property {() => Promise<void>} drawn draws all views, visible or not
+ * @property {(text: string) => void} tell announces a text to screen readers
+ * @property {(row: number, columns: Column[]) => Node[]} words describes a row
  * @property {(target: Element) => boolean} visible
  */
 
 /** @typedef {"cells" | "marks"} Form */
 /** @typedef {{ root: HTMLElement, draw: () => void | Promise<void>, point?: () => void, resized?: () => void }} View */
 
-const SETTLED = 250; // ms after which the address says what is looked at
+const ADDRESS_DELAY = 250; // ms after which the address is updated
 
 /** @returns {Promise<void>} */
-async function begin() {
+async function startPage() {
   const about = JSON.parse(byId("data").textContent ?? "{}");
   const table = await readTable(about);
   if (!table.rows) return;
   document.documentElement.classList.add("live");
-  const watch = table.rows < 3 || table.columns.length < 2; // nothing to map: the replay is all there is
+  const watch = table.rows < 3 || table.columns.length < 2; // nothing to map: only the replay is shown
   document.documentElement.classList.toggle("watch", watch);
-  const state = stateOf(table);
+  const state = makeState(table);
   /** @type {Map<Column, Uint32Array>} */
   const orders = new Map();
   const order = (/** @type {Column} */ column) => {
-    const known = orders.get(column) ?? orderOf(column);
+    const known = orders.get(column) ?? sortedRows(column);
     orders.set(column, known);
     return known;
   };
-  let theme = themeNow();
-  let looks = about.kinds.map((/** @type {Kind} */ kind) => lookOf(kind, theme));
+  let theme = readTheme();
+  let looks = about.kinds.map((/** @type {Kind} */ kind) => kindStyle(kind, theme));
   /** @type {string[] | null} */
   let streams = null;
   /** @type {View[]} */
@@ -82,7 +82,7 @@ async function begin() {
   let due = false;
   /** @type {Form} */
   let form = "cells";
-  let everything = false; // is drawn, seen or not
+  let everything = false; // whether invisible views are drawn, too
 
   const visible = (/** @type {Element} */ target) => {
     if (everything) return true;
@@ -101,19 +101,19 @@ async function begin() {
     if (!due) requestAnimationFrame(paint);
     due = true;
   };
-  const wanted = wantedOf(table, location.hash);
-  for (const [key, range] of wanted.ranges) narrow(state, key, range);
+  const wanted = parseAddress(table, location.hash);
+  for (const [key, range] of wanted.ranges) setRange(state, key, range);
   for (const [key, value] of wanted.fixed) state.fixed.set(key, value);
   for (const kind of wanted.hidden) state.hidden.add(kind);
-  sift(state);
+  applyFilters(state);
   let noted = 0;
   const note = () => {
     const [x, y, colour] = ["map-x", "map-y", "map-colour"].map(
       (id) => /** @type {HTMLSelectElement} */ (byId(id)).value,
     );
-    const point = state.chosen < 0 ? "" : pointOf(table, state.chosen);
+    const point = state.chosen < 0 ? "" : pointId(table, state.chosen);
     const now = { x, y, colour, point, time: player.time() };
-    history.replaceState(null, "", addressOf(table, state, now));
+    history.replaceState(null, "", formatAddress(table, state, now));
   };
   /** @type {App} */
   const app = {
@@ -122,9 +122,9 @@ async function begin() {
     wanted,
     remember: () => {
       clearTimeout(noted);
-      noted = setTimeout(note, SETTLED);
+      noted = setTimeout(note, ADDRESS_DELAY);
     },
-    ranked: rankedOf(table, order),
+    ranked: rankParameters(table, order),
     theme: () => theme,
     looks: () => looks,
     order,
@@ -152,7 +152,7 @@ async function begin() {
     },
     form: () => form,
     filtered: () => {
-      sift(state);
+      applyFilters(state);
       chips();
       app.redraw();
     },
@@ -168,10 +168,10 @@ async function begin() {
       everything = false;
     },
     tell: (text) => (byId("told").textContent = text),
-    words: (row, columns) => wordsOf(app, row, columns),
+    words: (row, columns) => describeRow(app, row, columns),
     visible,
   };
-  const chips = chipsOf(app);
+  const chips = addFilterButtons(app);
   if (!watch)
     views.push(
       mapView(app),
@@ -181,18 +181,18 @@ async function begin() {
       ...(about.adaptive ? [] : [rateView(app)]),
       distributionsView(app),
       pairsView(app),
-      listView(app),
+      rowsTableView(app),
     );
   chips();
   views[0]?.draw();
   performance.mark("map");
-  const player = playerOf(app);
+  const player = makePlayer(app);
   for (const view of views.slice(1)) waiting.add(view);
   soon();
 
   const again = () => {
-    theme = themeNow();
-    looks = about.kinds.map((/** @type {Kind} */ kind) => lookOf(kind, theme));
+    theme = readTheme();
+    looks = about.kinds.map((/** @type {Kind} */ kind) => kindStyle(kind, theme));
     for (const view of views) view.resized?.();
     chips();
     app.redraw();
@@ -201,10 +201,10 @@ async function begin() {
   window.addEventListener("scroll", () => waiting.size && soon(), { passive: true });
   window.addEventListener("resize", again);
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
-  linkTypical(app);
-  offerTables(app);
+  linkRepresentative(app);
+  addExportButtons(app);
   offerPictures(app);
-  const row = wanted.point ? rowOf(table, wanted.point) : -1;
+  const row = wanted.point ? findRow(table, wanted.point) : -1;
   if (row >= 0) {
     app.mark(row);
     player.openRow(row, wanted.time);
@@ -212,34 +212,34 @@ async function begin() {
 }
 
 /**
- * Buttons for the filters as a condition, and for the rows that they leave.
+ * Add buttons that copy the filters as a condition and save the filtered rows.
  * @param {App} app
  */
-function offerTables(app) {
+function addExportButtons(app) {
   const { table, state } = app;
   byId("copy").addEventListener("click", async () => {
-    const condition = conditionOf(table, state);
+    const condition = formatCondition(table, state);
     const text = condition ? `--where '${condition}'` : "";
     byId("copied").textContent = text || "no filter";
-    await navigator.clipboard?.writeText(text).catch(() => {}); // where it is not allowed the words are there to be copied
+    await navigator.clipboard?.writeText(text).catch(() => {}); // without permission the user can copy the text by hand
   });
-  byId("csv").addEventListener("click", () => give(new Blob([csvOf(app)], { type: "text/csv" }), "rows.csv"));
+  byId("csv").addEventListener("click", () => download(new Blob([formatCsv(app)], { type: "text/csv" }), "rows.csv"));
 }
 
 /**
- * The row whose id begins so, -1 for none.
+ * Find the row whose point id begins with `point`, -1 for none.
  * @type {(table: Table, point: string) => number}
  */
-function rowOf(table, point) {
-  for (let row = 0; row < table.rows; row++) if (pointOf(table, row) === point) return row;
+function findRow(table, point) {
+  for (let row = 0; row < table.rows; row++) if (pointId(table, row) === point) return row;
   return -1;
 }
 
 /**
- * Kinds as buttons that show and hide them, and filters that can be taken off; what draws them.
+ * Add buttons that show and hide kinds, and buttons that remove filters. Returns the function that redraws them.
  * @type {(app: App) => () => void}
  */
-function chipsOf(app) {
+function addFilterButtons(app) {
   const { table, state } = app;
   const root = byId("kinds");
   const buttons = table.about.kinds.map((kind, k) => {
@@ -249,14 +249,14 @@ function chipsOf(app) {
       if (!state.hidden.delete(k)) state.hidden.add(k);
       app.filtered();
     };
-    const told = { class: "chip", "aria-pressed": "true", title: kind.meaning };
-    const button = buttonOf(told, toggle, swatch, clipped(kind.label), count);
+    const attributes = { class: "chip", "aria-pressed": "true", title: kind.meaning };
+    const button = makeButton(attributes, toggle, swatch, clipName(kind.label), count);
     return { button, swatch, count };
   });
   root.replaceChildren(...buttons.map(({ button }) => button));
   const clear = byId("clear");
   clear.addEventListener("click", () => {
-    showAll(state);
+    clearFilters(state);
     app.filtered();
   });
   return () => {
@@ -264,63 +264,63 @@ function chipsOf(app) {
     const all = state.passing === table.rows;
     const counts = new Int32Array(buttons.length);
     for (let row = 0; row < table.rows; row++) counts[table.kind[row]] += state.mask[row];
-    if (all) table.about.kinds.forEach((kind, k) => (counts[k] = kind.count)); // of a sample its rows are not all
+    if (all) table.about.kinds.forEach((kind, k) => (counts[k] = kind.count)); // the page may hold only a sample of the rows
     buttons.forEach(({ button, swatch, count }, k) => {
       button.setAttribute("aria-pressed", String(!state.hidden.has(k)));
-      const sheet = sheetOf(swatch);
+      const sheet = prepareCanvas(swatch);
       const look = app.looks()[k];
-      if (app.form() === "marks") keyMark(sheet, look, app.theme().paper);
-      else boxed(sheet.pen, 0, 0, sheet.width, sheet.height, look, sheet.ratio);
-      count.textContent = ` ${grouped(counts[k])}`;
+      if (app.form() === "marks") drawKeyMark(sheet, look, app.theme().paper);
+      else drawKindBox(sheet.pen, 0, 0, sheet.width, sheet.height, look, sheet.ratio);
+      count.textContent = ` ${formatCount(counts[k])}`;
     });
     const filters = [...state.ranges].map(([key, { low, high }]) => {
       const column = table.named.get(key);
       const names = column?.names?.filter((_, code) => code >= low && code <= high);
-      const text = names ? names.join(", ") : `${shortly(low)} to ${shortly(high)}`;
+      const text = names ? names.join(", ") : `${formatShort(low)} to ${formatShort(high)}`;
       const off = () => {
-        narrow(state, key, null);
+        setRange(state, key, null);
         app.filtered();
       };
-      const told = { class: "chip", title: "take this filter off" };
-      return buttonOf(told, off, `${column?.label ?? key}: ${clipped(text)} ×`);
+      const attributes = { class: "chip", title: "take this filter off" };
+      return makeButton(attributes, off, `${column?.label ?? key}: ${clipName(text)} ×`);
     });
     byId("filters").replaceChildren(...filters);
-    const of = `${grouped(table.rows)} ${table.rows < total ? `drawn from ${grouped(total)} ` : ""}rollouts`;
-    byId("passing").textContent = all ? `all ${grouped(total)} rollouts` : `${grouped(state.passing)} of ${of}`;
+    const of = `${formatCount(table.rows)} ${table.rows < total ? `drawn from ${formatCount(total)} ` : ""}rollouts`;
+    byId("passing").textContent = all ? `all ${formatCount(total)} rollouts` : `${formatCount(state.passing)} of ${of}`;
     clear.hidden = all && !state.ranges.size;
   };
 }
 
 /**
- * What is said of a row: outcome, the columns that are shown anyway, parameters, figures.
+ * Describe a row: outcome, the columns on display, parameters, metrics.
  * @type {(app: App, row: number, columns: Column[]) => Node[]}
  */
-function wordsOf({ table }, row, columns) {
+function describeRow({ table }, row, columns) {
   const kind = table.about.kinds[table.kind[row]];
   const stage = table.stage[row] ? table.about.stages[table.stage[row] - 1] : "";
   const when = table.named.get("t_cause_s")?.values[row] ?? NaN;
   const head = [kind.outcome === "success" ? "success" : `${kind.outcome}: ${kind.label}`];
   if (stage) head.push(` in ${stage}`);
-  if (Number.isFinite(when)) head.push(` at ${shortly(when)} s`);
+  if (Number.isFinite(when)) head.push(` at ${formatShort(when)} s`);
   const shown = new Set([...columns, ...table.columns.filter((column) => column.axis).slice(0, 8)]);
   for (const column of table.columns) if (shown.size < 14 && !Number.isNaN(column.values[row])) shown.add(column);
   const lines = [...shown].flatMap((column) => [
     element("dt", {}, column.label),
-    element("dd", {}, worded(column, column.values[row])),
+    element("dd", {}, formatColumnValue(column, column.values[row])),
   ]);
   const own = table.replayed.has(row) ? "click: its replay" : table.replayed.size ? "click: the nearest replay" : "";
   return [
-    element("strong", {}, clipped(head.join(""))),
+    element("strong", {}, clipName(head.join(""))),
     element("dl", {}, ...lines),
-    element("span", { class: "soft" }, `${pointOf(table, row)}${own ? `, ${own}` : ""}`),
+    element("span", { class: "soft" }, `${pointId(table, row)}${own ? `, ${own}` : ""}`),
   ];
 }
 
 /**
- * A button for the replay of each typical rollout that has one.
+ * Add a button for the replay of each representative rollout.
  * @param {App} app
  */
-function linkTypical(app) {
+function linkRepresentative(app) {
   for (const article of document.querySelectorAll("[data-point]")) {
     const point = article.getAttribute("data-point") ?? "";
     const shown = app.table.about.replays.find((one) => one.point === point);
@@ -329,8 +329,8 @@ function linkTypical(app) {
       app.choose(shown.row);
       byId("replay").scrollIntoView({ behavior: "smooth", block: "center" });
     };
-    article.querySelector("h3")?.append(" ", buttonOf({}, open, "▶ replay"));
+    article.querySelector("h3")?.append(" ", makeButton({}, open, "▶ replay"));
   }
 }
 
-await begin();
+await startPage();

@@ -1,23 +1,23 @@
 // The map: every rollout over two columns, as cells or marks; hover, brush, keyboard.
-import { drawFrame, whole } from "./axes.js";
-import { placesOf } from "./cells.js";
-import { clipped, inflate, readCounts, valuesOf } from "./data.js";
-import { byId, element, offer, optionsOf, pointerOn, sheetOf } from "./dom.js";
-import { KIND, markSize, paintCells, paintDensity, paintMarks, RATE, spanOf, spotOf } from "./map_fill.js";
-import { clamp, grouped, packRgb, scaleColour, shortly } from "./numbers.js";
-import { ownerNear, pixelsOf } from "./raster.js";
-import { drawContour, drawOutlines, drawRing, drawTheory, drawZero } from "./map_overlays.js";
-import { narrow, showAll } from "./selection.js";
+import { drawFrame, wholeCells } from "./axes.js";
+import { placeRows } from "./cells.js";
+import { clipName, inflate, readCounts, sortedValues } from "./data.js";
+import { byId, element, fillSelect, columnOptions, pointerPosition, prepareCanvas } from "./dom.js";
+import { KIND, markSize, paintCells, paintDensity, paintMarks, RATE, colourRange, rowPosition } from "./map_fill.js";
+import { clamp, formatCount, packRgb, scaleColour, formatShort } from "./numbers.js";
+import { rowNear, makePixels } from "./raster.js";
+import { drawContour, drawOutlines, drawRing, drawAnalyticLimits, drawZeroMargin } from "./map_overlays.js";
+import { setRange, clearFilters } from "./selection.js";
 
 /** @import { Box } from "./axes.js" */
-/** @import { Places } from "./cells.js" */
+/** @import { PlacedRows } from "./cells.js" */
 /** @import { Column } from "./data.js" */
 /** @import { Rgb } from "./dom.js" */
 /** @import { App, View } from "./main.js" */
 /** @import { Pixels } from "./raster.js" */
 
 const MARGIN = { left: 64, right: 14, top: 12, bottom: 48 };
-const DRAG = 5; // pixels that make a click a drag
+const DRAG_DISTANCE = 5; // pixels from which a click is a drag
 
 /** @type {(app: App) => View} */
 export function mapView(app) {
@@ -26,18 +26,18 @@ export function mapView(app) {
   const over = /** @type {HTMLCanvasElement} */ (byId("map-over"));
   const tip = byId("map-tip");
   const selects = ["map-x", "map-y", "map-colour"].map((id) => /** @type {HTMLSelectElement} */ (byId(id)));
-  const names = optionsOf(table.columns);
+  const names = columnOptions(table.columns);
   const { wanted } = app;
-  const start = [wanted.x, wanted.y].every((key) => table.named.has(key)) ? [wanted.x, wanted.y] : startOf(app);
-  offer(selects[0], names, start[0]);
-  offer(selects[1], names, start[1]);
-  const numbers = optionsOf(table.columns.filter((column) => !column.names));
+  const start = [wanted.x, wanted.y].every((key) => table.named.has(key)) ? [wanted.x, wanted.y] : startColumns(app);
+  fillSelect(selects[0], names, start[0]);
+  fillSelect(selects[1], names, start[1]);
+  const numbers = columnOptions(table.columns.filter((column) => !column.names));
   /** @type {[string, string][]} */
   const rates = table.about.adaptive ? [] : [[RATE, "rate of success"]];
-  offer(selects[2], [[KIND, "outcome and cause"], ...rates, ...numbers], KIND);
+  fillSelect(selects[2], [[KIND, "outcome and cause"], ...rates, ...numbers], KIND);
   if ((wanted.colour === RATE && rates.length) || table.named.has(wanted.colour)) selects[2].value = wanted.colour;
 
-  /** @type {Places | null} */
+  /** @type {PlacedRows | null} */
   let places = null;
   /** @type {Pixels | null} */
   let pixels = null;
@@ -61,7 +61,7 @@ export function mapView(app) {
       for (const [key, value] of state.fixed) if (table.named.get(key)?.values[row] !== value) return false;
       return true;
     };
-    places = placesOf(table, x, y, within, box().width / 70);
+    places = placeRows(table, x, y, within, box().width / 70);
     anchor = null;
   };
 
@@ -71,16 +71,18 @@ export function mapView(app) {
     state.fixed.clear();
     const shown = table.columns.filter((column) => {
       if (!column.axis || column === x || column === y || (column.drawn && !column.names)) return false;
-      const count = valuesOf(column).length;
+      const count = sortedValues(column).length;
       return count > 1 && count <= 200;
     });
     byId("map-slices").replaceChildren(
       ...shown.slice(0, 8).map((column) => {
         const select = element("select", {});
-        const values = valuesOf(column);
-        const options = values.map((value) => /** @type {[string, string]} */ ([String(value), worded(column, value)]));
+        const values = sortedValues(column);
+        const options = values.map(
+          (value) => /** @type {[string, string]} */ ([String(value), formatColumnValue(column, value)]),
+        );
         const chosen = values.find((value) => value === kept.get(column.key));
-        offer(select, [["", "all"], ...options], chosen === undefined ? "" : String(chosen));
+        fillSelect(select, [["", "all"], ...options], chosen === undefined ? "" : String(chosen));
         if (chosen !== undefined) state.fixed.set(column.key, chosen);
         select.addEventListener("change", () => {
           if (select.value) state.fixed.set(column.key, Number(select.value));
@@ -88,7 +90,7 @@ export function mapView(app) {
           lay();
           app.redraw();
         });
-        return element("label", {}, clipped(column.title), select);
+        return element("label", {}, clipName(column.title), select);
       }),
     );
   };
@@ -102,14 +104,14 @@ export function mapView(app) {
 
   const draw = () => {
     if (!places) lay();
-    const sheet = sheetOf(base);
+    const sheet = prepareCanvas(base);
     const area = box();
     const { ratio } = sheet;
     const [width, height] = [Math.round(area.width * ratio), Math.round(area.height * ratio)];
-    if (!pixels || pixels.width !== width || pixels.height !== height) pixels = pixelsOf(width, height);
+    if (!pixels || pixels.width !== width || pixels.height !== height) pixels = makePixels(width, height);
     pixels.colours.fill(packRgb(...app.theme().paper));
     pixels.owner.fill(-1);
-    const here = /** @type {Places} */ (places);
+    const here = /** @type {PlacedRows} */ (places);
     const density = densityOf();
     const counts = density && counted.get(`${density.x} ${density.y}`);
     if (density && !counts) {
@@ -127,8 +129,8 @@ export function mapView(app) {
     sheet.pen.putImageData(pixels.image, Math.round(area.left * ratio), Math.round(area.top * ratio));
     drawOutlines(app, sheet.pen, here, area);
     const [x, y] = columns();
-    drawTheory(app, sheet.pen, x, y, here, area);
-    drawZero(app, sheet.pen, x, y, here, area);
+    drawAnalyticLimits(app, sheet.pen, x, y, here, area);
+    drawZeroMargin(app, sheet.pen, x, y, here, area);
     const coloured = table.named.get(selects[2].value);
     if (coloured?.diverges && !x.names && !y.names) drawContour(app, sheet.pen, here, coloured, area);
     drawReplayed(sheet.pen, here, area);
@@ -158,17 +160,17 @@ export function mapView(app) {
         pen.font = "11px sans-serif";
         pen.fillText("0", 60, 23);
       }
-      const span = column ? spanOf(column) : [0, 1];
+      const span = column ? colourRange(column) : [0, 1];
       const most = Math.max(-span[0], span[1]);
       const [low, high] = column?.diverges ? [-most, most] : span;
       const rate = places?.bins ? `rate of success in ${places.bins} by ${places.bins} bins` : "rate of success";
-      note.append(column ? column.title : rate, " ", shortly(low), " ", bar, " ", shortly(high));
+      note.append(column ? column.title : rate, " ", formatShort(low), " ", bar, " ", formatShort(high));
       note.append(column?.diverges && places?.form === "cells" ? "; the line on the map is at 0." : ".");
     } else if (densityOf()) {
-      const [all, few] = [table.about.total, table.rows].map(grouped);
+      const [all, few] = [table.about.total, table.rows].map(formatCount);
       note.append(`${all} rollouts counted in cells; a choice is shown by ${few} of them, drawn at random.`);
     } else if (table.about.total > table.rows) {
-      note.append(`${grouped(table.rows)} of ${grouped(table.about.total)} rollouts, drawn at random.`);
+      note.append(`${formatCount(table.rows)} of ${formatCount(table.about.total)} rollouts, drawn at random.`);
     } else if (table.mesh && places?.outlines.length) {
       note.append("Cells as refinement left them: each quarter shows the rollout at its corner.");
     } else if (places?.form === "cells" && new Set(places.cell).size < places.rows.length) {
@@ -178,8 +180,8 @@ export function mapView(app) {
   };
 
   /**
-   * Rings around rollouts that have a replay.
-   * @type {(pen: CanvasRenderingContext2D, here: Places, area: Box) => void}
+   * Draw rings around rollouts that have a replay.
+   * @type {(pen: CanvasRenderingContext2D, here: PlacedRows, area: Box) => void}
    */
   const drawReplayed = (pen, here, area) => {
     const done = new Set();
@@ -187,13 +189,13 @@ export function mapView(app) {
     here.rows.forEach((row, k) => {
       if (!table.replayed.has(row) || done.has(row) || !state.mask[row]) return;
       done.add(row);
-      drawRing(app, pen, spotOf(here, k, area), size, app.theme().ink, [3.4, 1.3]);
+      drawRing(app, pen, rowPosition(here, k, area), size, app.theme().ink, [3.4, 1.3]);
     });
   };
 
   /** The brush, the chosen row and the one under the pointer. */
   const drawOver = () => {
-    const { pen } = sheetOf(over);
+    const { pen } = prepareCanvas(over);
     const area = box();
     const here = places;
     if (!here) return;
@@ -219,12 +221,12 @@ export function mapView(app) {
     ])) {
       const k = row < 0 ? -1 : here.rows.indexOf(row);
       if (k < 0) continue;
-      drawRing(app, pen, spotOf(here, k, area), size, app.theme().accent, [4, 2]);
+      drawRing(app, pen, rowPosition(here, k, area), size, app.theme().accent, [4, 2]);
     }
   };
 
   /**
-   * The row there, -1 for none.
+   * Row at a place, -1 for none.
    * @type {(x: number, y: number) => number}
    */
   const rowAt = (x, y) => {
@@ -232,8 +234,8 @@ export function mapView(app) {
     const area = box();
     const ratio = pixels.width / area.width;
     if (x < area.left || x > area.left + area.width || y < area.top || y > area.top + area.height) return -1;
-    const reach = ratio * (places?.form === "marks" ? 6 : 1); // over the lines between cells
-    return ownerNear(pixels, (x - area.left) * ratio, (y - area.top) * ratio, reach);
+    const reach = ratio * (places?.form === "marks" ? 6 : 1); // bridges the lines between cells
+    return rowNear(pixels, (x - area.left) * ratio, (y - area.top) * ratio, reach);
   };
 
   /** @param {number} row */
@@ -244,7 +246,7 @@ export function mapView(app) {
     tip.replaceChildren(...app.words(row, columns()));
     const k = places.rows.indexOf(row);
     if (k < 0) return;
-    const [u, v] = spotOf(places, k, box());
+    const [u, v] = rowPosition(places, k, box());
     const right = u < base.clientWidth / 2;
     tip.style.left = right ? `${u + 14}px` : "auto";
     tip.style.right = right ? "auto" : `${base.clientWidth - u + 14}px`;
@@ -252,26 +254,26 @@ export function mapView(app) {
   };
 
   over.addEventListener("pointerdown", (event) => {
-    const [x, y] = pointerOn(event, over);
+    const [x, y] = pointerPosition(event, over);
     const area = box();
     const part = y > area.top + area.height ? "x" : x < area.left ? "y" : "both";
     pressed = { x, y, part };
     over.setPointerCapture(event.pointerId);
   });
   over.addEventListener("pointermove", (event) => {
-    const [x, y] = pointerOn(event, over);
+    const [x, y] = pointerPosition(event, over);
     if (!pressed) {
       show(rowAt(x, y));
       drawOver();
       return;
     }
-    if (Math.hypot(x - pressed.x, y - pressed.y) < DRAG) return;
+    if (Math.hypot(x - pressed.x, y - pressed.y) < DRAG_DISTANCE) return;
     tip.hidden = true;
     brush(pressed, x, y);
   });
   over.addEventListener("pointerup", (event) => {
-    const [x, y] = pointerOn(event, over);
-    if (pressed && Math.hypot(x - pressed.x, y - pressed.y) < DRAG) {
+    const [x, y] = pointerPosition(event, over);
+    if (pressed && Math.hypot(x - pressed.x, y - pressed.y) < DRAG_DISTANCE) {
       const row = rowAt(x, y);
       if (row < 0) brushOff();
       else {
@@ -300,8 +302,8 @@ export function mapView(app) {
       if (event.shiftKey && state.cursor >= 0) {
         const [x, y] = columns();
         anchor ??= [x.values[state.cursor], y.values[state.cursor]];
-        narrow(state, x.key, around(x, anchor[0], x.values[row]));
-        narrow(state, y.key, around(y, anchor[1], y.values[row]));
+        setRange(state, x.key, rangeAround(x, anchor[0], x.values[row]));
+        setRange(state, y.key, rangeAround(y, anchor[1], y.values[row]));
         state.cursor = row;
         app.filtered();
       } else anchor = null;
@@ -310,7 +312,7 @@ export function mapView(app) {
       app.tell(tip.textContent ?? "");
     } else if ((event.key === "Enter" || event.key === " ") && state.cursor >= 0) app.choose(state.cursor);
     else if (event.key === "Escape") {
-      showAll(state);
+      clearFilters(state);
       anchor = null;
       app.filtered();
     } else return;
@@ -334,15 +336,15 @@ export function mapView(app) {
     const [x, y] = columns();
     const across = (/** @type {number} */ at) => clamp((at - area.left) / area.width, 0, 1);
     const up = (/** @type {number} */ at) => clamp(1 - (at - area.top) / area.height, 0, 1);
-    if (from.part !== "y") narrow(state, x.key, whole(here.x, across(from.x), across(toX)));
-    if (from.part !== "x") narrow(state, y.key, whole(here.y, up(from.y), up(toY)));
+    if (from.part !== "y") setRange(state, x.key, wholeCells(here.x, across(from.x), across(toX)));
+    if (from.part !== "x") setRange(state, y.key, wholeCells(here.y, up(from.y), up(toY)));
     app.filtered();
   };
 
   const brushOff = () => {
     const [x, y] = columns();
-    narrow(state, x.key, null);
-    narrow(state, y.key, null);
+    setRange(state, x.key, null);
+    setRange(state, y.key, null);
     anchor = null;
     app.filtered();
   };
@@ -357,30 +359,30 @@ export function mapView(app) {
 }
 
 /**
- * A range that takes both of two values in.
+ * Range that includes two values.
  * @type {(column: Column, a: number, b: number) => { low: number, high: number }}
  */
-function around(column, a, b) {
+function rangeAround(column, a, b) {
   const room = 1e-9 * (column.high - column.low || 1);
   return { low: Math.min(a, b) - room, high: Math.max(a, b) + room };
 }
 
 /**
- * A value of a column in words.
+ * Format a value of a column.
  * @type {(column: Column, value: number) => string}
  */
-export function worded(column, value) {
+export function formatColumnValue(column, value) {
   if (Number.isNaN(value)) return "–";
   if (column.names) return column.names[value] ?? "";
-  return column.unit ? `${shortly(value)} ${column.unit}` : shortly(value);
+  return column.unit ? `${formatShort(value)} ${column.unit}` : formatShort(value);
 }
 
 /**
- * The columns that the map starts with: what the page says, or the two parameters that have most to do with failure; the
- * margin for the second where each was varied alone.
+ * Columns that the map starts with: those of the page, or the two parameters most strongly related to failure. If each
+ * parameter was varied alone, the second column is the margin.
  * @type {(app: App) => [string, string]}
  */
-function startOf({ table, ranked }) {
+function startColumns({ table, ranked }) {
   const { start } = table.about;
   const numbers = table.columns.filter((column) => !column.names);
   const first = start[0] ?? ranked[0]?.column.key ?? numbers[0]?.key ?? table.columns[0]?.key ?? "";
@@ -393,23 +395,23 @@ function startOf({ table, ranked }) {
   ].find(free);
   const upwards = beside ?? first;
   const named = (/** @type {string} */ key) => !!table.named.get(key)?.names;
-  return named(first) && !named(upwards) ? [upwards, first] : [first, upwards]; // names have room beside the map
+  return named(first) && !named(upwards) ? [upwards, first] : [first, upwards]; // names fit beside the map
 }
 
 /**
- * The nearest row in a direction: what lies aside counts twice.
- * @type {(here: Places, row: number, way: [number, number], passes: (row: number) => boolean) => number}
+ * Nearest row in a direction; sideways distance counts twice.
+ * @type {(here: PlacedRows, row: number, way: [number, number], passes: (row: number) => boolean) => number}
  */
 export function stepFrom(here, row, way, passes) {
   const unit = { left: 0, top: 0, width: 1, height: 1 };
   const from = here.rows.indexOf(row);
   if (from < 0) return here.rows.find(passes) ?? -1;
-  const [x, y] = spotOf(here, from, unit);
+  const [x, y] = rowPosition(here, from, unit);
   let best = row;
   let least = Infinity;
   here.rows.forEach((other, k) => {
     if (other === row || !passes(other)) return;
-    const [u, v] = spotOf(here, k, unit);
+    const [u, v] = rowPosition(here, k, unit);
     const [right, up] = [u - x, y - v];
     const ahead = right * way[0] + up * way[1];
     const aside = Math.abs(right * way[1]) + Math.abs(up * way[0]);

@@ -1,9 +1,9 @@
-// How a map is filled: cells, marks or densities, in the colours of kinds, rates or figures.
-import { bent, clamp, mixed, packRgb, scaleColour } from "./numbers.js";
-import { fillCell, glyphOf, paintKind, stampAt, stampOf } from "./raster.js";
+// Filling of a map: cells, marks or densities, in the colours of kinds, rates or metrics.
+import { asinhLike, clamp, mixColours, packRgb, scaleColour } from "./numbers.js";
+import { fillCell, makeGlyph, paintKind, drawStamp, makeStamp } from "./raster.js";
 
 /** @import { Box } from "./axes.js" */
-/** @import { Places } from "./cells.js" */
+/** @import { PlacedRows } from "./cells.js" */
 /** @import { Binned, Column } from "./data.js" */
 /** @import { Rgb } from "./dom.js" */
 /** @import { App } from "./main.js" */
@@ -11,14 +11,14 @@ import { fillCell, glyphOf, paintKind, stampAt, stampOf } from "./raster.js";
 
 export const KIND = "kind";
 export const RATE = "rate";
-const [GAPPED, GLYPHED] = [6, 13]; // CSS pixels of a cell that a gap is left beside, that a glyph is seen in
-const FADED = 0.86; // of what does not pass the filters
+const [GAPPED, GLYPHED] = [6, 13]; // CSS pixels of a cell from which it has a gap, from which it has a glyph
+const FADED_SHARE = 0.86; // by which rows that do not pass the filters fade
 
 /**
- * The middle of what a map shows of a row, in CSS pixels.
- * @type {(here: Places, k: number, area: Box) => [number, number]}
+ * Position of a row on the map, in CSS pixels.
+ * @type {(here: PlacedRows, k: number, area: Box) => [number, number]}
  */
-export function spotOf(here, k, area) {
+export function rowPosition(here, k, area) {
   const [left, low, right, high] = here.boxes.subarray(4 * k, 4 * k + 4);
   const [x, y] = here.form === "cells" ? [(left + right) / 2, (low + high) / 2] : [left, low];
   return [area.left + x * area.width, area.top + (1 - y) * area.height];
@@ -26,17 +26,17 @@ export function spotOf(here, k, area) {
 
 /**
  * Radius of marks in CSS pixels.
- * @type {(here: Places) => number}
+ * @type {(here: PlacedRows) => number}
  */
 export function markSize(here) {
   return clamp(70 / Math.sqrt(here.rows.length + 1) + 1.2, 1.7, 5);
 }
 
 /**
- * Ends of a scale of colours: all but the most extreme hundredths.
+ * Ends of a colour scale: the central 98 % of the values.
  * @type {(column: Column) => [number, number]}
  */
-export function spanOf(column) {
+export function colourRange(column) {
   const values = column.values.filter((value) => !Number.isNaN(value)).sort();
   if (!values.length) return [0, 1];
   const at = (/** @type {number} */ share) => values[Math.round(share * (values.length - 1))];
@@ -45,10 +45,10 @@ export function spanOf(column) {
 }
 
 /**
- * How rows are coloured: a colour for each row, packed or as three numbers; null for kinds.
- * @type {(app: App, here: Places, by: string) => ((k: number) => number) | null}
+ * Make the colour of a row by a column, a packed number; null for the colours of kinds.
+ * @type {(app: App, here: PlacedRows, by: string) => ((k: number) => number) | null}
  */
-function coloursBy({ table, state }, here, by) {
+function makeRowColour({ table, state }, here, by) {
   if (by === KIND) return null;
   if (by === RATE) {
     const size = here.cell.reduce((most, one) => Math.max(most, one), 0) + 1;
@@ -64,28 +64,28 @@ function coloursBy({ table, state }, here, by) {
   }
   const column = table.named.get(by);
   if (!column) return null;
-  const [low, high] = spanOf(column);
-  const most = bent(Math.max(-low, high));
+  const [low, high] = colourRange(column);
+  const most = asinhLike(Math.max(-low, high));
   return (k) => {
     const value = column.values[here.rows[k]];
     if (Number.isNaN(value)) return 0;
     return column.diverges
-      ? scaleColour(0.5 + bent(value) / most / 2, true)
+      ? scaleColour(0.5 + asinhLike(value) / most / 2, true)
       : scaleColour((value - low) / (high - low));
   };
 }
 
-/** @type {(app: App, pixels: Pixels, here: Places, by: string, ratio: number) => void} */
+/** @type {(app: App, pixels: Pixels, here: PlacedRows, by: string, ratio: number) => void} */
 export function paintCells(app, pixels, here, by, ratio) {
   const { table, state } = app;
   const { paper } = app.theme();
   const looks = app.looks();
-  const faded = looks.map((look) => packRgb(...mixed(look.cell, paper, FADED)));
-  const glyphs = looks.map((look) => glyphOf(look, ratio));
-  const colour = coloursBy(app, here, by);
+  const faded = looks.map((look) => packRgb(...mixColours(look.cell, paper, FADED_SHARE)));
+  const glyphs = looks.map((look) => makeGlyph(look, ratio));
+  const colour = makeRowColour(app, here, by);
   const { width, height } = pixels;
   const gap = here.outlines.length ? 0 : 1;
-  const empty = packRgb(...mixed(paper, [128, 128, 128], 0.12));
+  const empty = packRgb(...mixColours(paper, [128, 128, 128], 0.12));
   for (let k = 0; k < here.rows.length; k++) {
     const row = here.rows[k];
     const kind = table.kind[row];
@@ -106,17 +106,17 @@ export function paintCells(app, pixels, here, by, ratio) {
   }
 }
 
-/** @type {(app: App, pixels: Pixels, here: Places, by: string, ratio: number) => void} */
+/** @type {(app: App, pixels: Pixels, here: PlacedRows, by: string, ratio: number) => void} */
 export function paintMarks(app, pixels, here, by, ratio) {
   const { table, state } = app;
   const { paper } = app.theme();
   const looks = app.looks();
   const radius = markSize(here) * ratio;
-  const stamps = looks.map((look) => stampOf(look.shape, radius));
-  const halos = radius > 2.4 * ratio ? looks.map((look) => stampOf(look.shape, radius + ratio)) : null;
-  const colour = coloursBy(app, here, by);
+  const stamps = looks.map((look) => makeStamp(look.shape, radius));
+  const halos = radius > 2.4 * ratio ? looks.map((look) => makeStamp(look.shape, radius + ratio)) : null;
+  const colour = makeRowColour(app, here, by);
   const opacity = clamp(120 / Math.sqrt(here.rows.length + 1), 0.55, 1);
-  const faint = looks.map((look) => mixed(look.mark, paper, FADED));
+  const faint = looks.map((look) => mixColours(look.mark, paper, FADED_SHARE));
   for (const passing of [0, 1])
     for (let k = 0; k < here.rows.length; k++) {
       const row = here.rows[k];
@@ -128,14 +128,14 @@ export function paintMarks(app, pixels, here, by, ratio) {
       const own = packed
         ? /** @type {Rgb} */ ([packed & 255, (packed >> 8) & 255, (packed >> 16) & 255])
         : looks[kind].mark;
-      if (passing && halos) stampAt(pixels, halos[kind], x, y, paper, 0.7, -2);
-      stampAt(pixels, stamps[kind], x, y, passing ? own : faint[kind], passing ? opacity : 0.5, passing ? row : -2);
+      if (passing && halos) drawStamp(pixels, halos[kind], x, y, paper, 0.7, -2);
+      drawStamp(pixels, stamps[kind], x, y, passing ? own : faint[kind], passing ? opacity : 0.5, passing ? row : -2);
     }
 }
 
 /**
- * Counts as colours: kinds in proportion, the stronger the more rollouts there are.
- * @type {(app: App, pixels: Pixels, here: Places, density: Binned, counts: Uint32Array, faint: boolean) => void}
+ * Paint counts as colours: kinds mixed in proportion, stronger for more rollouts.
+ * @type {(app: App, pixels: Pixels, here: PlacedRows, density: Binned, counts: Uint32Array, faint: boolean) => void}
  */
 export function paintDensity(app, pixels, here, density, counts, faint) {
   const { wide, high } = density;
@@ -165,6 +165,6 @@ export function paintDensity(app, pixels, here, density, counts, faint) {
     const [i, j] = [cell % wide, Math.floor(cell / wide)];
     const [left, right] = [i, i + 1].map((k) => Math.round(across(k / wide) * pixels.width));
     const [bottom, top] = [j, j + 1].map((k) => Math.round((1 - up(k / high)) * pixels.height));
-    fillCell(pixels, left, top, right, bottom, packRgb(...mixed(paper, rgb, strength)), -1, null, 0, 1);
+    fillCell(pixels, left, top, right, bottom, packRgb(...mixColours(paper, rgb, strength)), -1, null, 0, 1);
   }
 }

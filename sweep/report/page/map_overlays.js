@@ -1,10 +1,10 @@
-// What lies over the map's cells and marks: outlines, limits of theories, the line of a used-up margin, rings.
+// Overlays of the map: outlines, analytic limits, the line of zero margin, rings.
 import { zeroLines } from "./contour.js";
-import { clipped } from "./data.js";
-import { cssOf, straight } from "./dom.js";
+import { clipName } from "./data.js";
+import { cssColour, drawLine } from "./dom.js";
 
 /** @import { Box } from "./axes.js" */
-/** @import { Places } from "./cells.js" */
+/** @import { PlacedRows } from "./cells.js" */
 /** @import { Column } from "./data.js" */
 /** @import { App } from "./main.js" */
 
@@ -13,16 +13,16 @@ const DASHES = [
   [7, 4],
   [7, 3, 2, 3],
   [2, 3],
-]; // of limits, one after the other
+]; // dash patterns of limits in turn
 
 /**
- * Outlines of the cells that refinement ended with.
- * @type {(app: App, pen: CanvasRenderingContext2D, here: Places, area: Box) => void}
+ * Draw outlines of a refined map's cells.
+ * @type {(app: App, pen: CanvasRenderingContext2D, here: PlacedRows, area: Box) => void}
  */
 export function drawOutlines(app, pen, here, area) {
   const { outlines } = here;
   if (!outlines.length) return;
-  pen.strokeStyle = cssOf(app.theme().dark ? [255, 255, 255] : [0, 0, 0], 0.22);
+  pen.strokeStyle = cssColour(app.theme().dark ? [255, 255, 255] : [0, 0, 0], 0.22);
   pen.lineWidth = 0.5;
   pen.beginPath();
   for (let k = 0; k < outlines.length; k += 4) {
@@ -38,28 +38,28 @@ export function drawOutlines(app, pen, here, area) {
 }
 
 /**
- * Where a margin is used up.
- * @type {(app: App, pen: CanvasRenderingContext2D, x: Column, y: Column, here: Places, area: Box) => void}
+ * Draw the line of zero margin.
+ * @type {(app: App, pen: CanvasRenderingContext2D, x: Column, y: Column, here: PlacedRows, area: Box) => void}
  */
-export function drawZero(app, pen, x, y, here, area) {
+export function drawZeroMargin(app, pen, x, y, here, area) {
   pen.strokeStyle = app.theme().ink;
   pen.lineWidth = 1;
   pen.setLineDash([5, 3]);
   const { left, top, width, height } = area;
   const [across, down] = [left + here.x.to(0) * width, top + (1 - here.y.to(0)) * height];
-  if (x.diverges && across > left && across < left + width) straight(pen, across, top, across, top + height);
-  if (y.diverges && down > top && down < top + height) straight(pen, left, down, left + width, down);
+  if (x.diverges && across > left && across < left + width) drawLine(pen, across, top, across, top + height);
+  if (y.diverges && down > top && down < top + height) drawLine(pen, left, down, left + width, down);
   pen.setLineDash([]);
 }
 
 /**
- * The contour of zero of the figure that gives the map its colours.
- * @type {(app: App, pen: CanvasRenderingContext2D, here: Places, column: Column, area: Box) => void}
+ * Draw the zero contour of the metric that gives the map its colours.
+ * @type {(app: App, pen: CanvasRenderingContext2D, here: PlacedRows, column: Column, area: Box) => void}
  */
 export function drawContour(app, pen, here, column, area) {
   const lines = zeroLines(here, (row) => column.values[row]);
   pen.lineCap = "round";
-  outlined(app, pen, app.theme().ink, [4, 1.8], () => {
+  drawOutlinedLine(app, pen, app.theme().ink, [4, 1.8], () => {
     for (let k = 0; k < lines.length; k += 4) {
       pen.moveTo(area.left + lines[k] * area.width, area.top + (1 - lines[k + 1]) * area.height);
       pen.lineTo(area.left + lines[k + 2] * area.width, area.top + (1 - lines[k + 3]) * area.height);
@@ -71,17 +71,17 @@ export function drawContour(app, pen, here, column, area) {
 /** @typedef {{ left: number, size: number, up: number }} Label */
 
 /**
- * Whether a line is free between two labels, or they are beside each other.
+ * Whether two labels do not overlap.
  * @type {(one: Label, other: Label) => boolean}
  */
-const apart = (one, other) =>
+const areApart = (one, other) =>
   Math.abs(one.up - other.up) >= 2 * LINE || one.left >= other.left + other.size || other.left >= one.left + one.size;
 
 /**
- * Limits of theories, dashed, each with its name along it, from its end, where no other stands.
- * @type {(app: App, pen: CanvasRenderingContext2D, x: Column, y: Column, here: Places, area: Box) => void}
+ * Draw analytic limits as dashed curves, each with its name along it where there is room.
+ * @type {(app: App, pen: CanvasRenderingContext2D, x: Column, y: Column, here: PlacedRows, area: Box) => void}
  */
-export function drawTheory(app, pen, x, y, here, area) {
+export function drawAnalyticLimits(app, pen, x, y, here, area) {
   const curves = app.table.about.theory.filter(
     (one) => [x.key, y.key].sort().join() === [one.of, one.along].sort().join(),
   );
@@ -99,9 +99,9 @@ export function drawTheory(app, pen, x, y, here, area) {
       return [[area.left + here.x.to(u) * area.width, area.top + (1 - here.y.to(v)) * area.height]];
     });
     pen.setLineDash(DASHES[number % DASHES.length]);
-    outlined(app, pen, app.theme().ink, [5, 2], () => spots.forEach(([u, v]) => pen.lineTo(u, v)));
+    drawOutlinedLine(app, pen, app.theme().ink, [5, 2], () => spots.forEach(([u, v]) => pen.lineTo(u, v)));
     pen.setLineDash([]);
-    const name = clipped(curve.label);
+    const name = clipName(curve.label);
     const size = pen.measureText(name).width;
     const places = spots
       .filter(
@@ -113,7 +113,7 @@ export function drawTheory(app, pen, x, y, here, area) {
         up: Math.max(v - 4, area.top + 18),
       }))
       .reverse();
-    const free = places.find((here) => named.every((one) => apart(here, one))) ?? places[0];
+    const free = places.find((here) => named.every((one) => areApart(here, one))) ?? places[0];
     if (!free) return;
     named.push(free);
     pen.textAlign = "left";
@@ -128,27 +128,27 @@ export function drawTheory(app, pen, x, y, here, area) {
 }
 
 /**
- * A ring that stands out from whatever is under it.
+ * Draw a ring that stands out from any background.
  * @param {App} app
  * @param {CanvasRenderingContext2D} pen
  * @param {[number, number]} spot
  * @param {number} size
  * @param {string} colour
- * @param {[number, number]} widths of what is around it, and its own
+ * @param {[number, number]} widths of its outline, and of the line itself
  */
 export function drawRing(app, pen, [u, v], size, colour, widths) {
-  outlined(app, pen, colour, widths, () => pen.arc(u, v, size, 0, 2 * Math.PI));
+  drawOutlinedLine(app, pen, colour, widths, () => pen.arc(u, v, size, 0, 2 * Math.PI));
 }
 
 /**
- * A line that stands out from whatever is under it.
+ * Draw a line that stands out from any background.
  * @param {App} app
  * @param {CanvasRenderingContext2D} pen
  * @param {string} colour
- * @param {[number, number]} widths of what is around it, and its own
+ * @param {[number, number]} widths of its outline, and of the line itself
  * @param {() => void} path
  */
-function outlined(app, pen, colour, [around, own], path) {
+function drawOutlinedLine(app, pen, colour, [around, own], path) {
   pen.beginPath();
   path();
   [pen.strokeStyle, pen.lineWidth] = [app.theme().panel, around];

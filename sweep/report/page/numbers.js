@@ -1,10 +1,10 @@
 // Numbers as text, ticks of axes, and colours of values.
 
 /**
- * Four digits are enough to read.
+ * Format a number with four digits.
  * @type {(value: number) => string}
  */
-export function shortly(value) {
+export function formatShort(value) {
   if (!Number.isFinite(value)) return "–";
   const size = Math.abs(value);
   if (size !== 0 && (size >= 1e6 || size < 1e-4)) return value.toExponential(2).replace("e+", "e");
@@ -12,10 +12,10 @@ export function shortly(value) {
 }
 
 /**
- * A count with its thousands apart: 16,384.
+ * Format a count with separated thousands: 16,384.
  * @type {(count: number) => string}
  */
-export function grouped(count) {
+export function formatCount(count) {
   return String(count).replace(/\B(?=(\d{3})+$)/g, ",");
 }
 
@@ -40,18 +40,18 @@ export function clamp(value, low, high) {
 }
 
 /**
- * A number from 0 to 999 that is a row's own, the same each time.
+ * Reproducible pseudo-random number of a row, from 0 to 999.
  * @type {(row: number) => number}
  */
-export function lotOf(row) {
+export function rowLottery(row) {
   return ((row * 2654435761) >>> 8) % 1000;
 }
 
 /**
- * Where `count` cells begin and end that lie about sorted values: half-way between them.
+ * Edges of cells around sorted values, half-way between them.
  * @type {(values: ArrayLike<number>) => Float64Array}
  */
-export function edgesOf(values) {
+export function cellEdges(values) {
   const count = values.length;
   const edges = new Float64Array(count + 1);
   for (let k = 1; k < count; k++) edges[k] = (values[k - 1] + values[k]) / 2;
@@ -64,10 +64,10 @@ export function edgesOf(values) {
 }
 
 /**
- * Index of the last of sorted numbers that is not above `value`; -1 below the first.
+ * Index of the last sorted number that is not above `value`; -1 below the first.
  * @type {(sorted: ArrayLike<number>, value: number) => number}
  */
-export function placeIn(sorted, value) {
+export function lastIndexBelow(sorted, value) {
   let low = 0;
   let high = sorted.length;
   while (low < high) {
@@ -85,7 +85,7 @@ const SCALE = [0x00224e, 0x123570, 0x3b496c, 0x575d6d, 0x707173, 0x8a8678, 0xa59
 const DIVERGING = [0x7a2e00, 0xb24a00, 0xe08214, 0xfdc583, 0xf5f2ee, 0xb6dbf2, 0x6db3e0, 0x2878b5, 0x0b3c6f];
 
 /**
- * The colour of a share between 0 and 1, as `packRgb` packs it; diverging about the middle.
+ * Colour of a share between 0 and 1, packed by `packRgb`; a diverging scale has its middle at 0.5.
  * @type {(share: number, diverging?: boolean) => number}
  */
 export function scaleColour(share, diverging = false) {
@@ -100,7 +100,7 @@ export function scaleColour(share, diverging = false) {
 }
 
 /**
- * A colour as a number of an image's memory, opaque.
+ * Pack an opaque colour into a pixel of `ImageData`.
  * @type {(red: number, green: number, blue: number) => number}
  */
 export function packRgb(red, green, blue) {
@@ -108,46 +108,46 @@ export function packRgb(red, green, blue) {
 }
 
 /**
- * `#D55E00` as three numbers.
+ * Parse a colour such as `#D55E00`.
  * @type {(hex: string) => [number, number, number]}
  */
-export function rgbOf(hex) {
+export function parseColour(hex) {
   const value = parseInt(hex.slice(1), 16);
   return [(value >> 16) & 255, (value >> 8) & 255, value & 255];
 }
 
 /**
- * A colour on the way from one to another.
+ * Interpolate between two colours.
  * @type {(from: [number, number, number], to: [number, number, number], share: number) => [number, number, number]}
  */
-export function mixed(from, to, share) {
+export function mixColours(from, to, share) {
   const part = (/** @type {number} */ k) => from[k] + (to[k] - from[k]) * share;
   return [part(0), part(1), part(2)];
 }
 
-const LINEAR = 0.1; // within which a bent scale is even
+const LINEAR = 0.1; // up to which the scale is linear
 
 /**
- * A number on a scale that is even next to zero and logarithmic beyond, so that a few extremes leave room for the rest.
+ * Map a number to a scale that is linear near zero and logarithmic beyond (inverse hyperbolic sine).
  * @type {(value: number) => number}
  */
-export function bent(value) {
+export function asinhLike(value) {
   return Math.asinh(value / LINEAR);
 }
 
 /**
- * The number at a place of that scale.
+ * Inverse of `asinhLike`.
  * @type {(share: number) => number}
  */
-export function unbent(share) {
+export function inverseAsinhLike(share) {
   return LINEAR * Math.sinh(share);
 }
 
 /**
- * Wilson's interval of a rate, for 95 %.
+ * Wilson's 95 % confidence interval of a rate.
  * @type {(good: number, total: number) => [number, number]}
  */
-export function wilson(good, total) {
+export function wilsonInterval(good, total) {
   if (!total) return [NaN, NaN];
   const z = 1.959964;
   const rate = good / total;

@@ -1,19 +1,19 @@
 // Parallel coordinates: a line for each rollout from axis to axis, brushed along each; drawn in slices of time.
-import { alongOf, snapped, ticksAlong } from "./axes.js";
-import { clipped, gridOf } from "./data.js";
-import { byId, cssOf, pointerOn, sheetOf, straight } from "./dom.js";
-import { clamp, grouped, lotOf, shortly } from "./numbers.js";
-import { narrow } from "./selection.js";
+import { axisMapping, snapToGrid, axisTicks } from "./axes.js";
+import { clipName, gridValues } from "./data.js";
+import { byId, cssColour, pointerPosition, prepareCanvas, drawLine } from "./dom.js";
+import { clamp, formatCount, rowLottery, formatShort } from "./numbers.js";
+import { setRange } from "./selection.js";
 
 /** @import { Way } from "./axes.js" */
 /** @import { Column } from "./data.js" */
 /** @import { App, View } from "./main.js" */
 
-const MOST = 10; // axes side by side
-const NARROW = 84; // pixels that an axis needs for its title
-const AT_ONCE = 16; // ms of drawing before the page may answer
-const BATCH = 150; // lines between two looks at the clock
-const ABREAST = 0.2; // of the step from name to name, on which lines lie side by side; at the ends within the axis
+const MAX_AXES = 10; // axes side by side
+const MIN_AXIS_WIDTH = 84; // CSS pixels between axes that a title needs
+const DRAW_TIME = 16; // ms of drawing before the page handles events
+const LINES_BETWEEN_CHECKS = 150; // lines drawn between two checks of the time
+const NAME_SPREAD = 0.2; // share of the step between names over which lines are spread
 const FRAME = { left: 46, right: 46, top: 52, bottom: 30 };
 
 /** @type {(app: App) => View} */
@@ -21,26 +21,28 @@ export function parallelView(app) {
   const { table, state } = app;
   const base = /** @type {HTMLCanvasElement} */ (byId("lines-base"));
   const over = /** @type {HTMLCanvasElement} */ (byId("lines-over"));
-  const first = axesOf(app);
+  const first = parallelAxes(app);
   /** @type {Column[]} in the order of the reader */
   let every = [...first];
-  const order = shuffled(table.rows);
+  const order = shuffledRows(table.rows);
   /** @type {Map<Column, Way>} axes that are not even and upright */
   const ways = new Map();
   const partOf = (/** @type {Column} */ column) => {
-    const { to } = alongOf(column, ways.get(column));
+    const { to } = axisMapping(column, ways.get(column));
     const { values, names, low, high } = column;
     if (!names || !(high > low)) return Float32Array.from(values, to);
-    const scale = 1 - ABREAST / (high - low);
-    return Float32Array.from(values, (value, row) => to(low + scale * (value - low) + (ABREAST * lotOf(row)) / 1000));
+    const scale = 1 - NAME_SPREAD / (high - low);
+    return Float32Array.from(values, (value, row) =>
+      to(low + scale * (value - low) + (NAME_SPREAD * rowLottery(row)) / 1000),
+    );
   };
   /** @type {Float32Array[]} shares of each axis by row */
   let parts = every.map(partOf);
   let [axes, shares] = [every, parts];
-  let job = 0; // number of the drawing that goes on
+  let job = 0; // number of the drawing in progress
   /** @type {{ axis: number, from: number, x: number, title: boolean } | null} */
   let pressed = null;
-  let keyed = 0; // axis of the keyboard
+  let keyed = 0; // axis that the keyboard moves
 
   const area = () => ({
     left: FRAME.left,
@@ -53,7 +55,7 @@ export function parallelView(app) {
 
   /** On a narrow screen the axes that matter most, and the margin. */
   const fit = () => {
-    const room = clamp(Math.floor(base.clientWidth / NARROW), 2, every.length);
+    const room = clamp(Math.floor(base.clientWidth / MIN_AXIS_WIDTH), 2, every.length);
     const kept = every.map((_, axis) => axis).filter((axis) => axis < room - 1 || axis === every.length - 1);
     [axes, shares] = [kept.map((axis) => every[axis]), kept.map((axis) => parts[axis])];
     keyed = Math.min(keyed, axes.length - 1);
@@ -63,7 +65,7 @@ export function parallelView(app) {
   const draw = () => {
     const mine = ++job;
     fit();
-    const { pen, width } = sheetOf(base);
+    const { pen, width } = prepareCanvas(base);
     const { top, height } = area();
     const { ink, soft, line, paper } = app.theme();
     const looks = app.looks();
@@ -87,7 +89,7 @@ export function parallelView(app) {
       axes.forEach((column, axis) => {
         pen.strokeStyle = line;
         pen.lineWidth = 1;
-        straight(pen, places[axis], top, places[axis], top + height);
+        drawLine(pen, places[axis], top, places[axis], top + height);
         pen.textAlign =
           axis === 0 && axes.length > 1 ? "left" : axis === axes.length - 1 && axes.length > 1 ? "right" : "center";
         const at =
@@ -95,10 +97,11 @@ export function parallelView(app) {
         pen.fillStyle = ink;
         pen.textBaseline = "bottom";
         const room = axes.length > 1 ? (area().width / (axes.length - 1)) * 0.96 : width;
-        twoLines(column).forEach((text, k) => pen.fillText(text, at, 18 + 15 * k, room));
+        titleLines(column).forEach((text, k) => pen.fillText(text, at, 18 + 15 * k, room));
         pen.fillStyle = soft;
-        const { to } = alongOf(column, ways.get(column));
-        const worded = (/** @type {number} */ value) => (column.names ? (column.names[value] ?? "") : shortly(value));
+        const { to } = axisMapping(column, ways.get(column));
+        const worded = (/** @type {number} */ value) =>
+          column.names ? (column.names[value] ?? "") : formatShort(value);
         const [over, under] = ways.get(column) === "inverted" ? [column.low, column.high] : [column.high, column.low];
         pen.fillText(worded(over), at, top - 4, room);
         pen.textBaseline = "top";
@@ -106,9 +109,9 @@ export function parallelView(app) {
         pen.textBaseline = "middle";
         pen.textAlign = axis === axes.length - 1 && axes.length > 1 ? "right" : "left";
         const aside = pen.textAlign === "left" ? 5 : -5;
-        pen.strokeStyle = cssOf(paper, 0.85); // lines pass below the numbers
+        pen.strokeStyle = cssColour(paper, 0.85); // dims lines behind the numbers
         pen.lineWidth = 3;
-        for (const value of ticksAlong(column, ways.get(column), 4)) {
+        for (const value of axisTicks(column, ways.get(column), 4)) {
           const share = to(value);
           if (share <= 0.08 || share >= 0.92) continue;
           const y = top + (1 - share) * height;
@@ -117,19 +120,19 @@ export function parallelView(app) {
         }
       });
     };
-    pen.fillStyle = cssOf(paper);
+    pen.fillStyle = cssColour(paper);
     drawOver();
-    // what is left out first, in grey and not all of it; then what passes, kinds mixed as they come
+    // a sample of the filtered rows in grey first, then the rows that pass, kinds mixed
     let next = 0;
     let stage = state.passing < table.rows ? 0 : 1;
     return new Promise((done) => {
       const go = () => {
         if (mine !== job) return done();
-        const until = performance.now() + AT_ONCE;
+        const until = performance.now() + DRAW_TIME;
         pen.lineWidth = 1;
         while (performance.now() < until) {
           if (stage > 1) return done(frame());
-          const end = Math.min(order.length, next + BATCH);
+          const end = Math.min(order.length, next + LINES_BETWEEN_CHECKS);
           if (stage === 0) {
             pen.globalAlpha = 0.12;
             pen.strokeStyle = soft;
@@ -139,7 +142,7 @@ export function parallelView(app) {
           } else {
             pen.globalAlpha = opacity;
             for (let kind = 0; kind < looks.length; kind++) {
-              pen.strokeStyle = cssOf(looks[kind].mark);
+              pen.strokeStyle = cssColour(looks[kind].mark);
               pen.beginPath();
               for (let k = next; k < end; k++)
                 if (table.kind[order[k]] === kind && state.mask[order[k]]) stroke(order[k], pen);
@@ -157,12 +160,12 @@ export function parallelView(app) {
   };
 
   const drawOver = () => {
-    const { pen } = sheetOf(over);
+    const { pen } = prepareCanvas(over);
     const { top, height } = area();
     axes.forEach((column, axis) => {
       const range = state.ranges.get(column.key);
       if (!range) return;
-      const { to } = alongOf(column, ways.get(column));
+      const { to } = axisMapping(column, ways.get(column));
       const [low, high] = [range.low, range.high].map((value) => clamp(to(value), 0, 1)).sort((a, b) => a - b);
       pen.fillStyle = app.theme().accent;
       pen.globalAlpha = 0.22;
@@ -186,9 +189,9 @@ export function parallelView(app) {
     axes.reduce((best, _, axis) => (Math.abs(xOf(axis) - x) < Math.abs(xOf(best) - x) ? axis : best), 0);
 
   /**
-   * Another place for an axis, another way along it, or none.
+   * Move an axis, change its mode, or drop it.
    * @param {Column} column
-   * @param {number} to the place among the axes that are shown, -1 where it stays
+   * @param {number} to new position among the shown axes, -1 to stay
    * @param {boolean} dropped
    */
   const arrange = (column, to, dropped) => {
@@ -199,7 +202,7 @@ export function parallelView(app) {
       every = every.filter((one) => one !== column);
       every.splice(every.indexOf(target) + Number(later && target !== column), 0, column);
     } else {
-      const next = nextWay(column, ways.get(column));
+      const next = nextAxisMode(column, ways.get(column));
       if (next) ways.set(column, next);
       else ways.delete(column);
     }
@@ -216,25 +219,25 @@ export function parallelView(app) {
   });
 
   over.addEventListener("pointerdown", (event) => {
-    const [x, y] = pointerOn(event, over);
+    const [x, y] = pointerPosition(event, over);
     pressed = { axis: nearest(x), from: y, x, title: y < FRAME.top - 14 };
     over.setPointerCapture(event.pointerId);
   });
   over.addEventListener("pointermove", (event) => {
     if (!pressed || pressed.title) return;
-    const [, y] = pointerOn(event, over);
+    const [, y] = pointerPosition(event, over);
     if (Math.abs(y - pressed.from) < 4) return;
     const column = axes[pressed.axis];
-    const along = alongOf(column, ways.get(column));
-    narrow(state, column.key, snapped(along, gridOf(column), shareAt(pressed.from), shareAt(y)));
+    const along = axisMapping(column, ways.get(column));
+    setRange(state, column.key, snapToGrid(along, gridValues(column), shareAt(pressed.from), shareAt(y)));
     app.filtered();
   });
   over.addEventListener("pointerup", (event) => {
-    const [x, y] = pointerOn(event, over);
+    const [x, y] = pointerPosition(event, over);
     if (pressed?.title)
       arrange(axes[pressed.axis], Math.abs(x - pressed.x) > 12 ? nearest(x) : -1, y > base.clientHeight);
     else if (pressed && Math.abs(y - pressed.from) < 4) {
-      narrow(state, axes[pressed.axis].key, null);
+      setRange(state, axes[pressed.axis].key, null);
       app.filtered();
     }
     pressed = null;
@@ -248,52 +251,52 @@ export function parallelView(app) {
       keyed = clamp(keyed + (event.key === "ArrowRight" ? 1 : -1), 0, axes.length - 1);
     } else if (event.key === "ArrowUp" || event.key === "ArrowDown") {
       const end = event.shiftKey ? "high" : "low";
-      narrow(state, column.key, { ...range, [end]: clamp(range[end] + step, column.low, column.high) });
+      setRange(state, column.key, { ...range, [end]: clamp(range[end] + step, column.low, column.high) });
       app.filtered();
     } else if (event.key === "Escape") {
-      narrow(state, column.key, null);
+      setRange(state, column.key, null);
       app.filtered();
     } else return;
     event.preventDefault();
     const now = state.ranges.get(axes[keyed].key);
-    const said = now ? `from ${shortly(now.low)} to ${shortly(now.high)}` : "all";
-    app.tell(`${axes[keyed].title}: ${said}; ${grouped(state.passing)} rollouts`);
+    const said = now ? `from ${formatShort(now.low)} to ${formatShort(now.high)}` : "all";
+    app.tell(`${axes[keyed].title}: ${said}; ${formatCount(state.passing)} rollouts`);
   });
   return { root: base, draw, point: drawOver };
 }
 
 /**
- * What a click on an axis' title makes of it: even, inverted, logarithmic where it can be, and even again.
+ * Next mode of an axis when its title is clicked: linear, inverted, logarithmic if possible, linear again.
  * @type {(column: Column, way?: Way) => Way | undefined}
  */
-function nextWay({ low, names }, way) {
+function nextAxisMode({ low, names }, way) {
   if (!way) return "inverted";
   return way === "inverted" && low > 0 && !names ? "log" : undefined;
 }
 
 /**
- * The axes of the lines: drawn numbers, those that matter most first, or what there is.
+ * Columns of the axes: varied parameters, the most important first, or else all columns.
  * @type {(app: App) => Column[]}
  */
-function axesOf({ table, ranked }) {
+function parallelAxes({ table, ranked }) {
   const axes = ranked.map(({ column }) => column);
   const rest = table.columns.filter((column) => column.axis && !axes.includes(column));
   const margin = table.columns.filter(({ key }) => key === "margin");
-  return [...axes, ...rest].slice(0, MOST - margin.length).concat(margin);
+  return [...axes, ...rest].slice(0, MAX_AXES - margin.length).concat(margin);
 }
 
 /** @type {(column: Column) => string[]} */
-function twoLines({ label, unit }) {
+function titleLines({ label, unit }) {
   const cut = label.indexOf(" (");
   const second = [cut > 0 ? label.slice(cut + 1) : "", unit ? `[${unit}]` : ""].filter(Boolean).join(" ");
-  return [clipped(cut > 0 ? label.slice(0, cut) : label), second];
+  return [clipName(cut > 0 ? label.slice(0, cut) : label), second];
 }
 
 /**
- * Rows in an order that any part of is a fair sample, the same each time.
+ * Rows in a reproducible random order, so that any part is a fair sample.
  * @type {(count: number) => Uint32Array}
  */
-export function shuffled(count) {
+export function shuffledRows(count) {
   const order = Uint32Array.from({ length: count }, (_, k) => k);
   let seed = 1;
   for (let k = count - 1; k > 0; k--) {

@@ -1,7 +1,7 @@
-// Ways of base and feet in space: from above and from the side, a mark where the replay is.
-import { sheetOf, straight } from "./dom.js";
-import { frameAt, plus, posesOf, rotated } from "./kinematics.js";
-import { shortly, ticks } from "./numbers.js";
+// Paths of base and feet from above and from the side, with a mark at the present time.
+import { prepareCanvas, drawLine } from "./dom.js";
+import { frameAt, addScaled, bodyPoses, rotateVector } from "./kinematics.js";
+import { formatShort, ticks } from "./numbers.js";
 
 /** @import { Sheet, Theme } from "./dom.js" */
 /** @import { Model, Motion } from "./kinematics.js" */
@@ -9,25 +9,25 @@ import { shortly, ticks } from "./numbers.js";
 /** @typedef {{ model: Model, motion: Motion }} Reel */
 
 /**
- * Where base and feet are in each frame, m.
+ * Positions of base and feet in each frame, m.
  * @typedef {object} Paths
- * @property {number[][]} base nothing where the robot has no free joint
+ * @property {number[][]} base empty if the robot has no free joint
  * @property {number[][][]} feet by leg
- * @property {[number, number][]} ends of x, y and z, of all these
+ * @property {[number, number][]} ends ranges of x, y and z over all of these
  */
 
-export const BESIDE = { left: 44, right: 8, top: 20, bottom: 20 }; // a panel, CSS pixels
-export const FACES = /** @type {const} */ ([
+export const PANEL_MARGIN = { left: 44, right: 8, top: 20, bottom: 20 }; // of a panel, CSS pixels
+export const PATH_VIEWS = /** @type {const} */ ([
   { title: "way from above: y over x [m]", up: 1 },
   { title: "way from the side: z over x [m]", up: 2 },
 ]);
 
 /**
  * @param {Reel} reel
- * @param {number} free where the base is among the coordinates, -1 where it is not free
+ * @param {number} free index of the base among the coordinates, -1 without a free joint
  * @returns {Paths}
  */
-export function pathsOf({ model, motion }, free) {
+export function replayPaths({ model, motion }, free) {
   const { frames, coordinates, qpos } = motion;
   /** @type {Paths} */
   const found = { base: [], feet: model.feet.map(() => []), ends: [] };
@@ -35,35 +35,38 @@ export function pathsOf({ model, motion }, free) {
     const state = qpos.subarray(k * coordinates, (k + 1) * coordinates);
     if (free >= 0) found.base.push(Array.from(state.subarray(free, free + 3)));
     if (!model.feet.length) continue;
-    const poses = posesOf(model, state);
+    const poses = bodyPoses(model, state);
     model.feet.forEach(([body, ...place], leg) =>
-      found.feet[leg].push(plus(poses[body].pos, rotated(poses[body].turn, place))),
+      found.feet[leg].push(addScaled(poses[body].pos, rotateVector(poses[body].turn, place))),
     );
   }
   const places = [found.base, ...found.feet].flat();
-  found.ends = [0, 1, 2].map((part) => endsOf(places.map((place) => place[part])));
+  found.ends = [0, 1, 2].map((part) => minAndMax(places.map((place) => place[part])));
   return found;
 }
 
 /**
- * The least and the greatest.
+ * Minimum and maximum.
  * @type {(values: number[]) => [number, number]}
  */
-const endsOf = (values) =>
+const minAndMax = (values) =>
   values.reduce(([a, b], value) => [Math.min(a, value), Math.max(b, value)], [Infinity, -Infinity]);
 
 /**
- * From metres to a canvas, the same in both directions, all of some paths being on it.
+ * Fit paths into a canvas with one scale for both axes.
  * @param {Paths[]} paths
  * @param {number} up 1 for y, 2 for z
  * @param {number} width CSS pixels
  * @param {number} height
  * @returns {{ spot: (place: number[]) => [number, number], ends: [number, number][] }} ends of x and of the other
  */
-export function laidOut(paths, up, width, height) {
-  const [wide, high] = [width - BESIDE.left - BESIDE.right, height - BESIDE.top - BESIDE.bottom];
+export function fitPaths(paths, up, width, height) {
+  const [wide, high] = [
+    width - PANEL_MARGIN.left - PANEL_MARGIN.right,
+    height - PANEL_MARGIN.top - PANEL_MARGIN.bottom,
+  ];
   const ends = [0, up].map((part) => {
-    const [low, high] = endsOf(paths.flatMap((one) => one.ends[part]));
+    const [low, high] = minAndMax(paths.flatMap((one) => one.ends[part]));
     return high > low ? [low, high] : [low - 0.5, low + 0.5];
   });
   const [x, y] = ends;
@@ -74,8 +77,8 @@ export function laidOut(paths, up, width, height) {
   );
   const spot = (/** @type {number[]} */ place) =>
     /** @type {[number, number]} */ ([
-      BESIDE.left + (place[0] - shown[0][0]) * scale,
-      height - BESIDE.bottom - (place[up] - shown[1][0]) * scale,
+      PANEL_MARGIN.left + (place[0] - shown[0][0]) * scale,
+      height - PANEL_MARGIN.bottom - (place[up] - shown[1][0]) * scale,
     ]);
   return { spot, ends: shown };
 }
@@ -83,10 +86,10 @@ export function laidOut(paths, up, width, height) {
 /** @typedef {{ at: number, text: string }} Tick in CSS pixels */
 
 /**
- * What is around a panel: lines across it with numbers on the left, numbers below, and a title.
+ * Draw the frame of a panel: horizontal lines with numbers on the left, numbers below, and a title.
  * @type {(sheet: Sheet, theme: Theme, across: Tick[], below: Tick[], title: string, room: number) => void}
  */
-export function drawRuled({ pen, width, height }, { ink, soft, line }, across, below, title, room) {
+export function drawRuledFrame({ pen, width, height }, { ink, soft, line }, across, below, title, room) {
   pen.font = pen.font.replace(/\d+px/, "11px");
   pen.fillStyle = soft;
   pen.strokeStyle = line;
@@ -94,30 +97,30 @@ export function drawRuled({ pen, width, height }, { ink, soft, line }, across, b
   pen.textAlign = "right";
   pen.textBaseline = "middle";
   for (const { at, text } of across) {
-    straight(pen, BESIDE.left, at, width - BESIDE.right, at);
-    pen.fillText(text, BESIDE.left - 5, at, BESIDE.left - 8);
+    drawLine(pen, PANEL_MARGIN.left, at, width - PANEL_MARGIN.right, at);
+    pen.fillText(text, PANEL_MARGIN.left - 5, at, PANEL_MARGIN.left - 8);
   }
   pen.textAlign = "center";
   pen.textBaseline = "top";
-  for (const { at, text } of below) pen.fillText(text, at, height - BESIDE.bottom + 4);
+  for (const { at, text } of below) pen.fillText(text, at, height - PANEL_MARGIN.bottom + 4);
   pen.textAlign = "left";
   pen.fillStyle = ink;
-  pen.fillText(title, BESIDE.left, 3, room);
+  pen.fillText(title, PANEL_MARGIN.left, 3, room);
 }
 
 /**
  * @param {App} app
  * @param {HTMLCanvasElement} canvas
- * @param {Paths[]} paths of the replay, and dashed of one beside it
- * @param {(typeof FACES)[number]} side
+ * @param {Paths[]} paths of the replay, and dashed of a second one
+ * @param {(typeof PATH_VIEWS)[number]} side
  */
 export function drawPaths(app, canvas, paths, { title, up }) {
-  const sheet = sheetOf(canvas);
+  const sheet = prepareCanvas(canvas);
   const { pen, width, height } = sheet;
-  const { spot, ends } = laidOut(paths, up, width, height);
-  const across = ticks(...ends[1], 4).map((one) => ({ at: spot([0, one, one])[1], text: shortly(one) }));
-  const below = ticks(...ends[0], width / 90).map((one) => ({ at: spot([one, 0, 0])[0], text: shortly(one) }));
-  drawRuled(sheet, app.theme(), across, below, title, width - BESIDE.left);
+  const { spot, ends } = fitPaths(paths, up, width, height);
+  const across = ticks(...ends[1], 4).map((one) => ({ at: spot([0, one, one])[1], text: formatShort(one) }));
+  const below = ticks(...ends[0], width / 90).map((one) => ({ at: spot([one, 0, 0])[0], text: formatShort(one) }));
+  drawRuledFrame(sheet, app.theme(), across, below, title, width - PANEL_MARGIN.left);
   paths.forEach(({ base, feet }, number) => {
     pen.setLineDash(number ? [4, 3] : []);
     [...feet, base].forEach((places, leg) => {
@@ -132,17 +135,17 @@ export function drawPaths(app, canvas, paths, { title, up }) {
 }
 
 /**
- * Where the base, or else each foot, is at a time.
+ * Mark the position of the base, or else of each foot, at a time.
  * @param {App} app
  * @param {HTMLCanvasElement} canvas
  * @param {Paths[]} paths
- * @param {(typeof FACES)[number]} side
+ * @param {(typeof PATH_VIEWS)[number]} side
  * @param {Motion} motion of the first of them
  * @param {number} time s
  */
 export function pointPaths(app, canvas, paths, { up }, motion, time) {
-  const { pen, width, height } = sheetOf(canvas);
-  const { spot } = laidOut(paths, up, width, height);
+  const { pen, width, height } = prepareCanvas(canvas);
+  const { spot } = fitPaths(paths, up, width, height);
   const place = paths[0].base[frameAt(motion, time)];
   if (!place) return;
   pen.fillStyle = app.theme().ink;

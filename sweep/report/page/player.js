@@ -1,14 +1,14 @@
 // The player of replays: time, stages, speed, orbit, and a second replay beside or over the first.
-import { clipped, inflate, nearestReplay } from "./data.js";
-import { byId, cssOf, element, fitting, pointerOn, sheetOf } from "./dom.js";
+import { clipName, inflate, nearestReplay } from "./data.js";
+import { byId, cssColour, element, shortenToFit, pointerPosition, prepareCanvas } from "./dom.js";
 import { historyView } from "./history.js";
-import { endOf, frameAt, posesOf, readMotion, stateAt } from "./kinematics.js";
-import { clamp, shortly } from "./numbers.js";
-import { recorded } from "./export.js";
-import { baseOf, drawForces, drawRobot, drawWorld, viewOf } from "./scene.js";
-import { freest, sizeOf, farEnough, START } from "./camera.js";
+import { endTime, frameAt, bodyPoses, readMotion, stateAt } from "./kinematics.js";
+import { clamp, formatShort } from "./numbers.js";
+import { recordVideo } from "./export.js";
+import { basePosition, drawForces, drawRobot, drawWorld, makeView } from "./scene.js";
+import { leastHiddenAngle, robotSize, viewingDistance, START_VIEW } from "./camera.js";
 import { drawStages } from "./timeline.js";
-import { worded } from "./map.js";
+import { formatColumnValue } from "./map.js";
 
 /** @import { Model, Motion } from "./kinematics.js" */
 /** @import { App } from "./main.js" */
@@ -19,23 +19,23 @@ import { worded } from "./map.js";
  * @property {number} number
  * @property {Model} model
  * @property {Motion} motion
- * @property {{ metres: number, least: number }} arrow of a force: m per N, and the N below which there is none
+ * @property {{ metres: number, least: number }} arrow of a force: m per N, and the smallest force with an arrow
  */
 
 /**
  * @typedef {object} Player
- * @property {(row: number, at?: number | null) => void} openRow the replay of a row, or of the nearest one, from the start or
- *   held at a time
- * @property {() => number | null} time s, while it stands still
+ * @property {(row: number, at?: number | null) => void} openRow opens the replay of a row, or the nearest one, from the start or
+ *   paused at a time
+ * @property {() => number | null} time s, while paused
  * @property {() => void} draw
  */
 
-const GHOST = /** @type {[number, number, number]} */ ([140, 86, 190]);
-const HOLD = 0.8; // s before a replay that has ended begins again
-const FOLLOW = 0.12; // share of the way to the base that the camera goes in a frame
+const GHOST_COLOUR = /** @type {[number, number, number]} */ ([140, 86, 190]);
+const PAUSE_AT_END = 0.8; // s before a finished replay starts again
+const FOLLOW_SHARE = 0.12; // share of the distance to the base that the camera moves in each frame
 
 /** @type {(app: App) => Player} */
-export function playerOf(app) {
+export function makePlayer(app) {
   const { table } = app;
   const { replays } = table.about;
   const panel = byId("replay");
@@ -54,24 +54,24 @@ export function playerOf(app) {
   let models = null;
   /** @type {(Reel | null)[]} */
   let open = [null, null];
-  const asked = [-1, -1]; // numbers of those that were chosen last
+  const asked = [-1, -1]; // numbers of the replays chosen last
   let time = 0;
-  let told = 0; // the time that words say
+  let spokenTime = 0; // time of the last text shown
   let playing = false;
-  let next = 0; // the frame that was asked for: never two at a time, however often a replay is opened
+  let next = 0; // pending animation frame: never two at a time, however often a replay is opened
   let last = 0;
   /** @type {Camera} */
-  let camera = { ...START, distance: 3, target: [0, 0, 0] };
+  let camera = { ...START_VIEW, distance: 3, target: [0, 0, 0] };
   let waited = 0;
   /** @type {{ stop: () => void, taken: () => void } | null} */
   let film = null;
-  let turned = false; // whether the view is the reader's own
+  let turned = false; // whether the user has turned the view
   /** @type {Map<number, [number, number]>} */
   const fingers = new Map();
 
   if (!replays.length) {
     panel.classList.add("empty");
-    note.textContent = `No rollout has a replay yet: sweep report ${clipped(table.about.folder)} --replays 60`;
+    note.textContent = `No rollout has a replay yet: sweep report ${clipName(table.about.folder)} --replays 60`;
     return { openRow: () => {}, draw: () => {}, time: () => null };
   }
   const histories = historyView(app, (at) => {
@@ -81,8 +81,8 @@ export function playerOf(app) {
   const groups = () =>
     table.about.kinds.flatMap(({ key, label }) => {
       const own = replays.flatMap((one, number) => (one.kind === key ? [number] : []));
-      const options = own.map((number) => element("option", { value: String(number) }, titleOf(app, number)));
-      return own.length ? [element("optgroup", { label: clipped(label) }, ...options)] : [];
+      const options = own.map((number) => element("option", { value: String(number) }, replayTitle(app, number)));
+      return own.length ? [element("optgroup", { label: clipName(label) }, ...options)] : [];
     });
   list.replaceChildren(...groups());
   beside.replaceChildren(element("option", { value: "" }, "nothing"), ...groups());
@@ -103,10 +103,10 @@ export function playerOf(app) {
   };
 
   /**
-   * @param {number} which 0, or 1 for the one beside it
-   * @param {number} number -1 closes it
+   * @param {number} which 0, or 1 for the second replay
+   * @param {number} number -1 to close it
    * @param {string} said
-   * @returns {Promise<boolean>} whether it is shown: not if another one was chosen meanwhile
+   * @returns {Promise<boolean>} whether it is shown: false if another one was chosen meanwhile
    */
   const openReel = async (which, number, said = "") => {
     asked[which] = number;
@@ -117,8 +117,13 @@ export function playerOf(app) {
     if (reel && which === 0) {
       note.textContent = said;
       time = reel.motion.step;
-      const target = baseOf(reel.model, posesAt(reel));
-      camera = { ...camera, target, distance: farEnough(reel), azimuth: turned ? camera.azimuth : freest(reel) };
+      const target = basePosition(reel.model, posesAt(reel));
+      camera = {
+        ...camera,
+        target,
+        distance: viewingDistance(reel),
+        azimuth: turned ? camera.azimuth : leastHiddenAngle(reel),
+      };
       describe();
     }
     panel.classList.toggle("two", Boolean(open[1]));
@@ -142,7 +147,7 @@ export function playerOf(app) {
         .slice(0, 4)
         .map(
           (column) =>
-            `${column.label} ${worded(column, column.values[other])} instead of ${worded(column, column.values[row])}`,
+            `${column.label} ${formatColumnValue(column, column.values[other])} instead of ${formatColumnValue(column, column.values[row])}`,
         );
       const ends =
         table.kind[row] === table.kind[other]
@@ -170,10 +175,10 @@ export function playerOf(app) {
       shown.equal === shown.of
         ? "all figures equal to the last bit"
         : `${shown.equal} of ${shown.of} figures equal to the last bit`;
-    caption.textContent = `${shown.why ? `${clipped(shown.why)}. ` : ""}Simulated again from row ${shown.point}: ${same}.${left}`;
+    caption.textContent = `${shown.why ? `${clipName(shown.why)}. ` : ""}Simulated again from row ${shown.point}: ${same}.${left}`;
   };
 
-  const lengthOf = () => Math.max(0.1, ...open.map((reel) => (reel ? endOf(reel.motion) : 0)));
+  const lengthOf = () => Math.max(0.1, ...open.map((reel) => (reel ? endTime(reel.motion) : 0)));
 
   const draw = () => {
     const [a, b] = open;
@@ -184,15 +189,15 @@ export function playerOf(app) {
     film?.taken();
     drawStrip();
     histories.point(time);
-    if (!playing || Math.floor(10 * time) !== Math.floor(10 * told)) tell(a);
+    if (!playing || Math.floor(10 * time) !== Math.floor(10 * spokenTime)) tell(a);
   };
 
   /**
-   * The time in words, for which the browser lays the page out anew: while a replay plays, ten times a second.
+   * Show the time as text. The browser then updates its layout, so during playback it happens ten times a second.
    * @param {Reel} reel
    */
   const tell = (reel) => {
-    told = time;
+    spokenTime = time;
     const stage = stageOf(reel);
     scrub.value = String(time);
     clock.textContent = `${time.toFixed(2)} s`;
@@ -201,24 +206,24 @@ export function playerOf(app) {
   };
 
   /**
-   * Where the bodies of a replay are now.
+   * Poses of a replay's bodies at the present time.
    * @param {Reel} reel
    */
-  const posesAt = ({ model, motion }) => posesOf(model, stateAt(motion, time));
+  const posesAt = ({ model, motion }) => bodyPoses(model, stateAt(motion, time));
 
   /** @type {(reel: Reel) => string} */
-  const stageOf = ({ motion, number }) => clipped(replays[number].stages[motion.stage[frameAt(motion, time)]] ?? "");
+  const stageOf = ({ motion, number }) => clipName(replays[number].stages[motion.stage[frameAt(motion, time)]] ?? "");
 
   /** @type {(canvas: HTMLCanvasElement, reel: Reel, ghost: Reel | null) => void} */
   const scene = (canvas, reel, ghost) => {
     const { model, motion, arrow } = reel;
-    const sheet = sheetOf(canvas);
+    const sheet = prepareCanvas(canvas);
     const theme = app.theme();
     const poses = posesAt(reel);
-    const aim = baseOf(model, poses);
-    const shift = camera.target.map((part, k) => part + (aim[k] - part) * (playing ? FOLLOW : 1));
+    const aim = basePosition(model, poses);
+    const shift = camera.target.map((part, k) => part + (aim[k] - part) * (playing ? FOLLOW_SHARE : 1));
     if (canvas === canvases[0]) camera = { ...camera, target: shift };
-    const view = viewOf(sheet, theme, canvas === canvases[0] ? camera : { ...camera, target: aim });
+    const view = makeView(sheet, theme, canvas === canvases[0] ? camera : { ...camera, target: aim });
     drawWorld(
       view,
       model,
@@ -226,8 +231,8 @@ export function playerOf(app) {
       view.eye.map((part, k) => part + view.axes[2][k] * camera.distance),
     );
     if (ghost) {
-      const own = sheetOf(overlay(canvas));
-      drawRobot({ ...view, sheet: own }, ghost.model, posesAt(ghost), GHOST);
+      const own = prepareCanvas(overlay(canvas));
+      drawRobot({ ...view, sheet: own }, ghost.model, posesAt(ghost), GHOST_COLOUR);
       sheet.pen.globalAlpha = 0.5;
       sheet.pen.drawImage(own.pen.canvas, 0, 0, sheet.width, sheet.height);
       sheet.pen.globalAlpha = 1;
@@ -235,29 +240,29 @@ export function playerOf(app) {
     const frame = frameAt(motion, time);
     const forces = 3 * model.feet.length;
     drawForces(view, model, poses, motion.force.subarray(forces * frame, forces * (frame + 1)), arrow);
-    const lines = [`${time.toFixed(2)} s   ${stageOf(reel)}`, titleOf(app, reel.number)];
-    if (forces) lines[0] += `   arrows: 100 N are ${shortly(100 * arrow.metres)} m`;
-    if (ghost) lines.push(`violet: ${titleOf(app, ghost.number)}`);
+    const lines = [`${time.toFixed(2)} s   ${stageOf(reel)}`, replayTitle(app, reel.number)];
+    if (forces) lines[0] += `   arrows: 100 N are ${formatShort(100 * arrow.metres)} m`;
+    if (ghost) lines.push(`violet: ${replayTitle(app, ghost.number)}`);
     sheet.pen.textAlign = "left";
     sheet.pen.textBaseline = "bottom";
     sheet.pen.lineWidth = 3;
-    sheet.pen.strokeStyle = cssOf(theme.paper, 0.85);
+    sheet.pen.strokeStyle = cssColour(theme.paper, 0.85);
     lines.forEach((line, k) => {
       sheet.pen.font = sheet.pen.font.replace(/^(bold )?/, k ? "" : "bold ");
       sheet.pen.fillStyle = k ? theme.soft : theme.ink;
       const y = sheet.height - 10 - 17 * (lines.length - 1 - k);
-      const text = fitting(sheet.pen, line, sheet.width - 24);
+      const text = shortenToFit(sheet.pen, line, sheet.width - 24);
       sheet.pen.strokeText(text, 12, y);
       sheet.pen.fillText(text, 12, y);
     });
   };
 
   /**
-   * Arrows no longer than the robot.
+   * Limit arrows to the size of the robot.
    * @type {(model: Model, motion: Motion) => Reel["arrow"]}
    */
   const arrowOf = (model, motion) => {
-    const robot = 2 * sizeOf(model);
+    const robot = 2 * robotSize(model);
     const most = motion.force.reduce((a, b) => Math.max(a, Math.abs(b)), 1);
     const { metres, least } = table.about.arrow;
     return { metres: Math.min(metres, Number((robot / most).toPrecision(1))), least };
@@ -266,7 +271,7 @@ export function playerOf(app) {
   /** @type {HTMLCanvasElement | null} */
   let second = null;
   /**
-   * A canvas of the same size that is not shown.
+   * Hidden canvas of the same size.
    * @type {(canvas: HTMLCanvasElement) => HTMLCanvasElement}
    */
   const overlay = (canvas) => {
@@ -306,7 +311,7 @@ export function playerOf(app) {
     if (time >= end) {
       time = end;
       waited += passed;
-      if (waited > HOLD) [time, waited] = [0, 0];
+      if (waited > PAUSE_AT_END) [time, waited] = [0, 0];
     }
     if (app.visible(canvases[0])) draw();
     next = requestAnimationFrame(step);
@@ -319,13 +324,13 @@ export function playerOf(app) {
 
   play.addEventListener("click", () => (playing ? stop() : start()));
   scrub.addEventListener("input", () => {
-    const chosen = Number(scrub.value); // before drawing sets it
+    const chosen = Number(scrub.value); // drawing sets it
     stop();
     to(chosen);
   });
   strip.addEventListener("pointerdown", (event) => {
     stop();
-    to((pointerOn(event, strip)[0] / strip.clientWidth) * lengthOf());
+    to((pointerPosition(event, strip)[0] / strip.clientWidth) * lengthOf());
   });
   list.addEventListener("change", () => {
     const number = Number(list.value);
@@ -339,14 +344,15 @@ export function playerOf(app) {
   });
   byId("reset").addEventListener("click", () => {
     turned = false;
-    if (open[0]) camera = { ...camera, ...START, distance: farEnough(open[0]), azimuth: freest(open[0]) };
+    if (open[0])
+      camera = { ...camera, ...START_VIEW, distance: viewingDistance(open[0]), azimuth: leastHiddenAngle(open[0]) };
     draw();
   });
 
   const record = byId("record");
   record.addEventListener("click", () => {
     film?.stop();
-    film = film ? null : recorded(canvases, app.theme().panel);
+    film = film ? null : recordVideo(canvases, app.theme().panel);
     record.setAttribute("aria-pressed", String(Boolean(film)));
     if (film && !playing) start();
   });
@@ -367,12 +373,12 @@ export function playerOf(app) {
   for (const canvas of canvases) {
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
-      fingers.set(event.pointerId, pointerOn(event, canvas));
+      fingers.set(event.pointerId, pointerPosition(event, canvas));
     });
     canvas.addEventListener("pointermove", (event) => {
       const before = fingers.get(event.pointerId);
       if (!before) return;
-      const now = pointerOn(event, canvas);
+      const now = pointerPosition(event, canvas);
       fingers.set(event.pointerId, now);
       const other = [...fingers].find(([id]) => id !== event.pointerId)?.[1];
       if (!other) return orbit(now[0] - before[0], now[1] - before[1]);
@@ -421,16 +427,18 @@ export function playerOf(app) {
 }
 
 /**
- * What a replay is called in lists: its own title, or its outcome and its place in the study.
+ * Title of a replay in lists: its own, or its outcome and parameters.
  * @type {(app: App, number: number) => string}
  */
-function titleOf({ table, ranked }, number) {
+function replayTitle({ table, ranked }, number) {
   const shown = table.about.replays[number];
   const kind =
-    table.about.kinds.find(({ key }) => key === shown.kind)?.label ?? clipped(shown.kind.replaceAll("_", " "));
-  if (shown.title) return `${clipped(shown.title)}: ${kind}`;
+    table.about.kinds.find(({ key }) => key === shown.kind)?.label ?? clipName(shown.kind.replaceAll("_", " "));
+  if (shown.title) return `${clipName(shown.title)}: ${kind}`;
   if (shown.row < 0) return `${kind}, ${shown.point.slice(0, 6)}`;
   const columns = ranked.map(({ column }) => column).sort((a, b) => Number(!!b.names) - Number(!!a.names));
-  const told = columns.slice(0, 3).map((column) => `${column.label} ${worded(column, column.values[shown.row])}`);
-  return `${kind}${told.length ? `: ${told.join(", ")}` : ""}`;
+  const values = columns
+    .slice(0, 3)
+    .map((column) => `${column.label} ${formatColumnValue(column, column.values[shown.row])}`);
+  return `${kind}${values.length ? `: ${values.join(", ")}` : ""}`;
 }

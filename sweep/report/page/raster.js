@@ -1,4 +1,4 @@
-// Marks and cells put straight into the memory of an image: tens of thousands of them take milliseconds.
+// Marks and cells written directly into image memory: tens of thousands take milliseconds.
 import { packRgb } from "./numbers.js";
 
 /** @import { Look, Rgb } from "./dom.js" */
@@ -9,18 +9,18 @@ import { packRgb } from "./numbers.js";
  * @property {number} width
  * @property {number} height
  * @property {Uint32Array} colours
- * @property {Int32Array} owner the row that a pixel shows, -1 for none
+ * @property {Int32Array} owner row that a pixel shows, -1 for none
  * @property {ImageData} image
  */
 
 /** @type {(width: number, height: number) => Pixels} */
-export function pixelsOf(width, height) {
+export function makePixels(width, height) {
   const image = new ImageData(Math.max(1, width), Math.max(1, height));
   const owner = new Int32Array(image.width * image.height).fill(-1);
   return { width: image.width, height: image.height, colours: new Uint32Array(image.data.buffer), owner, image };
 }
 
-const GLYPH = 3.8; // CSS pixels of a glyph whose radius is one
+const GLYPH_SIZE = 3.8; // CSS pixels for a glyph's radius of one
 
 const TILE = 8;
 
@@ -28,7 +28,7 @@ const TILE = 8;
 const HATCHING = Uint8Array.from({ length: TILE * TILE }, (_, k) => Number(((k % TILE) + (k >> 3)) % 4 === 0));
 
 /**
- * Fill a rectangle of pixels; `ink` goes where the tile has it. Nothing is drawn beyond the image.
+ * Fill a rectangle of pixels, with `ink` where the tile is set, clipped to the image.
  * @param {Pixels} pixels
  * @param {number} left
  * @param {number} top
@@ -56,27 +56,28 @@ export function fillCell(pixels, left, top, right, bottom, colour, row, tile, in
 /** @typedef {{ size: number, cover: Float32Array }} Stamp */
 
 /**
- * How much of each pixel a mark covers, whose shape has its corners for a radius of one, with this radius in pixels.
+ * Compute the coverage of each pixel by a mark.
+ * `shape` has the corners for a radius of one, `radius` is in pixels.
  * @type {(shape: number[], radius: number) => Stamp}
  */
-export function stampOf(shape, radius) {
+export function makeStamp(shape, radius) {
   const size = 2 * Math.ceil(1.3 * radius) + 1;
   const middle = size / 2;
   const cover = new Float32Array(size * size);
   for (let k = 0; k < size * size * 16; k++) {
     const x = (k % (size * 4)) / 4 + 0.125;
     const y = Math.floor(k / (size * 4)) / 4 + 0.125;
-    if (inside(shape, (x - middle) / radius, (middle - y) / radius))
+    if (isInside(shape, (x - middle) / radius, (middle - y) / radius))
       cover[Math.floor(y) * size + Math.floor(x)] += 1 / 16;
   }
   return { size, cover };
 }
 
 /**
- * Whether a place is in a shape: its sides to the right of it are odd in number.
+ * Whether a point is inside a polygon, by the even-odd rule.
  * @type {(shape: number[], x: number, y: number) => boolean}
  */
-function inside(shape, x, y) {
+function isInside(shape, x, y) {
   let odd = false;
   const count = shape.length;
   for (let k = 0; k < count; k += 2) {
@@ -87,7 +88,7 @@ function inside(shape, x, y) {
 }
 
 /**
- * Put a mark into the image.
+ * Draw a mark into the image.
  * @param {Pixels} pixels
  * @param {Stamp} stamp
  * @param {number} x
@@ -96,7 +97,7 @@ function inside(shape, x, y) {
  * @param {number} opacity
  * @param {number} row that owns the pixels from then on; below -1 they keep their owner
  */
-export function stampAt(pixels, stamp, x, y, rgb, opacity, row) {
+export function drawStamp(pixels, stamp, x, y, rgb, opacity, row) {
   const { width, height, colours, owner } = pixels;
   const left = Math.round(x) - (stamp.size >> 1);
   const top = Math.round(y) - (stamp.size >> 1);
@@ -119,10 +120,10 @@ export function stampAt(pixels, stamp, x, y, rgb, opacity, row) {
 }
 
 /**
- * The row that is shown at a place, or so many pixels from it; -1 for none.
+ * Row shown at a place, or up to `reach` pixels from it; -1 for none.
  * @type {(pixels: Pixels, x: number, y: number, reach: number) => number}
  */
-export function ownerNear(pixels, x, y, reach) {
+export function rowNear(pixels, x, y, reach) {
   const { width, height, owner } = pixels;
   let best = -1;
   let least = Infinity;
@@ -136,19 +137,19 @@ export function ownerNear(pixels, x, y, reach) {
 }
 
 /**
- * What is put on the cells of a kind: the shape of a cause of failure.
+ * Make the glyph on the cells of a kind, the shape of a cause of failure.
  * @type {(look: Look, ratio: number) => Stamp | null}
  */
-export function glyphOf({ glyphed, shape }, ratio) {
-  return glyphed ? stampOf(shape, GLYPH * ratio) : null;
+export function makeGlyph({ glyphed, shape }, ratio) {
+  return glyphed ? makeStamp(shape, GLYPH_SIZE * ratio) : null;
 }
 
 /**
- * A cell of a kind, with the glyph of its cause where there is room.
+ * Paint a cell of a kind, with the glyph of its cause if it fits.
  * @type {(pixels: Pixels, box: Edges, look: Look, glyph: Stamp | null, row: number, ratio: number) => void}
  */
 export function paintKind(pixels, { left, top, right, bottom }, look, glyph, row, ratio) {
   const hatching = look.hatched ? HATCHING : null;
   fillCell(pixels, left, top, right, bottom, packRgb(...look.cell), row, hatching, packRgb(...look.ink), ratio);
-  if (glyph) stampAt(pixels, glyph, (left + right) / 2, (top + bottom) / 2, look.ink, 0.8, -2);
+  if (glyph) drawStamp(pixels, glyph, (left + right) / 2, (top + bottom) / 2, look.ink, 0.8, -2);
 }

@@ -1,4 +1,4 @@
-// What is chosen: which rows pass the filters, and who draws anew when that changes.
+// State of the page: filters, the rows that pass them, and the chosen row.
 
 /** @import { Table } from "./data.js" */
 /** @typedef {{ low: number, high: number }} Range */
@@ -7,7 +7,7 @@
  * @typedef {object} State
  * @property {Table} table
  * @property {Map<string, Range>} ranges by column
- * @property {Map<string, number>} fixed values of further axes that the map is at
+ * @property {Map<string, number>} fixed values of further axes in the map's slice
  * @property {Set<number>} hidden kinds
  * @property {Uint8Array} mask 1 for each row that passes
  * @property {number} passing
@@ -16,17 +16,17 @@
  */
 
 /** @type {(table: Table) => State} */
-export function stateOf(table) {
+export function makeState(table) {
   const mask = new Uint8Array(table.rows).fill(1);
   const [ranges, fixed, hidden] = [new Map(), new Map(), new Set()];
   return { table, ranges, fixed, hidden, mask, passing: table.rows, cursor: -1, chosen: -1 };
 }
 
 /**
- * Mark the rows that pass all filters; how many do.
+ * Mark the rows that pass all filters, and return their number.
  * @type {(state: State) => number}
  */
-export function sift(state) {
+export function applyFilters(state) {
   const { table, mask, hidden } = state;
   const shown = Uint8Array.from(table.about.kinds, (_, k) => (hidden.has(k) ? 0 : 1));
   for (let row = 0; row < table.rows; row++) mask[row] = shown[table.kind[row]];
@@ -42,19 +42,19 @@ export function sift(state) {
 }
 
 /**
- * Take off every filter.
+ * Remove all filters.
  * @param {State} state
  */
-export function showAll({ ranges, hidden }) {
+export function clearFilters({ ranges, hidden }) {
   ranges.clear();
   hidden.clear();
 }
 
 /**
- * A range of a column as a filter; without one the filter goes.
+ * Filter by a range of a column, or remove its filter.
  * @type {(state: State, key: string, range: Range | null) => void}
  */
-export function narrow(state, key, range) {
+export function setRange(state, key, range) {
   if (range) state.ranges.set(key, { low: Math.min(range.low, range.high), high: Math.max(range.low, range.high) });
   else state.ranges.delete(key);
 }

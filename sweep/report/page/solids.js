@@ -1,5 +1,5 @@
-// Convex solids of a scene: their faces, and what they hide.
-import { dot, plus, rotated, turned, turnOf } from "./kinematics.js";
+// Convex solids of a scene: faces and mutual occlusion.
+import { dot, addScaled, rotateVector, multiplyMatrices, rotationMatrix } from "./kinematics.js";
 
 /** @import { Geom, Pose } from "./kinematics.js" */
 
@@ -15,7 +15,7 @@ import { dot, plus, rotated, turned, turnOf } from "./kinematics.js";
 
 /** @typedef {{ points: number[][], normal: number[], edges: boolean }} Face */
 
-const SIDES = 36; // of a cylinder
+const CYLINDER_SIDES = 36; // polygon sides of a cylinder
 const CORNERS = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => [k & 1 ? 1 : -1, k & 2 ? 1 : -1, k & 4 ? 1 : -1]);
 const BOX = [
   [1, 3, 7, 5],
@@ -36,27 +36,27 @@ export function isLink(geom) {
 }
 
 /**
- * A geom in the world, by the pose of its body.
+ * Put a geom into world axes by the pose of its body.
  * @type {(geom: Geom, pose: Pose) => Solid}
  */
-export function solidOf(geom, pose) {
-  const pos = plus(pose.pos, rotated(pose.turn, geom.pos));
-  const turn = turned(pose.turn, turnOf(geom.quat));
-  const world = (/** @type {number[]} */ point) => plus(pos, rotated(turn, point));
-  const faces = isLink(geom) ? [] : facesOf(geom);
+export function makeSolid(geom, pose) {
+  const pos = addScaled(pose.pos, rotateVector(pose.turn, geom.pos));
+  const turn = multiplyMatrices(pose.turn, rotationMatrix(geom.quat));
+  const world = (/** @type {number[]} */ point) => addScaled(pos, rotateVector(turn, point));
+  const faces = isLink(geom) ? [] : geomFaces(geom);
   const placed = faces.map((face) => ({
     points: face.points.map(world),
-    normal: rotated(turn, face.normal),
+    normal: rotateVector(turn, face.normal),
     edges: face.edges,
   }));
-  return { geom, pos, turn, points: outlineOf(geom).map(world), faces: placed };
+  return { geom, pos, turn, points: geomOutline(geom).map(world), faces: placed };
 }
 
 /**
  * Faces in a geom's own axes.
  * @type {(geom: Geom) => Face[]}
  */
-function facesOf(geom) {
+function geomFaces(geom) {
   const [a = 0, b = 0, c = 0] = geom.size ?? [];
   if (geom.shape === "box") {
     const corners = CORNERS.map((s) => [s[0] * a, s[1] * b, s[2] * c]);
@@ -67,9 +67,9 @@ function facesOf(geom) {
     });
   }
   if (geom.shape === "cylinder" || geom.shape === "capsule") {
-    const rim = rimOf(a);
+    const rim = circlePoints(a);
     const sides = rim.map(([x, y], k) => {
-      const [u, v] = rim[(k + 1) % SIDES];
+      const [u, v] = rim[(k + 1) % CYLINDER_SIDES];
       return {
         points: [
           [x, y, -b],
@@ -92,26 +92,26 @@ function facesOf(geom) {
     const vertices = geom.vertices ?? [];
     return (geom.faces ?? []).map((face) => {
       const points = face.map((k) => vertices[k]);
-      return { points, normal: normalOf(points), edges: true };
+      return { points, normal: faceNormal(points), edges: true };
     });
   }
   return [];
 }
 
 /** @type {(radius: number) => number[][]} */
-const rimOf = (radius) =>
-  Array.from({ length: SIDES }, (_, k) => {
-    const angle = (2 * Math.PI * k) / SIDES;
+const circlePoints = (radius) =>
+  Array.from({ length: CYLINDER_SIDES }, (_, k) => {
+    const angle = (2 * Math.PI * k) / CYLINDER_SIDES;
     return [radius * Math.cos(angle), radius * Math.sin(angle)];
   });
 
 /**
- * The unit normal of a face's points, counterclockwise seen from outside.
+ * Unit normal of a face whose points are counterclockwise from outside.
  * @type {(points: number[][]) => number[]}
  */
-function normalOf(points) {
+function faceNormal(points) {
   const [p, q, r] = points;
-  const [a, b] = [plus(q, p, -1), plus(r, p, -1)];
+  const [a, b] = [addScaled(q, p, -1), addScaled(r, p, -1)];
   const cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   const size = Math.hypot(...cross) || 1;
   return cross.map((part) => part / size);
@@ -121,7 +121,7 @@ function normalOf(points) {
  * Points at the ends of a geom, in its own axes.
  * @type {(geom: Geom) => number[][]}
  */
-function outlineOf(geom) {
+function geomOutline(geom) {
   const [a = 0, b = 0, c = 0] = geom.size ?? [];
   switch (geom.shape) {
     case "box":
@@ -147,7 +147,7 @@ function outlineOf(geom) {
       [0, 0, b],
     ];
   return [-b, 0, b].flatMap((z) =>
-    rimOf(a)
+    circlePoints(a)
       .filter((_, k) => k % 4 === 0)
       .map(([x, y]) => [x, y, z]),
   );
@@ -158,14 +158,14 @@ function outlineOf(geom) {
  * @type {(solid: Solid, eye: number[], point: number[]) => boolean}
  */
 export function hides(solid, eye, point) {
-  const local = (/** @type {number[]} */ p) => rotated(transposed(solid.turn), plus(p, solid.pos, -1));
+  const local = (/** @type {number[]} */ p) => rotateVector(transpose(solid.turn), addScaled(p, solid.pos, -1));
   const [from, to] = [local(eye), local(point)];
-  const way = plus(to, from, -1);
+  const way = addScaled(to, from, -1);
   const [a = 0, b = 0, c = 0] = solid.geom.size ?? [];
   /** @type {[number, number]} */
   let part = [0, 1 - 1e-6];
   const cut = (/** @type {number} */ at, /** @type {number} */ along) => {
-    // what of the way is where at + share * along < 0
+    // part of the ray where at + share * along < 0
     if (along > 0) part = [part[0], Math.min(part[1], -at / along)];
     else if (along < 0) part = [Math.max(part[0], -at / along), part[1]];
     else if (at >= 0) part = [1, 0];
@@ -183,9 +183,9 @@ export function hides(solid, eye, point) {
       round(from, way, a, 2);
       break;
     case "mesh":
-      for (const face of facesOf(solid.geom)) {
+      for (const face of geomFaces(solid.geom)) {
         const [p] = face.points;
-        cut(dot(plus(from, p, -1), face.normal), dot(way, face.normal));
+        cut(dot(addScaled(from, p, -1), face.normal), dot(way, face.normal));
       }
       break;
     default:
@@ -197,7 +197,7 @@ export function hides(solid, eye, point) {
    * @param {number[]} start
    * @param {number[]} along
    * @param {number} radius
-   * @param {number} axes that count
+   * @param {number} axes number of axes to use
    */
   function round(start, along, radius, axes) {
     let [square, middle, rest] = [0, 0, -radius * radius];
@@ -219,28 +219,30 @@ export function hides(solid, eye, point) {
 }
 
 /** @type {(turn: number[]) => number[]} */
-export function transposed(turn) {
+export function transpose(turn) {
   return [turn[0], turn[3], turn[6], turn[1], turn[4], turn[7], turn[2], turn[5], turn[8]];
 }
 
 /**
- * Solids from the hidden to the hiding.
+ * Sort solids from back to front.
  * @type {(solids: Solid[], eye: number[]) => Solid[]}
  */
-export function backToFront(solids, eye) {
+export function sortBackToFront(solids, eye) {
   const middles = solids.map((solid) => {
-    const sum = solid.points.reduce((a, b) => plus(a, b), [0, 0, 0]);
+    const sum = solid.points.reduce((a, b) => addScaled(a, b), [0, 0, 0]);
     return sum.map((part) => part / solid.points.length);
   });
   const covers = solids.map((front, i) =>
     solids.map((behind, j) => {
       if (i === j) return false;
-      // points a little inside, as solids may touch
-      return behind.points.some((point) => hides(front, eye, plus(middles[j], plus(point, middles[j], -1), 0.98)));
+      // points a little inside, since solids may touch
+      return behind.points.some((point) =>
+        hides(front, eye, addScaled(middles[j], addScaled(point, middles[j], -1), 0.98)),
+      );
     }),
   );
   const left = solids.map((_, k) => k);
-  const away = (/** @type {number} */ k) => Math.hypot(...plus(middles[k], eye, -1));
+  const away = (/** @type {number} */ k) => Math.hypot(...addScaled(middles[k], eye, -1));
   const order = [];
   while (left.length) {
     const free = left.filter((j) => !left.some((i) => covers[j][i]));

@@ -1,22 +1,22 @@
-// The rows as a table, for those who read rather than look: sorted, page by page, each with its replay.
-import { pointOf } from "./data.js";
-import { buttonOf, byId, element } from "./dom.js";
-import { grouped, shortly } from "./numbers.js";
+// The rows as a sortable table, page by page, each with a link to its replay.
+import { pointId } from "./data.js";
+import { makeButton, byId, element } from "./dom.js";
+import { formatCount, formatShort } from "./numbers.js";
 
 /** @import { Column } from "./data.js" */
 /** @import { App, View } from "./main.js" */
 
-const LINES = 20;
-const WIDE = 10; // columns of numbers
+const PAGE_ROWS = 20;
+const MAX_COLUMNS = 10; // columns of numbers
 
 /** @type {(app: App) => View} */
-export function listView(app) {
+export function rowsTableView(app) {
   const { table, state } = app;
   const root = byId("list");
   const columns = [
     ...table.columns.filter((column) => column.axis),
     ...table.columns.filter((column) => !column.axis),
-  ].slice(0, WIDE);
+  ].slice(0, MAX_COLUMNS);
   const { kinds, stages } = table.about;
   let first = 0;
   let sorted = -1;
@@ -30,7 +30,7 @@ export function listView(app) {
       first = 0;
       app.redraw();
     };
-    const button = buttonOf({ class: "sort", title: column.path }, sort, column.title);
+    const button = makeButton({ class: "sort", title: column.path }, sort, column.title);
     return element("th", { scope: "col", "aria-sort": "none" }, button);
   });
   const body = element("tbody");
@@ -40,10 +40,10 @@ export function listView(app) {
   );
   const pages = byId("list-pages");
   const turn = (/** @type {number} */ by) => () => {
-    first = Math.max(0, first + by * LINES);
+    first = Math.max(0, first + by * PAGE_ROWS);
     app.redraw();
   };
-  const [back, on] = [buttonOf({}, turn(-1), "Previous"), buttonOf({}, turn(1), "Next")];
+  const [back, on] = [makeButton({}, turn(-1), "Previous"), makeButton({}, turn(1), "Next")];
   const where = element("span", { class: "soft" });
   pages.replaceChildren(back, where, on);
 
@@ -54,7 +54,7 @@ export function listView(app) {
     const rows = [];
     const count = order ? order.length : table.rows;
     let at = -1;
-    for (let k = 0; k < count && rows.length < LINES; k++) {
+    for (let k = 0; k < count && rows.length < PAGE_ROWS; k++) {
       const row = order ? order[falling ? count - 1 - k : k] : k;
       if (state.mask[row] && ++at >= first) rows.push(row);
     }
@@ -64,10 +64,12 @@ export function listView(app) {
     body.replaceChildren(
       ...rows.map((row) => {
         const own = table.replayed.has(row);
-        const point = pointOf(table, row);
+        const point = pointId(table, row);
         const label = `show ${own ? "the replay" : "a replay near"} ${point}`;
-        const button = buttonOf({ "aria-label": label }, () => app.choose(row), own ? "▶" : "▷");
-        const numbers = columns.map(({ names, values }) => (names ? (names[values[row]] ?? "") : shortly(values[row])));
+        const button = makeButton({ "aria-label": label }, () => app.choose(row), own ? "▶" : "▷");
+        const numbers = columns.map(({ names, values }) =>
+          names ? (names[values[row]] ?? "") : formatShort(values[row]),
+        );
         const stage = table.stage[row] ? (stages[table.stage[row] - 1] ?? "") : "";
         const cells = [button, kinds[table.kind[row]].label, stage, ...numbers];
         const line = element("tr", {}, ...cells.map((cell) => element("td", {}, cell)));
@@ -76,10 +78,10 @@ export function listView(app) {
       }),
     );
     where.textContent = state.passing
-      ? ` ${grouped(first + 1)} to ${grouped(first + rows.length)} of ${grouped(state.passing)} `
+      ? ` ${formatCount(first + 1)} to ${formatCount(first + rows.length)} of ${formatCount(state.passing)} `
       : " no row passes the filters ";
     back.disabled = first === 0;
-    on.disabled = first + LINES >= state.passing;
+    on.disabled = first + PAGE_ROWS >= state.passing;
   };
   return { root, draw };
 }

@@ -1,13 +1,13 @@
-// The strip below a replay: its stages, its cause, and where it is.
-import { clipped } from "./data.js";
-import { sheetOf } from "./dom.js";
-import { spansOf } from "./kinematics.js";
+// Timeline below a replay: stages, time of the cause, and the present time.
+import { clipName } from "./data.js";
+import { prepareCanvas } from "./dom.js";
+import { stageSpans } from "./kinematics.js";
 
 /** @import { App } from "./main.js" */
 /** @import { Reel } from "./player.js" */
 
 /**
- * Stages along the time, and when the cause came.
+ * Draw the stages along time, and the time of the cause.
  * @param {App} app
  * @param {HTMLCanvasElement} canvas
  * @param {Reel} reel
@@ -17,19 +17,19 @@ import { spansOf } from "./kinematics.js";
 export function drawStages(app, canvas, reel, time, total) {
   const { table } = app;
   const { replays } = table.about;
-  const { pen, width, height } = sheetOf(canvas);
+  const { pen, width, height } = prepareCanvas(canvas);
   const { ink, soft, line, accent } = app.theme();
   const xOf = (/** @type {number} */ at) => (at / total) * width;
   pen.textBaseline = "middle";
   pen.textAlign = "left";
-  for (const { stage, from, to } of spansOf(reel.motion)) {
+  for (const { stage, from, to } of stageSpans(reel.motion)) {
     const [left, right] = [xOf(from), xOf(to)];
     const now = time > from && time <= to + 1e-9;
     pen.globalAlpha = now ? 0.45 : stage % 2 ? 0.42 : 0.2;
     pen.fillStyle = now ? accent : line;
     pen.fillRect(left, 0, right - left - 1, height);
     pen.globalAlpha = 1;
-    const name = clipped(replays[reel.number].stages[stage] ?? "");
+    const name = clipName(replays[reel.number].stages[stage] ?? "");
     pen.fillStyle = now ? ink : soft;
     if (pen.measureText(name).width < right - left - 8) pen.fillText(name, left + 4, height / 2);
   }

@@ -1,75 +1,75 @@
-// What is looked at, as the end of the page's address and as a condition of the command line: reloads and links keep it.
+// The page's state in its address, so that reloads and links keep it; and the filters as a condition of the command line.
 
 /** @import { Table } from "./data.js" */
 /** @import { Range, State } from "./selection.js" */
 
 /**
- * @typedef {object} Wanted
+ * @typedef {object} AddressState
  * @property {string} x
  * @property {string} y
  * @property {string} colour
  * @property {Map<string, Range>} ranges
  * @property {Map<string, number>} fixed values of further axes
  * @property {Set<number>} hidden kinds
- * @property {string} point the beginning of a row's id
+ * @property {string} point first digits of a row's point id
  * @property {number | null} time s
  */
 
-const OWN = ["x", "y", "colour", "hide", "point", "time"];
+const RESERVED_KEYS = ["x", "y", "colour", "hide", "point", "time"];
 
 /**
- * What an address asks for; of what this study lacks, nothing.
- * @type {(table: Table, hash: string) => Wanted}
+ * Parse the state in an address; columns and kinds that this study lacks are ignored.
+ * @type {(table: Table, hash: string) => AddressState}
  */
-export function wantedOf(table, hash) {
-  const told = new URLSearchParams(hash.replace(/^#/, ""));
+export function parseAddress(table, hash) {
+  const params = new URLSearchParams(hash.replace(/^#/, ""));
   const kinds = table.about.kinds.map(({ key }) => key);
-  const hidden = (told.get("hide") ?? "").split(",").map((key) => kinds.indexOf(key));
+  const hidden = (params.get("hide") ?? "").split(",").map((key) => kinds.indexOf(key));
   /** @type {Map<string, Range>} */
   const ranges = new Map();
   /** @type {Map<string, number>} */
   const fixed = new Map();
-  for (const [key, text] of told) {
-    if (OWN.includes(key) || !table.named.has(key)) continue;
+  for (const [key, text] of params) {
+    if (RESERVED_KEYS.includes(key) || !table.named.has(key)) continue;
     const [low, high] = text.split("..").map(Number);
     if (low <= high) ranges.set(key, { low, high });
     else if (text.startsWith("@")) fixed.set(key, Number(text.slice(1)));
   }
-  const time = Number(told.get("time") ?? NaN);
+  const time = Number(params.get("time") ?? NaN);
   return {
-    x: told.get("x") ?? "",
-    y: told.get("y") ?? "",
-    colour: told.get("colour") ?? "",
+    x: params.get("x") ?? "",
+    y: params.get("y") ?? "",
+    colour: params.get("colour") ?? "",
     ranges,
     fixed,
     hidden: new Set(hidden.filter((kind) => kind >= 0)),
-    point: told.get("point") ?? "",
+    point: params.get("point") ?? "",
     time: Number.isFinite(time) ? time : null,
   };
 }
 
 /**
- * The address of what is looked at.
+ * Format the page's state as the end of its address.
  * @param {Table} table
  * @param {State} state
  * @param {{ x: string, y: string, colour: string, point: string, time: number | null }} now
  * @returns {string} with its #
  */
-export function addressOf(table, state, { x, y, colour, point, time }) {
-  const told = new URLSearchParams({ x, y, colour });
-  for (const [key, { low, high }] of state.ranges) told.append(key, `${low}..${high}`);
-  for (const [key, value] of state.fixed) told.append(key, `@${value}`);
-  if (state.hidden.size) told.set("hide", [...state.hidden].map((kind) => table.about.kinds[kind].key).join());
-  if (point) told.set("point", point);
-  if (time !== null) told.set("time", time.toFixed(2));
-  return `#${told}`;
+export function formatAddress(table, state, { x, y, colour, point, time }) {
+  const params = new URLSearchParams({ x, y, colour });
+  for (const [key, { low, high }] of state.ranges) params.append(key, `${low}..${high}`);
+  for (const [key, value] of state.fixed) params.append(key, `@${value}`);
+  if (state.hidden.size) params.set("hide", [...state.hidden].map((kind) => table.about.kinds[kind].key).join());
+  if (point) params.set("point", point);
+  if (time !== null) params.set("time", time.toFixed(2));
+  return `#${params}`;
 }
 
 /**
- * The filters as `--where` of the commands takes them; empty without any.
+ * Format the filters as a condition for the commands' `--where`; empty without filters.
  * @type {(table: Table, state: State) => string}
  */
-export function conditionOf(table, state) {
+export function formatCondition(table, state) {
   const parts = [];
   for (const [key, { low, high }] of state.ranges) {
     const names = table.named.get(key)?.names?.filter((_, code) => code >= low && code <= high);

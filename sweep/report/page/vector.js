@@ -1,14 +1,14 @@
-// What views draw on a canvas, written down as SVG.
+// A canvas pen that records drawing as SVG.
 
 const ANCHORS = /** @type {Record<string, string>} */ ({ center: "middle", right: "end", end: "end" });
-const DROPS = /** @type {Record<string, number>} */ ({ top: 0.8, middle: 0.32, bottom: -0.2 }); // of a line, from its base
+const DROPS = /** @type {Record<string, number>} */ ({ top: 0.8, middle: 0.32, bottom: -0.2 }); // baseline shift of text, in font sizes
 
-let named = 0; // gradients and clips so far: their names are of one piece with those of other pens
+let named = 0; // counter for unique names of gradients and clips, over all pens
 
 /** @param {unknown} value */
-const asText = (value) => String(value).replace(/[&<>"]/g, (one) => `&#${one.charCodeAt(0)};`);
+const escapeText = (value) => String(value).replace(/[&<>"]/g, (one) => `&#${one.charCodeAt(0)};`);
 /** @param {number} value */
-const brief = (value) => String(Math.round(value * 100) / 100);
+const formatCoordinate = (value) => String(Math.round(value * 100) / 100);
 
 /** A gradient as elements of SVG. */
 class Gradient {
@@ -18,14 +18,14 @@ class Gradient {
    */
   constructor(kind, ends) {
     this.name = `paint${named++}`;
-    const told = Object.entries(ends).map(([name, value]) => ` ${name}="${brief(value)}"`);
-    this.text = `<${kind} id="${this.name}" gradientUnits="userSpaceOnUse"${told.join("")}>`;
+    const attributes = Object.entries(ends).map(([name, value]) => ` ${name}="${formatCoordinate(value)}"`);
+    this.text = `<${kind} id="${this.name}" gradientUnits="userSpaceOnUse"${attributes.join("")}>`;
     this.end = `</${kind}>`;
   }
 
   /** @type {(offset: number, colour: string) => void} */
   addColorStop(offset, colour) {
-    this.text += `<stop offset="${offset}" stop-color="${asText(colour)}"/>`;
+    this.text += `<stop offset="${offset}" stop-color="${escapeText(colour)}"/>`;
   }
 }
 
@@ -43,8 +43,8 @@ export class VectorPen {
   textAlign = "start";
   textBaseline = "alphabetic";
   dash = "";
-  moved = ""; // how text is
-  clipped = ""; // the name of what nothing is drawn outside of
+  moved = ""; // transform of text
+  clipped = ""; // name of the present clip path
   path = "";
   ratio = 1;
   /** @type {object[]} */
@@ -62,7 +62,7 @@ export class VectorPen {
   /** @returns {string} all that was drawn since it was cleared */
   text() {
     const defs = [...this.gradients].map((one) => one.text + one.end).join("");
-    const last = [...new Set(this.parts.reverse())].reverse(); // a frame that is drawn again and again stands once
+    const last = [...new Set(this.parts.reverse())].reverse(); // a frame that is drawn repeatedly is kept once
     return `<defs>${defs}</defs>${last.join("\n")}`;
   }
 
@@ -88,16 +88,16 @@ export class VectorPen {
   }
 
   /**
-   * Of what is drawn with it only text is moved.
+   * Only text is affected by the transform.
    * @type {(x: number, y: number) => void}
    */
   translate(x, y) {
-    this.moved += `translate(${brief(x)} ${brief(y)})`;
+    this.moved += `translate(${formatCoordinate(x)} ${formatCoordinate(y)})`;
   }
 
   /** @param {number} angle */
   rotate(angle) {
-    this.moved += `rotate(${brief((angle * 180) / Math.PI)})`;
+    this.moved += `rotate(${formatCoordinate((angle * 180) / Math.PI)})`;
   }
 
   /** @param {number[]} dash */
@@ -115,21 +115,21 @@ export class VectorPen {
 
   /** @type {(x: number, y: number) => void} */
   moveTo(x, y) {
-    this.path += `M${brief(x)} ${brief(y)}`;
+    this.path += `M${formatCoordinate(x)} ${formatCoordinate(y)}`;
   }
 
   /** @type {(x: number, y: number) => void} */
   lineTo(x, y) {
-    this.path += `${this.path ? "L" : "M"}${brief(x)} ${brief(y)}`;
+    this.path += `${this.path ? "L" : "M"}${formatCoordinate(x)} ${formatCoordinate(y)}`;
   }
 
   /** @type {(x: number, y: number, width: number, height: number) => void} */
   rect(x, y, width, height) {
-    this.path += `M${brief(x)} ${brief(y)}h${brief(width)}v${brief(height)}h${brief(-width)}Z`;
+    this.path += `M${formatCoordinate(x)} ${formatCoordinate(y)}h${formatCoordinate(width)}v${formatCoordinate(height)}h${formatCoordinate(-width)}Z`;
   }
 
   /**
-   * Clockwise, a whole turn where the angles are one apart.
+   * Draws clockwise, a full circle for angles one turn apart.
    * @type {(x: number, y: number, radius: number, from: number, to: number) => void}
    */
   arc(x, y, radius, from, to) {
@@ -137,7 +137,7 @@ export class VectorPen {
     const at = (/** @type {number} */ angle) => [x + radius * Math.cos(angle), y + radius * Math.sin(angle)];
     this.lineTo(.../** @type {[number, number]} */ (at(from)));
     for (const angle of [from + turn / 2, from + turn])
-      this.path += `A${brief(radius)} ${brief(radius)} 0 0 1 ${at(angle).map(brief).join(" ")}`;
+      this.path += `A${formatCoordinate(radius)} ${formatCoordinate(radius)} 0 0 1 ${at(angle).map(formatCoordinate).join(" ")}`;
   }
 
   clip() {
@@ -147,13 +147,13 @@ export class VectorPen {
 
   /** @type {(style: unknown) => string} */
   paint(style) {
-    if (!(style instanceof Gradient)) return asText(style);
+    if (!(style instanceof Gradient)) return escapeText(style);
     this.gradients.add(style);
     return `url(#${style.name})`;
   }
 
   /**
-   * @param {string} body of an element, before its end
+   * @param {string} body start of an element
    * @param {string} end
    */
   add(body, end = "/>") {
@@ -167,7 +167,7 @@ export class VectorPen {
     const { strokeStyle, lineWidth, lineCap, lineJoin, dash } = this;
     const dashed = dash ? ` stroke-dasharray="${dash}"` : "";
     const ends = `${lineCap === "butt" ? "" : ` stroke-linecap="${lineCap}"`} stroke-linejoin="${lineJoin}"`;
-    return ` stroke="${this.paint(strokeStyle)}" stroke-width="${brief(lineWidth)}"${dashed}${ends}`;
+    return ` stroke="${this.paint(strokeStyle)}" stroke-width="${formatCoordinate(lineWidth)}"${dashed}${ends}`;
   }
 
   fill() {
@@ -189,7 +189,7 @@ export class VectorPen {
   }
 
   /**
-   * This pen with a rectangle for its path.
+   * Set the path to a rectangle.
    * @type {(x: number, y: number, width: number, height: number) => this}
    */
   alone(x, y, width, height) {
@@ -209,13 +209,15 @@ export class VectorPen {
   fillText(text, x, y, most = Infinity, paint = ` fill="${this.paint(this.fillStyle)}"`) {
     const { font, textAlign, textBaseline, moved } = this;
     const [, bold, size, family] = /(bold )?(\d+)px (.*)/.exec(font) ?? [];
-    const face = ` font-family="${asText(family)}" font-size="${size}"${bold ? ' font-weight="bold"' : ""}`;
+    const face = ` font-family="${escapeText(family)}" font-size="${size}"${bold ? ' font-weight="bold"' : ""}`;
     const anchor = ANCHORS[textAlign] ? ` text-anchor="${ANCHORS[textAlign]}"` : "";
     const narrow =
-      this.measureText(text).width > most ? ` textLength="${brief(most)}" lengthAdjust="spacingAndGlyphs"` : "";
+      this.measureText(text).width > most
+        ? ` textLength="${formatCoordinate(most)}" lengthAdjust="spacingAndGlyphs"`
+        : "";
     const base = y + (DROPS[textBaseline] ?? 0) * Number(size);
-    const place = ` x="${brief(x)}" y="${brief(base)}"${moved ? ` transform="${moved}"` : ""}`;
-    this.add(`<text${place}${face}${anchor}${narrow}${paint}`, `>${asText(text)}</text>`);
+    const place = ` x="${formatCoordinate(x)}" y="${formatCoordinate(base)}"${moved ? ` transform="${moved}"` : ""}`;
+    this.add(`<text${place}${face}${anchor}${narrow}${paint}`, `>${escapeText(text)}</text>`);
   }
 
   /** @type {(text: string, x: number, y: number, most?: number) => void} */
@@ -233,7 +235,7 @@ export class VectorPen {
 
   /** @type {(image: HTMLCanvasElement, x: number, y: number, width: number, height: number) => void} */
   drawImage(image, x, y, width, height) {
-    const place = ` x="${brief(x)}" y="${brief(y)}" width="${brief(width)}" height="${brief(height)}"`;
+    const place = ` x="${formatCoordinate(x)}" y="${formatCoordinate(y)}" width="${formatCoordinate(width)}" height="${formatCoordinate(height)}"`;
     this.add(`<image${place} preserveAspectRatio="none" href="${image.toDataURL()}"`);
   }
 
