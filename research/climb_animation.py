@@ -90,7 +90,7 @@ def frames_of_climb(friction: float, outcome: str) -> list[Image.Image]:
     known = float(trace.time[-1])
     end = known
     if outcome != "success":
-        known = float(trace.figures["slipped_time_s"])
+        known = float(trace.metrics["slipped_time_s"])
         end = min(known + AFTER_CAUSE, end)
     chosen = at_times(trace, np.append(np.arange(0, end, STEP), end))
     pictures = []
