@@ -3,7 +3,7 @@
 Both are rollouts of the same engine. The second one starts in its plan's start pose, with the estimated sizes.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from sweep.controllers.calibration_poses import HOLD, MOVE, CalibrationPoses, he
 from sweep.core.errors import InputError
 from sweep.core.outcomes import FAILURE, INVALID
 from sweep.engines import batching, devices, pre_rollout
-from sweep.engines.base import Engine, Metrics, NoTrace, TimeSeriesRequest, Trace
+from sweep.engines.base import Engine, Metrics, NoTrace, Sides, TimeSeriesRequest, Trace
 from sweep.engines.batching import require_trace
 from sweep.engines.settings import EngineSettings
 from sweep.metrics import calibration, outcome
@@ -57,6 +57,10 @@ class CalibratingEngine:
         """Bytes of the larger of both rollouts, see `Engine`."""
         sizes = self._poses.rollout_bytes(), self._then.rollout_bytes()
         return None if None in sizes else max(size for size in sizes if size is not None)
+
+    def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
+        """See `Engine`. Empty: two rollouts and an estimation between them are not one program."""
+        return set()
 
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Metrics:
         """Metrics of both rollouts as one row, see `Engine`."""
