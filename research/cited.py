@@ -4,7 +4,9 @@
 
 A block names a target of jobs/paper.yaml, or several, whose data jobs/paper.py writes, and a form of `FORMS`, with
 words for it after a comma. A page with blocks ends in one of `<!-- data: sources -->`, a table of what made its data,
-or in the guide of `<!-- data: origin -->`, a sentence.
+or in the guide of `<!-- data: origin -->`, a sentence. Every page of evidence begins with `<!-- data: age -->`.
+
+`python research/cited.py --age` tells instead which data are older than the code at hand.
 """
 
 import json
@@ -49,8 +51,8 @@ TOLERATED = {  # what an error of `BOUNDS` is called in the guide
     "noise.load_delay": "extra delay of the foot loads, ms",
 }
 TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
-FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
+COMMIT = re.compile(r"[0-9a-f]{12}(?:-dirty)?")
 BLOCK = re.compile(r"(<!-- data ?([\w ]*): (\w+)(?:, (.*?))? -->)(\s)((?:(?!<!--).)*?)(\s)(<!-- end -->)", re.DOTALL)
 
 
@@ -334,10 +336,25 @@ def sources(names: list[str]) -> str:
 
 
 def origin(names: list[str]) -> str:
-    """Return a sentence that says with which code the data of a page were measured."""
-    commits = sorted({commit for name in names for commit in read(name)["commit"].split(", ")})
-    code = ", ".join(f"`{commit}`" for commit in commits)
-    return f"The numbers on this page were measured with code {code}; the evidence page has commands and machines."
+    """Return a sentence that says with which code the data of a page of the guide were measured."""
+    return (
+        f"The numbers on this page were measured with code {codes(names)}; the evidence page has commands and machines."
+    )
+
+
+def age(names: list[str]) -> str:
+    """Return the sentence at the top of a page of evidence that says how old its data are."""
+    if not names:
+        return "No stored data stand behind this page: its numbers were noted when they were measured."
+    number = f"{len(names)} sets of data" if len(names) > 1 else f"the data `{names[0]}`"
+    older = "`python research/cited.py --age` names what is older than the code at hand"
+    return f"Behind this page: {number}, measured with code {codes(names)}. {older}."
+
+
+def codes(names: list[str]) -> str:
+    """Return the commits with which some data were measured."""
+    found = {commit for name in names for commit in COMMIT.findall(read(name)["commit"])}
+    return ", ".join(f"`{commit}`" for commit in sorted(found)) or "that their tables name"
 
 
 def changes(_: str) -> str:
@@ -355,7 +372,8 @@ def outdated(text: str) -> str:
     """A sentence about data of a page that are of other code than this, for the site; empty where there are none."""
     data = {name: read(name) for name in sorted(targets(text))}
     older = [name for name, one in data.items() if not is_current_code(one["code"], one.get("versions", {}))]
-    return f"Measured before the code of this site: {', '.join(older)}." if older else ""
+    which = f"all {len(older)} sets of data" if len(older) == len(data) > 3 else ", ".join(older)
+    return f"Measured before the code of this site: {which}." if older else ""
 
 
 def metrics(_: str) -> str:
@@ -397,9 +415,8 @@ def _learning() -> pd.DataFrame:
 
 
 def by_hand(text: str) -> list[str]:
-    """Heads of tables with numbers that no block makes; what a command prints in a tutorial is none."""
-    plain = FENCE.sub("", BLOCK.sub("", text))
-    return [found.partition("\n")[0] for found in TABLE.findall(plain) if NUMBER.search(found)]
+    """Heads of tables with numbers that no block makes."""
+    return [found.partition("\n")[0] for found in TABLE.findall(BLOCK.sub("", text)) if NUMBER.search(found)]
 
 
 def pages() -> Iterator[Path]:
@@ -417,11 +434,13 @@ FORMS = {
     **{name: partial(lambda table, of, *words: table(*map(read, of.split()), *words), table)
        for name, table in validity_figures.TABLES.items()},
 }  # fmt: skip
-OF_PAGE = {"sources": sources, "origin": origin}  # forms of all data that a page cites
+OF_PAGE = {"age": age, "sources": sources, "origin": origin}  # forms of all data that a page cites
 
 if __name__ == "__main__":
     for page in pages():
         text = page.read_text(encoding="utf-8")
-        if (new := filled(text)) != text:
+        if "--age" in sys.argv:
+            print(f"{page.relative_to(RESEARCH.parent)}: {outdated(text) or 'nothing is older than the code'}")
+        elif (new := filled(text)) != text:
             page.write_text(new, encoding="utf-8")
             print(page)

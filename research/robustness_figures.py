@@ -65,10 +65,20 @@ APART = 0.15  # of a panel's width, between labels below it
 WANTED = 0.9  # share of rollouts that are to succeed
 PAGE = """# Robustness, manoeuvre by manoeuvre
 
+<!-- data rates: age -->
+filled by research/cited.py
+<!-- end -->
+
     python jobs/paper.py 'rates*'
 
 What share succeeds with one kind of error at a time, 128 draws a value, with 95 % Wilson intervals: the rates behind
 the first table of [robustness](robustness.md), which says what was run. Dotted: nine of ten.
+"""
+SOURCES = """## What the data are of
+
+<!-- data: sources -->
+filled by research/cited.py
+<!-- end -->
 """
 
 
@@ -134,7 +144,7 @@ def page() -> None:
         with plot_style():
             draw_rates(of_one, f"robustness_{scenario}")
         parts.append(f"## {scenario}\n\n![rates of {scenario}](figures/robustness_{scenario}.png)\n")
-    (RESEARCH / "robustness_rates.md").write_text("\n".join(parts), encoding="utf-8")
+    (RESEARCH / "robustness_rates.md").write_text("\n".join([*parts, SOURCES]), encoding="utf-8")
 
 
 def labelled(errors: list[float]) -> list[str]:

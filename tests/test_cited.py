@@ -34,7 +34,9 @@ def test_every_block_is_as_its_data_have_it():
         text = page.read_text(encoding="utf-8")
         assert cited.filled(text) == text, f"{page}: python research/cited.py"
         found = cited.BLOCK.findall(text)
-        sources = any(form in cited.OF_PAGE for _, _, form, *_ in found)
+        if page.is_relative_to(cited.RESEARCH) and page.name != "README.md":
+            assert re.match(r"# .*\n\n<!-- data ?\w*: age -->", text), f"{page}: does not say how old its data are"
+        sources = any(form in ("sources", "origin") for _, _, form, *_ in found)
         assert sources or not cited.targets(text), f"{page}: no sources"
         blocks += len(found)
     assert blocks >= 8

@@ -1,6 +1,7 @@
 """A folder of results from a stranger: no command reads, writes or removes a file outside of it."""
 
 import dataclasses
+import json
 import os
 import shutil
 
@@ -10,6 +11,7 @@ from small_study import STUDY, content, one_line
 
 from sweep.api import load
 from sweep.cli.main import main
+from sweep.core import files
 from sweep.core.errors import InputError
 from sweep.core.files import path_in
 from sweep.runs import manifest, store
@@ -116,21 +118,100 @@ def test_a_link_that_leads_out_of_the_folder_is_not_followed(folder, secret, cap
 
 def test_a_pipe_in_a_folder_is_refused_and_not_waited_for(folder, capsys):
     for name in (store.POINTS, store.current_parts(folder)[0].file):
+        content = (folder / name).read_bytes()
         (folder / name).unlink()
         os.mkfifo(folder / name)
         assert main(["table", str(folder)]) == 2
         one_line(capsys.readouterr().err, "neither a file nor a folder")
         (folder / name).unlink()
-        (folder / name).write_bytes(b"")
+        (folder / name).write_bytes(content)
 
 
-def test_a_path_in_a_folder_may_be_new_or_linked_within_it(tmp_path):
+def test_a_path_in_a_folder_may_be_new_and_is_no_link(tmp_path):
     (tmp_path / "here").mkdir()
     (tmp_path / "link").symlink_to("here")
-    assert path_in(tmp_path, "link/new") == tmp_path / "link/new"
-    for name in ("", "/etc/passwd", "here/../../x", ".."):
+    (tmp_path / "ring").symlink_to("ring")
+    assert path_in(tmp_path, "here/new") == tmp_path / "here/new"
+    for name in ("", "/etc/passwd", "here/../../x", "..", "link/new", "link", "ring", "n" * 300):
         with pytest.raises(InputError):
             path_in(tmp_path, name)
+
+
+def test_nothing_is_written_through_a_hard_link_or_a_prepared_temporary_name(folder, secret, monkeypatch):
+    elsewhere = {}
+    for name in (store.LOG, manifest.MANIFEST, store.LOCK):
+        other = folder.parent / f"elsewhere-{name}"
+        other.write_bytes((folder / name).read_bytes() or SECRET)
+        (folder / name).unlink()
+        os.link(other, folder / name)
+        elsewhere[other] = other.read_bytes()
+    monkeypatch.setattr(files.socket, "gethostname", lambda: "host")
+    (folder / f"{files.HIDDEN}host-{os.getpid()}-{store.STUDY}").symlink_to(secret)
+    for command in (["relabel", str(folder), "slip_max_m<0.011"], ["run", *STUDY, f"out={folder}"]):
+        assert main(command) == 0
+    store.log(folder, "one line more")
+    assert {file: file.read_bytes() for file in elsewhere} == elsewhere
+    assert secret.read_bytes() == SECRET
+    assert (folder / store.LOG).read_text().endswith(" one line more\n")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("rollouts", [], "rollouts"),
+        ("stages", {0: "walk"}, "stages"),
+        ("versions", "1", "versions"),
+        ("config.study.level", "half", "study.level"),
+        ("config.study.design.num", "many", "study.design.num"),
+        ("config.study.design", 3, "study.design"),
+        ("config.scenario.name", "\x1b[2J", "character"),
+        ("commit", "a\x1b]0;title\x07", "character"),
+    ],
+)
+def test_a_study_file_with_values_of_other_types_is_one_line(folder, capsys, path, value, words):
+    content = store.read_study(folder)
+    *parents, last = path.split(".")
+    part = content
+    for name in parents:
+        part = part[name]
+    part[last] = value
+    store.write_study(folder, {key: one for key, one in content.items() if key != "format"})
+    for command in ("stats", "report", "table"):
+        assert main([command, str(folder)]) == 2
+        one_line(error := capsys.readouterr().err, words)
+        assert error[:-1].isprintable()
+    assert main(["list", str(folder)]) == 0
+
+
+@pytest.mark.parametrize("name", ["parts/a\nb.parquet", "parts/\x1b[2J", f"parts/{'n' * 5000}", "parts/./x", "parts/ü"])
+def test_a_manifest_names_files_by_plain_words(folder, capsys, name):
+    entry = dataclasses.replace(store.current_parts(folder)[0], file=name)
+    (folder / manifest.MANIFEST).write_text(f"{manifest.format_line(entry)}\n")
+    assert main(["table", str(folder)]) == 2
+    error = capsys.readouterr().err
+    one_line(error, "manifest.txt, line 1 names")
+    assert error[:-1].isprintable()
+    assert len(error) < 1000
+
+
+def test_a_replay_puts_no_markup_into_a_page(folder, capsys):
+    row = store.read_rows(folder).iloc[0]
+    (folder / "replays").mkdir()
+    file = folder / "replays" / f"{row['run_id']}-{row['point_id']}.json"
+    good = {"states": "AAAA", "frames": 1, "step": 0.1, "scales": [], "force_scale": 1.0, "stages": [], "bodies": {},
+            "equal": 0, "of": 0, "why": ""}  # fmt: skip
+    for change in (
+        {"states": "</script><img src=x onerror=alert(1)>"},
+        {"frames": 10**12},
+        {"bodies": 3},
+        {"why": None},
+    ):
+        file.write_text(json.dumps({**good, **change}))
+        assert main(["report", str(folder)]) == 2
+        one_line(capsys.readouterr().err, "is no replay")
+    file.write_text("[" * 100_000)
+    assert main(["report", str(folder)]) == 2
+    one_line(capsys.readouterr().err, "is no replay")
 
 
 def forged(folder, change):

@@ -25,11 +25,11 @@ from pathlib import Path
 import yaml
 
 from sweep.study.config import experiment
-from sweep.systems.exported import controller
+from sweep.systems.exported import make_controller
 
 FILES = ["case.yaml"]
 exp = experiment(yaml.safe_load(Path(__file__).with_name(FILES[0]).read_text(encoding="utf-8")))
-begin, policy, figures, PARAMETERS, FIGURES = controller(exp.case, exp.settings, exp.thresholds)
+begin, policy, figures, PARAMETERS, FIGURES = make_controller(exp.case, exp.settings, exp.thresholds)
 '''
 
 

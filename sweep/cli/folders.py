@@ -26,11 +26,12 @@ def status(args: argparse.Namespace) -> int:
     from sweep.report.headline import headline
     from sweep.runs import results, store
 
-    stored, planned = store.read_study(args.dir), store.read_points(args.dir)
-    done = planned["batch"].isin(store.finished_batches(args.dir)).sum() if len(planned) else 0
+    stored = store.read_study(args.dir)
+    _, done = store.count_rollouts(args.dir)
     print(f"{args.dir}: {done} of {stored['rollouts']} rollouts done, code {stored['commit'] or stored['code']}")
     if done:
-        rows, exp = store.read_rows(args.dir), results.load_experiment(args.dir)
+        exp = results.load_experiment(args.dir)
+        rows = store.read_rows(args.dir, None if exp.study.is_adaptive else ["outcome", "cause"])
         meanings = exp.system.cause_meanings(exp.thresholds)
         if exp.study.is_adaptive:
             print(headline(rows, exp))
@@ -53,9 +54,9 @@ def verify(args: argparse.Namespace) -> int:
     print(f"{args.dir}: {sound} part{' is' if sound == 1 else 's are'} sound{remedy}")
     if problems:
         return UNEXPECTED
-    planned, done = store.read_points(args.dir), store.finished_batches(args.dir)
-    if len(planned) and (there := int(planned["batch"].isin(done).sum())) < len(planned):
-        print(f"{args.dir}: {there} of {len(planned)} planned rollouts are there")
+    planned, done = store.count_rollouts(args.dir)
+    if done < planned:
+        print(f"{args.dir}: {done} of {planned} planned rollouts are there")
     if args.simulate is None:
         return DONE
     from sweep.cli.reproduce import report_simulated_again

@@ -8,7 +8,7 @@ import sys
 from sweep.cli import streams
 from sweep.cli.exits import BAD_INPUT, FAULT, INTERRUPTED
 from sweep.core import interrupts
-from sweep.core.errors import Fault, InputError, escape_line_breaks
+from sweep.core.errors import Fault, InputError, escape_control_characters
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -45,5 +45,5 @@ def main(argv: list[str] | None = None) -> int:
 
         lost = "the working folder" if error.errno == errno.ENOENT else ""  # which alone has no name here
         name = error.filename2 or error.filename or lost  # of a copy the target
-        print(f"sweep: {escape_line_breaks(f'{name}: ' if name else '')}{os_error_text(error)}", file=sys.stderr)
+        print(f"sweep: {escape_control_characters(f'{name}: ' if name else '')}{os_error_text(error)}", file=sys.stderr)
         return BAD_INPUT if error.errno in UNFIT else FAULT  # such as a full disk

@@ -1,13 +1,16 @@
 """Errors that end in one line without a traceback. Imports nothing slow, so that the command line starts at once."""
 
+import re
 from collections.abc import Iterable
+
+CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")  # characters
 
 
 class InputError(ValueError):
     """An error in the user's input. The message is one line with the key, the value and what is allowed."""
 
     def __str__(self) -> str:
-        return escape_line_breaks(super().__str__())
+        return escape_control_characters(super().__str__())
 
 
 WRONG = (Exception, SystemExit)  # what user code may raise, `sys.exit()` included
@@ -17,12 +20,14 @@ class Fault(RuntimeError):
     """A valid run that failed because of the machine: its disk, memory or workers. The command can be repeated."""
 
     def __str__(self) -> str:
-        return f"{escape_line_breaks(super().__str__())}; what is on disk stays, the same command finishes the rest"
+        return (
+            f"{escape_control_characters(super().__str__())}; what is on disk stays, the same command finishes the rest"
+        )
 
 
-def escape_line_breaks(text: str) -> str:
-    r"""Replace line breaks by `\n`, so that a message with a file name stays one line."""
-    return text.replace("\n", "\\n")
+def escape_control_characters(text: str) -> str:
+    """Escape line breaks and commands to the terminal, which may be part of a file's name or of its content."""
+    return CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def format_user_exception(error: BaseException) -> str:

@@ -18,6 +18,7 @@ from sweep.core.errors import Fault, InputError
 UNFIT = (errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP,
          errno.EACCES, errno.EPERM, errno.EROFS, errno.EBADF)  # fmt: skip
 LINKS = 40  # longest chain of symbolic links, as on Linux
+MOST_DECODED = 2**28  # bytes that a text of `encode_text` may stand for
 HIDDEN = ".tmp-"  # prefix of files that are being written
 _unfinished: set[Path] = set()  # hidden files that are being written
 
@@ -37,12 +38,13 @@ def write_atomically(path: Path, content: bytes | Callable[[Path], object]) -> N
     try:
         if (stream := descriptor(path)) is not None:
             return _pass_on(stream, path.name, content)
-        path = path.resolve() if path.is_symlink() else path
+        path = Path(os.path.realpath(path)) if path.is_symlink() else path
         hidden = path.parent / f"{HIDDEN}{socket.gethostname()}-{os.getpid()}-{path.name}"
         _unfinished.add(hidden)
         to = path if path.exists() and not path.is_file() else hidden
+        hidden.unlink(missing_ok=True)  # a link to another file, perhaps
         if to is hidden or path.is_dir():
-            to.open("wb").close()  # fails early with a clear error, which writers of other libraries hide
+            to.open("xb" if to is hidden else "wb").close()  # early, with a clear error that other libraries hide
         to.write_bytes(content) if isinstance(content, bytes) else content(to)
         if to is hidden:
             with hidden.open("rb") as written:
@@ -77,8 +79,8 @@ def path_in(folder: Path, name: str | Path) -> Path:
         `folder / name`.
 
     Raises:
-        InputError: `name` is absolute or has `..`, a symbolic link leads out of `folder`, or the path is a device,
-            pipe or socket.
+        InputError: `name` is absolute or has `..`, a part of it is a symbolic link, or the path is a device, pipe or
+            socket.
     """
     path, inside = folder / name, Path(name)
     if inside.is_absolute() or ".." in inside.parts or not inside.parts:
@@ -87,10 +89,14 @@ def path_in(folder: Path, name: str | Path) -> Path:
         target = path.resolve()
         if not target.is_relative_to(folder.resolve()):
             raise InputError(f"{path} is not allowed: it leads out of the folder, to {target}")
+        if target != folder.resolve() / inside:  # one file of the folder would be written in the place of another
+            raise InputError(f"{path} is not allowed: a symbolic link to {target}")
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise InputError(f"{path} is not allowed: neither a file nor a folder")
-    except OSError as error:  # such as a ring of links
+    except OSError as error:
         raise InputError(f"{path} cannot be read: {os_error_text(error)}") from None
+    except RuntimeError:  # by which Python names it
+        raise InputError(f"{path} is not allowed: a ring of symbolic links") from None
     return path
 
 
@@ -131,8 +137,30 @@ def encode_text(content: bytes) -> str:
 
 
 def decode_text(text: str) -> bytes:
-    """Decode what `encode_text` made."""
-    return zlib.decompress(base64.b64decode(text))
+    """Decode what `encode_text` made.
+
+    Raises:
+        ValueError: The text is damaged, or stands for more than `MOST_DECODED` bytes.
+    """
+    unpacked = zlib.decompressobj()
+    try:
+        content = unpacked.decompress(base64.b64decode(text, validate=True), MOST_DECODED)
+    except zlib.error as error:
+        raise ValueError(str(error)) from None
+    if unpacked.unconsumed_tail:
+        raise ValueError(f"it expands to more than {MOST_DECODED:,} bytes")
+    return content
+
+
+def separate_hard_link(path: Path) -> None:
+    """Make a file one of its own where it has other names as well, before it is written to in place.
+
+    Whoever made a results folder may have linked a name in it to another file, as backups by hard links do. Raises
+    `InputError` and `Fault` as `write_atomically` does.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        if path.stat(follow_symlinks=False).st_nlink > 1:
+            write_atomically(path, path.read_bytes())
 
 
 def append_line(path: Path, line: str) -> None:
@@ -145,6 +173,7 @@ def append_line(path: Path, line: str) -> None:
     Raises:
         Fault: The file cannot be written.
     """
+    separate_hard_link(path)
     try:
         with path.open("ab", buffering=0) as file:
             before = file.tell()

@@ -6,6 +6,7 @@ made by `choice` or `count` is static: changing it compiles anew.
 
 import dataclasses
 import math
+import typing
 from collections.abc import Mapping
 from typing import Any, dataclass_transform
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from sweep.core.errors import InputError, require_choice
 
+PLAIN: Mapping[Any, str] = {str: "a word", int: "a whole number", float: "a number", bool: "true or false"}
 LARGEST = 10**18  # of whole numbers, which 64 bits hold
 TICKS = "ticks"  # unit of delays: whole control ticks
 WHOLE = (TICKS, "index")  # units of numbers that are whole, and rounded where they are drawn
@@ -177,7 +179,18 @@ def check_value(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
         case "quantity" | "count" | "setting":
             return _checked_number(field, value, path)
         case _:
-            return value
+            return _checked_plain(field, value, path)
+
+
+def _checked_plain(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
+    """Check the type of a field that is no parameter where it is a single word, number or truth."""
+    kinds = typing.get_args(field.type) or (field.type,)
+    if not {*kinds} <= {*PLAIN, type(None)}:
+        return value
+    fits = type(value) in kinds or (float in kinds and type(value) is int)
+    if not fits:
+        raise InputError(f"{path} = {str(value)[:100]!r} is not allowed: {PLAIN[kinds[0]]}")
+    return value
 
 
 def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> float | int | None:

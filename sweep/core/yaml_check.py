@@ -10,6 +10,7 @@ PARSER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the fast one where it 
 # numbers that YAML 1.1 reads otherwise than people do: octal ones, and sexagesimal ones such as 1:30
 LEADING_ZERO = re.compile(r"[-+]?0[0-9_]+")
 SEXAGESIMAL = re.compile(r"[-+]?[0-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?")
+UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x84\x86-\x9f]")  # commands to a terminal; \x85 breaks a line
 MOST_ALIASED, DEEPEST = 100_000, 100  # items that aliases may stand for, in all, and levels of nesting
 
 
@@ -53,6 +54,8 @@ def check_yaml(text: str, name: str, numbers: bool = True) -> None:
             case yaml.ScalarEvent():
                 if event.anchor:
                     sizes[event.anchor] = 1
+                if found := UNPRINTABLE.search(event.value):  # written as an escape such as \\e
+                    raise InputError(f"{name}, line {_line(event)} is not allowed: it has the character {found[0]!r}")
                 why = ambiguous_number(event.value) if numbers and event.implicit[0] else ""
                 if why:
                     key = ".".join(one.key for one in levels if one.key)

@@ -12,6 +12,7 @@ from sweep.report.headline import probability_of_failure
 from sweep.runs import store
 from sweep.runs.results import load_experiment
 from sweep.study.adaptive_sampling import KINDS
+from sweep.study.config import values_by_path
 
 
 def overview_text(folders: list[Path]) -> str:
@@ -37,13 +38,13 @@ def describe_folder(folder: Path) -> dict[str, str]:
         outcome = read_outcomes(folder)
     except InputError as error:
         return {"folder": name, **empty, "study": printable_name(str(error).split(":")[0].removeprefix(f"{folder}/"))}
-    found, config = rate(outcome), stored["config"]
+    found, config = rate(outcome), values_by_path(stored["config"])
     succeed = format_percent(found.share) if found.valid else ""
-    if config["study"]["design"]["kind"] in KINDS and config["study"]["design"]["num"]:
+    if config.get("study.design.kind") in KINDS and config.get("study.design.num"):
         succeed = probability_of_failure(store.read_rows(folder), load_experiment(folder)) if found.total else ""
     return {
         "folder": name,
-        "study": config["study"]["name"] or config["scenario"]["name"],
+        "study": str(config.get("study.name") or config.get("scenario.name", "")),
         "rollouts": f"{found.total:,} of {stored['rollouts']:,}",
         "succeed": succeed,
         "invalid": format_percent(found.invalid_share),
@@ -54,5 +55,6 @@ def describe_folder(folder: Path) -> dict[str, str]:
 
 def read_outcomes(folder: Path) -> pd.Series:
     """The outcomes of finished rows. Raises `InputError` where a part is damaged."""
-    parts = [part["outcome"].to_pandas() for part in store.read_parts(folder, ["outcome"])]
-    return pd.concat(parts, ignore_index=True) if parts else pd.Series([], dtype=object)
+    if not store.current_parts(folder):
+        return pd.Series([], dtype=object)
+    return store.read_rows(folder, ["outcome"])["outcome"]

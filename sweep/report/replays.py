@@ -1,6 +1,7 @@
 """Rollouts of a study simulated again for its page, in batches of their own, and kept in the folder's `replays/`."""
 
 import json
+import re
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sweep.core.errors import InputError
 from sweep.core.files import path_in, write_atomically
 from sweep.engines import devices
 from sweep.engines.base import NoTrace, Trace, same_bits
@@ -19,6 +21,10 @@ from sweep.systems.base import judge_one
 from sweep.trace.motion import RATE, bodies, motion
 
 REPLAYS = "replays"  # folder beside the study's parts
+NUMBER = int | float
+MEMBERS = {"states": str, "frames": int, "step": NUMBER, "scales": list, "force_scale": NUMBER, "stages": list,
+           "bodies": dict, "equal": int, "of": int, "why": str}  # of a replay file  # fmt: skip
+STATES, MOST_FRAMES = re.compile("[A-Za-z0-9+/]*=*"), 1_000_000  # base64
 
 
 def make_replays(
@@ -131,7 +137,7 @@ def read_replay(folder: Path, row: pd.Series) -> dict[str, Any] | None:
         row: row of the study.
     """
     file = replay_path(folder, row)
-    return json.loads(file.read_text(encoding="utf-8")) if file.exists() else None
+    return load_replay(file) if file.exists() else None
 
 
 def read_replays(results: Results) -> Iterator[tuple[int, dict[str, Any]]]:
@@ -142,7 +148,23 @@ def read_replays(results: Results) -> Iterator[tuple[int, dict[str, Any]]]:
         return
     names = results.rows["run_id"].astype(str) + "-" + results.rows["point_id"].astype(str)
     for place in np.flatnonzero(names.isin(there)):
-        yield int(place), json.loads(there[names.iloc[place]].read_text(encoding="utf-8"))
+        yield int(place), load_replay(there[names.iloc[place]])
+
+
+def load_replay(file: Path) -> dict[str, Any]:
+    """Load a replay file, which may come from a stranger; its states are put into pages as they are.
+
+    Raises:
+        InputError: It is no replay.
+    """
+    try:
+        replay = json.loads(file.read_text(encoding="utf-8"))
+        whole = all(isinstance(replay[name], kind) for name, kind in MEMBERS.items())
+        if not whole or not STATES.fullmatch(replay["states"]) or not 1 <= replay["frames"] <= MOST_FRAMES:
+            raise ValueError
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise InputError(f"{file} is no replay: remove it, and `sweep report --replays` makes it again") from None
+    return replay
 
 
 def replay_path(folder: Path, row: pd.Series) -> Path:

@@ -6,10 +6,12 @@ lists its part.
 """
 
 import json
+import re
 import time
-from collections.abc import Buffer, Iterable, Sequence
+from collections.abc import Buffer, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from sweep.core import files
 from sweep.core.errors import InputError
@@ -17,6 +19,8 @@ from sweep.core.errors import InputError
 MANIFEST, POINTS = "manifest.txt", "points.parquet"
 PARTS, HISTORIES, LAST_STATES = "parts", "histories", "last_states"
 SUBFOLDERS = (PARTS, HISTORIES, LAST_STATES)  # of files that the manifest may list
+NAME = re.compile(rf"({'|'.join(SUBFOLDERS)})/\w[\w.-]{{,200}}", re.ASCII)  # what this package calls their files
+LONGEST = 200  # characters of another name in messages
 CHECK = 16  # digits of the digest at the start of a line
 RETRY_PAUSES = (0.01, 0.05, 0.2, 0.5)  # s, in which another command may finish the last line
 
@@ -72,21 +76,35 @@ def parse(folder: Path) -> tuple[list[Entry], list[int]]:
     return entries, damaged
 
 
+def entry_of(values: Mapping[str, Any]) -> Entry:
+    """Make an entry of the members that JSON holds.
+
+    Args:
+        values: Members of `Entry` by name.
+
+    Raises:
+        ValueError: A member has another type.
+        KeyError: A member is missing.
+        TypeError: There are other members.
+    """
+    batches, run_ids = (tuple(values[name]) for name in ("batches", "run_ids"))
+    entry = Entry(**{**values, "batches": batches, "run_ids": run_ids})
+    words, numbers = (entry.file, entry.sha256, entry.study, entry.labels, *run_ids), (entry.length, *batches)
+    if {*map(type, words)} != {str} or {*map(type, numbers)} != {int} or not all(0 <= n < 2**63 for n in numbers):
+        raise ValueError("a member of another type")
+    return entry
+
+
 def _parse_entry(folder: Path, number: int, text: bytes) -> Entry:
     where = f"{folder / MANIFEST}, line {number}"
     try:
-        values = json.loads(text)
-        batches, run_ids = (tuple(values[name]) for name in ("batches", "run_ids"))
-        entry = Entry(**{**values, "batches": batches, "run_ids": run_ids})
-        words, numbers = (entry.file, entry.sha256, entry.study, entry.labels, *run_ids), (entry.length, *batches)
-        if {*map(type, words)} != {str} or {*map(type, numbers)} != {int}:
-            raise TypeError
+        entry = entry_of(json.loads(text))
     except (ValueError, KeyError, TypeError, RecursionError):
         raise InputError(f"{where} is no entry of a study's file") from None
-    place, _, name = entry.file.rpartition("/")
-    if entry.file != POINTS and (place not in SUBFOLDERS or name in ("", ".", "..")):
+    if entry.file != POINTS and not NAME.fullmatch(entry.file):
         allowed = f"{POINTS}, or a file in {', '.join(SUBFOLDERS)}"
-        raise InputError(f"{where} names {entry.file!r}, which is not allowed: {allowed}")
+        shown = entry.file if len(entry.file) < LONGEST else f"{entry.file[:LONGEST]}..."
+        raise InputError(f"{where} names {shown!r}, which is not allowed: {allowed}")
     return entry
 
 

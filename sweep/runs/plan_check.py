@@ -1,51 +1,121 @@
-"""Compare finished rows with the planned points, as a folder may come from a stranger or have been edited."""
+"""Comparison of finished rows with the plan: a folder may come from a stranger, or have been edited."""
 
 from collections.abc import Collection
 
 import numpy as np
 import pandas as pd
 
+from sweep.core.errors import InputError
+from sweep.study.designs import MOST
+
 PLACE = ["batch", "slot"]  # columns that identify a row of the plan
+NUMBERS = ("replicate", "stream", "group", "batch", "slot", "width")  # whole numbers of a plan
+MOST_BATCHES, SPAN = 2**31, 2**32  # batches, and how far apart their keys are
 
 
-def plan_differences(planned: pd.DataFrame, rows: pd.DataFrame, batches: Collection[int]) -> list[str]:
-    """List the differences between finished rows and the planned points.
+class Plan:
+    """The planned rows of a folder, in which those of a batch are found without a look at the others."""
 
-    Args:
-        planned: The plan, `points.parquet`: one row for each rollout.
-        rows: Finished rows, with all columns of the plan at least.
-        batches: Numbers of the batches that `rows` should hold in full.
+    def __init__(self, planned: pd.DataFrame, name: str):
+        """Arrange a plan.
 
-    Returns:
-        A phrase for each of: missing columns, repeated, surplus and missing rows, inputs that differ; empty where the
-        rows are as planned.
-    """
-    if lacking := [name for name in planned.columns if name not in rows]:
-        return [f"column {lacking[0]} is missing"]
-    expected = planned[planned["batch"].isin(list(batches))]
-    there, wanted = _row_keys(rows), _row_keys(expected)
-    repeated, surplus, missing = rows[there.duplicated()], rows[~there.isin(wanted)], expected[~wanted.isin(there)]
-    differences = []
-    for part, words in ((repeated, "repeated"), (surplus, "not planned"), (missing, "missing")):
-        if len(part):
-            verb = "row is" if len(part) == 1 else "rows are"
-            differences.append(f"{len(part)} {verb} {words}, such as {_describe_row(part.iloc[0])}")
-    both = rows[there.isin(wanted) & ~there.duplicated()]
-    match = expected.iloc[wanted.get_indexer(_row_keys(both))] if wanted.is_unique else expected.iloc[:0]
-    for name in planned.columns if len(match) else ():
-        a, b = both[name].to_numpy(), match[name].to_numpy()
-        differ = np.flatnonzero((a != b) & ~(pd.isna(a) & pd.isna(b)))
+        Args:
+            planned: Some or all columns of `points.parquet`, `batch` and `slot` among them; one row a rollout.
+            name: The file, for messages.
+
+        Raises:
+            InputError: A column that places rows holds no whole numbers, or impossible ones.
+        """
+        for column in PLACE:
+            if column not in planned:
+                raise InputError(f"{name} has no column {column}")
+        for column in NUMBERS:
+            if column in planned and planned[column].dtype.kind not in "iu":
+                raise InputError(f"{name} is not allowed: column {column} holds no whole numbers")
+        for column, least, most in (("batch", 0, MOST_BATCHES), ("slot", 0, MOST), ("width", 1, MOST + 1)):
+            if column in planned and len(odd := planned[column][~planned[column].between(least, most - 1)]):
+                raise InputError(f"{name} is not allowed: {column} = {odd.iloc[0]}, from {least} to {most - 1}")
+        keys = place_keys(planned)
+        if not _increases(keys):
+            order = np.argsort(keys, kind="stable")
+            planned, keys = planned.iloc[order], keys[order]
+        self.rows, self.keys = planned, keys
+        self._batches = planned["batch"].to_numpy()
+
+    def batches(self) -> set[int]:
+        """Return the numbers of all planned batches."""
+        return set(np.unique(self._batches).tolist())
+
+    def rows_of(self, batches: Collection[int]) -> tuple[pd.DataFrame, np.ndarray]:
+        """Return the planned rows of some batches by batch and slot, and their keys, see `place_keys`."""
+        numbers = np.sort(np.fromiter(batches, dtype=np.int64, count=len(batches)))
+        first, last = (np.searchsorted(self._batches, numbers, side) for side in ("left", "right"))
+        if len(numbers) and (first[1:] == last[:-1]).all():  # one after the other
+            places = slice(first[0], last[-1])
+        else:
+            places = np.concatenate([np.arange(a, b) for a, b in zip(first, last, strict=True)] or [np.zeros(0, int)])
+        return self.rows.iloc[places], self.keys[places]
+
+    def differences(self, rows: pd.DataFrame, batches: Collection[int]) -> list[str]:
+        """Say in which ways finished rows are not those that were planned.
+
+        Args:
+            rows: Finished rows, with all columns that this plan has.
+            batches: Numbers of the batches that `rows` should hold in full.
+
+        Returns:
+            A phrase for each of: missing columns, repeated, surplus and missing rows, inputs that differ; empty where
+            the rows are as planned.
+        """
+        if lacking := [name for name in self.rows.columns if name not in rows]:
+            return [f"column {lacking[0]} is missing"]
+        for column in PLACE:
+            if rows[column].dtype.kind not in "iu":
+                return [f"column {column} holds no whole numbers"]
+        there = place_keys(rows)
+        expected, wanted = self.rows_of(batches)
+        if _increases(wanted) and np.array_equal(there, wanted):
+            return _differing_inputs(rows, expected)
+        found, here, planned = [], pd.Index(there), pd.Index(wanted)
+        parts = (
+            (rows[here.duplicated()], "repeated"),
+            (rows[~here.isin(planned)], "not planned"),
+            (expected[~planned.isin(here)], "missing"),
+        )
+        for part, words in parts:
+            if len(part):
+                verb = "row is" if len(part) == 1 else "rows are"
+                found.append(f"{len(part)} {verb} {words}, such as {_describe_row(part.iloc[0])}")
+        if not planned.is_unique:
+            return [*found, "rows are planned twice"]
+        both = here.isin(planned) & ~here.duplicated()
+        return found + _differing_inputs(rows[both], expected.iloc[planned.get_indexer(here[both])])
+
+
+def place_keys(rows: pd.DataFrame) -> np.ndarray:
+    """Return a whole number for the batch and slot of each row (n,), in their order; -1 for places that cannot be."""
+    batch, slot = (rows[column].to_numpy() for column in PLACE)
+    possible = (batch >= 0) & (batch < MOST_BATCHES) & (slot >= 0) & (slot < SPAN)
+    return np.where(possible, batch.astype(np.int64) * SPAN + slot.astype(np.int64), -1)
+
+
+def _increases(keys: np.ndarray) -> bool:
+    return bool((np.diff(keys) > 0).all())
+
+
+def _differing_inputs(rows: pd.DataFrame, planned: pd.DataFrame) -> list[str]:
+    """A phrase for each planned column in which rows, paired by their order, differ."""
+    found = []
+    for name in planned.columns if len(planned) else ():
+        a, b = rows[name].array, planned[name].array
+        differ = np.flatnonzero(np.asarray(a != b, dtype=bool))
+        differ = differ[~(pd.isna(a[differ]) & pd.isna(b[differ]))] if len(differ) else differ
         if len(differ):
-            number, point = differ[0], _describe_row(match.iloc[differ[0]])
-            differences.append(
-                f"{name} differs in {len(differ)} rows, such as {point}: {a[number]} instead of {b[number]}"
-            )
-    return differences
-
-
-def _row_keys(rows: pd.DataFrame) -> pd.MultiIndex:
-    return pd.MultiIndex.from_frame(rows[PLACE])
+            number, point = differ[0], _describe_row(planned.iloc[differ[0]])
+            found.append(f"{name} differs in {len(differ)} rows, such as {point}: {a[number]} instead of {b[number]}")
+    return found
 
 
 def _describe_row(row: pd.Series) -> str:
-    return f"point {row['point_id']} (batch {row['batch']}, slot {row['slot']})"
+    place = f"batch {row['batch']}, slot {row['slot']}"
+    return f"point {row['point_id']} ({place})" if "point_id" in row else place

@@ -13,7 +13,8 @@ from sweep.core.errors import InputError
 from sweep.core.files import path_in
 from sweep.runs import manifest, store
 from sweep.runs.manifest import Entry
-from sweep.runs.plan_check import plan_differences
+from sweep.runs.parquet import read_parquet
+from sweep.runs.plan_check import Plan
 
 SMALL, LARGE = 4096, 32768  # rows: smaller parts than SMALL are merged, into parts of at most LARGE
 FEW = 8  # least number of parts that are merged
@@ -37,10 +38,10 @@ def verify(folder: Path) -> tuple[list[str], list[str], int]:
         if not path_in(folder, store.PARTS).is_dir():
             raise
         problems.append(str(error))
-    planned = _read_sound_plan(folder, entries)
-    if planned is None:
+    plan = _read_sound_plan(folder, entries)
+    if plan is None:
         problems.append(f"{folder / store.POINTS} is lost or damaged")
-    parts = {folder / entry.file: _find_problem(folder, entry, planned) for entry in entries if entry.batches}
+    parts = {folder / entry.file: _find_problem(folder, entry, plan) for entry in entries if entry.batches}
     recordings = {folder / entry.file: _find_problem(folder, entry) for entry in entries if _is_recording(entry)}
     problems += [f"{path} is damaged ({problem})" for path, problem in {**parts, **recordings}.items() if problem]
     sound = list(parts.values()).count(None)
@@ -69,22 +70,20 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
     kept = [entry for entry in entries if entry.file == store.POINTS]
     # parts of a killed `relabel`, then damaged files; deleted below
     dropped = [entry for entry in entries if entry.batches and entry.labels != labels]
-    planned = _read_sound_plan(folder, entries)
+    plan = _read_sound_plan(folder, entries)
     for entry in (*manifest.select_current_parts(entries, labels), *filter(_is_recording, entries)):
-        if problem := _find_problem(folder, entry, planned):
+        if problem := _find_problem(folder, entry, plan):
             remedy = "its rollouts are simulated again" if entry.batches else "`sweep replay` shows its rollouts again"
             lines.append(f"{folder / entry.file} is damaged ({problem}): {remedy}")
             dropped.append(entry)
         else:
             kept.append(entry)
-    planned, has_lost_lines = _read_sound_plan(folder, kept), bool(damaged) or not entries
+    plan, has_lost_lines = _read_sound_plan(folder, kept), bool(damaged) or not entries
     for path in _unlisted_files(folder, entries):
         entry = _entry_from_metadata(folder, path)
         entry = entry if entry and entry.study == study else None
         if entry and (
-            has_lost_lines
-            if _is_recording(entry)
-            else entry.labels == labels and _belongs(folder, entry, kept, planned)
+            has_lost_lines if _is_recording(entry) else entry.labels == labels and _belongs(folder, entry, kept, plan)
         ):
             kept.append(entry)
             lines.append(f"{path} was not in {manifest.MANIFEST}: listed")
@@ -97,7 +96,7 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
     for entry in dropped:
         path_in(folder, entry.file).unlink(missing_ok=True)
     parts = [entry for entry in kept if entry.batches]
-    if planned is None and (parts or path_in(folder, store.POINTS).exists()):
+    if plan is None and (parts or path_in(folder, store.POINTS).exists()):
         lines.append(f"{folder / store.POINTS} was lost or damaged: rebuilt from the parts")
         path_in(folder, store.POINTS).unlink(missing_ok=True)
         if parts:
@@ -111,29 +110,29 @@ def rebuild_plan(folder: Path, parts: Sequence[Entry]) -> pd.DataFrame:
     return rows[list(rows.columns[: rows.columns.get_loc("run_id")])]
 
 
-def _read_sound_plan(folder: Path, listed: Sequence[Entry]) -> pd.DataFrame | None:
+def _read_sound_plan(folder: Path, listed: Sequence[Entry]) -> Plan | None:
     """Return the plan, or None where it is damaged or lacks batches of the listed parts."""
     path = path_in(folder, store.POINTS)
     if not path.exists() or not any(e.file == store.POINTS and not _find_problem(folder, e) for e in listed):
         return None
-    planned = store.parse_parquet(path, store.read_buffer(path)).to_pandas()
-    return planned if {b for e in listed for b in e.batches} <= set(planned["batch"]) else None
+    plan = Plan(read_parquet(path, store.read_buffer(path)).to_pandas(), str(path))
+    return plan if {b for e in listed for b in e.batches} <= plan.batches() else None
 
 
-def _find_problem(folder: Path, entry: Entry, planned: pd.DataFrame | None = None) -> str | None:
+def _find_problem(folder: Path, entry: Entry, plan: Plan | None = None) -> str | None:
     """Describe what is wrong with a listed file, or return None; with a plan, its rows are compared too."""
     path = path_in(folder, entry.file)
     try:
         content = store.read_buffer(path)
     except OSError as error:
         return files.os_error_text(error)
-    if (problem := entry.find_problem(content)) or planned is None or not entry.batches:
+    if (problem := entry.find_problem(content)) or plan is None or not entry.batches:
         return problem
     try:
-        rows = store.parse_parquet(path, content, list(planned.columns)).to_pandas()
+        rows = read_parquet(path, content, list(plan.rows.columns)).to_pandas()
     except InputError as error:
         return str(error)
-    return "; ".join(plan_differences(planned, rows, entry.batches)) or None
+    return "; ".join(plan.differences(rows, entry.batches)) or None
 
 
 def _unlisted_files(folder: Path, entries: Sequence[Entry]) -> Iterator[Path]:
@@ -156,15 +155,13 @@ def _entry_from_metadata(folder: Path, path: Path) -> Entry | None:
         if not path.stem.endswith(f"-{sha256[:12]}"):
             return None
         about = json.loads(pq.read_schema(content).metadata[store.METADATA_KEY])
-    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):  # `InputError` among them
+        place = {"file": f"{path.parent.name}/{path.name}", "length": len(content), "sha256": sha256}
+        return manifest.entry_of({**about, **place})
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, pa.ArrowException):  # `InputError` among them
         return None
-    name = f"{path.parent.name}/{path.name}"
-    return Entry(
-        name, len(content), sha256, tuple(about["batches"]), about["study"], about["labels"], tuple(about["run_ids"])
-    )
 
 
-def _belongs(folder: Path, entry: Entry, kept: Sequence[Entry], planned: pd.DataFrame | None) -> bool:
+def _belongs(folder: Path, entry: Entry, kept: Sequence[Entry], plan: Plan | None) -> bool:
     """Whether a part that is not listed belongs to the plan and holds no batch of a listed part.
 
     Without a plan, none of its points may be in a listed part.
@@ -172,9 +169,8 @@ def _belongs(folder: Path, entry: Entry, kept: Sequence[Entry], planned: pd.Data
     if set(entry.batches) & {batch for listed in kept for batch in listed.batches}:
         return False
     rows = store.read_part(folder, entry)
-    if planned is not None:
-        points = planned[planned["batch"].isin(entry.batches)].sort_values(["batch", "slot"])
-        return points["point_id"].tolist() == rows["point_id"].tolist()
+    if plan is not None:
+        return plan.rows_of(entry.batches)[0]["point_id"].tolist() == rows["point_id"].tolist()
     parts = [listed for listed in kept if listed.batches]
     return not parts or not rows["point_id"].isin(rebuild_plan(folder, parts)["point_id"]).any()
 

@@ -7,12 +7,13 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import filelock
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -24,13 +25,16 @@ from sweep.core.files import path_in
 from sweep.core.yaml_check import check_yaml
 from sweep.runs import manifest
 from sweep.runs.manifest import PARTS, POINTS, SUBFOLDERS, Entry
-from sweep.runs.plan_check import plan_differences
+from sweep.runs.parquet import check_expansion, column_names, read_parquet
+from sweep.runs.plan_check import PLACE, Plan
 
 # reads a million rows in 2 s of CPU time; Arrow's own pool takes 8 s
 pa.set_memory_pool(pa.system_memory_pool())
 STUDY, LOG, LOCK = "study.yaml", "log.txt", ".lock"
 HISTORIES, LAST_STATES = manifest.HISTORIES, manifest.LAST_STATES
 FORMAT = 2  # of the folder
+MEMBERS = {"config": dict, "rollouts": int, "labels": str, "stages": dict, "devices": list, "code": str, "commit": str,
+           "versions": dict}  # of study.yaml, beside the format  # fmt: skip
 CHECK = "# sha256 of the lines above: "
 METADATA_KEY = b"sweep"  # of the Parquet metadata with a part's study, thresholds and batches
 
@@ -62,6 +66,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
     subfolders = [path_in(folder, name) for name in SUBFOLDERS]
     try:
         path_in(folder, PARTS).mkdir(parents=True, exist_ok=True)
+        files.separate_hard_link(path_in(folder, LOCK))  # the lock empties the file
         lock.acquire()
         for directory in (folder, *subfolders):
             for unfinished in directory.glob(f"{files.HIDDEN}*"):
@@ -108,9 +113,16 @@ def read_study(folder: Path) -> dict[str, Any]:
         content = {"format": 1, **content}
     elif not isinstance(content, dict) or not check:
         raise damaged
-    if content["format"] != FORMAT:
-        by = f"format {content['format']}, of version {content.get('commit') or content.get('code')}"
+    if content.get("format") != FORMAT:
+        by = f"format {content.get('format')}, of version {content.get('commit') or content.get('code')}"
         raise InputError(f"{folder} has {by}; this one reads {FORMAT}: give out=DIR")
+    for key, kind in MEMBERS.items():
+        if not isinstance(value := content.get(key), kind):
+            raise InputError(f"{path} is not allowed: {key} = {str(value)[:100]!r}")
+    lists = {"stages": [*content["stages"].values()], "devices": [content["devices"]]}
+    for key, every in lists.items():
+        if not all(isinstance(one, list) and all(isinstance(name, str) for name in one) for one in every):
+            raise InputError(f"{path} is not allowed: {key} = {str(content[key])[:100]!r}")
     return content
 
 
@@ -129,11 +141,18 @@ def write_points(folder: Path, points: pd.DataFrame) -> None:
     files.write_atomically(path_in(folder, POINTS), content)
 
 
-def read_points(folder: Path) -> pd.DataFrame:
-    """Return the plan of a folder: all points with group, batch and slot; empty where nothing is planned yet.
+def read_points(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
+    """Read the plan.
+
+    Args:
+        folder: Results folder of a study.
+        columns: Names of the columns to read; None for all.
+
+    Returns:
+        A row for each planned rollout; an empty table where nothing is planned yet.
 
     Raises:
-        DamagedFile: The file has changed since it was listed.
+        InputError: The plan is damaged, or not allowed.
     """
     path = path_in(folder, POINTS)
     if not path.exists():
@@ -141,24 +160,7 @@ def read_points(folder: Path) -> pd.DataFrame:
     content = read_buffer(path)
     if not any(entry.file == POINTS and not entry.find_problem(content) for entry in manifest.read(folder)):
         raise DamagedFile(f"{path} is damaged: `sweep run` as before mends it")
-    return parse_parquet(path, content).to_pandas()
-
-
-def parse_parquet(path: Path, content: pa.Buffer, columns: list[str] | None = None) -> pa.Table:
-    """Parse the content of a Parquet file.
-
-    Args:
-        path: Path of the file, for the message.
-        content: The bytes of the file.
-        columns: Names of the columns to read; None for all.
-
-    Raises:
-        InputError: The content is not a Parquet file, or lacks a column.
-    """
-    try:
-        return pq.read_table(content, columns=columns)
-    except (pa.ArrowException, OSError, KeyError) as error:
-        raise InputError(f"{path} is no table that can be read: {str(error).splitlines()[0]}") from None
+    return read_parquet(path, content, columns).to_pandas()
 
 
 def read_buffer(path: Path) -> pa.Buffer:
@@ -171,6 +173,9 @@ def read_buffer(path: Path) -> pa.Buffer:
 
 
 def _to_parquet(table: pa.Table, about: Mapping[str, Any]) -> bytes:
+    if not table.schema.metadata:  # as it was read; what pandas adds is of types only
+        described = pa.Table.from_pandas(table.schema.empty_table().to_pandas(), preserve_index=False)
+        table = table.replace_schema_metadata(described.schema.metadata)
     table = table.replace_schema_metadata({**(table.schema.metadata or {}), METADATA_KEY: json.dumps(about).encode()})
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd")
@@ -262,6 +267,14 @@ def finished_batches(folder: Path) -> set[int]:
     return {batch for entry in current_parts(folder) for batch in entry.batches}
 
 
+def count_rollouts(folder: Path) -> tuple[int, int]:
+    """Return how many rollouts are planned, and how many of them are in finished batches. Raises `InputError`."""
+    planned = read_points(folder, ["batch"])
+    if planned.empty:
+        return 0, 0
+    return len(planned), int(planned["batch"].isin(finished_batches(folder)).sum())
+
+
 def read_part(folder: Path, entry: Entry) -> pd.DataFrame:
     """Return the rows of one part.
 
@@ -275,8 +288,17 @@ def read_part(folder: Path, entry: Entry) -> pd.DataFrame:
     return read_table(folder, entry).to_pandas()
 
 
-def read_table(folder: Path, entry: Entry, columns: list[str] | None = None) -> pa.Table:
-    """Return the rows of one part as an Arrow table; see `read_part`."""
+def read_table(folder: Path, entry: Entry, columns: Sequence[str] | None = None) -> pa.Table:
+    """Read a listed file as an Arrow table.
+
+    Args:
+        folder: Results folder of a study.
+        entry: Its entry in the manifest.
+        columns: Names of the columns to read; None for all. Those that the file lacks are left out.
+
+    Raises:
+        InputError: The file is not what is listed, or not allowed.
+    """
     path = path_in(folder, entry.file)
     try:
         content = read_buffer(path)
@@ -285,52 +307,95 @@ def read_table(folder: Path, entry: Entry, columns: list[str] | None = None) -> 
         content, problem = None, files.os_error_text(error)
     if content is None or problem:
         raise InputError(f"{path} is damaged ({problem}): `sweep run` as before simulates it again")
-    return parse_parquet(path, content, columns)
+    return read_parquet(path, content, columns)
 
 
-def read_rows(folder: Path) -> pd.DataFrame:
-    """Return all finished rows of a folder, in the order of their batches.
-
-    Raises:
-        InputError: No batch is finished, a file is damaged, or rows are not those of the plan.
-    """
-    read_study(folder)
-    if not (parts := read_parts(folder)):
-        raise InputError(f"{folder} has no finished rollouts yet")
-    # converted to pandas once, column by column: a million rows take seconds and little extra memory
-    table = pa.concat_tables(parts, promote_options="permissive")
-    del parts  # they would keep all columns in memory
-    rows = table.to_pandas(self_destruct=True)
-    planned = read_points(folder)  # after the parts: a running command plans its batches before it finishes them
-    if planned.empty:
-        raise DamagedFile(f"{folder / POINTS} is lost: `sweep run` as before mends it")
-    if problems := plan_differences(planned, rows, rows["batch"].unique()):
-        raise InputError(f"{folder} does not hold the rows of its {POINTS}: {problems[0]}; `sweep verify` names all")
-    return rows
-
-
-def read_parts(folder: Path, columns: list[str] | None = None) -> list[pa.Table]:
-    """Read all parts of a folder, in the order of their batches.
-
-    If a running command merges parts meanwhile, the new ones are read instead.
+def read_rows(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
+    """Read finished rows, in the order of their batches.
 
     Args:
-        folder: Folder of the study.
-        columns: Columns to read; None for all.
-
-    Returns:
-        One Arrow table a part.
+        folder: Results folder of a study.
+        columns: Names of the columns to read, in this order; None for all. No other columns are decoded, except for
+            the two that place a row in the plan.
 
     Raises:
-        InputError: A file is damaged.
+        InputError: There are no rows, they are not those of the plan, or a column is unknown.
     """
-    while True:
-        parts = current_parts(folder)
+    tables: list[pa.Table] = []
+    total = 0
+    size = sum(entry.length for entry in current_parts(folder))
+    for part in iterate_parts(folder, columns):
+        total += part.nbytes
+        check_expansion(folder, total, size)
+        tables.append(part)
+        del part
+    # into pandas once, column by column: a million rows take seconds and little more memory than they need
+    table = pa.concat_tables(tables, promote_options="permissive")
+    tables.clear()  # which hold all columns
+    if columns is not None:
+        if unknown := [name for name in columns if name not in table.column_names]:
+            raise InputError(f"column {unknown[0]} is unknown in {folder}")
+        table = table.select(list(dict.fromkeys(columns)))
+    return table.to_pandas(self_destruct=True)
+
+
+def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+    """Yield finished rows part by part, in the order of their batches, also while a run puts parts together.
+
+    Args:
+        folder: Results folder of a study.
+        columns: Names of the columns to read beside `batch` and `slot`; None for all. Those that a part lacks are left
+            out of it.
+
+    Raises:
+        InputError: There are no rows, a part is damaged, or its rows are not those of the plan.
+    """
+    read_study(folder)
+    wanted = None if columns is None else [*dict.fromkeys([*columns, *PLACE])]
+    parts = current_parts(folder)
+    if not parts:
+        raise InputError(f"{folder} has no finished rollouts yet")
+    plan, todo = _read_plan(folder, wanted), {batch for entry in parts for batch in entry.batches}
+    while todo:
+        entry = parts[0]
         try:
-            return [read_table(folder, entry, columns) for entry in parts]
+            table = read_table(folder, entry, wanted)
         except InputError:
-            if current_parts(folder) == parts:
+            now = [one for one in current_parts(folder) if todo.intersection(one.batches)]
+            if now == parts:
                 raise
+            parts, plan = now, _read_plan(folder, wanted)
+            continue
+        planned = [name for name in plan.rows.columns if name in table.column_names]
+        if problems := plan.differences(table.select(planned).to_pandas(), entry.batches):
+            raise InputError(
+                f"{folder} does not hold the rows of its {POINTS}: {problems[0]}; `sweep verify` names all"
+            )
+        if not todo.issuperset(entry.batches):  # of a part that was put together meanwhile some rows were yielded
+            table = table.filter(pa.array(np.isin(table["batch"].to_numpy(), sorted(todo))))
+        todo.difference_update(entry.batches)
+        parts = parts[1:]
+        yield table
+
+
+def _read_plan(folder: Path, columns: Sequence[str] | None) -> Plan:
+    # after the parts are listed: a run that goes on plans its batches before it finishes them
+    planned = read_points(folder, columns)
+    if planned.empty:
+        raise DamagedFile(f"{folder / POINTS} is lost: `sweep run` as before mends it")
+    return Plan(planned, str(folder / POINTS))
+
+
+def list_columns(folder: Path) -> list[str]:
+    """List the columns that finished rows have, without reading rows. Raises `InputError`."""
+    names: dict[str, None] = {}
+    for entry in current_parts(folder):
+        path = path_in(folder, entry.file)
+        try:
+            names |= dict.fromkeys(column_names(path, pq.read_metadata(path)))
+        except (pa.ArrowException, OSError):
+            raise InputError(f"{path} is damaged: `sweep run` as before simulates it again") from None
+    return [*names]
 
 
 def find_row(rows: pd.DataFrame, point: str, folder: Path) -> pd.Series:
@@ -364,8 +429,10 @@ def log(folder: Path, message: str) -> None:
     Raises:
         Fault: The disk refuses the write.
     """
+    path = path_in(folder, LOG)
+    files.separate_hard_link(path)
     try:
-        with path_in(folder, LOG).open("a", encoding="utf-8") as file:
+        with path.open("a", encoding="utf-8") as file:
             file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} {message}\n")
     except OSError as error:
         raise Fault(f"{folder / LOG} cannot be written: {files.os_error_text(error)}") from None

@@ -7,6 +7,8 @@ if TYPE_CHECKING:
 
 PLAN = ("replicate", "stream", "point_id", "group", "batch", "slot", "width", "run_id")
 LABELS = ("outcome", "cause", "stage", "t_cause_s", "limit", "margin", "margin_of")
+NAMES = ("point_id", "run_id")  # columns of words that files are named by
+WORDS = ("outcome", "cause", "stage", "limit", "margin_of")  # further columns of words; axes may have words or numbers
 TIMING = ("wall_s",)  # differs between runs
 MEANINGS = {  # of labels and of what places a row in its study
     "outcome": "success, failure, or invalid where the simulation cannot vouch for the rollout",

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.core.errors import InputError, require_choice, suggest
+from sweep.core.parameters import check_value
 from sweep.study import adaptive_sampling, subset_simulation
 from sweep.study.distributions import Distribution, format_values, parse_number, parse_values, require_keys
 from sweep.study.distributions import parse as parse_distribution
@@ -194,7 +195,9 @@ def parse_axes(given: Mapping[str, Any]) -> tuple[Axis, ...]:
 
 def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     """How the axes that have a distribution are drawn. Raises `InputError`."""
-    given = require_keys("study.design", given, tuple(f.name for f in dataclasses.fields(Design)))
+    fields = {member.name: member for member in dataclasses.fields(Design)}
+    given = require_keys("study.design", given, tuple(fields))
+    given = {key: check_value(fields[key], value, f"study.design.{key}") for key, value in given.items()}
     drawn = [a.name for a in axes if a.distribution]
     given["correlation"] = _correlation("study.design.correlation", given.get("correlation") or [], drawn)
     design = Design(**given)

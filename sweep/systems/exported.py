@@ -166,6 +166,9 @@ def make_controller(case: Case, settings: EngineSettings, limits: Thresholds) ->
     return Controller(begin, policy, figures, numbers, measured)
 
 
+controller = make_controller  # imported by projects that earlier versions exported
+
+
 def summarize_tick(case: Case, seen: Float[Array, " k"], period: float) -> Tick:
     """What the metrics want of a tick, of what is observed at its end."""
     count, drive = len(_links(case)), case.drive

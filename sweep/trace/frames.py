@@ -81,7 +81,7 @@ def write_strip(path: str | Path, trace: Trace, chosen: np.ndarray, outcome: str
         for picture, k in zip(render(trace, chosen), chosen, strict=True)
     ]
     rows = [np.concatenate(row, axis=1) for row in itertools.batched(small, IN_A_ROW)]
-    Image.fromarray(np.concatenate(rows)).quantize(128).save(path, optimize=True)
+    write_atomically(Path(path), partial(Image.fromarray(np.concatenate(rows)).quantize(128).save, optimize=True))
 
 
 def write_video(

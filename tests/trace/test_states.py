@@ -12,7 +12,7 @@ from sweep.cli.main import main
 from sweep.core.parameters import InputError
 from sweep.trace import replay
 
-PAGE = Path(__file__).parents[2] / "docs" / "howto" / "replay_and_export.md"
+PAGE = Path(__file__).parents[2] / "docs" / "howto" / "use_states_elsewhere.md"
 SHORT = ["scenario=stand_push", "engine=native", "engine.width=1", "engine.solid=true"]
 
 

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from sweep.core.errors import InputError
 from sweep.core.files import encode_text
 from sweep.report import replays
 from sweep.report.page.data import sample_places
@@ -77,7 +78,14 @@ def thin_to_room(shown: list[ShownReplay], room: int) -> list[ShownReplay]:
     """Replays with as many frames as there is room for, at least one in `THINNEST`."""
     thin = shown
     for every in range(1, THINNEST + 1):
-        thin = [one._replace(replay=thinned(one.replay, every) if every > 1 else one.replay) for one in shown]
+        thin = [one._replace(replay=_thin(one, every)) if every > 1 else one for one in shown]
         if sum(len(one.replay["states"]) for one in thin) <= room:
             break
     return thin
+
+
+def _thin(one: ShownReplay, every: int) -> dict[str, Any]:
+    try:
+        return thinned(one.replay, every)
+    except ValueError as error:  # of a file that may come from a stranger
+        raise InputError(f"the replay of {one.row['point_id']} cannot be read: {error}") from None

@@ -1,0 +1,147 @@
+"""Reading of Parquet files that may come from a stranger: what they expand to is checked before memory is taken.
+
+A few kB of Parquet can stand for any number of rows, as repeated values take no room, and for any amount of text.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute
+import pyarrow.parquet as pq
+
+from sweep.core.errors import InputError
+from sweep.study.columns import NAMES, WORDS
+
+pc: Any = pyarrow.compute  # whose functions exist only once it is imported
+# a file may expand to SMALL bytes; to more only up to DENSEST times its size, and never beyond LARGEST
+SMALL, LARGEST, DENSEST = 256 * 2**20, 64 * 2**30, 1000
+WIDTHS = {"BOOLEAN": 1, "INT32": 4, "FLOAT": 4, "INT64": 8, "DOUBLE": 8, "BYTE_ARRAY": 4}  # bytes; of text its number
+TEXT = "BYTE_ARRAY"
+NAME, PRINTABLE = "^[0-9a-f]{1,64}$", r"^\PC*$"  # of `NAMES`, and of other words: no control characters
+
+
+def read_parquet(path: Path, content: pa.Buffer, columns: Sequence[str] | None = None) -> pa.Table:
+    """Read a table of numbers and words, as result folders hold them.
+
+    Args:
+        path: Where the file is from, for messages.
+        content: The bytes of the file.
+        columns: Names of the columns to read, in this order; None for all. Those that the file lacks are left out.
+
+    Returns:
+        The table, with words as Arrow strings.
+
+    Raises:
+        InputError: The file is no such table, or expands to more than its size warrants.
+    """
+    try:
+        metadata = pq.read_metadata(pa.BufferReader(content))
+        names = column_names(path, metadata)
+        chosen = names if columns is None else [name for name in dict.fromkeys(columns) if name in names]
+        words = _check_sizes(path, metadata, [names.index(name) for name in chosen], content.size)
+        # as dictionaries, so that repeated words take no memory until their size is known; this also refuses encodings
+        # that repeat words in another way
+        file = pq.ParquetFile(pa.BufferReader(content), metadata=metadata, read_dictionary=words)
+        # `b` alone would also be read as the column `b.c`
+        table = file.read(columns=chosen).select(chosen)
+        return _decode_words(path, table, content.size).replace_schema_metadata(None)
+    except InputError:
+        raise
+    except (pa.ArrowException, OSError, KeyError, ValueError) as error:
+        raise InputError(f"{path} is no table that can be read: {str(error).splitlines()[0]}") from None
+
+
+def column_names(path: Path, metadata: pq.FileMetaData) -> list[str]:
+    """Return the names of a table's columns.
+
+    Args:
+        path: Where the file is from, for messages.
+        metadata: The end of the file, which describes it.
+
+    Raises:
+        InputError: Two columns have one name, or a column has parts.
+    """
+    names = [metadata.schema.column(k).path for k in range(metadata.num_columns)]
+    if list(metadata.schema.names) != names:
+        raise InputError(f"{path} is not allowed: it has columns with parts")
+    if odd := next((name for name in names if not name.isprintable() or not name), None):
+        raise InputError(f"{path} is not allowed: it has a column called {odd[:100]!r}")
+    if len({*names}) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"{path} is not allowed: it has two columns {twice}")
+    return names
+
+
+def check_expansion(path: Path, total: int, size: int) -> None:
+    """Refuse files that expand to more memory than their size warrants.
+
+    Args:
+        path: The file, or the folder of several, for messages.
+        total: What they expand to (bytes).
+        size: What they take on disk (bytes).
+
+    Raises:
+        InputError: `total` is too large.
+    """
+    if total > (room := max(SMALL, min(LARGEST, DENSEST * size))):
+        raise InputError(
+            f"{path} is not allowed: its {size:,} bytes expand to {total:,} or more; at most {room:,}, or {DENSEST} "
+            "times its size"
+        )
+
+
+def _check_sizes(path: Path, metadata: pq.FileMetaData, chosen: Sequence[int], size: int) -> list[str]:
+    """Refuse columns that expand too far by what the file declares; return the names of those with words."""
+    words, total = [], 0
+    for k in chosen:
+        column = metadata.schema.column(k)
+        if column.max_repetition_level or column.max_definition_level > 1 or column.physical_type not in WIDTHS:
+            raise InputError(f"{path} is not allowed: column {column.name} holds neither numbers nor words")
+        if column.physical_type == TEXT:
+            words.append(column.name)
+    for number in range(metadata.num_row_groups):
+        group = metadata.row_group(number)
+        for k in chosen:
+            column = group.column(k)
+            if column.num_values != group.num_rows:
+                raise InputError(f"{path} is damaged: its columns have not the same number of rows")
+            total += column.num_values * WIDTHS[column.physical_type] + max(column.total_uncompressed_size, 0)
+    check_expansion(path, total, size)
+    return words
+
+
+def _decode_words(path: Path, table: pa.Table, size: int) -> pa.Table:
+    """Replace dictionaries by their words, once it is known how large these are and that a terminal can print them."""
+    total = table.nbytes
+    for column in table.columns:
+        for chunk in column.chunks if pa.types.is_dictionary(column.type) else ():
+            sizes = pc.fill_null(pc.binary_length(chunk.dictionary), 0)
+            total += pc.sum(pc.take(sizes, chunk.indices)).as_py() or 0
+        check_expansion(path, total, size)
+    for k, field in enumerate(table.schema):
+        if pa.types.is_dictionary(field.type):
+            for chunk in table.column(k).chunks:
+                _check_words(path, field.name, chunk.dictionary)
+            table = table.set_column(k, field.name, table.column(k).cast(pa.large_string()))
+        kind = table.schema.field(k).type
+        words = field.name in (*NAMES, *WORDS) or ("." in field.name and not _is_number(kind))
+        fits = pa.types.is_large_string(kind) if words else _is_number(kind)
+        if not fits and not (pa.types.is_null(kind) and field.name not in NAMES):
+            raise InputError(f"{path} is not allowed: column {field.name} holds no {'words' if words else 'numbers'}")
+        if field.name in NAMES and table.column(k).null_count:
+            raise InputError(f"{path} is not allowed: column {field.name} lacks values")
+    return table
+
+
+def _check_words(path: Path, name: str, words: pa.Array) -> None:
+    words.validate(full=True)  # that it is UTF-8
+    allowed = NAME if name in NAMES else PRINTABLE
+    odd = words.filter(pc.invert(pc.fill_null(pc.match_substring_regex(words, allowed), True)))
+    if len(odd):
+        raise InputError(f"{path} is not allowed: column {name} holds {str(odd[0])[:100]!r}")
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    return pa.types.is_boolean(kind) or pa.types.is_integer(kind) or pa.types.is_floating(kind)

@@ -1,0 +1,84 @@
+"""Parquet files from a stranger: small ones that expand to much, and what no table of results holds."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from sweep.core.errors import InputError
+from sweep.core.files import decode_text, encode_text
+from sweep.runs import store
+from sweep.runs.parquet import read_parquet
+
+LONG = "x" * 1_000_000
+FILE = Path("part.parquet")
+
+
+def written(table, **options):
+    """The bytes of a Parquet file."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table(table), sink, compression="zstd", **options)
+    return sink.getvalue()
+
+
+def repeated(words, number):
+    return pa.DictionaryArray.from_arrays(pa.array(np.zeros(number, np.int32)), words)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (lambda: written({"stage": repeated([LONG], 100_000)}), "expand to 100,0"),  # 100 GB in 1 kB
+        (lambda: written({"wall_s": repeated(pa.array([0.5]), 40_000_000)}), "expand to 320,"),
+        (
+            lambda: written({"stage": [LONG] * 3}, use_dictionary=False, column_encoding={"stage": "DELTA_BYTE_ARRAY"}),
+            "no table that can be read",
+        ),
+        (lambda: written({"wall_s": [[1.0] * 10]}), "columns with parts"),
+        (lambda: written({"wall_s": [{"a": 1}]}), "columns with parts"),
+        (lambda: written({"wall_s": pa.array([1], pa.timestamp("us"))}), "wall_s holds no numbers"),
+        (lambda: written(pa.table([[1.0], [2.0]], names=["wall_s", "wall_s"])), "two columns wall_s"),
+        (lambda: written({"slip_max_m": ["much"]}), "slip_max_m holds no numbers"),
+        (lambda: written({"outcome": [1.0]}), "outcome holds no words"),
+        (lambda: written({"cause": ["\x1b[2Jfell"]}), "column cause holds"),
+        (lambda: written({"point_id": ["../../x"]}), "column point_id holds"),
+        (lambda: written({"run_id": ["ab", None]}), "column run_id lacks values"),
+        (lambda: written({"a\nb": [1.0]}), "a column called"),
+        (lambda: pa.py_buffer(b"PAR1" + bytes(50) + b"PAR1"), "no table that can be read"),
+    ],
+)
+def test_a_file_that_is_no_table_of_results_is_refused(content, words):
+    content, taken = content(), pa.total_allocated_bytes()
+    with pytest.raises(InputError, match=words) as error:
+        read_parquet(FILE, content)
+    assert "\n" not in str(error.value)
+    assert pa.total_allocated_bytes() - taken < 2**24
+
+
+def test_a_table_is_read_as_it_was_written():
+    rows = pd.DataFrame({"a.b": [1.0, np.nan], "a.name": ["x", "y"], "a": [1, 2], "point_id": ["0a", "0b"],
+                         "outcome": ["success", ""], "limit": [None, None]})  # fmt: skip
+    content = written(pa.Table.from_pandas(rows, preserve_index=False))
+    pd.testing.assert_frame_equal(read_parquet(FILE, content).to_pandas(), rows)
+    some = read_parquet(FILE, content, ["point_id", "a", "lacking"])
+    pd.testing.assert_frame_equal(some.to_pandas(), rows[["point_id", "a"]])
+
+
+def test_all_parts_together_expand_to_no_more_than_their_size_warrants(monkeypatch):
+    folder, asked = Path(__file__).parent / "data" / "ci_smoke", []
+    monkeypatch.setattr(store, "check_expansion", lambda path, total, size: asked.append((total, size)))
+    store.read_rows(folder)
+    parts = store.current_parts(folder)
+    sizes = [store.read_table(folder, part).nbytes for part in parts]
+    assert asked == [(sum(sizes[: k + 1]), sum(part.length for part in parts)) for k in range(2)]
+
+
+def test_a_text_of_a_replay_expands_to_a_bounded_size(monkeypatch):
+    text = encode_text(bytes(1000))
+    assert decode_text(text) == bytes(1000)
+    monkeypatch.setattr("sweep.core.files.MOST_DECODED", 999)
+    with pytest.raises(ValueError, match="expands to more than 999 bytes"):
+        decode_text(text)
