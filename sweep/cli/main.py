@@ -7,7 +7,7 @@ import sys
 
 from sweep.cli import streams
 from sweep.cli.exits import BAD_INPUT, FAULT, INTERRUPTED
-from sweep.core import interrupts
+from sweep.core import interrupts, user_code
 from sweep.core.errors import Fault, InputError, escape_control_characters
 
 
@@ -22,6 +22,15 @@ def main(argv: list[str] | None = None) -> int:
         interrupts.watch_interrupts()
     if sys.stdout is sys.__stdout__:  # not of a notebook, or of a test
         streams.protect_streams()
+    try:
+        return run_command(argv)
+    finally:
+        for line in user_code.take_output():  # what is in no folder's log
+            print(f"sweep: {escape_control_characters(line)}", file=sys.stderr)
+
+
+def run_command(argv: list[str] | None) -> int:
+    """Run one command, see `main`; each error becomes a line on the standard error."""
     try:
         from sweep.cli import commands  # takes a tenth of a second
         from sweep.core import project

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from sweep.core.errors import InputError
 from sweep.core.files import cache_folder, ensure_private_folder
 
-FIRST, NEXT = 15.0, 60.0  # s of silence before the first line in a pipe, and between further lines
+FIRST, NEXT = 10.0, 60.0  # s of silence before the first line in a pipe, and between further lines
 WORTH = 2.0  # s: shorter durations are not stored
 KEPT = "waits.json"  # beside the compiled programs
 _begun: dict[str, float] = {}  # start times of running parts, by name

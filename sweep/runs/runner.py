@@ -12,7 +12,7 @@ from uuid import uuid4
 import numpy as np
 import pandas as pd
 
-from sweep.core import provenance
+from sweep.core import provenance, user_code
 from sweep.core.errors import Fault, InputError
 from sweep.core.expressions import mask
 from sweep.core.files import path_in
@@ -433,6 +433,9 @@ def simulate_on_worker(folder: Path, version: str, code: str, number: int) -> Fi
         )
     except MemoryError:
         pass
+    finally:
+        for line in user_code.take_output(with_tracebacks=True):
+            store.log(folder, line)
     if entry is None:  # outside the handler, whose exception keeps the arrays alive
         forget_engine()
     return FinishedBatch(number, host, job.exp.system.device(start.settings), engine.devices, entry, beside)

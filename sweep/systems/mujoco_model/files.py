@@ -1,5 +1,7 @@
 """An own model's files: what MuJoCo compiles, and the Python functions that control it."""
 
+import ast
+import contextlib
 import functools
 import hashlib
 import importlib
@@ -20,6 +22,7 @@ import numpy as np
 
 from sweep.core import project
 from sweep.core.errors import WRONG, InputError, format_user_exception, suggest
+from sweep.core.user_code import describe_user_error, report_silence, run_user_code
 from sweep.models.binary import model_bytes
 
 ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
@@ -48,6 +51,7 @@ class Policy(NamedTuple):
     measured: Mapping[str, str] = MappingProxyType({})  # what these figures mean, by name: `FIGURES`
     measure: Callable[..., Any] | None = None  # what figures are made of, besides, as every tick begins
     observe: Callable[..., Any] | None = None  # what the policy is told, of all that can be observed by name
+    folder: Path = Path()  # that its relative paths are from
 
 
 def project_folder() -> Path:
@@ -75,7 +79,8 @@ def _compiled(file: Path, changed: int) -> mujoco.MjModel:
     mujoco.set_mju_user_warning(lambda _: None)  # what cannot be read is told below, and a row is invalid
     try:
         binary = file.suffix == BINARY
-        made = mujoco.MjModel.from_binary_path(str(file)) if binary else _source(file, changed).compile()
+        with report_silence(f"MuJoCo, which compiles model.mjcf = {file.name},"):
+            made = mujoco.MjModel.from_binary_path(str(file)) if binary else _source(file, changed).compile()
     except (ValueError, RuntimeError) as error:
         reason, near = " ".join(str(error).split()), ""
         if lost := re.search(r"opening file '(?:.*/)?([^/']+)'", reason):
@@ -134,12 +139,13 @@ def load_controller(name: str) -> Policy:
     if name.endswith(ONNX):
         file = _require_file("controller", name, ONNX)
         files = sorted(file.parent.glob(f"{file.name}*"))  # a large network's weights
-        policy = _network(name, str(file), max(one.stat().st_mtime_ns for one in files))
+        policy, folder = _network(name, str(file), max(one.stat().st_mtime_ns for one in files)), project_folder()
         digest = f"{_digest(files)}-{metadata.version('onnxruntime')}"
         if not file.with_suffix(".py").is_file():
-            return Policy(policy, tuple(files), digest, batched=True)
+            return Policy(policy, tuple(files), digest, batched=True, folder=folder)
         beside = project.sources(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
-        return Policy(policy, (*files, *beside), f"{digest}-{_digest(beside)}", True, **_beside(name, module))
+        digest = f"{digest}-{_digest(beside)}"
+        return Policy(policy, (*files, *beside), digest, True, folder=folder, **_beside(name, module))
     module_name, sign, function = name.partition(":")
     if not (sign and module_name and function):
         such = "as my.walk:policy, a module and its function, or walk.onnx"
@@ -148,11 +154,13 @@ def load_controller(name: str) -> Policy:
     if not callable(policy := getattr(module, function, None)):
         own = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise InputError(f"model.controller = {name}: {function} is unknown{suggest(function, own)}")
-    files = [project_folder() / str(file) for file in getattr(module, "FILES", ())]
+    named = [str(file) for file in getattr(module, "FILES", ())]
+    folder = code_folder(Path(str(module.__file__)), named)
+    files = [folder / file for file in named]
     for file in files:
         if not file.is_file():
             raise InputError(f"model.controller = {name}: FILES has {file.name}, which is not a file")
-    files, more = (*project.sources(module), *files), _beside(name, module)
+    files, more = (*project.sources(module), *files), {"folder": folder, **_beside(name, module)}
     if batched := _batched(policy):
         return Policy(policy, files, _digest(files), batched, **more)
     parameters, believes = (getattr(module, key, {}) for key in ("PARAMETERS", "BELIEVES"))
@@ -221,16 +229,37 @@ def _module(told: str, name: str) -> ModuleType:
             del sys.modules[stale]
         importlib.invalidate_caches()
     try:
-        module = importlib.import_module(name)
+        with run_user_code(f"{name}, which is imported,", _folder_of_module(name)):
+            module = importlib.import_module(name)
         _READ[name] = here, _digest(project.sources(module))
     except WRONG as error:
-        raise InputError(f"model.controller = {told} cannot be imported: {format_user_exception(error)}") from None
+        reason = describe_user_error(error, here) or format_user_exception(error)
+        raise InputError(f"model.controller = {told} cannot be imported: {reason}") from None
     for key, (form, what) in FORMS.items():
         said = getattr(module, key, ())
         words = [*said, *(said.values() if key == "BELIEVES" else ())] if said and isinstance(said, form) else []
         if said != () and not (isinstance(said, form) and all(isinstance(one, str | Path) for one in words)):
             raise InputError(f"model.controller = {told}: {key} = {said!r} is not allowed: {what}")
     return module
+
+
+def code_folder(source: Path, named: Sequence[str]) -> Path:
+    """The folder that a module's relative paths are from: its own, if its `FILES` are there, else the project's."""
+    beside = source.resolve().parent
+    return beside if named and all((beside / file).is_file() for file in named) else project_folder().resolve()
+
+
+def _folder_of_module(name: str) -> Path:
+    """`code_folder` of a module that is not imported yet, by what its source says of `FILES`."""
+    source = project_folder() / Path(*name.split(".")).with_suffix(".py")
+    if not source.is_file():
+        source = project_folder().joinpath(*name.split("."), "__init__.py")
+    named: list[str] = []
+    with contextlib.suppress(OSError, SyntaxError, ValueError, TypeError):  # which the import reports
+        for node in ast.parse(source.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "FILES":
+                named = [str(one) for one in ast.literal_eval(node.value)]
+    return code_folder(source, named)
 
 
 def _batched(policy: Callable[..., Any]) -> bool:

@@ -7,7 +7,7 @@ model with a row for each rollout.
 """
 
 import io
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import redirect_stdout
 from copy import copy
 from importlib.util import find_spec
@@ -174,7 +174,7 @@ class MjxModelEngine(ModelEngine):
             for tick in range(COMPARED):
                 qpos, qvel, act = (np.asarray(carry["now"][name], float)[rows] for name in ("qpos", "qvel", "act"))
                 reference.qpos[:], reference.qvel[:], activation[:] = qpos, qvel, act
-                carry = self._ticks(fixed, 1, carry)
+                carry = self._advance(fixed, tick, 1, carry)
                 ctrl = np.asarray(carry["ctrl"], float)[rows]
                 before = ctrl if before is None else before
                 controls = before[:, None] + self._shares[:, None] * (ctrl - before)[:, None]
@@ -216,11 +216,11 @@ class MjxModelEngine(ModelEngine):
             given = fixed[3]
             longest, chunk = int(ticks.max(initial=0)), every if len(slots) else CHUNK
             for k in range(0, longest, chunk):
-                carry = self._ticks(fixed, min(chunk, longest - k), carry)
+                carry = self._advance(fixed, k, min(chunk, longest - k), carry)
                 if len(slots) and k + every <= longest:
                     last = carry["ctrl"], carry["now"]["qpos"], carry["now"]["qvel"], carry["force"]
                     frames.append(TickSample((k + every) * own.config.period, *(np.asarray(x)[slots] for x in last)))
-            measured = self._finish(given, carry["carried"], carry["seen"])
+            measured = self._call(self._finish, given, carry["carried"], carry["seen"])
         measured = {name: np.asarray(values, float) for name, values in measured.items()}
         last, (wrong, full) = carry["sofar"], (np.asarray(carry[name]) for name in ("wrong", "full"))
         gained = begun.energy(last["last"], last["speed"]) - at_first
@@ -237,7 +237,7 @@ class MjxModelEngine(ModelEngine):
         own, n = self._own, len(streams)
         begun = batch.start_batch(own, self._settings, world, belief, streams)
         given = jax.device_put(begun.given)
-        start, state, duration = self._first(given)
+        start, state, duration = self._call(self._first, given)
         at_first = begun.energy(start)
         seen = jnp.asarray(own.state(begun.qpos, begun.qvel, begun.sensors), float)
         ticks = batch.count_ticks(own, duration)
@@ -247,7 +247,7 @@ class MjxModelEngine(ModelEngine):
         carry = {
             "now": now,
             "sofar": self._meter.start(now["qpos"], now["qvel"]),
-            "carried": self._enter(given, state, seen, ticks.astype(np.int32)),
+            "carried": self._call(self._enter, given, state, seen, ticks.astype(np.int32)),
             "seen": seen,
             "wrong": jnp.zeros(n, bool),
             "full": jnp.zeros(n, bool),
@@ -257,6 +257,17 @@ class MjxModelEngine(ModelEngine):
         carry = jax.tree.map(jnp.copy, carry)  # its buffers are given away, and some are there twice
         limits = {name: jnp.asarray(rows, float) for name, rows in begun.limits.items()}
         return begun, (template, data, leaves, given, limits), carry, ticks, at_first
+
+    def _advance(self, fixed: tuple[Any, ...], first: int, count: int, carry: Mapping[str, Any]) -> dict[str, Any]:
+        """What goes on after `count` more ticks from the tick `first` on, see `_run_ticks`."""
+        last = first + count
+        when = f" in tick {last}" if count == 1 else f" in ticks {first + 1} to {last}"
+        return self._call(self._ticks, fixed, count, carry, when=when)
+
+    def _call(self, program: Callable[..., Any], *given: Any, when: str = "") -> Any:
+        """Results of a program that has the controller in it; an error of the user's code becomes one line."""
+        finished = jax.block_until_ready  # else the error would be that of whoever looks at the results
+        return self._programs.call_user_code(lambda: finished(program(*given)), when=when, is_own=False)
 
     def _put(self, begun: batch.BatchStart) -> tuple[Any, Any, dict[str, Array]]:
         """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""

@@ -6,6 +6,7 @@ NumPy's is called with a whole tile, whose width never changes.
 """
 
 import contextlib
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -15,11 +16,14 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.core.errors import WRONG, InputError, format_user_exception
+from sweep.core.user_code import describe_user_error, run_user_code
 from sweep.fused.numbers import evaluate_constants
+from sweep.systems.mujoco_model import files
 from sweep.systems.mujoco_model.batch import BatchStart, controller_inputs, count_ticks
 from sweep.systems.mujoco_model.model_spec import ModelSpec, Side
 
 TILE = 64
+logging.getLogger("jax._src.callback").setLevel(logging.CRITICAL)  # it prints tracebacks of errors that are told here
 
 
 def _draw_normal(key: Array, like: Array) -> Array:
@@ -39,13 +43,14 @@ class ControllerPrograms:
 
     def __init__(self, own: ModelSpec, belief: Mapping[str, Any]):
         control, self._own = own.controller, own
+        self.period = own.config.period
         self._begin = control.begin or (lambda belief, key: (None, (), None))
         # what is batched is called with what this gives
         self._policy = (lambda belief, told, state, key: (told, state)) if control.batched else control.policy
         self._measure = control.measure or (lambda sofar, told: ())
         figures = control.figures or (lambda *given: {})
         self._figures = figures if control.measure else lambda belief, state, sofar: figures(belief, state)
-        self._call_user_code(self._check, belief)
+        self.call_user_code(self._check, belief)
 
         def each(one: Callable[..., Any]) -> Callable[..., Any]:  # of a tile's rollouts
             return lambda *rows: jax.lax.map(lambda row: one(*row), rows)
@@ -109,9 +114,7 @@ class ControllerPrograms:
         """
 
         def found(function: Callable[..., Any], *more: Any) -> Any:  # without compiling it
-            return self._call_user_code(
-                evaluate_constants, lambda: function(*jax.tree.map(jnp.asarray, (first, *more)))
-            )
+            return self.call_user_code(evaluate_constants, lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
 
         first = jax.tree.map(lambda rows: rows[0], begun.given)
         start, state, duration = found(self.begin_one)
@@ -142,21 +145,36 @@ class ControllerPrograms:
         """One line that says what a controller does wrong."""
         return InputError(f"model.controller = {self._own.config.controller} {what}")
 
-    def _call_user_code(self, function: Callable[..., Any], *given: Any) -> Any:
-        """What a user's function gives; whatever it raises as an `InputError`."""
+    def call_user_code(self, function: Callable[..., Any], *given: Any, when: str = "", is_own: bool = True) -> Any:
+        """Call a function that runs code of the user, see `run_user_code`.
+
+        Args:
+            function: the function.
+            *given: its arguments.
+            when: ` in tick 3`, for messages.
+            is_own: whether all that it raises is the user's; else only what was raised in a file of the project.
+
+        Raises:
+            InputError: names the controller, the tick, and the file and line that failed.
+        """
+        name, control = self._own.config.controller, self._own.controller
         try:
-            return function(*given)
+            with run_user_code(f"{name}{when}", control.folder):
+                return function(*given)
         except InputError:
             raise
         except WRONG as error:
-            raise self._error(f"fails: {format_user_exception(error)}") from None
+            reason = describe_user_error(error, files.project_folder())
+            if reason is None and not is_own:
+                raise
+            raise self._error(f"fails{when}: {reason or format_user_exception(error)}") from None
 
-    def compute_controls(self, told: np.ndarray) -> np.ndarray:
+    def compute_controls(self, told: np.ndarray, when: str = "") -> np.ndarray:
         """Controls (n, nu) of what the program gives (n, ...): they are it, or what a batched controller is told."""
         if not self._own.controller.batched:
             return told
         told, controls = np.array(told), self._own.model.nu
-        ctrl = self._call_user_code(lambda: np.asarray(self._own.controller.policy(told)))
+        ctrl = self.call_user_code(lambda: np.asarray(self._own.controller.policy(told)), when=when)
         if ctrl.shape != (len(told), controls) or ctrl.dtype.kind not in "fiu":
             wanted = f"numbers ({len(told)}, {controls}) are wanted of ({len(told)}, {told.shape[1]})"
             raise self._error(f"gives {ctrl.dtype} {ctrl.shape}: {wanted}")
@@ -214,7 +232,8 @@ class Rollouts:
         self._programs, self._n = programs, n
         self._rows = np.minimum(np.arange(-(-self._n // TILE) * TILE), self._n - 1).reshape(-1, TILE)
         self._given = [jax.device_put(jax.tree.map(lambda x, r=r: np.asarray(x)[r], given)) for r in self._rows]
-        starts, self._carried, durations = zip(*map(programs.first, self._given), strict=True)
+        self._tick, self._period = 0, programs.period
+        starts, self._carried, durations = zip(*self._call(lambda: list(map(programs.first, self._given))), strict=True)
         self.start, self.duration = self._joined(starts), self._joined(durations)
 
     def enter(self, now: np.ndarray, ticks: np.ndarray) -> None:
@@ -223,18 +242,29 @@ class Rollouts:
 
     def tick(self, now: np.ndarray) -> np.ndarray:
         """Controls (n, nu) at the next tick, after states (n, s)."""
+        self._tick += 1
         parts, self._carried = zip(*self._of_tiles(self._programs.tick, now), strict=True)
-        return self._joined([self._programs.compute_controls(one) for one in parts])
+        return self._joined([self._programs.compute_controls(one, self._when) for one in parts])
 
     def finish(self, now: np.ndarray) -> dict[str, np.ndarray]:
         """The controllers' own figures, (n,) by name, of states (n, s) at the end."""
         parts = self._of_tiles(self._programs.finish, now)
         return {name: self._joined([one[name] for one in parts]) for name in parts[0]}
 
+    @property
+    def _when(self) -> str:
+        return f" in tick {self._tick} ({(self._tick - 1) * self._period:.4g} s)" if self._tick else ""
+
+    def _call(self, function: Callable[[], Any]) -> Any:
+        """Results of compiled programs, whose errors are told here and not where somebody looks at them."""
+        return self._programs.call_user_code(lambda: jax.block_until_ready(function()), when=self._when, is_own=False)
+
     def _of_tiles(self, program: Callable[..., Any], *more: np.ndarray) -> list[Any]:
         """What a program gives of each tile: of what is given to it, what it carries, and rows of `more`."""
         each = zip(self._given, self._carried, self._rows, strict=True)
-        return [program(given, carried, *(one[rows] for one in more)) for given, carried, rows in each]
+        return self._call(
+            lambda: [program(given, carried, *(one[rows] for one in more)) for given, carried, rows in each]
+        )
 
     def _joined(self, parts: Sequence[Any]) -> Any:
         return None if parts[0] is None else np.concatenate([np.asarray(one) for one in parts])[: self._n].astype(float)
