@@ -44,6 +44,7 @@ FILES_BELOW_RUNS = {
     "sweep.core.files",
     "sweep.core.project",
     "sweep.core.provenance",
+    "sweep.core.user_code",
     "sweep.fused.cuda",
     "sweep.engines.program_cache",
     "sweep.study.config",
