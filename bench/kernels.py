@@ -16,7 +16,7 @@ from sweep.engines import devices, program_cache
 from sweep.engines.mjx import MjxEngine
 from sweep.fused import driver, launch
 from sweep.study.config import Experiment, compose
-from sweep.systems.hexapod import assign
+from sweep.systems.hexapod import replace_parameter
 
 COMPILED, TRANSLATED = launch.compile_to_ptx, driver._translate
 Figures = dict[str, np.ndarray]
@@ -40,7 +40,7 @@ def measure_kernel(exp: Experiment, width: int, few: bool) -> tuple[Figures, lis
     driver._machine_code.clear()
     driver._translate = with_timer(lambda text: texts.append(text) or TRANSLATED(text), driven)
     launch.compile_to_ptx = lambda *given, **named: COMPILED(*given, **{**named, "small_batch": few})
-    world, streams = assign(exp.case, "contact.friction", np.linspace(0.9, 1.2, width)), np.arange(width)
+    world, streams = replace_parameter(exp.case, "contact.friction", np.linspace(0.9, 1.2, width)), np.arange(width)
     engine = MjxEngine(replace(exp.settings, width=width), exp.case, exp.case, exp.thresholds)
     with program_cache.without_cache():
         engine.run(world, exp.case, streams)

@@ -70,7 +70,7 @@ def native(own: MujocoModel, controls: np.ndarray, n: int) -> Ways:
     model = own.model
     ctrl = np.repeat(controls, count_steps(own) // len(controls), axis=0)
     data = [mujoco.MjData(model) for _ in range(THREADS)]
-    mujoco.mj_resetDataKeyframe(model, data[0], own.keyframe)
+    mujoco.mj_resetDataKeyframe(model, data[0], own.keyframe_index)
     full = mujoco.mjtState.mjSTATE_FULLPHYSICS
     start = np.zeros(mujoco.mj_stateSize(model, full))
     mujoco.mj_getState(model, data[0], start, full)
@@ -159,7 +159,7 @@ def count_steps(own: MujocoModel) -> int:
 def keyframe_data(own: MujocoModel) -> mujoco.MjData:
     """Return the model's data at the keyframe."""
     data = mujoco.MjData(own.model)
-    mujoco.mj_resetDataKeyframe(own.model, data, own.keyframe)
+    mujoco.mj_resetDataKeyframe(own.model, data, own.keyframe_index)
     data.ctrl[:] = data.qpos[7:]  # servos hold it
     return data
 
@@ -184,8 +184,8 @@ def make_task(name: str, width: int, seconds: str, *more: str) -> tuple[MujocoMo
     exp = compose(["scenario=own", f"engine.name={name}", f"model.duration={seconds}", *more])
     own = exp.system
     assert isinstance(own, MujocoModel)
-    task = (*own.sides({}), np.zeros(width, np.int64))
-    return own, own.engine(replace(exp.settings, width=width), *task[:2], None), task
+    task = (*own.make_sides({}), np.zeros(width, np.int64))
+    return own, own.make_engine(replace(exp.settings, width=width), *task[:2], None), task
 
 
 def measure_engine(name: str, width: int, seconds: str) -> Iterator[dict[str, Any]]:

@@ -28,7 +28,7 @@ from sweep.fused import eager
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import free_start_state
 from sweep.study.config import compose
-from sweep.systems.hexapod import assign
+from sweep.systems.hexapod import replace_parameter
 
 FOLDER = Path(__file__).parent / "data" / "plans"
 TRACKED = FOLDER.parent / "tracked.npz"
@@ -72,7 +72,7 @@ def record_plan(name: str, count: int = DRAWS) -> dict[str, np.ndarray]:
         for k in range(count + 1):
             case = exp.case
             for path, values in drawn.items():
-                case = assign(case, path, float(values[k]))
+                case = replace_parameter(case, path, float(values[k]))
             try:
                 plan = drop_idle_lifts(eager.evaluate_constants(partial(without_forces, case)))
             except InputError:

@@ -85,7 +85,7 @@ def figures(exp, table, **engine):
     """Those of a study's points, in one batch of an engine."""
     rows = batches.assign_batches(exp, pd.DataFrame(), table).assign(width=len(table))
     task = batches.make_batch(exp, rows)
-    made = exp.system.engine(replace(task.settings, **engine), task.world, task.belief, None)
+    made = exp.system.make_engine(replace(task.settings, **engine), task.world, task.belief, None)
     return made.run(task.world, task.belief, task.streams)
 
 
@@ -320,7 +320,7 @@ def test_where_mjx_parts_from_c_is_told(here, capsys):
 def _engine(integrator, *more):
     system = compose(["study=study.yaml", f"model.option.integrator={integrator}", *more]).system
     assert isinstance(system, MujocoModel)
-    return system.engine(EngineSettings(name="mjx"), *system.sides({}), None)
+    return system.make_engine(EngineSettings(name="mjx"), *system.make_sides({}), None)
 
 
 RAIL = """<mujoco><option timestep="0.005" gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
@@ -367,8 +367,8 @@ def test_mjx_traces_once(here, caplog):
     """What is traced and compiled of a batch is not, of the next one."""
     rail("push", PUSH)
     exp = compose(["study=rail.yaml", "engine=mjx"])
-    task = (*exp.system.sides({}), np.zeros(4, np.int64))
-    made = exp.system.engine(exp.settings, *task[:2], None)
+    task = (*exp.system.make_sides({}), np.zeros(4, np.int64))
+    made = exp.system.make_engine(exp.settings, *task[:2], None)
     with jax.log_compiles():
         first = made.run(*task)
         assert "begin_one" in caplog.text
@@ -391,8 +391,8 @@ ELSEWHERE = """import jax, numpy as np
 jax.config.update("jax_default_device", jax.devices()[1])
 from sweep.study.config import compose
 exp = compose(["study=rail.yaml"])
-task = *exp.system.sides({}), np.zeros(4, np.int64)
-exp.system.engine(exp.settings, *task[:2], None).run(*task)
+task = *exp.system.make_sides({}), np.zeros(4, np.int64)
+exp.system.make_engine(exp.settings, *task[:2], None).run(*task)
 import where
 print(where.PLACES)
 """

@@ -123,7 +123,7 @@ def test_models_that_are_compiled_anew_are_what_mujoco_makes_of_their_numbers(he
     spec = mujoco.MjSpec.from_string(text)
     model = spec.copy().compile()
     batch = Batch(model, 3)
-    fields.write(
+    fields.write_values(
         batch, {p: np.array([v, v, fields.parameter(model, p).default]) for p, v in WIDER.items()}, lambda: spec
     )
     spec = spec.copy()
@@ -172,14 +172,14 @@ def test_every_field_of_a_batch_is_a_path_or_the_page_says_why_not():
             names = one.names or (fields.XYZ if one.compiled else [*map(str, range(size))])
             path = f"{thing}.{name}" + (f".{names[size - 1]}" if size > 1 else "")
             nominal, batch = fields.parameter(model, path).default, Batch(model, 2)
-            fields.write(batch, {path: np.array([nominal, nominal + 0.25])}, lambda: spec)
+            fields.write_values(batch, {path: np.array([nominal, nominal + 0.25])}, lambda: spec)
             same, other = (fields.field_values(batch.get_model(k), one.field) for k in (0, 1))
             np.testing.assert_array_equal(same, usual, err_msg=path)
             assert list(other[other != usual]) == [nominal + 0.25], path
             paths.add(one.field)
     simple = mujoco.MjSpec.from_string(ALL.replace(' simple="false"', "")).compile()
     with pytest.raises(InputError, match="MuJoCo has the body as a simple one"):
-        fields.check(lambda: spec, simple, "model.body.ball.ipos.x")
+        fields.check_variable(lambda: spec, simple, "model.body.ball.ipos.x")
     listed, _, rest = PAGE.partition("**Paths.**")[2].partition("are no paths, for these reasons:")
     assert not [name for _, numbers in things for name in numbers if f"`{name}`" not in listed]
     table = rest.partition("\n\n`noise")[0]

@@ -191,7 +191,7 @@ def test_fields_are_what_a_model_that_is_compiled_with_them_has(here):
         assert fields.parameter(other, path).default == pytest.approx(value)
         assert fields.parameter(model, path).default != pytest.approx(value)
     batch = Batch(model, 2)
-    fields.write(batch, {path: np.full(2, value) for path, value in wanted.items()}, lambda: spec)
+    fields.write_values(batch, {path: np.full(2, value) for path, value in wanted.items()}, lambda: spec)
     batch.reset(keyframe=0)
     batch.step(nstep=100)
     data = mujoco.MjData(other)

@@ -29,7 +29,7 @@ from sweep.models.plan_table import (
 )
 from sweep.study.config import compose
 from sweep.study.study import points
-from sweep.systems.hexapod import assign
+from sweep.systems.hexapod import replace_parameter
 
 ROOF = ["scenario=corner_roof"]
 AHEAD = "plan.roof.front.on.front.ahead"
@@ -60,7 +60,7 @@ def test_a_number_that_varies_moves_its_foothold_and_is_traced():
         _, stages = belief.manoeuvre.route(belief)
         return next(s.swing[5] for s in stages if s.name == "roof.front.on")
 
-    moved = [foothold(exp.system.sides({f"belief.{AHEAD}": value})[1]) for value in (start, start + by)]
+    moved = [foothold(exp.system.make_sides({f"belief.{AHEAD}": value})[1]) for value in (start, start + by)]
     assert foothold._cache_size() == 1
     np.testing.assert_allclose(moved[1] - moved[0], [0, -by * unit, 0], atol=1e-6)
 
@@ -183,11 +183,13 @@ sizes: {share: "max(half, 0.1) / obstacle.height", half: obstacle.height / 2}
     case = compose([*ROOF, "plan=mine"]).case
     move = jax.jit(lambda case: evaluate_plan(case, "roof")["roof"]["pitch"])
     for height in (2.3, 2.4):
-        found = move(assign(case, "obstacle.height", height))
+        found = move(replace_parameter(case, "obstacle.height", height))
         np.testing.assert_allclose(found["base"], [-0.5, -height / 2 / 1.05, 30], rtol=1e-6)
         assert found["time"] == 1
     assert move._cache_size() == 1
-    found = move(assign(assign(case, "plan.sizes.half", 1.0), "plan.roof.pitch.time", 3.0))  # in its place
+    found = move(
+        replace_parameter(replace_parameter(case, "plan.sizes.half", 1.0), "plan.roof.pitch.time", 3.0)
+    )  # in its place
     np.testing.assert_allclose([found["base"][0], found["time"]], [1 / 2.3 - 1, 3], rtol=1e-6)
     lab.write_text(lab.read_text() + "slopes: {at: {robot.thigh: 0.26}, roof.pitch.base.ahead: {robot.thigh: 0.2}}")
     np.testing.assert_allclose(move(compose([*ROOF, "plan=mine"]).case)["base"][0], 0.2 - 0.5, rtol=1e-6)
@@ -210,8 +212,10 @@ def test_a_part_that_is_repeated_is_its_moves_again_and_again(lab):
     again = case(f"repeat: 1 + 1, all: {PAIRS % ('step * (k + 1)', 'step * (k + 1) + 0.5', 'step * (k + 1) - 0.5')}")
     assert evaluate_constants(partial(without_forces, again)).names == ("stand", "on.1.all", "on.2.all", "halt")
     same(again, case(written(0.05)))
-    same(assign(again, "plan.sizes.step", 0.04), case(written(0.04)))
-    same(assign(again, "plan.on.all.base.ahead", 0.07), case(written(0.05, 0.02)))  # the first, and others by as much
+    same(replace_parameter(again, "plan.sizes.step", 0.04), case(written(0.04)))
+    same(
+        replace_parameter(again, "plan.on.all.base.ahead", 0.07), case(written(0.05, 0.02))
+    )  # the first, and others by as much
 
 
 @pytest.mark.parametrize(

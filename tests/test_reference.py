@@ -37,4 +37,4 @@ def test_no_entry_is_without_a_meaning(made):
 def test_metrics_of_an_own_model_are_described(monkeypatch, tmp_path):
     assert main(["init", "--model", str(tmp_path / "quad")]) == 0
     monkeypatch.chdir(tmp_path / "quad")
-    assert {*compose(["study=grip"]).system.figures} <= {*COLUMNS}
+    assert {*compose(["study=grip"]).system.metric_names} <= {*COLUMNS}

@@ -31,7 +31,7 @@ def compare_along_axes(rows: pd.DataFrame, exp: Experiment) -> dict[str, AxisPai
         return {}
     axes = [axis for axis in exp.study.axes if axis.column in rows]
     measured = pd.util.hash_pandas_object(rows[[*figure_columns(rows), *LABELS]], index=False).to_numpy()
-    draws = rows["replicate"].where(exp.system.random(rows, exp.settings), 0)
+    draws = rows["replicate"].where(exp.system.find_random_rows(rows, exp.settings), 0)
     found = {axis.name: _compare_along(axis, axes, rows, draws, measured) for axis in axes}
     return {name: pairs for name, pairs in found.items() if pairs.rollouts}
 

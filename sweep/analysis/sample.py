@@ -42,7 +42,7 @@ def drop_copies(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.DataFrame, str]
     if exp.study.replicates < 2:
         return rows, ""
     points = rows[parameter_columns(rows)].assign(draw=rows["replicate"] // exp.study.replicates)
-    again = points.duplicated().to_numpy() & ~exp.system.random(rows, exp.settings)
+    again = points.duplicated().to_numpy() & ~exp.system.find_random_rows(rows, exp.settings)
     if not again.any():
         return rows, ""
     number = int(again.sum())

@@ -21,7 +21,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
 from sweep.study.config import compose
-from sweep.systems.hexapod import assign
+from sweep.systems.hexapod import replace_parameter
 
 MOST_NATIVE = 128  # rollouts for the row of C MuJoCo, the slowest
 MEASURED = "walk_tripod over walk_map: controller, physics and metrics of whole rollouts; env-steps are physics steps"
@@ -61,8 +61,8 @@ def walk_map_batches(nominal: Case, rollouts: int, width: int) -> list[tuple[Cas
     slots = np.minimum(np.arange(-(-rollouts // width) * width), rollouts - 1).reshape(-1, width)
     batches = []
     for batch in slots:
-        belief = assign(nominal, "manoeuvre.half_step_ratio", ratio.ravel()[batch])
-        world = assign(belief, "contact.friction", friction.ravel()[batch])
+        belief = replace_parameter(nominal, "manoeuvre.half_step_ratio", ratio.ravel()[batch])
+        world = replace_parameter(belief, "contact.friction", friction.ravel()[batch])
         batches.append((world, belief))
     return batches
 

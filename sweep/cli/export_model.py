@@ -42,7 +42,7 @@ def main(args: list[str]) -> int:
         raise InputError("study is not allowed: one scenario is exported, whose numbers are axes again")
     if not exp.values["out"]:
         raise InputError("out is missing: a new or empty folder")
-    exported.check(exp.case)
+    exported.check_exportable(exp.case)
     folder, module = Path(exp.values["out"]), f"{exp.scenario}_policy"
     about = exported.make_scenario(exp.case, exp.settings, exp.thresholds, "robot.mjb", f"{module}:policy")
     spec = exported.make_spec(exp.case, exp.settings)

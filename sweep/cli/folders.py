@@ -312,7 +312,7 @@ def relabel(args: argparse.Namespace) -> int:
     from sweep.runs import results, runner, store
 
     exp = results.load_experiment(args.dir)
-    changes = dict(map(exp.system.limit, args.thresholds))
+    changes = dict(map(exp.system.parse_threshold, args.thresholds))
     if len(changes) < len(args.thresholds):
         raise InputError(f"a threshold is given twice: {' '.join(args.thresholds)}")
     with store.lock_folder(args.dir):

@@ -37,7 +37,7 @@ from sweep.study import designs
 from sweep.study.clusters import WorkerReport, connect_lazily
 from sweep.study.config import Experiment, compose_values, experiment
 from sweep.study.study import check_expect, name_axes, parameter_columns, unit_of_column
-from sweep.systems import kind_of
+from sweep.systems import find_kind_by_keys
 
 JITTER = ["study=any_jitter"]  # sixteen rollouts that differ by 1e-6
 SLACK = 0.2  # share of them that may end otherwise than the scenario expects
@@ -204,7 +204,7 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
 def jitter_experiment(exp: Experiment) -> Experiment | None:
     """The scenario with the jitter study's axes and its own expectations; None for another system."""
     values = compose_values(JITTER)
-    if kind_of(values) is not kind_of(exp.values):
+    if find_kind_by_keys(values) is not find_kind_by_keys(exp.values):
         return None
     of = experiment({**exp.values, "study": {**values["study"], "name": f"{exp.scenario}_jitter"}})
     expect = tuple(

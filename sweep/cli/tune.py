@@ -148,7 +148,7 @@ def sizes_that_matter(
     """
     off = shares(seen, sizes)
     alone = 1 + np.vstack([np.diag(np.abs(off).max(axis=0)), np.zeros((max(1, len(off) - len(sizes)), len(sizes)))])
-    tried = exp.system.sides({path: at * alone[:, k] for k, (path, at) in enumerate(sizes.items())})[1]
+    tried = exp.system.make_sides({path: at * alone[:, k] for k, (path, at) in enumerate(sizes.items())})[1]
     lack = np.asarray(score.lacking(score.margins(numbers, stacked(tried, len(alone)))))
     moved = ~np.isclose(lack, lack[-1], 0.0, SAME, equal_nan=True).all(axis=1)
     if not (found := {path: at for (path, at), feels in zip(sizes.items(), moved, strict=False) if feels}):

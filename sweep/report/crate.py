@@ -101,7 +101,7 @@ def describe_study(crate: "ROCrate", results: Results, license_: str, author: st
         crate.add_file(path_in(folder, name), f"{STUDY}/{name}", properties=describe_file(name))
         for name in (store.STUDY, store.POINTS)
     ]
-    if read := exp.system.files():
+    if read := exp.system.source_files():
         sources = {**read, project.FILE: io.StringIO("modules: []\n")}
         given += [crate.add_file(file, f"{PROJECT}/{name}", properties=describe_file(name, "what is simulated"))
                   for name, file in sources.items()]  # fmt: skip

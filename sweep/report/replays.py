@@ -17,7 +17,7 @@ from sweep.engines.base import NoTrace, Trace, same_bits
 from sweep.runs import batches, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment
-from sweep.systems.base import judge_one
+from sweep.systems.base import judge_rollout
 from sweep.trace.motion import RATE, bodies, motion
 
 REPLAYS = "replays"  # folder beside the study's parts
@@ -86,7 +86,7 @@ def simulate_again(
             if isinstance(trace, NoTrace):
                 print(f"sweep: no replay of {row['point_id']}: {trace.reason}", file=sys.stderr)
                 continue
-            yield row, trace, judge_one(exp.system, trace.metrics, exp.thresholds, engine.stages)
+            yield row, trace, judge_rollout(exp.system, trace.metrics, exp.thresholds, engine.stages)
 
 
 def pack_batches(rows: pd.DataFrame, widest: int) -> pd.DataFrame:

@@ -137,7 +137,7 @@ def rollout_table(exp: Experiment, row: pd.Series) -> str:
         words, unit = name_and_unit(name)
         lines.append((words, format_value(row[name]), unit))
     table = pd.DataFrame(lines, columns=["figure", "value", "unit"])
-    reason = exp.system.why({str(name): value for name, value in row.items()}, exp.thresholds)
+    reason = exp.system.explain_cause({str(name): value for name, value in row.items()}, exp.thresholds)
     return table.to_markdown(index=False, disable_numparse=True) + "\n" + (reason and f"\n{reason}\n")
 
 

@@ -39,7 +39,7 @@ def make_engine(exp: Experiment, nominal_batch: Batch) -> Engine:
 
 @lru_cache(maxsize=1)
 def _engine(system: System, settings: EngineSettings, world: Any, belief: Any, limits: Limits) -> Engine:
-    return system.engine(settings, world, belief, limits)
+    return system.make_engine(settings, world, belief, limits)
 
 
 def forget_engine() -> None:
@@ -81,7 +81,7 @@ def make_nominal_batch(exp: Experiment, rows: pd.DataFrame, width: int) -> Batch
     """
     statics = static_values(exp, rows)
     settings = replace_settings(exp.settings, statics)
-    return Batch(replace(settings, width=width), *exp.system.sides(statics), np.zeros(0, dtype=np.int64))
+    return Batch(replace(settings, width=width), *exp.system.make_sides(statics), np.zeros(0, dtype=np.int64))
 
 
 def make_batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
@@ -98,7 +98,7 @@ def make_batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
     slots = np.minimum(np.arange(width), len(rows) - 1)
     statics = static_values(exp, rows)
     swept = {c: rows[c].to_numpy(dtype=float)[slots] for c in parameter_columns(rows) if c not in statics}
-    world, belief = exp.system.sides({**statics, **swept})
+    world, belief = exp.system.make_sides({**statics, **swept})
     streams = rows["stream"].to_numpy()[slots]
     return Batch(replace(replace_settings(exp.settings, statics), width=width), world, belief, streams)
 

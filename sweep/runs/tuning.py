@@ -85,7 +85,7 @@ def draw_beliefs(exp: Experiment, seed: int) -> tuple[Any, int]:
     for column in columns:
         if is_static(column, exp.system, exp.settings):
             raise InputError(f"axis {column} cannot be drawn for a plan: it changes its stages")
-    return exp.system.sides({c: table[c].to_numpy(float) for c in columns})[1], len(table)
+    return exp.system.make_sides({c: table[c].to_numpy(float) for c in columns})[1], len(table)
 
 
 def search_by_cma(

@@ -155,7 +155,7 @@ def compose_values(overrides: list[str]) -> dict[str, Any]:
 def primary_config(overrides: list[str]) -> str:
     """Return the name of the configuration that Hydra composes, by the system of the scenario. Raises `InputError`."""
     name = hydra_sources.system({key: value for key, _, value in (one.partition("=") for one in overrides)})
-    return systems.find_kind(name).config
+    return systems.find_kind_by_name(name).config
 
 
 def check_choices(overrides: list[str]) -> None:
@@ -205,7 +205,7 @@ def values_by_path(values: Any, path: str = "") -> dict[str, Any]:
 def experiment(values: Mapping[str, Any]) -> Experiment:
     """Check plain values, composed or stored in study.yaml, and make the experiment. Raises `InputError`."""
     add_modules(project.modules())
-    kind = systems.kind_of(values)
+    kind = systems.find_kind_by_keys(values)
     allowed = (*systems.COMMON, *kind.keys)
     for key in values:
         require_choice(key, allowed, str(key))
@@ -215,7 +215,7 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
         if not isinstance(said := values.get(group), Mapping) and (said or group not in kind.free):
             raise InputError(f"{group} = {said} is not allowed: `sweep list` shows the choices")
     system, settings, limits, told = kind.nominal(values, KINDS)
-    if taken := {*PLAN, *LABELS, *TIMING} & {*system.figures}:
+    if taken := {*PLAN, *LABELS, *TIMING} & {*system.metric_names}:
         raise InputError(f"a figure called {min(taken)} is not allowed: all rows have a column of that name")
     cluster = build_by_kind(KINDS["cluster"], values["cluster"], "cluster")
     scenario = require_keys("scenario", values["scenario"], _names(ScenarioSchema))
@@ -237,7 +237,9 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
 def _numbers(system: System, settings: EngineSettings, start: str) -> list[str]:
     """Paths of a system's numbers that begin with `start`, but those that are nominally zero."""
     floats = [
-        path for path, value in system.inputs(()) if path.startswith(start) and isinstance(value, float) and value
+        path
+        for path, value in system.physical_inputs(())
+        if path.startswith(start) and isinstance(value, float) and value
     ]
     return [path for path in floats if system.parameter(path, settings).metadata.get("role") == "quantity"]
 

@@ -34,7 +34,7 @@ def point_ids(table: "pd.DataFrame", system: System) -> np.ndarray:
     system came to have later only what is not as by default counts: else the ids are those of before there was any.
     """
     paths = [path for side, path in map(split_side, table.columns) if path.partition(".")[0] in system.groups]
-    nominal = {f"{side}.{path}": value for side in SIDES for path, value in system.inputs(paths)}
+    nominal = {f"{side}.{path}": value for side in SIDES for path, value in system.physical_inputs(paths)}
     varied: dict[str, str] = {}
     for column in sorted(table.columns, key=lambda c: c.startswith(tuple(f"{s}." for s in SIDES))):  # a side's own win
         side = column.partition(".")[0]

@@ -214,7 +214,7 @@ def check_expect(study: Study, system: System, points: "pd.DataFrame | None" = N
     """Raise `InputError` where something is expected of columns that rows of these points will not have."""
     import pandas as pd
 
-    names = (*(points if points is not None else ()), *PLAN, *LABELS, *TIMING, *system.figures)
+    names = (*(points if points is not None else ()), *PLAN, *LABELS, *TIMING, *system.metric_names)
     rows = pd.DataFrame(columns=list(dict.fromkeys(names)), dtype=object)
     for i, one in enumerate(study.expect):
         for key, condition in (("where", one.where), ("that", one.that)):

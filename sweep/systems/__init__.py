@@ -57,14 +57,14 @@ SYSTEMS = {
 }
 
 
-def find_kind(name: str) -> SystemKind:
+def find_kind_by_name(name: str) -> SystemKind:
     """The system that a scenario names, by its present or its former name. Raises `InputError`."""
     name = FORMER_NAMES.get(name, name)
     require_choice(name, SYSTEMS, f"system = {name}")
     return SYSTEMS[name]
 
 
-def kind_of(values: Mapping[str, Any]) -> SystemKind:
+def find_kind_by_keys(values: Mapping[str, Any]) -> SystemKind:
     """The system of a plain configuration: the one whose first key the configuration has."""
     return next((kind for kind in SYSTEMS.values() if kind.keys[0] in values), SYSTEMS[USUAL])
 

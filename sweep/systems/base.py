@@ -65,7 +65,7 @@ class System(Protocol):
         ...
 
     @property
-    def figures(self) -> Collection[str]:
+    def metric_names(self) -> Collection[str]:
         """All that a row may say of what was measured."""
         ...
 
@@ -94,11 +94,11 @@ class System(Protocol):
         """Ways in which `sweep audit` simulates rollouts again, by name."""
         ...
 
-    def words(self, settings: EngineSettings) -> Mapping[str, str]:
+    def settings_summary(self, settings: EngineSettings) -> Mapping[str, str]:
         """What is simulated and how, for a reader: values by the words for them."""
         ...
 
-    def files(self) -> Mapping[str, Path]:
+    def source_files(self) -> Mapping[str, Path]:
         """What it is read from, by the place in its project: a crate has them. Raises `InputError`."""
         ...
 
@@ -110,7 +110,7 @@ class System(Protocol):
         """The value of a parameter where it is not varied. Raises `InputError` where `column` names nothing."""
         ...
 
-    def inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    def physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """All that physically tells one rollout from another, by path, nominal; `paths` are varied."""
         ...
 
@@ -122,7 +122,7 @@ class System(Protocol):
         """Why a column may change nothing, in words; empty where nothing is known."""
         ...
 
-    def random(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
+    def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """Which rows draw something, so that replicates of one point differ."""
         ...
 
@@ -130,7 +130,7 @@ class System(Protocol):
         """Raise `InputError` where values of a table, each within its bounds, are not allowed together."""
         ...
 
-    def sides(self, values: Values) -> tuple[Any, Any]:
+    def make_sides(self, values: Values) -> tuple[Any, Any]:
         """World and belief with `values`, numbers or arrays over a batch: common ones first, then each side's own."""
         ...
 
@@ -138,7 +138,7 @@ class System(Protocol):
         """Itself with memory, such as a delay's, that is long enough for all points of `table`."""
         ...
 
-    def engine(self, settings: EngineSettings, world: Any, belief: Any, limits: Limits) -> Engine:
+    def make_engine(self, settings: EngineSettings, world: Any, belief: Any, limits: Limits) -> Engine:
         """A compiled engine for sides of this structure. Raises `InputError` where there is none."""
         ...
 
@@ -158,7 +158,7 @@ class System(Protocol):
         """The labels (`sweep.study.columns.LABELS`) of each row; a pure function of the stored figures."""
         ...
 
-    def limit(self, text: str) -> tuple[str, Any]:
+    def parse_threshold(self, text: str) -> tuple[str, Any]:
         """A key of `outcome` and its value, as a user says them in a word. Raises `InputError`."""
         ...
 
@@ -166,7 +166,7 @@ class System(Protocol):
         """By the figure that they are for."""
         ...
 
-    def why(self, row: Mapping[str, Any], limits: Limits) -> str:
+    def explain_cause(self, row: Mapping[str, Any], limits: Limits) -> str:
         """The cause of a row in words, with the figure and its threshold; empty for a success."""
         ...
 
@@ -194,7 +194,7 @@ def values_by_side(values: Values) -> dict[str, dict[str, Any]]:
     }
 
 
-def judge_one(system: System, figures: Mapping[str, Any], limits: Limits, stages: Sequence[str]) -> dict[str, Any]:
+def judge_rollout(system: System, metrics: Mapping[str, Any], limits: Limits, stages: Sequence[str]) -> dict[str, Any]:
     """The labels of a single rollout, whose figures are plain numbers."""
-    row = {name: np.asarray([value], dtype=float) for name, value in figures.items()}
+    row = {name: np.asarray([value], dtype=float) for name, value in metrics.items()}
     return {name: values[0] for name, values in system.judge(row, limits, stages).items()}

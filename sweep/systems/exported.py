@@ -40,7 +40,7 @@ from sweep.models.legs import JOINT_V, JOINTS, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import body_poses, surface_at
 from sweep.models.robot import link_names
 from sweep.models.scene import native_spec
-from sweep.systems.hexapod import assign, flatten_case
+from sweep.systems.hexapod import flatten_case, replace_parameter
 
 BELIEVED = "robot", "drive", "contact", "obstacle", "manoeuvre"  # groups whose quantities the controller is told
 
@@ -55,7 +55,7 @@ class Controller(NamedTuple):
     measured: Mapping[str, str]
 
 
-def check(case: Case) -> None:
+def check_exportable(case: Case) -> None:
     """Raise `InputError` where a manoeuvre does more than a controller of an own model can."""
     plan = nominal_plan(case)
     kind = f"manoeuvre.kind = {case.manoeuvre.kind}"
@@ -137,7 +137,7 @@ def make_controller(case: Case, settings: EngineSettings, limits: Thresholds) ->
     def believed(belief: Mapping[str, Array]) -> Case:
         now = case
         for path in numbers:
-            now = assign(now, path, belief[path])
+            now = replace_parameter(now, path, belief[path])
         return now
 
     def begin(belief: Mapping[str, Array], key: Array) -> tuple[Array, Any, Array]:

@@ -71,7 +71,7 @@ class Hexapod:
     causes = outcome.MEANING
     cause_meanings = staticmethod(outcome.cause_meanings)
     invalid_causes = tuple(outcome.INVALID_CAUSES)
-    figures = frozenset({*outcome.COLUMNS, *outcome.BOOKKEEPING})
+    metric_names = frozenset({*outcome.COLUMNS, *outcome.BOOKKEEPING})
     bookkeeping_metrics = frozenset(outcome.BOOKKEEPING | {"finite", "finished", "end_stage"})
     replay_formats = ("mcap", "states", "model", "plot", "png", "video")
     unsupported_commands = MappingProxyType({})
@@ -79,18 +79,18 @@ class Hexapod:
     device = staticmethod(run_id.describe_device)
     run_id = staticmethod(run_id.run_id)
     judge = staticmethod(outcome.classify)
-    why = staticmethod(outcome.explain_cause)
+    explain_cause = staticmethod(outcome.explain_cause)
 
     @property
     def history_columns(self) -> tuple[str, ...]:
         """Columns of states in such a world, see `System`."""
         return tuple(available_columns(self.case))
 
-    def files(self) -> dict[str, Path]:
+    def source_files(self) -> dict[str, Path]:
         """See `System`: all is in the configuration."""
         return {}
 
-    def words(self, settings: EngineSettings) -> dict[str, str]:
+    def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
         """Manoeuvre, obstacle, engine and its step, see `System`."""
         about = {"manoeuvre": self.case.manoeuvre.kind, "obstacle": self.case.obstacle.kind, "engine": settings.name}
         return {**about, "step": f"{1000 * settings.step:g} ms", "precision": settings.precision}
@@ -133,7 +133,7 @@ class Hexapod:
                     raise InputError(f"axis {column} names nothing: {name} has no parts")
         return owner, last
 
-    def inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    def physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """All fields of the case, and what the plan says, see `System`."""
         yield from flatten_case(self.case, "")
         yield from _plan_inputs(self.case, plan_table.plan_content(self.case))
@@ -178,7 +178,7 @@ class Hexapod:
         kinds = [part for _, part in distinct.groupby(names)] if names else [distinct]
         for part in (kind.iloc[k : k + CHECKED] for kind in kinds for k in range(0, len(kind), CHECKED)):
             words = {name: part[name].iloc[0] for name in names}
-            case, _ = self.sides({**words, **{name: part[name].to_numpy() for name in sizes}})
+            case, _ = self.make_sides({**words, **{name: part[name].to_numpy() for name in sizes}})
             for _, row in part[scene.too_small(case)].iterrows():
                 said = ", ".join(f"{name} = {row[name]:g}" for name in sizes)
                 raise InputError(f"{said} is not allowed: a body's mass or inertia is too small for MuJoCo")
@@ -211,7 +211,7 @@ class Hexapod:
             return f"it is one of {other}"
         return "errors are those of the world" if side == "belief" and path.startswith("noise.") else ""
 
-    def random(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
+    def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """Rows with errors that are drawn, see `System`."""
         found = np.zeros(len(rows), dtype=bool)
         for path, none in RANDOM.items():
@@ -219,10 +219,12 @@ class Hexapod:
             found |= (rows[column] if column else self.nominal(path, settings)) != none
         return found
 
-    def sides(self, values: Values) -> tuple[Case, Case]:
+    def make_sides(self, values: Values) -> tuple[Case, Case]:
         """Two cases, see `System`."""
         sides = values_by_side(values).values()
-        world, belief = (reduce(lambda case, one: assign(case, *one), own.items(), self.case) for own in sides)
+        world, belief = (
+            reduce(lambda case, one: replace_parameter(case, *one), own.items(), self.case) for own in sides
+        )
         return world, belief
 
     def with_delay_buffer(self, table: "pd.DataFrame") -> "Hexapod":
@@ -234,15 +236,15 @@ class Hexapod:
 
         longest = np.max(np.maximum(of("delay") + of("load_delay"), of("body_delay")))
         room = max(min(math.ceil(longest), LONGEST_DELAY), self.case.noise.delay_buffer)
-        return Hexapod(assign(self.case, "noise.delay_buffer", room))
+        return Hexapod(replace_parameter(self.case, "noise.delay_buffer", room))
 
-    def engine(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds) -> Engine:
+    def make_engine(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds) -> Engine:
         """One of the robot's two engines, see `System`."""
         from sweep import engines  # slow to import
 
         return engines.make(settings, world, belief, limits)
 
-    def limit(self, text: str) -> tuple[str, float]:
+    def parse_threshold(self, text: str) -> tuple[str, float]:
         """See `System`: `slip_max_m<0.02`. The sign must agree with the name: a maximum is kept below."""
         sign = next((s for s in ("<=", ">=", "<", ">", "=") if s in text), None)
         key, _, value = text.partition(sign or "=")
@@ -288,12 +290,12 @@ def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str
     return plan_table.numbers_by_path(plan_table.merge_extended(file, read), places)
 
 
-def assign[T](owner: T, path: str, value: Any) -> T:
+def replace_parameter[T](owner: T, path: str, value: Any) -> T:
     """`owner` with the member at `path` replaced."""
     if isinstance(owner, PlanTable):
         return owner.with_value(path, value)  # pyright: ignore[reportReturnType]
     name, _, rest = path.partition(".")
-    inner = assign(getattr(owner, name), rest, value) if rest else value
+    inner = replace_parameter(getattr(owner, name), rest, value) if rest else value
     return dataclasses.replace(owner, **{name: inner})  # pyright: ignore[reportArgumentType]
 
 

@@ -28,7 +28,7 @@ from sweep.runs.runner import load_point
 from sweep.study.columns import LABELS
 from sweep.study.config import experiment
 from sweep.study.study import parameter_columns
-from sweep.systems.base import judge_one
+from sweep.systems.base import judge_rollout
 from sweep.trace.frames import VIDEO_RATE, need_ffmpeg, write_png, write_video
 from sweep.trace.mcap import write_mcap
 from sweep.trace.plots import PLOTS
@@ -97,7 +97,7 @@ def replay(folder: Path, point: str) -> Replay:
     start = make_nominal_batch(exp, table.loc[table["batch"] == row["batch"]], len(task.streams))
     engine = make_engine(exp, start)
     trace = engine.trace(task.world, task.belief, task.streams, slot)
-    again = {**judge_one(exp.system, trace.metrics, exp.thresholds, engine.stages), **trace.metrics}
+    again = {**judge_rollout(exp.system, trace.metrics, exp.thresholds, engine.stages), **trace.metrics}
     values = {name: row[name] for name in (*parameter_columns(table), "replicate", "stream")}
     other_run = None
     if str(row["run_id"]) != exp.system.run_id(task.settings):

@@ -12,7 +12,7 @@ from sweep.engines import make
 from sweep.models.scene import native_model
 from sweep.study.config import compose
 from sweep.study.study import points
-from sweep.systems.base import judge_one
+from sweep.systems.base import judge_rollout
 
 OWN = frozenset({"inner_thigh", "outer_shin"})  # of a leg
 FAIL = {"beam_no_flywheel", "ladder_climb"}  # the first as it is meant to
@@ -93,7 +93,7 @@ def rolled_out(exp, solid):
     """Outcome, cause and stage, and the trace of the nominal rollout."""
     engine = make(dataclasses.replace(exp.settings, solid=solid), exp.case, exp.case, exp.thresholds)
     trace = engine.trace(exp.case, exp.case, np.zeros(1, int), 0)
-    labels = judge_one(exp.system, trace.metrics, exp.thresholds, engine.stages)
+    labels = judge_rollout(exp.system, trace.metrics, exp.thresholds, engine.stages)
     return [labels[name] for name in ("outcome", "cause", "stage")], trace
 
 

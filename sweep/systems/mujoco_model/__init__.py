@@ -23,7 +23,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.systems.base import AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
 from sweep.systems.mujoco_model import fields, files, inactive_parameters, metrics, outcome
 from sweep.systems.mujoco_model.engine import ModelEngine, NativeModelEngine
-from sweep.systems.mujoco_model.model_spec import ModelConfig, ModelSpec, Settings, Side
+from sweep.systems.mujoco_model.model_spec import ModelConfig, ModelSpec, Settings, SideValues
 from sweep.systems.mujoco_model.outcome import Condition
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class MujocoModel(ModelSpec):
 
     conditions: tuple[Condition, ...] = ()
 
-    case = Side()
+    case = SideValues()
     groups = ("model", "controller", "noise")
     invalid_causes = (*outcome.INVALID_CAUSES, outcome.UNTRUSTED)
     bookkeeping_metrics = frozenset(outcome.INVALID_CAUSES)
@@ -66,23 +66,23 @@ class MujocoModel(ModelSpec):
     @property
     def causes(self) -> dict[str, str]:
         """Its scenario's conditions, and what makes a rollout doubtful, see `System`."""
-        return {one.cause: one.sentence for one in self.conditions} | outcome.INVALID_CAUSES
+        return {one.cause: one.meaning for one in self.conditions} | outcome.INVALID_CAUSES
 
     def cause_meanings(self, limits: tuple[Condition, ...]) -> dict[str, str]:
         """The conditions of the scenario, which have their thresholds in them, see `System`."""
-        return {one.cause: one.sentence for one in limits} | outcome.INVALID_CAUSES
+        return {one.cause: one.meaning for one in limits} | outcome.INVALID_CAUSES
 
     @property
-    def figures(self) -> tuple[str, ...]:
+    def metric_names(self) -> tuple[str, ...]:
         """Those of any model, and its controller's own, see `System`."""
         return (*metrics.metric_names(self), *self.controller.measured)
 
     @property
     def history_columns(self) -> tuple[str, ...]:
         """Columns of its positions and velocities, see `System`."""
-        return tuple(self.record(self.model.qpos0[None], np.zeros((1, self.model.nv))))
+        return tuple(self.time_series_columns(self.model.qpos0[None], np.zeros((1, self.model.nv))))
 
-    def files(self) -> dict[str, Path]:
+    def source_files(self) -> dict[str, Path]:
         """See `System`: those of the model and of the controller."""
         if _content_digest(self) != self.config.content:
             raise InputError("the model or its controller is not as it was when the study was run")
@@ -93,7 +93,7 @@ class MujocoModel(ModelSpec):
             found[str(file.resolve().relative_to(place))] = file
         return found
 
-    def words(self, settings: EngineSettings) -> dict[str, str]:
+    def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
         """Its files, engine and step, see `System`."""
         about = {"model": self.config.mjcf, "controller": self.config.controller, "engine": settings.name}
         return {**about, "step": f"{1000 * self.model.opt.timestep:g} ms"}
@@ -104,23 +104,23 @@ class MujocoModel(ModelSpec):
         require_choice(root := path.partition(".")[0], (*self.groups, "engine"), f"axis {column} names nothing: {root}")
         if root == "model":
             found = fields.parameter(self.model, path)
-            fields.check(self.source, self.model, path)
+            fields.check_variable(self.load_source, self.model, path)
             return found
         those = {f"engine.{one.name}": one for one in dataclasses.fields(Settings) if one.name in AXES}
-        require_choice(path, {**self.ranges, **those}, f"axis {column} names nothing: {path}")
+        require_choice(path, {**self.parameters, **those}, f"axis {column} names nothing: {path}")
         if root == "engine":
             return those[path]
-        return dataclasses.field(default=self.nominal_value(path), metadata=self.ranges[path].metadata)
+        return dataclasses.field(default=self.nominal_value(path), metadata=self.parameters[path].metadata)
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
         """What the model or its settings have, see `System`."""
         root, _, name = column.partition(".")
         return getattr(settings, name) if root == "engine" else self.parameter(column, settings).default
 
-    def inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    def physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """See `System`: the model as a whole, and what is varied of it."""
         about = self.config
-        yield from self.numbers
+        yield from self.controller_values
         yield "model", about.content
         yield "model.rollout", repr((about.period, about.duration, about.keyframe, about.observe, about.command))
         yield from self.default_inputs(paths)
@@ -144,18 +144,18 @@ class MujocoModel(ModelSpec):
         varied = {path for side, path in map(split_side, columns) if side != "belief" and path.startswith("model.")}
         for values in distinct:
             ways = {c.removeprefix("engine."): value for c, value in values.items() if c.startswith("engine.")}
-            made = self.engine(replace(settings, **ways), *self.sides(values), limits=None)
+            made = self.make_engine(replace(settings, **ways), *self.make_sides(values), limits=None)
             for line in made.check_varied(fields.select_quantities(self.model, dict.fromkeys(varied))):
                 _note(line)
-        self.engine(settings, *self.sides({}), limits=None).check_start()
+        self.make_engine(settings, *self.make_sides({}), limits=None).check_start()
 
-    def random(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
+    def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """See `System`: a controller may draw, too."""
         return np.ones(len(rows), dtype=bool)
 
-    def sides(self, values: Values) -> tuple[Side, Side]:
+    def make_sides(self, values: Values) -> tuple[SideValues, SideValues]:
         """Values by path, of either side, see `System`."""
-        world, belief = (Side(tuple(own.items())) for own in values_by_side(values).values())
+        world, belief = (SideValues(tuple(own.items())) for own in values_by_side(values).values())
         return world, belief
 
     def with_delay_buffer(self, table: "pd.DataFrame") -> "MujocoModel":
@@ -163,7 +163,7 @@ class MujocoModel(ModelSpec):
         varied = [table[c].max() for c in table.columns if split_side(c)[1] == "noise.delay"]
         return replace(self, delay_buffer=math.ceil(max([self.nominal_value("noise.delay"), *varied])))
 
-    def engine(self, settings: EngineSettings, world: Side, belief: Side, limits: Any) -> ModelEngine:
+    def make_engine(self, settings: EngineSettings, world: SideValues, belief: SideValues, limits: Any) -> ModelEngine:
         """C MuJoCo's, or MJX's by either name, see `System`."""
         model = world.select_group("model")
         shared = {
@@ -182,7 +182,7 @@ class MujocoModel(ModelSpec):
             replace(settings, width=0) if settings.name == "native" else settings, _content_digest(self)
         )
 
-    def limit(self, text: str) -> tuple[str, str]:
+    def parse_threshold(self, text: str) -> tuple[str, str]:
         """See `System`: `goal=travelled_m >= 1`."""
         key, _, condition = (part.strip() for part in text.partition("="))
         if not key.isidentifier() or not condition:
@@ -191,13 +191,13 @@ class MujocoModel(ModelSpec):
 
     def thresholds(self, limits: tuple[Condition, ...]) -> dict[str, float]:
         """Limits of conditions that have one, see `System`."""
-        return {one.limit[0]: one.limit[1] for one in limits if one.limit}
+        return {one.threshold[0]: one.threshold[1] for one in limits if one.threshold}
 
-    def why(self, row: Mapping[str, Any], limits: tuple[Condition, ...]) -> str:
+    def explain_cause(self, row: Mapping[str, Any], limits: tuple[Condition, ...]) -> str:
         """The condition that ended it, with its figure, see `System`."""
         for one in limits:
-            if one.cause == row["cause"] and one.limit:
-                return f"{one.sentence} ({one.limit[0]} {float(row[one.limit[0]]):.4g})"
+            if one.cause == row["cause"] and one.threshold:
+                return f"{one.meaning} ({one.threshold[0]} {float(row[one.threshold[0]]):.4g})"
         return self.causes.get(str(row["cause"]), "")
 
 
@@ -211,12 +211,14 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     own, groups = MujocoModel(about, ()), {group: values.get(group) or {} for group in ("noise", "controller")}
     asked = {f"{group}.{name}": value for group, given in groups.items() for name, value in given.items()}
     for path in asked:
-        require_choice(path, own.ranges, path)
-    numbers = tuple((path, check_value(one, asked.get(path, one.default), path)) for path, one in own.ranges.items())
-    _ = own.observed_slices, own.keyframe  # which refuse unknown names
-    conditions = outcome.parse_conditions(values.get("outcome") or {}, own.figures)
+        require_choice(path, own.parameters, path)
+    numbers = tuple(
+        (path, check_value(one, asked.get(path, one.default), path)) for path, one in own.parameters.items()
+    )
+    _ = own.observed_slices, own.keyframe_index  # which refuse unknown names
+    conditions = outcome.parse_conditions(values.get("outcome") or {}, own.metric_names)
     content = about.content or _content_digest(own)
-    own = replace(own, config=replace(about, content=content), numbers=numbers, conditions=conditions)
+    own = replace(own, config=replace(about, content=content), controller_values=numbers, conditions=conditions)
     settings, told = replace(settings, control_period=about.period), {**values["model"], "content": content}
     return Nominal(own, settings, conditions, {"model": told})
 

@@ -11,7 +11,7 @@ from sweep.core.errors import InputError
 from sweep.engines import devices
 from sweep.engines.settings import EngineSettings
 from sweep.systems.mujoco_model import fields
-from sweep.systems.mujoco_model.model_spec import ModelSpec, Side
+from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 
 
 class BatchStart(NamedTuple):
@@ -42,7 +42,9 @@ class BatchStart(NamedTuple):
         return np.where(finite, found.sum(axis=1), np.nan)
 
 
-def start_batch(own: ModelSpec, settings: EngineSettings, world: Side, belief: Side, streams: np.ndarray) -> BatchStart:
+def start_batch(
+    own: ModelSpec, settings: EngineSettings, world: SideValues, belief: SideValues, streams: np.ndarray
+) -> BatchStart:
     """Rollouts of a batch of two sides. Raises `InputError` where MuJoCo makes no batch of such a model."""
     n, number = len(streams), np.dtype(settings.precision).type
     try:
@@ -53,8 +55,8 @@ def start_batch(own: ModelSpec, settings: EngineSettings, world: Side, belief: S
     qpos, qvel, sensors = (batch.bind(name) for name in ("qpos", "qvel", "sensordata"))
     # bound before the reset: what is bound after it is zero until the next call
     varied = fields.select_quantities(own.model, world.select_group("model"))
-    fields.write(batch, {path: np.broadcast_to(value, (n,)) for path, value in varied.items()}, own.source)
-    batch.reset(keyframe=own.keyframe, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+    fields.write_values(batch, {path: np.broadcast_to(value, (n,)) for path, value in varied.items()}, own.load_source)
+    batch.reset(keyframe=own.keyframe_index, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
     inputs = controller_inputs(own, world, belief)
     given = {
         **jax.tree.map(lambda value: np.broadcast_to(number(value), (n,)), inputs),
@@ -65,9 +67,9 @@ def start_batch(own: ModelSpec, settings: EngineSettings, world: Side, belief: S
     return BatchStart(batch, qpos, qvel, sensors, given, batch.expand("body_mass").sum(axis=1), limits)
 
 
-def controller_inputs(own: ModelSpec, world: Side, belief: Side) -> dict[str, Any]:
+def controller_inputs(own: ModelSpec, world: SideValues, belief: SideValues) -> dict[str, Any]:
     """What controllers are given of two sides: `belief` by name, and `delay`, `white` and `bias` of observations."""
-    noise = {**dict(own.numbers), **world.select_group("noise")}
+    noise = {**dict(own.controller_values), **world.select_group("noise")}
     told = own.believed_values({**belief.select_group("model"), **belief.select_group("controller")})
     return {"belief": told, **{name: noise[f"noise.{name}"] for name in ("delay", "white", "bias")}}
 

@@ -19,8 +19,8 @@ from sweep.engines.base import Metrics, Sides, TimeSeriesRequest, Trace, single_
 from sweep.engines.settings import EngineSettings
 from sweep.fused.dependence import find_unread_columns
 from sweep.systems.mujoco_model import batch, metrics
-from sweep.systems.mujoco_model.model_spec import ModelSpec, Side
-from sweep.systems.mujoco_model.policy import ControllerPrograms, Rollouts
+from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
+from sweep.systems.mujoco_model.policy import ControllerBatch, ControllerPrograms
 
 FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]  # others are worse
 RECORDED = (*metrics.STEPS, "solver_niter", "M", *metrics.BALANCE)
@@ -73,7 +73,7 @@ class ModelEngine:
 
     def check_start(self) -> None:
         """Raise `InputError` where the controller's first controls are not finite, all being nominal."""
-        begun = batch.start_batch(self._own, self._settings, Side(), Side(), np.zeros(1, np.int64))
+        begun = batch.start_batch(self._own, self._settings, SideValues(), SideValues(), np.zeros(1, np.int64))
         with self._within():
             self._programs.check_start(begun)
 
@@ -89,24 +89,26 @@ class ModelEngine:
         with self._within():
             return find_unread_columns(self._programs.rollout_outputs, sides, ends)
 
-    def run(self, world: Side, belief: Side, streams: np.ndarray) -> Metrics:
+    def run(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> Metrics:
         """Figures of a batch, see `Engine`."""
         return self._simulate(world, belief, streams)[0]
 
     def run_with_time_series(
-        self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
+        self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
         """Figures, and columns over time, see `Engine`."""
         found, frames, _ = self._simulate(world, belief, streams, slots, watch.every)
-        columns = [self._own.record(frame.qpos, frame.qvel) for frame in frames]
+        columns = [self._own.time_series_columns(frame.qpos, frame.qvel) for frame in frames]
         samples = [np.stack([one[name] for name in watch.columns], axis=-1) for one in columns]
         return found, np.stack(samples) if samples else np.zeros((0, len(slots), len(watch.columns)))
 
-    def trace(self, world: Side, belief: Side, streams: np.ndarray, slot: int) -> Trace:
+    def trace(self, world: SideValues, belief: SideValues, streams: np.ndarray, slot: int) -> Trace:
         """One rollout recorded, see `Engine`."""
         return self.traces(world, belief, streams, 1, [slot])[0]
 
-    def traces(self, world: Side, belief: Side, streams: np.ndarray, every: int, slots: Any = None) -> list[Trace]:
+    def traces(
+        self, world: SideValues, belief: SideValues, streams: np.ndarray, every: int, slots: Any = None
+    ) -> list[Trace]:
         """See `Engine`; of some `slots`, if they are named."""
         slots = range(len(streams)) if slots is None else slots
         found, frames, models = self._simulate(world, belief, streams, slots, every)
@@ -124,7 +126,9 @@ class ModelEngine:
             traces.append(Trace(world, belief, model, *moved, none, none, none, pose, *judged, self.stages, row))
         return traces
 
-    def _simulate(self, world: Side, belief: Side, streams: np.ndarray, slots: Any = (), every: int = 1) -> BatchResult:
+    def _simulate(
+        self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: Any = (), every: int = 1
+    ) -> BatchResult:
         """Figures of a batch; of the rollouts in `slots` frames at one in `every` ticks, and their models."""
         raise NotImplementedError
 
@@ -147,16 +151,18 @@ class NativeModelEngine(ModelEngine):
         with super()._within(), devices.on_cpu():
             yield
 
-    def _simulate(self, world: Side, belief: Side, streams: np.ndarray, slots: Any = (), every: int = 1) -> BatchResult:
+    def _simulate(
+        self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: Any = (), every: int = 1
+    ) -> BatchResult:
         own, n = self._own, len(streams)
         # figures of a tick are worked out, on one core, while the next one is simulated on all of them
         with self._within(), ThreadPoolExecutor(1) as aside:
             begun = batch.start_batch(own, self._settings, world, belief, streams)
             qpos, qvel, seen = begun.qpos, begun.qvel, begun.sensors
-            rollouts = Rollouts(self._programs, begun.given, n)
+            rollouts = ControllerBatch(self._programs, begun.given, n)
             before_all = begun.energy(rollouts.start)
             ticks = batch.count_ticks(own, rollouts.duration)
-            rollouts.enter(own.state(qpos, qvel, seen), ticks)
+            rollouts.enter(own.observable_state(qpos, qvel, seen), ticks)
             sofar = aside.submit(self._meter.start, qpos.copy(), qvel.copy())
 
             def measured(sofar: Any, steps: Any, going: np.ndarray) -> dict[str, Any]:
@@ -168,7 +174,7 @@ class NativeModelEngine(ModelEngine):
             controls = np.zeros((n, self._substeps, self._model.nu))
             for k in range(int(ticks.max(initial=0))):
                 going = k < ticks
-                ctrl = rollouts.tick(own.state(qpos, qvel, seen))
+                ctrl = rollouts.tick(own.observable_state(qpos, qvel, seen))
                 broken |= going & ~np.isfinite(ctrl).all(axis=1)
                 ctrl = np.nan_to_num(ctrl)
                 before = ctrl if before is None else before
@@ -181,12 +187,12 @@ class NativeModelEngine(ModelEngine):
                 if len(slots) and (k + 1) % every == 0:
                     last = (steps[name][slots, -1] for name in ("qpos", "qvel", "actuator_force"))
                     frames.append(TickSample((k + 1) * own.config.period, ctrl[slots], *last))
-            own_figures = rollouts.finish(own.state(qpos, qvel, seen))
+            own_figures = rollouts.finish(own.observable_state(qpos, qvel, seen))
         warned = begun.batch.warning[:, :, 0] > 0
         full, broken = warned[:, FULL].any(axis=1), broken | np.delete(warned, FULL, axis=1).any(axis=1)
         last = sofar.result()
         gained = begun.energy(last["last"], last["speed"]) - before_all
-        found = self._meter.figures(last, begun.mass, gained, broken, full)
+        found = self._meter.compute(last, begun.mass, gained, broken, full)
         return found | own_figures, frames, [begun.batch.get_model(int(slot)) for slot in slots]
 
 

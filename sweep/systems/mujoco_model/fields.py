@@ -23,7 +23,7 @@ FRICTION = ("slide", "spin", "roll")
 OPTION, ROOT = "option", "model"
 
 
-class Numbers(NamedTuple):
+class NumberSpec(NamedTuple):
     """What may vary of a thing of some kind."""
 
     unit: str = ""
@@ -33,7 +33,7 @@ class Numbers(NamedTuple):
     field: str = ""  # of MjModel
 
 
-class Place(NamedTuple):
+class NumberLocation(NamedTuple):
     """A number of a model: where it is in a flattened field, and how it counts there."""
 
     field: str
@@ -82,33 +82,33 @@ WORDS = {
 }
 # what these words mean, of any kind or of one; of the others nothing is known
 MEANING = {
-    "mass": Numbers("kg", 1e-9),  # inertia in proportion: another density
-    "inertia": Numbers("kg m^2", 1e-12, XYZ),
-    "pos ipos": Numbers("m", names=XYZ),  # the latter of the centre of mass
-    "geom.pos": Numbers("m", names=XYZ, compiled=True),
-    "geom.size": Numbers("m", 1e-6, compiled=True),  # by the names of its shape: `SIZES`
-    "site.size": Numbers("m", 1e-6),
-    "friction": Numbers("", 0.0, FRICTION),
-    "pair.friction": Numbers("", 0.0, ("slide", "slide2", "spin", "roll", "roll2")),
-    "geom.margin pair.margin gap": Numbers("m"),
-    "cranklength": Numbers("m", 1e-9),
-    "stiffness damping armature frictionloss fluid solmix cutoff": Numbers("", 0.0),
-    "solref solreflimit solreffriction": Numbers(names=SOLREF),
-    "solimp solimplimit solimpfriction": Numbers(names=SOLIMP),
-    "range actuatorfrcrange forcerange ctrlrange actrange": Numbers(names=RANGE),
-    "tendon.range springlength": Numbers("m", names=RANGE),
-    "gravity": Numbers("m/s^2", names=XYZ),
-    "wind": Numbers("m/s", names=XYZ),
-    "magnetic": Numbers(names=XYZ),
-    "density": Numbers("kg/m^3", 0.0),
-    "viscosity": Numbers("Pa s", 0.0),
-    "impratio": Numbers("", 1e-9),
-    "tolerance ls_tolerance noslip_tolerance ccd_tolerance": Numbers("", 0.0),
+    "mass": NumberSpec("kg", 1e-9),  # inertia in proportion: another density
+    "inertia": NumberSpec("kg m^2", 1e-12, XYZ),
+    "pos ipos": NumberSpec("m", names=XYZ),  # the latter of the centre of mass
+    "geom.pos": NumberSpec("m", names=XYZ, compiled=True),
+    "geom.size": NumberSpec("m", 1e-6, compiled=True),  # by the names of its shape: `SIZES`
+    "site.size": NumberSpec("m", 1e-6),
+    "friction": NumberSpec("", 0.0, FRICTION),
+    "pair.friction": NumberSpec("", 0.0, ("slide", "slide2", "spin", "roll", "roll2")),
+    "geom.margin pair.margin gap": NumberSpec("m"),
+    "cranklength": NumberSpec("m", 1e-9),
+    "stiffness damping armature frictionloss fluid solmix cutoff": NumberSpec("", 0.0),
+    "solref solreflimit solreffriction": NumberSpec(names=SOLREF),
+    "solimp solimplimit solimpfriction": NumberSpec(names=SOLIMP),
+    "range actuatorfrcrange forcerange ctrlrange actrange": NumberSpec(names=RANGE),
+    "tendon.range springlength": NumberSpec("m", names=RANGE),
+    "gravity": NumberSpec("m/s^2", names=XYZ),
+    "wind": NumberSpec("m/s", names=XYZ),
+    "magnetic": NumberSpec(names=XYZ),
+    "density": NumberSpec("kg/m^3", 0.0),
+    "viscosity": NumberSpec("Pa s", 0.0),
+    "impratio": NumberSpec("", 1e-9),
+    "tolerance ls_tolerance noslip_tolerance ccd_tolerance": NumberSpec("", 0.0),
 }
 MEANT = {word: numbers for words, numbers in MEANING.items() for word in words.split()}
 VARIED = {
     kind: {
-        name: MEANT.get(f"{kind}.{name}", MEANT.get(name, Numbers()))._replace(field=field or begins + name)
+        name: MEANT.get(f"{kind}.{name}", MEANT.get(name, NumberSpec()))._replace(field=field or begins + name)
         for name, _, field in (word.partition(":") for word in words.split())
     }
     for kind, (begins, words) in WORDS.items()
@@ -132,7 +132,7 @@ SERVO = {  # what is written of a position servo: gain and bias together, or its
     "kp": (("actuator_gainprm", 0, 1.0), ("actuator_biasprm", 1, -1.0)),
     "kv": (("actuator_biasprm", 2, -1.0),),
 }
-SETTINGS = {name: Numbers(names=("",), field=f"opt.{name}") for name in (*CHOSEN, *COUNTED, TIMESTEP)}
+SETTINGS = {name: NumberSpec(names=("",), field=f"opt.{name}") for name in (*CHOSEN, *COUNTED, TIMESTEP)}
 
 
 def parameter(model: mujoco.MjModel, path: str) -> Parameter:
@@ -143,7 +143,7 @@ def parameter(model: mujoco.MjModel, path: str) -> Parameter:
         return count(getattr(model.opt, name), at_least=COUNTED[name], at_most=10_000)
     if name == TIMESTEP:
         return setting(model.opt.timestep, "s", above=0, at_most=0.1)
-    numbers, places = resolve(model, path)
+    numbers, places = locate_numbers(model, path)
     value = places[0].sign * float(field_values(model, numbers.field).flat[places[0].flat])
     return quantity(value, numbers.unit, at_least=numbers.at_least)
 
@@ -162,17 +162,17 @@ def with_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> mujoco.MjM
     return changed
 
 
-def write(batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.MjSpec]) -> None:
+def write_values(batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.MjSpec]) -> None:
     """Give a batch's models their own `values` (n,) by path, and work out what follows from them.
 
     `source` gives what the model was compiled from.
     """
-    made = {path: value for path, value in values.items() if resolve(batch.model, path)[0].compiled}
+    made = {path: value for path, value in values.items() if locate_numbers(batch.model, path)[0].compiled}
     if made:
         _compile(batch, made, source())
     for path in values.keys() - made.keys():
         value = np.asarray(values[path])
-        for field, flat, sign in resolve(batch.model, path)[1]:
+        for field, flat, sign in locate_numbers(batch.model, path)[1]:
             rows = batch.expand(field).reshape(batch.nsim, -1)
             if field == "body_mass":
                 inertia = batch.expand("body_inertia").reshape(batch.nsim, -1, 3)
@@ -182,10 +182,10 @@ def write(batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.M
         batch.set_const()
 
 
-def check(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, path: str) -> None:
+def check_variable(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, path: str) -> None:
     """Raise `InputError` where a path names a number that cannot vary in the model that `source` gives."""
     kind, number, name, what = find_element(model, path)
-    geom = source().geom(name) if resolve(model, path)[0].compiled else None
+    geom = source().geom(name) if locate_numbers(model, path)[0].compiled else None
     for wrong, why in (
         (kind == "body" and what == "mass" and not model.body_mass[number],
          "the body has no mass in the file, so no inertia to scale"),
@@ -205,7 +205,7 @@ def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> 
     for k, row in enumerate(rows):
         spec = source.copy()
         for path, value in zip(values, row, strict=True):
-            (place,) = resolve(model, path)[1]
+            (place,) = locate_numbers(model, path)[1]
             getattr(spec.geom(find_element(model, path).name), place.field.removeprefix("geom_"))[place.flat % 3] = (
                 value
             )
@@ -234,7 +234,7 @@ def find_element(model: mujoco.MjModel, path: str) -> Element:
     raise InputError(f"axis {path} names nothing: no {kind} is called {parts[0]}{near}")
 
 
-def resolve(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
+def locate_numbers(model: mujoco.MjModel, path: str) -> tuple[NumberSpec, list[NumberLocation]]:
     """What a path varies, and the places that it writes. Raises `InputError`."""
     kind, number, _, what = find_element(model, path)
     if kind == "actuator" and what in SERVO:
@@ -253,7 +253,7 @@ def resolve(model: mujoco.MjModel, path: str) -> tuple[Numbers, list[Place]]:
     if count == 1 and not part:
         part = names[0]
     require_choice(part, names, f"axis {path} names nothing: {part or 'which of its numbers'}")
-    return numbers, [Place(numbers.field, first + names.index(part)) for first in firsts]
+    return numbers, [NumberLocation(numbers.field, first + names.index(part)) for first in firsts]
 
 
 def _places(model: mujoco.MjModel, kind: str, number: int, field: str) -> tuple[int, list[int]]:
@@ -269,13 +269,15 @@ def _places(model: mujoco.MjModel, kind: str, number: int, field: str) -> tuple[
     return (len(freedoms), freedoms[:1]) if size == 1 else (size, [k * size for k in freedoms])
 
 
-def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[Numbers, list[Place]]:
+def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[NumberSpec, list[NumberLocation]]:
     gain, bias = model.actuator_gainprm[number], model.actuator_biasprm[number]
     if model.actuator_biastype[number] != int(mujoco.mjtBias.mjBIAS_AFFINE) or gain[0] != -bias[1]:
         what = "the actuator is no position servo: gainprm.0 and biasprm.0, .1, .2"
         raise InputError(f"axis {path} names nothing: {what}")
-    places = [Place(field, number * field_values(model, field)[0].size + k, sign) for field, k, sign in SERVO[word]]
-    return Numbers("", 0.0, field=places[0].field), places
+    places = [
+        NumberLocation(field, number * field_values(model, field)[0].size + k, sign) for field, k, sign in SERVO[word]
+    ]
+    return NumberSpec("", 0.0, field=places[0].field), places
 
 
 def locate_field(model: Any, field: str) -> tuple[Any, str]:

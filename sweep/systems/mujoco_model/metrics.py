@@ -7,7 +7,7 @@ import numpy as np
 
 from sweep.core.constants import GRAVITY, LOADED
 from sweep.engines.base import Metrics
-from sweep.systems.mujoco_model.model_spec import ModelSpec, angle_deg, cosine_of_tilt, namespace
+from sweep.systems.mujoco_model.model_spec import ModelSpec, angle_deg, array_namespace, cosine_of_tilt
 
 STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")  # what a step tells
 BALANCE = ("qacc", "qfrc_smooth", "qfrc_constraint")  # of which `unbalanced` is made, beside M
@@ -57,7 +57,7 @@ class MetricAccumulator:
 
     def start(self, qpos: Any, qvel: Any) -> Tree:
         """What is measured at first, of positions (n, nq) and velocities (n, nv)."""
-        xp, n, feet = namespace(qpos), len(qpos), len(self._sites)
+        xp, n, feet = array_namespace(qpos), len(qpos), len(self._sites)
         none = xp.zeros_like(qpos[:, 0])
         sums = "steps", "power", "work", "tilt", "slip", "load", "full", "ends", "unsolved", "touched", "impulse"
         down = {"down": xp.zeros((n, feet, 2), qpos.dtype), "loaded": xp.zeros((n, feet), bool)}
@@ -72,7 +72,7 @@ class MetricAccumulator:
         (n, ..., 2).
         """
         qpos, force, number = steps["qpos"], steps["actuator_force"], steps["qpos"].shape[1]
-        xp, at = namespace(qpos), self._base
+        xp, at = array_namespace(qpos), self._base
         most, sums, new = {}, {"steps": number, "unsolved": steps["unsolved"].sum(axis=1)}, {}
         finite = xp.isfinite(qpos.sum(axis=(1, 2)) + steps["qvel"].sum(axis=(1, 2)))
         power = force * steps["actuator_velocity"]
@@ -105,7 +105,7 @@ class MetricAccumulator:
         new |= {name: xp.where(going[:, None], value, sofar[name]) for name, value in ends.items()}
         return {**sofar, **new, "finite": sofar["finite"] & (~going | finite)}
 
-    def figures(self, sofar: Tree, mass: Any, gained: Any, broken: Any, full: Any) -> Metrics:
+    def compute(self, sofar: Tree, mass: Any, gained: Any, broken: Any, full: Any) -> Metrics:
         """By name, (n,), of models of a `mass` (n,) kg whose energy is `gained` (n,) J more than at the start.
 
         `broken` and `full` are what an engine found itself.
@@ -138,7 +138,7 @@ def metric_names(own: ModelSpec) -> tuple[str, ...]:
     """The figures that its rollouts have."""
     meter, one = MetricAccumulator(own), np.ones(1)
     still = own.model.qpos0[None], np.zeros((1, own.model.nv))
-    return tuple(meter.figures(meter.start(*still), one, one, one == 0, one == 0))
+    return tuple(meter.compute(meter.start(*still), one, one, one == 0, one == 0))
 
 
 @np.errstate(invalid="ignore", over="ignore")
@@ -149,7 +149,7 @@ def is_unbalanced(mass: Any, qacc: Any, smooth: Any, constraint: Any) -> Any:
     inertia, M's diagonal, so that forces and moments are both in √kg m/s². What is left over is the gradient of what
     the solver minimizes, and 0 where it has.
     """
-    xp = namespace(mass)
+    xp = array_namespace(mass)
     left = (mass @ qacc[..., None])[..., 0] - smooth - constraint
     inertia = xp.diagonal(mass, axis1=-2, axis2=-1)
     left, smooth, constraint = (xp.sqrt((one**2 / inertia).sum(axis=-1)) for one in (left, smooth, constraint))
@@ -158,6 +158,6 @@ def is_unbalanced(mass: Any, qacc: Any, smooth: Any, constraint: Any) -> Any:
 
 def share_at_limit(values: Any, range_: Any) -> Any:
     """Shares (n,) of values (n, s, k) that are at an end of their ranges (n, k, 2), summed over s."""
-    low, high = namespace(values).moveaxis(range_[:, None], -1, 0)
+    low, high = array_namespace(values).moveaxis(range_[:, None], -1, 0)
     room = (1 - LIMITED) * (high - low)
     return ((values <= low + room) | (values >= high - room)).mean(axis=2).sum(axis=1)

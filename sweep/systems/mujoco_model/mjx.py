@@ -25,7 +25,7 @@ from sweep.engines.base import Metrics, TimeSeriesRequest
 from sweep.engines.settings import EngineSettings
 from sweep.systems.mujoco_model import batch, fields, metrics
 from sweep.systems.mujoco_model.engine import RECORDED, BatchResult, ModelEngine, TickSample, find_unsolved_steps
-from sweep.systems.mujoco_model.model_spec import ModelSpec, Side
+from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 
 with redirect_stdout(io.StringIO()):  # it prints which of its parts are not installed
     from mujoco import mjx
@@ -132,27 +132,27 @@ class MjxModelEngine(ModelEngine):
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
         """Refuse what MJX does not vary; cautions beside it, see `ModelEngine`."""
-        written = [(path, place.field) for path in paths for place in fields.resolve(self._model, path)[1]]
+        written = [(path, place.field) for path in paths for place in fields.locate_numbers(self._model, path)[1]]
         template = self._template(with_features(self._model, {name: 1.0 for _, name in written if name in SHAPING}))
         for path, name in written:
             if name in UNUSED[self._impl] or not hasattr(model_leaf(template, name), "at"):
                 raise self._refusal(f"MJX has no {name.removeprefix('opt.')}, which {path} varies", "other axes, ")
         return self.known_differences()
 
-    def run(self, world: Side, belief: Side, streams: np.ndarray) -> Metrics:
+    def run(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> Metrics:
         """Metrics of a batch; the engine's first one is compared with C MuJoCo before, see `_cross_check`."""
         self._cross_check(world, belief, streams)
         return super().run(world, belief, streams)
 
     def run_with_time_series(
-        self, world: Side, belief: Side, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
+        self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
         """Metrics, and columns over time; the engine's first batch is compared with C MuJoCo before."""
         self._cross_check(world, belief, streams)
         return super().run_with_time_series(world, belief, streams, slots, watch)
 
     @devices.convert_memory_errors()
-    def _cross_check(self, world: Side, belief: Side, streams: np.ndarray) -> None:
+    def _cross_check(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> None:
         """Compare the first control ticks of three rollouts with C MuJoCo; raise `InputError` where they differ.
 
         The rollouts are the nominal one, in the first row's place, and two of the batch. Both engines go through
@@ -163,9 +163,11 @@ class MjxModelEngine(ModelEngine):
         if self._compared or not self._settings.cross_check:
             return
         own, rows = self._own, sorted({0, len(streams) // 2, len(streams) - 1})
-        world, belief = (Side(tuple((path, self._nominal_first(path, x)) for path, x in one.values))
+        world, belief = (SideValues(tuple((path, self._nominal_first(path, x)) for path, x in one.values))
                          for one in (world, belief))  # fmt: skip
-        few = [Side(tuple((path, x[rows] if np.ndim(x) else x) for path, x in one.values)) for one in (world, belief)]
+        few = [
+            SideValues(tuple((path, x[rows] if np.ndim(x) else x) for path, x in one.values)) for one in (world, belief)
+        ]
         with self._within():
             reference = batch.start_batch(own, self._settings, few[0], few[1], streams[rows])
             activation = reference.batch.bind("act")
@@ -209,7 +211,9 @@ class MjxModelEngine(ModelEngine):
         )
 
     @devices.convert_memory_errors()
-    def _simulate(self, world: Side, belief: Side, streams: np.ndarray, slots: Any = (), every: int = 1) -> BatchResult:
+    def _simulate(
+        self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: Any = (), every: int = 1
+    ) -> BatchResult:
         own, frames = self._own, []
         with self._within():
             begun, fixed, carry, ticks, at_first = self._start(world, belief, streams)
@@ -224,11 +228,11 @@ class MjxModelEngine(ModelEngine):
         measured = {name: np.asarray(values, float) for name, values in measured.items()}
         last, (wrong, full) = carry["sofar"], (np.asarray(carry[name]) for name in ("wrong", "full"))
         gained = begun.energy(last["last"], last["speed"]) - at_first
-        found = self._meter.figures(last, begun.mass, gained, wrong, full) | measured
+        found = self._meter.compute(last, begun.mass, gained, wrong, full) | measured
         return found, frames, [begun.batch.get_model(int(slot)) for slot in slots]
 
     def _start(
-        self, world: Side, belief: Side, streams: np.ndarray
+        self, world: SideValues, belief: SideValues, streams: np.ndarray
     ) -> tuple[batch.BatchStart, tuple[Any, ...], dict[str, Any], np.ndarray, np.ndarray]:
         """A batch before its first tick: rollouts, what `_ticked` has fixed and carries, ticks (n,), energy (n,) in J.
 
@@ -239,7 +243,7 @@ class MjxModelEngine(ModelEngine):
         given = jax.device_put(begun.given)
         start, state, duration = self._call(self._first, given)
         at_first = begun.energy(start)
-        seen = jnp.asarray(own.state(begun.qpos, begun.qvel, begun.sensors), float)
+        seen = jnp.asarray(own.observable_state(begun.qpos, begun.qvel, begun.sensors), float)
         ticks = batch.count_ticks(own, duration)
         template, data, leaves = self._put(begun)
         now = {name: jnp.broadcast_to(getattr(data, name), (n, *getattr(data, name).shape)) for name in CARRIED}
@@ -277,8 +281,8 @@ class MjxModelEngine(ModelEngine):
         if shape not in self._placed:  # on the device; the last is kept, which mostly is the next one
             model = with_features(self._model, most)
             data = mujoco.MjData(model)
-            if self._own.keyframe >= 0:
-                mujoco.mj_resetDataKeyframe(model, data, self._own.keyframe)
+            if self._own.keyframe_index >= 0:
+                mujoco.mj_resetDataKeyframe(model, data, self._own.keyframe_index)
             rooms = warp_buffer_sizes(model, n) if self._impl == "warp" else {}
             placed = mjx.put_model(model, impl=self._impl), mjx.put_data(model, data, impl=self._impl, **rooms)
             self._placed = {shape: placed}
@@ -323,7 +327,7 @@ class MjxModelEngine(ModelEngine):
             none = jnp.zeros((len(ctrl), self._model.nsensordata)), carry["force"]
             first = carry["now"], carry["sofar"], carry["full"], none
             (now, sofar, full, (sensors, force)), _ = jax.lax.scan(step, first, jnp.asarray(self._shares, float))
-            seen = self._own.state(now["qpos"], now["qvel"], sensors)
+            seen = self._own.observable_state(now["qpos"], now["qvel"], sensors)
             new = {"now": now, "sofar": sofar, "carried": carried, "seen": seen}
             return new | {"wrong": wrong, "full": full, "ctrl": ctrl, "force": force}
 

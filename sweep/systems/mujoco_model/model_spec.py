@@ -47,7 +47,7 @@ NOISE = {  # errors of what the controller observes, alike in all components, in
 
 
 @dataclass(frozen=True)
-class Side:
+class SideValues:
     """What one side has other than nominal, by path: numbers, or arrays over a batch."""
 
     values: tuple[tuple[str, Any], ...] = ()
@@ -62,7 +62,7 @@ class ModelSpec:
     """A model and its controller, nominal."""
 
     config: ModelConfig
-    numbers: tuple[tuple[str, float], ...]  # `noise.*` and `controller.*` by path
+    controller_values: tuple[tuple[str, float], ...]  # `noise.*` and `controller.*` by path
     delay_buffer: int = 0  # ticks of delay
 
     @cached_property
@@ -70,7 +70,7 @@ class ModelSpec:
         """As MuJoCo compiles it, with the configuration's options."""
         return fields.with_options(files.load_model(self.config.mjcf), dict(self.config.option))
 
-    def source(self) -> mujoco.MjSpec:
+    def load_source(self) -> mujoco.MjSpec:
         """What the model is compiled from."""
         return files.load_spec(self.config.mjcf)
 
@@ -80,7 +80,7 @@ class ModelSpec:
         return files.load_controller(self.config.controller)
 
     @cached_property
-    def ranges(self) -> dict[str, Parameter]:
+    def parameters(self) -> dict[str, Parameter]:
         """The parameters of noise and controller, by path."""
         return NOISE | {f"controller.{name}": quantity(value, "") for name, value in self.controller.parameters.items()}
 
@@ -100,16 +100,16 @@ class ModelSpec:
         return [self.model.sensor(name).id for name in names]
 
     @property
-    def keyframe(self) -> int:
+    def keyframe_index(self) -> int:
         """Its number; -1 for the model's own pose. Raises `InputError`."""
         names, name = [self.model.key(k).name for k in range(self.model.nkey)], self.config.keyframe
         if name:
             require_choice(name, names, f"model.keyframe = {name}")
         return names.index(name) if name else -1
 
-    def state(self, qpos: Any, qvel: Any, sensors: Any) -> Any:
+    def observable_state(self, qpos: Any, qvel: Any, sensors: Any) -> Any:
         """All that can be observed (n, s) without errors: see `parts`."""
-        return namespace(qpos).concatenate([qpos, qvel, sensors], axis=1)
+        return array_namespace(qpos).concatenate([qpos, qvel, sensors], axis=1)
 
     @cached_property
     def state_slices(self) -> dict[str, slice]:
@@ -128,7 +128,7 @@ class ModelSpec:
         """What one controller would be told (k,) without errors, of a state (s,)."""
         if self.controller.observe:
             return self.controller.observe(self.split_state(state))
-        return namespace(state).concatenate([state[place] for place in self.observed_slices])
+        return array_namespace(state).concatenate([state[place] for place in self.observed_slices])
 
     @cached_property
     def observed_slices(self) -> list[slice]:
@@ -148,10 +148,10 @@ class ModelSpec:
 
     def nominal_value(self, path: str) -> Any:
         """The nominal value of a parameter. Raises `InputError` where there is none."""
-        numbers = dict(self.numbers)
+        numbers = dict(self.controller_values)
         return numbers[path] if path in numbers else fields.parameter(self.model, path).default
 
-    def record(self, qpos: np.ndarray, qvel: np.ndarray) -> dict[str, np.ndarray]:
+    def time_series_columns(self, qpos: np.ndarray, qvel: np.ndarray) -> dict[str, np.ndarray]:
         """Columns of time histories, of positions (n, nq) and velocities (n, nv)."""
         columns = {}
         if (at := self.base_address) is not None:
@@ -162,14 +162,14 @@ class ModelSpec:
         return columns | {f"qvel_{k}": qvel[:, k] for k in range(self.model.nv)}
 
 
-def namespace(array: Any) -> Any:
+def array_namespace(array: Any) -> Any:
     """NumPy or JAX's of it, whichever an array is of."""
     return array.__array_namespace__()
 
 
 def cosine_of_tilt(quat: Any, start: Any) -> Any:
     """Cosine of the angle between upward axes of two orientations (..., 4), each as it stands in the world."""
-    a, b = (up_axis(namespace(quat).moveaxis(one, -1, 0)) for one in (quat, start))
+    a, b = (up_axis(array_namespace(quat).moveaxis(one, -1, 0)) for one in (quat, start))
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -181,5 +181,5 @@ def up_axis(quat: Any) -> tuple[Any, Any, Any]:
 
 def angle_deg(cosine: Any) -> Any:
     """In degrees, of a cosine that may be beyond 1 by rounding."""
-    xp = namespace(cosine)
+    xp = array_namespace(cosine)
     return xp.degrees(xp.arccos(xp.clip(cosine, -1, 1)))

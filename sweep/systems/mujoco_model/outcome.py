@@ -26,17 +26,17 @@ class Condition(NamedTuple):
     text: str
 
     @property
-    def sentence(self) -> str:
+    def meaning(self) -> str:
         """What the condition means, in words."""
         return f"not {self.text}" if self.cause == MISSED else self.text
 
-    def holds(self, figures: Mapping[str, np.ndarray]) -> np.ndarray:
+    def evaluate(self, figures: Mapping[str, np.ndarray]) -> np.ndarray:
         """Whether rows fail by it."""
         found = np.asarray(evaluate(self.text, figures.__getitem__))
         return ~found if self.cause == MISSED else found
 
     @property
-    def limit(self) -> tuple[str, float, bool] | None:
+    def threshold(self) -> tuple[str, float, bool] | None:
         """Of a plain `figure < number`: the figure, the number, and whether the cause holds below it."""
         match ast.parse(self.text, mode="eval").body:
             case ast.Compare(ast.Name(name), [ast.Lt() | ast.LtE() | ast.Gt() | ast.GtE() as sign], [number]):
@@ -49,9 +49,9 @@ class Condition(NamedTuple):
 
     def margin(self, figures: Mapping[str, np.ndarray]) -> np.ndarray:
         """How far rows are from it, in units of its number, at most 1; negative where it holds. NaN of no plain one."""
-        if self.limit is None:
+        if self.threshold is None:
             return np.full(len(next(iter(figures.values()))), np.nan)
-        name, value, below = self.limit
+        name, value, below = self.threshold
         left = (figures[name] - value) * (1 if below else -1)
         return np.minimum(left / (abs(value) or 1.0), 1.0)
 
@@ -82,7 +82,7 @@ def judge(
     """The labels of each row: doubts first, then the first condition that holds; see `System.judge`."""
     every = [*(Condition(name, "", f"{name} > 0") for name in INVALID_CAUSES), *limits]
     causes, keys = np.array([(one.cause, one.key) for one in every], dtype=object).T
-    holds = np.stack([one.holds(figures) for one in every])
+    holds = np.stack([one.evaluate(figures) for one in every])
     any_held, first = holds.any(axis=0), holds.argmax(axis=0)
     judged = [one for one in limits if one.cause != UNTRUSTED]
     doubts, margins = len(every) - len(judged), np.stack([one.margin(figures) for one in judged])

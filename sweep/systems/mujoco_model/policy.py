@@ -20,7 +20,7 @@ from sweep.core.user_code import describe_user_error, run_user_code
 from sweep.fused.numbers import evaluate_constants
 from sweep.systems.mujoco_model import files
 from sweep.systems.mujoco_model.batch import BatchStart, controller_inputs, count_ticks
-from sweep.systems.mujoco_model.model_spec import ModelSpec, Side
+from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 
 TILE = 64
 logging.getLogger("jax._src.callback").setLevel(logging.CRITICAL)  # it prints tracebacks of errors that are told here
@@ -85,7 +85,7 @@ class ControllerPrograms:
         """The controller's own figures of one rollout that ends with a state (s,), by name."""
         return self._figures(given["belief"], carried["state"], self._measured(carried, now))
 
-    def rollout_outputs(self, world: Side, belief: Side, key: Array) -> Any:
+    def rollout_outputs(self, world: SideValues, belief: SideValues, key: Array) -> Any:
         """What the controller gives, and what reaches MuJoCo's model, of one rollout: to be traced, not to be run."""
         own = self._own
         given = {**controller_inputs(own, world, belief), "key": jax.random.key_data(key)}
@@ -122,7 +122,7 @@ class ControllerPrograms:
         if start is not None and not np.isfinite(start).all():
             raise self._error("begins at positions that are not finite")
         begun.energy(start)
-        now = self._own.state(begun.qpos, begun.qvel, begun.sensors)[0]
+        now = self._own.observable_state(begun.qpos, begun.qvel, begun.sensors)[0]
         ctrl, _ = found(self.tick_one, found(self.enter_one, state, now, np.int32(1)), now)
         told = np.tile(ctrl, (TILE, 1))
         controls = np.array(self.compute_controls(told))
@@ -225,7 +225,7 @@ def _freeze_ended(going: Array, new: Any, old: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(going, a, b), new, old)
 
 
-class Rollouts:
+class ControllerBatch:
     """The controllers of n rollouts, in whole tiles of which the last repeats the last rollout; `given` by row."""
 
     def __init__(self, programs: ControllerPrograms, given: Mapping[str, Any], n: int):
