@@ -24,7 +24,7 @@ from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
 from sweep.report.labels import axis_words
 from sweep.runs import store
-from sweep.study.config import experiment
+from sweep.study.config import build_experiment
 
 DATA = Path(__file__).parents[1] / "research" / "data"
 LENGTHS = ("body_length", "body_width", "thigh", "shin")
@@ -79,7 +79,7 @@ def phases(failures: str, root: Path) -> Iterator[list[str]]:
         parts = [folder, folder / certify.FRESH, folder / certify.AGAIN]
         rows = [store.read_rows(part) for part in parts if part.exists()]  # nothing is checked where nothing is found
         learning, fresh = rows[:2]
-        names = certify.drawn_parameters(experiment(store.read_study(folder)["config"]), learning)
+        names = certify.drawn_parameters(build_experiment(store.read_study(folder)["config"]), learning)
         known, new = certify.parameters_and_failures(learning, names), certify.parameters_and_failures(fresh, names)
         most, least = float(failures), required_rows(float(failures), CONFIDENCE) / len(fresh)
         times = [time.perf_counter()]
@@ -105,7 +105,7 @@ def run_sweep(root: Path, *words: str) -> float:
 
 def shares(folder: Path) -> list[list[Any]]:
     """Return the causes of failure with their shares, the largest first."""
-    found = failing.failure_shares(store.read_rows(folder), experiment(store.read_study(folder)["config"]))
+    found = failing.failure_shares(store.read_rows(folder), build_experiment(store.read_study(folder)["config"]))
     columns = found[["axis", "share", "error", "alone"]].to_numpy().tolist()
     return [[axis_words(axis), f"{100 * share:.1f} %", f"{100 * error:.1f}", f"{alone:.2f}"]
             for axis, share, error, alone in columns]  # fmt: skip

@@ -19,7 +19,7 @@ from sweep.study import importance_sampling, subset_simulation
 from sweep.study.adaptive_sampling import RoundSummary
 
 SUMS = ((2, 1e-3), (8, 1e-3), (8, 1e-5), (8, 1e-7), (50, 1e-5))  # number of parameters, and probability of failure
-LEVELS, RUNS, REPETITIONS = subset_simulation.Levels(1000, 0.1, 1e-9), 5, 40
+LEVELS, RUNS, REPETITIONS = subset_simulation.LevelSettings(1000, 0.1, 1e-9), 5, 40
 WIDE, ROUNDS = 2.0, 2
 DRAWS = (512, 4096)  # draws of a round of importance sampling
 
@@ -50,7 +50,7 @@ SHAPES = ((plane, 2, 1e-3), (plane, 8, 1e-3), (plane, 8, 1e-4), (plane, 8, 1e-6)
 
 def run_levels(d: int, truth: float, seed: int) -> rare.SubsetEstimate:
     """Run subset simulation on the sum of `d` normals, whose margin is the distance to its bound."""
-    search = subset_simulation.search(d, LEVELS, RUNS, seed)
+    search = subset_simulation.start_search(d, LEVELS, RUNS, seed)
     draws = next(search)
     try:
         while True:
@@ -75,7 +75,7 @@ def run_importance(
     fails: Callable[[np.ndarray], np.ndarray], d: int, num: int, seed: int
 ) -> rare.WeightedEstimate | rare.SubsetEstimate:
     """Return the estimate of a study by importance sampling."""
-    search = importance_sampling.search(d, num, WIDE, ROUNDS, seed)
+    search = importance_sampling.start_search(d, num, WIDE, ROUNDS, seed)
     draws = next(search)
     for _ in range(ROUNDS):
         draws = search.send(RoundSummary(fails(ndtri(draws.shares)), np.zeros(num)))

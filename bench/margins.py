@@ -23,7 +23,7 @@ from sweep.core.provenance import version_record
 from sweep.runs import runner, store
 from sweep.study.adaptive_sampling import Draws
 from sweep.study.config import Experiment, compose
-from sweep.study.study import points
+from sweep.study.study import make_points
 
 ROOT = Path(__file__).parents[1]
 FOLDER, DATA = ROOT / "results" / "lines", ROOT / "research" / "data" / "margins.json"
@@ -45,7 +45,7 @@ def simulate_errors(exp: Experiment, folder: Path, u: np.ndarray) -> pd.DataFram
     """Return the rows (n,) of rollouts whose errors have the normals `u` (n, d), stored in `folder`."""
     one_noise = np.zeros(len(u), dtype=int)  # for all, so that lines are smooth
     nothing = {"weight": np.ones(len(u)), "round": np.zeros(len(u))}
-    table = points(exp.study, exp.system, exp.settings, round_=Draws(ndtr(u), one_noise, nothing))
+    table = make_points(exp.study, exp.system, exp.settings, round_=Draws(ndtr(u), one_noise, nothing))
     with store.lock_folder(folder):
         runner.repair_folder(exp, folder)
         runner.run(

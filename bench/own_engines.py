@@ -20,7 +20,7 @@ from sweep.analysis.intervals import wilson
 from sweep.cli.main import main as sweep
 from sweep.core.files import write_atomically
 from sweep.runs import store
-from sweep.study.columns import figure_columns
+from sweep.study.columns import metric_columns
 
 DATA = Path(__file__).parents[1] / "research/data/own_engines.json"
 RUNS = {"native": "native", "mjx": "mjx", "warp": "warp", "warp_again": "warp"}  # engine by folder
@@ -46,7 +46,7 @@ def compare_engines(rows: dict[str, pd.DataFrame]) -> Iterator[list[str]]:
         same = int((one["outcome"] == other["outcome"]).sum())
         low, high = wilson(same, len(one))
         far = (scale * (one[name] - other[name]).abs() for name, (_, scale) in FIGURES.items())
-        figures = figure_columns(one)
+        figures = metric_columns(one)
         bits = (one[figures].to_numpy(float) == other[figures].to_numpy(float)).all(axis=1).sum()
         yield [
             f"`{a}`",

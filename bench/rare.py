@@ -33,8 +33,8 @@ from sweep.runs import runner
 from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
 from sweep.study import adaptive_designs
 from sweep.study.adaptive_sampling import Draws, summarize_round
-from sweep.study.config import Experiment, compose_values, experiment
-from sweep.study.study import points
+from sweep.study.config import Experiment, build_experiment, compose_values
+from sweep.study.study import make_points
 
 DATA = Path(__file__).parents[1] / "research" / "data" / "rare.json"
 # less the greater of two linear laws of the sizes, each of a way to fail: mean and half of the difference
@@ -93,12 +93,12 @@ class Robots:
         study = self.values["study"]
         axes = {name: {**axis, "relative": scale * axis["relative"]} for name, axis in study["axes"].items()}
         asked = {**study, "axes": axes, "design": {**study["design"], "lead": ROW[-1], **design}}
-        return experiment({**self.values, "study": asked})
+        return build_experiment({**self.values, "study": asked})
 
     @staticmethod
     def points(exp: Experiment, draws: Draws) -> pd.DataFrame:
         """Return the points of a round."""
-        return points(exp.study, exp.system, exp.settings, round_=draws)
+        return make_points(exp.study, exp.system, exp.settings, round_=draws)
 
     def run(self, tables: list[pd.DataFrame]) -> list[pd.DataFrame]:
         """Return the rows of each table, simulated in full batches except the last."""

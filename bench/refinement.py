@@ -8,12 +8,12 @@ from scipy.ndimage import binary_dilation
 
 from sweep.runs import store
 from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, summarize_panels
-from sweep.study.config import experiment
+from sweep.study.config import build_experiment
 
 
 def main(folder: Path, whole: Path) -> None:
     """Print the savings of the refined map, and where it is wrong."""
-    exp = experiment(store.read_study(folder)["config"])
+    exp = build_experiment(store.read_study(folder)["config"])
     rows = store.read_rows(folder)
     (found,) = summarize_panels(exp, rows)
     grid = store.read_rows(whole)

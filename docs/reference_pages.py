@@ -53,7 +53,7 @@ STABLE, OPEN = "stable", "may change"
 def pages() -> dict[str, str]:
     """Return the text of each page by its file name."""
     return {
-        "parameters.md": reference.page().replace("\n\n", f"\n\n{NOTE}\n\n", 1),
+        "parameters.md": reference.parameters_page().replace("\n\n", f"\n\n{NOTE}\n\n", 1),
         "columns.md": columns_page(),
         "causes.md": causes_page(),
         "cli.md": cli_page(),
@@ -90,7 +90,7 @@ def unit_of(column: str) -> str:
 
 def fields_table(cls: Any, head: str) -> str:
     """Return the fields of a dataclass with the comments beside them as a table."""
-    said = reference.comments(cls)
+    said = reference.member_comments(cls)
     return table((head, "meaning"), ((code(field.name), said[field.name]) for field in dataclasses.fields(cls)))
 
 
@@ -255,7 +255,7 @@ def study_file_page() -> str:
     """Keys of a study file."""
 
     def keys(cls: type) -> str:
-        said = reference.comments(cls)
+        said = reference.member_comments(cls)
         plain = [f for f in dataclasses.fields(cls) if isinstance(f.default, str | int | float | None)]
         rows = ((code(f.name), code("null" if f.default is None else f.default), said[f.name]) for f in plain)
         return table(("key", "default", "meaning"), rows)

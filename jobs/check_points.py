@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.runs import runner, store
-from sweep.study.config import compose, experiment
+from sweep.study.config import build_experiment, compose
 from sweep.study.study import parameter_columns
 
 ROOT = Path(__file__).parents[1]
@@ -45,7 +45,7 @@ def choose_rows(commit: str) -> tuple[str, pd.DataFrame]:
 def simulate_again(study: str, rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
     """Return the rows as simulated here, in their order."""
     composed = compose([f"study={study}"])
-    exp = experiment({**composed.values, "out": str(folder)})
+    exp = build_experiment({**composed.values, "out": str(folder)})
     points = rows[[*parameter_columns(rows), "replicate", "stream", "point_id"]]
     with store.lock_folder(folder):
         runner.repair_folder(exp, folder)

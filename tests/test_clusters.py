@@ -116,7 +116,7 @@ def test_a_worker_that_hangs_is_named_and_its_batch_goes_to_another(tmp_path, wh
 def test_a_scheduler_that_the_command_starts_listens_to_nobody_else():
     import distributed
 
-    with clusters.DaskLocal(workers=1).connect(clusters.WorkerReport(print)) as dispatch:
+    with clusters.DaskLocal(workers=1).connect(clusters.WorkerStatus(print)) as dispatch:
         address = dispatch.args[0].scheduler.address  # pyright: ignore
         for security in (None, distributed.Security.temporary()):
             with pytest.raises((OSError, ValueError)):
@@ -135,7 +135,7 @@ def test_jobs_of_slurm_are_given_keys_that_only_this_user_can_read(tmp_path, mon
         raise InputError("enough")
 
     monkeypatch.setattr(clusters, "_check_job", check)
-    with pytest.raises(InputError), clusters.Slurm(logs=str(tmp_path / "logs")).connect(clusters.WorkerReport(print)):
+    with pytest.raises(InputError), clusters.Slurm(logs=str(tmp_path / "logs")).connect(clusters.WorkerStatus(print)):
         pass
     assert "tls://" in seen[0]
     assert seen[1:] == [0, 0, 0, 3]

@@ -10,7 +10,7 @@ from sweep.controllers.manoeuvres import MANOEUVRES
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import InputError
 from sweep.models.obstacles import OBSTACLES
-from sweep.study.config import compose, compose_values, experiment
+from sweep.study.config import build_experiment, compose, compose_values
 
 TOGETHER = ("obstacle", "manoeuvre")  # which have to fit
 CHOICES = [f"{group}={name}" for group in GROUPS if group not in (*TOGETHER, "plan") for name in shipped_choices(group)]
@@ -43,7 +43,7 @@ def test_a_manoeuvre_on_an_obstacle_that_it_is_not_for_is_refused_in_one_line():
     for manoeuvre, obstacle in itertools.product(values["manoeuvre"], values["obstacle"]):
         pair = {"manoeuvre": values["manoeuvre"][manoeuvre], "obstacle": values["obstacle"][obstacle]}
         try:
-            experiment({**nominal, **pair})
+            build_experiment({**nominal, **pair})
             fits.add((manoeuvre, obstacle))
         except InputError as error:
             kinds = f"obstacle.kind = {pair['obstacle']['kind']} .* manoeuvre.kind = {pair['manoeuvre']['kind']} needs"

@@ -42,7 +42,7 @@ def study(axes: dict[str, Any], seed: int = 0, **keys: Any) -> Any:
 def points(exp: Any, round_: Any = None) -> pd.DataFrame:
     """The rows of a study before they are judged, a line for each replicate."""
     own = exp.study
-    table = designs.design_table(own.axes, own.design, own.seed, lambda path: 0.5, round_=round_)
+    table = designs.make_design_table(own.axes, own.design, own.seed, lambda path: 0.5, round_=round_)
     draw = table.pop("draw").to_numpy()
     rows = table.loc[table.index.repeat(own.replicates)].reset_index(drop=True)
     again = np.tile(np.arange(own.replicates), len(draw))

@@ -6,8 +6,8 @@ from scipy.stats import kstest, norm, truncnorm
 from sweep.core.errors import InputError
 from sweep.study import designs
 from sweep.study.config import compose
-from sweep.study.designs import warn_of_design
-from sweep.study.study import Study, points
+from sweep.study.designs import design_warning
+from sweep.study.study import Study, make_points
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def table_of(nominal):
 
     def build(axes, **keys):
         study = parse(nominal, axes, **keys)
-        return points(study, nominal.system, nominal.settings)
+        return make_points(study, nominal.system, nominal.settings)
 
     return build
 
@@ -195,7 +195,7 @@ def test_a_bad_design_is_refused(table_of, axes, design, message):
 
 def test_a_sobol_design_that_loses_its_balance_is_doubted(nominal):
     def doubt(**design):
-        return warn_of_design(parse(nominal, {"f": FRICTION}, design=design).design)
+        return design_warning(parse(nominal, {"f": FRICTION}, design=design).design)
 
     assert doubt(kind="sobol", num=64) is None
     assert "not a power of 2" in str(doubt(kind="sobol", num=65))
@@ -216,7 +216,7 @@ def test_distributions_of_scipy_and_a_copula_keep_what_they_promise():
     }
     parsed = designs.parse_axes(axes)
     given = {"num": 4000, "correlation": [["mass", "size", 0.7]]}
-    table = designs.design_table(parsed, designs.parse_design(given, parsed), 0, lambda path: 1.0)
+    table = designs.make_design_table(parsed, designs.parse_design(given, parsed), 0, lambda path: 1.0)
     mass, size, grip = (table[path] for path in ("robot.body_mass", "robot.body_length", "contact.friction"))
     assert stats.kstest(mass, stats.gamma(25, scale=0.4).cdf).pvalue > 0.01  # each keeps its own
     assert stats.kstest(size, stats.norm(1.05, 0.02).cdf).pvalue > 0.01

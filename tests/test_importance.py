@@ -67,7 +67,7 @@ def repeated(d, bounds, num=400, rounds=2, times=200):
 
     found = []
     for seed in range(times):
-        search = importance_sampling.search(d, num, 2.5, rounds, seed)
+        search = importance_sampling.start_search(d, num, 2.5, rounds, seed)
         draws = next(search)
         for _ in range(rounds):
             draws = search.send(RoundSummary(failed(draws), np.zeros(num)))

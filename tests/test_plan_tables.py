@@ -28,7 +28,7 @@ from sweep.models.plan_table import (
     plan_values,
 )
 from sweep.study.config import compose
-from sweep.study.study import points
+from sweep.study.study import make_points
 from sweep.systems.hexapod import replace_parameter
 
 ROOF = ["scenario=corner_roof"]
@@ -146,7 +146,7 @@ def test_a_way_that_cannot_be_gone_is_refused(lab, scenario, text, told):
 def test_rows_have_the_ids_of_their_numbers_whatever_file_they_are_in(lab):
     def ids(*more):
         exp = compose([*ROOF, *more])
-        return points(exp.study, exp.system, exp.settings)["point_id"].tolist()
+        return make_points(exp.study, exp.system, exp.settings)["point_id"].tolist()
 
     axis = "+study.axes.a={path: plan.roof.pitch.base.pitch, values: [48.8, 45]}"
     assert ids() == ids("plan=corner_roof") == ids(axis)[:1]

@@ -274,9 +274,9 @@ def test_what_is_wrong_with_an_obstacle_of_ones_own_is_one_line(home, capsys, ol
 
 
 def test_no_parameter_is_explained_by_a_symbol_alone():
-    for group, classes in reference.classes().items():
+    for group, classes in reference.classes_by_group().items():
         for cls in classes:
-            for line in reference.parameters(cls):
+            for line in reference.parameter_rows(cls):
                 short = len(line["meaning"].split()) < 3
                 assert not short, (group, line)
 

@@ -35,9 +35,9 @@ def test_words_and_format_do_not_change_the_version_of_the_code_and_all_else_doe
 
 
 def test_rows_of_the_same_sources_are_of_this_code_whatever_the_libraries(monkeypatch):
-    here, others = provenance.versions(), provenance.versions() | {"jax": "0.1"}
+    here, others = provenance.library_versions(), provenance.library_versions() | {"jax": "0.1"}
     version = provenance.code_version()  # which a process works out once
-    monkeypatch.setattr(provenance, "versions", lambda: others)
+    monkeypatch.setattr(provenance, "library_versions", lambda: others)
     elsewhere = provenance.code_version.__wrapped__()
     assert elsewhere != version
     assert provenance.is_current_code(elsewhere, others)
@@ -58,7 +58,7 @@ def test_what_judges_and_searches_a_plan_is_in_the_version_of_a_search(monkeypat
 
 def test_every_module_that_a_worker_runs_is_in_the_version_of_the_code(monkeypatch):
     loaded = subprocess.run([sys.executable, "-c", WORKER], check=True, capture_output=True, text=True).stdout.split()
-    sources = provenance.sources(provenance.WORKER)
+    sources = provenance.list_source_files(provenance.WORKER)
     assert {Path(file) for file in loaded if not file.endswith("conf/__init__.py")} <= set(sources)
     named = {file.relative_to(provenance.ROOT).as_posix() for file in sources}
     assert {"study/study.py", "study/point_ids.py", "runs/batches.py", "study/clusters.py"} <= named
@@ -93,7 +93,7 @@ def test_what_sources_say_is_read_again_without_being_parsed(tmp_path, monkeypat
         subprocess.run([sys.executable, "-c", AGAIN], check=True, capture_output=True, text=True).stdout.split()
         for _ in range(2)
     )
-    assert first == [provenance.code_version(), str(len(provenance.sources(provenance.WORKER)))]
+    assert first == [provenance.code_version(), str(len(provenance.list_source_files(provenance.WORKER)))]
     assert again == [first[0], "0"]
 
 
@@ -106,7 +106,7 @@ def test_another_processor_is_another_run_and_said(tmp_path, monkeypatch, capsys
         assert run_id(settings) != here
     assert main(["run", *STUDY, f"out={tmp_path}", "--limit", "8"]) == 0
     assert "last bit" not in capsys.readouterr().err
-    monkeypatch.setattr(provenance, "processor", lambda: "another processor")
+    monkeypatch.setattr(provenance, "processor_id", lambda: "another processor")
     assert run_id(settings) != here
     assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
     assert "on which equal rollouts may differ in the last bit" in (error := capsys.readouterr().err)
@@ -123,9 +123,9 @@ def test_a_commit_is_marked_where_what_makes_rows_differs(tmp_path, monkeypatch)
     for words in (["init", "-q"], ["add", "."], ["commit", "-qm", "a"]):
         subprocess.run([*git, *words], check=True)
     monkeypatch.setattr(provenance, "ROOT", tmp_path / "sweep")
-    plain = provenance.commit.__wrapped__()
+    plain = provenance.find_commit.__wrapped__()
     assert len(plain) == 12
     (tmp_path / "research/data.json").write_text("2\n")
-    assert provenance.commit.__wrapped__() == plain
+    assert provenance.find_commit.__wrapped__() == plain
     (tmp_path / "conf/study.yaml").write_text("2\n")
-    assert provenance.commit.__wrapped__() == f"{plain}-dirty"
+    assert provenance.find_commit.__wrapped__() == f"{plain}-dirty"

@@ -10,7 +10,7 @@ import sweep.engines
 from sweep.cli.main import main
 from sweep.runs import refine, store
 from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, bisect_cells, fill_cells, leaf_cells
-from sweep.study.config import compose, experiment
+from sweep.study.config import build_experiment, compose
 
 FRICTION = "study.axes.friction={path: contact.friction, side: world, from: 0.05, to: 1.2, num: 9}"
 STEP = "study.axes.step={path: manoeuvre.half_step_ratio, from: 0.03, to: 0.2, num: 9}"
@@ -97,7 +97,7 @@ def test_a_refined_map_is_the_grid_with_ten_times_fewer_rollouts(tmp_path, capsy
     assert main(["run", *AXES, *refining, f"out={tmp_path}"]) == 0
     out = capsys.readouterr().out
     rows = store.read_rows(tmp_path)
-    exp = experiment(store.read_study(tmp_path)["config"])
+    exp = build_experiment(store.read_study(tmp_path)["config"])
     (found,) = refine.summarize_panels(exp, rows)
     assert found.grid.shape == (129, 129)
     friction, ratio = np.meshgrid(*found.grid.values, indexing="ij")
@@ -127,7 +127,7 @@ def test_the_walking_map_is_its_whole_grid_with_ten_times_fewer_rollouts(tmp_pat
     whole += ["study.resolution=0", "study.audit=0"]
     for name, overrides in (("refined", []), ("whole", whole)):
         assert main(["run", "study=walk_map_refined", *overrides, f"out={tmp_path / name}"]) == 0
-    exp = experiment(store.read_study(tmp_path / "refined")["config"])
+    exp = build_experiment(store.read_study(tmp_path / "refined")["config"])
     (found,) = refine.summarize_panels(exp, store.read_rows(tmp_path / "refined"))
     grid = store.read_rows(tmp_path / "whole")
     outcome = np.full(found.grid.shape, "missing", dtype=object)
@@ -182,7 +182,7 @@ def test_noisy_points_get_rollouts_until_decided_or_the_budget_is_spent(tmp_path
     spent = rows.groupby("world.contact.friction").size()
     assert spent.iloc[[0, 1, -2, -1]].max() <= 90  # far from the level, which is at a friction of 0.3
     assert spent[[0.25, 0.35]].min() > 200
-    exp = experiment(store.read_study(tmp_path)["config"])
+    exp = build_experiment(store.read_study(tmp_path)["config"])
     (found,) = refine.summarize_panels(exp, rows)
     assert found.labels.tolist() == [SUCCEEDS] * 3 + [FAILS] * 7
     assert found.undecided == 0

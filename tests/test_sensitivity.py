@@ -9,7 +9,7 @@ from sweep.analysis.stats import rates
 from sweep.core.errors import InputError
 from sweep.report.statistics import statistics_sections
 from sweep.study.config import compose
-from sweep.study.study import Study, points
+from sweep.study.study import Study, make_points
 
 SHIN = {"path": "robot.shin", "distribution": {"kind": "uniform", "from": 0.3, "to": 0.4}}
 THIGH = {"path": "robot.thigh", "distribution": {"kind": "uniform", "from": 0.5, "to": 0.6}}
@@ -27,7 +27,7 @@ def study(nominal):
 
     def build(axes, succeeds, **keys):
         chosen = Study.parse({**nominal.values["study"], "axes": axes, **keys}, single=False)
-        table = points(chosen, nominal.system, nominal.settings)
+        table = make_points(chosen, nominal.system, nominal.settings)
         outcome = np.where(succeeds(table), "success", "failure")
         return replace(nominal, study=chosen), table.assign(outcome=outcome)
 

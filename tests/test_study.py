@@ -9,7 +9,7 @@ from sweep.runs.batches import assign_batches, make_batch, make_nominal_batch, w
 from sweep.runs.runner import select_points
 from sweep.study.config import compose
 from sweep.study.designs import parse_axes
-from sweep.study.study import points
+from sweep.study.study import make_points
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
 FRICTION = "+study.axes.f={path: contact.friction, side: world, values: [0.5, 1.0, 1.5]}"
@@ -17,7 +17,7 @@ FRICTION = "+study.axes.f={path: contact.friction, side: world, values: [0.5, 1.
 
 def table_of(*overrides):
     exp = compose(list(overrides))
-    return exp, points(exp.study, exp.system, exp.settings)
+    return exp, make_points(exp.study, exp.system, exp.settings)
 
 
 def test_a_world_axis_never_reaches_the_belief():
@@ -62,7 +62,7 @@ def test_points_that_are_left_out_are_counted(tmp_path, capsys):
     values = "+study.axes.f={path: contact.friction, values: [1.0, 1.00000000000001, 1.0, 2.0, 1e-300, 2e-300]}"
     said = []
     exp = compose([values, "study.name=x"])
-    table = points(exp.study, exp.system, exp.settings, say=said.append)
+    table = make_points(exp.study, exp.system, exp.settings, on_message=said.append)
     assert table["contact.friction"].tolist() == [1.0, 2.0, 1e-300, 2e-300]
     assert said == ["2 of 6 rollouts are left out: equal to others in 12 digits"]
     (tmp_path / "p.csv").write_text("contact.friction\n1.0\n1.0\n2.0\n")
@@ -70,7 +70,7 @@ def test_points_that_are_left_out_are_counted(tmp_path, capsys):
     assert "1 of 3 rollouts are left out" in capsys.readouterr().err
     arms = [f"+study.axes.{name}={{path: robot.{name}, values: [0.3, 0.4]}}" for name in ("shin", "thigh")]
     exp = compose([*arms, "study.design.grid=one_at_a_time", "study.name=x"])
-    points(exp.study, exp.system, exp.settings, say=pytest.fail)
+    make_points(exp.study, exp.system, exp.settings, on_message=pytest.fail)
 
 
 ABSURD = [
@@ -100,7 +100,7 @@ def test_an_absurd_condition_is_one_short_line(where):
 def test_a_study_that_is_too_large_is_refused_before_it_is_built(overrides):
     exp = compose([*overrides, "study.name=x"])
     with pytest.raises(InputError, match="rollouts: at most 20000000"):
-        points(exp.study, exp.system, exp.settings)
+        make_points(exp.study, exp.system, exp.settings)
 
 
 def test_extending_a_study_keeps_membership_and_slots():
@@ -230,7 +230,7 @@ def test_rows_that_use_nothing_of_control_keep_the_ids_of_before_there_was_any()
 
 def test_a_path_with_a_star_is_an_axis_for_each_number_below_it():
     exp = compose(["scenario=ball_descend", "study=any_plan_sensitivity", "study.axes.number.path=plan.off.hold.*"])
-    table = points(exp.study, exp.system, exp.settings)
+    table = make_points(exp.study, exp.system, exp.settings)
     held = {f"plan.off.hold.{name}" for name in ("seconds", "base.elevation", "base.distance", "base.ahead")}
     assert {a.target for a in exp.study.axes} == held
     assert len(table) == 8 * (len(held) + 1)  # Morris' paths

@@ -62,19 +62,19 @@ def test_a_margin_that_does_not_lead_is_told_and_another_lead_may_do(fake_engine
 
 
 def test_what_always_fails_and_what_never_does_are_told():
-    plan = subset_simulation.Levels(100, 0.1, 1e-4)
+    plan = subset_simulation.LevelSettings(100, 0.1, 1e-4)
     always = searched(lambda u: -1 - u[:, 0] ** 2, 2, plan, 3, 0)
     assert str(always).startswith("P(failure) = 1, 1 to 1 (95 %")
     assert "it is not rare: study.design.kind=monte_carlo tells as much" in str(always)
     never = searched(lambda u: 9 + u[:, 0], 2, plan, 3, 0)
     assert "no run of 3 came to a failure in" in str(never)
     assert "fewer than 0.1 of the rows fail down to 0.0001" in str(never)
-    assert sum(run.rollouts for run in never.runs) <= 3 * plan.most
+    assert sum(run.rollouts for run in never.runs) <= 3 * plan.max_rollouts
 
 
 def searched(fails, d, plan, runs, seed):
     """What runs come to, by a margin (n,) of normals (n, d)."""
-    search = subset_simulation.search(d, plan, runs, seed)
+    search = subset_simulation.start_search(d, plan, runs, seed)
     draws = next(search)
     try:
         while True:
@@ -95,7 +95,7 @@ def flat(beta):
 
 @pytest.mark.parametrize(("margin", "d", "beta"), [(linear, 2, 3.1), (linear, 8, 4.3), (flat, 8, 3.7)])
 def test_its_mean_is_the_truth_and_its_intervals_hold(margin, d, beta):
-    truth, plan = norm.sf(beta), subset_simulation.Levels(500, 0.1, 1e-9)
+    truth, plan = norm.sf(beta), subset_simulation.LevelSettings(500, 0.1, 1e-9)
     found = [searched(margin(beta), d, plan, 5, seed) for seed in range(60)]
     each = np.concatenate([one.run_probabilities for one in found])
     variation = each.std() / truth
@@ -124,7 +124,7 @@ def test_it_agrees_with_openturns():
         run.setConditionalProbability(0.1)
         run.run()
         theirs.append(run.getResult().getProbabilityEstimate())
-    ours = searched(margin, 4, subset_simulation.Levels(1000, 0.1, 1e-9), 40, 0).run_probabilities
+    ours = searched(margin, 4, subset_simulation.LevelSettings(1000, 0.1, 1e-9), 40, 0).run_probabilities
     spread = np.hypot(np.std(theirs), ours.std()) / np.sqrt(40)
     assert abs(np.mean(theirs) - ours.mean()) < 3 * spread
     assert 0.5 < ours.std() / np.std(theirs) < 2

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from sweep.study.columns import LABELS, figure_columns
+from sweep.study.columns import LABELS, metric_columns
 from sweep.study.config import Experiment
 from sweep.study.designs import Axis
 
@@ -30,7 +30,7 @@ def compare_along_axes(rows: pd.DataFrame, exp: Experiment) -> dict[str, AxisPai
     if exp.study.points or exp.study.is_adaptive or rows.empty:
         return {}
     axes = [axis for axis in exp.study.axes if axis.column in rows]
-    measured = pd.util.hash_pandas_object(rows[[*figure_columns(rows), *LABELS]], index=False).to_numpy()
+    measured = pd.util.hash_pandas_object(rows[[*metric_columns(rows), *LABELS]], index=False).to_numpy()
     draws = rows["replicate"].where(exp.system.find_random_rows(rows, exp.settings), 0)
     found = {axis.name: _compare_along(axis, axes, rows, draws, measured) for axis in axes}
     return {name: pairs for name, pairs in found.items() if pairs.rollouts}

@@ -10,7 +10,7 @@ from sweep.analysis.intervals import clopper_pearson
 from sweep.analysis.stats import format_percent, rates
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
-from sweep.study.columns import LABELS, figure_columns
+from sweep.study.columns import LABELS, metric_columns
 from sweep.study.config import Experiment
 from sweep.study.study import identity_columns
 
@@ -271,7 +271,7 @@ def metric_drift(pairs: pd.DataFrame) -> pd.Series:
     valid = (pairs["outcome"] != "invalid") & (pairs[f"outcome{SECOND}"] != "invalid")
     own = pairs.columns[[not c.endswith(SECOND) for c in pairs.columns]]
     changes = {}
-    for name in figure_columns(pairs[own]):
+    for name in metric_columns(pairs[own]):
         a, b = pairs.loc[valid, name], pairs.loc[valid, f"{name}{SECOND}"] if f"{name}{SECOND}" in pairs else None
         if b is None or a.dtype.kind != "f" or not (both := a.notna() & b.notna()).any():
             continue

@@ -10,7 +10,7 @@ from sweep.core.errors import InputError
 from sweep.study import adaptive_designs, importance_sampling
 from sweep.study.adaptive_sampling import replay_search
 from sweep.study.config import Experiment
-from sweep.study.subset_simulation import Outcome
+from sweep.study.subset_simulation import RunResult
 
 LARGEST = 0.1  # largest share of the sum that one row may carry in a reliable estimate
 LEAST = 0.01  # smallest share of a mode at which a cause is named
@@ -66,7 +66,7 @@ class SubsetEstimate:
     """A failure probability by independent runs of subset simulation, whose spread gives the error."""
 
     target: float
-    runs: tuple[Outcome, ...]
+    runs: tuple[RunResult, ...]
 
     @property
     def run_probabilities(self) -> np.ndarray:
@@ -79,7 +79,7 @@ class SubsetEstimate:
         return float(self.run_probabilities.mean())
 
     @property
-    def stuck_runs(self) -> tuple[Outcome, ...]:
+    def stuck_runs(self) -> tuple[RunResult, ...]:
         """The runs that stopped before they reached the failure region."""
         return tuple(run for run in self.runs if run.why)
 
@@ -200,7 +200,7 @@ def failure_modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     away, failing = (x[here] - middle) / np.where(spread, spread, 1.0), failing[here] / failing.sum()
     parts = importance_sampling.fit_mixture(away, failing)
     mode, cause, table = (
-        importance_sampling.modes(parts)[parts.log_density(away).argmax(axis=1)],
+        importance_sampling.assign_modes(parts)[parts.log_density(away).argmax(axis=1)],
         rows["cause"].iloc[here],
         [],
     )

@@ -175,7 +175,7 @@ def one_at_a_time_rates(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
         for axis, _, part in one_at_a_time_rows(rows, exp)
     ]
     table = pd.concat(parts, ignore_index=True)[["axis", *parts[0].columns.drop("axis")]]
-    return table if exp.study.noisy else table.assign(low=np.nan, high=np.nan)
+    return table if exp.study.has_repeats else table.assign(low=np.nan, high=np.nan)
 
 
 def margins(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> pd.DataFrame:

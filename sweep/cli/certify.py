@@ -19,7 +19,7 @@ from sweep.core.errors import InputError
 from sweep.core.files import path_in
 from sweep.report.tables import page_table
 from sweep.runs import extend, results, runner, store
-from sweep.study.config import Experiment, experiment
+from sweep.study.config import Experiment, build_experiment
 
 MOST_PARAMETERS = 8
 FRESH, AGAIN = "certify/fresh", "certify/again"  # studies of their own in the folder
@@ -106,7 +106,7 @@ def with_seed(exp: Experiment, folder: Path, seed: int, number: int) -> Experime
     """The study with another seed and number of draws."""
     own = exp.values["study"]
     study = {**own, "seed": seed, "design": {**own["design"], "num": number}, "keep": [], "expect": []}
-    return experiment({**exp.values, "study": study, "out": str(folder)})
+    return build_experiment({**exp.values, "study": study, "out": str(folder)})
 
 
 def check_region(

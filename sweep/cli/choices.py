@@ -31,7 +31,7 @@ def refuse_unknown(overrides: list[str]) -> None:
     for group, _, name in (one.partition("=") for one in overrides):
         if group not in GROUPS or not re.fullmatch(r"[A-Za-z_][\w./-]*", name) or name == "null":
             continue
-        if name.endswith(".yaml") or project.module_names():
+        if name.endswith(".yaml") or project.user_module_names():
             continue
         try:
             require_choice(name, {**shipped_choices(group), **project.project_files(group)}, f"{group} = {name}")
@@ -41,7 +41,7 @@ def refuse_unknown(overrides: list[str]) -> None:
 
 def outside_of_project() -> str:
     """End of a message about an unknown choice where no project is found; empty in a project."""
-    return "" if project.root() else "; this folder is in no project: there is no sweep.yaml in it or above it"
+    return "" if project.find_project() else "; this folder is in no project: there is no sweep.yaml in it or above it"
 
 
 def _refuse_bare_words(overrides: list[str]) -> None:

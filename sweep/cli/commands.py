@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from sweep.cli import folders, project
 from sweep.cli.choices import refuse_unknown
 from sweep.cli.exits import DONE, MEANINGS
-from sweep.core.arguments import Arguments, flags
+from sweep.core.arguments import Arguments, list_flags
 from sweep.core.errors import InputError
 from sweep.core.files import printable_name
 from sweep.core.groups import GROUPS
@@ -268,7 +268,7 @@ def run_command(argv: list[str]) -> int:
 
         return execute(exp, Flags(args.dry_run, args.check, args.limit, args.where))
 
-    return launch(overrides, work, flags(run_parser()))
+    return launch(overrides, work, list_flags(run_parser()))
 
 
 def run_parser() -> Arguments:
@@ -299,4 +299,4 @@ def run_parser() -> Arguments:
 def flags_of(commands: "argparse._SubParsersAction[Arguments]") -> dict[str, list[str]]:
     """Flags of each command."""
     parsers = {**commands.choices, "run": run_parser()}
-    return {name: [flag for flag in flags(sub) if flag.startswith("--")] for name, sub in parsers.items()}
+    return {name: [flag for flag in list_flags(sub) if flag.startswith("--")] for name, sub in parsers.items()}

@@ -6,7 +6,7 @@ from pathlib import Path
 import yaml
 
 from sweep.cli.exits import DONE
-from sweep.core.arguments import Arguments, no_flag
+from sweep.core.arguments import Arguments, is_value
 from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
 from sweep.models.binary import model_bytes
@@ -24,11 +24,11 @@ from pathlib import Path
 
 import yaml
 
-from sweep.study.config import experiment
+from sweep.study.config import build_experiment
 from sweep.systems.exported import make_controller
 
 FILES = ["case.yaml"]
-exp = experiment(yaml.safe_load(Path(__file__).with_name(FILES[0]).read_text(encoding="utf-8")))
+exp = build_experiment(yaml.safe_load(Path(__file__).with_name(FILES[0]).read_text(encoding="utf-8")))
 begin, policy, figures, PARAMETERS, FIGURES = make_controller(exp.case, exp.settings, exp.thresholds)
 '''
 
@@ -70,7 +70,7 @@ def main(args: list[str]) -> int:
 def parser() -> Arguments:
     """Parser of the arguments of `sweep export-model`."""
     return Arguments(
-        others=no_flag,
+        others=is_value,
         prog="sweep export-model",
         usage="sweep export-model scenario=NAME [group.name=value ...] out=DIR",
         description=__doc__,

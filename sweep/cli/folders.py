@@ -132,7 +132,7 @@ def show_statistics(args: argparse.Namespace) -> int:
     if args.figure and exp.study.design.kind not in ("saltelli", "morris"):
         raise InputError("--figure is for sensitivity: it needs a study with study.design.kind=saltelli or morris")
     terminal.print_markdown(
-        statistics.render_statistics(rows, exp, args.level, args.figure), kept=("share", "low", "high")
+        statistics.render_statistics(rows, exp, args.level, args.figure), required=("share", "low", "high")
     )
     return DONE
 

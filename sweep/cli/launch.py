@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from sweep.cli.exits import BAD_INPUT, DONE, FAULT
-from sweep.core.arguments import flags, usage_error
+from sweep.core.arguments import list_flags, make_usage_error
 from sweep.core.errors import Fault, InputError
 from sweep.study import config
 from sweep.study.config import Experiment
@@ -30,7 +30,7 @@ def launch(overrides: list[str], work: Callable[[Experiment], int], run_flags: l
     if not any(one.startswith(("-", "hydra", "+hydra", "~hydra")) for one in overrides):
         return work(config.compose(overrides))  # Hydra's application would compose it twice
     check_flags(overrides, run_flags)
-    config.register()
+    config.register_schemas()
     codes = [DONE]
 
     @hydra.main(
@@ -40,7 +40,7 @@ def launch(overrides: list[str], work: Callable[[Experiment], int], run_flags: l
     )
     def job(composed: DictConfig) -> None:
         try:
-            codes.append(work(config.experiment(config.resolve(composed))))
+            codes.append(work(config.build_experiment(config.resolve(composed))))
         # Hydra would add lines of its own, and give up a multirun's other jobs
         except Fault as error:
             print(f"sweep: {error}", file=sys.stderr)
@@ -54,7 +54,7 @@ def launch(overrides: list[str], work: Callable[[Experiment], int], run_flags: l
     sys.argv = ["sweep run", *overrides]
     os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors through to here, where they become one line
     try:
-        config.check_choices(overrides)
+        config.check_overrides(overrides)
         job()
     except (HydraException, OmegaConfBaseException, OverflowError, RecursionError) as error:
         raise InputError(config.format_error(error, overrides)) from None
@@ -68,7 +68,7 @@ def check_flags(overrides: list[str], run_flags: list[str]) -> None:
     parser = get_args_parser()
 
     def error(message: str) -> NoReturn:
-        raise usage_error(message, "sweep run", [*flags(parser), *run_flags])
+        raise make_usage_error(message, "sweep run", [*list_flags(parser), *run_flags])
 
     parser.error = error
     args = parser.parse_args(overrides)

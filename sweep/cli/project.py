@@ -81,7 +81,7 @@ def list_choices(args: argparse.Namespace) -> int:
         raise InputError(f"there is no {where}, and no folder: `sweep list` shows the groups")
     print_groups(shipped, brief=not args.what)
     if any(own.values()):
-        print(f"\nof this project, {project.root()}")
+        print(f"\nof this project, {project.find_project()}")
         print_groups(own)
     if not args.what:
         print(
@@ -129,10 +129,10 @@ def describe(args: argparse.Namespace) -> int:
     from sweep.study import reference
 
     try:
-        text = reference.page() if args.name is None else reference.text(args.name)
+        text = reference.parameters_page() if args.name is None else reference.describe(args.name)
     except InputError as error:
         raise InputError(f"{error}{outside_of_project() if '=' in args.name else ''}") from None
-    terminal.print_markdown(text + "\n", kept=("meaning",))
+    terminal.print_markdown(text + "\n", required=("meaning",))
     return DONE
 
 

@@ -14,7 +14,7 @@ from sweep.engines.base import same_bits
 from sweep.report import crate, replays
 from sweep.runs import device_choice, repair, results, store
 from sweep.runs.results import Results
-from sweep.study.columns import figure_columns
+from sweep.study.columns import metric_columns
 
 TOLERANCE = 1e-3  # relative, within which metrics count as reproduced
 SHOWN = 3  # metrics of a row that are named
@@ -86,7 +86,7 @@ def compare_row(
         `point_id`; outcome and cause before (`was`) and `now`; whether the outcome `flips`; whether all metrics are
         `equal` to the last bit; which of them `changed` beyond the tolerance, in words.
     """
-    names = [name for name in figure_columns(pd.DataFrame([row])) if isinstance(row[name], float)]
+    names = [name for name in metric_columns(pd.DataFrame([row])) if isinstance(row[name], float)]
     both = {name: (row[name], float(metrics.get(name, np.nan))) for name in names}
     changed = [
         f"{name} {a:g} there, {b:g} here"

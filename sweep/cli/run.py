@@ -34,8 +34,8 @@ from sweep.runs.batches import make_engine
 from sweep.runs.batches import make_nominal_batch as nominal_batch
 from sweep.runs.nominal_levels import FailingLevel, find_failing_levels
 from sweep.study import designs
-from sweep.study.clusters import WorkerReport, connect_lazily
-from sweep.study.config import Experiment, compose_values, experiment
+from sweep.study.clusters import WorkerStatus, connect_lazily
+from sweep.study.config import Experiment, build_experiment, compose_values
 from sweep.study.study import check_expect, name_axes, parameter_columns, unit_of_column
 from sweep.systems import find_kind_by_keys
 
@@ -83,7 +83,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
     whole = flags.where is None and flags.limit is None
     if exp.study.is_refined:
         refine.check(exp.study, first)
-    if line := designs.warn_of_design(exp.study.design):
+    if line := designs.design_warning(exp.study.design):
         print(f"sweep: {line}", file=sys.stderr)
     if flags.dry_run:
         job = runner.prepare_job(exp, folder, first)
@@ -100,7 +100,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         print(f"sweep: {line}", file=sys.stderr)
         store.log(folder, line)
 
-    watched = WorkerReport(say)
+    watched = WorkerStatus(say)
     with store.lock_folder(folder), connect_lazily(exp.cluster, watched) as dispatch:
         for line in runner.repair_folder(exp, folder):
             say(line)
@@ -206,7 +206,7 @@ def jitter_experiment(exp: Experiment) -> Experiment | None:
     values = compose_values(JITTER)
     if find_kind_by_keys(values) is not find_kind_by_keys(exp.values):
         return None
-    of = experiment({**exp.values, "study": {**values["study"], "name": f"{exp.scenario}_jitter"}})
+    of = build_experiment({**exp.values, "study": {**values["study"], "name": f"{exp.scenario}_jitter"}})
     expect = tuple(
         replace(one, at_least=max(0.0, one.at_least - SLACK), at_most=min(1.0, one.at_most + SLACK))
         for one in exp.study.expect
@@ -356,7 +356,7 @@ class LiveColumn(ProgressColumn):
 
 
 @contextmanager
-def report_progress(name: str, total: int, what: str, watched: WorkerReport | None = None) -> Iterator[runner.Progress]:
+def report_progress(name: str, total: int, what: str, watched: WorkerStatus | None = None) -> Iterator[runner.Progress]:
     """Show progress: a bar on a terminal, else a line now and then. `what` is compiled first."""
     console = Console(stderr=True)
     start, done, good, pace = time.perf_counter(), 0, 0, Pace(total)

@@ -18,7 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from sweep.analysis.stats import rate
 from sweep.cli.exits import DONE, UNEXPECTED
-from sweep.core.arguments import Arguments, no_flag
+from sweep.core.arguments import Arguments, is_value
 from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
 from sweep.core.provenance import search_version
@@ -28,7 +28,7 @@ from sweep.models.case import Case
 from sweep.models.plan_table import SLOPES, Content
 from sweep.runs import store, tuning
 from sweep.study.config import Experiment, compose
-from sweep.study.study import parameter_columns, points
+from sweep.study.study import make_points, parameter_columns
 from sweep.systems.base import split_side
 from sweep.tune.score import APART, MANOEUVRE, MOMENTS, SAME, Aim, Score, shares, stacked, worst
 
@@ -128,7 +128,7 @@ def drawn_sizes(exp: Experiment) -> dict[str, float]:
 
     Numbers follow relative changes, so sizes of zero are left out. Raises `InputError` where no size is drawn.
     """
-    told = {split_side(column)[1] for column in parameter_columns(points(exp.study, exp.system, exp.settings))}
+    told = {split_side(column)[1] for column in parameter_columns(make_points(exp.study, exp.system, exp.settings))}
     at = plan_table.plan_content(exp.case).get(SLOPES, {}).get(plan_table.AT, {})
     drawn = [path for path in sorted(told) if path.partition(".")[0] in plan_table.SIZED]
     found = {path: size for path in drawn if (size := at.get(path, float(plan_table.parameter_value(exp.case, path))))}
@@ -208,7 +208,7 @@ def compare_plans(overrides: list[str], file: Path, settings: list[str], seed: i
 def parser() -> Arguments:
     """Parser of the flags of `sweep tune`."""
     made = Arguments(
-        prog="sweep tune", others=no_flag, allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter,
+        prog="sweep tune", others=is_value, allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter,
         usage="sweep tune [group=choice ...] [group.name=value ...] out=FILE.yaml [flags]", epilog=EPILOG,
         description="Search the numbers of a plan until its margins reach their targets in all draws of a study.",
     )  # fmt: skip

@@ -27,7 +27,7 @@ class Arguments(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise `InputError` with the message of argparse rewritten to one line, see `usage_error`."""
-        raise usage_error(message, self.prog, flags(self))
+        raise make_usage_error(message, self.prog, list_flags(self))
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[argparse.Namespace, list[str]]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Parse arguments.
@@ -55,17 +55,17 @@ def _path(word: str) -> Path:
     return Path(word)
 
 
-def no_flag(word: str) -> bool:
+def is_value(word: str) -> bool:
     """Return whether a command-line word is a value, such as `group=choice`, and not a flag."""
     return not word.startswith("-")
 
 
-def flags(parser: argparse.ArgumentParser) -> list[str]:
+def list_flags(parser: argparse.ArgumentParser) -> list[str]:
     """List all flags of an argument parser, long and short."""
     return [flag for action in parser._actions for flag in action.option_strings]
 
 
-def usage_error(message: str, command: str, known: Iterable[str]) -> InputError:
+def make_usage_error(message: str, command: str, known: Iterable[str]) -> InputError:
     """Turn an error message of argparse into an `InputError` of one line.
 
     Args:

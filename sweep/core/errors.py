@@ -54,7 +54,7 @@ def suggest(word: str, allowed: Iterable[str], short: Iterable[str] = ()) -> str
     return f"{hint} (allowed: {', '.join(sorted(allowed))})" if allowed else hint
 
 
-def nearest(word: str, names: Iterable[str], count: int = 5) -> str:
+def suggest_nearest(word: str, names: Iterable[str], count: int = 5) -> str:
     """Format the end of an error message about an unknown name: the few names most like it.
 
     Args:
@@ -79,7 +79,7 @@ def nearest(word: str, names: Iterable[str], count: int = 5) -> str:
     return f"{hint} (nearest: {', '.join(found)})"
 
 
-def require_choice(word: object, allowed: Iterable[str], told: str) -> None:
+def require_choice(word: object, allowed: Iterable[str], label: str) -> None:
     """Require a name to be one of those that are allowed.
 
     Args:
@@ -91,4 +91,4 @@ def require_choice(word: object, allowed: Iterable[str], told: str) -> None:
         InputError: `word` is none of `allowed`; the closest one is suggested.
     """
     if word not in (allowed := list(allowed)):
-        raise InputError(f"{told} is unknown{suggest(str(word), allowed)}")
+        raise InputError(f"{label} is unknown{suggest(str(word), allowed)}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweep.core.errors import InputError, nearest
+from sweep.core.errors import InputError, suggest_nearest
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,7 +69,7 @@ def mask(frame: "pd.DataFrame", condition: str | None) -> np.ndarray:
     return np.broadcast_to(found, (len(frame),))
 
 
-def evaluate_condition(condition: str, look_up: Callable[[str], Any], told: str, such: str) -> np.ndarray:
+def evaluate_condition(condition: str, look_up: Callable[[str], Any], label: str, example: str) -> np.ndarray:
     """Evaluate a condition such as `tilt_max_deg > 60`.
 
     Args:
@@ -91,11 +91,11 @@ def evaluate_condition(condition: str, look_up: Callable[[str], Any], told: str,
         return found
     except SyntaxError:
         equals = " (equality is written ==)" if re.search(r"(?<![=<>!])=(?!=)", condition) else ""
-        raise InputError(f"{told} is not a condition{equals}, such as {such}") from None
+        raise InputError(f"{label} is not a condition{equals}, such as {example}") from None
     except InputError as error:
-        raise InputError(f"{told.partition(' = ')[0]}: {error}") from None
+        raise InputError(f"{label.partition(' = ')[0]}: {error}") from None
     except (TypeError, ValueError):
-        raise InputError(f"{told} compares or reckons with what cannot be, such as words with numbers") from None
+        raise InputError(f"{label} compares or reckons with what cannot be, such as words with numbers") from None
 
 
 def evaluate(expression: str, look_up: Callable[[str], Any], maths: Callable[[Any], Any] = lambda x: np) -> Any:
@@ -150,7 +150,7 @@ def column(frame: "pd.DataFrame", name: str, hint: str = "") -> str:
     if not found:
         axes = frame.attrs.get(AXES, {})
         names = [*axes, *(c for c in frame.columns if c not in axes.values())]
-        raise InputError(f"column {name} is unknown{hint}{nearest(name, names)}")
+        raise InputError(f"column {name} is unknown{hint}{suggest_nearest(name, names)}")
     return found[0]
 
 

@@ -19,14 +19,14 @@ _compiled = 0.0  # s that this process has spent on compiling
 
 
 @contextmanager
-def show_wait(what: Callable[[], str] | str) -> Iterator[None]:
+def show_wait(step: Callable[[], str] | str) -> Iterator[None]:
     """Print a description and the elapsed time to the standard error, from a thread, while this context runs."""
     done, start, terminal = threading.Event(), time.perf_counter(), sys.stderr.isatty()
 
     def tell() -> None:
         pause = 1.0 if terminal else FIRST
         while not done.wait(pause):
-            line = f"{what() if callable(what) else what}, {time.perf_counter() - start:.0f} s"
+            line = f"{step() if callable(step) else step}, {time.perf_counter() - start:.0f} s"
             text = f"\r\x1b[K{line}" if terminal else f"sweep: {line}\n"
             print(text, end="", file=sys.stderr, flush=True)
             pause = 1.0 if terminal else NEXT
@@ -43,7 +43,7 @@ def show_wait(what: Callable[[], str] | str) -> Iterator[None]:
 
 
 @contextmanager
-def show_counts(what: Callable[..., str], *counts: int) -> Iterator[Callable[..., None]]:
+def show_counts(step: Callable[..., str], *counts: int) -> Iterator[Callable[..., None]]:
     """Print progress as `show_wait` does, from counts that the caller updates.
 
     Args:
@@ -59,7 +59,7 @@ def show_counts(what: Callable[..., str], *counts: int) -> Iterator[Callable[...
         nonlocal now
         now = new
 
-    with show_wait(lambda: what(*now)):
+    with show_wait(lambda: step(*now)):
         yield count
 
 
@@ -74,11 +74,11 @@ def timed_part(name: str) -> Iterator[None]:
         _begun.pop(name, None)
 
 
-def format_running_parts(what: str) -> str:
+def format_running_parts(step: str) -> str:
     """Format the running parts of a step: how long each has run, and how long it took in an earlier process."""
     now = time.perf_counter()
     texts = [
-        f"{name} for {now - start:.0f} s{format_last_duration(f'{what}: {name}')}"
+        f"{name} for {now - start:.0f} s{format_last_duration(f'{step}: {name}')}"
         for name, start in tuple(_begun.items())
     ]
     return f": {' and '.join(texts)}" if texts else ""
@@ -100,30 +100,30 @@ def compilation_seconds() -> float:
     return _compiled
 
 
-def format_compile_estimate(what: str) -> str:
+def format_compile_estimate(step: str) -> str:
     """Estimate how long compiling a step and running its first batch takes, from the last time on this machine."""
     waits = _load_waits()
     if waits is None:
         return f"compile time unknown: {cache_folder()}/{KEPT} is damaged, and is written anew by the next run"
-    if what not in waits:
+    if step not in waits:
         return "compile time unknown: not measured on this machine before"
-    return f"about {waits[what]:.0f} s to compile and run the first batch, as last time on this machine"
+    return f"about {waits[step]:.0f} s to compile and run the first batch, as last time on this machine"
 
 
-def format_last_duration(what: str) -> str:
+def format_last_duration(step: str) -> str:
     """Format the duration of a step in an earlier process, such as ` (12 s last time)`; empty where it is unknown."""
-    seconds = (_load_waits() or {}).get(what)
+    seconds = (_load_waits() or {}).get(step)
     return f" ({seconds:.0f} s last time)" if seconds else ""
 
 
-def remember_duration(what: str, seconds: float) -> None:
+def remember_duration(step: str, seconds: float) -> None:
     """Store the duration of a step, and of its parts, in the cache folder. Durations below 2 s are not stored.
 
     Args:
         what: Name of the step.
         seconds: Its duration, in seconds.
     """
-    took = {what: seconds, **{f"{what}: {name}": _took.pop(name) for name in tuple(_took)}}
+    took = {step: seconds, **{f"{step}: {name}": _took.pop(name) for name in tuple(_took)}}
     long = {name: round(one, 1) for name, one in took.items() if one > WORTH}
     if long and (folder := cache_folder()):
         with suppress(OSError, InputError):  # such as a home that cannot be written

@@ -26,7 +26,7 @@ LOADER = PARSER
 TRUTHS = ("on", "off", "yes", "no", "true", "false")  # that YAML takes for truths
 
 
-def root() -> Path | None:
+def find_project() -> Path | None:
     """Find the working project: the nearest folder with a sweep.yaml at or above the working folder; else None."""
     here = Path.cwd()
     return next((folder for folder in (here, *here.parents) if (folder / FILE).is_file()), None)
@@ -34,7 +34,7 @@ def root() -> Path | None:
 
 def project_files(group: str) -> dict[str, Path]:
     """Return the working project's files of a configuration group, by name; empty outside a project."""
-    folder = root()
+    folder = find_project()
     return {file.stem: file for file in sorted((folder / FOLDERS[group]).glob("*.yaml"))} if folder else {}
 
 
@@ -65,9 +65,9 @@ def first_comment(file: Any) -> str:
     return next((line[2:] for line in lines if line.startswith("# ") and not line.startswith("# @")), "")
 
 
-def settings() -> dict[str, Any]:
+def read_settings() -> dict[str, Any]:
     """Read the settings in the working project's sweep.yaml; empty outside a project. Raises `InputError`."""
-    folder = root()
+    folder = find_project()
     if folder is None:
         return {}
     try:
@@ -101,18 +101,18 @@ def yaml_error_line(error: yaml.YAMLError) -> str:
     return where + (getattr(error, "problem", None) or str(error).splitlines()[0])
 
 
-def modules() -> tuple[ModuleType, ...]:
+def import_user_modules() -> tuple[ModuleType, ...]:
     """Import the user modules with obstacles and manoeuvres: the project's, then those of installed packages.
 
     The `OBSTACLES` and `MANOEUVRES` of a module map kinds to classes. An installed package announces a module as an
     entry point of the group `sweep.modules`. Raises `InputError` where a module cannot be imported.
     """
-    return _imported(root() if settings().get("modules") else None, module_names())
+    return _imported(find_project() if read_settings().get("modules") else None, user_module_names())
 
 
-def module_names() -> tuple[str, ...]:
+def user_module_names() -> tuple[str, ...]:
     """Return the names of the user modules without importing them. Raises `InputError`."""
-    return (*settings().get("modules", ()), *_announced())
+    return (*read_settings().get("modules", ()), *_announced())
 
 
 @functools.cache
@@ -143,7 +143,9 @@ def locate_user_errors() -> Iterator[None]:
     except WRONG as error:
         import traceback
 
-        own = {str(file) for name in module_names() if name in sys.modules for file in sources(sys.modules[name])}
+        own = {
+            str(file) for name in user_module_names() if name in sys.modules for file in source_files(sys.modules[name])
+        }
         for frame in reversed(traceback.extract_tb(error.__traceback__)):
             if frame.filename in own:
                 reason = format_user_exception(error)
@@ -151,13 +153,13 @@ def locate_user_errors() -> Iterator[None]:
         raise
 
 
-def module_sources() -> Iterator[Path]:
+def user_module_sources() -> Iterator[Path]:
     """Yield the source files of all user modules."""
-    for module in modules():
-        yield from sources(module)
+    for module in import_user_modules():
+        yield from source_files(module)
 
 
-def sources(module: ModuleType) -> list[Path]:
+def source_files(module: ModuleType) -> list[Path]:
     """List the source files of a module, or of the package that contains it."""
     file = Path(str(module.__file__))
     every = sorted(file.parent.rglob("*.py")) if (file.parent / "__init__.py").exists() else [file]

@@ -29,7 +29,7 @@ _parsed: dict[str, tuple[list[str], str]] = {}  # see `_read`
 
 
 @functools.cache
-def processor() -> str:
+def processor_id() -> str:
     """Return the processor's name and a hash of its features, on which compiled programs depend."""
     if not CPU_INFO.exists():
         return platform.processor() or platform.machine()
@@ -44,14 +44,14 @@ def processor() -> str:
 @functools.cache
 def code_version() -> str:
     """Return a hash of all source files and library versions that can change a row."""
-    return _version(WORKER, versions())
+    return _version(WORKER, library_versions())
 
 
 @functools.cache
 def search_version() -> str:
     """Return a hash of all source files and library versions that can change the result of `sweep tune`."""
     cma = next((one.version for one in metadata.distributions(name="cma")), "")  # which may be missing
-    return _version(SEARCH, {**versions(), "cma": cma})
+    return _version(SEARCH, {**library_versions(), "cma": cma})
 
 
 def is_current_code(version: str, libraries: Mapping[str, str]) -> bool:
@@ -70,25 +70,28 @@ def is_current_code(version: str, libraries: Mapping[str, str]) -> bool:
 @functools.cache
 def program_version() -> str:
     """Return a hash of all source files and library versions that can change a compiled program."""
-    return _version(PROGRAMS, versions())
+    return _version(PROGRAMS, library_versions())
 
 
 def sources_changed() -> bool:
     """Return whether a source file of compiled programs was changed on disk after this process started."""
     plans = (Path(str(file)) for file in project.shipped_files("plan").values())
-    return any(file.stat().st_ctime > STARTED for file in (*sources(PROGRAMS), *plans, *project.module_sources()))
+    return any(
+        file.stat().st_ctime > STARTED
+        for file in (*list_source_files(PROGRAMS), *plans, *project.user_module_sources())
+    )
 
 
 def _version(modules: tuple[str, ...], libraries: Mapping[str, str]) -> str:
     """Hash source files without comments and docstrings, plans that are files, and library versions."""
     content = hashlib.blake2b(digest_size=6)
-    for file in sources(modules):
+    for file in list_source_files(modules):
         content.update(f"{file.relative_to(ROOT)}\n{_read(file)[1]}\n".encode())
     content.update(_plans())
-    for file in project.module_sources():
+    for file in project.user_module_sources():
         content.update(_read(file)[1].encode())
     content.update(repr(libraries).encode())
-    _keep()
+    _store_parsed()
     return content.hexdigest()
 
 
@@ -101,7 +104,7 @@ def _plans() -> bytes:
 
 
 @functools.cache
-def sources(modules: tuple[str, ...]) -> tuple[Path, ...]:
+def list_source_files(modules: tuple[str, ...]) -> tuple[Path, ...]:
     """List the package's source files that some modules consist of and import, directly or through other modules."""
     found: dict[str, Path] = {}
     todo = list(modules)
@@ -127,7 +130,7 @@ def _read(file: Path) -> tuple[list[str], str]:
     """Return the names that a source file imports, and its source in one format."""
     content = file.read_bytes()
     key = hashlib.blake2b(f"{file.parent == ROOT} ".encode() + content, digest_size=16).hexdigest()
-    _parsed[key] = imports, said = _before().get(key) or _parse(file, content)
+    _parsed[key] = imports, said = _load_parsed().get(key) or _parse(file, content)
     return imports, said
 
 
@@ -135,28 +138,32 @@ def _parse(file: Path, content: bytes) -> tuple[list[str], str]:
     tree = ast.parse(content)
     # what the package itself imports when called is for notebooks, not for a worker
     nodes = tree.body if file.parent == ROOT else None
-    said, every = _said(tree)
+    said, every = _format_tree(tree)
     return [name for node in nodes or every for name in _imported(node)], said
 
 
 @functools.cache
-def _before() -> dict[str, tuple[list[str], str]]:
+def _load_parsed() -> dict[str, tuple[list[str], str]]:
     """Load what earlier processes parsed, by hash of the source. Parsing all sources takes a second."""
     with contextlib.suppress(OSError, ValueError, InputError):
-        if file := _kept():
+        if file := _parsed_cache_file():
             files.require_private(file)
             return json.loads(file.read_bytes())
     return {}
 
 
-def _keep() -> None:
+def _store_parsed() -> None:
     """Store what was parsed for later processes, if anything is new."""
     with contextlib.suppress(Fault, InputError):
-        if not _parsed.keys() <= _before().keys() and (file := _kept()) and files.ensure_private_folder(file.parent):
+        if (
+            not _parsed.keys() <= _load_parsed().keys()
+            and (file := _parsed_cache_file())
+            and files.ensure_private_folder(file.parent)
+        ):
             files.write_atomically(file, json.dumps(_parsed).encode())
 
 
-def _kept() -> Path | None:
+def _parsed_cache_file() -> Path | None:
     """Return the file of parsed sources. Its name depends on the Python version, which formats sources differently."""
     folder, where = files.cache_folder(), hashlib.blake2b(f"{ROOT} {sys.version}".encode(), digest_size=8)
     return folder and folder / f"sources-{where.hexdigest()}.json"
@@ -170,10 +177,10 @@ def _imported(node: ast.AST) -> list[str]:
 
 def normalize_source(source: str) -> str:
     """Reformat Python source, without comments and docstrings, so that equal code gives equal text."""
-    return _said(ast.parse(source))[0]
+    return _format_tree(ast.parse(source))[0]
 
 
-def _said(tree: ast.Module) -> tuple[str, list[ast.AST]]:
+def _format_tree(tree: ast.Module) -> tuple[str, list[ast.AST]]:
     every = [tree, *_within(tree)]
     for node in every:
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
@@ -189,18 +196,18 @@ def _within(node: ast.AST) -> Iterator[ast.AST]:
             yield from _within(child)
 
 
-def versions() -> dict[str, str]:
+def library_versions() -> dict[str, str]:
     """Return the installed versions of the libraries that results depend on."""
     return {name: metadata.version(name) for name in LIBRARIES}
 
 
 def version_record() -> dict[str, Any]:
     """Return code hash, commit and library versions, as `study.yaml` stores them."""
-    return {"code": code_version(), "commit": commit(), "versions": versions()}
+    return {"code": code_version(), "commit": find_commit(), "versions": library_versions()}
 
 
 @functools.cache
-def commit() -> str:
+def find_commit() -> str:
     """Return the Git commit of the installed package, else of the checkout; empty where it is unknown.
 
     Ends in `-dirty` where sources or configurations differ from the commit.

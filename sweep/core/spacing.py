@@ -3,7 +3,7 @@
 import numpy as np
 
 
-def evenly_spaced_indices(number: int, most: int) -> np.ndarray:
+def evenly_spaced_indices(number: int, limit: int) -> np.ndarray:
     """Choose evenly spaced indices of a sequence, including its first and last element.
 
     Args:
@@ -13,4 +13,4 @@ def evenly_spaced_indices(number: int, most: int) -> np.ndarray:
     Returns:
         Increasing indices from 0 to `number - 1`, at most `most`.
     """
-    return np.unique(np.linspace(0, number - 1, min(most, number)).round().astype(int))
+    return np.unique(np.linspace(0, number - 1, min(limit, number)).round().astype(int))

@@ -12,7 +12,7 @@ GAP = 2  # letters between columns
 ELSEWHERE = "a wider terminal, or a file, has them"
 
 
-def print_markdown(text: str, kept: Collection[str] = (), elsewhere: str = ELSEWHERE) -> None:
+def print_markdown(text: str, required: Collection[str] = (), elsewhere: str = ELSEWHERE) -> None:
     """Print Markdown to the standard output, fitted to the terminal's width if it is a terminal.
 
     Args:
@@ -23,11 +23,11 @@ def print_markdown(text: str, kept: Collection[str] = (), elsewhere: str = ELSEW
     if sys.stdout.isatty():
         from rich.console import Console
 
-        text = fit_to_width(text, Console().width, kept, elsewhere)
+        text = fit_to_width(text, Console().width, required, elsewhere)
     sys.stdout.write(text)
 
 
-def fit_to_width(text: str, width: int, kept: Collection[str] = (), elsewhere: str = ELSEWHERE) -> str:
+def fit_to_width(text: str, width: int, required: Collection[str] = (), elsewhere: str = ELSEWHERE) -> str:
     """Fit Markdown into lines of limited width, without breaking words.
 
     Args:
@@ -42,7 +42,9 @@ def fit_to_width(text: str, width: int, kept: Collection[str] = (), elsewhere: s
     parts: list[str] = []
     for is_table, group in groupby(text.splitlines(), lambda line: line.startswith("|")):
         lines = list(group)
-        parts += fit_table(lines, width, kept, elsewhere) if is_table else [wrap_line(line, width) for line in lines]
+        parts += (
+            fit_table(lines, width, required, elsewhere) if is_table else [wrap_line(line, width) for line in lines]
+        )
     return "\n".join(parts) + "\n"
 
 
@@ -62,7 +64,7 @@ def wrap_line(line: str, width: int) -> str:
                          break_long_words=False, break_on_hyphens=False)  # fmt: skip
 
 
-def fit_table(lines: list[str], width: int, kept: Collection[str], elsewhere: str) -> Iterator[str]:
+def fit_table(lines: list[str], width: int, required: Collection[str], elsewhere: str) -> Iterator[str]:
     """Yield the lines of a Markdown table with the columns that fit, and a note about those that do not.
 
     Args:
@@ -80,7 +82,7 @@ def fit_table(lines: list[str], width: int, kept: Collection[str], elsewhere: st
     natural = [max(map(cell_width, column)) for column in columns]
     needed = [max(map(unbreakable_width, column)) for column in columns]
     found: list[int] = []
-    for k in sorted(range(len(heads)), key=lambda k: heads[k] not in kept):
+    for k in sorted(range(len(heads)), key=lambda k: heads[k] not in required):
         if sum(needed[j] + GAP for j in (*found, k)) - GAP <= width:
             found.append(k)
     found.sort()

@@ -101,7 +101,7 @@ def _folder() -> Path | None:
 
 def _key(key_parts: Any, devices: Sequence[Any]) -> str:
     kind, version = devices[0].device_kind, devices[0].client.platform_version
-    where = kind, version, driver.driver_version(), [device.id for device in devices], provenance.processor()
+    where = kind, version, driver.driver_version(), [device.id for device in devices], provenance.processor_id()
     how = sorted(jax.config.values.items()), os.environ.get("XLA_FLAGS")
     return hashlib.blake2b(
         repr((key_parts, provenance.program_version(), where, how)).encode(), digest_size=20

@@ -25,7 +25,7 @@ def describe_device(settings: EngineSettings) -> str:
     native = settings.name == "native"
     parts = ["cpu" if native else f"{jax.device_count()} x {jax.devices()[0].device_kind}"]
     if native or jax.default_backend() == "cpu":
-        parts.append(provenance.processor())
+        parts.append(provenance.processor_id())
     if not native:
         parts += [f"{name}={os.environ[name]}" for name in FLAGS if os.environ.get(name)]
     return ", ".join(parts)

@@ -4,14 +4,14 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from sweep.report.cells import Cells, axis_places
-from sweep.study.analytic_limits import Theory
+from sweep.study.analytic_limits import AnalyticLimit
 from sweep.study.config import Experiment
 from sweep.systems.base import split_side
 
 STYLES = ("--", "-.", ":")
 
 
-def limit_curve(theory: Theory, exp: Experiment, rows: pd.DataFrame, along: str) -> pd.DataFrame:
+def limit_curve(theory: AnalyticLimit, exp: Experiment, rows: pd.DataFrame, along: str) -> pd.DataFrame:
     """The limit at each value of the column `along`: columns `along` and `limit`, nan where theory has none.
 
     A parameter that the theory names has the value of the rows there where they agree on one, else the nominal value.
@@ -24,7 +24,7 @@ def limit_curve(theory: Theory, exp: Experiment, rows: pd.DataFrame, along: str)
         def value_of(path: str, rows: dict = here) -> float:
             return rows[path] if path in rows else exp.system.nominal(path, exp.settings)
 
-        found.append((value, theory.limit(value_of)))
+        found.append((value, theory.compute(value_of)))
     return pd.DataFrame(found, columns=["along", "limit"])
 
 

@@ -228,7 +228,7 @@ def code_in(crate: Path) -> list[str]:
         lines.append(f"controller {controller}")
     if place.is_dir():
         with contextlib.chdir(place):
-            lines += [f"module {name}, by {project.FILE}" for name in project.settings().get("modules", ())]
+            lines += [f"module {name}, by {project.FILE}" for name in project.read_settings().get("modules", ())]
         for file in sorted(place.rglob("*")):
             if file.name.endswith(CODE):
                 content = path_in(crate, file.relative_to(crate)).read_bytes()

@@ -22,7 +22,7 @@ from sweep.report.maps import draw_glyph_at, legend_cell
 from sweep.report.outcome_style import DOUBTFUL, FAILURE, GOOD, find_look
 from sweep.runs import audit
 from sweep.runs.results import Results
-from sweep.study.columns import figure_columns
+from sweep.study.columns import metric_columns
 
 EFFECT_VALUES, EFFECT_BINS, HISTOGRAM_BINS, LINES, HISTOGRAMS = 50, 20, 30, 5, 12
 BARE = 0.02  # of the longest bar, and a part that is no longer has no room for a glyph
@@ -105,7 +105,7 @@ def effects_figure(results: Results) -> Iterator[StudyFigure]:
             "Rate of success at each value of one parameter, the others nominal, with its 95 % interval "
             f"({interval_method(results.exp.study)}); dotted: logistic fit of the error on either side of the nominal "
             f"value, unless the rates reject it (p < {REJECTED:g})."
-            if results.exp.study.noisy
+            if results.exp.study.has_repeats
             else "Whether a rollout succeeds at each value of one parameter, the others nominal."
         )
     else:
@@ -152,7 +152,7 @@ def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figur
         ax.set_ylim(-0.02, 1.02)
     if by:  # below: in a panel it would lie on its lines
         legend_below(figure, [line for ax in spots for line in ax.get_lines()])
-    if results.one_at_a_time and results.exp.study.noisy:
+    if results.one_at_a_time and results.exp.study.has_repeats:
         _draw_fits(results, dict(zip(axes, spots, strict=True)))
     return figure
 
@@ -276,7 +276,7 @@ def metric_thresholds(results: Results) -> dict[str, float]:
 def metrics_with_threshold_first(results: Results) -> list[str]:
     """Metrics that differ between rollouts, those with a threshold first."""
     judged, silent = metric_thresholds(results), results.exp.system.bookkeeping_metrics
-    names = [c for c in figure_columns(results.rows) if c not in silent and results.rows[c].dtype.kind == "f"]
+    names = [c for c in metric_columns(results.rows) if c not in silent and results.rows[c].dtype.kind == "f"]
     names = [c for c in names if results.rows[c].max() > results.rows[c].min()]
     return sorted(names, key=lambda c: c not in judged)
 

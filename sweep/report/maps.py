@@ -29,7 +29,7 @@ from sweep.report.headline import count_placed
 from sweep.report.labels import axis_title, label_with_value
 from sweep.report.outcome_style import INVALID, find_look, glyph_ink, marker_path
 from sweep.runs import refine
-from sweep.study.config import Experiment, experiment
+from sweep.study.config import Experiment, build_experiment
 
 # cells, with more of which outlines would cover the colours; cells along a panel that have room for a glyph; boxes that
 # hatching may be cut into
@@ -52,7 +52,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
         InputError: fewer than two parameters vary.
     """
     x, y = map_axes(rows, chosen)
-    exp = experiment(stored["config"])
+    exp = build_experiment(stored["config"])
     guessed = exp.study.resolution > 0 and {x, y} == {a.column for a in refine.make_lattice(exp.study).axes}
     rows = refine.paint_cells(exp, rows) if guessed else rows.assign(known=True)
     rows, cells = place_cells(rows, x, y)

@@ -12,7 +12,7 @@ from sweep.report.headline import probability_of_failure
 from sweep.runs import store
 from sweep.runs.results import load_experiment
 from sweep.study.adaptive_sampling import KINDS
-from sweep.study.config import values_by_path
+from sweep.study.config import flatten_values
 
 
 def overview_text(folders: list[Path]) -> str:
@@ -38,7 +38,7 @@ def describe_folder(folder: Path) -> dict[str, str]:
         outcome = read_outcomes(folder)
     except InputError as error:
         return {"folder": name, **empty, "study": printable_name(str(error).split(":")[0].removeprefix(f"{folder}/"))}
-    found, config = rate(outcome), values_by_path(stored["config"])
+    found, config = rate(outcome), flatten_values(stored["config"])
     succeed = format_percent(found.share) if found.valid else ""
     if config.get("study.design.kind") in KINDS and config.get("study.design.num"):
         succeed = probability_of_failure(store.read_rows(folder), load_experiment(folder)) if found.total else ""

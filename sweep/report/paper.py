@@ -25,7 +25,7 @@ from sweep.report.figures import list_figures
 from sweep.report.labels import heading
 from sweep.runs import audit
 from sweep.runs.results import Results
-from sweep.study.columns import figure_columns
+from sweep.study.columns import metric_columns
 
 LINES = 40  # of a table; longer ones are data only
 CSV_ROWS = 5_000  # more rows than this are kept as parquet
@@ -224,7 +224,7 @@ def quotable_numbers(results: Results, failure: rare.WeightedEstimate | rare.Sub
         for word, value in (("Min", rows[axis].min()), ("Max", rows[axis].max())):
             yield Number(name + word, float(value), f"{value:.4g}", f"{word.lower()} of {axis}", None)
     won = rows[rows["outcome"] == "success"]
-    for figure in figure_columns(rows):
+    for figure in metric_columns(rows):
         if figure in results.exp.system.bookkeeping_metrics or won.empty or won[figure].dtype.kind != "f":
             continue
         for word, value in (("Median", won[figure].median()), ("Min", won[figure].min()), ("Max", won[figure].max())):

@@ -13,7 +13,7 @@ from sweep.core.outcomes import SUCCESS
 from sweep.report import replays
 from sweep.report.labels import kind_meaning, outcome_kind
 from sweep.runs.results import Results
-from sweep.study.columns import figure_columns
+from sweep.study.columns import metric_columns
 
 SAMPLE = 1000  # rollouts of a kind that are looked at
 PICTURES = "pictures"  # folder beside the study's parts
@@ -39,7 +39,7 @@ def find_representatives(results: Results) -> Iterator[Representative]:
     rows = results.rows
     kinds = outcome_kind(rows)
     columns = [
-        c for c in figure_columns(rows) if c not in results.exp.system.bookkeeping_metrics and rows[c].dtype.kind == "f"
+        c for c in metric_columns(rows) if c not in results.exp.system.bookkeeping_metrics and rows[c].dtype.kind == "f"
     ]
     for kind in [*results.causes_seen, SUCCESS]:
         own = rows[(kinds == kind).to_numpy()]

@@ -46,7 +46,7 @@ def statistics_sections(
     yield "Rate of success", f"{every}{note}{'; ' if copies else ''}{copies}"
     one_at_a_time = bool(numbers) and exp.study.design.grid == "one_at_a_time"
     if one_at_a_time:
-        sure = f" ({interval_method(exp.study)}, 95 %)" if exp.study.noisy else ""
+        sure = f" ({interval_method(exp.study)}, 95 %)" if exp.study.has_repeats else ""
         yield f"Rate along each axis, the others nominal{sure}", sensitivity.one_at_a_time_rates(rows, exp)
     elif drawn and exp.study.design.kind != "morris":
         method = interval_method(exp.study).replace("Wilson", "Clopper-Pearson")

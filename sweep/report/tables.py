@@ -14,7 +14,7 @@ from sweep.analysis.stats import cause_lines, format_percent
 from sweep.core.expressions import column
 from sweep.report.labels import column_unit, name_and_unit, path_words, unique_headings, unique_words
 from sweep.runs.results import Results
-from sweep.study.columns import LABELS, figure_columns
+from sweep.study.columns import LABELS, metric_columns
 from sweep.study.config import Experiment
 from sweep.systems.base import split_side
 
@@ -131,7 +131,7 @@ def rollout_table(exp: Experiment, row: pd.Series) -> str:
     lines = [(exp.scenario, str(row["outcome"]), "")]
     if row["outcome"] != "success":
         lines.append(("cause", str(row["cause"]), f"in stage {row['stage']}"))
-    for name in figure_columns(row.to_frame().T):
+    for name in metric_columns(row.to_frame().T):
         if name in exp.system.bookkeeping_metrics:
             continue
         words, unit = name_and_unit(name)

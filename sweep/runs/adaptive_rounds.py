@@ -15,7 +15,7 @@ from sweep.runs.runner import Job, prepare_job
 from sweep.study import adaptive_designs
 from sweep.study.adaptive_sampling import Draws, summarize_round
 from sweep.study.config import Experiment
-from sweep.study.study import points
+from sweep.study.study import make_points
 
 
 def iter_jobs(exp: Experiment, folder: Path) -> Iterator[Job]:
@@ -36,12 +36,14 @@ def iter_jobs(exp: Experiment, folder: Path) -> Iterator[Job]:
     study, search = exp.study, adaptive_designs.make_search(exp.study.axes, exp.study.design, exp.study.seed)
     draws: Draws = next(search)
     while True:
-        table = points(study, exp.system, exp.settings, round_=draws)
+        table = make_points(study, exp.system, exp.settings, round_=draws)
         planned = store.read_points(folder)
         _refuse_other_rounds(folder, planned, table)
         if not exp.settings.width:
             design = study.design
-            smallest = table.head(design.runs * design.levels.chains if design.kind == "subset" else design.num)
+            smallest = table.head(
+                design.runs * design.level_settings.chain_count if design.kind == "subset" else design.num
+            )
             first = planned if len(planned) else prepare_job(exp, folder, smallest).table
             exp = replace(exp, settings=replace(exp.settings, width=int(first["width"].iloc[-1])))
         yield prepare_job(exp, folder, table)

@@ -18,7 +18,7 @@ from sweep.core.errors import InputError
 from sweep.core.files import path_in
 from sweep.runs import runner, store
 from sweep.runs.results import Results
-from sweep.study.config import Experiment, experiment
+from sweep.study.config import Experiment, build_experiment
 from sweep.study.study import Logger, parameter_columns, replace_settings
 from sweep.systems.base import AuditVariant
 
@@ -80,7 +80,7 @@ def _variant_study(
         values = points[column] if column in points else pd.Series(exp.system.nominal(path, settings), points.index)
         changed[column] = values.map(change)
     study = {**exp.values["study"], "keep": []}
-    variant_exp = experiment({**exp.values, "study": study, "engine": asdict(settings), "out": str(folder)})
+    variant_exp = build_experiment({**exp.values, "study": study, "engine": asdict(settings), "out": str(folder)})
     table = points.assign(**changed)
     variant_exp.system.check(table, settings)
     return variant_exp, table

@@ -28,7 +28,9 @@ def find_unread_columns(exp: Experiment, table: pd.DataFrame) -> set[str]:
         fixed = static_values(exp, rows)
         engine = make_engine(exp, make_nominal_batch(exp, rows, int(rows["width"].iloc[0])))
         ends = {c: (float(table[c].min()), float(table[c].max())) for c in sorted(unread)}
-        unread &= engine.find_unread_columns(lambda values, fixed=fixed: exp.system.make_sides({**fixed, **values}), ends)
+        unread &= engine.find_unread_columns(
+            lambda values, fixed=fixed: exp.system.make_sides({**fixed, **values}), ends
+        )
     return unread
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from sweep.core.errors import InputError
 from sweep.runs import runner, store
-from sweep.study.config import Experiment, experiment
+from sweep.study.config import Experiment, build_experiment
 
 GROWING = ("monte_carlo", "sobol")  # designs whose first draws stay the same when more are drawn
 
@@ -52,7 +52,7 @@ def grow(exp: Experiment, folder: Path, count: int, progress: runner.Progress) -
     """
     study: dict[str, Any] = dict(exp.values["study"])
     study |= {"design": {**study["design"], "num": count}} if exp.study.design.num else {"replicates": count}
-    extended = experiment({**exp.values, "study": study, "out": str(folder)})
+    extended = build_experiment({**exp.values, "study": study, "out": str(folder)})
     with store.lock_folder(folder):
         runner.repair_folder(extended, folder)
         runner.run(runner.prepare_job(extended, folder, runner.select_points(extended)), progress)

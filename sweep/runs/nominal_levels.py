@@ -8,7 +8,7 @@ from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffe
 from sweep.runs.runner import simulate_batch
 from sweep.study.config import Experiment
 from sweep.study.designs import Axis, Design
-from sweep.study.study import points
+from sweep.study.study import make_points
 
 MAX_LEVELS = 12  # tried on an axis, as each level compiles a program
 
@@ -52,7 +52,7 @@ def _iter_failing(exp: Experiment, axis: Axis) -> Iterator[FailingLevel]:
     axis = replace(axis, values=(axis.values or ())[:MAX_LEVELS])
     alone = {"axes": (axis,), "design": Design(), "replicates": 1, "where": None, "resolution": 0.0, "budget": 0}
     exp = replace(exp, study=replace(exp.study, **alone, keep=()))
-    table = points(exp.study, exp.system, exp.settings).assign(width=1)
+    table = make_points(exp.study, exp.system, exp.settings).assign(width=1)
     exp = with_delay_buffer(exp, table)
     meanings = exp.system.cause_meanings(exp.thresholds)
     for place, value in enumerate(table[axis.column]):

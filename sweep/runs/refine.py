@@ -23,7 +23,7 @@ from sweep.runs import store
 from sweep.runs.runner import Job, prepare_job
 from sweep.study.config import Experiment
 from sweep.study.designs import MOST, Axis
-from sweep.study.study import Study, points
+from sweep.study.study import Study, make_points
 
 MISSING, INVALID, FAILS, SUCCEEDS = -2, -1, 0, 1
 
@@ -64,9 +64,9 @@ def make_lattice(study: Study) -> Lattice:
     values = [np.unique(np.asarray(a.values, dtype=float)) for a in axes]
     if not axes or min(map(len, values)) < 2:
         raise InputError("refinement needs axes of numbers, with at least 2 values each")
-    if study.noisy and study.design.kind not in ("monte_carlo", "sobol"):
+    if study.has_repeats and study.design.kind not in ("monte_carlo", "sobol"):
         raise InputError(f"refinement needs draws that can grow: not of study.design.kind = {study.design.kind}")
-    if study.noisy and not study.budget:
+    if study.has_repeats and not study.budget:
         raise InputError("study.budget is missing: refinement with noise or draws ends when it is spent")
     halvings = 0
     if study.resolution:
@@ -157,7 +157,7 @@ def next_points(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
     for names, part in iter_panels(study, rows):
         counts = _count_rollouts(grid, part)
         more = np.where(select_lattice_points(study, grid, counts) & (counts.total == 0), first, 0)
-        if study.noisy and not more.any():
+        if study.has_repeats and not more.any():
             asked = _undecided_points(study, counts) & (counts.total > 0)
             more = np.where(asked, np.maximum(counts.total // 2, first), 0)
         order = np.argsort(counts.total, axis=None, kind="stable")  # points with the fewest rollouts come first
@@ -181,7 +181,7 @@ def _point_rollouts(
         study = replace(study, replicates=most)
     at = np.nonzero(asked)
     numbers = {a.name: v[i] for a, v, i in zip(grid.axes, grid.values, at, strict=True)}
-    table = points(study, exp.system, exp.settings, pd.DataFrame(numbers).assign(**names))
+    table = make_points(study, exp.system, exp.settings, pd.DataFrame(numbers).assign(**names))
     return table[table["replicate"].to_numpy() < upto[grid.indices(table)]].reset_index(drop=True)
 
 
@@ -400,7 +400,7 @@ def summarize_panels(exp: Experiment, rows: pd.DataFrame) -> list[RefinedPanel]:
         filled, cells = fill_cells(seen, grid.halvings), leaf_cells(seen, grid.halvings)
         audit = expand_audit_points(exp.study, wanted) & (label >= FAILS) & (filled >= FAILS)
         missed = int((label != filled)[audit].sum())
-        undecided = int(_undecided_points(exp.study, counts).sum()) if exp.study.noisy else 0
+        undecided = int(_undecided_points(exp.study, counts).sum()) if exp.study.has_repeats else 0
         known = counts.total > 0
         merged = np.where(known, label, filled)
         success = rate(part["outcome"])

@@ -12,7 +12,7 @@ from sweep.analysis.sample import drop_copies
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
 from sweep.runs import store
-from sweep.study.config import Experiment, experiment
+from sweep.study.config import Experiment, build_experiment
 from sweep.study.study import name_axes, parameter_columns
 
 
@@ -84,7 +84,7 @@ def load_experiment(folder: Path) -> Experiment:
     """
     stored = store.read_study(folder)
     try:
-        return experiment(stored["config"])
+        return build_experiment(stored["config"])
     except InputError as error:
         raise InputError(f"{folder}, by version {stored['commit'] or stored['code']}: {error}") from None
 

@@ -32,9 +32,9 @@ from sweep.runs.batches import (
 )
 from sweep.runs.manifest import Entry
 from sweep.study.clusters import Dispatch
-from sweep.study.columns import figure_columns
-from sweep.study.config import Experiment, experiment, values_by_path
-from sweep.study.study import Logger, name_axes, points
+from sweep.study.columns import metric_columns
+from sweep.study.config import Experiment, build_experiment, flatten_values
+from sweep.study.study import Logger, make_points, name_axes
 
 # Keys that may differ between runs into one folder: they choose points, or judge rows. The distribution that draws
 # follow may not change.
@@ -106,7 +106,7 @@ def select_points(
     Raises:
         InputError: No point matches, or the study's axes are not allowed.
     """
-    table = points(exp.study, exp.system, exp.settings, say=say)
+    table = make_points(exp.study, exp.system, exp.settings, on_message=say)
     table = table[mask(name_axes(table, exp.study.axes), where)].iloc[:limit]
     if table.empty:
         raise InputError(f"no point of {exp.study.name} is left to run")
@@ -128,7 +128,7 @@ def count_unplanned(exp: Experiment, table: pd.DataFrame, wanted: pd.DataFrame) 
         return 0
     if not exp.study.points and len(wanted) == exp.study.max_rollouts:
         return 0
-    return int((~isin_points(points(exp.study, exp.system, exp.settings), table)).sum())
+    return int((~isin_points(make_points(exp.study, exp.system, exp.settings), table)).sum())
 
 
 def prepare_job(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
@@ -234,7 +234,7 @@ def describe_changed_axes(exp: Experiment, folder: Path) -> list[str]:
     """
     if store.read_points(folder).empty:
         return []
-    there, here = (values_by_path(v["study"]["axes"]) for v in (store.read_study(folder)["config"], exp.values))
+    there, here = (flatten_values(v["study"]["axes"]) for v in (store.read_study(folder)["config"], exp.values))
     return [
         f"note: study.axes.{key} was {there.get(key)} in {folder} and is {here.get(key)} now: "
         "what it has stays and what it lacks is added; out=DIR keeps them apart"
@@ -248,7 +248,7 @@ def immutable_settings(values: Mapping[str, Any]) -> dict[str, Any]:
     redraws_all = values["study"]["design"]["kind"] == "latin_hypercube"  # another number of draws changes every draw
     return {
         key: value
-        for key, value in values_by_path(values).items()
+        for key, value in flatten_values(values).items()
         if not key.startswith(MUTABLE_KEYS)
         or ".distribution" in key
         or key.endswith(".relative")
@@ -471,7 +471,7 @@ def last_states_of_invalid_rows(
 @lru_cache(maxsize=1)
 def _read_job(folder: Path, version: str) -> Job:
     table = store.read_points(folder)
-    return Job(with_delay_buffer(experiment(store.read_study(folder)["config"]), table), folder, table, set())
+    return Job(with_delay_buffer(build_experiment(store.read_study(folder)["config"]), table), folder, table, set())
 
 
 def write_description(job: Job, record: RunRecord) -> None:
@@ -550,7 +550,7 @@ def relabel(folder: Path, outcome: Mapping[str, Any]) -> None:
     """
     stored = store.read_study(folder)
     config = {**stored["config"], "outcome": dict(outcome)}
-    exp, labels = experiment(config), labels_id(config)
+    exp, labels = build_experiment(config), labels_id(config)
     before = store.current_parts(folder)
     if labels == stored["labels"]:
         return
@@ -558,7 +558,7 @@ def relabel(folder: Path, outcome: Mapping[str, Any]) -> None:
     repair.remove_parts(folder, unfinished)
     for entry in before:
         rows = store.read_part(folder, entry)
-        figures = {name: rows[name].to_numpy() for name in figure_columns(rows)}
+        figures = {name: rows[name].to_numpy() for name in metric_columns(rows)}
         judged = exp.system.judge(figures, exp.thresholds, tuple(stored["stages"][int(rows["group"].iloc[0])]))
         manifest.add(folder, store.write_part(folder, rows.assign(**judged), entry.study, labels))
     store.write_study(folder, {**stored, "config": config, "labels": labels})
@@ -582,5 +582,5 @@ def load_point(folder: Path, point: str) -> tuple[Batch, int, pd.Series]:
     """
     table = store.read_points(folder)
     row = store.find_row(store.read_rows(folder), point, folder)
-    exp = with_delay_buffer(experiment(store.read_study(folder)["config"]), table)
+    exp = with_delay_buffer(build_experiment(store.read_study(folder)["config"]), table)
     return make_batch(exp, table[table["batch"] == row["batch"]]), int(row["slot"]), row

@@ -17,7 +17,7 @@ import numpy as np
 from sweep.core.errors import InputError, suggest
 from sweep.core.files import append_line, write_atomically
 from sweep.study.config import Experiment
-from sweep.study.study import is_static, parameter_columns, points
+from sweep.study.study import is_static, make_points, parameter_columns
 
 STEP = 0.02  # first step of a free number for which none is given
 STEPS = {"pitch": 2.0, "elevation": 2.0}  # first steps (deg) by the last word of a number's path
@@ -80,7 +80,7 @@ def draw_beliefs(exp: Experiment, seed: int) -> tuple[Any, int]:
     Raises:
         InputError: An axis changes the stages of the plan.
     """
-    table = points(replace(exp.study, seed=seed), exp.system, exp.settings)
+    table = make_points(replace(exp.study, seed=seed), exp.system, exp.settings)
     columns = parameter_columns(table)
     for column in columns:
         if is_static(column, exp.system, exp.settings):

@@ -7,7 +7,7 @@ from sweep.study import adaptive_sampling, importance_sampling, subset_simulatio
 from sweep.study.designs import Axis, Design
 
 
-def check(design: Design, axes: tuple[Axis, ...]) -> None:
+def check_design(design: Design, axes: tuple[Axis, ...]) -> None:
     """Raise `InputError` where the settings of an adaptive design are not allowed."""
     if listed := [a.name for a in axes if a.values is not None]:
         raise InputError(f"study.design.kind = {design.kind} is not allowed with listed axes: {', '.join(listed)}")
@@ -42,8 +42,8 @@ def make_search(axes: tuple[Axis, ...], design: Design, seed: int) -> adaptive_s
     """
     drawn = sum(axis.distribution is not None for axis in axes)
     if design.kind == "subset":
-        return subset_simulation.search(drawn, design.levels, design.runs, seed)
-    return importance_sampling.search(drawn, design.num, design.wide, design.rounds, seed)
+        return subset_simulation.start_search(drawn, design.level_settings, design.runs, seed)
+    return importance_sampling.start_search(drawn, design.num, design.wide, design.rounds, seed)
 
 
 def extreme_draws(axes: tuple[Axis, ...]) -> adaptive_sampling.Draws:

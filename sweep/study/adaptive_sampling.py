@@ -37,9 +37,9 @@ class RoundSummary(NamedTuple):
     failed: Bool[np.ndarray, " n"]  # invalid ones among them
     lead: Float[np.ndarray, " n"]  # the smaller, the nearer to failure
 
-    def part(self, where: slice) -> "RoundSummary":
+    def select(self, rows: slice) -> "RoundSummary":
         """Return the summary of some of the draws."""
-        return RoundSummary(self.failed[where], self.lead[where])
+        return RoundSummary(self.failed[rows], self.lead[rows])
 
 
 Search = Generator[Draws, RoundSummary, Any]

@@ -16,7 +16,7 @@ KEYS = ("label", "formula", "output", "of", "inputs", "measured")
 
 
 @dataclass(frozen=True)
-class Theory:
+class AnalyticLimit:
     """`output` of `formula` as a limit of the parameter `of`, a path without its side, in that parameter's unit."""
 
     label: str
@@ -26,15 +26,15 @@ class Theory:
     inputs: Mapping[str, Any]
     measured: str  # figure to show beside; empty for none
 
-    def limit(self, value_of: Callable[[str], Any]) -> float:
+    def compute(self, value_of: Callable[[str], Any]) -> float:
         """The limit where parameters have the values that `value_of` gives for their paths; nan where there is none.
 
         Raises `InputError`.
         """
-        outputs = formulas.find(self.formula).compute(self.numbers(value_of))
+        outputs = formulas.find(self.formula).compute(self.formula_inputs(value_of))
         return float(outputs[self.output])
 
-    def numbers(self, value_of: Callable[[str], Any]) -> dict[str, Any]:
+    def formula_inputs(self, value_of: Callable[[str], Any]) -> dict[str, Any]:
         """The formula's inputs. Raises `InputError`."""
         given = {}
         for name, value in self.inputs.items():
@@ -46,15 +46,20 @@ class Theory:
         return formulas.find(self.formula).complete(given)
 
 
-def parse(key: str, given: Any) -> Theory:
+def parse_limit(key: str, values: Any) -> AnalyticLimit:
     """From plain values. Raises `InputError`."""
-    given = require_keys(key, given, KEYS)
+    values = require_keys(key, values, KEYS)
     for needed in ("formula", "output", "of"):
-        if needed not in given:
+        if needed not in values:
             raise InputError(f"{key}.{needed} is missing")
-    formula = formulas.find(given["formula"])
-    require_choice(given["output"], formula.outputs, f"{key}.output = {given['output']}")
-    inputs = require_keys(f"{key}.inputs", given.get("inputs", {}), tuple(entry.name for entry in formula.inputs))
-    return Theory(
-        given.get("label", formula.name), formula.name, given["output"], given["of"], inputs, given.get("measured", "")
+    formula = formulas.find(values["formula"])
+    require_choice(values["output"], formula.outputs, f"{key}.output = {values['output']}")
+    inputs = require_keys(f"{key}.inputs", values.get("inputs", {}), tuple(entry.name for entry in formula.inputs))
+    return AnalyticLimit(
+        values.get("label", formula.name),
+        formula.name,
+        values["output"],
+        values["of"],
+        inputs,
+        values.get("measured", ""),
     )

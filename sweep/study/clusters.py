@@ -28,10 +28,10 @@ Dispatch = Callable[[Work, Iterable[int]], Iterator[Any]]  # results in the orde
 
 
 @dataclass
-class WorkerReport:
+class WorkerStatus:
     """What is seen of the workers meanwhile."""
 
-    say: Callable[[str], None]  # what a user should know, in one line
+    on_message: Callable[[str], None]  # what a user should know, in one line
     workers: int | None = None  # alive; None where there are none but this process
 
 
@@ -42,7 +42,7 @@ class Local:
     is_remote: ClassVar[bool] = False  # whether workers have other devices than this machine
     kind: str = choice("local", "local")
 
-    def connect(self, _: WorkerReport) -> AbstractContextManager[Dispatch]:
+    def connect(self, _: WorkerStatus) -> AbstractContextManager[Dispatch]:
         """The built-in `map` takes a batch when the one before is done."""
         return nullcontext(map)
 
@@ -56,7 +56,7 @@ class DaskLocal:
     workers: int = count(2, at_least=1)  # processes, each of which simulates one batch at a time
 
     @contextmanager
-    def connect(self, watched: WorkerReport) -> Iterator[Dispatch]:
+    def connect(self, status: WorkerStatus) -> Iterator[Dispatch]:
         """Start the workers; a lost one is started again."""
         distributed = _dask("distributed", self.kind)
         from tornado.ioloop import PeriodicCallback
@@ -68,7 +68,7 @@ class DaskLocal:
             mend = PeriodicCallback(lambda: cluster.scale(self.workers), MEND)
             cluster.loop.add_callback(mend.start)
             try:
-                yield partial(_spread, client, watched)
+                yield partial(_distribute, client, status)
             finally:
                 cluster.loop.add_callback(mend.stop)
 
@@ -82,7 +82,7 @@ class DaskAddress:
     address: str = ""  # of a scheduler that runs already, such as tcp://host:8786
 
     @contextmanager
-    def connect(self, watched: WorkerReport) -> Iterator[Dispatch]:
+    def connect(self, status: WorkerStatus) -> Iterator[Dispatch]:
         """Raises `InputError` where no scheduler answers."""
         distributed = _dask("distributed", self.kind)
         if not self.address:
@@ -93,7 +93,7 @@ class DaskAddress:
             reason = str(error).splitlines()[0]
             raise InputError(f"cluster.address = {self.address} is not a scheduler that answers: {reason}") from None
         with client:
-            yield partial(_spread, client, watched)
+            yield partial(_distribute, client, status)
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Slurm:
     logs: str = "results/slurm"  # folder of the jobs' output
 
     @contextmanager
-    def connect(self, watched: WorkerReport) -> Iterator[Dispatch]:
+    def connect(self, status: WorkerStatus) -> Iterator[Dispatch]:
         """Send the jobs; Slurm starts them when it can. Raises `InputError` where it never would."""
         distributed, jobqueue = _dask("distributed", self.kind), _dask("dask_jobqueue", self.kind)
         os.makedirs(self.logs, exist_ok=True)
@@ -139,14 +139,14 @@ class Slurm:
         with patient_exit(), cluster, distributed.Client(cluster) as client:  # which cancels the jobs at the end
             _check_job(cluster.job_script())
             cluster.adapt(minimum_jobs=self.workers, maximum_jobs=self.workers)
-            yield partial(_spread, client, watched)
+            yield partial(_distribute, client, status)
 
 
 @contextmanager
-def connect_lazily(cluster: "Cluster", watched: WorkerReport) -> Iterator[Dispatch]:
+def connect_lazily(cluster: "Cluster", status: WorkerStatus) -> Iterator[Dispatch]:
     """Hand out batches, connecting to the `cluster` at the first: a finished study sends no job."""
     with ExitStack() as stack:
-        connect = cache(lambda: stack.enter_context(cluster.connect(watched)))
+        connect = cache(lambda: stack.enter_context(cluster.connect(status)))
         yield lambda work, batches: connect()(work, batches)
 
 
@@ -199,17 +199,17 @@ def _security() -> Any:
         raise InputError("cluster needs the package cryptography: pip install 'insect-sweep[cluster]'") from None
 
 
-def _spread(client: Any, watched: WorkerReport, work: Work, batches: Iterable[int]) -> Iterator[Any]:
+def _distribute(client: Any, status: WorkerStatus, work: Work, batches: Iterable[int]) -> Iterator[Any]:
     """Let the workers of `client` do it. Raises `Fault` after all others where workers kept dying over a batch."""
     from distributed import KilledWorker, as_completed
 
     tasks = [(client.submit(_timed, work, number, pure=False), number) for number in batches]
-    watch = _Watch(client, watched, {future.key: number for future, number in tasks})
+    watch = _WorkerWatch(client, status, {future.key: number for future, number in tasks})
     ready, lost = as_completed([future for future, _ in tasks]), []
     del tasks  # nothing but `ready` refers to the futures: a finished one that a dying worker holds is not done again
     while ready.count():
         if not ready.has_ready():
-            watch.look()
+            watch.poll()
             time.sleep(POLL)
             continue
         future = next(ready)
@@ -218,7 +218,7 @@ def _spread(client: Any, watched: WorkerReport, work: Work, batches: Iterable[in
         except TimeoutError:  # it is on a worker that hangs over another batch
             ready.add(future)
             watch.report_unfetched(future)
-            watch.look()
+            watch.poll()
             continue
         except KilledWorker as error:
             lost.append(error.task)
@@ -238,11 +238,11 @@ def _timed(work: Work, number: int) -> tuple[float, Any]:
 
 
 @dataclass
-class _Watch:
+class _WorkerWatch:
     """Which workers are at their batch for too long: they are started again, and their batches go to others."""
 
     client: Any
-    watched: WorkerReport
+    watched: WorkerStatus
     numbers: Mapping[str, int]  # of batches, by the key of their task
     took: list[float] = field(default_factory=list)  # s, of finished batches
     tasks: dict[str, set[str]] = field(default_factory=dict)  # that each worker has, the first of them running
@@ -251,7 +251,7 @@ class _Watch:
     asked: dict[str, float] = field(default_factory=dict)  # s, when a result was first asked for in vain, by task
     last: float = -math.inf  # s, when this looked
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Look once a second how workers do."""
         now = time.monotonic()
         if now < self.last + 1:
@@ -264,8 +264,8 @@ class _Watch:
                 self.warm.add(worker)
             if not before or not before <= keys:
                 self.since[worker] = now
-            if keys and now - self.since[worker] > self.limit(worker):
-                self.give_up(worker, min(self.numbers[key] for key in keys), now - self.since[worker])
+            if keys and now - self.since[worker] > self.time_limit_s(worker):
+                self.restart_worker(worker, min(self.numbers[key] for key in keys), now - self.since[worker])
         self.tasks = tasks
 
     def report_unfetched(self, future: Any) -> None:
@@ -274,15 +274,17 @@ class _Watch:
         waited = now - self.asked.setdefault(future.key, now)
         if waited > LEAST:
             for worker in self.client.who_has([future])[future.key]:
-                self.give_up(worker, self.numbers[future.key], waited)
+                self.restart_worker(worker, self.numbers[future.key], waited)
 
-    def give_up(self, worker: str, number: int, waited: float) -> None:
+    def restart_worker(self, worker: str, number: int, waited: float) -> None:
         """Let its nanny kill `worker` and start it again; the scheduler forgets one that has none that answers."""
-        self.watched.say(f"batch {number} has kept worker {worker} for {waited:.0f} s: it goes to another worker")
+        self.watched.on_message(
+            f"batch {number} has kept worker {worker} for {waited:.0f} s: it goes to another worker"
+        )
         self.client.restart_workers([worker], timeout=GIVE_UP, raise_for_error=False)
         self.since[worker] = time.monotonic()
 
-    def limit(self, worker: str) -> float:
+    def time_limit_s(self, worker: str) -> float:
         """Seconds that a batch of `worker` may take."""
         usual = TIMES * statistics.median(self.took) if self.took else 0.0
         return max(usual, LEAST if worker in self.warm else FIRST)

@@ -30,6 +30,6 @@ MEANINGS = {  # of labels and of what places a row in its study
 }
 
 
-def figure_columns(rows: "pd.DataFrame") -> list[str]:
+def metric_columns(rows: "pd.DataFrame") -> list[str]:
     """What was measured: all but the axes, the plan, the labels and the timing."""
     return [c for c in rows.columns if "." not in c and c not in (*PLAN, *LABELS, *TIMING)]

@@ -81,9 +81,9 @@ class Experiment:
         return Path(self.out or f"results/{self.study.name}")
 
 
-def register() -> None:
+def register_schemas() -> None:
     """Register schemas, those of user modules included, and configuration files with Hydra. Raises `InputError`."""
-    add_modules(project.modules())
+    add_user_classes(project.import_user_modules())
     _register()
     for group, kinds in KINDS.items():
         hydra_sources.SCHEMAS[group] = {kind: partial(_schema, cls) for kind, cls in kinds.items()}
@@ -91,7 +91,7 @@ def register() -> None:
 
 @functools.cache
 def _register() -> None:
-    hydra_sources.register()
+    hydra_sources.register_sources()
     for group, cls in CLASSES.items():
         hydra_sources.SCHEMAS[group] = {group: partial(_schema, cls)}
     # the whole configuration of a system; what stands open in it is merged in by schemas of its own
@@ -106,7 +106,7 @@ def _register() -> None:
         ConfigStore.instance().store(name=f"{kind.config}_schema", node=whole)
 
 
-def add_modules(modules: tuple[ModuleType, ...]) -> None:
+def add_user_classes(modules: tuple[ModuleType, ...]) -> None:
     """Add the obstacles and manoeuvres of user modules to the built-in ones. Raises `InputError`."""
     tables = {name: group.table for name, group in GROUPS.items() if group.in_case and group.kinds}
     for module in modules:
@@ -138,14 +138,14 @@ def _open(node: DictConfig) -> DictConfig:
 
 def compose(overrides: list[str]) -> Experiment:
     """Compose the experiment of command-line overrides. Raises `InputError`."""
-    return experiment(compose_values(overrides))
+    return build_experiment(compose_values(overrides))
 
 
 def compose_values(overrides: list[str]) -> dict[str, Any]:
     """Compose the plain values of command-line overrides, with names and types checked. Raises `InputError`."""
-    register()
+    register_schemas()
     try:
-        check_choices(overrides)
+        check_overrides(overrides)
         with hydra.initialize_config_module(CONFIG_MODULE, version_base=HYDRA_VERSION):
             return resolve(hydra.compose(primary_config(overrides), overrides))
     except (HydraException, OmegaConfBaseException, OverflowError, RecursionError) as error:
@@ -154,11 +154,11 @@ def compose_values(overrides: list[str]) -> dict[str, Any]:
 
 def primary_config(overrides: list[str]) -> str:
     """Return the name of the configuration that Hydra composes, by the system of the scenario. Raises `InputError`."""
-    name = hydra_sources.system({key: value for key, _, value in (one.partition("=") for one in overrides)})
+    name = hydra_sources.find_system_name({key: value for key, _, value in (one.partition("=") for one in overrides)})
     return systems.find_kind_by_name(name).config
 
 
-def check_choices(overrides: list[str]) -> None:
+def check_overrides(overrides: list[str]) -> None:
     """Raise `InputError` for overrides whose errors Hydra does not explain, such as a choice that is no name."""
     if nameless := [text for text in overrides if text.lstrip("+~").startswith(("=", "@"))]:
         raise InputError(f"{nameless[0]} cannot be read: group=choice or group.name=value")
@@ -179,11 +179,11 @@ def check_choices(overrides: list[str]) -> None:
 
 def resolve(config: DictConfig) -> dict[str, Any]:
     """Resolve interpolations and return plain values. Raises `InputError`."""
-    for key, text in values_by_path(OmegaConf.to_container(config, resolve=False)).items():
+    for key, text in flatten_values(OmegaConf.to_container(config, resolve=False)).items():
         if isinstance(text, str) and re.search(r"\$\{[^}]*:", text):  # such as oc.env, whose secret would be stored
             raise InputError(f"{key} = {text} is not allowed: an interpolation names another key")
     values: Any = OmegaConf.to_container(config, resolve=True)
-    if made := [key for key in systems.DERIVED if key in values_by_path(values)]:
+    if made := [key for key in systems.DERIVED if key in flatten_values(values)]:
         raise InputError(f"{made[0]} is not allowed: it is made of what the files hold")
     if not isinstance(values.get("study"), dict) or not isinstance(values["study"].get("axes"), dict):
         return values  # which `experiment` refuses
@@ -194,17 +194,17 @@ def resolve(config: DictConfig) -> dict[str, Any]:
     return {**values, "study": {**values["study"], "axes": axes}}
 
 
-def values_by_path(values: Any, path: str = "") -> dict[str, Any]:
+def flatten_values(values: Any, path: str = "") -> dict[str, Any]:
     """Return nested plain values by dotted path."""
     if not isinstance(values, Mapping):
         return {path: values}
     items = ((f"{path}.{key}" if path else str(key), value) for key, value in values.items())
-    return {k: v for key, value in items for k, v in values_by_path(value, key).items()}
+    return {k: v for key, value in items for k, v in flatten_values(value, key).items()}
 
 
-def experiment(values: Mapping[str, Any]) -> Experiment:
+def build_experiment(values: Mapping[str, Any]) -> Experiment:
     """Check plain values, composed or stored in study.yaml, and make the experiment. Raises `InputError`."""
-    add_modules(project.modules())
+    add_user_classes(project.import_user_modules())
     kind = systems.find_kind_by_keys(values)
     allowed = (*systems.COMMON, *kind.keys)
     for key in values:
@@ -230,8 +230,11 @@ def experiment(values: Mapping[str, Any]) -> Experiment:
     check_keep(study, system, settings)
     for theory in study.theory:  # refuses inputs that mean nothing
         system.parameter(theory.of, settings)
-        theory.numbers(lambda path: system.nominal(path, settings))
+        theory.formula_inputs(lambda path: system.nominal(path, settings))
     return Experiment(scenario["name"], system, settings, limits, cluster, study, values["out"], {**values, **told})
+
+
+experiment = build_experiment  # imported by projects that earlier versions exported
 
 
 def _numbers(system: System, settings: EngineSettings, start: str) -> list[str]:

@@ -20,7 +20,7 @@ from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.parameters import check_value
 from sweep.study import adaptive_sampling, subset_simulation
 from sweep.study.distributions import Distribution, format_values, parse_number, parse_values, require_keys
-from sweep.study.distributions import parse as parse_distribution
+from sweep.study.distributions import parse_distribution as parse_distribution
 from sweep.study.point_ids import text_hash
 from sweep.systems.base import SIDES
 
@@ -33,7 +33,7 @@ MOST = 20_000_000  # rollouts of a study, whose plan takes 10 GB
 KIND_OF = {"wide": "importance", "rounds": "importance", "share": "subset", "target": "subset", "runs": "subset",
            "lead": "subset"}  # of the designs that have a number or a name of their own  # fmt: skip
 GRIDS = ("full", "one_at_a_time")
-AXIS_KEYS = {  # of an axis, with what each says
+AXIS_KEYS = {  # meaning of each key of an axis
     "path": "parameter that varies, such as contact.friction; without it the axis is a number that other axes refer to",
     "side": "world: vary what is simulated; belief: what the planner believes; both (default)",
     "values": "list of values; with all other listed axes they form the grid",
@@ -75,15 +75,15 @@ class Axis:
         own = self.path is None or self.times is not None or (self.relative is not None and self.values is not None)
         return f"axis.{self.name}" if own else str(self.target)
 
-    def nominal_number(self, nominal: Callable[[str], Any]) -> Any:
+    def nominal_number(self, nominal_of: Callable[[str], Any]) -> Any:
         """The n that gives its nominal value; `nominal` gives a parameter by its path."""
         if self.path is None:
             return self.nominal
         if self.relative is not None:
             return 0.0
         if self.times:
-            return _finite(self, self.path, nominal) / _finite(self, self.times, nominal)
-        return nominal(self.path)
+            return _finite(self, self.path, nominal_of) / _finite(self, self.times, nominal_of)
+        return nominal_of(self.path)
 
     def __str__(self) -> str:
         what = format_values(self.values) if self.values is not None else str(self.distribution)
@@ -113,9 +113,9 @@ class Design:
     correlation: tuple[Any, ...] = ()
 
     @property
-    def levels(self) -> subset_simulation.Levels:
+    def level_settings(self) -> subset_simulation.LevelSettings:
         """How runs of subset simulation go."""
-        return subset_simulation.Levels(self.num, self.share, self.target)
+        return subset_simulation.LevelSettings(self.num, self.share, self.target)
 
 
 def refuse_ignored_settings(study: Mapping[str, Any]) -> None:
@@ -146,7 +146,7 @@ def rename_on_to_side(axes: Mapping[str, Any]) -> dict[str, Any]:
     return {name: renamed(name, axis) if isinstance(axis, Mapping) else axis for name, axis in axes.items()}
 
 
-def expand_patterns(given: Mapping[str, Any], below: Callable[[str], Sequence[str]]) -> dict[str, Any]:
+def expand_patterns(axes_config: Mapping[str, Any], paths_below: Callable[[str], Sequence[str]]) -> dict[str, Any]:
     """Expand axes whose path ends in `.*`, such as `plan.off.*`, into one axis for each number below it.
 
     Args:
@@ -157,22 +157,22 @@ def expand_patterns(given: Mapping[str, Any], below: Callable[[str], Sequence[st
         InputError: A pattern matches nothing.
     """
     axes = {}
-    for name, axis in given.items():
+    for name, axis in axes_config.items():
         path = axis.get("path") if isinstance(axis, Mapping) else None
         if not isinstance(path, str) or not path.endswith(".*"):
             axes[name] = axis
             continue
         start = path.removesuffix("*")
-        found = {f"{name}_{number.removeprefix(start).replace('.', '_')}": number for number in below(start)}
+        found = {f"{name}_{number.removeprefix(start).replace('.', '_')}": number for number in paths_below(start)}
         if not found:
             raise InputError(f"study.axes.{name}.path = {path} names no number that is not zero")
         axes |= {one: {**axis, "path": number} for one, number in found.items()}
     return axes
 
 
-def parse_axes(given: Mapping[str, Any]) -> tuple[Axis, ...]:
+def parse_axes(axes_config: Mapping[str, Any]) -> tuple[Axis, ...]:
     """Parse plain axes. Raises `InputError`."""
-    axes = tuple(_axis(f"study.axes.{name}", name, axis) for name, axis in rename_on_to_side(given).items())
+    axes = tuple(_axis(f"study.axes.{name}", name, axis) for name, axis in rename_on_to_side(axes_config).items())
     columns = [a.target for a in axes if a.target]
     if len(set(columns)) < len(columns):
         raise InputError(f"study.axes name the same parameter twice: {', '.join(columns)}")
@@ -193,14 +193,14 @@ def parse_axes(given: Mapping[str, Any]) -> tuple[Axis, ...]:
     return axes
 
 
-def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
+def parse_design(values: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     """How the axes that have a distribution are drawn. Raises `InputError`."""
     fields = {member.name: member for member in dataclasses.fields(Design)}
-    given = require_keys("study.design", given, tuple(fields))
-    given = {key: check_value(fields[key], value, f"study.design.{key}") for key, value in given.items()}
+    values = require_keys("study.design", values, tuple(fields))
+    values = {key: check_value(fields[key], value, f"study.design.{key}") for key, value in values.items()}
     drawn = [a.name for a in axes if a.distribution]
-    given["correlation"] = _correlation("study.design.correlation", given.get("correlation") or [], drawn)
-    design = Design(**given)
+    values["correlation"] = _correlation("study.design.correlation", values.get("correlation") or [], drawn)
+    design = Design(**values)
     for key, allowed in (("kind", DESIGNS), ("grid", GRIDS)):
         require_choice(value := getattr(design, key), allowed, f"study.design.{key} = {value!r}")
     if design.correlation and design.kind in ("saltelli", "morris"):
@@ -216,10 +216,10 @@ def parse_design(given: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     return design
 
 
-def _correlation(key: str, given: Any, drawn: list[str]) -> tuple[tuple[str, str, float], ...]:
+def _correlation(key: str, pairs_config: Any, drawn: list[str]) -> tuple[tuple[str, str, float], ...]:
     """Pairs `[axis, axis, number]`. Raises `InputError`, also where no joint distribution has them all."""
     pairs = []
-    for pair in given:
+    for pair in pairs_config:
         if not isinstance(pair, list | tuple) or len(pair) != 3 or pair[0] == pair[1]:
             raise InputError(f"{key} = {pair!r} is not allowed: two drawn axes and a number, such as [a, b, 0.7]")
         for name in pair[:2]:
@@ -229,8 +229,10 @@ def _correlation(key: str, given: Any, drawn: list[str]) -> tuple[tuple[str, str
             raise InputError(f"{key} = {share:g} is not allowed: between -1 and 1")
         pairs.append((str(pair[0]), str(pair[1]), share))
     if (least := np.linalg.eigvalsh(_matrix(tuple(pairs), drawn)).min(initial=1.0)) <= 0:
-        given, some = ", ".join(f"{a}-{b} {c:g}" for a, b, c in pairs), (math.ceil(100 / (1 - least)) - 1) / 100
-        raise InputError(f"{key}: no distribution has all of {given}: multiply them by {some:g} or less, or drop one")
+        pairs_config, some = ", ".join(f"{a}-{b} {c:g}" for a, b, c in pairs), (math.ceil(100 / (1 - least)) - 1) / 100
+        raise InputError(
+            f"{key}: no distribution has all of {pairs_config}: multiply them by {some:g} or less, or drop one"
+        )
     return tuple(pairs)
 
 
@@ -243,20 +245,20 @@ def _matrix(pairs: tuple[tuple[str, str, float], ...], names: list[str]) -> np.n
     return matrix
 
 
-def warn_of_design(design: Design) -> str | None:
+def design_warning(design: Design) -> str | None:
     """What is doubtful about a design."""
     if design.kind in ("sobol", "saltelli") and design.num & (design.num - 1):
         return f"study.design.num = {design.num} is not a power of 2: the points of a Sobol sequence lose their balance"
     return None
 
 
-def _axis(key: str, name: str, given: Any) -> Axis:
-    given = require_keys(key, given, tuple(AXIS_KEYS))
-    side, path, times, relative = (given.get(word) for word in ("side", "path", "times", "relative"))
+def _axis(key: str, name: str, axis_config: Any) -> Axis:
+    axis_config = require_keys(key, axis_config, tuple(AXIS_KEYS))
+    side, path, times, relative = (axis_config.get(word) for word in ("side", "path", "times", "relative"))
     if (side := side or "both") not in ("both", *SIDES):
         raise InputError(f"{key}.side = {side!r} is not allowed: one of both, world, belief")
     for word, what in (("path", PARAMETER), ("times", PARAMETER), ("with", "the name of an axis")):
-        if (text := given.get(word)) is not None and (not isinstance(text, str) or not text):
+        if (text := axis_config.get(word)) is not None and (not isinstance(text, str) or not text):
             raise InputError(f"{key}.{word} = {text!r} is not allowed: {what}")
     if relative is not None and not isinstance(relative, str):
         relative = parse_number(f"{key}.relative", relative)
@@ -264,28 +266,28 @@ def _axis(key: str, name: str, given: Any) -> Axis:
         raise InputError(f"{key} has relative and times: one of them")
     if path is None and (relative is not None or times is not None):
         raise InputError(f"{key}.path is missing: {PARAMETER}")
-    values = _values(key, given)
+    values = _values(key, axis_config)
     distribution = None
     if values is None:
         default = {"kind": "uniform", "from": -1.0, "to": 1.0} if relative is not None else None
-        distribution = parse_distribution(f"{key}.distribution", given.get("distribution", default))
-    centre = parse_number(f"{key}.nominal", given.get("nominal", 0.0))
-    if "nominal" in given and path is not None:
+        distribution = parse_distribution(f"{key}.distribution", axis_config.get("distribution", default))
+    centre = parse_number(f"{key}.nominal", axis_config.get("nominal", 0.0))
+    if "nominal" in axis_config and path is not None:
         raise InputError(f"{key}.nominal = {centre:g} is not allowed: {path} has its own in the configuration")
-    return Axis(name, path, side, values, distribution, relative, times, given.get("with"), centre)
+    return Axis(name, path, side, values, distribution, relative, times, axis_config.get("with"), centre)
 
 
-def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
+def _values(key: str, axis_config: Mapping[str, Any]) -> tuple[Any, ...] | None:
     """Listed values, or those of a range; None where the axis is drawn."""
-    values = given.get("values")
+    values = axis_config.get("values")
     if values is not None:  # which win over a range, so that a command line can replace a study's range
         return tuple(parse_values(f"{key}.values", values))
-    ends = [given.get("from"), given.get("to"), given.get("num")]
+    ends = [axis_config.get("from"), axis_config.get("to"), axis_config.get("num")]
     if ends == [None] * 3:
-        if given.get("distribution") is None and given.get("relative") is None:
+        if axis_config.get("distribution") is None and axis_config.get("relative") is None:
             raise InputError(f"{key} needs values, or from, to and num, or a distribution")
         return None
-    if given.get("distribution") is not None:
+    if axis_config.get("distribution") is not None:
         raise InputError(f"{key} has a range and a distribution: one of them")
     if lacking := [name for name, end in zip(("from", "to", "num"), ends, strict=True) if end is None]:
         raise InputError(f"{key}.{lacking[0]} is missing: a range has from, to and num")
@@ -298,11 +300,11 @@ def _values(key: str, given: Mapping[str, Any]) -> tuple[Any, ...] | None:
     return tuple(float(f"{v:.12g}") for v in np.linspace(low, high, int(ends[2])))
 
 
-def design_table(
+def make_design_table(
     axes: tuple[Axis, ...],
     design: Design,
     seed: int,
-    nominal: Callable[[str], Any],
+    nominal_of: Callable[[str], Any],
     grid: "pd.DataFrame | None" = None,
     round_: adaptive_sampling.Draws | None = None,
 ) -> "pd.DataFrame":
@@ -316,14 +318,14 @@ def design_table(
 
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
     if grid is None:
-        grid = _one_at_a_time(listed, nominal) if listed and design.grid == "one_at_a_time" else _grid(listed)
+        grid = _one_at_a_time(listed, nominal_of) if listed and design.grid == "one_at_a_time" else _grid(listed)
     shares = unit_draws(axes, design, seed) if round_ is None else _spread(round_.shares, drawn, design)
     draws = {a.name: a.distribution.quantile(shares[:, i]) for i, a in enumerate(drawn) if a.distribution}
     size, count = len(grid), max(len(shares), 1)
     numbers = grid.take(np.repeat(np.arange(size), count)).reset_index(drop=True)
     for name, values in draws.items():
         numbers[name] = np.tile(values, size)
-    columns = _columns(axes, numbers, nominal)
+    columns = _columns(axes, numbers, nominal_of)
     if round_ is not None:
         columns |= {f"axis.{name}": values for name, values in round_.columns.items()}
     return pd.DataFrame({**columns, "draw": np.tile(np.arange(count) if round_ is None else round_.numbers, size)})
@@ -336,7 +338,7 @@ def count_points(axes: tuple[Axis, ...], design: Design) -> int:
     more = {"saltelli": drawn + 2, "morris": drawn + 1, "importance": design.rounds + 1}
     draws = design.num * more.get(design.kind, design.scrambles)
     if design.kind == "subset" and design.num:
-        draws = design.runs * design.levels.most
+        draws = design.runs * design.level_settings.max_rollouts
     return (sum(lengths) if design.grid == "one_at_a_time" else math.prod(lengths)) * max(draws, 1)
 
 
@@ -352,11 +354,11 @@ def _grid(axes: list[Axis]) -> "pd.DataFrame":
     return pd.DataFrame(columns, index=range(math.prod(lengths)))
 
 
-def _one_at_a_time(axes: list[Axis], nominal: Callable[[str], Any]) -> "pd.DataFrame":
+def _one_at_a_time(axes: list[Axis], nominal_of: Callable[[str], Any]) -> "pd.DataFrame":
     """The values of one leading axis after the other, the rest at their nominal numbers."""
     import pandas as pd
 
-    centre = {a.name: a.nominal_number(nominal) for a in axes}
+    centre = {a.name: a.nominal_number(nominal_of) for a in axes}
     arms = [_grid([a for a in axes if leader.name in (a.name, a.along)]) for leader in axes if leader.along is None]
     whole = [pd.DataFrame({name: arm.get(name, n) for name, n in centre.items()}, index=arm.index) for arm in arms]
     return pd.concat(whole).drop_duplicates()  # the arms cross
@@ -414,14 +416,14 @@ def _spread(shares: np.ndarray, axes: list[Axis], design: Design) -> np.ndarray:
     return shares
 
 
-def _columns(axes: tuple[Axis, ...], numbers: "pd.DataFrame", nominal: Callable[[str], Any]) -> dict[str, Any]:
+def _columns(axes: tuple[Axis, ...], numbers: "pd.DataFrame", nominal_of: Callable[[str], Any]) -> dict[str, Any]:
     """The axes' columns of the points table, from their numbers (listed or drawn) by name."""
     by_target = {a.target: a for a in axes if a.target}
 
     def value(axis: Axis, above: tuple[str, ...] = ()) -> Any:
         n = numbers[axis.name]
         if axis.relative is not None:
-            base = _finite(axis, str(axis.path), nominal)
+            base = _finite(axis, str(axis.path), nominal_of)
             if base == 0:
                 raise InputError(f"study.axes.{axis.name}.relative is of no use: {axis.path} is 0 nominally")
             scale = numbers[axis.relative] if isinstance(axis.relative, str) else axis.relative
@@ -433,7 +435,7 @@ def _columns(axes: tuple[Axis, ...], numbers: "pd.DataFrame", nominal: Callable[
         source = by_target.get(f"{axis.side}.{axis.times}") or by_target.get(axis.times)
         if axis.side == "both" and any(f"{side}.{axis.times}" in by_target for side in SIDES):
             raise InputError(f"study.axes.{axis.name}.times = {axis.times} differs between world and belief: give side")
-        return n * (value(source, (*above, axis.name)) if source else _finite(axis, axis.times, nominal))
+        return n * (value(source, (*above, axis.name)) if source else _finite(axis, axis.times, nominal_of))
 
     columns: dict[str, Any] = {}
     for axis in axes:
@@ -444,8 +446,8 @@ def _columns(axes: tuple[Axis, ...], numbers: "pd.DataFrame", nominal: Callable[
     return columns
 
 
-def _finite(axis: Axis, path: str, nominal: Callable[[str], Any]) -> float:
-    value = nominal(path)
+def _finite(axis: Axis, path: str, nominal_of: Callable[[str], Any]) -> float:
+    value = nominal_of(path)
     if isinstance(value, str):
         raise InputError(f"study.axes.{axis.name}: {path} is a name, not a number to multiply")
     return float(value)

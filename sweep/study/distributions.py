@@ -25,11 +25,11 @@ class Distribution:
     """
 
     kind: str
-    given: Mapping[str, Any]
+    parameters: Mapping[str, Any]
 
     def quantile(self, share: np.ndarray) -> np.ndarray:
         """The values below which `share` of all draws lie, shape as given."""
-        low, high = self.given.get("from", -math.inf), self.given.get("to", math.inf)
+        low, high = self.parameters.get("from", -math.inf), self.parameters.get("to", math.inf)
         match self.kind:
             case "uniform":
                 return low + share * (high - low)
@@ -38,49 +38,51 @@ class Distribution:
             case "normal":
                 from scipy.stats import truncnorm  # slow to import
 
-                mean, std = self.given["mean"], self.given["std"]
+                mean, std = self.parameters["mean"], self.parameters["std"]
                 return truncnorm.ppf(share, (low - mean) / std, (high - mean) / std, mean, std)
             case "discrete":
-                values = np.asarray(self.given["values"])
-                weights = np.asarray(self.given.get("weights", np.ones(len(values))), dtype=float)
+                values = np.asarray(self.parameters["values"])
+                weights = np.asarray(self.parameters.get("weights", np.ones(len(values))), dtype=float)
                 ends = np.cumsum(weights / weights.sum())
                 return values[np.minimum(np.searchsorted(ends, share, side="right"), len(values) - 1)]
             case _:
-                own = {key: value for key, value in self.given.items() if key not in ("from", "to")}
-                frozen = scipy_distribution(self.kind)(**own)
+                own = {key: value for key, value in self.parameters.items() if key not in ("from", "to")}
+                frozen = find_scipy_distribution(self.kind)(**own)
                 below, above = frozen.cdf(low), frozen.cdf(high)
                 return frozen.ppf(below + share * (above - below))
 
     def __str__(self) -> str:
-        ends = " ".join(f"{key} {format_value(self.given[key])}" for key in ("from", "to") if key in self.given)
-        others = [f"{key} {format_value(value)}" for key, value in self.given.items() if key not in ("from", "to")]
+        ends = " ".join(
+            f"{key} {format_value(self.parameters[key])}" for key in ("from", "to") if key in self.parameters
+        )
+        others = [f"{key} {format_value(value)}" for key, value in self.parameters.items() if key not in ("from", "to")]
         return f"{self.kind.replace('_', '-')}, {', '.join([*others, ends] if ends else others)}"
 
 
-def parse(key: str, given: Any) -> Distribution:
+def parse_distribution(key: str, config: Any) -> Distribution:
     """From plain values. Raises `InputError`."""
-    if not isinstance(given, Mapping):
+    if not isinstance(config, Mapping):
         raise InputError(
-            f"{key} = {given!r} is not allowed: keys and values, such as {{kind: uniform, from: 0, to: 1}}"
+            f"{key} = {config!r} is not allowed: keys and values, such as {{kind: uniform, from: 0, to: 1}}"
         )
-    kind = str(given.get("kind"))
+    kind = str(config.get("kind"))
     if kind not in DISTRIBUTIONS:
-        if scipy_distribution(kind) is not None:
-            return _distribution_of_scipy(key, kind, given)
+        if find_scipy_distribution(kind) is not None:
+            return _distribution_of_scipy(key, kind, config)
         raise InputError(f"{key}.kind = {kind!r} is unknown{suggest(kind, (*DISTRIBUTIONS, 'any of scipy.stats'))}")
     needed, optional = DISTRIBUTIONS[kind]
-    given = require_keys(key, given, ("kind", *needed, *optional))
+    config = require_keys(key, config, ("kind", *needed, *optional))
     for name in needed:
-        if name not in given:
+        if name not in config:
             raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(needed)}")
     if kind == "discrete":
-        values, weights = parse_values(f"{key}.values", given["values"]), given.get("weights", [1])
-        if "weights" in given and (not isinstance(weights, list) or len(weights) != len(values)):
+        values, weights = parse_values(f"{key}.values", config["values"]), config.get("weights", [1])
+        if "weights" in config and (not isinstance(weights, list) or len(weights) != len(values)):
             raise InputError(f"{key}.weights = {weights!r} is not allowed: a number for each of {len(values)} values")
         if min(parse_number(f"{key}.weights", w) for w in weights) < 0 or not sum(weights):
             raise InputError(f"{key}.weights = {weights!r} is not allowed: none negative, not all zero")
-        return Distribution(kind, {k: v for k, v in given.items() if k != "kind"})
-    numbers = {name: parse_number(f"{key}.{name}", given[name]) for name in (*needed, *optional) if name in given}
+        return Distribution(kind, {k: v for k, v in config.items() if k != "kind"})
+    numbers = {name: parse_number(f"{key}.{name}", config[name]) for name in (*needed, *optional) if name in config}
     if numbers.get("std", 1.0) <= 0:
         raise InputError(f"{key}.std = {numbers['std']:g} is not allowed: greater than 0")
     if kind == "log_uniform" and numbers["from"] <= 0:
@@ -90,7 +92,7 @@ def parse(key: str, given: Any) -> Distribution:
     return Distribution(kind, numbers)
 
 
-def scipy_distribution(kind: str) -> Any:
+def find_scipy_distribution(kind: str) -> Any:
     """The continuous distribution of scipy.stats that has this name; None without."""
     from scipy import stats  # slow to import
 
@@ -98,26 +100,26 @@ def scipy_distribution(kind: str) -> Any:
     return found if isinstance(found, stats.rv_continuous) else None
 
 
-def _distribution_of_scipy(key: str, kind: str, given: Mapping[str, Any]) -> Distribution:
+def _distribution_of_scipy(key: str, kind: str, config: Mapping[str, Any]) -> Distribution:
     """One of scipy.stats with its shapes, `loc` and `scale`, as its documentation names them."""
-    shapes = tuple(name.strip() for name in (scipy_distribution(kind).shapes or "").split(",") if name.strip())
-    given = require_keys(key, given, ("kind", *shapes, "loc", "scale", "from", "to"))
+    shapes = tuple(name.strip() for name in (find_scipy_distribution(kind).shapes or "").split(",") if name.strip())
+    config = require_keys(key, config, ("kind", *shapes, "loc", "scale", "from", "to"))
     for name in shapes:
-        if name not in given:
+        if name not in config:
             raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(shapes)}")
-    found = Distribution(kind, {name: parse_number(f"{key}.{name}", v) for name, v in given.items() if name != "kind"})
+    found = Distribution(kind, {name: parse_number(f"{key}.{name}", v) for name, v in config.items() if name != "kind"})
     if not np.isfinite(found.quantile(np.array([0.001, 0.5, 0.999]))).all():
         raise InputError(f"{key} = {found} is not allowed: scipy.stats.{kind} has no such distribution")
     return found
 
 
-def require_keys(path: str, given: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
+def require_keys(path: str, mapping: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
     """`given` as a dict whose keys are all allowed. Raises `InputError`."""
-    if not isinstance(given, Mapping):
-        raise InputError(f"{path} = {given!r} is not allowed: keys and values (allowed: {', '.join(allowed)})")
-    for key in given:
+    if not isinstance(mapping, Mapping):
+        raise InputError(f"{path} = {mapping!r} is not allowed: keys and values (allowed: {', '.join(allowed)})")
+    for key in mapping:
         require_choice(key, allowed, f"{path}.{key}")
-    return {str(k): v for k, v in given.items()}
+    return {str(k): v for k, v in mapping.items()}
 
 
 def parse_values(key: str, values: Any) -> list[Any]:

@@ -34,7 +34,7 @@ SCHEME, SYSTEM = "sweep", "system"
 SCHEMAS: dict[str, dict[str, Callable[[], DictConfig]]] = {}
 
 
-class Files(ConfigSource):
+class GroupFiles(ConfigSource):
     """The files of the groups, of the project and shipped (see `sweep.core.project`), and the classes' own values.
 
     Those are called after their kind and `_schema`; a kind without a file of its name is a choice as it is.
@@ -56,7 +56,7 @@ class Files(ConfigSource):
     def is_config(self, config_path: str) -> bool:
         """Whether `group/name` is a file."""
         group, _, name = config_path.partition("/")
-        return group in GROUPS and (project.find_file(group, name) is not None or schema(group, name) is not None)
+        return group in GROUPS and (project.find_file(group, name) is not None or find_schema(group, name) is not None)
 
     def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
         """The names that a group has."""
@@ -67,16 +67,16 @@ class Files(ConfigSource):
     def load_config(self, config_path: str) -> ConfigResult:
         """The file as Hydra wants it. Raises `InputError`."""
         group, _, name = config_path.partition("/")
-        if project.find_file(group, name) is None and (made := schema(group, name)):
+        if project.find_file(group, name) is None and (made := find_schema(group, name)):
             return ConfigResult(self.provider, self.full_path(), made(), {"package": None})
         file = project.find_file(group, name)
-        content = read(file, words=GROUPS[group].free)
+        content = read_config_file(file, words=GROUPS[group].free)
         header = ConfigSource._get_header_dict(file.read_text(encoding="utf-8")[:512])
-        refuse_code(config_path, content, str(header.get("package")))
+        refuse_code_keys(config_path, content, str(header.get("package")))
         if GROUPS[group].whole:
             header["package"] = header.get("package") or "_global_"
         for other, choice in referenced_files(group, content):
-            refuse_ring(other, file, choice, (file,))
+            refuse_cycle(other, file, choice, (file,))
         if "defaults" not in content:
             content = (
                 global_fragment(group, file, content) if GROUPS[group].whole else group_fragment(group, file, content)
@@ -84,7 +84,7 @@ class Files(ConfigSource):
         return ConfigResult(self.provider, self.full_path(), OmegaConf.create(content), header)
 
 
-def schema(group: str, name: str) -> Callable[[], DictConfig] | None:
+def find_schema(group: str, name: str) -> Callable[[], DictConfig] | None:
     """What makes the schema that `group=name` means where no file does."""
     kind = name if GROUPS[group].kinds else ""
     return SCHEMAS.get(group, {}).get(name.removesuffix("_schema") if name.endswith("_schema") else kind)
@@ -101,11 +101,11 @@ class UserFiles(FileConfigSource):
                 check_yaml(opened.read(), file)
         result = super().load_config(config_path)
         values = OmegaConf.to_container(result.config, resolve=False)
-        refuse_code(config_path, values, str(result.header.get("package")))
+        refuse_code_keys(config_path, values, str(result.header.get("package")))
         return result
 
 
-def refuse_code(config_path: str, values: Any, package: str) -> None:
+def refuse_code_keys(config_path: str, values: Any, package: str) -> None:
     """Raise `InputError` where Hydra would be told what to run."""
     defaults = values.get("defaults") if isinstance(values, Mapping) else None
     where = [config_path, package, *(map(str, defaults) if isinstance(defaults, list) else ())]
@@ -133,14 +133,14 @@ class SearchPath(SearchPathPlugin):
         search_path.prepend("sweep", f"{SCHEME}://")
 
 
-def register() -> None:
+def register_sources() -> None:
     """Tell Hydra of both sources."""
-    for plugin in (Files, SearchPath):
+    for plugin in (GroupFiles, SearchPath):
         Plugins.instance().register(plugin)  # which puts Hydra's own source of files in the place of ours
     SourcesRegistry.instance().types[UserFiles.scheme()] = UserFiles
 
 
-def read(file: Any, words: bool = False) -> dict[str, Any]:
+def read_config_file(file: Any, words: bool = False) -> dict[str, Any]:
     """A file's keys and values; with `words` as plans have them (see `project.words`). Raises `InputError`."""
     try:
         text = file.read_text(encoding="utf-8")
@@ -179,13 +179,13 @@ def global_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[s
     return {"defaults": [*defaults, "_self_"], **values, group: {"name": str(file.name).removesuffix(".yaml"), **about}}
 
 
-def system(chosen: Mapping[str, str]) -> str:
+def find_system_name(chosen: Mapping[str, str]) -> str:
     """The system that choices by group are for: that of the scenario, the one chosen or the study's; else `USUAL`."""
     group, seen = "scenario" if "scenario" in chosen else "study", set()
     name: Any = chosen.get(group)
     while isinstance(name, str) and (group, name) not in seen and (file := project.find_file(group, name)) is not None:
         seen.add((group, name))
-        content = read(file)
+        content = read_config_file(file)
         if SYSTEM in content:
             return str(content[SYSTEM])
         scenario = content.get("scenario")
@@ -234,7 +234,7 @@ def referenced_files(group: str, content: Mapping[str, Any]) -> Iterator[tuple[s
                     yield other, name.partition("@")[0]
 
 
-def refuse_ring(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None:
+def refuse_cycle(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None:
     """Raise `InputError` where a file that extends `name` starts, through it, from itself."""
     above = project.find_file(group, resolve_beside(ring[-1], name)) if isinstance(name, str) else None
     if above is None:
@@ -243,8 +243,8 @@ def refuse_ring(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None
         raise InputError(f"{' extends '.join(map(str, (*ring, above)))}: a file cannot start from itself")
     if above in ring:  # a ring beyond this file, which is refused where it is read
         return
-    for other, more in referenced_files(group, read(above, words=GROUPS[group].free)):
-        refuse_ring(other, file, more, (*ring, above))
+    for other, more in referenced_files(group, read_config_file(above, words=GROUPS[group].free)):
+        refuse_cycle(other, file, more, (*ring, above))
 
 
 def require_choice_of_group(file: Any, group: str, name: Any) -> str:

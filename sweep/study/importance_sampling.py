@@ -46,31 +46,31 @@ class Mixture(NamedTuple):
         return self.mean[part] + np.einsum("nij,nj->ni", self.root[part], normal)
 
 
-def normal(d: int, width: float, share: float = 1.0) -> Mixture:
+def isotropic_normal(d: int, width: float, share: float = 1.0) -> Mixture:
     """One round normal about zero."""
     return Mixture(np.array([share]), np.zeros((1, d)), width * np.eye(d)[None])
 
 
-def search(d: int, num: int, wide: float, rounds: int, seed: int) -> Search:
+def start_search(d: int, num: int, wide: float, rounds: int, seed: int) -> Search:
     """The first round of draws, and `rounds` after it: see `sweep.study.adaptive_sampling`."""
     from scipy.special import ndtr  # slow to import
 
-    mixtures, normals, failures = [normal(d, wide)], [], []
+    mixtures, normals, failures = [isotropic_normal(d, wide)], [], []
     for number in range(rounds + 1):
         normals.append(u := mixtures[-1].draw(num, np.random.default_rng([seed, number])))
-        columns = {"weight": weights(u, mixtures[-1:]), "round": np.full(num, float(number))}
+        columns = {"weight": importance_weights(u, mixtures[-1:]), "round": np.full(num, float(number))}
         shown = yield Draws(ndtr(u), number * num + np.arange(num), columns)
         if number < rounds:
             failures.append(shown.failed)
             mixtures.append(fit_next_proposal(np.concatenate(normals)[np.concatenate(failures)], mixtures, wide))
 
 
-def weights(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture]) -> Float[np.ndarray, " n"]:
+def importance_weights(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture]) -> Float[np.ndarray, " n"]:
     """Return importance weights: nominal density over the mean density of all rounds, which are equally long."""
     from scipy.special import logsumexp  # slow to import
 
     logs = [logsumexp(mixture.log_density(u), axis=1) for mixture in rounds]
-    plain = normal(u.shape[1], 1.0).log_density(u)[:, 0]
+    plain = isotropic_normal(u.shape[1], 1.0).log_density(u)[:, 0]
     return np.exp(plain + np.log(len(rounds)) - logsumexp(logs, axis=0))
 
 
@@ -83,9 +83,9 @@ def fit_next_proposal(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture], wi
         wide: Standard deviation of the wide part of the proposal.
     """
     d = u.shape[1]
-    parts = [normal(d, wide, WIDE if len(u) else 1 - PLAIN), normal(d, 1.0, PLAIN)]
+    parts = [isotropic_normal(d, wide, WIDE if len(u) else 1 - PLAIN), isotropic_normal(d, 1.0, PLAIN)]
     if len(u):
-        found = fit_mixture(u, weights(u, rounds))
+        found = fit_mixture(u, importance_weights(u, rounds))
         parts = [found._replace(share=FITTED * found.share), *parts]
     return Mixture(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
@@ -120,11 +120,13 @@ def fit_mixture(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) ->
     return Mixture(found.share, np.round(found.mean, DIGITS), np.round(found.root, DIGITS))
 
 
-def modes(found: Mixture) -> Int[np.ndarray, " k"]:
+def assign_modes(mixture: Mixture) -> Int[np.ndarray, " k"]:
     """Assign parts of a mixture to modes: parts share a mode where the density has no dip between their means."""
-    number, way = np.arange(len(found.share)), np.linspace(0, 1, 21)[:, None]
+    number, way = np.arange(len(mixture.share)), np.linspace(0, 1, 21)[:, None]
     for a, b in combinations(range(len(number)), 2):
-        density = np.logaddexp.reduce(found.log_density(found.mean[a] + way * (found.mean[b] - found.mean[a])), axis=1)
+        density = np.logaddexp.reduce(
+            mixture.log_density(mixture.mean[a] + way * (mixture.mean[b] - mixture.mean[a])), axis=1
+        )
         if density.min() >= min(density[0], density[-1]) + np.log(DIP):
             number[number == number[b]] = number[a]
     return number

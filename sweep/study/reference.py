@@ -17,21 +17,21 @@ import pandas as pd
 
 from sweep import systems
 from sweep.core import project
-from sweep.core.errors import InputError, nearest, require_choice, suggest
+from sweep.core.errors import InputError, require_choice, suggest, suggest_nearest
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import UNITS, bounds_text, format_unit
 from sweep.study import config
 from sweep.study.columns import MEANINGS
 
 
-def classes() -> dict[str, list[type]]:
+def classes_by_group() -> dict[str, list[type]]:
     """The classes of each group; of obstacles, manoeuvres and clusters one for each kind, those of users too."""
-    config.register()
+    config.register_schemas()
     kinds = {group: list(kinds.values()) for group, kinds in config.KINDS.items()}
     return {group: [cls] for group, cls in config.CLASSES.items()} | kinds
 
 
-def text(name: str) -> str:
+def describe(name: str) -> str:
     """Describe what a user names.
 
     Args:
@@ -41,7 +41,7 @@ def text(name: str) -> str:
     Raises:
         InputError: nothing has this name.
     """
-    every = classes()
+    every = classes_by_group()
     if name not in every and (meaning := column_meanings().get(name)):
         words = format_unit(UNITS.get(name.rpartition("_")[2], "-"))
         return f"{name}: {meaning}" + (f"\n  unit: {words}" if words else "")
@@ -58,20 +58,22 @@ def text(name: str) -> str:
     if group in every:
         kinds = [kind_of(cls) for cls in every[group]]
         if kind and not any(kinds):
-            raise InputError(f"{name} is unknown{suggest(kind, choices_of(group))}")
+            raise InputError(f"{name} is unknown{suggest(kind, file_names(group))}")
         if kind:
-            require_choice(kind, [*kinds, *choices_of(group)], f"{group} = {kind}")
-        return "\n\n".join(section(group, cls) for cls in every[group] if kind in ("", kind_of(cls)))
+            require_choice(kind, [*kinds, *file_names(group)], f"{group} = {kind}")
+        return "\n\n".join(format_class(group, cls) for cls in every[group] if kind in ("", kind_of(cls)))
     group, _, key = name.partition(".")
     if group not in every:
         hint = config.suggest_paths(name, every)
-        paths = [f"{one}.{line['parameter']}" for one, own in every.items() for cls in own for line in parameters(cls)]
-        raise InputError(f"{name} is unknown{hint or nearest(name, [*every, *column_meanings(), *paths])}")
-    found = [(cls, line) for cls in every[group] for line in parameters(cls) if line["parameter"] == key]
+        paths = [
+            f"{one}.{line['parameter']}" for one, own in every.items() for cls in own for line in parameter_rows(cls)
+        ]
+        raise InputError(f"{name} is unknown{hint or suggest_nearest(name, [*every, *column_meanings(), *paths])}")
+    found = [(cls, line) for cls in every[group] for line in parameter_rows(cls) if line["parameter"] == key]
     if not found:
-        names = {line["parameter"] for cls in every[group] for line in parameters(cls)}
+        names = {line["parameter"] for cls in every[group] for line in parameter_rows(cls)}
         raise InputError(f"{name} is unknown{suggest(key, names)}")
-    return "\n\n".join(entry(group, cls, line) for cls, line in found)
+    return "\n\n".join(format_parameter(group, cls, line) for cls, line in found)
 
 
 def column_meanings() -> dict[str, str]:
@@ -79,7 +81,7 @@ def column_meanings() -> dict[str, str]:
     return {**MEANINGS, **systems.describe_columns()}
 
 
-def choices_of(group: str) -> list[str]:
+def file_names(group: str) -> list[str]:
     """The names of a group's files, of those that ship and of the project's own."""
     return [*project.shipped_files(group), *project.project_files(group)]
 
@@ -101,45 +103,47 @@ def describe_file_numbers(group: str, name: str) -> str:
     return "\n".join([*told, "", *(f"{group}.{path:40} {value}" for path, value in found.items())])
 
 
-def page() -> str:
+def parameters_page() -> str:
     """All of them, as Markdown."""
     parts = [
         "# Parameters",
         "Any of them is set by `group.name=value`, in a study as well as on the command line. "
         "The list is made by `sweep describe`.",
     ]
-    for group, own in classes().items():
-        parts += [f"## {group}", *(section(group, cls) for cls in own)]
+    for group, own in classes_by_group().items():
+        parts += [f"## {group}", *(format_class(group, cls) for cls in own)]
     return "\n\n".join(parts) + "\n"
 
 
-def section(group: str, cls: type) -> str:
+def format_class(group: str, cls: type) -> str:
     """What a class is, and its parameters as a table."""
     kind = kind_of(cls)
-    lines = pd.DataFrame(list(parameters(cls)))
+    lines = pd.DataFrame(list(parameter_rows(cls)))
     table = lines.to_markdown(index=False, disable_numparse=True) if len(lines) else "No parameters."
     names = [
-        f"- `{name}`: {meaning}" for field in dataclasses.fields(cls) for name, meaning in meanings_of(field).items()
+        f"- `{name}`: {meaning}"
+        for field in dataclasses.fields(cls)
+        for name, meaning in choice_meanings(field).items()
     ]
     return "\n\n".join(
         [f"### {group}{'=' + kind if kind else ''}", describe_class(cls), table, *(["\n".join(names)] if names else [])]
     )
 
 
-def entry(group: str, cls: type, line: dict[str, str]) -> str:
+def format_parameter(group: str, cls: type, line: dict[str, str]) -> str:
     """One parameter in words."""
     kind = kind_of(cls)
     beside = f" (of {group}={kind})" if kind else ""
     rows = [f"{group}.{line['parameter']}{beside}: {line['meaning'] or describe_class(cls).splitlines()[0]}"]
     rows += [f"  {key}: {line[key]}" for key in ("default", "unit", "allowed") if line[key]]
     (field,) = [one for one in dataclasses.fields(cls) if one.name == line["parameter"]]
-    rows += [f"    {name}: {meaning}" for name, meaning in meanings_of(field).items()]
-    return "\n".join([*rows, f"  defined in: {cls.__module__}.{cls.__name__}, {source(cls)}"])
+    rows += [f"    {name}: {meaning}" for name, meaning in choice_meanings(field).items()]
+    return "\n".join([*rows, f"  defined in: {cls.__module__}.{cls.__name__}, {module_summary(cls)}"])
 
 
-def parameters(cls: type) -> Iterator[dict[str, str]]:
+def parameter_rows(cls: type) -> Iterator[dict[str, str]]:
     """A line for each parameter: name, default, unit, what is allowed, meaning. The kind is not one of them."""
-    meanings = getattr(cls, "meanings", {}) | comments(cls)
+    meanings = getattr(cls, "meanings", {}) | member_comments(cls)
     for field in dataclasses.fields(cls):
         role = field.metadata.get("role")
         if field.name == "kind" or (role is None and not isinstance(field.default, str | int | float | bool)):
@@ -152,19 +156,19 @@ def parameters(cls: type) -> Iterator[dict[str, str]]:
         }
         yield {
             "parameter": field.name,
-            "default": default(field),
+            "default": format_default(field),
             "unit": format_unit(field.metadata.get("unit", "")),
             "allowed": allowed[role](field) if role else "",
             "meaning": meanings.get(field.name, ""),
         }
 
 
-def meanings_of(field: "dataclasses.Field[Any]") -> dict[str, str]:
+def choice_meanings(field: "dataclasses.Field[Any]") -> dict[str, str]:
     """What each of the names means that a parameter may have, where that is said."""
     return field.metadata.get("meanings", {})
 
 
-def default(field: "dataclasses.Field[Any]") -> str:
+def format_default(field: "dataclasses.Field[Any]") -> str:
     """Its default as it is written."""
     value = field.default if field.default is not dataclasses.MISSING else ""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
@@ -181,12 +185,12 @@ def describe_class(cls: type) -> str:
     return inspect.cleandoc(cls.__doc__ or "")
 
 
-def source(cls: type) -> str:
+def module_summary(cls: type) -> str:
     """The first sentence of its module, which names the source."""
     return (inspect.cleandoc(inspect.getmodule(cls).__doc__ or "").splitlines() or [""])[0]
 
 
-def comments(cls: type) -> dict[str, str]:
+def member_comments(cls: type) -> dict[str, str]:
     """The comment beside each member of a class, or above it; those of the classes it inherits from too."""
     found: dict[str, str] = {}
     for one in reversed(cls.__mro__[:-1]):
@@ -206,9 +210,9 @@ def comments(cls: type) -> dict[str, str]:
     return {name: "" if text.startswith(("fmt:", "pyright:")) else text for name, text in found.items()}
 
 
-def comment_above(line: int, said: dict[int, str], code: list[str]) -> str:
+def comment_above(line: int, comment_by_line: dict[int, str], code: list[str]) -> str:
     """The comment of the lines just above `line`."""
     parts: list[str] = []
-    while (line := line - 1) in said and code[line - 1].lstrip().startswith("#"):
-        parts.insert(0, said[line])
+    while (line := line - 1) in comment_by_line and code[line - 1].lstrip().startswith("#"):
+        parts.insert(0, comment_by_line[line])
     return " ".join(parts)

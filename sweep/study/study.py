@@ -21,8 +21,8 @@ from sweep.core.parameters import WHOLE, check_value, count, is_within_bounds
 from sweep.engines.settings import EngineSettings
 from sweep.study import adaptive_designs, designs
 from sweep.study.adaptive_sampling import KINDS, Draws
-from sweep.study.analytic_limits import Theory
-from sweep.study.analytic_limits import parse as parse_theory
+from sweep.study.analytic_limits import AnalyticLimit
+from sweep.study.analytic_limits import parse_limit as parse_theory
 from sweep.study.columns import LABELS, PLAN, TIMING
 from sweep.study.designs import Axis, Design
 from sweep.study.distributions import require_keys
@@ -55,7 +55,7 @@ class ScenarioSchema:
 
 
 @dataclass(frozen=True)
-class _Plain:
+class _PlainSettings:
     """What a study's configuration holds as it is."""
 
     name: str = ""  # of the folder of results; the name of the file unless given
@@ -73,7 +73,7 @@ class _Plain:
 
 
 @dataclass(frozen=True)
-class StudySchema(_Plain):
+class StudySchema(_PlainSettings):
     """Which variations of the scenario are run, as the configuration says it; `Study.parse` reads the rest."""
 
     axes: dict[str, Any] = field(default_factory=dict)
@@ -84,14 +84,14 @@ class StudySchema(_Plain):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Study(_Plain):
+class Study(_PlainSettings):
     """Points of a grid and of distributions, or of a CSV file, each repeated with different noise."""
 
     single: bool  # one nominal rollout, shown rather than stored
     axes: tuple[Axis, ...]
     design: Design  # of the axes that have a distribution
     expect: tuple[Expectation, ...]
-    theory: tuple[Theory, ...]  # drawn over its maps
+    theory: tuple[AnalyticLimit, ...]  # drawn over its maps
     keep: tuple[str, ...]  # columns whose time histories are kept, see `System.recorded`
 
     @property
@@ -110,7 +110,7 @@ class Study(_Plain):
         return self.is_refined or self.is_adaptive
 
     @property
-    def noisy(self) -> bool:
+    def has_repeats(self) -> bool:
         """Whether rollouts of one grid point differ."""
         return self.replicates > 1 or self.design.num > 0
 
@@ -122,7 +122,7 @@ class Study(_Plain):
     @classmethod
     def parse(cls, values: Mapping[str, Any], single: bool) -> "Study":
         """From plain values. Raises `InputError`."""
-        for member in dataclasses.fields(_Plain):
+        for member in dataclasses.fields(_PlainSettings):
             check_value(member, values[member.name], f"study.{member.name}")
         if values["seed"] < 0:
             raise InputError(f"study.seed = {values['seed']} is not allowed: at least 0")
@@ -143,7 +143,7 @@ class Study(_Plain):
         design = designs.parse_design(values["design"], axes)
         source = "scenario" if single else "study"
         if design.kind in KINDS:
-            adaptive_designs.check(design, axes)
+            adaptive_designs.check_design(design, axes)
             beside = {"where": values["where"], "points": values["points"], "replicates": values["replicates"] > 1}
             for key in (key for key, value in beside.items() if value):
                 raise InputError(f"study.{key} is not allowed with study.design.kind = {design.kind}")
@@ -154,16 +154,16 @@ class Study(_Plain):
         return cls(**{**values, **told})
 
 
-def _expectation(key: str, given: Any) -> Expectation:
-    given = require_keys(key, given, ("where", "that", "at_least", "at_most"))
+def _expectation(key: str, values: Any) -> Expectation:
+    values = require_keys(key, values, ("where", "that", "at_least", "at_most"))
     for limit in ("at_least", "at_most"):
-        value = given.get(limit, 0)
+        value = values.get(limit, 0)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
             raise InputError(f"{key}.{limit} = {value!r} is not allowed: a share from 0 to 1")
     for condition in ("where", "that"):
-        if not isinstance(given.get(condition, ""), str | None):
-            raise InputError(f"{key}.{condition} = {given[condition]!r} is not allowed: a condition in quotes")
-    one = Expectation(**given)
+        if not isinstance(values.get(condition, ""), str | None):
+            raise InputError(f"{key}.{condition} = {values[condition]!r} is not allowed: a condition in quotes")
+    one = Expectation(**values)
     if one.at_least > one.at_most:
         raise InputError(f"{key}.at_least = {one.at_least:g} is not allowed: at most its at_most, {one.at_most:g}")
     return one
@@ -225,12 +225,12 @@ def check_expect(study: Study, system: System, points: "pd.DataFrame | None" = N
                 raise InputError(f"{source}.expect.{i}.{key}: {error}") from None
 
 
-def points(
+def make_points(
     study: Study,
     system: System,
     settings: EngineSettings,
     grid: "pd.DataFrame | None" = None,
-    say: Logger | None = None,
+    on_message: Logger | None = None,
     round_: Draws | None = None,
 ) -> "pd.DataFrame":
     """One row per rollout: axis values, replicate, noise stream and point id. Raises `InputError`.
@@ -251,14 +251,14 @@ def points(
         if study.is_adaptive and round_ is None:
             _check_ends(study, system, settings)
             round_ = next(adaptive_designs.make_search(study.axes, study.design, study.seed))
-        design = designs.design_table(study.axes, study.design, study.seed, told, grid, round_)
+        design = designs.make_design_table(study.axes, study.design, study.seed, told, grid, round_)
     draw = design.pop("draw") if not study.points else 0
     fields = {c: system.parameter(c, settings) for c in design.columns if not c.startswith("axis.")}
     drawn = [str(axis.target) for axis in study.axes if axis.distribution and axis.path and not study.points]
     listed = design.columns.difference(drawn) if grid is None else ()  # not those between listed ones
     for column, member in fields.items():
         try:
-            _check(member, design[column], column, exact=column in listed)
+            _check_values(member, design[column], column, exact=column in listed)
         except InputError as error:
             axis = next((axis for axis in study.axes if axis.target == column and axis.distribution), None)
             if axis is None or study.points:
@@ -286,12 +286,14 @@ def points(
         ]
     table["point_id"] = point_ids(table, system)
     distinct = table.drop_duplicates(identity_columns(table.columns), ignore_index=True)
-    if say and len(distinct) < len(table):
-        say(f"{len(table) - len(distinct)} of {len(table)} rollouts are left out: equal to others in {DIGITS} digits")
+    if on_message and len(distinct) < len(table):
+        on_message(
+            f"{len(table) - len(distinct)} of {len(table)} rollouts are left out: equal to others in {DIGITS} digits"
+        )
     return distinct
 
 
-def _check(member: Parameter, values: "pd.Series", column: str, exact: bool = False) -> None:
+def _check_values(member: Parameter, values: "pd.Series", column: str, exact: bool = False) -> None:
     """Every value inside the bounds of its parameter, and an `exact` one of those it has; a million numbers at once."""
     import pandas as pd
 
@@ -308,7 +310,7 @@ def _check(member: Parameter, values: "pd.Series", column: str, exact: bool = Fa
 def extreme_points(study: Study, system: System, settings: EngineSettings) -> "pd.DataFrame":
     """Two points at the least and the most that is drawn, at each grid point; empty where nothing is."""
     told = partial(system.nominal, settings=settings)
-    return designs.design_table(
+    return designs.make_design_table(
         study.axes, study.design, study.seed, told, round_=adaptive_designs.extreme_draws(study.axes)
     )
 
@@ -318,7 +320,7 @@ def _check_ends(study: Study, system: System, settings: EngineSettings) -> None:
     table = extreme_points(study, system, settings)
     for column in parameter_columns(table):
         try:
-            _check(system.parameter(column, settings), table[column], column)
+            _check_values(system.parameter(column, settings), table[column], column)
         except InputError as error:
             raise InputError(f"{error}; rare draws come to it: give its distribution `from` and `to`") from None
 

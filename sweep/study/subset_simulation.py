@@ -22,7 +22,7 @@ PLATEAU = 2.0  # a level may have so many times the rows that it is to have, if 
 FEWEST = 10  # rows below it that chains are then begun from instead
 
 
-class Level(NamedTuple):
+class LevelRows(NamedTuple):
     """Where a run has come to: rows of one level, a rejected proposal's being that before it."""
 
     u: Float[np.ndarray, "n d"]
@@ -30,21 +30,21 @@ class Level(NamedTuple):
     failed: Bool[np.ndarray, " n"]
     lead: Float[np.ndarray, " n"]  # -inf where failed
 
-    def rows(self, which: np.ndarray) -> "Level":
+    def select(self, which: np.ndarray) -> "LevelRows":
         """The level with some of its rollouts."""
-        return Level(*(part[which] for part in self))
+        return LevelRows(*(part[which] for part in self))
 
-    def where(self, which: np.ndarray, others: "Level") -> "Level":
+    def merge(self, which: np.ndarray, others: "LevelRows") -> "LevelRows":
         """These rows, the others elsewhere."""
         u = np.where(which[:, None], self.u, others.u)
-        return Level(u, *(np.where(which, a, b) for a, b in zip(self[1:], others[1:], strict=True)))
+        return LevelRows(u, *(np.where(which, a, b) for a, b in zip(self[1:], others[1:], strict=True)))
 
 
-class Outcome(NamedTuple):
+class RunResult(NamedTuple):
     """What a run has come to."""
 
     probability: float
-    level: Level  # the last
+    level: LevelRows  # the last
     bounds: tuple[float, ...]  # of the lead, level by level
     accepted: tuple[float, ...]  # share of proposals, level by level
     rollouts: int
@@ -52,7 +52,7 @@ class Outcome(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Levels:
+class LevelSettings:
     """How a run goes from level to level."""
 
     num: int  # rows of a level
@@ -60,32 +60,32 @@ class Levels:
     target: float  # probability below which a run is given up
 
     @property
-    def chains(self) -> int:
+    def chain_count(self) -> int:
         """How many chains a level has."""
         return round(self.num * self.share)
 
     @property
-    def steps(self) -> int:
+    def steps_per_chain(self) -> int:
         """Of a chain, after the row that it starts from."""
         return round(1 / self.share) - 1
 
     @property
-    def levels(self) -> int:
+    def max_levels(self) -> int:
         """The most that a run takes."""
         return int(np.ceil(np.log(self.target) / np.log(self.share) - 1e-9)) + 2
 
     @property
-    def most(self) -> int:
+    def max_rollouts(self) -> int:
         """How many rollouts a run has at most."""
-        return self.num + (self.levels - 1) * self.chains * self.steps
+        return self.num + (self.max_levels - 1) * self.chain_count * self.steps_per_chain
 
 
-def search(d: int, plan: Levels, runs: int, seed: int) -> Search:
+def start_search(d: int, settings: LevelSettings, runs: int, seed: int) -> Search:
     """`runs` side by side, whose steps are a round: see `sweep.study.adaptive_sampling`. It returns their `Outcome`s.
 
     A run draws the same however many others there are.
     """
-    going = {number: _run(d, plan, seed, number) for number in range(runs)}
+    going = {number: _run(d, settings, seed, number) for number in range(runs)}
     asked, ended = {number: next(run) for number, run in going.items()}, {}
     while asked:
         sizes = [len(draws.numbers) for draws in asked.values()]
@@ -93,7 +93,7 @@ def search(d: int, plan: Levels, runs: int, seed: int) -> Search:
         ends, answers = np.cumsum(sizes), {}
         for (number, _), end, size in zip(asked.items(), ends, sizes, strict=True):
             try:
-                answers[number] = going[number].send(found.part(slice(end - size, end)))
+                answers[number] = going[number].send(found.select(slice(end - size, end)))
             except StopIteration as stop:
                 ended[number] = stop.value
         asked = answers
@@ -107,7 +107,7 @@ def _together(parts: list[Draws]) -> Draws:
     return Draws(shares, numbers, columns)
 
 
-def _run(d: int, plan: Levels, seed: int, run: int) -> Generator[Draws, RoundSummary, Outcome]:
+def _run(d: int, settings: LevelSettings, seed: int, run: int) -> Generator[Draws, RoundSummary, RunResult]:
     """One run. Its draws are numbered from `run * plan.most` on."""
     rng = np.random.default_rng([seed, run])
     rollouts, width, p, bounds, accepted = 0, WIDTH, 1.0, [], []
@@ -117,56 +117,58 @@ def _run(d: int, plan: Levels, seed: int, run: int) -> Generator[Draws, RoundSum
 
         n = len(u)
         columns = {"run": np.full(n, run), "level": np.full(n, level), "step": np.full(n, step), "chain": np.arange(n)}
-        numbers = run * plan.most + rollouts + np.arange(n)
+        numbers = run * settings.max_rollouts + rollouts + np.arange(n)
         return Draws(ndtr(u), numbers, {name: values.astype(float) for name, values in columns.items()})
 
-    u = np.round(rng.standard_normal((plan.num, d)), DIGITS)
+    u = np.round(rng.standard_normal((settings.num, d)), DIGITS)
     asked = draws(u, 0, 0)
     level = _level(u, asked, (yield asked))
-    rollouts += plan.num
-    for number in range(1, plan.levels + 1):
-        inside, bound = next_level(level.lead, plan)
-        why = _over(inside, bound, plan, p, number)
+    rollouts += settings.num
+    for number in range(1, settings.max_levels + 1):
+        inside, bound = next_level(level.lead, settings)
+        why = _explain_end(inside, bound, settings, p, number)
         if why is not None:
-            return Outcome(p * float(level.failed.mean()), level, tuple(bounds), tuple(accepted), rollouts, why)
+            return RunResult(p * float(level.failed.mean()), level, tuple(bounds), tuple(accepted), rollouts, why)
         p *= float(inside.mean())
         bounds.append(bound)
         seeds = rng.permutation(np.flatnonzero(inside))
-        here = level.rows(np.resize(seeds, plan.chains))
+        here = level.select(np.resize(seeds, settings.chain_count))
         states, taken = [here], []
-        for step in range(1, plan.steps + 1):
+        for step in range(1, settings.steps_per_chain + 1):
             apart = rng.standard_normal(here.u.shape)
             u = np.round(np.sqrt(1 - width**2) * here.u + width * apart, DIGITS)
             asked = draws(u, number, step)
             there = _level(u, asked, (yield asked))
             rollouts += len(u)
             stays = there.lead <= bound
-            here = there.where(stays, here)
+            here = there.merge(stays, here)
             states.append(here)
             taken.append(float(stays.mean()))
             width *= np.exp((taken[-1] - ACCEPTED) / np.sqrt(step))
             width = round(float(np.clip(width, NARROWEST, 1.0)), DIGITS)
         accepted.append(float(np.mean(taken)))
-        level = Level(*(np.concatenate(parts) for parts in zip(*states, strict=True)))
+        level = LevelRows(*(np.concatenate(parts) for parts in zip(*states, strict=True)))
     raise AssertionError("a run has no more levels than `_over` allows")
 
 
-def _level(u: np.ndarray, asked: Draws, seen: RoundSummary) -> Level:
+def _level(u: np.ndarray, draws: Draws, summary: RoundSummary) -> LevelRows:
     """Rows as they were drawn; a lead that is not a number leads nowhere."""
-    lead = np.where(seen.failed, -np.inf, np.nan_to_num(seen.lead, nan=np.inf, neginf=np.finfo(float).min))
-    return Level(u, asked.numbers, seen.failed, lead)
+    lead = np.where(summary.failed, -np.inf, np.nan_to_num(summary.lead, nan=np.inf, neginf=np.finfo(float).min))
+    return LevelRows(u, draws.numbers, summary.failed, lead)
 
 
-def _over(inside: Bool[np.ndarray, " n"], bound: float, plan: Levels, p: float, number: int) -> str | None:
+def _explain_end(
+    inside: Bool[np.ndarray, " n"], bound: float, settings: LevelSettings, p: float, number: int
+) -> str | None:
     """Why a run goes no further, in words where it has found too few failures; None where it does."""
     if bound == -np.inf:  # all that is in the next level has failed
         return ""
-    if p * plan.share < plan.target or number >= plan.levels:
-        return f"fewer than {plan.share:g} of the rows fail down to {plan.target:g}"
+    if p * settings.share < settings.target or number >= settings.max_levels:
+        return f"fewer than {settings.share:g} of the rows fail down to {settings.target:g}"
     return f"the lead is {bound:.4g} in all rows of a level: it leads nowhere" if inside.all() else None
 
 
-def next_level(lead: Float[np.ndarray, " n"], plan: Levels) -> tuple[Bool[np.ndarray, " n"], float]:
+def next_level(lead: Float[np.ndarray, " n"], settings: LevelSettings) -> tuple[Bool[np.ndarray, " n"], float]:
     """Choose the rows of the next level, those with the smallest leads.
 
     Args:
@@ -177,8 +179,8 @@ def next_level(lead: Float[np.ndarray, " n"], plan: Levels) -> tuple[Bool[np.nda
         Which rows are in the next level, and the largest lead of it. Where many rows tie at the bound, only those
         below it, and chains start from some of them twice.
     """
-    bound = float(np.sort(lead)[plan.chains - 1])
+    bound = float(np.sort(lead)[settings.chain_count - 1])
     inside, below = lead <= bound, lead < bound
-    if inside.sum() <= PLATEAU * plan.chains or below.sum() < FEWEST:
+    if inside.sum() <= PLATEAU * settings.chain_count or below.sum() < FEWEST:
         return inside, bound
     return below, float(lead[below].max())

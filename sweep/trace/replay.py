@@ -26,7 +26,7 @@ from sweep.runs import device_choice, results, store
 from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
 from sweep.runs.runner import load_point
 from sweep.study.columns import LABELS
-from sweep.study.config import experiment
+from sweep.study.config import build_experiment
 from sweep.study.study import parameter_columns
 from sweep.systems.base import judge_rollout
 from sweep.trace.frames import VIDEO_RATE, need_ffmpeg, write_png, write_video
@@ -93,7 +93,7 @@ def replay(folder: Path, point: str) -> Replay:
     task, slot, row = load_point(folder, point)
     table, stored = store.read_points(folder), store.read_study(folder)
     config = stored["config"]
-    exp = with_delay_buffer(experiment(config), table)
+    exp = with_delay_buffer(build_experiment(config), table)
     start = make_nominal_batch(exp, table.loc[table["batch"] == row["batch"]], len(task.streams))
     engine = make_engine(exp, start)
     trace = engine.trace(task.world, task.belief, task.streams, slot)

@@ -24,7 +24,7 @@ def words(text: str) -> set[str]:
 
 @pytest.mark.parametrize("width", [80, 60])
 def test_the_reference_breaks_between_words(width):
-    whole = reference.page()
+    whole = reference.parameters_page()
     shown = fit_to_width(whole, width)
     assert max(map(len, shown.splitlines())) <= width
     assert words(shown) - words(whole) <= words(f"No room for default unit allowed: {ELSEWHERE}.")
@@ -48,8 +48,8 @@ def test_counts_shares_and_units_are_told_in_one_way():
         "20.0 %",
         "",
     ]
-    assert "| N·m/rad " in reference.text("drive")
-    assert "N*m" not in reference.page()
+    assert "| N·m/rad " in reference.describe("drive")
+    assert "N*m" not in reference.parameters_page()
 
 
 def test_a_share_comes_with_its_interval(fake_engine, tmp_path, capsys, monkeypatch):

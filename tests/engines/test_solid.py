@@ -11,7 +11,7 @@ from sweep.core.errors import InputError
 from sweep.engines import make
 from sweep.models.scene import native_model
 from sweep.study.config import compose
-from sweep.study.study import points
+from sweep.study.study import make_points
 from sweep.systems.base import judge_rollout
 
 OWN = frozenset({"inner_thigh", "outer_shin"})  # of a leg
@@ -86,7 +86,7 @@ def test_only_native_can_be_solid():
     assert compose(["engine=native", "engine.solid=true"]).settings.solid
     exp = compose(["engine=native", "study.axes.solid={path: engine.solid, values: [true, false]}"])
     with pytest.raises(InputError, match=r"axis engine\.solid cannot be varied"):
-        points(exp.study, exp.system, exp.settings)
+        make_points(exp.study, exp.system, exp.settings)
 
 
 def rolled_out(exp, solid):

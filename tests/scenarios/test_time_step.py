@@ -8,7 +8,7 @@ import pytest
 from sweep.metrics.outcome import classify
 from sweep.runs.batches import make_batch, make_engine, make_nominal_batch
 from sweep.study.config import compose
-from sweep.study.study import parameter_columns, points
+from sweep.study.study import make_points, parameter_columns
 
 pytestmark = pytest.mark.slow
 SCENARIOS = sorted(file.name.removesuffix(".yaml") for file in (files("sweep.conf") / "scenario").iterdir())
@@ -21,7 +21,7 @@ def outcomes(name: str, engine: str) -> pd.DataFrame:
     path, steps = STEPS[engine]
     axis = [f"study.axes.step.path={path}", f"study.axes.step.values={steps}"]
     exp = compose([f"scenario={name}", "study=any_step", f"engine.name={engine}", *axis])
-    table, found = points(exp.study, exp.system, exp.settings), {}
+    table, found = make_points(exp.study, exp.system, exp.settings), {}
     for step, rows in table.groupby(path, sort=False):
         first = rows.iloc[[0]].copy()
         for column in parameter_columns(rows):

@@ -56,7 +56,7 @@ class Policy(NamedTuple):
 
 def project_folder() -> Path:
     """Where a project's files are named from."""
-    return project.root() or Path.cwd()
+    return project.find_project() or Path.cwd()
 
 
 def load_model(mjcf: str) -> mujoco.MjModel:
@@ -143,7 +143,7 @@ def load_controller(name: str) -> Policy:
         digest = f"{_digest(files)}-{metadata.version('onnxruntime')}"
         if not file.with_suffix(".py").is_file():
             return Policy(policy, tuple(files), digest, batched=True, folder=folder)
-        beside = project.sources(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
+        beside = project.source_files(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
         digest = f"{digest}-{_digest(beside)}"
         return Policy(policy, (*files, *beside), digest, True, folder=folder, **_beside(name, module))
     module_name, sign, function = name.partition(":")
@@ -160,7 +160,7 @@ def load_controller(name: str) -> Policy:
     for file in files:
         if not file.is_file():
             raise InputError(f"model.controller = {name}: FILES has {file.name}, which is not a file")
-    files, more = (*project.sources(module), *files), {"folder": folder, **_beside(name, module)}
+    files, more = (*project.source_files(module), *files), {"folder": folder, **_beside(name, module)}
     if batched := _batched(policy):
         return Policy(policy, files, _digest(files), batched, **more)
     parameters, believes = (getattr(module, key, {}) for key in ("PARAMETERS", "BELIEVES"))
@@ -223,7 +223,12 @@ def _module(told: str, name: str) -> ModuleType:
     """
     here, old, read = project_folder(), sys.modules.get(name), _READ.get(name)
     sys.path[:] = [str(here), *(path for path in sys.path if path != str(here))]
-    if old and read and read != (here, _digest(project.sources(old))) and read[0] in Path(old.__file__ or "").parents:
+    if (
+        old
+        and read
+        and read != (here, _digest(project.source_files(old)))
+        and read[0] in Path(old.__file__ or "").parents
+    ):
         package = name.partition(".")[0]
         for stale in [one for one in sys.modules if one == package or one.startswith(f"{package}.")]:
             del sys.modules[stale]
@@ -231,7 +236,7 @@ def _module(told: str, name: str) -> ModuleType:
     try:
         with run_user_code(f"{name}, which is imported,", _folder_of_module(name)):
             module = importlib.import_module(name)
-        _READ[name] = here, _digest(project.sources(module))
+        _READ[name] = here, _digest(project.source_files(module))
     except WRONG as error:
         reason = describe_user_error(error, here) or format_user_exception(error)
         raise InputError(f"model.controller = {told} cannot be imported: {reason}") from None
