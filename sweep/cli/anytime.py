@@ -1,4 +1,4 @@
-"""`sweep compare A B --anytime`: a comparison that stays valid however often one looks, and can stop by itself."""
+"""`sweep compare A B --anytime`: a sequential comparison that stays valid however often it is evaluated."""
 
 import argparse
 
@@ -60,6 +60,6 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
 
 
 def named_rows(rows: pd.DataFrame, exp: Experiment, condition: str | None) -> pd.DataFrame:
-    """Rows of a study that meet a condition, which may name its axes."""
+    """Rows of a study that meet a condition, in which axes can be used by name."""
     rows = name_axes(rows, exp.study.axes)
     return rows[mask(rows, condition)]

@@ -28,7 +28,7 @@ MEASURED = "walk_tripod over walk_map: controller, physics and metrics of whole 
 
 
 def run_bench(args: argparse.Namespace) -> int:
-    """Print each line as soon as it is measured, then all of them as a table."""
+    """Measure the speed of engines, and print each line as soon as it is measured, then a table."""
     for name in ("rollouts", "width"):
         if getattr(args, name) < 0:
             raise InputError(f"--{name} = {getattr(args, name)} is not allowed: at least 0")
@@ -42,7 +42,7 @@ def run_bench(args: argparse.Namespace) -> int:
 
 
 def measure_rows(nominal: Case, rollouts: int, width: int, rows: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """Yield a line for each of `rows`; width 0 is the device's best, rollouts 0 one batch of them."""
+    """Yield a result for each of `rows`; width 0 selects the device's best, rollouts 0 one batch."""
     for name in rows:
         settings = EngineSettings(
             width=width if name != "native" else 0,
@@ -55,7 +55,7 @@ def measure_rows(nominal: Case, rollouts: int, width: int, rows: tuple[str, ...]
 
 
 def walk_map_batches(nominal: Case, rollouts: int, width: int) -> list[tuple[Case, Case]]:
-    """Worlds and beliefs of batches of `width` over the grid of walk_map, with at least `rollouts` points."""
+    """Make batches of `width` (worlds, beliefs) over the grid of walk_map, for at least `rollouts` points."""
     rows = max(1, round((rollouts * 17 / 33) ** 0.5))
     friction, ratio = np.meshgrid(np.linspace(0.05, 1.2, -(-rollouts // rows)), np.linspace(0.03, 0.2, rows))
     slots = np.minimum(np.arange(-(-rollouts // width) * width), rollouts - 1).reshape(-1, width)
@@ -68,7 +68,7 @@ def walk_map_batches(nominal: Case, rollouts: int, width: int) -> list[tuple[Cas
 
 
 def _engine(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str, Any]:
-    """Measure a line of the table: controller, physics and metrics of whole rollouts."""
+    """Make a function that measures whole rollouts on one engine."""
     engine = make(settings, nominal, nominal, Thresholds())
     rollouts = rollouts or engine.width
     if settings.name == "native":
@@ -101,7 +101,7 @@ def _engine(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str,
 
 
 def measure_seconds(work: Callable[[], object]) -> float:
-    """Wall time that `work` takes (s)."""
+    """Measure the wall time of `work` (s)."""
     start = time.perf_counter()
     work()
     return time.perf_counter() - start

@@ -61,7 +61,7 @@ def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
 
 
 def check_arguments(args: argparse.Namespace) -> None:
-    """Raise `InputError` where a number of the command line is out of range."""
+    """Raise `InputError` if a number of the command line is out of range."""
     for name in ("failures", "confidence"):
         if not 0 < getattr(args, name) < 1:
             raise InputError(f"--{name} = {getattr(args, name):g} is not allowed: between 0 and 1")
@@ -103,7 +103,7 @@ def simulate_fresh_draws(exp: Experiment, folder: Path, seed: int, number: int) 
 
 
 def with_seed(exp: Experiment, folder: Path, seed: int, number: int) -> Experiment:
-    """The study with another seed and number of draws."""
+    """Return the study with another seed and number of draws."""
     own = exp.values["study"]
     study = {**own, "seed": seed, "design": {**own["design"], "num": number}, "keep": [], "expect": []}
     return build_experiment({**exp.values, "study": study, "out": str(folder)})
@@ -141,13 +141,13 @@ def check_region(
 
 
 def failure_interval(one: dict[str, Any]) -> str:
-    """Interval of the share of checked draws that failed."""
+    """Format the confidence interval of the share of failures among checked draws."""
     low, high = (format_percent(float(v)) for v in clopper_pearson(one["fail"], one["rollouts"]))
     return f"{low} to {high}"
 
 
 def format_certificate(found: certify.Certificate, shape: str, names: list[str]) -> str:
-    """The guarantee, its region and its assumptions as text."""
+    """Format the guarantee, its region and its assumptions as text."""
     where = f"{found.next_failed} of {found.next_rows} fresh rows fail in the next larger one"
     if not found.is_certified:
         return f"no {shape} is certified at {found.failures:g}: {where}; try more rows or larger --failures"
@@ -164,12 +164,12 @@ def format_certificate(found: certify.Certificate, shape: str, names: list[str])
 
 
 def format_share(share: float) -> str:
-    """`1e-5` -> `0.001 %`, without losing a digit of what is guaranteed."""
+    """Format a share as per cent without rounding: `1e-5` -> `0.001 %`."""
     return f"{100 * share:g} %"
 
 
 def certificate_data(found: certify.Certificate, args: argparse.Namespace, names: list[str]) -> dict[str, Any]:
-    """The certificate as plain values."""
+    """Convert the certificate to plain values for JSON."""
     return {
         "study": str(args.dir),
         "shape": args.shape,

@@ -14,14 +14,14 @@ EVIDENCE = "; studies behind the project's claims are files of its repository: s
 
 
 def shipped_choices(group: str) -> dict[str, str]:
-    """Choices that come with the package, with the first comment of their file or the first sentence of their class."""
+    """Choices that come with the package, with the first comment of their file or sentence of their class."""
     found = _classes(PACKAGE / GROUPS[group].sources) if GROUPS[group].kinds else {}
     found |= {name: project.first_comment(file) for name, file in project.shipped_files(group).items()}
     return dict(sorted(found.items()))
 
 
 def refuse_unknown(overrides: list[str]) -> None:
-    """Raise `InputError` where `group=name` names no choice, before Hydra and the simulator are imported.
+    """Raise `InputError` if `group=name` names no choice, before Hydra and the simulator are imported.
 
     Names that only they know, such as those of a project's modules, are left to them.
     """
@@ -40,12 +40,12 @@ def refuse_unknown(overrides: list[str]) -> None:
 
 
 def outside_of_project() -> str:
-    """End of a message about an unknown choice where no project is found; empty in a project."""
+    """End of an error message about an unknown choice; says that no project is found, empty in a project."""
     return "" if project.find_project() else "; this folder is in no project: there is no sweep.yaml in it or above it"
 
 
 def _refuse_bare_words(overrides: list[str]) -> None:
-    """Raise `InputError` where a choice is given without its group, or as a flag: `first`, `--study first`."""
+    """Raise `InputError` if a choice is given without its group, or as a flag: `first`, `--study first`."""
     for place, word in enumerate(overrides):
         flag, _, value = word.partition("=")
         if flag.startswith("--") and (group := flag.removeprefix("--")) in GROUPS:
@@ -63,7 +63,7 @@ def _refuse_bare_words(overrides: list[str]) -> None:
 
 
 def _classes(module: Path) -> dict[str, str]:
-    """Classes of a folder or a file, by the default of their field `kind`."""
+    """Map the default of a field `kind` to its class, for all classes in a folder or file."""
     found = {}
     for file in module.rglob("*.py") if module.is_dir() else [module.with_suffix(".py")]:
         for node in ast.parse(file.read_text(encoding="utf-8")).body:

@@ -1,4 +1,4 @@
-"""The commands with their arguments, and `sweep run`. Slow imports wait until a command needs them."""
+"""Command-line parsers of all commands, and `sweep run`. Slow imports wait until a command needs them."""
 
 import argparse
 import os
@@ -42,7 +42,7 @@ exit codes:
 
 
 def execute(argv: list[str]) -> int:
-    """Run the command that `argv` begins with and return its exit code. Raises `InputError`."""
+    """Run the command at the start of `argv` and return its exit code. Raises `InputError`."""
     if strange := [word for word in argv if printable_name(word) != word]:
         raise InputError(f"{printable_name(strange[0])} is not allowed: letters in UTF-8")
     if argv and argv[0] == "run":
@@ -234,7 +234,7 @@ def parser() -> Arguments:
 
 
 def lazy_command(module: str, name: str) -> Callable[[argparse.Namespace], int]:
-    """A command whose module is imported when it is called."""
+    """Make a command whose module is imported when it is called."""
     return lambda args: getattr(import_module(f"sweep.cli.{module}"), name)(args)
 
 
@@ -297,6 +297,6 @@ def run_parser() -> Arguments:
 
 
 def flags_of(commands: "argparse._SubParsersAction[Arguments]") -> dict[str, list[str]]:
-    """Flags of each command."""
+    """List the flags of each command."""
     parsers = {**commands.choices, "run": run_parser()}
     return {name: [flag for flag in list_flags(sub) if flag.startswith("--")] for name, sub in parsers.items()}

@@ -1,4 +1,4 @@
-"""How a command went, as its exit code tells."""
+"""Exit codes of the commands."""
 
 DONE, BAD_INPUT, INVALID, UNEXPECTED, FAULT, INTERRUPTED = 0, 2, 3, 4, 5, 130
 MEANINGS = {

@@ -1,4 +1,4 @@
-"""`sweep export-model`: the six-legged robot, its plan and its judge as a project of an own model."""
+"""`sweep export-model`: the six-legged robot, its plan and its metrics as a project with a user's own model."""
 
 import argparse
 from pathlib import Path

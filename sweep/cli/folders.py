@@ -42,7 +42,7 @@ def status(args: argparse.Namespace) -> int:
 
 
 def verify(args: argparse.Namespace) -> int:
-    """Name what is damaged in a folder; with `--simulate`, simulate rows again and compare them."""
+    """Name damaged files in a folder; with `--simulate`, simulate rows again and compare them."""
     if args.simulate is not None and args.simulate < 1:
         raise InputError(f"--simulate = {args.simulate} is not allowed: at least 1")
     from sweep.runs import repair, store
@@ -79,12 +79,12 @@ def read_matching_rows(folder: Path, condition: str | None) -> "pd.DataFrame":
 
 
 def parse_names(text: str | None) -> list[str] | None:
-    """`a, b` -> [`a`, `b`]."""
+    """Split a comma-separated list: `a, b` -> [`a`, `b`]."""
     return [name.strip() for name in text.split(",")] if text else None
 
 
 def save_output(path: Path, content: bytes) -> None:
-    """Write the output that `-o` names; `-` is the standard output.
+    """Write output to the path of `-o`; `-` is the standard output.
 
     Raises `InputError` where the file is part of a study's folder.
     """
@@ -138,7 +138,7 @@ def show_statistics(args: argparse.Namespace) -> int:
 
 
 def progress_of_replays(done: int, of: int) -> str:
-    """Progress of simulating rollouts again."""
+    """Print the progress of simulating rollouts again."""
     return f"{done} of {of} rollouts simulated again"
 
 
@@ -197,7 +197,7 @@ def draw_pairs(args: argparse.Namespace, a: "Results", folder: Path) -> int:
 
 
 def save_pictures(found: "Results", folder: Path, chosen: tuple[str, ...]) -> list[Path]:
-    """Save the map of a study of conditions, or over two `chosen` parameters; for draws, the overview of draws."""
+    """Save the map of a study, or the overview of its draws; `chosen` are two parameters of the map."""
     from sweep.core.plot_style import plot_style, save_figure
     from sweep.report import draws, maps
 
@@ -234,7 +234,7 @@ def export_results(args: argparse.Namespace) -> int:
 
 
 def compare_results(args: argparse.Namespace) -> int:
-    """Compare a folder with others; exit code 4 where outcomes or metrics differ by more than the user tolerates."""
+    """Compare a folder with others; exit code 4 if outcomes or metrics differ beyond the tolerance."""
     import pandas as pd
 
     from sweep.analysis import compare
@@ -274,7 +274,7 @@ def compare_results(args: argparse.Namespace) -> int:
 
 
 def certify_results(args: argparse.Namespace) -> int:
-    """Certify a region, print the guarantee and a check of it; exit code 4 where no region is certified."""
+    """Certify a region, print guarantee and check; exit code 4 if no region is certified."""
     import json
 
     from sweep.cli import certify
@@ -289,7 +289,7 @@ def certify_results(args: argparse.Namespace) -> int:
 
 
 def audit_results(args: argparse.Namespace) -> int:
-    """Simulate rollouts next to the boundary, and successes elsewhere, again in other ways, and print how many flip."""
+    """Simulate rows near the boundary, and successes elsewhere, in other variants; print how many flip."""
     from sweep.cli import run as app
     from sweep.report import tables
     from sweep.runs import audit, device_choice, results

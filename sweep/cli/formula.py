@@ -1,4 +1,4 @@
-"""`sweep formula`: the closed-form results from the shell, one value, a table or a plot."""
+"""`sweep formula`: evaluate the closed-form formulas from the shell: one value, a table or a plot."""
 
 import argparse
 import json
@@ -20,7 +20,7 @@ PICTURES = (".pdf", ".png", ".svg")
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the arguments after `formula`; the exit status. Raises `InputError`."""
+    """Run the command with the arguments after `formula`; return the exit code. Raises `InputError`."""
     for line in _answer(_parser().parse_args(argv)):
         print(line)
     return DONE
@@ -72,7 +72,7 @@ def _listing(formulas: Any, as_json: bool) -> Iterator[str]:
 
 
 def _values(formula: Formula, assignments: Sequence[str]) -> dict[str, Any]:
-    """Complete, checked inputs by flat name."""
+    """Parse `key=value` assignments to checked inputs by flat name, with defaults for the others."""
     values = formula.complete({})
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
@@ -83,7 +83,7 @@ def _values(formula: Formula, assignments: Sequence[str]) -> dict[str, Any]:
 
 
 def _assigned(formula: Formula, values: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
-    """`values` with input `key`, or element `key` = name.index of a vector, set and checked."""
+    """Set input `key`, or element name.index of a vector, to a checked value."""
     name, _, index = key.rpartition(".")
     vector = values.get(name)
     if isinstance(vector, list) and index.isdigit() and int(index) < len(vector):
@@ -92,7 +92,7 @@ def _assigned(formula: Formula, values: Mapping[str, Any], key: str, value: Any)
 
 
 def _parsed(text: str) -> Any:
-    """Numbers as int or float, several with commas as a list, anything else as it is."""
+    """Parse numbers as int or float, a comma-separated list as such, and keep other text."""
     if "," in text:
         return [_parsed(part) for part in text.split(",")]
     for kind in (int, float):
@@ -104,7 +104,7 @@ def _parsed(text: str) -> Any:
 
 
 def _range(formula: Formula, text: str) -> tuple[str, list[float]]:
-    """Input and values of `key=lo:hi:n`."""
+    """Parse `key=lo:hi:n` to an input and its values."""
     match, key = re.fullmatch(r"[^=]+=([^:]+):([^:]+):(\d+)", text), text.partition("=")[0]
     try:
         low, high, count = match.groups()  # pyright: ignore[reportOptionalMemberAccess]
@@ -117,7 +117,7 @@ def _range(formula: Formula, text: str) -> tuple[str, list[float]]:
 
 
 def _table(formula: Formula, values: Mapping[str, Any], key: str, points: Sequence[float]) -> list[dict[str, Any]]:
-    """One row per value of `key`: that value and the outputs, by element; None where there is no solution."""
+    """Evaluate a formula over values of one input: a row each, None where there is no solution."""
     rows: list[dict[str, Any]] = []
     for point in points:
         inputs = _assigned(formula, values, key, point)
@@ -190,7 +190,7 @@ def _text(value: Any) -> str:
 
 
 def _plot(formula: Formula, rows: Sequence[Mapping[str, Any]], key: str, file: Path) -> None:
-    """Draw every output against `key`, one panel per unit."""
+    """Plot every output against `key`, one panel for each unit."""
     if file.suffix not in PICTURES or not file.parent.is_dir():
         raise InputError(f"--plot {file} is not allowed: a {', '.join(PICTURES)} file in a folder that exists")
     from matplotlib.figure import Figure  # slow to load, and wanted only here
@@ -212,6 +212,6 @@ def _plot(formula: Formula, rows: Sequence[Mapping[str, Any]], key: str, file: P
 
 
 def _unit(inputs: Sequence[Input], key: str) -> str:
-    """Unit of input `key`, or of the vector that it is an element of."""
+    """Unit of input `key`, or of the vector to which it belongs."""
     units = {entry.name: entry.unit for entry in inputs}
     return units[key] if key in units else units[key.rpartition(".")[0]]

@@ -1,4 +1,4 @@
-"""`sweep run` as a Hydra application: compose the configuration, or say in a line why it cannot be."""
+"""`sweep run` as a Hydra application: compose the configuration, or explain in one line why it is wrong."""
 
 import os
 import sys
@@ -23,7 +23,7 @@ COMPLETED = ("install=", "uninstall=", "query=")  # what its completion is told
 
 
 def launch(overrides: list[str], work: Callable[[Experiment], int], run_flags: list[str]) -> int:
-    """Compose the configuration and run `work` on it; return the exit code, the largest one of a Hydra multirun.
+    """Compose the configuration and run `work` on it; return the exit code, the largest of a multirun.
 
     Raises `InputError`; for an unknown flag it names the closest of Hydra's and of our own `run_flags`.
     """
@@ -64,7 +64,7 @@ def launch(overrides: list[str], work: Callable[[Experiment], int], run_flags: l
 
 
 def check_flags(overrides: list[str], run_flags: list[str]) -> None:
-    """Raise `InputError` where Hydra would print its usage."""
+    """Raise `InputError` if Hydra would print its usage."""
     parser = get_args_parser()
 
     def error(message: str) -> NoReturn:

@@ -12,7 +12,7 @@ from sweep.core.errors import Fault, InputError, escape_control_characters
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; the exit code says how it went.
+    """Run one command and return its exit code.
 
     0 done, 2 bad input, 3 invalid rows, 4 expectation not met, 5 disk, memory or workers failed, 130 interrupted.
     """

@@ -1,4 +1,4 @@
-"""`sweep init`, `list`, `describe` and `completion`. A list needs no simulator."""
+"""`sweep init`, `list`, `describe` and `completion`, which need no simulator."""
 
 import argparse
 import re
@@ -21,7 +21,7 @@ HIDDEN = {"gitignore": ".gitignore"}  # files that a package cannot hold under t
 
 
 def init(args: argparse.Namespace) -> int:
-    """Make a project in a folder without touching existing files; finish one that a full disk cut short.
+    """Make a project in a folder without changing existing files; an interrupted one is completed.
 
     Raises `InputError`.
     """
@@ -44,12 +44,12 @@ def init(args: argparse.Namespace) -> int:
 
 
 def has_content_of(path: Path, file: Traversable) -> bool:
-    """Whether a path has the same content as a file of the package."""
+    """Whether a file has the same content as one of the package."""
     return path.is_file() and path.read_bytes() == file.read_bytes()
 
 
 def template_files(folder: Traversable, above: tuple[str, ...] = ()) -> Iterator[tuple[Traversable, tuple[str, ...]]]:
-    """Yield the files of a new project, each with its place."""
+    """Yield the files of a new project with their paths in it."""
     for entry in sorted(folder.iterdir(), key=lambda e: e.name):
         if entry.is_dir() and entry.name != "__pycache__":
             yield from template_files(entry, (*above, entry.name))
@@ -58,7 +58,7 @@ def template_files(folder: Traversable, above: tuple[str, ...] = ()) -> Iterator
 
 
 def list_choices(args: argparse.Namespace) -> int:
-    """Print the choices of all groups, of one group or those that match words; for folders of results, a line each.
+    """Print the choices of all groups, of one group, or those that match words; a line for each results folder.
 
     Raises `InputError` where nothing matches.
     """
@@ -91,14 +91,14 @@ def list_choices(args: argparse.Namespace) -> int:
 
 
 def matching_choices(choices: Mapping[str, str], words: Sequence[str]) -> dict[str, str]:
-    """Return the choices whose name or description has all of `words`, whatever their case."""
+    """Return the choices whose name or description contains all of `words`, ignoring case."""
     return {
         name: text for name, text in choices.items() if all(word.lower() in f"{name} {text}".lower() for word in words)
     }
 
 
 def print_groups(groups: Mapping[str, Mapping[str, str]], brief: bool = False) -> None:
-    """Print choices by group, without groups that have none.
+    """Print choices by group, leaving out empty groups.
 
     Args:
         groups: For each group the names of choices and their descriptions.
@@ -119,13 +119,13 @@ def print_groups(groups: Mapping[str, Mapping[str, str]], brief: bool = False) -
 
 
 def print_choices(named: Mapping[str, str]) -> None:
-    """Print names and what they say of themselves."""
+    """Print names and descriptions of choices."""
     for name, text in named.items():
         terminal.print_markdown(f"  {name:20} {text}".rstrip() + "\n")
 
 
 def describe(args: argparse.Namespace) -> int:
-    """Print unit, meaning, bounds and default of parameters, or what a choice or a column is."""
+    """Print unit, meaning, bounds and default of parameters, or the meaning of a choice or column."""
     from sweep.study import reference
 
     try:
@@ -137,7 +137,7 @@ def describe(args: argparse.Namespace) -> int:
 
 
 def completion(args: argparse.Namespace) -> int:
-    """Print the script for bash, or possible completions of a line."""
+    """Print the completion script for bash, or the possible completions of a line."""
     if args.line is None:
         print(SCRIPT)
         return DONE
@@ -151,7 +151,7 @@ def completion(args: argparse.Namespace) -> int:
 
 
 def candidates(before: list[str], word: str, flags: dict[str, list[str]]) -> list[str]:
-    """Commands, then the flags of one: `group=choice` for a run, folders of results for the others."""
+    """List completions: commands, then flags, choices `group=name`, or folders of results."""
     if not before:
         return list(flags)
     if word.startswith("-"):

@@ -21,7 +21,7 @@ SHOWN = 3  # metrics of a row that are named
 
 
 def reproduce_crate(args: argparse.Namespace) -> int:
-    """Simulate rows of a crate again; exit code 4 where an outcome or a metric changed. Raises `InputError`.
+    """Simulate rows of a crate again; exit code 4 if an outcome or metric changed. Raises `InputError`.
 
     A crate that has code runs only with `--trust`; without it the code is listed.
     """
@@ -43,7 +43,7 @@ def reproduce_crate(args: argparse.Namespace) -> int:
 
 
 def report_simulated_again(results: Results, number: int, seed: int = 0, tolerance: float = TOLERANCE) -> int:
-    """Simulate stored rows again, print what is equal and what differs, and return the exit code.
+    """Simulate stored rows again, print which are equal and which differ, and return the exit code.
 
     Args:
         results: The stored rows.
@@ -74,7 +74,7 @@ def report_simulated_again(results: Results, number: int, seed: int = 0, toleran
 def compare_row(
     row: pd.Series, metrics: Mapping[str, Any], labels: Mapping[str, Any], tolerance: float
 ) -> dict[str, Any]:
-    """Compare a stored row with its rollout simulated again.
+    """Compare a stored row with the same rollout simulated again.
 
     Args:
         row: The stored row.
@@ -106,7 +106,7 @@ def compare_row(
 
 
 def format_summary(table: pd.DataFrame, tolerance: float) -> str:
-    """Count rows of `compare_row` in a sentence."""
+    """Summarise comparisons of `compare_row` in a sentence."""
     equal, changed = int(table["equal"].sum()), int((table["changed"] != "").sum())
     return (
         f"{len(table)} rollouts simulated again: {equal} equal to the last bit, {len(table) - equal - changed} within "

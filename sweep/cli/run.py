@@ -1,4 +1,4 @@
-"""`sweep run` from a checked experiment on: runner, progress and summary."""
+"""`sweep run` after the configuration is checked: runner, progress and summary."""
 
 import sys
 import time
@@ -45,7 +45,7 @@ SLACK = 0.2  # share of them that may end otherwise than the scenario expects
 
 @dataclass(frozen=True)
 class Flags:
-    """Flags of `sweep run` that Hydra does not handle."""
+    """Flags of `sweep run` that are not passed to Hydra."""
 
     dry_run: bool = False
     check: bool = False
@@ -140,13 +140,13 @@ def execute(exp: Experiment, flags: Flags) -> int:
 
 
 def failing_levels(exp: Experiment) -> list[FailingLevel]:
-    """Listed names that fail at the nominal point, with a progress line while they are simulated."""
+    """List named levels that fail at the nominal point, with a progress line during their simulation."""
     with show_wait(f"simulating the nominal rollout of each name that {exp.study.name} lists"):
         return find_failing_levels(exp)
 
 
 def check_axes(exp: Experiment, points: pd.DataFrame) -> int:
-    """Check whether every axis has an effect and a rollout is repeatable; exit code 4 where not."""
+    """Check whether every axis has an effect and rollouts are repeatable; exit code 4 if not."""
 
     def words(done: int) -> str:
         return f"{exp.study.name}: {done} rollouts simulated to check that its axes have an effect"
@@ -161,7 +161,7 @@ def check_axes(exp: Experiment, points: pd.DataFrame) -> int:
 
 
 def plan_jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Iterable[runner.Job]:
-    """Jobs of the study: one after the other where results decide what runs next, else a single one."""
+    """Yield the jobs of a study: one for each round if results decide what runs next, else a single one."""
     if whole and exp.study.is_refined:
         return refine.iter_jobs(exp, folder, first)
     return (
@@ -217,7 +217,7 @@ def jitter_experiment(exp: Experiment) -> Experiment | None:
 
 
 def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
-    """Exit code of finished rows; prints a line for each expectation that is not met."""
+    """Return the exit code of finished rows, and print a line for each expectation that is not met."""
     found = rate(rows["outcome"])
     if found.invalid_share > exp.study.invalid_max:
         allowed = f"{exp.study.invalid_max:.1%} allowed"
@@ -233,7 +233,7 @@ def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
 
 
 def summary(exp: Experiment, rows: pd.DataFrame) -> str:
-    """The headline of the study, its causes, and the rate for each value of a named parameter; copies count once."""
+    """Summarise a study as text: headline, causes, and success rates by named parameter; copies count once."""
     rows, copies = drop_copies(rows, exp)
     lines = [f"{exp.study.name}: {headline(rows, exp)}"]
     lines += [f"  {line}" for line in cause_lines(rows["cause"], exp.system.cause_meanings(exp.thresholds))]
@@ -260,14 +260,14 @@ def forecast(job: runner.Job) -> str:
 
 
 def memory_text(job: runner.Job, missing: pd.DataFrame) -> str:
-    """Memory that a rollout needs, of the first group."""
+    """Memory that a rollout of the first group needs, as text."""
     rows = missing[missing["group"] == missing["group"].iloc[0]]
     size = make_engine(job.exp, nominal_batch(job.exp, rows, int(rows["width"].iloc[0]))).rollout_bytes()
     return f", {size / 1024:.1f} KiB of memory per rollout" if size else ""
 
 
 def duration_text(job: runner.Job, missing: pd.DataFrame) -> str:
-    """Estimated time of the `missing` rollouts, by the last batch of this study or of a similar one beside it."""
+    """Estimated time of the `missing` rollouts as text, from the last batch of this or a similar study."""
     beside = sorted(job.folder.parent.glob(f"*/{store.STUDY}"), key=lambda p: p.stat().st_mtime, reverse=True)
     for folder in (job.folder, *(path.parent for path in beside)):
         if (seconds := seconds_per_rollout(folder, job)) is not None:
@@ -305,13 +305,13 @@ def axes_table(exp: Experiment) -> str:
 
 
 def program_text(exp: Experiment) -> str:
-    """What is compiled before the first batch."""
+    """Description of the program that is compiled before the first batch."""
     kind = exp.settings.name if exp.study.single else f"batches of {exp.study.name} on {exp.settings.name}"
     return f"{exp.scenario} for {kind}"
 
 
 class Pace:
-    """Estimates how long the rest of a run takes from its finished batches, without the time to compile."""
+    """Estimate of a run's remaining time from its finished batches, without compile time."""
 
     def __init__(self, total: int):
         self.total, self.done = total, 0
@@ -325,7 +325,7 @@ class Pace:
             self._first = rollouts, self.last
 
     def remaining(self) -> float | None:
-        """Return the remaining time (s) at this moment; None before the first batch is finished."""
+        """Return the remaining time (s); None before the first batch is finished."""
         first, since = self._first
         if not first:
             return None
@@ -336,13 +336,13 @@ class Pace:
         return max(0.0, seconds * (self.total - self.done) - (time.perf_counter() - self.last))
 
     def remaining_text(self) -> str:
-        """Format the remaining time as minutes and seconds; dashes while it is unknown."""
+        """Format the remaining time as minutes and seconds, or dashes while it is unknown."""
         seconds = self.remaining()
         return "-:-- left" if seconds is None else f"{int(seconds) // 60}:{int(seconds) % 60:02d} left"
 
 
 class LiveColumn(ProgressColumn):
-    """A column of a progress bar whose text is worked out anew every second."""
+    """Column of a progress bar whose text is updated every second."""
 
     max_refresh = 1.0  # s
 
@@ -351,13 +351,13 @@ class LiveColumn(ProgressColumn):
         self.text = text
 
     def render(self, task: Task) -> Text:
-        """Return the text of this second."""
+        """Return the present text."""
         return Text(self.text(), no_wrap=True)
 
 
 @contextmanager
 def report_progress(name: str, total: int, what: str, watched: WorkerStatus | None = None) -> Iterator[runner.Progress]:
-    """Show progress: a bar on a terminal, else a line now and then. `what` is compiled first."""
+    """Show progress: a bar on a terminal, else a line from time to time."""
     console = Console(stderr=True)
     start, done, good, pace = time.perf_counter(), 0, 0, Pace(total)
     # numbers first: a narrow terminal cuts the end of the line off

@@ -1,4 +1,4 @@
-"""`sweep tune`: search the numbers of a plan for a robot, an obstacle and draws of the user."""
+"""`sweep tune`: optimise the numbers of a plan for a robot, an obstacle and a study's draws."""
 
 import argparse
 import dataclasses
@@ -49,7 +49,7 @@ examples:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the arguments after `tune`; the exit status. Raises `InputError`."""
+    """Run the command with the arguments after `tune`; return the exit code. Raises `InputError`."""
     devices.configure()
     args, overrides = parser().parse_known_args(argv)
     for flag, least in LEAST.items():
@@ -124,7 +124,7 @@ def main(argv: list[str]) -> int:
 
 
 def drawn_sizes(exp: Experiment) -> dict[str, float]:
-    """Sizes of robot and obstacle that the study draws, at which the plan's numbers hold.
+    """Sizes of robot and obstacle that the study draws, at their nominal values.
 
     Numbers follow relative changes, so sizes of zero are left out. Raises `InputError` where no size is drawn.
     """
@@ -141,7 +141,7 @@ def drawn_sizes(exp: Experiment) -> dict[str, float]:
 def sizes_that_matter(
     exp: Experiment, score: Score, numbers: np.ndarray, seen: Case, sizes: Mapping[str, float]
 ) -> dict[str, float]:
-    """Sizes that change a margin over the range of the draws.
+    """Select the sizes that change a margin over the range of the draws.
 
     Slopes along other sizes, such as masses without forces, would be chance and extrapolate badly. Raises `InputError`
     where no size matters.
@@ -159,7 +159,7 @@ def sizes_that_matter(
 def round_solution(
     score: Score, seen: Case, first: np.ndarray, sizes: Mapping[str, float], how: Mapping[str, Any], log: Path
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Search, with a progress bar; return rounded numbers (n,) and the slopes (n, k) by which they follow sizes."""
+    """Search with a progress bar; return rounded numbers (n,), and the slopes (n, k) by which they follow sizes."""
     scale = np.array(list(how["free"].values()))
     shown = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
                      console=Console(stderr=True))  # fmt: skip
@@ -189,7 +189,7 @@ def round_solution(
 
 
 def compare_plans(overrides: list[str], file: Path, settings: list[str], seed: int) -> str:
-    """Simulate draws of a seed with the plan before and after tuning; return how many succeed, as text.
+    """Simulate draws with the plan before and after tuning, and describe how many succeed.
 
     Results are stored beside the plan's file.
     """
@@ -251,7 +251,7 @@ def parse_aim(text: str) -> Aim:
 
 
 def parse_moments(texts: Iterable[str]) -> list[tuple[str, int]]:
-    """Parse patterns of stages with the number of moments at which each is judged; the last match counts.
+    """Parse patterns of stages with the number of moments to evaluate in each; the last match counts.
 
     Raises `InputError`.
     """
@@ -265,14 +265,14 @@ def parse_moments(texts: Iterable[str]) -> list[tuple[str, int]]:
 
 
 def manoeuvre_numbers(case: Case) -> dict[str, float]:
-    """Numbers of the manoeuvre by path; they may be searched beside those of its plan."""
+    """Numeric parameters of the manoeuvre by path, which can be tuned along with those of its plan."""
     found = {f.name: getattr(case.manoeuvre, f.name) for f in dataclasses.fields(case.manoeuvre)  # pyright: ignore[reportArgumentType]
              if f.metadata.get("role") == "quantity"}  # fmt: skip
     return {f"{MANOEUVRE}.{name}": float(value) for name, value in found.items() if value is not None}
 
 
 def margins_table(score: Score, found: Mapping[str, Mapping[str, np.ndarray]]) -> str:
-    """Smallest value of each margin (m, rad/s), and the stage where it occurs in the last column."""
+    """Table of the smallest value of each margin (m, rad/s), with its stage in the last column."""
     lines = {name: worst(margins) for name, margins in found.items()}
     last = list(found.values())[-1]
     where = {key: score.stages[int(np.argmin(last[key].min(axis=0)))] for key in next(iter(lines.values()))}
@@ -281,7 +281,7 @@ def margins_table(score: Score, found: Mapping[str, Mapping[str, np.ndarray]]) -
 
 
 def plan_content(case: Case, changes: Mapping[str, float]) -> Content:
-    """Content of the plan's file with other numbers; formulas whose value did not change stay."""
+    """Content of the plan's file with tuned numbers; formulas whose value did not change stay."""
     formulas = plan_table.formula_values(case)
     for path, value in changes.items():
         if round(value - formulas.get(path, math.inf), DIGITS):
@@ -306,7 +306,7 @@ def add_slopes(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes
 
 
 def plan_file(case: Case, content: Content, head: list[str]) -> str:
-    """Text of a plan's file: differences to the manoeuvre's own plan, below comments."""
+    """Text of a plan's file: comments, then its differences to the manoeuvre's own plan."""
     assert isinstance(case.manoeuvre, plan_table.TabulatedManoeuvre)
     said = plan_table.differences(plan_table.own_plan_content(case), content)
     own = case.manoeuvre.own_plan

@@ -80,12 +80,12 @@ def parser() -> Arguments:
 
 
 def has_screen() -> bool:
-    """Whether a screen is connected."""
+    """Whether a display is available."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def play(trace: Trace) -> None:
-    """Play the trace in MuJoCo's viewer again and again until its window is closed."""
+    """Play the trace in MuJoCo's viewer in a loop until its window is closed."""
     import mujoco.viewer
 
     data, frames = mujoco.MjData(trace.model), finite_frames(trace)
@@ -103,12 +103,12 @@ def play(trace: Trace) -> None:
 
 
 def file_names(folder: str) -> list[str]:
-    """Names of the files in a folder; empty where it is no folder."""
+    """Names of the files in a folder; empty if it is no folder."""
     return os.listdir(folder) if os.path.isdir(folder) else []
 
 
 def record_traces(what: list[str]) -> Iterator[Trace]:
-    """Record the rollout that the user names, with enough frames to look smooth. Raises `InputError`."""
+    """Record the rollout that the user names, at a frame rate for smooth playback. Raises `InputError`."""
     if store.STUDY in file_names(what[0]):
         found, at = find_row(*folder_and_point(what))
         device_choice.choose_device_for_folder(found.folder)
@@ -120,7 +120,7 @@ def record_traces(what: list[str]) -> Iterator[Trace]:
 
 
 def open_study(what: list[str], beside: list[str]) -> tuple[Results, list[ShownReplay]]:
-    """Read a study's results and the replays of its page, those that the user names first. Raises `InputError`."""
+    """Read a study's results and replays, those that the user names first. Raises `InputError`."""
     folder, point = folder_and_point(what)
     found, first = find_row(folder, point)
     wanted = [(found, first, "")]
@@ -145,7 +145,7 @@ def open_study(what: list[str], beside: list[str]) -> tuple[Results, list[ShownR
 
 
 def folder_and_point(what: list[str]) -> tuple[str, str]:
-    """The two arguments. Raises `InputError` where there are not two."""
+    """Parse the two arguments folder and point. Raises `InputError` if there are not two."""
     if len(what) != 2:
         raise InputError(f"{what[0]} is a study: add a row number, or the beginning of a point_id")
     return what[0], what[1]
@@ -195,7 +195,7 @@ def simulate_configuration(what: list[str], beside: list[str]) -> tuple[Results,
 
 
 def compose_single(overrides: list[str]) -> tuple[Experiment, pd.DataFrame]:
-    """The experiment of one rollout, and its plan. Raises `InputError` where it is a study."""
+    """Compose the experiment and plan of a single rollout. Raises `InputError` for a study."""
     exp = compose(overrides)
     if not exp.study.single:
         raise InputError(f"{exp.study.name} is a study: run it, then sweep view DIR ID shows one of its rows")

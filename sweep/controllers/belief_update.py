@@ -1,4 +1,4 @@
-"""What a robot has learned in a rollout, and the belief, footholds and plan that follow from it."""
+"""Updates of the robot's belief during a rollout, and the footholds and plan that follow from them."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from sweep.models.obstacles.surface import Obstacle, free_start_state, landmarks
 
 
 class LearnedState(NamedTuple):
-    """What a robot has learned in a rollout, None for parts that it does not learn; made and advanced by engines."""
+    """Estimates that a robot has made in a rollout; None for those that it does not make. Engines advance it."""
 
     calibration: CalibrationResult | None = None
     touch: TouchState | None = None
@@ -123,7 +123,7 @@ def replan_rest(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learne
 
 
 def _shift_in_body_frames(plan: Plan, shift: Float[Array, "k 3"]) -> Plan:
-    """Plan whose points in body-fixed frames are shifted by `shift` (m)."""
+    """Shift the plan's points in body-fixed frames by `shift` (m)."""
 
     def shift_in(frame: Array) -> Array:
         return sum(((frame == body_frame(k))[..., None] * shift[k] for k in range(shift.shape[0])), jnp.zeros(3))
@@ -135,7 +135,7 @@ def _shift_in_body_frames(plan: Plan, shift: Float[Array, "k 3"]) -> Plan:
 
 
 def _shortfall(belief: Case, plan: Plan) -> Float[Array, " s"]:
-    """How far the worst foot is out of reach (m) at the end of each stage, with free bodies where they start."""
+    """Distance (m) of the worst foot beyond its reach at the end of each stage, with free bodies where they start."""
     last = stage_end_stances(plan, free_start_state(belief.obstacle))
     out = jax.vmap(lambda stance: joint_targets(belief.robot, stance)[1])(last)
     legs = plan.layer(HeldLegs)

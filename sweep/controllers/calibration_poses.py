@@ -41,6 +41,6 @@ class CalibrationPoses:
 
 
 def held_pose_index(time: float) -> int:
-    """Return which pose is in the second half of its rest at `time` (s); -1 if none is."""
+    """Return the index of the pose that is held at `time` (s), in the second half of its rest; else -1."""
     pose, since = divmod(time, MOVE + HOLD)
     return int(pose) if HOLD / 2 < since <= HOLD else -1

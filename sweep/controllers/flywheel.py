@@ -43,7 +43,7 @@ class Flywheel(Layer):
     gains: Gains
 
     def ignores_base_pose(self, stage: Int[Array, ""]) -> Bool[Array, ""]:
-        """Return True while the robot balances on two feet, about which its base tilts."""
+        """Return True while the robot balances on two feet: its base tilts about them."""
         return self.mode[stage] == BALANCE
 
     def modify_command(self, ctx: TickContext, state: None, command: Command) -> tuple[None, Command]:

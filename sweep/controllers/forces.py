@@ -188,7 +188,7 @@ def evaluate_forces(pose: StaticPose, force: Float[Array, "6 3"]) -> FootForces:
 
 
 class _ScaledPose(NamedTuple):
-    """A pose with forces in weights; swinging feet carry nothing and bound nothing."""
+    """A pose with forces in units of the weight; swinging feet carry nothing and have no bounds."""
 
     normal: Float[Array, "6 3"]
     stands: Float[Array, " 6"]
@@ -225,7 +225,7 @@ class _ScaledPose(NamedTuple):
         return jnp.where(self.stands > 0, tangential / jnp.maximum(normal, 1e-6), 0.0)
 
     def imbalance(self, force: Array) -> Float[Array, " 6"]:
-        """Weight that is not supported, and its moment (m)."""
+        """Unsupported weight, and its moment (m)."""
         weight = jnp.zeros(6, force.dtype).at[2].set(1.0)
         return weight - jnp.einsum("lij,lj->i", self.grasp, force)
 

@@ -48,7 +48,7 @@ class Step(NamedTuple):
 
     @property
     def landing(self) -> Array | float:
-        """x* (m): a foot swings from -x* to x* about the centre of its cycle."""
+        """Half length x* (m) of a swing: a foot goes from -x* to x* about the centre of its cycle."""
         return self.half_length * stepping.LANDING
 
 

@@ -82,7 +82,7 @@ class Layer:
     def body_reference(
         self, plan: Plan, state: Any, stage: Int[Array, ""], clock: Float[Array, ""], free: FreeState
     ) -> FreeState:
-        """Return the state of the free bodies that the stage plans with.
+        """Return the reference state of the free bodies that the stage uses.
 
         Args:
             plan: the plan that is followed.
@@ -118,7 +118,7 @@ class Layer:
         self, plan: Plan, state: Any, stage: Int[Array, ""], clock: Float[Array, ""], feet: Float[Array, "6 3"],
         load_delay: Array | float,
     ) -> Float[Array, "6 3"]:  # fmt: skip
-        """Return where feet are commanded to when a stage ends, or while it waits for late touchdowns.
+        """Return the commanded feet when a stage ends, or while it waits for late touchdowns.
 
         Args:
             plan: the plan that is followed.
@@ -139,7 +139,7 @@ class Layer:
         return state, command
 
     def modify_joint_targets(self, ctx: TickContext, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-        """Return the joint targets (rad) to send to the drives so that the joints reach `joints`."""
+        """Return the targets (rad) to send to the drives so that the joints reach `joints`."""
         return joints
 
 
@@ -173,7 +173,7 @@ class Ease(Layer):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class HeldLegs(Layer):
-    """Layer for legs that follow joint angles instead of footholds, over S stages.
+    """Layer for legs that follow joint angles instead of footholds, for each of S stages.
 
     Made from `Stage.posture`. The state is the joint angles (rad) at the start of the stage.
     """

@@ -75,7 +75,7 @@ SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"} 
 
 
 class Footing(NamedTuple):
-    """Where a foot stands, and the frame that it moves with."""
+    """Foothold of a foot: a point, and the frame that it moves with."""
 
     point: Float[Array, " 3"]  # m, in `frame`; the next swing's curve starts from it
     frame: int = WORLD  # frame of `point`
@@ -84,7 +84,7 @@ class Footing(NamedTuple):
 
 
 class Standing(NamedTuple):
-    """Where the robot stands between two moves."""
+    """Feet and base of the robot between two moves."""
 
     feet: Mapping[int, Footing]  # by leg
     pitch: Number  # rad, of the base, nose up
@@ -92,7 +92,7 @@ class Standing(NamedTuple):
 
 
 def standing_on(feet: Feet, pitch: Number, frame: int = WORLD) -> Standing:
-    """Return where a robot stands on footholds without a place in a chart.
+    """Return the `Standing` of a robot on footholds that are not given in a chart.
 
     Args:
         feet: leg number -> foothold (m).
@@ -104,7 +104,7 @@ def standing_on(feet: Feet, pitch: Number, frame: int = WORLD) -> Standing:
 
 @dataclass(frozen=True)
 class MoveContext:
-    """What the words of a plan file mean for one manoeuvre on its obstacle; made by the manoeuvre."""
+    """Charts, frames and directions that moves of a plan file refer to, for one manoeuvre on its obstacle."""
 
     belief: Case
     unit: Number  # m, unit of lengths
@@ -120,7 +120,7 @@ class MoveContext:
     stage: Mapping[str, Any] = field(default_factory=dict)  # further fields of all stages
 
     def foot(self, leg: int, place: Place, where: str, depth: Number | None = None) -> Footing:
-        """Return the footing of a leg at a place.
+        """Return the foothold of a leg at a place of the plan file.
 
         Args:
             leg: leg number.
@@ -160,7 +160,7 @@ class MoveContext:
         return point, jnp.radians(jnp.asarray(pitch[0], float)) if pitch else None, chart
 
     def chart(self, place: Place, where: str) -> tuple[str, Chart, Numbers]:
-        """Return name and chart of a place, and its coordinates.
+        """Return the name of a place's chart, the chart, and the place's coordinates in it.
 
         Args:
             place: coordinates in a chart.
@@ -216,7 +216,7 @@ def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"]
 def part_stages(
     part: str, context: MoveContext, standing: Standing, prefix: str | None = None
 ) -> tuple[list[Stage], Standing]:
-    """Return the stages of a part's moves, and where the robot stands after them.
+    """Return the stages of a part's moves, and the `Standing` after them.
 
     Args:
         part: name of the part.
@@ -233,7 +233,7 @@ def part_stages(
 def move_stages(
     moves: Mapping[str, Move], context: MoveContext, standing: Standing, prefix: str
 ) -> tuple[list[Stage], Standing]:
-    """Return the stages of moves, and where the robot stands after them.
+    """Return the stages of moves, and the `Standing` after them.
 
     Args:
         moves: moves by name.
@@ -303,7 +303,7 @@ def _move_stage(name: str, move: Move, context: MoveContext, standing: Standing)
 
 
 def foot_in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]:
-    """Return where a foot stands (m) in another frame, with free bodies where they start.
+    """Transform a foothold (m) to another frame, with free bodies where they start.
 
     Args:
         belief: has the obstacle.
@@ -368,7 +368,7 @@ def _repetition(values: Any, k: int) -> Any:
 
 
 def reverse_moves(moves: Mapping[str, Move]) -> dict[str, Move]:
-    """Return moves that lead back to where the first move places the robot, by the places of the moves before them."""
+    """Return the moves in reverse, which lead back to where the first move places the robot."""
     start, *others = moves.items()
     base, feet, reversed_moves = start[1].base, _by_leg(start[1]), {}
     for name, move in others:
@@ -381,7 +381,7 @@ def reverse_moves(moves: Mapping[str, Move]) -> dict[str, Move]:
 
 
 def _with_pitch(belief: Case, moves: Mapping[str, Move]) -> dict[str, Move]:
-    """Moves that state the pitch which the base keeps, where neither they nor their charts give one."""
+    """Add the pitch that the base keeps to moves that give none, neither themselves nor by their charts."""
     offered, pitch, result = belief.obstacle.charts, 0.0, {}
     for name, move in moves.items():
         for place, numbers in move.base.items():

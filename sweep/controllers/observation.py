@@ -1,4 +1,4 @@
-"""Sensor model: turns the true state into what the controller measures, with bias, noise and delay.
+"""Sensor model: measurements of the controller from the true state, with bias, noise and delay.
 
 Also holds the filter that smooths the measured poses of an obstacle's free bodies (balls, rafts, ladders).
 """
@@ -203,7 +203,7 @@ def with_contact_detection(control: Control, noise: Noise, obs: Observation) -> 
 
 
 def load_delay_s(noise: Noise, period: float) -> Array | float:
-    """Return by how much (s) measured foot loads lag behind measured positions.
+    """Return the delay (s) of measured foot loads relative to measured positions.
 
     Args:
         noise: believed sensor errors, with delays in control ticks.
@@ -213,7 +213,7 @@ def load_delay_s(noise: Noise, period: float) -> Array | float:
 
 
 def touchdown_detection_delay_s(noise: Noise, period: float) -> Array | float:
-    """Return how long (s) after touchdown the measured load of a foot can show it.
+    """Return the time (s) from a touchdown until the measured load can show it.
 
     Args:
         noise: believed sensor errors, with delays in control ticks.

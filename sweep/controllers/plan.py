@@ -60,7 +60,7 @@ RESTS, STAYS = Support(TO_VELOCITY), Support(KEPT)
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage of a plan as manoeuvres write it; what is left out stays as in the stage before."""
+    """One stage of a plan as manoeuvres write it; fields that are None keep their value of the stage before."""
 
     name: str
     duration: Array | float  # s
@@ -151,7 +151,7 @@ class Plan:
 
 
 def transform_plan(plan: Plan, quat: Float[Array, " 4"], by: Float[Array, " 3"]) -> Plan:
-    """Return the plan in other axes, such as from an obstacle's frame to the world.
+    """Transform a plan to other axes, for example from an obstacle's frame to the world.
 
     Args:
         plan: plan to transform.

@@ -1,4 +1,4 @@
-"""Reference motion of free bodies: where a stage plans a ball, raft or ladder to be, in place of where it is measured.
+"""Reference motion of free bodies: the planned state of a ball, raft or ladder, used instead of the measured one.
 
 While feet stand both on the ground and on a body, feet that followed the measured body would let it drift anywhere. And
 feet that are to push a body have to move ahead of it. In such stages the body's frames move with its reference.

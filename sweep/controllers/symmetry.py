@@ -27,7 +27,7 @@ def last_stance(plan: Plan) -> Stance:
 
 
 def reverse_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
-    """Return the plan that runs backwards: at time T - t it has the stance that `plan` has at t.
+    """Reverse a plan in time: at time T - t it has the stance that `plan` has at t.
 
     Step cycles, paces and paths are their own reversal except at their ends. So a stage goes back with the same swings,
     from its footholds to those of the stage before, in the frames of the latter: a foot goes to where it is to stand on
@@ -70,7 +70,7 @@ def reverse_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
 
 
 def apply_direction(belief: Case, plan: Plan) -> Plan:
-    """Return a plan in the direction that the case's plan file names: forward, back, or there and back.
+    """Execute a plan in the direction that the case's plan file names: forward, back, or there and back.
 
     Args:
         belief: the case.
@@ -93,7 +93,7 @@ def _in_frames(
 
 
 def mirror_plan(plan: Plan, normal: Float[np.ndarray, " 3"]) -> Plan:
-    """Return the plan mirrored in a plane through the world's origin, with left and right legs exchanged.
+    """Mirror a plan in a plane through the world's origin, with left and right legs exchanged.
 
     For robots that are their own mirror image. Mirroring twice gives the plan again.
 
@@ -131,7 +131,7 @@ def mirror_plan(plan: Plan, normal: Float[np.ndarray, " 3"]) -> Plan:
 
 
 def join_plans(first: Plan, *others: Plan) -> Plan:
-    """Return plans one after the other; each should start in the stance in which the one before it ends.
+    """Concatenate plans; each should start in the stance in which the one before it ends.
 
     Args:
         first: first plan, whose start and layers are kept.

@@ -259,7 +259,7 @@ def _update_sizes(
     variance: Array | float,
     counts: Bool[Array, " 6"],
 ) -> tuple[TouchState, Bool[Array, " 6"]]:
-    """Sizes after some feet were found at the surface, and at which feet the surface was uncertain.
+    """Update the sizes after some feet were found at the surface. Returns also where the surface was uncertain.
 
     `places` are `outside` (m) of their planned places along the normal. The measured landmarks of free bodies stay in
     place, whatever the sizes.
@@ -277,7 +277,7 @@ def _update_sizes(
 def _update_sizes_from_depths(
     touch_state: TouchState, inside: Callable[[Array], Array], variance: Array | float, counts: Bool[Array, " m"]
 ) -> tuple[TouchState, Bool[Array, " m"]]:
-    """Sizes after some points were found at the surface, and at which points the surface was uncertain.
+    """Update the sizes after some points were found at the surface; returns also where it was uncertain.
 
     `inside` gives the depths (m) of the points for given sizes.
     """
@@ -296,7 +296,7 @@ def _least_squares(
     variance: Array | float,
     counts: Bool[Array, " m"],
 ) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
-    """Sizes and covariance after the m points that count were found at the surface, taken one after the other."""
+    """Recursive least squares: sizes and covariance after the points that count were found at the surface."""
     first = sizes
     for k in range(slopes.shape[0]):
         slope = slopes[k]

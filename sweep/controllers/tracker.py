@@ -28,7 +28,7 @@ LEFT = np.array([0.0, 1.0, 0.0], np.float32)  # left of the base, base axes
 
 
 class PoseError(NamedTuple):
-    """Difference of the base from where a stage wants it at its start, world axes; made by the tracker."""
+    """Deviation of the base from a stage's reference at its start, world axes; made by the tracker."""
 
     position: Float[Array, " 3"]  # m
     turn: Float[Array, " 3"]  # rad, rotation vector
@@ -53,7 +53,7 @@ class TrackerState(NamedTuple):
 
 
 class Guidance(NamedTuple):
-    """What the feedback of a guided manoeuvre asks for in one tick, in the frames of the stage."""
+    """Output of a guided manoeuvre's feedback in one tick, in the frames of the stage."""
 
     stance: Stance
     goal: Float[Array, "6 3"]  # m, footholds at the end of the stage
@@ -298,13 +298,13 @@ def start_stage(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stan
 
 
 def _keep_commanded(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:
-    """Start from the commanded feet, without base error."""
+    """Start a stage from the commanded feet, without base error."""
     zero = jnp.zeros(3, ended.feet.dtype)
     return StageStart(ended.feet, PoseError(zero, zero))
 
 
 def _regrip(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:
-    """Start with feet where they are measured along the surface, and as deep in it as commanded.
+    """Start a stage with the feet at their measured positions along the surface, at the commanded depth.
 
     This includes feet that have not touched down yet: their foothold would be off by the base error, and each step
     would hand that error on to the next.
@@ -315,7 +315,7 @@ def _regrip(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, 
 
 
 def _grip(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:
-    """Press feet on free bodies deeper than measured, and inward to the middle plane of the base; regrip all others.
+    """Start a stage with feet on free bodies pressed deeper and inward; regrip all other feet.
 
     A foot without load keeps its commanded depth: pressed from where it hangs, it would stay in the air.
     """
@@ -334,7 +334,7 @@ def _measured_feet(belief: Case, obs: Observation) -> tuple[Float[Array, "6 3"],
 
 
 def _rezero(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:
-    """Shift the feet with the base error, which strains nothing, and let that error fade, lest it accumulate.
+    """Start a stage with the feet shifted by the base error, which avoids internal forces; the error then fades.
 
     If the plan is steered, only position in the plane and heading count: standing feet would correct the rest of the
     error while landing feet do not, which would put the diagonals at different heights.
@@ -369,7 +369,7 @@ def _blend_from_last_target(ctx: TickContext, last_target: Stance, state: Tracke
 
 
 def reference_body_state(plan: Plan, state: TrackerState, free: FreeState) -> tuple[FreeState, Bool[Array, ""] | bool]:
-    """Return the state of free bodies that the current stage plans with, and whether the base pose is to be ignored.
+    """Return the reference state of free bodies in the current stage, and whether the base pose is ignored.
 
     Args:
         plan: the plan to follow.

@@ -1,4 +1,4 @@
-"""Checks that refuse impossible plans before anything is compiled, as far as parameters are plain numbers."""
+"""Checks that refuse impossible plans before compilation, if parameters are plain numbers."""
 
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -76,14 +76,14 @@ def _world(place: Vector, body: Array, frames: Frames) -> Vector:
 
 
 def _own(place: Vector, body: Array, frames: Frames) -> Vector:
-    """The inverse of `_world`."""
+    """Points from world axes to the axes of the free body that each belongs to; the inverse of `_world`."""
     for k, (origin, rotation) in enumerate(frames):
         place = select(body == k, rotation.transpose @ (place - origin), place)
     return place
 
 
 def _frames(bodies: BodyPoses) -> Frames:
-    """Frames of free bodies by their components."""
+    """Poses of free bodies as components, for the transformation of points."""
     places = zip(bodies.position, bodies.rotation, strict=True)
     return [(Vector.from_array(position[None]), Matrix.from_array(rotation[None])) for position, rotation in places]
 
@@ -137,7 +137,7 @@ def contact_geometry(
 
 
 def contact_forces(contact: Contact, geometry: ContactGeometry, velocity: Vector) -> ContactForces:
-    """Forces in a step that is passed at `velocity` (m/s, relative to the surface).
+    """Contact forces on points that move at `velocity` (m/s, relative to the surface) in a step.
 
     N = c_n depth - d_n v_n where positive; the tangential force is elastic up to the Coulomb limit. The depth is that
     at the step's start, the velocity that at its end: to first order in the step nothing but d_n damps. With the
@@ -157,7 +157,7 @@ def contact_forces(contact: Contact, geometry: ContactGeometry, velocity: Vector
 
 
 def contact_slope(geometry: ContactGeometry, forces: ContactForces, h: float) -> Matrix:
-    """-h d force / d velocity (N s^2/m), where `forces` are.
+    """Derivative -h d force / d velocity (N s^2/m) of the contact law at `forces`.
 
     It keeps the coupling of the limit to the normal force, which makes it unsymmetric: without it the two iterations of
     a step diverge at 2 ms. Its parts are kept as values: worked out twice, they might differ.
@@ -232,39 +232,39 @@ class ContactArm(NamedTuple):
     at: Vector  # m, of the points from the body's origin
 
     def apply_share(self, v: Vector) -> Vector:
-        """The body's share of what belongs to the points."""
+        """Multiply each point's vector by its share: 1 if the body carries the point, -1 if it supports it, else 0."""
         return v if self.share is None else self.share * v
 
     def wrench_rows(self, m: Matrix) -> tuple[Matrix, Matrix]:
-        """Of a matrix that gives forces on the points: those that give force and torque on the body."""
+        """Rows of a matrix that maps to forces on the points, transformed to force and torque on the body."""
         m = m if self.share is None else m.scale(self.share)
         return m, m.transpose.times_cross_matrix(-self.at).transpose
 
     def twist_columns(self, m: Matrix) -> tuple[Matrix, Matrix]:
-        """Of a matrix that takes velocities of the points: those that take the body's velocity and rate of turning."""
+        """Columns of a matrix that acts on velocities of the points, transformed to the body's twist."""
         m = m if self.share is None else m.scale(self.share)
         return m, m.times_cross_matrix(-self.at)
 
 
 class ContactSet(NamedTuple):
-    """Points with the law of contact in common: the feet, or the sites of free bodies."""
+    """Contact points that share a contact law: the feet, or the sites of free bodies."""
 
     geometry: ContactGeometry
     arms: tuple[ContactArm, ...]
     rolling: RollingResistance | None = None
 
     def velocity(self, root: Sequence[SpatialVector]) -> Vector:
-        """Of the points relative to their surfaces, as the root bodies move (m/s)."""
+        """Velocity of the points relative to their surfaces (m/s), for given twists of the root bodies."""
         return reduce(
             add, [arm.apply_share(root[arm.body].linear + root[arm.body].angular.cross(arm.at)) for arm in self.arms]
         )
 
     def relative_spin(self, root: Sequence[SpatialVector]) -> Vector:
-        """Rates at which the bodies that carry the points turn relative to those under them (rad/s)."""
+        """Angular velocity of the bodies with the points relative to the bodies under them (rad/s)."""
         return reduce(add, [arm.apply_share(root[arm.body].angular) for arm in self.arms])
 
     def root_wrenches(self, force: Vector, moment: Vector | None = None) -> list[tuple[int, SpatialVector]]:
-        """Force and torque on root bodies, of forces and moments at the points."""
+        """Force and torque on the root bodies from forces and moments at the points."""
         out = []
         for arm in self.arms:
             own = arm.apply_share(force)
@@ -282,7 +282,7 @@ def body_arms(at: Vector, body: Array, owner: Sequence[int], origins: Sequence[V
 
 
 class ContactStart(NamedTuple):
-    """The feet, or the sites of free bodies, at the start of a step. World axes, but for `contacts`, in base axes."""
+    """Contacts of the feet, or of free bodies' sites, at the start of a step; world axes unless said otherwise."""
 
     contacts: ContactSet
     surface: Surface
@@ -292,7 +292,7 @@ class ContactStart(NamedTuple):
     def next_anchors(
         self, law: Contact, forces: ContactForces, velocity: Vector, rotation: Matrix, frames: Frames, h: float
     ) -> Anchors:
-        """The anchors after the step; forces and velocities in base axes, from which `turned` leads to the world's."""
+        """Contact anchors after the step, from forces and velocities in base axes."""
         world = forces._replace(tangential=rotation @ forces.tangential)
         return update_anchors(law, self.surface, self.point, frames, self.place, world, rotation @ velocity, h)
 

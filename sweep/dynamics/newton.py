@@ -10,7 +10,7 @@ from sweep.dynamics.spatial import Mass, Motion, Rates, SpatialVector
 
 
 class Legs(NamedTuple):
-    """The legs' equations solved for the rates of their joints.
+    """Elimination of the legs' equations: joint rates as a function of the motion of the root bodies.
 
     Columns are the velocities that a leg feels: the base's, its rate of turning, and that of its foot over what it
     stands on by the motion of free bodies (where there are some).
@@ -31,7 +31,7 @@ def newton_direction(
     rolling: Matrix | None,
     right: Motion,
 ) -> Motion:
-    """x of (M + stiffness of contacts, drives and rolling) x = right.
+    """Solve (M + stiffness of contacts, drives and rolling) x = right for the Newton direction x.
 
     `slopes` are -h d force / d velocity of feet and sites, `rolling` is -h d moment / d rate of the sites; `stiff` is
     what drives add to the legs' diagonal.
@@ -79,7 +79,7 @@ def newton_direction(
 def _eliminate_legs(
     mass: Mass, j_leg: tuple[Vector, Vector, Vector], stiff: Rates, arm: ContactArm, slope: Matrix, moving: bool
 ) -> Legs:
-    """`arm` is that of the base to the feet; `moving` where they stand on free bodies."""
+    """Eliminate the legs' joints. `arm` leads from the base to the feet, `moving` to the bodies that they stand on."""
     down = slope.transpose
     pulls = [slope @ j for j in j_leg]  # impulse on a foot per rate of a joint
     pushes = [down @ j for j in j_leg]  # torque of a joint per velocity of the foot
@@ -108,7 +108,7 @@ def _eliminate_legs(
 
 
 def _stand_on(blocks: "BlockMatrix", arm: ContactArm, rest: list[list[Matrix]]) -> None:
-    """A free body feels what legs that stand on it feel of the motion under their feet."""
+    """Add the stiffness that free bodies feel from the legs that stand on them."""
     ground = 2
     for i in range(2):
         for j, column in enumerate(arm.twist_columns(rest[i][ground])):
@@ -119,7 +119,7 @@ def _stand_on(blocks: "BlockMatrix", arm: ContactArm, rest: list[list[Matrix]]) 
 
 
 def _touch(blocks: "BlockMatrix", touching: tuple[ContactArm, ...], slope: Matrix, turning: Matrix | None) -> None:
-    """Free bodies touch the world and each other; `turning` is the resistance to rolling."""
+    """Add the stiffness of contacts of free bodies with the world and each other; `turning` resists rolling."""
     for one in touching:
         for other in touching:
             _couple(blocks, one, other, slope)
@@ -135,17 +135,17 @@ def _couple(blocks: "BlockMatrix", one: ContactArm, other: ContactArm, slope: Ma
 
 
 class BlockMatrix:
-    """A square matrix of 3x3 blocks, those that are missing being zero."""
+    """Symmetric matrix of 3x3 blocks; missing blocks are zero."""
 
     def __init__(self) -> None:
         self.blocks: dict[tuple[int, int], Matrix] = {}
 
     def add(self, i: int, j: int, block: Matrix) -> None:
-        """Add a block to what is there."""
+        """Add a block to the one at its place."""
         self.blocks[i, j] = self.blocks[i, j].plus(block) if (i, j) in self.blocks else block
 
     def solve(self, right: list[Vector]) -> list[Vector]:
-        """Gauss without pivoting: the diagonal prevails."""
+        """Solve by Gaussian elimination without pivoting, which is stable as the diagonal dominates."""
         n, a, right = len(right), dict(self.blocks), list(right)
         inverses: list[Matrix] = []
         for i in range(n):

@@ -36,7 +36,7 @@ class SpatialVector(NamedTuple):
     angular: Vector
 
     def dot(self, other: "SpatialVector") -> Array:
-        """Power, where one is a motion and the other a force."""
+        """Power: scalar product of a motion and a force."""
         return self.linear.dot(other.linear) + self.angular.dot(other.angular)
 
     def rotate(self, rotation: Matrix) -> "SpatialVector":
@@ -85,7 +85,7 @@ class Motion(NamedTuple):
     leg: Rates
 
     def dot(self, other: "Motion") -> Array:
-        """Power (1,), where one is a motion and the other a force."""
+        """Power (1,): scalar product of a motion and a force."""
         bodies = sum(a.dot(b) for a, b in zip(self.root, other.root, strict=True))
         return bodies + total(sum(a * b for a, b in zip(self.leg, other.leg, strict=True)))  # pyright: ignore
 
@@ -98,7 +98,7 @@ class Inertia(NamedTuple):
     inertia: Matrix  # (1,) kg m^2
 
     def momentum(self, v: SpatialVector) -> SpatialVector:
-        """The momentum at these velocities."""
+        """Momentum of the body at the velocity `v`."""
         linear, angular = self.mass * v.linear, self.inertia @ v.angular
         if self.moment is None:
             return SpatialVector(linear, angular)
@@ -113,7 +113,7 @@ class Mass(NamedTuple):
     leg: Matrix  # (l,)
 
     def momentum(self, v: Motion) -> Motion:
-        """The momentum at these velocities."""
+        """Momentum of all bodies at the velocities `v`."""
         base, *free = [inertia.momentum(motion) for inertia, motion in zip(self.root, v.root, strict=True)]
         linear, angular = base
         own = self.leg @ Vector(*v.leg)

@@ -201,7 +201,7 @@ def mechanical_energy(smooth_dynamics: SmoothDynamics, case: Case, state: Compon
 
 
 class _Here(NamedTuple):
-    """One configuration of all, in base axes."""
+    """One configuration of robot and free bodies, in base axes."""
 
     pose: Pose
     turned: Matrix  # (1,) to world axes
@@ -222,14 +222,14 @@ def _here(smooth_dynamics: SmoothDynamics, case: Case, state: ComponentState) ->
 
 
 def _outside(case: Case, limits: DriveLimits, state: ComponentState, here: _Here) -> list[SpatialVector]:
-    """Forces on the root bodies beside weight, contact and drives; world axes. Those left out are zero."""
+    """External wrenches on the root bodies, world axes: the push on the base, then loads on free bodies if any."""
     push = Vector(*(limits.push[k : k + 1] for k in range(3)))
     no_torque = Vector.from_array(jnp.zeros((1, 3), push.x.dtype))
     return [SpatialVector(push, no_torque), *free_bodies.external_wrenches(case, state.pose, state.motion, here.free)]
 
 
 def _start(momentum: Motion, here: _Here, outside: list[SpatialVector], h: float) -> Motion:
-    """M v - h (bias - outside forces)."""
+    """Momentum at the end of the step without contact and drives: M v - h (bias - external forces)."""
     up, to_base = here.turned.z, here.turned.transpose
     biases = [here.robot.bias.root[0]]
     biases += [free_bodies.bias_wrench(m, v, up) for m, v in zip(here.mass.root[1:], here.motion.root[1:], strict=True)]
@@ -241,7 +241,7 @@ def _start(momentum: Motion, here: _Here, outside: list[SpatialVector], h: float
 
 
 def _potential(here: _Here) -> Array:
-    """Potential energy of weight (J)."""
+    """Gravitational potential energy (J)."""
     up, energies = here.turned.z, []
     for place, body in zip(here.pose.root, here.mass.root, strict=True):
         height = body.mass * place.position.z
@@ -259,7 +259,7 @@ def _before(here: _Here, normal: Vector, kinetic: Array) -> StepStart:
 
 
 def _largest(left: Motion, here: _Here) -> Array:
-    """Of a residual's parts: forces in world axes, torques in the body's own."""
+    """Largest component (1,) of a residual; forces in world axes, torques in body axes."""
     parts = [*left.root[0].angular]
     for force, axes in zip(left.root[1:], here.free.axes, strict=True):
         parts += axes.transpose @ force.angular
@@ -270,7 +270,7 @@ def _largest(left: Motion, here: _Here) -> Array:
 
 
 def _integrate(pose: Pose, w: Motion, world: tuple[SpatialVector, ...], here: _Here, h: float) -> tuple[Pose, Motion]:
-    """After h seconds at velocity w, the linear parts in world axes; motions in own axes then."""
+    """Integrate poses over h seconds at velocity w; linear parts in world axes, the returned motion in body axes."""
     base, *others = w.root
     spins = [base.angular, *(b.transpose @ own.angular for own, b in zip(others, here.free.axes, strict=True))]
     places = [
@@ -285,7 +285,7 @@ def _integrate(pose: Pose, w: Motion, world: tuple[SpatialVector, ...], here: _H
 
 
 class _Trial(NamedTuple):
-    """An end velocity, and what is linear in it."""
+    """A trial end velocity, with the quantities that are linear in it."""
 
     motion: Motion
     momentum: Motion  # (M + h c_e on the joints) w
@@ -294,7 +294,7 @@ class _Trial(NamedTuple):
 
 
 class _Acting(NamedTuple):
-    """What acts at an end velocity."""
+    """Forces that act at a trial end velocity."""
 
     forces: tuple[ContactForces, ...]  # on feet and sites
     moments: ResistingMoments | None  # against rolling
@@ -303,7 +303,7 @@ class _Acting(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """The step's equation; everything but the end velocity is fixed."""
+    """The implicit equation of a step; everything but the end velocity is fixed."""
 
     case: Case
     servo: Servo
@@ -316,7 +316,7 @@ class _Problem(NamedTuple):
     h: float
 
     def trial(self, w: Motion) -> _Trial:
-        """What an end velocity makes of momentum and contacts."""
+        """Momentum and contact velocities at an end velocity."""
         done, damping = self.mass.momentum(w), self.h * self.case.drive.back_emf
         done = done._replace(leg=tuple(p + damping * rate for p, rate in zip(done.leg, w.leg, strict=True)))
         feet, *sites = (contacts.velocity(w.root) for contacts in self.contacts)
@@ -325,7 +325,7 @@ class _Problem(NamedTuple):
         return _Trial(w, done, (feet, *sites), self.contacts[1].relative_spin(w.root) if rolls else None)
 
     def acting(self, trial: _Trial) -> _Acting:
-        """Contact (1.2.2), rolling and clamped drives (1.2.1)."""
+        """Forces at a trial velocity: contact (1.2.2), rolling resistance and clamped drives (1.2.1)."""
         laws = zip(self.contacts, trial.velocity, strict=True)
         forces = tuple(contact_forces(self.case.contact, own.geometry, velocity) for own, velocity in laws)
         moments = None
@@ -348,7 +348,7 @@ class _Problem(NamedTuple):
         return split_joints(self.h * self.servo.stiffness + self.servo.damping)
 
     def residual(self, trial: _Trial, acting: _Acting) -> Motion:
-        """Momentum that the step leaves unexplained (N s)."""
+        """Error of the momentum balance (N s)."""
         left = jax.tree.map(sub, self.start, trial.momentum)
         root, feet = list(left.root), acting.forces[0].force
         for k, (contacts, forces) in enumerate(zip(self.contacts, acting.forces, strict=True)):
@@ -373,7 +373,7 @@ class _Problem(NamedTuple):
         return add_scaled(trial, length, way)
 
     def _cost(self, left: Motion) -> Array:
-        """Residual, weighted with the inverse masses."""
+        """Norm of the residual, weighted with the inverse masses."""
         cost = []
         for body, force in zip(self.mass.root, left.root, strict=True):
             own = zip(force.angular, body.inertia, "xyz", strict=True)
@@ -383,7 +383,7 @@ class _Problem(NamedTuple):
         return reduce(add, [*cost, total(reduce(add, (p**2 / m for p, m in zip(left.leg, own, strict=True))))])
 
     def _newton(self, acting: _Acting, right: Motion) -> Motion:
-        """The direction at a velocity, with contact and clamp states as they are there."""
+        """Newton direction, with the contact and clamp states of the present trial."""
         slopes = [
             contact_slope(own.geometry, forces, self.h)
             for own, forces in zip(self.contacts, acting.forces, strict=True)

@@ -118,7 +118,7 @@ def _box(robot: Robot) -> tuple[Number, Number, Number]:
 
 
 def _composite(robot: Robot, links: list[Link], centres: list[Vector]) -> Inertia:
-    """Mass, first moment and inertia of the whole robot about the base's origin."""
+    """Mass, first moment and inertia of the whole robot about the base's origin (composite rigid body)."""
     moment = reduce(add, (link.mass * c for link, c in zip(links, centres, strict=True)))
     entries = [jnp.zeros_like(centres[0].x)] * 6
     for link, c in zip(links, centres, strict=True):
@@ -143,7 +143,7 @@ def _composite(robot: Robot, links: list[Link], centres: list[Vector]) -> Inerti
 
 
 def _leg_block(axes: tuple, origins: list[Vector], columns: list[SpatialVector], armature: Number) -> Matrix:
-    """The legs' 3x3 blocks: momentum about joint i of what joint j >= i moves."""
+    """3x3 mass-matrix block of each leg: momentum about joint i from motion of joint j >= i."""
 
     def entry(i: int, j: int) -> Array:
         return axes[i].dot(columns[j].angular - origins[i].cross(columns[j].linear))

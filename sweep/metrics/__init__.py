@@ -1,4 +1,4 @@
-"""Metrics: what happened in a rollout, and how it is judged."""
+"""Metrics of a rollout, and the causes of failure that follow from them."""
 
 from sweep.metrics import (
     attitude,

@@ -55,7 +55,7 @@ def begin(start: RolloutStart) -> RunningMetrics:
 
 
 def with_start_energy(world: Case, running: RunningMetrics, energy: Array) -> RunningMetrics:
-    """Replace the mechanical energy at the start, from which the growth of energy is measured.
+    """Set the mechanical energy at the start, against which growth of energy is measured.
 
     Args:
         world: The world.

@@ -1,4 +1,4 @@
-"""How far the base turns away from where it should point."""
+"""Attitude errors of the base: tilt and yaw against the reference."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from sweep.metrics.metric import Cause, Metric, MetricTick, Rollout, goal_cause,
 
 
 class Attitude(NamedTuple):
-    """Largest errors so far (deg), and the base's last orientation."""
+    """Largest attitude errors so far (deg), and the base's last orientation."""
 
     tilt: Float[Array, ""]
     heading: Float[Array, ""]
@@ -19,7 +19,7 @@ class Attitude(NamedTuple):
 
 
 def update(state: Attitude, ctx: MetricTick) -> Attitude:
-    """Tilt of the base from its commanded vertical, and the turn about it."""
+    """Update the largest tilt from the commanded vertical, and the largest turn about it."""
     off = multiply(conjugate(ctx.reference.quat), ctx.tick.truth.quat)
     w, _, _, z = off
     heading = jnp.degrees(jnp.abs(2 * jnp.arctan2(z * jnp.sign(w), jnp.abs(w))))
@@ -34,7 +34,7 @@ def tilt_deg(quat: Float[Array, " 4"]) -> Float[Array, ""]:
 
 
 def compute(state: Attitude, rollout: Rollout) -> dict[str, Array]:
-    """Errors so far, and the tilt as it is."""
+    """Largest attitude errors, and the final tilt."""
     return {
         "tilt_max_deg": state.tilt,
         "end_tilt_deg": tilt_deg(state.quat),

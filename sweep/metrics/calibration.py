@@ -1,4 +1,4 @@
-"""What the robot has learned of its sizes before it planned, and how sure it is."""
+"""Estimates of the robot's sizes from calibration, and their uncertainty."""
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -17,7 +17,7 @@ SIZES = {
 
 
 def begin(start: RolloutStart) -> CalibrationResult:
-    """Take the sizes of the calibration, which do not change."""
+    """Store the calibrated sizes, which stay constant during the rollout."""
     assert start.learned.calibration is not None  # since it applies
     return start.learned.calibration
 

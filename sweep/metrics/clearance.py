@@ -1,4 +1,4 @@
-"""True distances: of base and links to the obstacle, of legs to one another and to the base."""
+"""Signed distances: base and links to the obstacle, legs to each other and to the base."""
 
 from collections.abc import Iterator
 
@@ -13,7 +13,7 @@ from sweep.models.solids import distance_to_box
 
 
 def distances(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
-    """Distances (m) in the order of the columns.
+    """Distances (m) of this tick, in the order of the columns.
 
     Links are `link_capsules`. Towards base and thigh they begin with a round end beyond the joint.
     """

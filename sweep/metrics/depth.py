@@ -1,4 +1,4 @@
-"""How deep feet go into what they stand on."""
+"""Penetration depth of the feet in the obstacle."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""What the drives do: torques, how long they are at their limit, their work; angles, rates and power of the joints."""
+"""Load of the drives: torques, time in saturation, work; angles, rates and power of the joints."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from sweep.models.legs import KINDS
 
 
 class Drives(NamedTuple):
-    """By kind of joint the largest torque (N m) and the time at the limit (s); the positive work (J).
+    """For each kind of joint the largest torque (N m) and the time in saturation (s); the positive work (J).
 
     The largest turn of a leg (rad), rate (rad/s) and power (W) of a joint. By kind of joint the torque over its limit
     that legs take in the mean, lately; and the least that it was away from 1.
@@ -28,7 +28,7 @@ class Drives(NamedTuple):
 
 
 def update(state: Drives, ctx: MetricTick) -> Drives:
-    """Peaks over the legs, shares averaged over them. Power is a tick's mean, angles and rates are those at its end."""
+    """Update peaks over the legs, and times averaged over them. Power is a tick's mean, angles are those at its end."""
     tick, world = ctx.tick, ctx.world
     limit = world.execution.torque_scale * world.drive.torque_limit
     use = jnp.mean(tick.torque_peak, axis=0) / jnp.maximum(limit, 1e-9)
@@ -46,7 +46,7 @@ def update(state: Drives, ctx: MetricTick) -> Drives:
 
 
 def compute(state: Drives, rollout: Rollout) -> dict[str, Array]:
-    """Peaks, shares of the time, and what they are over the drives' limits."""
+    """Torque peaks, shares of time in saturation, and positive work."""
     share = state.saturated / jnp.maximum(rollout.time, 1e-9)
     torques = {f"torque_peak_{joint}_nm": state.torque[k] for k, joint in enumerate(KINDS)}
     shares = {f"saturation_share_{joint}": share[k] for k, joint in enumerate(KINDS)}

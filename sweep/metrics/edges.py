@@ -1,4 +1,4 @@
-"""How far standing feet keep from where what they stand on ends."""
+"""Distance of loaded feet from the edges of the faces on which they stand."""
 
 from collections.abc import Iterator
 

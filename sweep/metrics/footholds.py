@@ -1,4 +1,4 @@
-"""Whether the feet end where the plan has them."""
+"""Error of the final footholds against the plan."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -15,17 +15,17 @@ Last = tuple[Float[Array, "6 3"], FreeState]  # feet (m) and free bodies
 
 
 def begin(start: RolloutStart) -> Last:
-    """Feet and free bodies at the start."""
+    """Store the feet and free bodies at the start."""
     return start.feet, start.free
 
 
 def update(state: Last, ctx: MetricTick) -> Last:
-    """Feet and free bodies in this tick."""
+    """Store the feet and free bodies of this tick."""
     return ctx.tick.joints[:, -1], ctx.tick.truth.free
 
 
 def compute(state: Last, rollout: Rollout) -> dict[str, Array]:
-    """Feet at their faces by where they were last."""
+    """Number of feet that ended at their planned face, and the gap of the worst one."""
     feet, free = state
     target = to_world(rollout.plan.foothold[-1], rollout.plan.foot_frame[-1], free)
     here, there = (surface_at(rollout.world.obstacle, p, body_poses(free)) for p in (feet, target))

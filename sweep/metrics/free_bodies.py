@@ -1,4 +1,4 @@
-"""What the obstacle's free bodies do; the first one is that on which the robot rides."""
+"""Motion of the obstacle's free bodies; the first one is the body on which the robot rides."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ TAIL = 12.0  # s of the plan, its last, over which the speed of a body that is l
 
 
 class BodiesMotion(NamedTuple):
-    """Where they were at the start, when the first stage ended, are, and were before (m).
+    """Positions of the free bodies (m): at the start, when the first stage ended, and in the last ticks.
 
     How far they went since both, and turned since the latter (rad); where they were when the plan ended, and since
     when that is (s); the least height.
@@ -34,7 +34,7 @@ class BodiesMotion(NamedTuple):
 
 
 def begin(start: RolloutStart) -> BodiesMotion:
-    """The metric before anything has moved."""
+    """Initial state, before any motion."""
     place = start.free.position
     zero = jnp.zeros((), place.dtype)
     here, far = PlanTail(place, zero), jnp.full((), jnp.inf, place.dtype)
@@ -42,7 +42,7 @@ def begin(start: RolloutStart) -> BodiesMotion:
 
 
 def update(state: BodiesMotion, ctx: MetricTick) -> BodiesMotion:
-    """Their ways from the start."""
+    """Update the displacements from the start."""
     place, quat = ctx.tick.truth.free.position, ctx.tick.truth.free.quat
     way = place - state.start
     settled = jnp.where(ctx.stage == 0, place, state.settled)
@@ -66,7 +66,7 @@ def update(state: BodiesMotion, ctx: MetricTick) -> BodiesMotion:
 
 
 def compute(state: BodiesMotion, rollout: Rollout) -> dict[str, Array]:
-    """Ways so far, and speeds over the last part of the plan."""
+    """Displacements so far, and speeds over the last part of the plan."""
     manoeuvre = rollout.world.manoeuvre
     if isinstance(manoeuvre, Driving):
         aim, velocity = manoeuvre.obstacle_speed(jnp.sum(rollout.plan.duration)), state.tail.mean_velocity(*state.ended)

@@ -86,7 +86,7 @@ def segment_distance(
 def segment_box_distance(
     a: Float[Array, "n 3"], b: Float[Array, "n 3"], half: Float[Array, " 3"]
 ) -> Float[Array, " n"]:
-    """Distance of segments to a box of half-sizes `half` about the origin; negative where one goes in.
+    """Distance of segments to a box of half-sizes `half` about the origin; negative if a segment enters it.
 
     Its square is convex along a segment: the slope is halved in on, coordinate by coordinate, which a compiler makes
     one loop of.
@@ -129,7 +129,7 @@ class Capsules(NamedTuple):
     radius: Float[Array, " n"]  # m
 
     def distance_to(self, solids: Sequence[Solid]) -> Float[Array, "6 n"]:
-        """Signed distance (m) to the nearest of some solids."""
+        """Signed distance (m) of each link to the nearest of the solids."""
         return jax.vmap(partial(distance_to_segments, solids))(self.start, self.end) - self.radius
 
 
@@ -214,6 +214,6 @@ def fold_gap(joints: Float[Array, "6 k 3"], clearance: Array | float) -> Float[A
 
 
 def _along(start: Float[Array, "6 3"], end: Float[Array, "6 3"], way: Array | float) -> Float[Array, "6 3"]:
-    """The point `way` (m) from each start to its end, at most that."""
+    """Points at a distance of `way` (m) from each start towards its end, at most at the end."""
     link = end - start
     return start + jnp.minimum(way / jnp.sqrt(jnp.sum(link**2, axis=-1, keepdims=True) + 1e-12), 1.0) * link

@@ -1,4 +1,4 @@
-"""How much of its patience a stage has left when its swinging feet have landed, and how far off others hang."""
+"""Remaining patience of a stage when its swinging feet have landed, and the height of feet that have not."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from sweep.models.obstacles.surface import surface_at
 
 
 class Landing(NamedTuple):
-    """The stage of the last tick, when it began (s), and what it had left then; the least of the stages before."""
+    """The last tick's stage, its start and remaining patience (s); the least patience of earlier stages."""
 
     stage: Int[Array, ""]
     began: Float[Array, ""]
@@ -21,7 +21,7 @@ class Landing(NamedTuple):
 
 
 def update(state: Landing, ctx: MetricTick) -> Landing:
-    """Where a stage begins, the one before is judged by what it had left, in the tick before; so is the plan's last."""
+    """When a stage begins, judge the one before it by its last tick; the plan's last stage is judged at its end."""
     plan, tick, new = ctx.plan, ctx.tick, ctx.stage != state.stage
     began = jnp.where(new, ctx.time - ctx.period, state.began)
     waited = jnp.maximum(ctx.time - began - plan.duration[ctx.stage], 0.0) / jnp.maximum(plan.patience, ctx.period)

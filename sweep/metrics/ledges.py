@@ -1,4 +1,4 @@
-"""What the crossing with a ball from ledge to ledge is checked for: monograph 3.2.2, 3.2.3."""
+"""Metrics of the crossing on a ball from ledge to ledge: monograph 3.2.2, 3.2.3."""
 
 import math
 from typing import NamedTuple
@@ -15,7 +15,7 @@ THERE = 4e-3  # m, of a ball that has come to the far wall
 
 
 class LedgeCrossing(NamedTuple):
-    """How far the mass centre was past the ball's centre, how near the ball came to the far wall (m), and how fast."""
+    """Distances (m) of the mass centre past the ball's centre, and of the ball from the far wall; docking speed."""
 
     past: Float[Array, ""]
     gap: Float[Array, ""]
@@ -23,7 +23,7 @@ class LedgeCrossing(NamedTuple):
 
 
 def update(state: LedgeCrossing, ctx: MetricTick) -> LedgeCrossing:
-    """The far wall is asked for once."""
+    """Update distances, and the docking speed when the ball first reaches the far wall."""
     ledges, tick = ctx.world.obstacle, ctx.tick
     assert isinstance(ledges, Ledges)
     ball, speed = tick.truth.free.position[0], tick.truth.free.velocity[0, 0]
@@ -39,7 +39,7 @@ def update(state: LedgeCrossing, ctx: MetricTick) -> LedgeCrossing:
 
 
 def compute(state: LedgeCrossing, rollout: Rollout) -> dict[str, Array]:
-    """Past the ball's centre, and the docking."""
+    """Distance of the mass centre past the ball's centre, and docking gap and speed."""
     return {"past_centre_max_m": state.past, "docking_gap_m": state.gap, "docking_speed_mps": state.docking}
 
 

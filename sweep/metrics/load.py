@@ -1,4 +1,4 @@
-"""Forces at the feet: how much friction they take, and how hard they press."""
+"""Contact forces of the feet: used friction, and normal forces."""
 
 from typing import NamedTuple
 
@@ -26,7 +26,7 @@ class Load(NamedTuple):
 
 
 def update(state: Load, ctx: MetricTick) -> Load:
-    """The metric with a tick's mean loads."""
+    """Update peaks and integrals with a tick's mean forces."""
     tick, weight = ctx.tick, GRAVITY * total_mass(ctx.world.robot)
     demand = jnp.where(tick.normal > LOADED, tick.tangential / jnp.maximum(tick.normal, LOADED), 0.0)
     use = jnp.sum(tick.tangential) / jnp.maximum(jnp.sum(tick.normal), LOADED)
@@ -46,7 +46,7 @@ def update(state: Load, ctx: MetricTick) -> Load:
 
 
 def compute(state: Load, rollout: Rollout) -> dict[str, Array]:
-    """Peaks and means of friction, and what it left."""
+    """Peaks and means of the used friction, and the reserve."""
     return {
         "friction_demand_max": state.friction,
         "friction_demand_mean": state.use / jnp.maximum(rollout.time, 1e-9),

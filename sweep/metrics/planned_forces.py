@@ -9,13 +9,13 @@ from sweep.metrics.metric import Cause, Metric, Rollout
 
 
 def compute(state: None, rollout: Rollout) -> dict[str, Array]:
-    """The worst stage of the plan, by what its forces lack."""
+    """Largest unsupported weight over the plan's stages, and its stage."""
     left = imbalance(rollout.plan)
     return {"imbalance_max": jnp.max(left), "infeasible_stage": jnp.argmax(left).astype(jnp.int32)}
 
 
 def imbalance(plan: Plan) -> Float[Array, " s"]:
-    """What planned forces leave of the weight in each stage; nothing where none are planned."""
+    """Weight that the planned forces of each stage leave unsupported; empty without planned forces."""
     forces = plan.layer(Feedforward)
     return jnp.zeros_like(plan.duration) if forces is None else forces.imbalance
 

@@ -21,7 +21,7 @@ from sweep.models.frames import WORLD
 
 
 class Progress(NamedTuple):
-    """Where the base was and is (m), its way (m) in the time (s) in which the plan moves it, its largest error (m).
+    """Base positions at the start and now (m), path length (m) and time (s) of planned motion, largest error (m).
 
     Whether the plan has ended, and how much of the time that it is given it took, with what it still lacks.
     """
@@ -36,13 +36,13 @@ class Progress(NamedTuple):
 
 
 def begin(start: RolloutStart) -> Progress:
-    """The metric before the first step."""
+    """Initial state, before the first tick."""
     zero = jnp.zeros((), start.position.dtype)
     return Progress(start.position, start.position, zero, zero, zero, jnp.asarray(False), zero + 2)
 
 
 def update(state: Progress, ctx: MetricTick) -> Progress:
-    """The way along the planned direction counts."""
+    """Add the displacement along the planned direction."""
     way = ctx.plan.position[ctx.stage] - ctx.stage_start
     length = jnp.linalg.norm(way)
     moving = (length > 1e-6) & ~ctx.finished
@@ -61,7 +61,7 @@ def update(state: Progress, ctx: MetricTick) -> Progress:
 
 
 def compute(state: Progress, rollout: Rollout) -> dict[str, Array]:
-    """How far the way is done, and how fast."""
+    """Share of the path that is covered, and the mean speed."""
     length = path_length(rollout.plan)
     left = jnp.linalg.norm(state.position - rollout.plan.position[-1])
     goes = (length > 1e-6) & (rollout.plan.base_frame[-1] == WORLD)  # on a free body the goal is a motion, not a place

@@ -1,4 +1,4 @@
-"""What a raft does under its robot: how it lies in the water, how fast it leaves and comes, what slips on its deck."""
+"""Motion of a raft under its robot: freeboard, speeds at departure and arrival, slip on its deck."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from sweep.models.obstacles.raft import CORNERS, Raft
 
 
 class Afloat(NamedTuple):
-    """Least freeboard and draught of its corners (m), tilt (rad), motion; where feet hold."""
+    """Least freeboard and draught of the raft's corners (m), tilt (rad), motion, and where feet took hold."""
 
     freeboard: Float[Array, ""]
     draught: Float[Array, ""]
@@ -27,13 +27,13 @@ class Afloat(NamedTuple):
 
 
 def begin(start: RolloutStart) -> Afloat:
-    """Nothing stands on it yet."""
+    """Initial state; no foot is loaded yet."""
     far, zero = jnp.full((), jnp.inf, start.feet.dtype), jnp.zeros((), start.feet.dtype)
     return Afloat(far, far, zero, zero, zero, zero, FootHold.at_start(start), zero)
 
 
 def update(state: Afloat, ctx: MetricTick) -> Afloat:
-    """What slips on the deck are feet that took hold there."""
+    """Update extremes, and the slip of feet that took hold on the deck."""
     raft, tick = ctx.world.obstacle, ctx.tick
     assert isinstance(raft, Raft)
     free = tick.truth.free
@@ -60,7 +60,7 @@ def update(state: Afloat, ctx: MetricTick) -> Afloat:
 
 
 def compute(state: Afloat, rollout: Rollout) -> dict[str, Array]:
-    """Extremes so far, and the motion as the raft left and came."""
+    """Extremes so far, and the raft's speed at departure, speed and heading at arrival."""
     return {
         "freeboard_min_m": state.freeboard,
         "draught_min_m": state.draught,

@@ -1,4 +1,4 @@
-"""Whether feet can be where they are told to be."""
+"""Reach of the legs: shortfall of foot targets, and remaining length to stretch or fold."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""Whether what the robot has learned leaves it a plan."""
+"""Reach of the newest plan, after the robot has learned sizes."""
 
 from collections.abc import Iterator
 

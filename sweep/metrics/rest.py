@@ -1,4 +1,4 @@
-"""Whether the robot is at rest when its plan has ended: it is watched for `REST` seconds more, if it is to rest."""
+"""Rest of the robot after its plan: it is observed for `REST` seconds more, if the manoeuvre ends at rest."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from sweep.metrics.metric import REST, Cause, Metric, MetricTick, RolloutStart
 
 
 class Resting(NamedTuple):
-    """Whether the plan has ended; where hips, knees and feet were then (m), and how far they went since."""
+    """Positions of hips, knees and feet at the end of the plan (m), and their largest displacement since."""
 
     ended: Bool[Array, ""]
     place: Float[Array, "6 k 3"]  # in the axes of the base as it is told to be
@@ -18,14 +18,14 @@ class Resting(NamedTuple):
 
 
 def begin(start: RolloutStart) -> Resting:
-    """The metric of a robot under way."""
+    """Initial state, before the plan has ended."""
     links = 3 if start.world.robot.legs == "two_link" else 4
     zero = jnp.zeros((), start.feet.dtype)
     return Resting(jnp.asarray(False), jnp.zeros((6, links, 3), zero.dtype), zero)
 
 
 def update(state: Resting, ctx: MetricTick) -> Resting:
-    """Seen from where the base is told to be, a robot that rests on something afloat or rolling rests."""
+    """Update displacements relative to the base's reference: a robot at rest on a moving body is at rest."""
     here = (ctx.tick.joints - ctx.target.position) @ matrix(ctx.target.quat)
     place = jnp.where(state.ended, state.place, here)
     drift = jnp.where(ctx.finished, jnp.max(jnp.linalg.norm(here - place, axis=-1)), 0.0)

@@ -1,4 +1,4 @@
-"""At what angle the shins of standing feet rise over what they stand on."""
+"""Angle between the shins of standing feet and the surface under them."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -9,7 +9,7 @@ from sweep.models.obstacles.surface import surface_at
 
 
 def update(state: Float[Array, ""], ctx: MetricTick) -> Float[Array, ""]:
-    """Sine of the least angle, of feet that bear load but in the first half of their swing."""
+    """Update the least sine of the angle, over loaded feet that are not in the first half of their swing."""
     tick = ctx.tick
     normal = surface_at(ctx.world.obstacle, tick.joints[:, -1], tick.bodies).normal
     goes = ctx.plan.swing[ctx.stage] & ~ctx.finished & (ctx.phase <= 0.5)

@@ -1,4 +1,4 @@
-"""How far standing feet slide from where they took hold."""
+"""Slip: distance of loaded feet from where they took hold."""
 
 from typing import NamedTuple
 
@@ -57,12 +57,12 @@ class Slip(NamedTuple):
 
 
 def begin(start: RolloutStart) -> Slip:
-    """No foot has been loaded yet."""
+    """Initial state; no foot is loaded yet."""
     return Slip(FootHold.at_start(start), jnp.zeros((), start.feet.dtype))
 
 
 def update(state: Slip, ctx: MetricTick) -> Slip:
-    """The largest slip a tick on."""
+    """Update the largest slip with this tick."""
     hold, way = state.hold.update(ctx)
     return Slip(hold, jnp.maximum(state.largest, jnp.max(way)))
 

@@ -1,4 +1,4 @@
-"""Whether the simulation itself can be trusted: numbers, contact solver, energy.
+"""Validity of the simulation: finite numbers, residual of the contact solver, energy balance.
 
 Every bound is relative to what it doubts, so that a large robot on a long way is not trusted less than a small one.
 """
@@ -19,7 +19,7 @@ UNSETTLED = 0.1  # of the weight, a residual that counts for the share of ticks
 
 
 class Solver(NamedTuple):
-    """Whether all was finite; residuals (N, s); energy at the start, work, positive work, largest growth (J, -)."""
+    """Whether all numbers were finite; residuals (N, s); energies and works (J), largest growth of energy."""
 
     finite: Bool[Array, ""]
     residual: Float[Array, ""]
@@ -32,13 +32,13 @@ class Solver(NamedTuple):
 
 
 def begin(start: RolloutStart) -> Solver:
-    """The metric before any doubt."""
+    """Initial state, before any violation."""
     zero = jnp.zeros((), start.energy.dtype)
     return Solver(jnp.asarray(True), zero, zero, start.energy, zero, zero, zero, zero)
 
 
 def update(state: Solver, ctx: MetricTick) -> Solver:
-    """Energy may not grow by more than drives and pushes put in."""
+    """Update residuals, and the growth of energy beyond the work of drives and pushes."""
     tick, robot = ctx.tick, ctx.world.robot
     weight = GRAVITY * total_mass(robot)
     work, effort = state.work + tick.work, state.effort + tick.effort

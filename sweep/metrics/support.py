@@ -1,4 +1,4 @@
-"""Whether the mass centre is over the feet that carry."""
+"""Static stability: position of the mass centre over the support polygon."""
 
 import math
 from typing import NamedTuple
@@ -13,14 +13,14 @@ from sweep.metrics.metric import BRIEF, Metric, MetricTick, initial_state
 
 
 class Stability(NamedTuple):
-    """Averaged normal forces of the feet (N), and the least margin so far (m)."""
+    """Filtered normal forces of the feet (N), and the least margin so far (m)."""
 
     load: Float[Array, " 6"]
     margin: Float[Array, ""]
 
 
 def update(state: Stability, ctx: MetricTick) -> Stability:
-    """Seen from above, the distance of the mass centre to the border of the feet that carry."""
+    """Update the distance of the mass centre, seen from above, to the border of the support polygon."""
     tick = ctx.tick
     load = state.load + min(1.0, ctx.period / BRIEF) * (tick.normal - state.load)
     margin = support_margin(tick.joints[:, -1, :2], load > LOADED, tick.centre_of_mass[:2])

@@ -1,4 +1,4 @@
-"""What the robot has learned of the obstacle's sizes by touching it, and how sure it is at the end."""
+"""Estimates of the obstacle's sizes from touch, and their uncertainty at the end."""
 
 import dataclasses
 
@@ -12,7 +12,7 @@ from sweep.models.obstacles.surface import Obstacle
 
 
 def touch_estimate(rollout: RolloutStart | MetricTick) -> TouchState:
-    """Return the estimate of the obstacle's sizes by touch, of a rollout that learns by touch."""
+    """Return the estimated sizes of the obstacle, of a rollout that learns by touch."""
     assert rollout.learned.touch is not None  # since it applies
     return rollout.learned.touch
 

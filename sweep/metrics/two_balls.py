@@ -1,4 +1,4 @@
-"""How one ball came to the other, whether they stayed together, and how the second one ended: monograph 3.5.2."""
+"""Metrics of riding from one ball to another: meeting, contact, and the second ball's final state: monograph 3.5.2."""
 
 from typing import NamedTuple
 
@@ -26,14 +26,14 @@ class Balls(NamedTuple):
 
 
 def begin(start: RolloutStart) -> Balls:
-    """The metric before the balls meet."""
+    """Initial state, before the balls meet."""
     place = start.free.position[1]
     zero = jnp.zeros((), place.dtype)
     return Balls(jnp.zeros((), bool), zero, zero, place, PlanTail(place, zero))
 
 
 def update(state: Balls, ctx: MetricTick) -> Balls:
-    """Meeting is asked for once."""
+    """Update gaps and speeds; the meeting is recorded once."""
     balls, free = ctx.world.obstacle, ctx.tick.truth.free
     assert isinstance(balls, TwoBalls)
     apart = jnp.linalg.norm(free.position[1] - free.position[0]) - 2 * balls.radius
@@ -51,7 +51,7 @@ def update(state: Balls, ctx: MetricTick) -> Balls:
 
 
 def compute(state: Balls, rollout: Rollout) -> dict[str, Array]:
-    """How both met, and how the second one ended."""
+    """Speed at which the balls met, their largest gap during the transfer, and the end of the second ball."""
     return {
         "meeting_speed_mps": state.meeting,
         "balls_apart_max_m": state.apart,

@@ -17,7 +17,7 @@ from sweep.models.robot import Robot
 
 
 class Manoeuvre(Protocol):
-    """A parameter dataclass that says what the robot does, as climbing a pole.
+    """A parameter dataclass that describes what the robot does, such as climbing a pole.
 
     A manoeuvre with feedback of its own, beyond the tracking of its plan, also implements
     `sweep.controllers.tracker.Guided`.

@@ -74,7 +74,7 @@ def enable_collisions(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -
 def _add_capsule(
     body: mujoco.MjsBody, name: str, ends: tuple[np.ndarray, np.ndarray], radius: float, **how: object
 ) -> None:
-    """Nothing where its ends are one, as of a link without length."""
+    """Add a capsule to a body, unless its ends coincide, as for a link without length."""
     if np.allclose(*ends):
         return
     body.add_geom(
@@ -90,12 +90,12 @@ def _add_capsule(
 
 
 def _end(body: mujoco.MjsBody) -> np.ndarray:
-    """The outer end of a link, whose mass centre is in its middle."""
+    """Outer end of a link, whose mass centre is at its middle."""
     return 2 * np.asarray(body.ipos)
 
 
 def _way(body: mujoco.MjsBody, way: float) -> np.ndarray:
-    """From a link's inner end, `way` (m) along it; no farther than its outer end, of which it leaves a little."""
+    """Point on a link `way` (m) from its inner end, a little before its outer end at most."""
     end = _end(body)
     return end * min(way / max(float(np.linalg.norm(end)), 1e-9), 0.99)
 

@@ -1,11 +1,11 @@
-"""What the robot finds out by itself, beside following its plan."""
+"""Estimation by the robot besides following its plan: calibration, touch, replanning."""
 
 from sweep.core.parameters import choice, parameters, quantity
 
 
 @parameters
 class Control:
-    """What the robot finds out by itself, all off by default.
+    """Calibration, learning by touch and replanning; all off by default.
 
     It belongs to what is simulated, as sensors do: it is read from the world's side.
     """

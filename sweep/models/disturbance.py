@@ -1,4 +1,4 @@
-"""What goes wrong in execution: weak drives, a dead joint, a push, a wrong start."""
+"""Faults in execution: weak drives, a dead joint, a push, a wrong start pose."""
 
 from sweep.core.parameters import parameters, quantity
 from sweep.models.legs import N_JOINTS

@@ -1,4 +1,4 @@
-"""Errors of what sensors measure."""
+"""Errors of the sensors."""
 
 from sweep.core.parameters import count, parameters, quantity
 

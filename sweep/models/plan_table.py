@@ -55,7 +55,7 @@ Names = tuple[str, ...]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PlanTable:
-    """A case's numbers of its plan: a file's content, unless it is the manoeuvre's own, and changed numbers.
+    """The numbers of a case's plan: content of its file, unless the manoeuvre has its own, and changed numbers.
 
     The configuration makes it; axes and tuning change it. JAX traces only the changed numbers.
     """
@@ -83,7 +83,7 @@ class PlanTable:
 
     @property
     def changes(self) -> dict[str, Any]:
-        """Changed numbers by path."""
+        """Changed numbers of the plan, by path."""
         return dict(zip(self.paths, self.values, strict=True))
 
 
@@ -179,7 +179,7 @@ def plan_values(case: Any) -> dict[str, float]:
 
 
 def formula_values(case: Any) -> dict[str, float]:
-    """Values of the formulas of a case's plan by path."""
+    """Evaluate the formulas in a case's plan; values by path."""
     text = {
         path
         for path, value in numbers_by_path(plan_content(case), case.obstacle.charts).items()
@@ -189,7 +189,7 @@ def formula_values(case: Any) -> dict[str, float]:
 
 
 def _followed(case: Any, content: Content) -> dict[str, Array]:
-    """Amounts that slopes add to numbers for the sizes of this case, by path."""
+    """Amounts by which slopes change numbers for the sizes of this case, by path."""
     slopes = content.get(SLOPES, {})
     lines, sizes = {path: line for path, line in slopes.items() if path != AT}, slopes.get(AT, {})
     off = [jnp.asarray(parameter_value(case, path) / at - 1.0, float) for path, at in sizes.items()]
@@ -287,7 +287,7 @@ def suggest_path(path: str, paths: Iterable[str], prefix: str = "plan.") -> str:
 
 
 def _written(case: Any) -> Content:
-    """Content of a case's plan table as the file has it."""
+    """Content of a case's plan table as in its file."""
     return json.loads(case.plan.text) if case.plan.text else own_plan_content(case)
 
 
@@ -370,7 +370,7 @@ def _is_word(key: str, value: Any, path: str) -> bool:
 def _below(
     key: str, value: Any, content: Content, charts: Mapping[str, Chart], path: str, names: Names
 ) -> tuple[str, Names]:
-    """Path of a key's value, and names of the numbers if it is a list; `names` are those of a base."""
+    """Path of a key's value, and names of its components if it is a list; `names` are those of a base pose."""
     above = path.rpartition(".")[2]
     if above == "base":
         return path, charts[key].base_names() if key in charts else COMPONENTS["base"]

@@ -49,7 +49,7 @@ def half_size(robot: Robot) -> Float[Array, " 3"]:
 
 
 def half_between_hips(robot: Robot) -> Float[Array, " 3"]:
-    """Half sizes of the box that legs must not enter (m): the base without the margin that thighs pass.
+    """Half sizes (m) of the box that legs must not enter: the base without the margin that thighs sweep.
 
     Hips lie on the sides of the base. Between the hips the sides stand back by a link's radius, so that a thigh which
     turns along a side passes it.

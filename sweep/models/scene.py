@@ -1,4 +1,4 @@
-"""From parameters to a MuJoCo model: built once for its topology, its varying arrays as a pure JAX function.
+"""MuJoCo model of a case: compiled once for its topology; the fields that vary are a pure JAX function.
 
 `compile_model` makes an `MjModel` (for `native`, for drawing, and once for `mjx`); `leaves` gives the arrays of that
 model that depend on parameters, under vmap, so that sizes and masses are swept without compiling anything again.
@@ -92,7 +92,7 @@ def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
 
 
 def too_small(case: Case) -> np.ndarray:
-    """Cases of a batch with a body of so little mass or inertia that MuJoCo compiles no model.
+    """Which cases of a batch have a body with so little mass or inertia that MuJoCo does not compile the model.
 
     Args:
         case: the case, with varied quantities as arrays (n,).
@@ -166,7 +166,7 @@ def _set_inertia(body: mujoco.MjsBody, name: str, values: dict[str, dict[str, np
 
 
 def _without_rounding(inertia: np.ndarray) -> np.ndarray:
-    """Moments of inertia (3,) of which none is larger than the sum of the others, as of a thin plate by rounding."""
+    """Moments of inertia (3,), corrected by rounding so that none exceeds the sum of the others."""
     return np.minimum(inertia, np.roll(inertia, 1) + np.roll(inertia, 2))
 
 
@@ -178,7 +178,7 @@ def _add_leg(
     values: dict[str, dict[str, np.ndarray]],
     geoms: bool,
 ) -> None:
-    """Bodies, hinges, drives and the foot of one leg."""
+    """Add the bodies, hinges, drives and foot of one leg."""
     robot, yaw = case.robot, float(mount_yaw(case.robot)[leg - 1])
     names = link_names(robot)
     hinges = {"coxa": ["alpha"], "thigh": ["beta"], "shin": ["gamma"]}

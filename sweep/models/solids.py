@@ -242,11 +242,11 @@ class Box(_Convex):
     half: Sequence[Any] | Array
 
     def signed_distance(self, points: Array) -> Array:
-        """By its half-sizes, see `_Convex`."""
+        """Signed distance from the half-sizes, see `_Convex`."""
         return distance_from_box(points, _vector(self.half, points.dtype))
 
     def extent(self, axes: Array) -> tuple[Array, Array]:
-        """The same both ways, see `_Convex`."""
+        """Extent, equal in both directions, see `_Convex`."""
         extent = jnp.abs(axes) @ _vector(self.half, axes.dtype)
         return extent, extent
 
@@ -255,11 +255,11 @@ class Box(_Convex):
         return jnp.asarray(SIGNS, axes.dtype) * _vector(self.half, axes.dtype)
 
     def face_normals(self, dtype: Any) -> Array:
-        """Those of its three axes, see `_Convex`."""
+        """The box's three axes, see `_Convex`."""
         return jnp.eye(3, dtype=dtype)
 
     def edge_cross_axes(self, along: Array, at: Array) -> list[Array]:
-        """By its three edges, see `_Convex`."""
+        """Cross products with the box's three axes, see `_Convex`."""
         return [jnp.cross(edge, along) for edge in np.eye(3, dtype=along.dtype)]
 
 
@@ -271,11 +271,11 @@ class Cylinder(_Convex):
     half: Any  # of its height
 
     def signed_distance(self, points: Array) -> Array:
-        """By radius and height, see `_Convex`."""
+        """Signed distance from radius and height, see `_Convex`."""
         return _extruded(_length(points[..., :2]) - self.radius, jnp.abs(points[..., 2]) - self.half)
 
     def extent(self, axes: Array) -> tuple[Array, Array]:
-        """The same both ways, see `_Convex`."""
+        """Extent, equal in both directions, see `_Convex`."""
         extent = self.radius * _length(axes[..., :2]) + self.half * jnp.abs(axes[..., 2])
         return extent, extent
 
@@ -285,15 +285,15 @@ class Cylinder(_Convex):
         return jnp.concatenate([rim, -rim])
 
     def face_normals(self, dtype: Any) -> Array:
-        """That of its ends, see `_Convex`."""
+        """The cylinder's axis, see `_Convex`."""
         return jnp.eye(3, dtype=dtype)[2:]
 
     def curved_normals(self, points: Array) -> list[Array]:
-        """From the axis outwards, see `_Convex`."""
+        """Radial directions towards the points, see `_Convex`."""
         return [points * np.array([1, 1, 0], points.dtype)]
 
     def edge_cross_axes(self, along: Array, at: Array) -> list[Array]:
-        """See `_Convex`. The rim is followed to where its tangent is nearest to the edge."""
+        """Axes at the point of the rim whose tangent is most parallel to the edge, see `_Convex`."""
         side = jnp.where(at[:, 2] < 0, -1.0, 1.0)
         clamped = jnp.clip(at[:, 2], -self.half, self.half)
         distance = _length(at[:, :2])[:, None]
@@ -323,11 +323,11 @@ class Prism(_Convex):
     height: Any
 
     def to_solid_frame(self, points: Array) -> Array:
-        """See `_Convex`: about half the height."""
+        """Transform points to the prism's frame, with the origin at half its height, see `_Convex`."""
         return super().to_solid_frame(points) - _vector((0.0, 0.0, self.height / 2), points.dtype)
 
     def signed_distance(self, points: Array) -> Array:
-        """By the sides of its base and by its height, see `_Convex`."""
+        """Signed distance from the sides of the base and the height, see `_Convex`."""
         corners, along, length = self._sides(points.dtype)
         offset = points[:, None, :2] - corners
         out, on = _dot(offset, _left_of(along)), _dot(offset, along)
@@ -337,21 +337,21 @@ class Prism(_Convex):
         return _extruded(aside, jnp.abs(points[:, 2]) - self.height / 2)
 
     def extent(self, axes: Array) -> tuple[Array, Array]:
-        """Farther one way than the other, see `_Convex`."""
+        """Extent, different in both directions, see `_Convex`."""
         at = axes[..., :2] @ self._sides(axes.dtype)[0].T
         up = self.height / 2 * jnp.abs(axes[..., 2])
         return up + jnp.max(at, axis=-1), up - jnp.min(at, axis=-1)
 
     def support_points(self, axes: Array) -> Array:
-        """Corners of both ends, see `_Convex`."""
+        """Corners of both end faces, see `_Convex`."""
         return jnp.concatenate([_raised(self._sides(axes.dtype)[0], end * self.height / 2) for end in (-1, 1)])
 
     def face_normals(self, dtype: Any) -> Array:
-        """Those of its sides and of its ends, see `_Convex`."""
+        """Normals of the sides and of the end faces, see `_Convex`."""
         return jnp.concatenate([_raised(_left_of(self._sides(dtype)[1]), 0.0), jnp.eye(3, dtype=dtype)[2:]])
 
     def edge_cross_axes(self, along: Array, at: Array) -> list[Array]:
-        """By the edges of its base and its height, see `_Convex`."""
+        """Cross products with the edges of the base and with the prism's axis, see `_Convex`."""
         edges = [*_raised(self._sides(along.dtype)[1], 0.0), jnp.eye(3, dtype=along.dtype)[2]]
         return [jnp.cross(edge, along) for edge in edges]
 
@@ -402,7 +402,7 @@ def minimize_along(
 
 
 def _extruded(aside: Array, above: Array) -> Array:
-    """Signed distance to a prism from that to its cross-section and that to its slab."""
+    """Signed distance to a prism, from the distances to its cross-section and to its slab."""
     most = jnp.maximum(aside, above)
     return jnp.where(most > 0, jnp.sqrt(jnp.maximum(aside, 0.0) ** 2 + jnp.maximum(above, 0.0) ** 2 + TINY), most)
 
@@ -428,12 +428,12 @@ def _vector(numbers: Any, dtype: Any) -> Array:
 
 
 def _raised(plane: Float[Array, "n 2"], height: Any) -> Float[Array, "n 3"]:
-    """Vectors of the x-y plane with a third component."""
+    """Extend vectors of the x-y plane by a third component."""
     return jnp.concatenate([plane, jnp.full_like(plane[:, :1], height)], axis=1)
 
 
 def _left_of(plane: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
-    """Vectors of the x-y plane turned counterclockwise: outward from the sides of a clockwise polygon."""
+    """Turn vectors of the x-y plane by 90 degrees counterclockwise: outward normals of a clockwise polygon."""
     return jnp.stack([-plane[:, 1], plane[:, 0]], axis=1)
 
 

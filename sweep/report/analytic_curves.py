@@ -12,7 +12,7 @@ STYLES = ("--", "-.", ":")
 
 
 def limit_curve(theory: AnalyticLimit, exp: Experiment, rows: pd.DataFrame, along: str) -> pd.DataFrame:
-    """The limit at each value of the column `along`: columns `along` and `limit`, nan where theory has none.
+    """Analytic limit at each value of the column `along`: columns `along` and `limit`, nan where there is none.
 
     A parameter that the theory names has the value of the rows there where they agree on one, else the nominal value.
     """
@@ -29,7 +29,7 @@ def limit_curve(theory: AnalyticLimit, exp: Experiment, rows: pd.DataFrame, alon
 
 
 def draw_limits(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, cells: Cells) -> None:
-    """Draw the analytic limits of either parameter of a map, each with its label."""
+    """Draw the analytic limits of both parameters of a map as labelled curves."""
     for theory, style in zip(exp.study.theory, STYLES, strict=False):
         for across, along in ((x, y), (y, x)):
             if split_side(across)[1] != theory.of or rows[along].dtype.kind not in "fi":
@@ -43,5 +43,5 @@ def draw_limits(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, c
 
 
 def measured_metrics(exp: Experiment, rows: pd.DataFrame) -> list[str]:
-    """Metrics to show beside a map: what was measured of the quantities that analytic limits are for."""
+    """Metrics to map beside the outcomes: the measured quantities that have analytic limits."""
     return list(dict.fromkeys(theory.measured for theory in exp.study.theory if theory.measured in rows))

@@ -12,7 +12,7 @@ NAMED, SIDE_BY_SIDE = 12, 6  # values of an uneven axis that have a label; that 
 
 
 class Cells(NamedTuple):
-    """The values of both parameters, in order; of one that has names the numbers 1, 2, ... in their place."""
+    """Cell values of both parameters in order; parameters with names have the numbers 1, 2, ... instead."""
 
     x: np.ndarray
     y: np.ndarray
@@ -44,7 +44,7 @@ def place_cells(rows: pd.DataFrame, x: str, y: str) -> tuple[pd.DataFrame, Cells
 
 
 def evenly_spaced(values: np.ndarray) -> bool:
-    """Whether cells as wide as the gaps between values would all be wide enough to see."""
+    """Whether values are even enough to draw cells that reach half-way to their neighbours."""
     gaps = np.diff(values)
     return len(gaps) == 0 or float(gaps.max()) < 3 * float(gaps.min())
 
@@ -61,7 +61,7 @@ def cell_edges(values: np.ndarray) -> np.ndarray:
 
 
 def end_axes_at_zero(ax: Axes) -> None:
-    """Let both axes end at zero where no value is negative: a friction of -0.05 makes no sense."""
+    """End both axes at zero if no value is negative: a friction of -0.05 makes no sense."""
     for low, start, set_limit in (
         (ax.dataLim.x0, ax.get_xlim()[0], ax.set_xlim),
         (ax.dataLim.y0, ax.get_ylim()[0], ax.set_ylim),
@@ -83,7 +83,7 @@ def mark_values(ax: Axes, cells: Cells) -> None:
 
 
 def format_number(value: float, size: int = 4) -> str:
-    """A number beside an axis or in LaTeX, with `size` digits: `0.125`, `20,000`, `$2.5·10^{-7}$`."""
+    """Format a number for axes and LaTeX with `size` digits: `0.125`, `20,000`, `$2.5·10^{-7}$`."""
     digits, _, power = f"{value:.{size}g}".partition("e")
     if not power:
         return digits
@@ -91,7 +91,7 @@ def format_number(value: float, size: int = 4) -> str:
 
 
 def axis_places(numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Positions of numbers along an axis with cells of `values`; NaN outside of an uneven axis."""
+    """Positions of numbers along an axis with cells of `values`; NaN for numbers that it has no cell for."""
     if evenly_spaced(values):
         return numbers
     return np.interp(numbers, values, np.arange(len(values)), left=np.nan, right=np.nan)

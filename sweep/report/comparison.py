@@ -51,7 +51,7 @@ def comparison_text(
 
 
 def name_pair_columns(pairs: pd.DataFrame) -> str:
-    """The columns that pairs agree in, where they were chosen automatically; empty where points were paired."""
+    """Name the columns by which rows were paired, if they were chosen automatically; else empty."""
     return f" of equal {', '.join(pairs.attrs['by'])}" if pairs.attrs["by"] else ""
 
 
@@ -64,12 +64,12 @@ def find_parameter(pairs: pd.DataFrame, name: str) -> str:
 
 
 def default_regions(pairs: pd.DataFrame) -> list[str]:
-    """The first two varied parameters that are numbers."""
+    """The first two varied numeric parameters, which divide pairs into regions."""
     return [c for c in compare.varied_axes(pairs) if pairs[c].dtype.kind in "fi" and pairs[c].nunique() > 1][:2]
 
 
 def find_violations(pairs: pd.DataFrame, a: int, tolerance: float, figures: float | None) -> list[str]:
-    """List what differs by more than the user tolerates, a line each.
+    """List the differences beyond the user's tolerance, a line each.
 
     Args:
         pairs: paired rows, see `compare.pair`.

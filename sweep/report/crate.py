@@ -137,7 +137,7 @@ def describe_study(crate: "ROCrate", results: Results, license_: str, author: st
 
 
 def list_stored_files(folder: Path) -> Iterator[str]:
-    """Files of a study's folder that belong to the study, apart from its plan and configuration."""
+    """List files of a study's folder that belong to the study, apart from its plan and configuration."""
     yield manifest.MANIFEST
     if path_in(folder, store.LOG).exists():
         yield store.LOG
@@ -145,7 +145,7 @@ def list_stored_files(folder: Path) -> Iterator[str]:
 
 
 def describe_file(name: str, meaning: str = "") -> dict[str, Any]:
-    """Name, meaning and media type of a file, as a crate says them."""
+    """Name, meaning and media type of a file for a crate."""
     kind = {".parquet": "application/vnd.apache.parquet", ".yaml": "application/yaml"}.get(Path(name).suffix)
     other = "finished rows" if name.endswith(".parquet") else f"picture of the study, {name}"
     form = kind or mimetypes.guess_type(name)[0] or "text/plain"
@@ -154,7 +154,7 @@ def describe_file(name: str, meaning: str = "") -> dict[str, Any]:
 
 @contextlib.contextmanager
 def open_crate(path: Path) -> Iterator[Path]:
-    """Unpack a crate where it is an archive; nothing of it is imported.
+    """Unpack a crate if it is an archive; nothing in it is imported.
 
     Args:
         path: A crate, a folder or a ZIP archive, which may come from a stranger.
@@ -237,6 +237,6 @@ def code_in(crate: Path) -> list[str]:
 
 
 def working_project(crate: Path) -> contextlib.AbstractContextManager[None]:
-    """Work in the project of a crate, whose modules are imported from then on; in the present one where it has none."""
+    """Make the project of a crate the current one, whose modules can be imported; else keep the present one."""
     place = path_in(crate, PROJECT)
     return contextlib.chdir(place) if place.is_dir() else contextlib.nullcontext()

@@ -30,17 +30,17 @@ MARGIN = "margin"  # column: how far a rollout stayed from its nearest limit, ne
 
 
 def has_draws_figure(results: Results) -> bool:
-    """Whether the study draws numbers and lists fewer than two, over which a map could be drawn."""
+    """Whether the study draws numbers, and lists fewer than the two that a map needs."""
     return bool(drawn_columns(results)) and len(results.listed_numeric) < 2
 
 
 def drawn_columns(results: Results) -> list[str]:
-    """Columns of the drawn numbers."""
+    """Columns of the randomly drawn parameters."""
     return [a.column for a in sensitivity.numeric_axes(results.rows, sensitivity.drawn_axes(results.rows, results.exp))]
 
 
 def rank_parameters(results: Results) -> pd.DataFrame:
-    """Regional sensitivity of each parameter, see `sensitivity.regional`; empty where all draws succeed or all fail."""
+    """Rank parameters by regional sensitivity, see `sensitivity.regional`; empty if all outcomes agree."""
     try:
         return sensitivity.regional_sensitivity(results.rows, results.exp)
     except InputError:
@@ -67,7 +67,7 @@ def draws_figure(results: Results) -> Iterator[StudyFigure]:
 
 
 def rows_by_kind(rows: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Successes, then each cause, the most frequent first: rarer ones are drawn on top."""
+    """Yield the successes, then each cause, the most frequent first, so that rarer ones are drawn on top."""
     kind = outcome_kind(rows)
     for one in kinds_by_frequency(kind):
         yield one, rows[(kind == one).to_numpy()]
@@ -132,7 +132,7 @@ def draw_ranking(ax: Axes, ranked: pd.DataFrame, results: Results) -> None:
 
 
 def draw_pair(ax: Axes, results: Results, columns: list[str]) -> None:
-    """Draw the rollouts over the two parameters that matter most; over a single one, in a line for each outcome."""
+    """Scatter the rollouts over the two most important parameters, or a single one by outcome."""
     every = list(rows_by_kind(results.rows))
     for place, (kind, part) in enumerate(every):
         x = part[columns[0]]

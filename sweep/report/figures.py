@@ -72,7 +72,7 @@ def map_figures(results: Results) -> Iterator[StudyFigure]:
 
 
 def count_invalid(rows: pd.DataFrame, where: str) -> str:
-    """Say how many of the rows are invalid; empty where none is."""
+    """Say how many of the rows are invalid; empty if none is."""
     found = rate(rows["outcome"])
     if not found.invalid:
         return ""
@@ -95,7 +95,7 @@ def summarize_audit(results: Results) -> str:
 
 
 def effects_figure(results: Results) -> Iterator[StudyFigure]:
-    """Yield the rate of success along each parameter, unless earlier rows decided where rollouts were placed."""
+    """Yield the success rate along each parameter, unless earlier rows decided where rollouts were placed."""
     if results.exp.study.is_sequential:
         return
     by = [c for c in results.categorical if results.rows[c].nunique() <= LINES][:1]
@@ -175,7 +175,7 @@ def _draw_fits(results: Results, spots: dict[str, Axes]) -> None:
 
 
 def causes_figure(results: Results) -> Iterator[StudyFigure]:
-    """Yield which causes end rollouts in which stage of the plan."""
+    """Yield the figure of causes by the stage of the plan in which they occurred."""
     failed = results.rows[results.rows["outcome"] != "success"]
     if failed.empty:
         return
@@ -225,7 +225,7 @@ def distributions_figure(results: Results) -> Iterator[StudyFigure]:
 
 
 def audit_figure(results: Results) -> Iterator[StudyFigure]:
-    """Yield which of the audited rollouts end differently when they are simulated in other ways."""
+    """Yield the figure of audited rollouts whose outcome changes in other variants of the simulation."""
     x_y, found = results.numeric[:2], dict(audit.iter_audited_variants(results))
     if len(x_y) < 2 or not found:
         return

@@ -26,7 +26,7 @@ def headline(rows: pd.DataFrame, exp: Experiment) -> str:
 
 
 def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:
-    """P(failure) of a study that searches for failures, with its 95 % interval, or why it is not known."""
+    """P(failure) of a study that searches for failures, with its 95 % interval, or why it is unknown."""
     try:
         found = rare.estimate_failure_probability(rows, exp)
     except InputError as error:
@@ -42,6 +42,6 @@ def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:
 
 
 def count_placed(rows: pd.DataFrame) -> str:
-    """How many rollouts a search for failures has placed, and how many of them failed: counts, and no rate."""
+    """Say how many rollouts a search for failures has placed, and how many failed; a count, not a rate."""
     failed, invalid = (int((rows["outcome"] == kind).sum()) for kind in ("failure", "invalid"))
     return f"{len(rows):,} rollouts placed where failures are expected, of which {failed:,} failed, {invalid:,} invalid"

@@ -17,7 +17,7 @@ READ = {end: format_unit(unit) for end, unit in UNITS.items()} | {"deg": "°"}  
 
 
 def outcome_kind(rows: pd.DataFrame) -> pd.Series:
-    """Outcome of each row: `success`, or the name of the cause."""
+    """Kind of each row: `success`, `invalid`, or the name of the cause."""
     return rows["cause"].astype(object).where(rows["outcome"] != SUCCESS, SUCCESS).astype(str)
 
 
@@ -49,14 +49,14 @@ def axis_words(column: str, exp: Experiment | None = None) -> str:
 
 
 def path_words(column: str, parts: int = 1) -> str:
-    """The last `parts` of a path in words: `world.contact.friction` -> `friction (world)`; `.name` does not count."""
+    """Last `parts` of a parameter's path as words: `world.contact.friction` -> `friction (world)`."""
     side, path = split_side(column)
     words = " ".join(path.removesuffix(".name").split(".")[-parts:]).replace("_", " ")
     return words if side == "both" else f"{words} ({side})"
 
 
 def axis_name_words(axis: Axis) -> str:
-    """The name of an axis in words, with what its numbers are where they are no values of its path, and its side."""
+    """Label of an axis: its name, what its numbers mean if they are not values of its path, and its side."""
     words = axis.name.replace("_", " ")
     if axis.path and axis.times:
         words = f"{words} / {path_words(axis.times)}"
@@ -67,7 +67,7 @@ def axis_name_words(axis: Axis) -> str:
 
 
 def unique_words(columns: Iterable[str], exp: Experiment | None = None) -> dict[str, str]:
-    """Labels of the columns of one table, without units: no two are the same.
+    """Distinct labels, without units, for the columns of one table.
 
     Args:
         columns: parameters, figures and labels, as rows have them.
@@ -89,14 +89,14 @@ def unique_words(columns: Iterable[str], exp: Experiment | None = None) -> dict[
 
 
 def unique_headings(columns: Iterable[str], exp: Experiment | None = None) -> dict[str, str]:
-    """Headings of the columns of one table, with units: no two are the same, see `unique_words`."""
+    """Distinct headings, with units, for the columns of one table, see `unique_words`."""
     words = unique_words(columns, exp)
     units = {column: words_and_unit(column, exp)[1] for column in words}
     return {column: f"{text} [{units[column]}]" if units[column] else text for column, text in words.items()}
 
 
 def column_meaning(column: str, exp: Experiment) -> str:
-    """A parameter's column and its unit, for what is shown on hover; empty for other columns."""
+    """Text shown on hover: a parameter's column and unit; empty for other columns."""
     if "." not in column:
         return ""
     unit = column_unit(column, exp)
@@ -116,7 +116,7 @@ def axis_title(column: str, exp: Experiment | None = None) -> str:
 
 
 def column_unit(column: str, exp: Experiment) -> str:
-    """Unit of a column as a reader sees it.
+    """Unit of a column as shown to readers.
 
     Args:
         column: a parameter, whose unit is its own, or a metric, whose unit is at the end of its name.

@@ -113,7 +113,7 @@ def map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
 
 
 def independent_parameters(rows: pd.DataFrame, chosen: tuple[str, ...] = ()) -> list[str]:
-    """List at most two parameters that do not determine each other.
+    """List at most two parameters, neither of which determines the other.
 
     Args:
         rows: rows of the study.
@@ -134,7 +134,7 @@ def independent_parameters(rows: pd.DataFrame, chosen: tuple[str, ...] = ()) -> 
 def split_panels(
     rows: pd.DataFrame, x: str, y: str, also: tuple[str, ...] = (), exp: Experiment | None = None
 ) -> Iterator[tuple[list[str], pd.DataFrame]]:
-    """Divide rows into panels, one for each combination of names and of values of `also`, with titles."""
+    """Divide rows into panels with titles, one for each combination of names and of values of `also`."""
     named = [c for c in rows.columns if "." in c and c not in (x, y) and rows[c].dtype.kind not in "fi"]
     named = [*(c for c in named if rows[c].nunique() > 1), *also]
     if not named:
@@ -145,7 +145,7 @@ def split_panels(
 
 
 def kinds_in(rows: pd.DataFrame, exp: Experiment) -> list[str]:
-    """Success and causes of failure among `rows`, in the order of their definition."""
+    """Kinds that occur in `rows`, success and causes, in the order of their definition."""
     found = set(rows["cause"])
     causes = [cause for cause in exp.system.causes if cause in found and cause not in exp.system.invalid_causes]
     return [SUCCESS] * bool((rows["outcome"] == SUCCESS).any()) + causes
@@ -189,14 +189,14 @@ def draw_glyph_at(ax: Axes, cause: str, x: np.ndarray, y: np.ndarray) -> None:
 
 
 def cause_glyph(cause: str) -> Line2D:
-    """The shape of a cause, in a colour that contrasts with its cell."""
+    """Shape of a cause, in a colour that contrasts with its cell."""
     look = find_look(cause)
     style: dict[str, Any] = {"marker": marker_path(cause), "markersize": GLYPH * np.abs(look.shape).max()}
     return Line2D([], [], linestyle="", color=glyph_ink(look.colour), markeredgewidth=0, **style)
 
 
 def equal_runs(grid: np.ndarray, cells: Cells) -> Iterator[tuple[tuple[tuple[float, float], float, float], Any]]:
-    """Corner, width and height of each run of equal cells in a line, and their value."""
+    """Find runs of equal cells in each line: corner, width, height and value."""
     x, y = cell_edges(cells.x).tolist(), cell_edges(cells.y).tolist()
     for j, line in enumerate(grid):
         starts = np.flatnonzero(np.r_[True, line[1:] != line[:-1]]).tolist()
@@ -274,7 +274,7 @@ def draw_metric(ax: Axes, rows: pd.DataFrame, cells: Cells, name: str) -> None:
 
 
 def draw_legend(figure: Figure, kinds: Sequence[str], shaped: bool, invalid: bool, lines: Sequence[Artist]) -> None:
-    """Explain colours, glyphs, hatching and curves below a map."""
+    """Draw a legend of colours, glyphs, hatching and curves below a map."""
     glyphs = {kind: kind if shaped and kind != SUCCESS else "" for kind in kinds}
     handles: list[Any] = [legend_cell(kind.replace("_", " "), find_look(kind).colour, glyphs[kind]) for kind in kinds]
     if invalid:
@@ -283,6 +283,6 @@ def draw_legend(figure: Figure, kinds: Sequence[str], shaped: bool, invalid: boo
 
 
 def legend_cell(label: str, colour: str, cause: str = "") -> tuple[Line2D, ...]:
-    """A cell of a map in a legend, with the glyph of its cause."""
+    """Legend entry of a map's cell, with the glyph of its cause."""
     square = Line2D([], [], linestyle="", marker="s", markersize=LETTERS, color=colour, label=label)
     return (square, cause_glyph(cause)) if cause else (square,)

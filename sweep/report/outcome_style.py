@@ -1,4 +1,4 @@
-"""How outcomes look: one colour and one shape for each, the same in every study, view, theme and figure.
+"""Style of outcomes: one colour and one shape for each, the same in every study, view, theme and figure.
 
 Success is sky blue, which no failure comes near for any kind of colour blindness. Causes go by what fails: feet are
 red, the body is orange, plans are yellow, drives are grey, goals are brown and wine-coloured. Within a family the shape
@@ -25,7 +25,7 @@ class Look(NamedTuple):
 
 
 def star(points: int, inner: float = 1.0, turn: float = 0.0) -> np.ndarray:
-    """A star (2 N, 2), its inner corners at a share of the radius; where that is 1 a polygon (N, 2); `turn` in °."""
+    """Star (2 N, 2) with inner corners at a share of the radius; at share 1 a polygon (N, 2). `turn` in degrees."""
     count = points if inner == 1 else 2 * points
     angle = np.radians(90 + turn) + 2 * np.pi * np.arange(count) / count
     radius = np.where(np.arange(count) % 2 * (inner != 1), inner, 1.0)
@@ -33,7 +33,7 @@ def star(points: int, inner: float = 1.0, turn: float = 0.0) -> np.ndarray:
 
 
 def cross(half: float, turn: float = 0.0) -> np.ndarray:
-    """Two bars of the half width `half` across each other."""
+    """Cross of two bars of half width `half`."""
     arm = np.array([(half, 1.0), (half, half), (1.0, half)])
     return np.concatenate([arm @ rotation(-90 * k) for k in range(4)]) @ rotation(turn)
 
@@ -67,13 +67,13 @@ def bar(half: float, turn: float = 0.0) -> np.ndarray:
 
 
 def rotation(degrees: float) -> np.ndarray:
-    """The matrix that turns corners, from the right."""
+    """Rotation matrix that multiplies corners (N, 2) from the right."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[c, s], [-s, c]])
 
 
 def family_looks(family: str, **kinds: tuple[str, np.ndarray]) -> dict[str, Look]:
-    """Looks of a family of causes, their shapes of about equal area."""
+    """Styles of a family of causes, with shapes of about equal area."""
     found = {}
     for kind, (colour, shape) in kinds.items():
         x, y = shape.T
@@ -139,7 +139,7 @@ GOOD = LOOKS[SUCCESS].colour
 
 
 def find_look(kind: str) -> Look:
-    """The look of success, of a cause or of a pair's outcome; a cause of a user's own gets one by its name."""
+    """Style of success, of a cause or of a pair's outcome; a user's cause gets one from its name."""
     spare = [one for one in LOOKS.values() if one.family not in ("success", "doubt")]
     known = LOOKS.get(kind) or PAIRS.get(kind)
     return known or (spare[crc32(kind.encode()) % len(spare)] if kind else OTHER)
@@ -163,6 +163,6 @@ def legend_handle(kind: str, label: str, **style: object) -> Line2D:
 
 
 def kinds_by_frequency(kinds: pd.Series) -> list[str]:
-    """Success, then causes, the most frequent first: rarer ones are drawn on top."""
+    """List success, then causes, the most frequent first, so that rarer ones are drawn on top."""
     counts = kinds.value_counts()
     return sorted(map(str, counts.index), key=lambda one: (one != SUCCESS, -int(counts[one])))

@@ -16,7 +16,7 @@ from sweep.study.config import flatten_values
 
 
 def overview_text(folders: list[Path]) -> str:
-    """The table of the studies in `folders`, or in the folders in them. Raises `InputError` where one has none."""
+    """Table of the studies in `folders`, or in the folders below them. Raises `InputError` where one has none."""
     found = [one for folder in folders for one in find_study_folders(folder)]
     return pd.DataFrame([describe_folder(folder) for folder in found]).to_markdown(index=False, disable_numparse=True)
 
@@ -30,7 +30,7 @@ def find_study_folders(folder: Path) -> list[Path]:
 
 
 def describe_folder(folder: Path) -> dict[str, str]:
-    """Study, rollouts done and planned, rate of success or P(failure), invalid ones, code, and when it last changed."""
+    """Summary of a folder: study, rollouts done and planned, success rate or P(failure), code, last change."""
     name = printable_name(folder)
     empty = dict.fromkeys(("study", "rollouts", "succeed", "invalid", "commit", "date"), "")
     try:

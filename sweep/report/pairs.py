@@ -32,7 +32,7 @@ CHANGE = {"cmap": "RdBu", "vmin": -1, "vmax": 1}  # blue as success is where B g
 
 
 def join_pairs(a: Results, b: Results) -> tuple[Results, pd.DataFrame]:
-    """Pair the rows of two studies.
+    """Pair the rows of two studies by their common columns.
 
     Args:
         a: first study.
@@ -120,13 +120,13 @@ def read_pair_replays(a: Results, b: Results) -> Iterator[ShownReplay]:
 
 
 def replay_names(rows: pd.DataFrame, mark: str) -> pd.Series:
-    """Name of each row's replay, of the columns with a mark."""
+    """Name of each row's replay, from the columns with a mark."""
     point = rows[f"point_id{mark}"] if f"point_id{mark}" in rows else rows["point_id"]
     return rows[f"run_id{mark}"].astype(str) + "-" + point.astype(str)
 
 
 def difference_figure(difference: Results, pairs: pd.DataFrame) -> Iterator[StudyFigure]:
-    """Yield maps of where A succeeds, where B does, and of the difference.
+    """Yield maps of the success rates of A and B and of their difference.
 
     Args:
         found: rows of A that have a pair, see `join_pairs`.

@@ -121,7 +121,7 @@ def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
 
 
 def _refuse_others(out: Path, own: Mapping[str, Collection[str]]) -> None:
-    """Raise `InputError` where `out` has a main.tex that is no bundle's, or in its folders files not named as its own.
+    """Raise `InputError` if `out` has a main.tex that no export wrote, or unknown files in its folders.
 
     Of a folder's own files the names are without endings: a study's rows are in another form once they are many.
     """
@@ -135,7 +135,7 @@ def _refuse_others(out: Path, own: Mapping[str, Collection[str]]) -> None:
 
 
 def _rows(results: Results, out: Path) -> Path:
-    """All rows, which the numbers are traced to."""
+    """All rows, from which the numbers can be recomputed."""
     if len(results.rows) > CSV_ROWS:
         path = out / "data" / "rows.parquet"
         write_atomically(path, partial(results.rows.to_parquet, index=False, compression="zstd"))
@@ -233,7 +233,7 @@ def quotable_numbers(results: Results, failure: rare.WeightedEstimate | rare.Sub
 
 
 def caveat(results: Results, found: rare.WeightedEstimate | rare.SubsetEstimate | None) -> str:
-    """The sentence that must stand beside the numbers where earlier rows decided which points were run."""
+    """Sentence that has to accompany the numbers if earlier rows decided which points were run."""
     if results.exp.study.is_refined:
         return "Most rollouts were placed next to the boundary, so this is not the share of the region."
     if not found:
@@ -248,7 +248,7 @@ def _percent(name: str, share: float, what: str, where: str | None) -> Number:
 
 
 def macro_definition(results: Results, one: Number, file: str) -> str:
-    """The definition of a macro, below a comment that says which rows it comes from and how to list them."""
+    """LaTeX definition of a number's macro, after a comment that names its rows and how to list them."""
     chosen = results.rows[mask(results.rows, one.where)]
     if extreme := re.fullmatch(r"(min|max) of (\S+)", one.what):
         values = chosen[extreme[2]]
@@ -262,19 +262,19 @@ def macro_definition(results: Results, one: Number, file: str) -> str:
 
 
 def macro_prefix(results: Results) -> str:
-    """What the study's macros begin with: its name as LaTeX allows it."""
+    """Prefix of the study's macros: its name in letters that LaTeX allows."""
     word = macro_name(results.name) or "Study"
     return word[0].lower() + word[1:]
 
 
 def macro_name(text: str) -> str:
-    """`slip_max_m` -> `SlipMaxM`. Macro names have letters only, so digits are spelt."""
+    """Name of a macro: `slip_max_m` -> `SlipMaxM`. Macro names have letters only, so digits are spelt."""
     words = [w[0].upper() + w[1:] for w in re.split(r"[^0-9A-Za-z]+", text) if w]
     return re.sub(r"\d", lambda digit: DIGITS[int(digit[0])], "".join(words))
 
 
 def escape_latex(text: str) -> str:
-    """`text` so that LaTeX prints it as it is."""
+    """Escape text for LaTeX."""
     words = {"\\": "backslash", "~": "asciitilde", "^": "asciicircum", "<": "less", ">": "greater"}
     special = {c: rf"\text{word}{{}}" for c, word in words.items()} | {c: f"\\{c}" for c in "&%$#_{}"}
     return tables.latex_signs("".join(special.get(c, c) for c in text))
@@ -295,12 +295,12 @@ def letter_codes(letters: Iterable[str]) -> list[str]:
 
 
 def _template() -> jinja2.Template:
-    """LaTeX is full of braces: << value >>, <% statement %>."""
+    """LaTeX template; since LaTeX is full of braces, tags are << value >> and <% statement %>."""
     signs = ("<%", "%>", "<<", ">>", "<#", "#>")
     environment = jinja2.Environment(*signs, trim_blocks=True, undefined=jinja2.StrictUndefined)
     return environment.from_string(_source())
 
 
 def _source() -> str:
-    """The template of main.tex, whose first line every bundle's begins with."""
+    """Text of the template main.tex; its first line marks exports of this program."""
     return (files("sweep.report") / "paper.tex.j2").read_text(encoding="utf-8")

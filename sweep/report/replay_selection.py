@@ -51,7 +51,7 @@ def choose_replays(results: Results, number: int) -> pd.DataFrame:
 
 
 def boundary_rows(results: Results) -> Iterator[tuple[int, str]]:
-    """Rows next to the boundary of success, far from each other, each followed by its nearest neighbour across it."""
+    """Choose rows next to the boundary of success, far from each other, each with its neighbour across it."""
     near = np.flatnonzero(audit.boundary_mask(results))
     place, win = parameter_places(results)[near], (results.rows["outcome"] == "success").to_numpy()[near]
     for k in order_by_distance(place):
@@ -62,7 +62,7 @@ def boundary_rows(results: Results) -> Iterator[tuple[int, str]]:
 
 
 def extreme_rows(results: Results) -> Iterator[tuple[int, str]]:
-    """Rows in which a metric is largest or smallest; metrics with a threshold come first."""
+    """Choose rows with the largest or smallest value of a metric; metrics with a threshold come first."""
     for name in metrics_with_threshold_first(results):
         values = results.rows[name].to_numpy(dtype=float)
         if np.isfinite(values).any():
@@ -73,7 +73,7 @@ def extreme_rows(results: Results) -> Iterator[tuple[int, str]]:
 
 
 def spread_rows(results: Results) -> Iterator[tuple[int, str]]:
-    """All rows, or a sample, each as far as possible from those before it."""
+    """Choose rows, each as far as possible from those before it."""
     every = choose_indices(len(results.rows), MANY)
     yield from ((int(every[k]), "far from the others") for k in order_by_distance(parameter_places(results)[every]))
 
@@ -88,7 +88,7 @@ def parameter_places(results: Results) -> np.ndarray:
 
 
 def order_by_distance(places: np.ndarray) -> Iterator[int]:
-    """Indices of points (N, K), each the farthest from all before it; the first is the one nearest to their mean."""
+    """Order points (N, K) so that each is the farthest from all before it; the first is closest to their mean."""
     if not len(places):
         return
     least = np.full(len(places), np.inf)

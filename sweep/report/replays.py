@@ -1,4 +1,4 @@
-"""Rollouts of a study simulated again for its page, in batches of their own, and kept in the folder's `replays/`."""
+"""Replays of a study for its page: rollouts simulated again in batches of their own, stored in `replays/`."""
 
 import json
 import re
@@ -30,7 +30,7 @@ STATES, MOST_FRAMES = re.compile("[A-Za-z0-9+/]*=*"), 1_000_000  # base64
 def make_replays(
     results: Results, rows: pd.DataFrame, progress: Callable[[int, int], None] = lambda done, of: None
 ) -> int:
-    """Simulate rows again where they have no replay yet, and store their replays.
+    """Simulate rows that have no replay yet, and store their replays.
 
     Args:
         results: study with its folder.
@@ -112,7 +112,7 @@ def write_replay(folder: Path, row: pd.Series, trace: Trace) -> None:
 
 
 def replay_content(row: pd.Series, trace: Trace) -> dict[str, Any]:
-    """What a replay file holds.
+    """Content of a replay file.
 
     Args:
         row: row of the study.

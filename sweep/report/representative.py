@@ -1,4 +1,4 @@
-"""Representative rollouts: for each outcome the one most like the others, and its pictures."""
+"""Representative rollouts: the medoid of each outcome, and its pictures."""
 
 import sys
 from collections.abc import Iterator
@@ -51,7 +51,7 @@ def find_representatives(results: Results) -> Iterator[Representative]:
 
 
 def standardize(values: np.ndarray) -> np.ndarray:
-    """Columns of `values` (N, K) in units of their spread about the median; a missing value counts as typical."""
+    """Scale columns of `values` (N, K) by their spread about the median; missing values become 0, the median."""
     values = np.where(np.isfinite(values), values, np.nan)
     values = values[:, ~np.isnan(values).all(axis=0)]
     if not values.shape[1]:
@@ -62,7 +62,7 @@ def standardize(values: np.ndarray) -> np.ndarray:
 
 
 def medoid(values: np.ndarray) -> int:
-    """Index of the row of `values` (N, K) with the least sum of distances to all rows."""
+    """Index of the row of `values` (N, K) with the smallest sum of distances to all rows."""
     square = np.sum(values**2, axis=1)
     distance = np.sqrt(np.maximum(square[:, None] + square - 2 * values @ values.T, 0))
     return int(np.argmin(distance.sum(axis=1)))

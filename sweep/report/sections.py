@@ -1,4 +1,4 @@
-"""Maps of a study of any number of parameters: sections through its points, with the intervals of noisy ones."""
+"""Maps of a study with any number of parameters: sections through its points, with confidence intervals."""
 
 import math
 from collections.abc import Iterator
@@ -41,7 +41,7 @@ GRID = 400  # more values than this along an axis are no grid that a picture cou
 
 @dataclass(frozen=True)
 class Section:
-    """Rows of a map: a cut through the points, or all of them in bins."""
+    """Rows of a map: a section through the points, or all of them in bins."""
 
     x: str
     y: str
@@ -78,7 +78,7 @@ def list_sections(results: Results) -> Iterator[Section]:
 
 
 def cut_section(results: Results, x: str, y: str, others: list[str]) -> Section:
-    """The cut at the values of `others` nearest to nominal, or at a few values of a single other parameter."""
+    """Section at the nominal values of `others`, or at a few values of a single other parameter."""
     rows = results.rows
     if len(others) == 1:
         values = np.sort(rows[others[0]].unique())
@@ -94,7 +94,7 @@ def cut_section(results: Results, x: str, y: str, others: list[str]) -> Section:
 
 
 def is_filled(section: Section) -> bool:
-    """Whether a cut is a grid with few enough values for a picture, at least half of whose cells have rows."""
+    """Whether a section is a grid of few enough values, and at least half of its cells have rows."""
     by = [section.x, section.y, *([section.beside] if section.beside else [])]
     counts = [section.rows[c].nunique() for c in by]
     cells = len(section.rows[by].drop_duplicates())
@@ -102,7 +102,7 @@ def is_filled(section: Section) -> bool:
 
 
 def bin_rows(results: Results, x: str, y: str, others: list[str]) -> Section:
-    """All rows in bins over two parameters; a parameter with few values keeps them."""
+    """Bin all rows over two parameters; a parameter with few values keeps them."""
     rows = results.rows
     most = int(np.clip(np.sqrt(len(rows) / 20), 4, 40))
     bins = {c: min(most, rows[c].nunique()) for c in (x, y)}
@@ -116,14 +116,14 @@ def nearest_value(values: pd.Series, target: float) -> float:
 
 
 def nominal_value(results: Results, column: str) -> float:
-    """The nominal value of a parameter; the median of a number that parameters are made from."""
+    """Nominal value of a parameter; the median of a number from which parameters are computed."""
     if column.startswith("axis."):
         return float(results.rows[column].median())
     return float(results.exp.system.nominal(column, results.exp.settings))
 
 
 def draw_section(results: Results, chosen: Section) -> Figure:
-    """Draw outcomes of single rollouts, or the rate of success beside the ends of its interval."""
+    """Draw outcomes of single rollouts, or success rates with the ends of their intervals."""
     x, y = chosen.x, chosen.y
     rows, cells = place_cells(chosen.rows, x, y)
     panels = list(split_panels(rows, x, y, (chosen.beside,) if chosen.beside else (), exp=results.exp))
@@ -173,7 +173,7 @@ def draw_section(results: Results, chosen: Section) -> Figure:
 
 
 def cell_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[str]) -> pd.DataFrame:
-    """Rate of success of each cell, with the interval that the design calls for.
+    """Success rate of each cell, with the confidence interval that suits the design.
 
     Args:
         results: The study.

@@ -1,4 +1,4 @@
-"""What the rows of a study say in numbers, as titled tables: rates, volume, margins, tolerance, sensitivity."""
+"""Statistics of a study as titled tables: rates, volume, margins, tolerance, sensitivity."""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -25,7 +25,7 @@ Analysis = Callable[[pd.DataFrame, Experiment, str | None], pd.DataFrame]
 def statistics_sections(
     rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None
 ) -> Iterator[tuple[str, pd.DataFrame | str]]:
-    """Yield title and content of everything that the design of the study can tell."""
+    """Yield title and content of all statistics that the design of the study allows."""
     rows, copies = drop_copies(rows, exp)
     listed, drawn = sensitivity.listed_axes(rows, exp), sensitivity.drawn_axes(rows, exp)
     numbers = sensitivity.numeric_axes(rows, listed)
@@ -96,12 +96,12 @@ def statistics_sections(
 
 
 def _of_axes(table: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
-    """The lines of a table that are of some axes."""
+    """Select the lines of a table that belong to some axes."""
     return table[table["axis"].isin(columns)] if len(table) else table
 
 
 def _shares(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[str, pd.DataFrame]]:
-    """What each drawn number has to do with failing, where there is enough to tell."""
+    """Yield how each drawn number is related to failure, if there are enough rows."""
     with suppress(InputError):
         yield (
             "Share of each parameter in failing (Shapley values of the Hilbert-Schmidt criterion)",
@@ -143,7 +143,7 @@ def render_statistics(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, f
 
 
 def labelled_sections(results: Results) -> Iterator[tuple[str, pd.DataFrame | str]]:
-    """Yield titles and contents of the statistics with labels for parameters; none for a table of points."""
+    """Yield titles and contents of the statistics with labels of parameters; nothing for a table of points."""
     if results.exp.study.points:
         return
     for title, content in list(statistics_sections(results.rows, results.exp))[1:]:  # the first is the headline

@@ -58,7 +58,7 @@ def render_table(rows: pd.DataFrame, form: str, names: list[str] | None = None, 
 
 
 def csv_bytes(rows: pd.DataFrame) -> bytes:
-    """`rows` as CSV with quoted words. Arrow takes a tenth of the time of pandas."""
+    """Format rows as CSV with quoted words. Arrow takes a tenth of the time of pandas."""
     content = io.BytesIO()
     header = io.StringIO()
     writer(header, lineterminator="\n").writerow(rows.columns)
@@ -68,14 +68,14 @@ def csv_bytes(rows: pd.DataFrame) -> bytes:
 
 
 def axis_lines(rows: pd.DataFrame, exp: Experiment) -> list[str]:
-    """A line for each axis whose label in a table does not tell its path: `grip (world): world.contact.friction`."""
+    """Explain each axis whose label does not show its path: `grip (world): world.contact.friction`."""
     words = unique_words(rows.columns, exp)
     return [f"{words[a.column]}: {a.target}" for a in exp.study.axes
             if a.target and a.column in rows and words[a.column] != path_words(a.target)]  # fmt: skip
 
 
 def page_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
-    """Rows as a Markdown table with readable headings and numbers.
+    """Format rows as a Markdown table with readable headings and numbers.
 
     Args:
         rows: a table.
@@ -85,20 +85,20 @@ def page_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
 
 
 def readable_columns(rows: pd.DataFrame) -> list[str]:
-    """Columns for a page: parameters, the replicate where there are several, and labels of the outcome."""
+    """Columns that fit on a page: parameters, the replicate if there are several, and labels of the outcome."""
     several = ["replicate"] if rows["replicate"].nunique() > 1 else []
     return [c for c in rows.columns if "." in c] + several + list(LABELS)
 
 
 def format_rows(rows: pd.DataFrame, exp: Experiment | None = None) -> pd.DataFrame:
-    """Rows with readable headings and numbers; shares and their intervals in per cent."""
+    """Format rows with readable headings and numbers; shares and their intervals in per cent."""
     shares = [c for c in SHARES if c in rows and "share" in rows]
     rows = rows.assign(**{c: [format_percent(v) if pd.notna(v) else "" for v in rows[c]] for c in shares})
     return rows.map(format_value).rename(columns=unique_headings(rows.columns, exp))
 
 
 def format_value(value: object) -> str:
-    """Four digits of a number, with thousands apart; a missing value is empty."""
+    """Format a number with four digits and separated thousands; a missing value is empty."""
     if isinstance(value, int | np.integer) and not isinstance(value, bool):
         return f"{value:,}"
     if isinstance(value, float | np.floating):
@@ -107,7 +107,7 @@ def format_value(value: object) -> str:
 
 
 def latex_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
-    """A booktabs table with escaped headings and words."""
+    """Format rows as a booktabs table with escaped headings and words."""
     style = format_rows(rows, exp).style.hide(axis="index")
     style = style.format(escape="latex").format_index(escape="latex", axis="columns")
     aligned = "".join("r" if rows[c].dtype.kind in "fi" else "l" for c in rows)
@@ -122,7 +122,7 @@ def latex_signs(escaped: str) -> str:
 
 
 def rollout_table(exp: Experiment, row: pd.Series) -> str:
-    """Outcome and metrics of one rollout as Markdown, and the reason for its outcome.
+    """Format outcome and metrics of one rollout as Markdown, with the reason for its outcome.
 
     Args:
         exp: experiment of the rollout.

@@ -66,7 +66,7 @@ def draw_time_series(results: Results, samples: pd.DataFrame, quantiles: pd.Data
 
 
 def _lines(ax: Axes, samples: pd.DataFrame, name: str, colour: str) -> None:
-    """Evenly chosen rollouts, as one picture inside the figure."""
+    """Draw evenly chosen rollouts as one image inside the figure."""
     groups = [part for _, part in samples.groupby(identity_columns(samples.columns), sort=False)]
     lines = [groups[k][["time_s", name]].to_numpy() for k in evenly_spaced_indices(len(groups), LINES)]
     look = mpl.rcParams["lines.linewidth"] / 3

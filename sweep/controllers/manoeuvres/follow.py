@@ -84,7 +84,7 @@ class Follow(PlannedForces):
         return apply_direction(belief, plan)
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return what the words of the plan file mean."""
+        """Return the charts and directions that moves of the plan file refer to."""
         unit, obstacle = leg_unit(belief.robot), belief.obstacle
         supports = {"free": Support(), "rests": RESTS, "stays": STAYS, "together": Support(TOGETHER)}
         bodies = len(obstacle.free_bodies)

@@ -33,7 +33,7 @@ class Beam(StaticObstacle):
     thickness: float = quantity(0.1, "m", above=0)  # of the beam, from its top down
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The ledges end where no robot comes; the beam reaches as far into them as feet's geometry is shrunk."""
+        """The beam and both ledges; the beam overlaps the ledges by the foot radius."""
         half, length, thickness = self.height / 2, self.length / 2, self.thickness / 2
         ledges = (("near_ledge", LEDGE_HALF), ("far_ledge", -self.length - LEDGE_HALF))
         return (
@@ -50,7 +50,7 @@ class Beam(StaticObstacle):
         )
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """A solid's depth is the least over its faces; of four solids the deepest counts.
+        """Surface of the deepest solid; the depth in a solid is the least over its faces.
 
         The beam goes on inside the ledges, so that a foot crosses their edges on its top as if there were none.
         """

@@ -50,7 +50,7 @@ class Corner(StaticObstacle):
     height: float = quantity(2.3, "m", above=0)  # h, of the house above the floor
 
     def walls(self) -> Float[Array, "2 3"]:
-        """Outward normals of the wall on the side of -x and of that on the side of +x."""
+        """Outward normals of both walls: the one towards -x, then the one towards +x."""
         cos, sin = jnp.cos(self.half_angle), jnp.sin(self.half_angle)
         zero = jnp.zeros_like(cos)
         return jnp.stack([jnp.stack([-cos, sin, zero]), jnp.stack([cos, sin, zero])])
@@ -63,7 +63,7 @@ class Corner(StaticObstacle):
         return floor, Prism(name="house", polygon=polygon, height=self.height)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """The house's depth is the least over its faces; of floor and house the deeper counts."""
+        """Surface of floor or house, whichever is deeper; the depth in the house is the least over its faces."""
         walls = self.walls().astype(points.dtype)
         up = jnp.array([0.0, 0.0, 1.0], points.dtype)
         z = points[:, 2]

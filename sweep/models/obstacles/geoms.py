@@ -1,4 +1,4 @@
-"""MuJoCo's geoms of an obstacle's solids: each is drawn in full and meets feet shrunk by the foot radius.
+"""MuJoCo geoms of an obstacle's solids: a full-size one to render, and one shrunk by the foot radius for feet.
 
 MuJoCo is imported as a model is made: what is wrong with a configuration is told before.
 """
@@ -19,7 +19,7 @@ STIFF = {"solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0], "condi
 
 
 def add_solids(spec: "mujoco.MjSpec", solids: Sequence[Solid], friction: float, bodies: Sequence[str] = ()) -> None:
-    """Two geoms a solid, which are described in the axes of the free bodies that they belong to, of those names."""
+    """Add a geom to render and one for contact for each solid, in the axes of the free body that it belongs to."""
     for solid in solids:
         body = spec.worldbody if solid.body < 0 else spec.body(bodies[solid.body])
         drawn = {"group": DRAWN, "mass": 0.0, "contype": 0, "conaffinity": 0}
@@ -29,7 +29,7 @@ def add_solids(spec: "mujoco.MjSpec", solids: Sequence[Solid], friction: float, 
 
 
 def add_solid(spec: "mujoco.MjSpec", solid: Solid, name: str, margin: float = 0.0) -> dict[str, Any]:
-    """Options of a geom in the shape of a solid, in the axes of its description, shrunk by `margin` (m).
+    """Options of a geom in the shape of a solid, shrunk by `margin` (m), in the solid's axes.
 
     A prism's is a mesh called `name`, which is put in the spec.
     """
@@ -68,7 +68,7 @@ def add_solid(spec: "mujoco.MjSpec", solid: Solid, name: str, margin: float = 0.
 def add_rolling_contact(
     world: "mujoco.MjsBody", balls: "Sequence[mujoco.MjsBody]", radius: float, resistance: Sequence[float]
 ) -> None:
-    """How balls lie on the floor z = 0, with its own sliding, spinning, rolling friction.
+    """Add contact pairs of balls with the floor z = 0, with sliding, spinning and rolling friction of their own.
 
     Balls and floor meet in geoms of their own, which have their full size and which feet do not feel. They are stiff:
     MuJoCo softens rolling friction by (slide/roll)^2, and with the impedance of the feet it would be viscous below
@@ -91,7 +91,7 @@ def add_rolling_contact(
 
 
 def add_contact_pair(spec: "mujoco.MjSpec", one: str, other: str, friction: float, damping_ratio: float) -> None:
-    """How geoms of two bodies, or of a body and the world, meet whatever else they feel.
+    """Add a contact pair of two bodies' geoms, or of a body and the world, with its own friction.
 
     With its own friction and damping: the impedance of the feet lets bodies rebound with most of their speed.
     """
@@ -126,7 +126,7 @@ def _place(solid: Box | Cylinder | Prism) -> dict[str, np.ndarray]:
 
 
 def _shrunk(sizes: Any, margin: float) -> np.ndarray:
-    """Half-sizes less a margin, of which a thin solid keeps something."""
+    """Half-sizes less a margin; a thin solid keeps a little."""
     return np.array([max(size - margin, min(size, 1e-4)) for size in _numbers(sizes)])
 
 

@@ -28,12 +28,12 @@ class Kerb(StaticObstacle):
     height: float = quantity(0.1, "m", above=0, at_most=1)  # of the ground beyond the edge, above that before it
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The block ends where no robot comes."""
+        """The lower ground and the raised block, which ends where no robot reaches."""
         floor, half = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0)), self.height / 2
         return floor, Box(name="kerb", position=(HALF, 0.0, half), half=(HALF, HALF, half), colour=SOIL)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Of the block's two faces the nearer one counts, of floor and block the deeper one."""
+        """Surface of floor or block, whichever is deeper; the depth in the block is the least over both faces."""
         x, _, z = points.T
         block = jnp.minimum(x, self.height - z)
         face = jnp.select([-z >= block, x <= self.height - z], [FLOOR, WALL], TOP)

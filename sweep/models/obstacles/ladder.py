@@ -74,7 +74,7 @@ def base_pitch(
 
 
 class Bars(NamedTuple):
-    """Boxes of the ladder: two rails, then the rungs from the lowest up, in the ladder's axes."""
+    """Boxes of a ladder in its own axes: two rails, then the rungs from the lowest up."""
 
     centre: Float[Array, "n 3"]  # m, from the mass centre
     half: Float[Array, "n 3"]  # m
@@ -129,7 +129,7 @@ class Ladder(ObstacleDefaults):
 
     @property
     def extra_height(self) -> Array | float:
-        """Height (m, along the ladder) of the ledge above `TOP` rungs, its nominal place."""
+        """Height (m, along the ladder) of the ledge over its nominal place, `TOP` rungs."""
         return self.ledge_height / jnp.sin(jnp.asarray(self.lean)) - TOP * self.rung_step
 
     def y_at_rung(self, rungs: Array | float) -> Array | float:

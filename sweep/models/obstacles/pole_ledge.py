@@ -66,7 +66,7 @@ class PoleLedge(StaticObstacle):
         )
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """A solid's depth is the least over its faces; of three solids the deepest counts."""
+        """Surface of the deepest of floor, pole and ledge; the depth in a solid is the least over its faces."""
         x, y, z = points.T
         distance = jnp.sqrt(x**2 + y**2 + 1e-12)
         side, top = self.radius - distance, self.height - z

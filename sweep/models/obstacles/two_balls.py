@@ -63,7 +63,7 @@ class TwoBalls(Ball):
         }
 
     def start(self) -> FreeState:
-        """Both at rest or rolling without slip."""
+        """State of both balls, at rest or rolling without slip."""
         first = super().start()
         ahead = 2 * self.radius + self.gap
         place = point(ahead, self.offset, self.radius)[None]

@@ -1,4 +1,4 @@
-"""Checks of an obstacle of a user's own before anything is compiled."""
+"""Checks of a user's own obstacle before anything is compiled."""
 
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -86,7 +86,7 @@ def write_page(results: Results, path: Path, **options: Any) -> Path:
 
 @dataclass(frozen=True)
 class PairsContent:
-    """What the page of two compared studies shows in place of the content of a single study."""
+    """Content of a page that compares two studies, in place of that of a single study."""
 
     name: str
     headline: str
@@ -176,7 +176,7 @@ def render_page(
 
 
 def plate_for_page(figure: StudyFigure) -> Plate:
-    """Draw a figure for the page: as pixels where the script draws it on screen, so that only paper needs it."""
+    """Draw a figure for the page: as an image for print only where the script draws it on screen."""
     live = figure.key.startswith("map-") or figure.key in ("draws", "causes", "distributions")
     with plot_style():
         return Plate(
@@ -189,7 +189,7 @@ def plate_for_page(figure: StudyFigure) -> Plate:
 
 
 def check_expectations(results: Results) -> Iterator[tuple[str, str]]:
-    """Yield what the study expects of its rows, and `met` or what was found instead."""
+    """Yield each expectation of the study, and `met` or the actual result."""
     for one in results.exp.study.expect:
         where = f" where {one.where}" if one.where else ""
         lines = unmet_expectations((one,), results.rows, results.exp)
@@ -217,7 +217,7 @@ def representative_values(representative: Representative, exp: Experiment) -> It
 
 
 def picture_url(representative: Representative) -> str:
-    """The picture of a representative rollout as a data URL; empty where there is none."""
+    """Data URL of a representative rollout's picture; empty if there is none."""
     return data_url(representative.picture.read_bytes()) if representative.picture.exists() else ""
 
 
@@ -246,7 +246,7 @@ def as_html(shown: pd.DataFrame, index: bool, hints: Iterable[str] = ()) -> Mark
 
 
 def run_dates(folder: Path) -> tuple[str, str]:
-    """First and last time stamp of a study's log; empty where it has none."""
+    """First and last time stamp in a study's log; empty without any."""
     stamps = []
     with suppress(OSError):
         for line in path_in(folder, store.LOG).read_text(encoding="utf-8", errors="replace").splitlines():
@@ -257,7 +257,7 @@ def run_dates(folder: Path) -> tuple[str, str]:
 
 
 def png_element(figure: Figure, title: str) -> Markup:
-    """A figure as an image element with few colours."""
+    """Convert a figure to an image element with few colours."""
     content, small = io.BytesIO(), io.BytesIO()
     figure.savefig(content, format="png", dpi=DPI)
     Image.open(content).convert("RGB").quantize(64).save(small, "png", optimize=True)
@@ -273,7 +273,7 @@ _numbers = itertools.count()
 
 
 def svg_element(figure: Figure, title: str) -> Markup:
-    """The figure as an SVG element with text that can be searched, its identifiers unlike those of other figures."""
+    """Convert a figure to an SVG element with searchable text and unique identifiers."""
     content = io.StringIO()
     own = f"f{next(_numbers)}"
     with mpl.rc_context({"svg.hashsalt": own, "svg.fonttype": "none"}):

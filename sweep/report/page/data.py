@@ -1,4 +1,4 @@
-"""The rows of a study as a page holds them: plain values, and all columns as one block of deflated bytes.
+"""Rows of a study as stored in a page: plain values, and all columns as one block of deflated bytes.
 
 `data.js` reads the block: for each row its kind (success, or a cause) and its stage, a byte each, and the first digits
 of its point id; then each column as whole numbers of two bytes, all the low bytes before all the high ones.
@@ -32,7 +32,7 @@ DIGITS = 12  # of a point id: bytes are two of them
 
 
 def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Collect what the page's script needs of the rows.
+    """Collect the data of the rows for the page's script.
 
     Args:
         results: study with its rows.
@@ -90,12 +90,12 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
 
 
 def sample_places(number: int) -> np.ndarray:
-    """Indices of the rows that a page holds: all, or a random sample where there are too many."""
+    """Indices of the rows that a page stores: all, or a random sample of too many."""
     return choose_indices(number, SAMPLE if number > ROWS else number)
 
 
 def as_json(content: Any) -> str:
-    """JSON for a script element, in which no text ends the element or begins a comment."""
+    """Format JSON for a script element; no text in it can end the element or begin a comment."""
     text = json.dumps(plain(content), separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
@@ -106,7 +106,7 @@ def kind_codes(rows: pd.DataFrame, kinds: list[dict[str, Any]]) -> np.ndarray:
 
 
 def page_kinds(results: Results) -> list[dict[str, Any]]:
-    """Success and the causes that occur, with label, colour and shape."""
+    """Kinds of outcomes that occur, with label, colour and shape."""
     counts, system = outcome_kind(results.rows).value_counts(), results.exp.system
     known = [name for name in ("success", *system.causes) if name in counts]
     return [
@@ -124,7 +124,7 @@ def page_kinds(results: Results) -> list[dict[str, Any]]:
 
 
 def encode_column(values: pd.Series, bits: int) -> tuple[dict[str, Any], bytes]:
-    """Describe how a column is stored, and its bytes.
+    """Encode a column: description of its format, and its bytes.
 
     Few values are listed, others are evenly spaced between two ends.
     """
@@ -148,7 +148,7 @@ def encode_column(values: pd.Series, bits: int) -> tuple[dict[str, Any], bytes]:
 
 
 def split_bytes(values: np.ndarray) -> bytes:
-    """Whole numbers from 0 to 65535 as bytes: all low bytes, then all high ones."""
+    """Split numbers from 0 to 65535 into bytes: all low bytes, then all high ones."""
     return values.astype("<u2").view(np.uint8).reshape(-1, 2).T.tobytes()
 
 
@@ -191,7 +191,7 @@ def refined_cells(results: Results) -> dict[str, Any] | None:
 
 
 def cell_effects(results: Results) -> dict[str, float] | None:
-    """Total Sobol indices by column on the cells of a refined map, whose rows were placed at the boundary."""
+    """Total Sobol indices by column, computed on the cells of a refined map."""
     if not results.exp.study.resolution:
         return None
     table = refine.total_effects(results.exp, results.rows)

@@ -1,4 +1,4 @@
-"""Replays as a page stores them: each robot model once, and the states of each rollout as a line of text."""
+"""Replays as stored in a page: each robot model once, and the states of each rollout as a line of text."""
 
 import json
 from collections.abc import Iterable, Iterator
@@ -20,7 +20,7 @@ LATER = {"torque_scale": 0.0, "torque_limit": None, "margin_scale": 0.0, "limits
 
 
 class ShownReplay(NamedTuple):
-    """A replay that the page plays."""
+    """A replay that is embedded in the page."""
 
     place: int  # of its row among those of the results, -1 where it is not one of them
     row: pd.Series
@@ -43,7 +43,7 @@ def read_shown_replays(results: Results) -> Iterator[ShownReplay]:
 
 
 def describe_replays(results: Results, shown: Iterable[ShownReplay], room: int) -> Replays:
-    """Collect what the page's script needs of replays.
+    """Collect the data of replays for the page's script.
 
     Args:
         results: study with its rows.
@@ -75,7 +75,7 @@ def describe_replays(results: Results, shown: Iterable[ShownReplay], room: int) 
 
 
 def thin_to_room(shown: list[ShownReplay], room: int) -> list[ShownReplay]:
-    """Replays with as many frames as there is room for, at least one in `THINNEST`."""
+    """Thin out the frames of replays to fit into `room` characters, at least one in `THINNEST`."""
     thin = shown
     for every in range(1, THINNEST + 1):
         thin = [one._replace(replay=_thin(one, every)) if every > 1 else one for one in shown]

@@ -1,4 +1,4 @@
-"""The page's script and style as one text each, and the policy that lets only them run."""
+"""The page's script and style sheet as one text each, and the policy that allows only these to run."""
 
 import base64
 import hashlib
@@ -13,7 +13,7 @@ EXPORT = re.compile(r"^export (?=(?:async )?(?:function\*?|const|class) )", re.M
 
 @cache
 def bundle_script() -> str:
-    """All modules as one script, each after those that it imports; names are unique across modules."""
+    """Bundle all modules into one script in the order of their imports; names are unique across modules."""
     sources = {
         file.name: file.read_text(encoding="utf-8")
         for file in files(__package__).iterdir()
@@ -47,5 +47,5 @@ def content_security_policy(style: str, script: str) -> str:
 
 
 def hash_source(text: str) -> str:
-    """The hash by which a content security policy allows a text."""
+    """Hash by which a content security policy allows a script or style."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -53,7 +53,7 @@ PUSH, WAIT, REACH, PULL, ASHORE = "push", "wait", "reach", "pull", "ashore"
 
 @parameters
 class RaftCross:
-    """Cross from one bank to the other, and walk on. Ratios are to the body length a_r."""
+    """Cross from one bank to the other on the raft, and walk on. Ratios are to the body length a_r."""
 
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("raft_cross", "raft_cross")
@@ -137,7 +137,7 @@ class RaftCross:
         return compile_plan(start, stages, self.patience, ease=self.ease, free=raft.start(), afloat=True)
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return what the words of the plan file mean, for moves between banks and raft.
+        """Return the charts and directions that moves of the plan file refer to, between banks and raft.
 
         A moored raft stays at its reference: measured anew at every step, it would be let go step by step.
         """
@@ -165,7 +165,7 @@ class RaftCross:
                      (PUSH, WAIT, REACH, PULL, ASHORE), {"onset": REGRIP})  # fmt: skip
 
     def push_stage(self, belief: Case, stage: Stage, push: Crossing) -> Stage:
-        """Return the stage in which raft and robot gain speed at constant force, and turn if pushed beside the middle.
+        """Return the stage that accelerates raft and robot at constant force, with a turn if the push is off-centre.
 
         Heavy or fast rafts are pushed harder, so that the rear feet can stay on the bank meanwhile.
 
@@ -181,7 +181,7 @@ class RaftCross:
         return replace(stage, duration=mass * speed / force, support=(to,))
 
     def push_motion(self, belief: Case) -> Crossing:
-        """Return speed, turn and time of the push by (4.3) and (4.3.1)."""
+        """Return speed, turn and time of the push-off by (4.3) and (4.3.1)."""
         raft, load = belief.obstacle_as(Raft), total_mass(belief.robot)
         a, b, _ = raft.half_size
         mass, al2 = raft.mass + load, raft.drag * raft.width * raft.draught(load)
@@ -189,7 +189,7 @@ class RaftCross:
         return crossing(raft.water_width, raft.length, self.landing, mass, al2, inertia, inertia, self.offset)
 
     def init_memory(self, belief: Case, plan: Plan) -> Float[Array, " 3"]:
-        """Return zeros: the shift (m) of the landing place from the planned one.
+        """Return the initial shift (m) of the landing place from the planned one: zero.
 
         Its y component is the drift of the raft along the bank, its x component the gap at which the raft stopped
         early.
@@ -197,7 +197,7 @@ class RaftCross:
         return jnp.zeros(3)
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Follow the plan, but go ashore where the raft has arrived."""
+        """Follow the plan, but land where the raft has actually arrived."""
         plan, stage, free = ctx.plan, ctx.stage, ctx.obs.free
         gap = jnp.min(far_gaps(belief.obstacle_as(Raft), free))
         short = jnp.where((gap > self.near) & (gap < MARGIN * belief.robot.body_length), gap, 0.0)
@@ -224,7 +224,7 @@ class RaftCross:
         return (free.position[0] + rotate(free.quat[0], place))[1] - self.offset
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """End the wait when the raft is at the bank, or still and close to it; end a pull when it lies along it."""
+        """End the wait once the raft is at the bank, or still and close to it; end a pull once it lies alongside."""
         gaps = far_gaps(belief.obstacle_as(Raft), obs.free) + state.memory[0]
         waits, pulls = is_under_law(plan, state.stage, WAIT), is_under_law(plan, state.stage, PULL)
         still = jnp.abs(obs.free.velocity[0, 0]) < self.slow
@@ -241,7 +241,7 @@ def far_gaps(raft: Raft, free: FreeState) -> Float[Array, " 2"]:
 def chart_beyond_edge(
     edge: Array | float, middle: Array | float, aside: Array | float, up: Array | float, frame: int
 ) -> Chart:
-    """Return a chart of places ahead of an edge.
+    """Return a chart of footholds beyond an edge.
 
     Args:
         edge: x of the edge (m).

@@ -1,4 +1,4 @@
-"""Whether a raft carries its robot (monograph 4.1.1)."""
+"""Check that a raft carries its robot (monograph 4.1.1)."""
 
 import jax.numpy as jnp
 import numpy as np

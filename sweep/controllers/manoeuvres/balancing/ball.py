@@ -85,7 +85,7 @@ def ball_move_context(
     supports: Mapping[str, tuple[Support, ...]],
     laws: tuple[str, ...] = (),
 ) -> MoveContext:
-    """Return what the words of a plan file mean for moves on balls and beside them.
+    """Return the charts, frames and laws that moves on balls and beside them refer to.
 
     Args:
         belief: has the obstacle.
@@ -204,11 +204,11 @@ class BallBalance(OnBall):
         return compile_plan(stance_on_ball(belief, pose), stages, 0.0)
 
     def init_memory(self, belief: Case, plan: Plan) -> BalanceMemory:
-        """Return the state with the base where the plan starts."""
+        """Return the law's initial state, with the base where the plan starts."""
         return BalanceMemory(plan.position[0], jnp.zeros(2), jnp.zeros(2), jnp.zeros(3))
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Move the base by the chosen law."""
+        """Move the base by the balancing law that the plan names."""
         memory: BalanceMemory = state.memory
         if self.law == "manoeuvre":
             memory = jax.tree.map(
@@ -223,7 +223,7 @@ class BallBalance(OnBall):
         return Guidance(Stance(state.feet, position, ctx.plan.quat[ctx.stage]), state.feet, memory)
 
     def _plan_move(self, belief: Case, memory: BalanceMemory, obs: Observation) -> BalanceMemory:
-        """Move of (3.1.1) and pulse after fig. 3.1.2, from the measured state."""
+        """Plan the move of (3.1.1) and the pulse after fig. 3.1.2 from the measured state."""
         robot, stance = belief.robot, measured_stance(belief.robot, obs)
         momentum = angular_momentum(robot, belief.obstacle_as(Ball), obs)
         off = (centre_of_mass(robot, stance) - obs.free.position[0])[:2]
@@ -234,7 +234,7 @@ class BallBalance(OnBall):
     def _lean_tick(
         self, belief: Case, memory: BalanceMemory, state: TrackerState, obs: Observation, period: float
     ) -> BalanceMemory:
-        """State after a tick of the law `tick`: the mass centre of the commanded stance moves towards its target."""
+        """Advance the law `tick` by one tick: the commanded mass centre moves towards its target."""
         robot, free = belief.robot, obs.free
         share = jnp.minimum(1.0, period / jnp.maximum(self.smoothing, period))
         momentum = memory.momentum + share * (angular_momentum(robot, belief.obstacle_as(Ball), obs) - memory.momentum)
@@ -313,11 +313,11 @@ class BallDrive(OnBall):
     patience: float = quantity(0.0, "s", at_least=0)  # longest wait for a touchdown, while the ball rolls on below
 
     def obstacle_speed(self, duration: Array) -> Array:
-        """Return the planned speed (m/s) of the ball after `duration` (s): 0 if it gets to its place."""
+        """Return the planned speed (m/s) of the ball after `duration` (s): 0 if it reaches its place."""
         return jnp.where(self.speed * duration > self.place, 0.0, self.speed)
 
     def lateral_offset(self, way: Float[Array, " 3"]) -> Array:
-        """Return how far (m) the ball is beside its path, see `Driving`."""
+        """Return the ball's lateral distance (m) from its path, see `Driving`."""
         return jnp.abs(self.track(way).left_offset)
 
     def plan(self, belief: Case) -> Plan:
@@ -345,7 +345,7 @@ class BallDrive(OnBall):
         return stages
 
     def track(self, place: Float[Array, " 3"]) -> TrackPoint:
-        """Return where a ball at `place` (m) is relative to its path, which is along x."""
+        """Return the path's point and direction at a ball's position `place` (m); the path is along x."""
         return TrackPoint(jnp.array([1.0, 0.0]), place[0], place[1], jnp.zeros_like(place[0]))
 
     def init_memory(self, belief: Case, plan: Plan) -> DriveMemory:
@@ -354,7 +354,7 @@ class BallDrive(OnBall):
         return DriveMemory(zero, zero, jnp.array([1.0, 0.0]), zero, zero, zero, zero)
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Run one tick of the step that was planned at its start."""
+        """Follow the step that was planned at the start of the stage."""
         plan, stage, phase, free = ctx.plan, ctx.stage, ctx.phase, ctx.obs.free
         planned, landing = self._plan_step(belief, ctx, state)
         memory = jax.tree.map(partial(jnp.where, ctx.is_first_tick), planned, state.memory)
@@ -377,7 +377,7 @@ class BallDrive(OnBall):
     def _plan_step(
         self, belief: Case, ctx: TickContext, state: TrackerState
     ) -> tuple[DriveMemory, Float[Array, "6 3"]]:
-        """Push by (3.1.8), delta r^(3) and turned footholds, from the ball's measured place and speed."""
+        """Plan a step from the ball's measured position and speed: push by (3.1.8), delta r^(3), turned footholds."""
         ball, memory, obs = belief.obstacle_as(Ball), state.memory, ctx.obs
         track = self.track(obs.free.position[0])
         speed = obs.free.velocity[0, :2] @ track.along
@@ -405,12 +405,12 @@ class BallDrive(OnBall):
 
 
 def left_of_way(memory: DriveMemory) -> Float[Array, " 2"]:
-    """Return the unit vector to the left of the ball's path."""
+    """Return the horizontal unit vector to the left of the ball's path."""
     return jnp.stack([-memory.along[1], memory.along[0]])
 
 
 def lean_on_curve(belief: Case, height: Array | float) -> Array | float:
-    """Return the lateral lean (m) of the mass centre that keeps a ball on a curve of 1/m at 1 m/s: (3.1.33).
+    """Return the lateral lean (m) of the mass centre for a curve of 1/m at 1 m/s: (3.1.33).
 
     Args:
         belief: has robot and ball.
@@ -423,7 +423,7 @@ def lean_on_curve(belief: Case, height: Array | float) -> Array | float:
 def compensate_base(
     robot: Robot, balanced: Float[Array, " 3"], feet: Float[Array, "6 3"], wanted: Float[Array, " 2"], lengthwise: bool
 ) -> Float[Array, " 3"]:
-    """Return the position of the level base (m) that puts the mass centre at a place in the plane: (3.1.10).
+    """Return the level base position (m) that puts the mass centre at a given place in the plane: (3.1.10).
 
     Args:
         robot: the robot, as believed.

@@ -60,14 +60,14 @@ class BallAside(OnBall):
         return compile_plan(stance_on_ball(belief, pose), standing_stages(pose, times), 0.0)
 
     def _circle_ratio(self, belief: Case) -> Array:
-        """d_1 (R) at which front and rear feet have their distance from the hips."""
+        """Radius d_1 (R) of the foothold circle at which front and rear feet are as far apart as the hips."""
         robot = belief.robot
         aside = robot.body_width / 2 + self.room_ratio * robot.body_length
         wanted = aside / (belief.obstacle_as(Ball).radius * jnp.sqrt(1 - self.chord_ratio**2))
         return jnp.clip(wanted, self.circle_ratio, 1.0)
 
     def init_memory(self, belief: Case, plan: Plan) -> Float[Array, ""]:
-        """Return 0: the push k_l (v_d - v_b) of the stage to the left (m)."""
+        """Return the initial push k_l (v_d - v_b) of the stage to the left (m): zero."""
         return jnp.zeros(())
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:

@@ -27,7 +27,7 @@ from sweep.models.obstacles.charts import Number
 
 
 class PushSpeed(NamedTuple):
-    """Part `push` of the plan file: the speed of the push, which depends on masses as (3.1.15) does."""
+    """Part `push` of the plan file: speed of the push, which depends on masses as in (3.1.15)."""
 
     speed: Number  # of the ball, over the manoeuvre's `push_speed`
 
@@ -64,7 +64,7 @@ class BallClimb(BesideBall):
         return compile_plan(start, [*up, *calm], self.patience, ease=self.ease)
 
     def climb_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """Return the start stance, and the stages up to standing on top; see `plan`."""
+        """Return the start stance, and the stages from there until the robot stands on top; see `plan`."""
         self.validate(belief)
         require_start_within_reach(belief, lambda: self.start_standing(belief)[0])
         start, standing = self.start_standing(belief)
@@ -76,14 +76,14 @@ class BallClimb(BesideBall):
         return start, stages
 
     def start_standing(self, belief: Case) -> tuple[Stance, Standing]:
-        """Return the start stance, and where the robot stands in it."""
+        """Return the start stance, and its feet and base as a `Standing`."""
         feet, position, standing = initial_stance("start", self.move_context(belief, self.deepening, (0.0, 0.0)))
         return Stance(feet, position, jnp.array(IDENTITY)), standing
 
     def move_context(
         self, belief: Case, deepening: Array | float, press: tuple[Array | float, Array | float]
     ) -> MoveContext:
-        """Return what the words of the plan file mean.
+        """Return the charts and directions that moves of the plan file refer to.
 
         Args:
             belief: believed parameters.
@@ -97,7 +97,7 @@ class BallClimb(BesideBall):
         return ball_move_context(belief, radius, deepening, press, supports, (RIDE,))
 
     def validate(self, belief: Case) -> None:
-        """Check that the front feet reach so high that friction holds them: (3.1.18)-(3.1.22).
+        """Check that the front feet reach footholds where friction holds them: (3.1.18)-(3.1.22).
 
         Raises:
             InputError: the ball is too large, all plain numbers.
@@ -116,7 +116,7 @@ class BallClimb(BesideBall):
 
     @property
     def parts(self) -> Mapping[str, Guided]:
-        """The ride up, and the steps that stop the ball."""
+        """The feedback laws of the ride up and of the steps that stop the ball."""
         return {
             RIDE: Ride(self.gain, self.least_rate, self.most_rate, self.braking, self.centring, self.lean),
             **super().parts,

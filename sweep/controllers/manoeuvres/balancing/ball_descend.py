@@ -43,7 +43,7 @@ class StandCircle(NamedTuple):
 
 
 def ball_speed_at_floor(belief: Case, last: Move, time: Array) -> Array:
-    """Return the speed of the ball (m/s) when the robot has come down: monograph (3.1.13).
+    """Return the speed of the ball (m/s) when the robot has reached the floor: monograph (3.1.13).
 
     Args:
         belief: has robot and ball.
@@ -57,7 +57,7 @@ def ball_speed_at_floor(belief: Case, last: Move, time: Array) -> Array:
 
 
 def angle_from_top(move: Move) -> Array:
-    """Return how far round the ball from its top the base is after a move (rad)."""
+    """Return the angle (rad) of the base from the ball's top after a move."""
     return jnp.radians(jnp.asarray(move.base["tangent"][0], float) - 90)
 
 
@@ -67,7 +67,7 @@ def total_time(moves: Iterable[Move]) -> Array | float:
 
 
 def timed_moves(belief: Case, rate: Array | float) -> dict[str, Move]:
-    """Return the moves of the way down, with shifted footholds and their times.
+    """Return the moves of the descent, with shifted footholds and their durations.
 
     At a constant rate down, the speed of the ball grows with the angle as 1 - cos.
 

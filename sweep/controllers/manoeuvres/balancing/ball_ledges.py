@@ -55,7 +55,7 @@ class WallDocking(DriveUntil):
         return replace(self.drive, place=belief.obstacle_as(Ledges).far_wall_x + self.speed / self.drive.brake)
 
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
-        """Return whether the ball is at the wall, and calm."""
+        """Return whether the ball is at the wall and nearly at rest."""
         remaining = belief.obstacle_as(Ledges).far_wall_x - free.position[0, 0]
         return (remaining < self.near) & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 
@@ -106,23 +106,23 @@ class BallLedges(OnBall, ByParts):
         return compile_plan(stance, [*stages, *get_on, *rolling, *get_off, *last], self.patience, ease=self.ease)
 
     def start_standing(self, belief: Case) -> tuple[Stance, Standing]:
-        """Return the start stance, and where the robot stands in it, as far to the side as the ball."""
+        """Return the start stance, and its feet and base as a `Standing`, as far to the side as the ball."""
         feet, position, standing = initial_stance("start", self.move_context(belief))
         aside = belief.obstacle_as(Ledges).start().position[0] * jnp.array([0.0, 1.0, 0.0])
         return Stance(feet + aside, position, jnp.asarray(LEVEL)), standing
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return what the words of the plan file mean."""
+        """Return the charts and directions that moves of the plan file refer to."""
         press, supports = (self.press, self.squeeze), {"free": (Support(),), "rests": (RESTS,)}
         return ball_move_context(belief, belief.robot.body_length, self.deepening, press, supports, (ON, OFF))
 
     @property
     def roll_drive(self) -> BallDrive:
-        """The drive whose steps roll the ball."""
+        """The drive law that rolls the ball."""
         return self.make_drive(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain,
                            brake=self.brake)  # fmt: skip
 
     @property
     def parts(self) -> Mapping[str, Guided]:
-        """The steps that roll the ball, by their law."""
+        """The feedback law of the steps that roll the ball."""
         return {ROLLS: WallDocking(self.roll_drive, self.docking, self.near, self.calm_speed)}

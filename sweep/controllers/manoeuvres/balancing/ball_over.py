@@ -51,12 +51,12 @@ class BallOver(BesideBall):
 
     @property
     def climb(self) -> BallClimb:
-        """The manoeuvre of the way up."""
+        """The manoeuvre that climbs the ball."""
         return BallClimb(**self._shared_parameters)
 
     @property
     def descent(self) -> BallDescend:
-        """The manoeuvre of the way down."""
+        """The manoeuvre that descends from the ball."""
         return BallDescend(**self._shared_parameters)
 
     @property
@@ -65,12 +65,12 @@ class BallOver(BesideBall):
 
     @property
     def travel_drive(self) -> BallDrive:
-        """The drive that rolls the ball to its place, with the gains of the steps that stop it."""
+        """The drive law that rolls the ball to its place, with the gains of the stopping law."""
         return replace(self.calm_drive, steps=self.drive, speed=self.speed, place=self.place, brake=self.brake)
 
     @property
     def parts(self) -> Mapping[str, Guided]:
-        """The ride up, the steps that stop the ball, and those that roll it."""
+        """The feedback laws of riding up, stopping the ball, and rolling it."""
         return {**self.climb.parts, DRIVE: SettleBall(self.travel_drive, self.calm_speed, self.near)}
 
     def plan(self, belief: Case) -> Plan:

@@ -24,7 +24,7 @@ LEAN_LAG, LEAN_MAX = 0.3, 0.03  # s and m, time constant and largest value of th
 
 
 class RideMemory(NamedTuple):
-    """State of the ride: how far the base has moved."""
+    """State of the ride: displacement of the base since its start."""
 
     elevation: Float[Array, ""]  # rad, of the tangent along which the base lies
     distance: Float[Array, ""]  # m, of the base's axis from the ball's centre
@@ -49,7 +49,7 @@ class Ride(NamedTuple):
     lean: Array | float  # s, lateral lean over the ball's lateral speed
 
     def init_memory(self, belief: Case, plan: Plan) -> RideMemory:
-        """Return the state with the base where the ride starts."""
+        """Return the initial state of the ride."""
         first = _first_stage(plan)
         x, _, z = plan.position[first - 1]
         elevation = 0.5 * np.pi + logarithm(plan.quat[first])[1]
@@ -109,7 +109,7 @@ class Ride(NamedTuple):
 
 
 def _first_stage(plan: Plan) -> int:
-    """Number of the ride's first stage."""
+    """Index of the ride's first stage."""
     return plan.laws.index(RIDE)
 
 

@@ -67,7 +67,7 @@ class BallDocking(DriveUntil):
 
 
 class ClosingMemory(NamedTuple):
-    """State of `Closing`."""
+    """State of the law `Closing` between control ticks."""
 
     gap: Float[Array, ""]  # m, delta at the start of the stage
 
@@ -206,7 +206,7 @@ class BallToBall(OnBall, ByParts):
 
     @property
     def roll_drive(self) -> BallDrive:
-        """The drive whose steps roll the first ball."""
+        """The drive law that rolls the first ball."""
         return self.make_drive(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain)
 
     @property
@@ -216,7 +216,7 @@ class BallToBall(OnBall, ByParts):
 
     @property
     def parts(self) -> Mapping[str, Guided]:
-        """The laws of all parts: rolling, the way over, and those of the second ball."""
+        """The feedback laws of all parts: rolling, the transfer, and those of the second ball."""
         return {
             ROLLS: BallDocking(self.roll_drive, self.docking),
             OVER: Closing(self.closing, self.straight),

@@ -23,7 +23,7 @@ class BallTurn(BallDrive):
     radius: float = quantity(4.0, "m")  # rho, of the path of the ball's centre
 
     def track(self, place: Float[Array, " 3"]) -> TrackPoint:
-        """Return where a ball at `place` (m) is relative to its path, along x and then along the circle."""
+        """Return the path's point and direction at a ball's position `place` (m): along x, then along a circle."""
         before = super().track(place)
         x, y = (place[0] - self.straight) / self.radius, 1 - place[1] / self.radius
         angle, out = jnp.arctan2(x, y), jnp.hypot(x, y)

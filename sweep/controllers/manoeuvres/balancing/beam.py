@@ -46,7 +46,7 @@ class BeamSite(NamedTuple):
     step: Step
 
     def base_at(self, y: Array | float) -> Float[Array, " 3"]:
-        """Return the base's centre (m) at y."""
+        """Return the position of the base (m) at coordinate y along the beam."""
         return point(0.0, y, self.ground + self.clearance)
 
     def feet_at(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
@@ -128,7 +128,7 @@ class BeamWalk:
         return Gains(self.c1, self.c2, self.c3, self.c4, self.c5, self.c6, belief.drive.back_emf)
 
     def flywheel_mode(self, wanted: int) -> int:
-        """Return the mode `wanted` of the flywheel, or `LOCKED` if it is off."""
+        """Return the flywheel's mode: `wanted`, or `LOCKED` if the flywheel is off."""
         return wanted if self.flywheel == "on" else LOCKED
 
     def diagonal_stages(self, site: BeamSite, start: Array | float, way: Array | float) -> list[Stage]:

@@ -1,4 +1,4 @@
-"""What manoeuvres between a free ball and the floor have in common: climbing it and coming down.
+"""Base of manoeuvres between the floor and a free ball: climbing it and coming down.
 
 World axes as in `ball`: the robot faces x. Places in their plan files are relative to the ball's centre, in its Koenig
 frame and in units of its radius R.
@@ -17,7 +17,7 @@ CALM = "calm"  # law of steps that stop the ball
 
 @parameters
 class BesideBall(OnBall, ByParts):
-    """Base class with the feet's grip on the ball and the steps that stop it.
+    """Base class with the foot grip on the ball and the law that stops it.
 
     These steps are tripods of `ball_drive` at v_d = 0, at most `calm` of them.
     """
@@ -37,11 +37,11 @@ class BesideBall(OnBall, ByParts):
 
     @property
     def calm_drive(self) -> BallDrive:
-        """The drive whose steps stop the ball."""
+        """The drive law that stops the ball."""
         return self.make_drive(steps=self.calm, speed=0.0, step_time=self.step_time, speed_gain=self.speed_gain,
                            aside_gain=self.aside_gain, aside_gain_before=self.aside_gain_before)  # fmt: skip
 
     @property
     def parts(self) -> Mapping[str, Guided]:
-        """The steps that stop the ball, by their law."""
+        """The feedback law that stops the ball."""
         return {CALM: SettleBall(self.calm_drive, self.calm_speed, math.inf)}

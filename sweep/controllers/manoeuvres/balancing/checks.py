@@ -108,7 +108,7 @@ def next_support(swing: Bool[Array, "s 6"] | np.ndarray) -> Bool[Array, "s 6"]:
 
 
 def _set_feet_farther(robot: Robot, stances: Stance, steps: StageFeet, limits: CheckLimits) -> Stance:
-    """Check 3: in stages with a swing, move the outermost standing feet farther out if the margin is too small."""
+    """Check 3: where the support margin of a swing is too small, move the outermost standing feet farther out."""
     stands, ahead = ~steps.swing, stances.feet[..., 0]
     lacks = jnp.where(steps.swing.any(axis=1), limits.spare - mass_centre_margins(robot, stances, stands), 0.0)
     lacks = jnp.where(lacks > 0, lacks + OVERSHOOT, 0.0)[..., None]
@@ -133,7 +133,7 @@ def _set_feet_farther(robot: Robot, stances: Stance, steps: StageFeet, limits: C
 
 
 def _move_base_on(robot: Robot, stances: Stance, start: Stance, steps: StageFeet, limits: CheckLimits) -> Stance:
-    """Check 5: a base that moves on standing feet goes on in its direction until the margin suffices."""
+    """Check 5: where the margin is too small, move the base further along its motion."""
     moves = ~steps.swing.any(axis=1)
     front, rear = limits.spare - mass_centre_margins(robot, stances, next_support(steps.swing))
     step = stances.position[:, 0] - jnp.concatenate([start.position[None], stances.position[:-1]])[:, 0]
@@ -144,7 +144,7 @@ def _move_base_on(robot: Robot, stances: Stance, start: Stance, steps: StageFeet
 
 
 def _lower_base(belief: Case, stances: Stance, limits: CheckLimits) -> Stance:
-    """Check 2: lower the base where a leg would be too long, as far as it stays over the balls."""
+    """Check 2: lower the base where a leg would be too long, while it stays above the balls."""
     robot, balls = belief.robot, belief.obstacle_as(TwoBalls)
     level, down = _leg_extents(robot, stances)
     most = limits.straight * (robot.thigh + robot.shin)

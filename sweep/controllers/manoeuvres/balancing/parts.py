@@ -33,7 +33,7 @@ class ByParts(ABC):
         return {name: part.init_memory(belief, plan) for name, part in self.parts.items()}
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Return the guidance of the part whose stage it is, or of the plan."""
+        """Return the guidance of the law of the current part, or of the plan."""
         plan, stage = ctx.plan, ctx.stage
         stance, goal = reference_stance(plan, stage, ctx.phase, state.feet, state.position), plan.foothold[stage]
         memory = dict(state.memory)
@@ -44,7 +44,7 @@ class ByParts(ABC):
         return Guidance(stance, goal, memory)
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """Return whether the part whose stage it is ends it."""
+        """Return whether the law of the current part ends the stage."""
         is_over = jnp.asarray(False)
         for name, part in self.parts.items():
             if isinstance(part, EndsStages):
@@ -75,7 +75,7 @@ class DriveUntil(ABC):
 
     @abstractmethod
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
-        """Return whether the ball needs no further step."""
+        """Return whether the ball has arrived and needs no further step."""
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
         """End a step at its start if the ball needs none."""
@@ -85,13 +85,13 @@ class DriveUntil(ABC):
 
 @dataclass(frozen=True)
 class SettleBall(DriveUntil):
-    """Law that drives a ball until it is calm at its place."""
+    """Law that drives a ball until it is nearly at rest at its place."""
 
     calm: Array | float  # m/s, largest speed of a calm ball
     within: Array | float  # m, of the drive's place
 
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
-        """Return whether the ball is near its place along x, and calm."""
+        """Return whether the ball is near its place along x, and nearly at rest."""
         near = jnp.abs(free.position[0, 0] - self.drive.place) < self.within
         return near & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 

@@ -58,7 +58,7 @@ class OnCorner(PlannedForces):
     own_plan = "corner"
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return what the words of the plan file mean.
+        """Return the charts and directions that moves of the plan file refer to.
 
         The chart `edges` is for a base that pitches up before the corner.
         """
@@ -69,7 +69,7 @@ class OnCorner(PlannedForces):
         )
 
     def climb_stages(self, belief: Case) -> tuple[Stance, list[Stage], Standing]:
-        """Return the start stance, the stages to the end of the gallop, and where the robot stands then."""
+        """Return the start stance, the stages to the end of the gallop, and the `Standing` after them."""
         context = self.move_context(belief)
         places, position, standing = initial_stance("arrive", context)
         climb, standing = part_stages("climb", context, standing, "")

@@ -69,7 +69,7 @@ class CornerRoof(OnCorner):
         return start, [*stages, *roof]
 
     def validate(self, belief: Case, rise: float, most: float) -> None:
-        """Check that the gallop can rise by `rise`.
+        """Check that the gallop can raise the base by `rise` (m).
 
         Args:
             belief: believed parameters.
@@ -106,7 +106,7 @@ class CornerFull(CornerRoof):
         return start, [*stages, *self.roof_stages(belief)]
 
     def roof_stages(self, belief: Case) -> list[Stage]:
-        """Return the swings by tripod, from where the base is over the edge.
+        """Return the swings by tripod that follow once the base is over the edge.
 
         Tracks narrow with the roof. In the first two swings the feet go beside their hips and the base rests: farther
         ahead, middle feet would meet the front legs.

@@ -71,7 +71,7 @@ class OnPole(PlannedForces):
         return Step.from_ratios(leg_unit(belief.robot), self.half_step_ratio, self.lift_ratio, self.rate)
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return what the words of the plan file mean.
+        """Return the charts and directions that moves of the plan file refer to.
 
         The chart `edges` is for a base that pitches up before the pole, `hang` for one that is upright beside it.
         """
@@ -81,7 +81,7 @@ class OnPole(PlannedForces):
         return MoveContext(belief, unit, step.time, step.height, {"side": self.deepening}, charts, laws=(PRESS,))
 
     def climb_stages(self, belief: Case, gap: Array | float = 0.0) -> tuple[Stance, list[Stage], Standing]:
-        """Return the start stance, the stages to the end of the gallop, and where the robot stands then.
+        """Return the start stance, the stages to the end of the gallop, and the `Standing` after them.
 
         Args:
             belief: believed parameters.

@@ -44,7 +44,7 @@ class PoleRound(OnPole):
     down_cycles: int = count(1, at_least=0, at_most=100)  # cycles of the gallop backwards, 3 x* each
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: climb, go round, and the climb from the ledge backwards."""
+        """Return the plan: climb, go round the pole, and descend by the reversed climb from the ledge."""
         step, ledge, away = (
             self.regular_step(belief),
             belief.obstacle_as(PoleLedge).ledge_height,

@@ -25,7 +25,7 @@ class PoleTop(PoleClimb):
     own_plan = "pole_top"
 
     def top_stages(self, belief: Case) -> tuple[Stance, list[Stage], Standing]:
-        """Return the start stance, the stages on to the top, and where the robot stands then.
+        """Return the start stance, the stages on to the top, and the `Standing` after them.
 
         The gallop ends with the front edge of the base x* below the top.
         """

@@ -51,7 +51,7 @@ def approach_stages(
     steps: int,
     gap: Array | float = 0.0,
 ) -> tuple[Stance, list[Stage]]:
-    """Return the start stance and the stages of walking up by tripod, with a last swing of each tripod to given places.
+    """Return the start stance and the stages of an approach by tripod, with last swings to given places.
 
     The base walks to a point `gap` (m) before its arrival, and covers the rest while the feet go to their places.
 
@@ -86,7 +86,7 @@ def departure_stages(
     steps: int,
     facing: Facing = ALONG_Y,
 ) -> tuple[list[Stage], list[Stage]]:
-    """Return the stages that bring the feet to where a tripod gait may start, and those of walking away.
+    """Return the stages that bring the feet into a tripod gait, and those of walking away.
 
     Args:
         belief: has the robot.

@@ -88,7 +88,7 @@ class Waypoints:
         return lay_on_ground(compile_plan(start, stages, self.patience), belief)
 
     def home_position(self, robot: Robot) -> tuple[Array, Array]:
-        """Return how far (m) a foot at home is outward from its hip and below it (H), phi = 0: thesis (11)."""
+        """Return a foot's home position (m): outward from its hip, and below it (H), phi = 0: thesis (11)."""
         foot = thesis_fk(0.0, self.psi, self.gamma, robot.coxa, robot.thigh, robot.shin).foot
         return foot[0], -foot[2]
 
