@@ -18,8 +18,8 @@ from PIL import Image
 from sweep.engines.base import Trace
 from sweep.runs.batches import Batch, make_engine
 from sweep.study.config import compose
-from sweep.trace.frames import captioned, render
-from sweep.trace.sampling import at_times
+from sweep.trace.rendering import add_caption, render
+from sweep.trace.sampling import frames_at_times
 
 RESEARCH = Path(__file__).parent
 PATH = RESEARCH / "figures" / "climb.gif"
@@ -92,12 +92,12 @@ def frames_of_climb(friction: float, outcome: str) -> list[Image.Image]:
     if outcome != "success":
         known = float(trace.metrics["slipped_time_s"])
         end = min(known + AFTER_CAUSE, end)
-    chosen = at_times(trace, np.append(np.arange(0, end, STEP), end))
+    chosen = frames_at_times(trace, np.append(np.arange(0, end, STEP), end))
     pictures = []
     for k, picture in zip(chosen, render(trace, chosen), strict=True):
         over = trace.time[k] >= known
         text = f"friction {friction:.1f}   {trace.time[k]:.1f} s   {outcome if over else ''}"
-        replay = captioned(np.asarray(Image.fromarray(picture).crop(REPLAY_BOX)), text)
+        replay = add_caption(np.asarray(Image.fromarray(picture).crop(REPLAY_BOX)), text)
         both = Image.new("RGB", (REPLAY_WIDTH + MAP_WIDTH, HEIGHT), "white")
         both.paste(Image.fromarray(replay).resize((REPLAY_WIDTH, HEIGHT), Image.Resampling.LANCZOS), (0, 0))
         both.paste(draw_map(friction, "X" if over and outcome != "success" else "o"), (REPLAY_WIDTH, 0))

@@ -12,7 +12,7 @@ import numpy as np
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.runs.batches import Batch, make_engine
 from sweep.study.config import compose
-from sweep.trace.frames import write_strip
+from sweep.trace.rendering import write_strip
 from sweep.trace.sampling import finite_frames
 
 FIGURES = Path(__file__).parent / "figures"

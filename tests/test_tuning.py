@@ -17,8 +17,8 @@ from sweep.models.plan_table import evaluate_plan, numbers_by_path
 from sweep.runs import tuning
 from sweep.runs.tuning import fit_size_slopes, free_numbers, search_by_cma, search_by_gradients
 from sweep.study.config import compose
-from sweep.tune.score import MOVED, UNKNOWN, Aim, Score, groups, lows, stacked
-from sweep.tune.score import changed as moved
+from sweep.tune.score import MOVED, UNKNOWN, Aim, Score, independent_groups, local_minima, with_draw_axis
+from sweep.tune.score import with_value as moved
 
 STUDIES = Path(__file__).parents[1] / "research" / "studies"
 AT, STEPS = np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.1, 0.02])
@@ -182,24 +182,26 @@ def test_gradients_move_numbers_of_the_manoeuvre_too_and_the_file_says_so(tmp_pa
 @pytest.mark.slow
 def test_gradients_of_what_forces_lack_are_those_of_small_changes():
     exp, stages = compose(["scenario=pole_top"]), ["over.front"]
-    draws = stacked(*tuning.draw_beliefs(exp, 1))
+    draws = with_draw_axis(*tuning.draw_beliefs(exp, 1))
     score = Score(exp.case, ["over.front.base.above"], [Aim("hold", "*", 0.5)], stages, [("*", 2)], True, 1)
     above = numbers_by_path(evaluate_plan(exp.case), exp.case.obstacle.charts)["over.front.base.above"]
-    (less, _), (_, slope), (more, _) = (score.descent(np.array([above + by]), draws) for by in (-0.002, 0.0, 0.002))
+    (less, _), (_, slope), (more, _) = (
+        score.deficit_gradients(np.array([above + by]), draws) for by in (-0.002, 0.0, 0.002)
+    )
     np.testing.assert_allclose(slope[:, 0], (more - less) / 0.004, rtol=0.05)
 
 
 def test_a_margin_that_is_no_number_lacks_the_most():
     score = Score(compose(["scenario=pole_top"]).case, [], [], ["over.front"], [("*", 3)], False, 1)
     rates = [np.array([[[x], [0.0]]]) for x in (-1.0, -7.0, np.nan)]  # rad/s, of two draws
-    kept, short, unknown = (score.lacks({"rate": rate})[0] for rate in rates)
+    kept, short, unknown = (score.worst_draw_score({"rate": rate})[0] for rate in rates)
     assert kept == 0 < short < unknown == UNKNOWN**2
 
 
 @pytest.mark.slow
 def test_stages_are_judged_at_moments_of_their_own():
     exp, stages = compose(["scenario=pole_top"]), ["over.front", "top.rear"]
-    draws = stacked(*tuning.draw_beliefs(exp, 1))
+    draws = with_draw_axis(*tuning.draw_beliefs(exp, 1))
 
     def rates(*moments):
         return Score(exp.case, [], [], stages, moments, False, 1).margins(np.zeros(0), draws)["rate"][0]
@@ -213,7 +215,7 @@ def test_stages_are_judged_at_moments_of_their_own():
 
 
 def test_worst_moments_are_those_worse_than_beside_them():
-    found = lows(
+    found = local_minima(
         jnp.array([[3.0, 1.0, 2.0, 2.0, 0.0, 0.0], [1.0, 2.0, 3.0, 2.0, 1.0, 2.0], [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]])
     )
     least = np.full((3, 6), np.inf)
@@ -223,22 +225,22 @@ def test_worst_moments_are_those_worse_than_beside_them():
 
 def test_only_what_touches_nothing_in_common_is_of_one_group():
     touched = np.array([[1, 1, 0, 0], [0, 1, 1, 0], [0, 0, 1, 1], [0, 0, 0, 1]], bool)
-    assert groups(touched).tolist() == [0, 1, 0, 1]
-    assert groups(np.ones((3, 2), bool)).tolist() == [0, 1, 2]
+    assert independent_groups(touched).tolist() == [0, 1, 0, 1]
+    assert independent_groups(np.ones((3, 2), bool)).tolist() == [0, 1, 2]
 
 
 @pytest.mark.slow
 def test_slopes_of_numbers_that_move_together_are_those_of_each():
     exp, free = compose(["scenario=pole_top"]), ["over.front.base.ahead", "top.rear.base.ahead", "top.rear.base.above"]
     draws, told = (
-        stacked(*tuning.draw_beliefs(exp, 1)),
+        with_draw_axis(*tuning.draw_beliefs(exp, 1)),
         numbers_by_path(evaluate_plan(exp.case), exp.case.obstacle.charts),
     )
     first, steps = np.array([[told[path] for path in free]]), np.array([0.01, 0.02, 0.03])
     score = Score(exp.case, free, [], ["over.front", "top.rear"], [("*", 3)], False, 1)
-    lack, slopes = score.slopes(first, draws, steps)
+    lack, slopes = score.deficit_slopes(first, draws, steps)
     known = np.isfinite(lack[0, 0])
-    moved = [score.lacking(score.margins(first + MOVED * step, draws))[0, known] for step in np.diag(steps)]
+    moved = [score.deficits(score.margins(first + MOVED * step, draws))[0, known] for step in np.diag(steps)]
     apart = np.stack([x - lack[0, 0, known] for x in moved], axis=1)
     np.testing.assert_allclose(slopes[0, 0, known] * MOVED * steps, apart, atol=2e-3)
     assert (np.abs(apart) > 0.01).any(axis=0).all()
@@ -321,7 +323,7 @@ def test_a_foot_that_lands_has_not_swung_into_the_ground(tmp_path, monkeypatch):
     (tmp_path / "scenarios" / "beside.yaml").write_text(ON_A_BALL)
     monkeypatch.chdir(tmp_path)
     case = compose(["scenario=beside"]).case
-    played = Score(case, (), (), ("go.*",), [("*", 1)], False, 1).margins(np.zeros(0), stacked(case, 1))
+    played = Score(case, (), (), ("go.*",), [("*", 1)], False, 1).margins(np.zeros(0), with_draw_axis(case, 1))
     assert played["swing"].min() > 0.003
 
 

@@ -30,18 +30,28 @@ from sweep.runs import store, tuning
 from sweep.study.config import Experiment, compose
 from sweep.study.study import make_points, parameter_columns
 from sweep.systems.base import split_side
-from sweep.tune.score import APART, MANOEUVRE, MOMENTS, SAME, Aim, Score, shares, stacked, worst
+from sweep.tune.score import (
+    APART,
+    MANOEUVRE,
+    MOMENTS,
+    SAME,
+    Aim,
+    Score,
+    least_margins,
+    relative_changes,
+    with_draw_axis,
+)
 
 DIGITS, SLOPE_DIGITS = 4, 3  # to which numbers are rounded, and slopes
 DRAWS = ("here", "other draws")
 LEAST = {"population": 4, "generations": 1, "seed": 1}  # of the flags
 ENDS = 2  # moments of a stage, at least
 SLIGHT = 0.05  # first steps by which a number has to follow a size in the farthest draw, or it does not
-EPILOG = """Margins are those of sweep/tune/planned.py; draws are the points of the study, known to the planner. What is
-found is checked on the draws of the study's next seed. With --follow numbers get slopes, by which they follow the sizes
-that the study draws. With --simulate both draws are run, too, by the plan before and after, in folders beside the file.
-What no number of the plan moves, such as feet on the way to an obstacle, may be moved by numbers of the manoeuvre
-(--free manoeuvre.NAME): the file says with which of them its plan is to be run.
+EPILOG = """Margins are those of sweep/tune/kinematic_margins.py; draws are the points of the study, known to the
+planner. What is found is checked on the draws of the study's next seed. With --follow numbers get slopes, by which they
+follow the sizes that the study draws. With --simulate both draws are run, too, by the plan before and after, in folders
+beside the file. What no number of the plan moves, such as feet on the way to an obstacle, may be moved by numbers of
+the manoeuvre (--free manoeuvre.NAME): the file says with which of them its plan is to be run.
 examples:
   sweep tune scenario=pole_top robot=mine study=pole_sizes out=plans/mine.yaml --free 'top.*' --stages 'top.*'
   sweep tune scenario=pole_top study=pole_sizes out=plans/any.yaml --follow --simulate
@@ -77,7 +87,7 @@ def main(argv: list[str]) -> int:
     method = "linear programs, to follow sizes" if args.follow else "gradients" if args.gradients else "CMA-ES"
     aims, width = [parse_aim(text) for text in args.need], args.population if method == "CMA-ES" else 1
     score = Score(case, list(steps), aims, args.stages or ["*"], parse_moments(args.moments), args.forces, width)
-    seen, others = (stacked(*tuning.draw_beliefs(exp, exp.study.seed + k)) for k in (0, 1))
+    seen, others = (with_draw_axis(*tuning.draw_beliefs(exp, exp.study.seed + k)) for k in (0, 1))
     first = np.array([numbers[path] for path in steps])
     if args.check:
         print(
@@ -95,11 +105,15 @@ def main(argv: list[str]) -> int:
     log = where.with_name(f"{where.name}.log")
     tuning.resume_log(log, how)  # refuses before what is slow
     best, slopes = round_solution(score, seen, first, sizes, how, log)
+    after = {name: best + relative_changes(draws, sizes) @ slopes.T
+             for name, draws in zip(DRAWS, (seen, others), strict=True)}  # fmt: skip
     left = {f"{name} {when}": score.margins(at, draws)
             for name, draws in zip(DRAWS, (seen, others), strict=True)
-            for when, at in (("before", first), ("after", best + shares(draws, sizes) @ slopes.T))}  # fmt: skip
+            for when, at in (("before", first), ("after", after[name]))}  # fmt: skip
     ends = (left[f"{DRAWS[0]} {when}"] for when in ("before", "after"))
-    was, now = (float(tuning.cost(score.lacking(x)).mean() if args.follow else score.lacks(x)) for x in ends)
+    was, now = (
+        float(tuning.cost(score.deficits(x)).mean() if args.follow else score.worst_draw_score(x)) for x in ends
+    )
     told = margins_table(score, left)
     print(f"score {was:.4g} before, {now:.4g} after\n{told}")
     if not now < was:
@@ -146,10 +160,10 @@ def sizes_that_matter(
     Slopes along other sizes, such as masses without forces, would be chance and extrapolate badly. Raises `InputError`
     where no size matters.
     """
-    off = shares(seen, sizes)
+    off = relative_changes(seen, sizes)
     alone = 1 + np.vstack([np.diag(np.abs(off).max(axis=0)), np.zeros((max(1, len(off) - len(sizes)), len(sizes)))])
     tried = exp.system.make_sides({path: at * alone[:, k] for k, (path, at) in enumerate(sizes.items())})[1]
-    lack = np.asarray(score.lacking(score.margins(numbers, stacked(tried, len(alone)))))
+    lack = np.asarray(score.deficits(score.margins(numbers, with_draw_axis(tried, len(alone)))))
     moved = ~np.isclose(lack, lack[-1], 0.0, SAME, equal_nan=True).all(axis=1)
     if not (found := {path: at for (path, at), feels in zip(sizes.items(), moved, strict=False) if feels}):
         raise InputError(f"--follow is not allowed: no margin depends on {', '.join(sizes)}")
@@ -170,20 +184,20 @@ def round_solution(
             shown.update(task, completed=done, description=f"score {least:.4g}")
 
         if how["follow"]:
-            off = shares(seen, sizes)
-            score.keep(first, stacked(score.case, len(off)))
+            off = relative_changes(seen, sizes)
+            score.cap_aims(first, with_draw_axis(score.case, len(off)))
             slopes = tuning.fit_size_slopes(
-                lambda moved: score.lacking(score.margins(first + moved, seen)),
-                lambda moved: score.slopes(first + moved, seen, scale), scale, off, how, log, tell)  # fmt: skip
+                lambda moved: score.deficits(score.margins(first + moved, seen)),
+                lambda moved: score.deficit_slopes(first + moved, seen, scale), scale, off, how, log, tell)  # fmt: skip
             slight = np.abs(slopes) * np.abs(off).max(axis=0) < SLIGHT * scale[:, None]
             return first, np.where(slight, 0.0, np.round(slopes, SLOPE_DIGITS))
         if how["gradients"]:
             best = tuning.search_by_gradients(
-                lambda numbers: score.descent(numbers, seen), first, scale, how, log, tell
+                lambda numbers: score.deficit_gradients(numbers, seen), first, scale, how, log, tell
             )
         else:
             best, _ = tuning.search_by_cma(
-                lambda many: score.lacks(score.margins(many[:, None], seen)), first, scale, how, log, tell
+                lambda many: score.worst_draw_score(score.margins(many[:, None], seen)), first, scale, how, log, tell
             )
     return np.round(best, DIGITS), np.zeros((len(first), 0))
 
@@ -273,7 +287,7 @@ def manoeuvre_numbers(case: Case) -> dict[str, float]:
 
 def margins_table(score: Score, found: Mapping[str, Mapping[str, np.ndarray]]) -> str:
     """Table of the smallest value of each margin (m, rad/s), with its stage in the last column."""
-    lines = {name: worst(margins) for name, margins in found.items()}
+    lines = {name: least_margins(margins) for name, margins in found.items()}
     last = list(found.values())[-1]
     where = {key: score.stages[int(np.argmin(last[key].min(axis=0)))] for key in next(iter(lines.values()))}
     shown = pd.DataFrame({**lines, "in stage": where})

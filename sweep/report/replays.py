@@ -18,7 +18,7 @@ from sweep.runs import batches, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment
 from sweep.systems.base import judge_rollout
-from sweep.trace.motion import RATE, bodies, motion
+from sweep.trace.motion import RATE, describe_bodies, encode_motion
 
 REPLAYS = "replays"  # folder beside the study's parts
 NUMBER = int | float
@@ -120,8 +120,8 @@ def replay_content(row: pd.Series, trace: Trace) -> dict[str, Any]:
     """
     same = [name for name, value in trace.metrics.items() if name in row and same_bits(row[name], value)]
     return {
-        **motion(trace),
-        "bodies": bodies(trace.model, trace.foot_position.shape[1]),
+        **encode_motion(trace),
+        "bodies": describe_bodies(trace.model, trace.foot_position.shape[1]),
         "stages": list(trace.stages),
         "equal": len(same),  # figures that are the row's to the last bit
         "of": len([name for name in trace.metrics if name in row]),

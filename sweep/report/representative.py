@@ -74,8 +74,8 @@ def draw_pictures(results: Results) -> list[Path]:
     They run in a batch of their own, so that any machine can draw them. A rollout that ends differently gets no
     picture, but a line on the standard error. Raises `InputError` without OpenGL.
     """
-    from sweep.trace.frames import write_strip
-    from sweep.trace.sampling import at_times
+    from sweep.trace.rendering import write_strip
+    from sweep.trace.sampling import frames_at_times
 
     wanted = {one.row.name: one for one in find_representatives(results) if not one.picture.exists()}
     rows, drawn = pd.DataFrame([one.row for one in wanted.values()]).infer_objects(), []
@@ -90,7 +90,7 @@ def draw_pictures(results: Results) -> list[Path]:
             continue
         end = np.fmin(row["t_cause_s"] + AFTER, trace.time[-1])
         one.picture.parent.mkdir(exist_ok=True)
-        shown = at_times(trace, np.linspace(trace.time[0], end, FRAMES))
+        shown = frames_at_times(trace, np.linspace(trace.time[0], end, FRAMES))
         write_strip(one.picture, trace, shown, one.kind.replace("_", " "))
         drawn.append(one.picture)
     return drawn

@@ -1,4 +1,4 @@
-"""Contact forces as arrows, the same in the MCAP file and in the pictures."""
+"""Size and colour of contact-force arrows, shared by MCAP files and rendered pictures."""
 
 import numpy as np
 
@@ -9,9 +9,15 @@ FORCE_COLOR = (0.90, 0.62, 0.0)  # red, green, blue
 
 
 def arrow_tips(position: np.ndarray, force: np.ndarray, longest: float = np.inf) -> np.ndarray:
-    """Tips (..., 3), m, of the arrows that start at `position` (..., 3); small forces have them at the start.
+    """Return the tips of force arrows.
 
-    Where the largest force would have an arrow of more than `longest` m, all are shorter in proportion.
+    Args:
+        position: Starts of the arrows (..., 3), m.
+        force: Forces (..., 3), N.
+        longest: Length (m) that the longest arrow may have; if it is longer, all are scaled down.
+
+    Returns:
+        Tips (..., 3), m; equal to the start for forces below `FORCE_SHOWN`.
     """
     size = np.linalg.norm(force, axis=-1, keepdims=True)
     scale = min(FORCE_SCALE, longest / max(float(np.nanmax(size, initial=0.0)), 1e-9))

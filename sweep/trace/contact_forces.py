@@ -1,4 +1,4 @@
-"""How the feet of a trace hold on: their forces on the surfaces under them, as they were and as they were planned."""
+"""Contact forces of the feet of a trace, resolved along the surfaces under them, as simulated and as planned."""
 
 from functools import partial
 from typing import NamedTuple
@@ -14,24 +14,24 @@ from sweep.engines.closed_loop import free_body_state
 from sweep.models.obstacles.surface import Obstacle, Surface, body_poses, surface_at
 from sweep.models.robot import total_mass
 
-TOGETHER = 256  # frames
+CHUNK_FRAMES = 256  # frames that are evaluated together
 
 
 class ContactForces(NamedTuple):
-    """Forces of the feet over F frames."""
+    """Normal and tangential forces of the six feet over F frames."""
 
-    normal: np.ndarray  # (F, 6), in the robot's weights
-    friction: np.ndarray  # (F, 6), tangential over normal force; nan below a load of `LOADED`
-    share: np.ndarray  # (F, 6), of the friction that there is, 1 slips; nan as well
+    normal: np.ndarray  # (F, 6), in units of the robot's weight
+    friction: np.ndarray  # (F, 6), tangential over normal force; nan below a load of `LOADED` N
+    share: np.ndarray  # (F, 6), `friction` over the friction coefficient, 1 where the foot slips; nan likewise
 
 
-def measured(trace: Trace) -> ContactForces:
-    """What the surfaces of the world did."""
+def measured_contact_forces(trace: Trace) -> ContactForces:
+    """Return the simulated contact forces of a trace."""
     return _contact_forces(trace, trace.foot_force)
 
 
-def planned(trace: Trace) -> ContactForces | None:
-    """What was planned for the same moments; nothing where no forces were."""
+def planned_contact_forces(trace: Trace) -> ContactForces | None:
+    """Return the planned contact forces at the frames of a trace; None for a plan without forces."""
     plan, force = jax.jit(_plan)(trace.belief)
     if force is None:
         return None
@@ -48,26 +48,35 @@ def _plan(belief):
     return plan, None if plan.layer(Feedforward) is None else belief.manoeuvre.force_plan(belief, plan).force
 
 
-def surfaces(trace: Trace, points: np.ndarray, frames: slice | np.ndarray = slice(None)) -> Surface:
-    """What is under `points` (F, n, 3) (m, world axes) in `frames`, the obstacle's bodies where they were."""
+def surfaces_under(trace: Trace, points: np.ndarray, frames: slice | np.ndarray = slice(None)) -> Surface:
+    """Return the obstacle's surface nearest to each of some points, with free bodies at their simulated poses.
+
+    Args:
+        trace: The rollout.
+        points: Points (N, n, 3), m, world axes.
+        frames: The N frames of the trace to which the points belong.
+
+    Returns:
+        Surfaces (N, n).
+    """
     moments = [np.asarray(x, np.float32) for x in (points, trace.qpos[frames], trace.qvel[frames])]
-    # as many frames as others have: what was compiled for one trace serves the next
+    # padded to a multiple of CHUNK_FRAMES, so that the program compiled for one trace serves the next
     count = len(points)
-    filled = [np.pad(x, ((0, -count % TOGETHER), *([(0, 0)] * (x.ndim - 1))), mode="edge") for x in moments]
+    filled = [np.pad(x, ((0, -count % CHUNK_FRAMES), *([(0, 0)] * (x.ndim - 1))), mode="edge") for x in moments]
     return jax.tree.map(lambda part: part[:count], _surfaces(trace.world.obstacle, *filled))
 
 
 @jax.jit
 def _surfaces(obstacle: Obstacle, points: jax.Array, qpos: jax.Array, qvel: jax.Array) -> Surface:
-    def there(points: jax.Array, qpos: jax.Array, qvel: jax.Array) -> Surface:
+    def surfaces_of_frame(points: jax.Array, qpos: jax.Array, qvel: jax.Array) -> Surface:
         return surface_at(obstacle, points, body_poses(free_body_state(qpos, qvel, len(obstacle.free_bodies))))
 
-    return jax.vmap(there)(points, qpos, qvel)
+    return jax.vmap(surfaces_of_frame)(points, qpos, qvel)
 
 
 def _contact_forces(trace: Trace, force: np.ndarray) -> ContactForces:
-    """`force` (F, 6, 3) in parts normal and tangential to the surface nearest to each foot."""
-    surface = surfaces(trace, trace.foot_position)
+    """Resolve `force` (F, 6, 3), N, along the normal of the surface nearest to each foot."""
+    surface = surfaces_under(trace, trace.foot_position)
     normals = np.asarray(surface.normal, float)
     normal = np.sum(force * normals, axis=-1)
     tangential = np.linalg.norm(force - normal[..., None] * normals, axis=-1)

@@ -1,4 +1,4 @@
-"""Draws frames with MuJoCo in a process of its own: `python -m sweep.trace.draw JOB` writes raw RGB to stdout.
+"""Draw frames with MuJoCo in a process of its own: `python -m sweep.trace.draw JOB` writes raw RGB to stdout.
 
 The OpenGL library is chosen when `mujoco` is imported, and importing it with a missing one fails, so the process that
 draws must not be the one that simulates. It imports nothing that imports `mujoco`.
@@ -12,32 +12,36 @@ import numpy as np
 
 from sweep.trace.arrows import ARROW_RADIUS, FORCE_COLOR
 
-NO_OPENGL = 3  # exit status: this library does not work here
+NO_OPENGL = 3  # exit status: this OpenGL library does not work here
 MODEL, ARRAYS = "model.mjb", "frames.npz"  # files in the folder JOB
 ARROW_RGBA = np.array([*FORCE_COLOR, 1.0], np.float32)
 
 
 def main(job: Path) -> int:
-    """Draw the job in the folder `job`; the exit status."""
+    """Draw the frames of the folder `job`, which has a model and arrays; return the exit status."""
     try:
         import mujoco
 
         mujoco.GLContext(16, 16).make_current()
-    except Exception as error:  # mujoco raises whatever its OpenGL wrapper happens to trip over
+    except Exception as error:  # mujoco passes on all exceptions of its OpenGL wrapper
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return NO_OPENGL
     model = mujoco.MjModel.from_binary_path(str(job / MODEL))
     with np.load(job / ARRAYS) as arrays:
-        draw(model, dict(arrays))
+        draw_frames(model, dict(arrays))
     return 0
 
 
-def draw(model: Any, arrays: dict[str, np.ndarray]) -> None:
-    """Write every frame to stdout, (height, width, 3) bytes each.
+def draw_frames(model: Any, arrays: dict[str, np.ndarray]) -> None:
+    """Draw frames and write each to stdout as (height, width, 3) bytes.
 
-    `arrays`: qpos (N, nq), look_at (N, 3) m, distance () m, azimuth and elevation () deg, size (2,) width and height,
-    tails and tips of the arrows (N, 6, 3) m, where an arrow of no length is not drawn, samples () of a pixel. Shadows
-    are left out: they speckle, and take more time than all the rest.
+    Shadows are left out: they flicker, and take more time than all the rest.
+
+    Args:
+        model: The MuJoCo model.
+        arrays: `qpos` (N, nq); `look_at` (N, 3), m; `distance` () of the camera, m; `azimuth` and `elevation` (), deg;
+            `size` (2,), width and height in pixels; `tails` and `tips` (N, 6, 3) of the force arrows, m, where arrows
+            of zero length are not drawn; `samples` () per pixel.
     """
     import mujoco
 
@@ -68,7 +72,7 @@ def _add_arrow(scene: Any, tail: np.ndarray, tip: np.ndarray) -> None:
 
     geom = scene.geoms[scene.ngeom]
     mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), np.zeros(3), np.zeros(9), ARROW_RGBA)
-    # an arrow is drawn half as long as the connector it is made from
+    # MuJoCo draws an arrow half as long as its connector
     mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, ARROW_RADIUS, tail, 2 * tip - tail)
     scene.ngeom += 1
 

@@ -1,24 +1,31 @@
-"""Convex hulls of what has no simple shape, with few enough faces to be drawn many times a second."""
+"""Convex hulls of ellipsoids and meshes, with few enough faces to be redrawn many times a second."""
 
 import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull
 
-MOST = 64  # faces of a mesh that is drawn as it is
-POINTS = 40  # of a hull: those farthest along so many directions
+MAX_FACES = 64  # of MuJoCo's hull of a mesh; a hull with more faces is simplified
+POINTS = 40  # directions along which a simplified hull has its farthest points
 
 
-def hull_of(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, list[list[int]]]:
-    """Vertices (N, 3) and faces of an ellipsoid or a mesh, in the geom's axes, counterclockwise from outside.
+def geom_hull(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, list[list[int]]]:
+    """Return the convex hull of an ellipsoid or a mesh.
 
-    A mesh is its convex hull: MuJoCo's, or where that has many faces or is not known one of fewer.
+    For a mesh this is MuJoCo's hull, or one with fewer faces where that is missing or has more than `MAX_FACES`.
+
+    Args:
+        model: The MuJoCo model.
+        geom: Id of the geom.
+
+    Returns:
+        Vertices (N, 3) in the geom's axes, m, and faces as lists of vertices, counterclockwise seen from outside.
     """
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
         return _hull(_directions(POINTS) * model.geom_size[geom])
     mesh = int(model.geom_dataid[geom])
     first, number = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices = np.asarray(model.mesh_vert[first : first + number], float)
-    if not 0 < model.mesh_polynum[mesh] <= MOST:
+    if not 0 < model.mesh_polynum[mesh] <= MAX_FACES:
         return _hull(vertices[np.unique(np.argmax(_directions(POINTS) @ vertices.T, axis=1))])
     faces = []
     for polygon in model.mesh_polyadr[mesh] + np.arange(model.mesh_polynum[mesh]):
@@ -35,7 +42,7 @@ def _directions(number: int) -> np.ndarray:
 
 
 def _hull(points: np.ndarray) -> tuple[np.ndarray, list[list[int]]]:
-    hull = ConvexHull(points, qhull_options="QJ")  # of flat ones, too
+    hull = ConvexHull(points, qhull_options="QJ")  # also works for points in a plane
     faces = []
     for (a, b, c), outward in zip(hull.simplices, hull.equations[:, :3], strict=True):
         turn = np.cross(points[b] - points[a], points[c] - points[a]) @ outward

@@ -5,22 +5,25 @@ from typing import Any
 
 from sweep.engines.base import Trace
 from sweep.models.legs import KINDS
-from sweep.trace.sampling import base_body, joint_names
+from sweep.trace.sampling import base_body_id, joint_names
 from sweep.trace.shapes import body_name
 
 _EFFORT = '/joint_states.joints[:]{{name=="{}"}}.effort'
 LEG_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")  # Okabe and Ito, safe when colour-blind
 
 
-def layout(trace: Trace) -> dict[str, Any]:
-    """3D view that follows the base, torques, loads, stages and outcome, as Foxglove's "import from file" reads it."""
+def foxglove_layout(trace: Trace) -> dict[str, Any]:
+    """Return a Foxglove layout for a trace, as its "import from file" reads it.
+
+    It has a 3D view that follows the base, and panels of torques, foot loads, stages and outcome.
+    """
     legs = [str(leg + 1) for leg in range(trace.foot_position.shape[1])]
     plots = {"Plot!torque": _plot("torque of joints (N·m)", _EFFORT.format("{}"), joint_names(trace.model))}
     if legs:
         plots = {f"Plot!{kind}": _plot(f"torque of {kind} (N·m)", _EFFORT.format(kind + "{}"), legs) for kind in KINDS}
         plots["Plot!load"] = _plot("load of feet (N)", "/foot_load.foot{}", legs)
     panels = {
-        "3D!robot": _view(body_name(trace.model, base_body(trace.model))),
+        "3D!robot": _view(body_name(trace.model, base_body_id(trace.model))),
         **plots,
         "StateTransitions!stage": {
             "paths": [{"value": "/stage.name", "timestampMethod": "receiveTime"}],
@@ -44,7 +47,7 @@ def _split(direction: str, first: Any, second: Any, percentage: float) -> dict[s
 
 
 def _column(panels: list[str]) -> Any:
-    """Panels of equal height."""
+    """Stack panels of equal height."""
     first, *rest = panels
     return _split("column", first, _column(rest), 100 / len(panels)) if rest else first
 
@@ -71,7 +74,7 @@ def _view(followed: str) -> dict[str, Any]:
 
 
 def _plot(title: str, path: str, names: list[str]) -> dict[str, Any]:
-    """A line for each name or leg, which stands at the braces of `path`."""
+    """Plot panel with a line for each name or leg, which is inserted at the braces of `path`."""
     series = [
         {
             "value": path.replace("{}", name),

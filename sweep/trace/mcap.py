@@ -1,4 +1,4 @@
-"""A trace as an MCAP file for Foxglove: moving robot, contact forces, joints, loads, stages, outcome, configuration."""
+"""Write a trace as an MCAP file for Foxglove: robot, contact forces, joints, loads, stages, outcome, configuration."""
 
 import json
 import math
@@ -31,13 +31,11 @@ from sweep.core.errors import Fault
 from sweep.core.files import descriptor, write_atomically
 from sweep.engines.base import Trace
 from sweep.trace.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
-from sweep.trace.layout import layout
-from sweep.trace.sampling import at_rate, finite_frames, joint_angle, joint_names, joint_rate
-from sweep.trace.shapes import WORLD, body_name, entities, moving_bodies, quaternion, vector
+from sweep.trace.layout import foxglove_layout
+from sweep.trace.sampling import finite_frames, frames_at_rate, joint_names, joint_positions, joint_rates
+from sweep.trace.shapes import WORLD, body_name, foxglove_quaternion, foxglove_vector, moving_body_ids, scene_entities
 
-PICTURE_RATE = (
-    50.0  # Hz, of transforms and arrows; joints and loads are written every tick, a peak must not fall between
-)
+PICTURE_RATE = 50.0  # Hz, of transforms and arrows; joints and loads are written every tick, so that no peak is lost
 
 _STAGE_SCHEMA = {
     "title": "sweep.Stage",
@@ -47,31 +45,39 @@ _STAGE_SCHEMA = {
 
 
 def write_mcap(path: str | Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping[str, Any]) -> None:
-    """Write `trace` to `path`, and a Foxglove layout beside it (`<name>.layout.json`); beside a device none.
+    """Write a trace as an MCAP file, and a Foxglove layout beside it (`<name>.layout.json`).
 
-    `config` is attached as `config.json`; `outcome` is a message at the start and a metadata record. Log times
-    are simulated time. The same input gives the same bytes. Only finite frames are written; raises `ValueError`
-    if there are none.
+    Only finite frames are written. Log times are simulated time. The same input gives the same bytes.
+
+    Args:
+        path: The file. A device, such as /dev/stdout, gets no layout.
+        trace: The rollout.
+        config: Configuration of the study, attached as `config.json`.
+        outcome: Outcome and metrics, written as a message at the start and as a metadata record.
+
+    Raises:
+        ValueError: The trace has no finite frame.
+        Fault: The disk refuses the write.
     """
     path = Path(path)
     try:
         write_atomically(path, partial(_write, trace=trace, config=config, outcome=outcome))
-    except RuntimeError as error:  # as Foxglove tells of a full disk, by the write that fails or by one after it
+    except RuntimeError as error:  # Foxglove's error for a full disk, from the write that fails or a later one
         if not any(words in str(error) for words in ("I/O error", "after a write method failed")):
             raise
         raise Fault(f"{path} cannot be written: {error}") from None
     if path.is_file() and descriptor(path) is None:
-        write_atomically(path.with_suffix(".layout.json"), f"{json.dumps(layout(trace), indent=1)}\n".encode())
+        write_atomically(path.with_suffix(".layout.json"), f"{json.dumps(foxglove_layout(trace), indent=1)}\n".encode())
 
 
 def _write(path: Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping[str, Any]) -> None:
     # one thread: the compressor's blocks would depend on the machine's number of cores otherwise
     options = MCAPWriteOptions(profile="", compression_threads=0)
-    context = Context()  # of its own: channels of the global one would leak into the next file
+    context = Context()  # channels of the global context would leak into the next file
     with foxglove.open_mcap(path, allow_overwrite=True, context=context, writer_options=options) as writer:
-        came = dict(sorted(plain(outcome).items()))
+        came = dict(sorted(to_json_value(outcome).items()))
         writer.write_metadata("outcome", {key: "" if value is None else str(value) for key, value in came.items()})
-        data = json.dumps(plain(config), indent=1, sort_keys=True).encode()
+        data = json.dumps(to_json_value(config), indent=1, sort_keys=True).encode()
         writer.attach(log_time=0, create_time=0, name="config.json", media_type="application/json", data=data)
         schema = {"title": "sweep.Outcome", "type": "object", "properties": {key: {} for key in came}}
         Channel("/outcome", schema=schema, context=context).log(came, log_time=_nanoseconds(trace.time[0]))
@@ -82,15 +88,15 @@ def _write(path: Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping
             _write_loads(context, trace)
 
 
-def plain(value: Any) -> Any:
-    """`value` as JSON can hold it: numpy becomes Python, what is not finite becomes None, keys are words."""
+def to_json_value(value: Any) -> Any:
+    """Convert a value to what JSON can hold: NumPy to Python, non-finite numbers to None, keys to text."""
     match value:
         case Mapping():
-            return {str(key): plain(one) for key, one in value.items()}
+            return {str(key): to_json_value(one) for key, one in value.items()}
         case np.ndarray() | np.generic():
-            return plain(value.tolist())
+            return to_json_value(value.tolist())
         case list() | tuple():
-            return [plain(item) for item in value]
+            return [to_json_value(item) for item in value]
         case float():
             return value if math.isfinite(value) else None
         case None | bool() | int() | str():
@@ -116,9 +122,11 @@ def _write_stages(context: Context, trace: Trace) -> None:
 
 
 def _write_joints(context: Context, trace: Trace) -> None:
-    """Angle (rad), rate (rad/s) and largest torque of the tick (N m) of every joint; of a slide m, m/s, N."""
+    """Write angle (rad or m), rate (rad/s or m/s) and largest torque of the tick (N m or N) of every joint."""
     channel, names = JointStatesChannel("/joint_states", context=context), joint_names(trace.model)
-    angle, rate, torque = (values.tolist() for values in (joint_angle(trace), joint_rate(trace), trace.joint_torque))
+    angle, rate, torque = (
+        values.tolist() for values in (joint_positions(trace), joint_rates(trace), trace.joint_torque)
+    )
     for k in range(finite_frames(trace)):
         time = _nanoseconds(trace.time[k])
         joints = [
@@ -139,18 +147,18 @@ def _write_loads(context: Context, trace: Trace) -> None:
     channel = Channel("/foot_load", schema=schema, context=context)
     load = np.linalg.norm(trace.foot_force, axis=-1)
     for k in range(finite_frames(trace)):
-        channel.log(dict(zip(feet, plain(load[k]), strict=True)), log_time=_nanoseconds(trace.time[k]))
+        channel.log(dict(zip(feet, to_json_value(load[k]), strict=True)), log_time=_nanoseconds(trace.time[k]))
 
 
 def _write_pictures(context: Context, trace: Trace) -> None:
-    """Shapes once, then transforms of the moving bodies and force arrows."""
+    """Write the geoms once, then transforms of the moving bodies and force arrows at `PICTURE_RATE`."""
     scene = SceneUpdateChannel("/scene", context=context)
     forces = SceneUpdateChannel("/contact_force", context=context)
     transforms = FrameTransformsChannel("/tf", context=context)
     model, data = trace.model, mujoco.MjData(trace.model)
-    names = {int(body): body_name(model, body) for body in moving_bodies(model)}
-    scene.log(SceneUpdate(entities=entities(model)), log_time=_nanoseconds(trace.time[0]))
-    for k in at_rate(trace, PICTURE_RATE):
+    names = {int(body): body_name(model, body) for body in moving_body_ids(model)}
+    scene.log(SceneUpdate(entities=scene_entities(model)), log_time=_nanoseconds(trace.time[0]))
+    for k in frames_at_rate(trace, PICTURE_RATE):
         time = _nanoseconds(trace.time[k])
         data.qpos[:] = trace.qpos[k]
         mujoco.mj_kinematics(model, data)
@@ -165,15 +173,15 @@ def _transforms(data: mujoco.MjData, names: dict[int, str], time: int) -> list[F
             timestamp=_timestamp(time),
             parent_frame_id=WORLD,
             child_frame_id=name,
-            translation=vector(data.xpos[body]),
-            rotation=quaternion(data.xquat[body]),
+            translation=foxglove_vector(data.xpos[body]),
+            rotation=foxglove_quaternion(data.xquat[body]),
         )
         for body, name in names.items()
     ]
 
 
 def _force_entity(position: np.ndarray, force: np.ndarray, time: int) -> SceneEntity:
-    """All force arrows under one id: every update replaces the one before."""
+    """All force arrows under one id, so that every update replaces the one before."""
     tips = arrow_tips(position, force)
     return SceneEntity(
         timestamp=_timestamp(time),
@@ -184,8 +192,8 @@ def _force_entity(position: np.ndarray, force: np.ndarray, time: int) -> SceneEn
     )
 
 
-def turn_x_to(direction: np.ndarray) -> np.ndarray:
-    """Quaternion (w, x, y, z) that turns the x axis, along which Foxglove draws arrows, into `direction` (3,)."""
+def rotation_from_x_axis(direction: np.ndarray) -> np.ndarray:
+    """Return the quaternion (w, x, y, z) that rotates the x axis to `direction` (3,); Foxglove draws arrows along x."""
     x_to_z = np.array([math.sqrt(0.5), 0.0, -math.sqrt(0.5), 0.0])
     z_to_direction, both = np.empty(4), np.empty(4)
     mujoco.mju_quatZ2Vec(z_to_direction, direction)
@@ -197,7 +205,7 @@ def _arrow(tail: np.ndarray, tip: np.ndarray) -> ArrowPrimitive:
     length = float(np.linalg.norm(tip - tail))
     head = min(3 * ARROW_RADIUS, length / 2)
     return ArrowPrimitive(
-        pose=Pose(position=vector(tail), orientation=quaternion(turn_x_to(tip - tail))),
+        pose=Pose(position=foxglove_vector(tail), orientation=foxglove_quaternion(rotation_from_x_axis(tip - tail))),
         shaft_length=length - head,
         shaft_diameter=2 * ARROW_RADIUS,
         head_length=head,

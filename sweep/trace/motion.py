@@ -1,9 +1,9 @@
-"""A rollout for a page: its bodies and geoms once, its states as a small stream of whole numbers.
+"""Encode a rollout for the report's page: bodies and geoms once, and its states as a short text.
 
-`page/kinematics.js` reads both. A stream has F frames of columns: MuJoCo's `qpos`, then the feet's forces, the stage,
-the torques of the joints, the margin and which of `limits` it is of, and of the friction under each foot what is used.
-Columns are differences from frame to frame, each
-as all its low bytes and then all its high ones, which deflates to a third; only `qpos` has high bytes.
+`page/kinematics.js` reads both. The states are a stream of F frames with these columns: MuJoCo's `qpos`, the forces of
+the feet, the stage, the torques of the joints, the margin and the index of its limit in `limits`, and the share of
+friction that each foot uses. All are whole numbers. A column is stored as differences from frame to frame, first all
+low bytes, then all high bytes, which deflates to a third. Only `qpos` has high bytes.
 """
 
 from typing import Any
@@ -13,22 +13,22 @@ import numpy as np
 
 from sweep.core.files import decode_text, encode_text
 from sweep.engines.base import Trace, single_joints
-from sweep.trace.contact_forces import measured
-from sweep.trace.hulls import hull_of
-from sweep.trace.sampling import base_body, finite_frames
+from sweep.trace.contact_forces import measured_contact_forces
+from sweep.trace.hulls import geom_hull
+from sweep.trace.sampling import base_body_id, finite_frames
 from sweep.trace.shapes import VISIBLE_GROUPS, geom_color
 
 RATE = 10.0  # frames per second, at most
-ROOM = 40_000  # characters of the states of a rollout, which has fewer frames where it is too long
-FINE = 1e-3  # of a state's stream: m and rad; coarser where int16 could not hold the largest value
-UNIT = 1e-4  # of a quaternion's numbers
-INT8, INT16 = 2**7 - 1, 2**15 - 1  # of a small number, and of a state at most
-LEVELS = 50  # of a force on either side of zero
-MARGIN = 100  # whole numbers of a margin of 1; it is cut off at -1
-FRICTION = 20  # of all the friction that there is
-DIGITS = 4  # of lengths (m) and directions of bodies and geoms
+ROOM = 40_000  # largest number of characters in the states of a rollout; a longer one gets fewer frames
+FINE = 1e-3  # resolution of `qpos` in m and rad; coarser where int16 could not hold the largest value
+UNIT = 1e-4  # resolution of quaternions
+INT8, INT16 = 2**7 - 1, 2**15 - 1  # largest values
+LEVELS = 50  # integer of the largest force
+MARGIN = 100  # integer of a margin of 1; margins are clipped at -1
+FRICTION = 20  # integer of a foot that uses all friction
+DIGITS = 4  # decimals of lengths (m) and directions of bodies and geoms
 Kind = mujoco.mjtGeom
-UNSHOWN = (Kind.mjGEOM_HFIELD, Kind.mjGEOM_SDF)  # ground that has no faces here
+UNSHOWN = (Kind.mjGEOM_HFIELD, Kind.mjGEOM_SDF)  # geoms that the page cannot draw
 SHAPES = {
     Kind.mjGEOM_PLANE: "plane",
     Kind.mjGEOM_SPHERE: "sphere",
@@ -38,16 +38,18 @@ SHAPES = {
 }
 
 
-def motion(trace: Trace) -> dict[str, Any]:
-    """`states` of the trace's finite frames as base64, no more than `ROOM` of it, and what is needed to read them.
+def encode_motion(trace: Trace) -> dict[str, Any]:
+    """Encode the finite frames of a trace as plain values for JSON.
 
-    `scales` (nq,) are units of the whole numbers of `qpos`, `force_scale` (N) and `torque_scale` (N m) those of forces
-    and torques, `margin_scale` that of margins, `friction_scale` that of shares of friction, `step` (s) is the time
-    between frames, and of the first one.
+    Returns:
+        `states`, the encoded stream in base64, at most `ROOM` characters, for which frames are dropped if necessary;
+        `frames`, their number; `step` (s), the time between frames, and of the first one; and the units of the whole
+        numbers: `scales` (nq,) for `qpos`, `force_scale` (N), `torque_scale` (N m), `margin_scale`, `friction_scale`.
+            `limits` are the names of the limits to which margins belong; `torque_limit` is in N m.
     """
     frames = finite_frames(trace)
     qpos = np.asarray(trace.qpos[:frames], float)
-    scales = np.maximum(units(trace.model), np.abs(qpos).max(axis=0) / INT16)
+    scales = np.maximum(qpos_resolution(trace.model), np.abs(qpos).max(axis=0) / INT16)
     force = np.asarray(trace.foot_force[:frames], float)
     force = force.reshape(frames, force[0].size)
     force_scale = max(float(np.nan_to_num(np.abs(force)).max(initial=0)) / LEVELS, 1e-6)
@@ -60,7 +62,7 @@ def motion(trace: Trace) -> dict[str, Any]:
         margin = np.nan_to_num(trace.margin[:frames], nan=-1.0).clip(-1.0, 1.0)
         small += [np.round(MARGIN * margin), np.searchsorted(limits, trace.margin_of[:frames])]
     if force.size:
-        small.append(np.round(FRICTION * np.nan_to_num(measured(trace).share[:frames])).clip(0, INT8))
+        small.append(np.round(FRICTION * np.nan_to_num(measured_contact_forces(trace).share[:frames])).clip(0, INT8))
     whole = {
         "step": float(trace.time[0]),
         "frames": frames,
@@ -71,38 +73,45 @@ def motion(trace: Trace) -> dict[str, Any]:
         "margin_scale": 1 / MARGIN,
         "friction_scale": 1 / FRICTION,
         "limits": limits,
-        "states": packed(np.round(qpos / scales).astype(np.int16), np.column_stack(small).astype(np.int8)),
+        "states": encode_states(np.round(qpos / scales).astype(np.int16), np.column_stack(small).astype(np.int8)),
     }
     kept, every = whole, 1
     while len(kept["states"]) > ROOM and every < frames:
         every += 1
-        kept = thinned(whole, every)
+        kept = thin_motion(whole, every)
     return kept
 
 
-def thinned(kept: dict[str, Any], every: int) -> dict[str, Any]:
-    """A motion with one in `every` of its frames, and one at least; a page shows a cubic through them."""
-    frames, columns = kept["frames"], len(kept["scales"])
-    content = decode_text(kept["states"])
-    states = read_planes(content[: 2 * frames * columns], frames, np.dtype(np.int16))
-    small = read_planes(content[2 * frames * columns :], frames, np.dtype(np.int8))
+def thin_motion(motion: dict[str, Any], every: int) -> dict[str, Any]:
+    """Keep one in `every` frames of an encoded motion, and at least one frame.
+
+    The page interpolates between frames by a cubic.
+
+    Args:
+        motion: The result of `encode_motion`.
+        every: Frames from one that is kept to the next.
+    """
+    frames, columns = motion["frames"], len(motion["scales"])
+    content = decode_text(motion["states"])
+    states = decode_planes(content[: 2 * frames * columns], frames, np.dtype(np.int16))
+    small = decode_planes(content[2 * frames * columns :], frames, np.dtype(np.int8))
     every = min(every, frames)
     chosen = slice(every - 1, None, every)
     return {
-        **kept,
-        "step": kept["step"] * every,
+        **motion,
+        "step": motion["step"] * every,
         "frames": frames // every,
-        "states": packed(states[chosen], small[chosen]),
+        "states": encode_states(states[chosen], small[chosen]),
     }
 
 
-def packed(states: np.ndarray, small: np.ndarray) -> str:
-    """Whole numbers of two bytes and of one as text."""
-    return encode_text(planes(states) + planes(small))
+def encode_states(states: np.ndarray, small: np.ndarray) -> str:
+    """Encode two-byte and one-byte whole numbers, each (F, K), as text."""
+    return encode_text(encode_planes(states) + encode_planes(small))
 
 
-def planes(values: np.ndarray) -> bytes:
-    """Differences of the rows of whole numbers `values` (F, K), column by column, low bytes first."""
+def encode_planes(values: np.ndarray) -> bytes:
+    """Encode whole numbers (F, K) as differences from row to row, column by column, low bytes before high bytes."""
     change = np.diff(values, axis=0, prepend=np.zeros_like(values[:1])).T  # wraps around, and back when it is summed
     size = values.dtype.itemsize
     return (
@@ -115,16 +124,16 @@ def planes(values: np.ndarray) -> bytes:
     )
 
 
-def read_planes(content: bytes, frames: int, kind: np.dtype) -> np.ndarray:
-    """Whole numbers (F, K) from their `planes`."""
+def decode_planes(content: bytes, frames: int, kind: np.dtype) -> np.ndarray:
+    """Decode the whole numbers (frames, K) of the type `kind` from `encode_planes`."""
     size = kind.itemsize
     change = np.frombuffer(content, np.uint8).reshape(-1, size, frames).transpose(0, 2, 1)
     change = np.ascontiguousarray(change).view(f"<i{size}")[..., 0]
     return np.cumsum(change, axis=1, dtype=kind).T
 
 
-def units(model: mujoco.MjModel) -> np.ndarray:
-    """What a whole number of each coordinate of `qpos` stands for at best."""
+def qpos_resolution(model: mujoco.MjModel) -> np.ndarray:
+    """Return the finest resolution (nq,) with which each coordinate of `qpos` is encoded."""
     fine = np.full(model.nq, FINE)
     for joint in range(model.njnt):
         turned = {int(mujoco.mjtJoint.mjJNT_FREE): 3, int(mujoco.mjtJoint.mjJNT_BALL): 0}.get(model.jnt_type[joint])
@@ -134,14 +143,19 @@ def units(model: mujoco.MjModel) -> np.ndarray:
     return fine
 
 
-def bodies(model: mujoco.MjModel, legs: int) -> dict[str, Any]:
-    """The tree of bodies with their joints and what is drawn of them, as plain values.
+def describe_bodies(model: mujoco.MjModel, legs: int) -> dict[str, Any]:
+    """Describe the bodies of a model, their joints and visible geoms, as plain values for JSON.
 
-    A body has its parent's index, place and quaternion in it, and joints, see `joint`. A geom has its body, shape,
-    MuJoCo's size (of a mesh: vertices and faces), place, quaternion, colour, and whether it is the robot's. `feet` are
-    body and place of each of the `legs`, `hinges` the addresses of the `single_joints`.
+    Args:
+        model: The MuJoCo model.
+        legs: Number of the robot's legs.
+
+    Returns:
+        `bodies`: index of the parent, position and quaternion in it, and joints, see `describe_joint`. `geoms`: body,
+        shape, size (of a mesh: vertices and faces), position, quaternion, colour, and whether it is the robot's.
+        `feet`: body and position of each foot. `hinges`: addresses of the `single_joints` in `qpos`.
     """
-    root = model.body_rootid[base_body(model)]
+    root = model.body_rootid[base_body_id(model)]
     drawn = [g for g in range(model.ngeom) if model.geom_group[g] < VISIBLE_GROUPS and model.geom_rgba[g, 3] > 0]
     drawn = [g for g in drawn if Kind(model.geom_type[g]) not in UNSHOWN]
     feet = [model.site(f"foot{leg}") for leg in range(1, legs + 1)]
@@ -149,9 +163,11 @@ def bodies(model: mujoco.MjModel, legs: int) -> dict[str, Any]:
         "bodies": [
             {
                 "parent": int(model.body_parentid[body]),
-                "pos": short(model.body_pos[body]),
-                "quat": short(model.body_quat[body]),
-                "joints": [joint(model, int(j)) for j in model.body_jntadr[body] + np.arange(model.body_jntnum[body])],
+                "pos": round_values(model.body_pos[body]),
+                "quat": round_values(model.body_quat[body]),
+                "joints": [
+                    describe_joint(model, int(j)) for j in model.body_jntadr[body] + np.arange(model.body_jntnum[body])
+                ],
             }
             for body in range(model.nbody)
         ],
@@ -159,26 +175,30 @@ def bodies(model: mujoco.MjModel, legs: int) -> dict[str, Any]:
             {
                 "body": int(model.geom_bodyid[geom]),
                 "robot": bool(model.body_rootid[model.geom_bodyid[geom]] == root),
-                "pos": short(model.geom_pos[geom]),
-                "quat": short(model.geom_quat[geom]),
+                "pos": round_values(model.geom_pos[geom]),
+                "quat": round_values(model.geom_quat[geom]),
                 "colour": [round(255 * float(part)) for part in geom_color(model, geom)[:3]],
-                **shape(model, geom),
+                **describe_shape(model, geom),
             }
             for geom in drawn
         ],
-        "feet": [[int(site.bodyid[0]), *short(site.pos)] for site in feet],
+        "feet": [[int(site.bodyid[0]), *round_values(site.pos)] for site in feet],
         "hinges": model.jnt_qposadr[single_joints(model)].tolist(),
     }
 
 
-def joint(model: mujoco.MjModel, number: int) -> list[float]:
-    """A joint's address in `qpos`, alone where it is free.
+def describe_joint(model: mujoco.MjModel, number: int) -> list[float]:
+    """Describe a joint as a list of numbers that begins with its address in `qpos`.
 
-    A hinge has its axis and its anchor, too, a ball an axis of zeros; a slide its axis; both end with the coordinate
-    of their place in the model where that is not zero.
+    A free joint has nothing else. A hinge has axis and anchor, a ball joint zeros and its anchor, a slide its axis.
+    Hinge and slide end with their coordinate in the model's reference pose, where that is not zero.
     """
     address = int(model.jnt_qposadr[number])
-    axis, anchor, start = short(model.jnt_axis[number]), short(model.jnt_pos[number]), float(model.qpos0[address])
+    axis, anchor, start = (
+        round_values(model.jnt_axis[number]),
+        round_values(model.jnt_pos[number]),
+        float(model.qpos0[address]),
+    )
     match model.jnt_type[number]:
         case mujoco.mjtJoint.mjJNT_FREE:
             return [address]
@@ -190,15 +210,15 @@ def joint(model: mujoco.MjModel, number: int) -> list[float]:
             return [address, *axis, *anchor, *([start] if start else [])]
 
 
-def shape(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
-    """Shape and size of a geom; of one that has no shape of its own there, its hull."""
+def describe_shape(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
+    """Describe shape and size of a geom; a geom that the page has no shape for is described by its convex hull."""
     kind = Kind(model.geom_type[geom])
     if kind in SHAPES:
-        return {"shape": SHAPES[kind], "size": short(model.geom_size[geom])}
-    vertices, faces = hull_of(model, geom)
-    return {"shape": "mesh", "vertices": [short(v) for v in vertices], "faces": faces}
+        return {"shape": SHAPES[kind], "size": round_values(model.geom_size[geom])}
+    vertices, faces = geom_hull(model, geom)
+    return {"shape": "mesh", "vertices": [round_values(v) for v in vertices], "faces": faces}
 
 
-def short(values: np.ndarray) -> list[float]:
-    """Numbers with as many digits as can be seen."""
+def round_values(values: np.ndarray) -> list[float]:
+    """Round numbers to `DIGITS` decimals."""
     return [float(f"{value:.{DIGITS}f}") + 0.0 for value in np.asarray(values, float)]

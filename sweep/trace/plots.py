@@ -1,4 +1,4 @@
-"""Plots of a trace over time. Legs are arranged as seen from above: left legs on the left, the front pair on top."""
+"""Plot a trace over time. Legs are arranged as seen from above: left legs on the left, the front pair on top."""
 
 from collections.abc import Callable
 from functools import partial, wraps
@@ -14,22 +14,22 @@ from sweep.core.plot_style import LETTERS, PAGE, legend_below, new_figure, plot_
 from sweep.engines.base import Trace
 from sweep.formulas import stepping
 from sweep.models.legs import KINDS, N_LEGS
-from sweep.trace.contact_forces import measured, planned
+from sweep.trace.contact_forces import measured_contact_forces, planned_contact_forces
 from sweep.trace.layout import LEG_COLORS
-from sweep.trace.sampling import base_pose, joint_angle, mass_centres
+from sweep.trace.sampling import base_pose, joint_positions, mass_centres
 
 PAIRS = ((6, 5), (4, 3), (2, 1))
 SYMBOLS = dict(zip(KINDS, ("α", "β", "γ"), strict=True))
 ACTUAL, SECOND, REFERENCE = "#0072b2", "#d55e00", "0.25"
-SMOOTHED = 25  # ticks, over which the speed of a body is averaged
-SLANTED_STAGES = 10  # more names than this stand upright
-ROOM = 1.2 * LETTERS  # points from a stage's name to the next that is written
-BESIDE = 0.6  # in, of a panel's width that is taken by its axis
-BOOK_TORQUE = 75.2  # N·m, the unit of figures 2.3.5 and 2.3.6: about the body's moment of gravity on a pole
+SMOOTHED = 25  # ticks over which the speed of a body is averaged
+SLANTED_STAGES = 10  # most stage names that are written slanted; more are upright
+ROOM = 1.2 * LETTERS  # points between stage names that are written
+BESIDE = 0.6  # in, of a panel's width that its axis takes
+BOOK_TORQUE = 75.2  # N·m, unit of the monograph's figures 2.3.5 and 2.3.6: about the body's moment of gravity on a pole
 
 
-def torques(trace: Trace) -> Figure:
-    """Joint torques per leg, N·m on the left and in units of `BOOK_TORQUE` on the right."""
+def plot_torques(trace: Trace) -> Figure:
+    """Plot the joint torques of each leg, N·m on the left and in units of `BOOK_TORQUE` on the right."""
     values = trace.joint_torque.reshape(-1, 6, 3)
     title = (
         f"Joint torque (largest magnitude of each tick); right: over {BOOK_TORQUE} N·m, the unit of the monograph's "
@@ -43,24 +43,24 @@ def torques(trace: Trace) -> Figure:
     return figure
 
 
-def joints(trace: Trace) -> Figure:
-    """Joint angles per leg, degrees; targets dashed."""
-    angle, target = (np.degrees(a).reshape(-1, 6, 3) for a in (joint_angle(trace), trace.joint_target))
+def plot_joints(trace: Trace) -> Figure:
+    """Plot the joint angles of each leg, degrees; targets are dashed."""
+    angle, target = (np.degrees(a).reshape(-1, 6, 3) for a in (joint_positions(trace), trace.joint_target))
     return _per_leg(trace, "Joint angle (dashed: target)", "angle (deg)", angle, target)
 
 
-def base(trace: Trace) -> Figure:
-    """Position of the base against its reference, m, and its tilt, degrees."""
+def plot_base(trace: Trace) -> Figure:
+    """Plot position (m) and tilt (deg) of the base against its reference."""
     pose = base_pose(trace)
     figure, axes = _column("Base (dashed: reference)", "x (m)", "y (m)", "z (m)", "tilt (deg)")
-    for of, color, style, width in ((trace.base_target, REFERENCE, "--", 1.0), (pose, ACTUAL, "-", 1.2)):
-        for ax, values in zip(axes[:, 0], [*of[:, :3].T, tilt(of)], strict=True):
+    for poses, color, style, width in ((trace.base_target, REFERENCE, "--", 1.0), (pose, ACTUAL, "-", 1.2)):
+        for ax, values in zip(axes[:, 0], [*poses[:, :3].T, tilt_deg(poses)], strict=True):
             ax.plot(trace.time, values, color=color, ls=style, lw=width)
     return _finish(figure, axes, trace)
 
 
-def feet(trace: Trace) -> Figure:
-    """Height of each foot against its reference, m, and the force on it, N."""
+def plot_feet(trace: Trace) -> Figure:
+    """Plot the height (m) of each foot against its reference, and the force on it (N)."""
     figure, axes = _grid(6, 2, "Feet (dashed: planned height)", share="col")
     for leg, (left, right) in enumerate(axes):
         left.plot(trace.time, trace.foot_target[:, leg, 2], color=REFERENCE, ls="--", lw=1.0)
@@ -73,8 +73,8 @@ def feet(trace: Trace) -> Figure:
     return _finish(figure, axes, trace)
 
 
-def margin(trace: Trace) -> Figure:
-    """Margin to the nearest of the limits that are watched in every tick, a colour for each of these."""
+def plot_margin(trace: Trace) -> Figure:
+    """Plot the margin to the nearest limit that is watched in every tick, with a colour for each limit."""
     figure, axes = _column("Margin to the nearest limit, in units of it", "margin")
     for k, name in enumerate(dict.fromkeys(trace.margin_of)):
         nearest = np.where(trace.margin_of == name, trace.margin, np.nan)
@@ -83,8 +83,8 @@ def margin(trace: Trace) -> Figure:
     return _finish(figure, axes, trace)
 
 
-def paths(trace: Trace) -> Figure:
-    """Paths of the base and the feet in the horizontal plane and from the side, m; references dashed."""
+def plot_paths(trace: Trace) -> Figure:
+    """Plot the paths of base and feet in the horizontal plane and from the side, m; references are dashed."""
     figure = new_figure(5.2)
     figure.suptitle("Paths (dashed: reference)")
     axes = figure.subplots(2, 1)
@@ -104,11 +104,13 @@ def paths(trace: Trace) -> Figure:
     return figure
 
 
-def ball(trace: Trace) -> Figure:
-    """Speed and way of the obstacle's first free body, and where base and mass centre are over it.
+def plot_ball(trace: Trace) -> Figure:
+    """Plot speed and displacement of the obstacle's first free body, and positions of base and mass centre over it.
 
-    Monograph figs. 3.1.4 to 3.1.6; the base's moves are those of figs. 3.1.2 and 3.1.3. Raises `InputError` where
-    there is no such body.
+    Compare monograph figs. 3.1.4 to 3.1.6; the motions of the base are those of figs. 3.1.2 and 3.1.3.
+
+    Raises:
+        InputError: The obstacle has no free body.
     """
     starts = trace.model.jnt_qposadr[trace.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
     if len(starts) < 2:
@@ -129,9 +131,12 @@ def ball(trace: Trace) -> Figure:
     return _finish(figure, axes, trace)
 
 
-def flywheel(trace: Trace) -> Figure:
-    """Middle legs as in figure 2.6.4, beta in rad, their torques, and how far the robot is off its upright line."""
-    angle = joint_angle(trace).reshape(-1, 6, 3)
+def plot_flywheel(trace: Trace) -> Figure:
+    """Plot the middle legs as a flywheel: beta (rad) and its torques, and how far the robot deviates from upright.
+
+    Compare monograph fig. 2.6.4.
+    """
+    angle = joint_positions(trace).reshape(-1, 6, 3)
     torque = trace.joint_torque.reshape(-1, 6, 3)
     labels = ("β (rad)", "largest torque\nof β (N·m)", "centre of mass\nto the left (mm)", "tilt (deg)")
     figure, axes = _column("Middle legs as a flywheel", *labels)
@@ -139,32 +144,34 @@ def flywheel(trace: Trace) -> Figure:
         wrapped = np.mod(angle[:, leg - 1, 1], 2 * np.pi)
         axes[0, 0].plot(trace.time, wrapped, color=color, lw=1.2, label=f"leg {leg}")
         axes[1, 0].plot(trace.time, torque[:, leg - 1, 1], color=color, lw=1.0)
-    aside = 1e3 * sideways(trace, mass_centres(trace, slice(None)) - trace.base_target[:, :3])
+    aside = 1e3 * left_component(trace, mass_centres(trace, slice(None)) - trace.base_target[:, :3])
     axes[2, 0].plot(trace.time, aside, color="k", lw=1.0)
-    axes[3, 0].plot(trace.time, tilt(base_pose(trace)), color="k", lw=1.0)
+    axes[3, 0].plot(trace.time, tilt_deg(base_pose(trace)), color="k", lw=1.0)
     axes[0, 0].axhline(np.pi / 2, color=REFERENCE, ls="--", lw=0.8)
     return _finish(figure, axes, trace)
 
 
-def forces(trace: Trace) -> Figure:
-    """Normal forces of the right feet as in figure 2.4.14, friction used by all feet, and what is left to the cone.
+def plot_forces(trace: Trace) -> Figure:
+    """Plot normal forces of the right feet, the friction that all feet use, and the margin to the friction cone.
 
-    Planned forces are dashed. A dotted line every t* where the manoeuvre has a step cycle.
+    Compare monograph fig. 2.4.14. Planned forces are dashed. Dotted lines are t* apart if the manoeuvre has a step
+    cycle.
     """
-    hold, wanted, friction = measured(trace), planned(trace), float(trace.world.contact.friction)
+    measured, planned = measured_contact_forces(trace), planned_contact_forces(trace)
+    friction = float(trace.world.contact.friction)
     title = "Forces of the feet on the surfaces under them (dashed: planned)"
     figure, axes = _column(title, "N/P", "friction used", "margin to\nthe cone")
     for leg in range(N_LEGS):
         color, label = LEG_COLORS[leg], f"leg {leg + 1}"
-        axes[1, 0].plot(trace.time, hold.friction[:, leg], color=color, lw=0.9, label=label)
+        axes[1, 0].plot(trace.time, measured.friction[:, leg], color=color, lw=0.9, label=label)
         if leg % 2 == 0:
-            axes[0, 0].plot(trace.time, hold.normal[:, leg], color=color, lw=1.2)
-            if wanted is not None:
-                axes[0, 0].plot(trace.time, wanted.normal[:, leg], color=color, ls="--", lw=0.9)
+            axes[0, 0].plot(trace.time, measured.normal[:, leg], color=color, lw=1.2)
+            if planned is not None:
+                axes[0, 0].plot(trace.time, planned.normal[:, leg], color=color, ls="--", lw=0.9)
     axes[1, 0].axhline(friction, color=REFERENCE, lw=0.9)
-    for one, color, style in ((hold, "k", "-"), (wanted, REFERENCE, "--")):
-        if one is not None:
-            left = friction - np.nanmax(np.nan_to_num(one.friction), axis=1)
+    for forces, color, style in ((measured, "k", "-"), (planned, REFERENCE, "--")):
+        if forces is not None:
+            left = friction - np.nanmax(np.nan_to_num(forces.friction), axis=1)
             axes[2, 0].plot(trace.time, left, color=color, ls=style, lw=1.0)
     axes[2, 0].axhline(0, color=REFERENCE, lw=0.8)
     if rate := getattr(trace.belief.manoeuvre, "rate", None):
@@ -174,30 +181,37 @@ def forces(trace: Trace) -> Figure:
     return _finish(figure, axes, trace)
 
 
-def _lettered(draw: Callable[[Trace], Figure]) -> Callable[[Trace], Figure]:
-    """`draw` with the letters of all figures."""
-
+def _with_plot_style(draw: Callable[[Trace], Figure]) -> Callable[[Trace], Figure]:
     @wraps(draw)
-    def drawn(trace: Trace) -> Figure:
+    def draw_with_style(trace: Trace) -> Figure:
         with plot_style():
             return draw(trace)
 
-    return drawn
+    return draw_with_style
 
 
+# names as in `sweep replay --plot NAME`
 PLOTS: dict[str, Callable[[Trace], Figure]] = {
-    draw.__name__: _lettered(draw) for draw in (torques, joints, base, feet, margin, paths, ball, flywheel, forces)
+    "torques": _with_plot_style(plot_torques),
+    "joints": _with_plot_style(plot_joints),
+    "base": _with_plot_style(plot_base),
+    "feet": _with_plot_style(plot_feet),
+    "margin": _with_plot_style(plot_margin),
+    "paths": _with_plot_style(plot_paths),
+    "ball": _with_plot_style(plot_ball),
+    "flywheel": _with_plot_style(plot_flywheel),
+    "forces": _with_plot_style(plot_forces),
 }
 
 
-def tilt(pose: np.ndarray) -> np.ndarray:
-    """Angle (F,) in degrees between the base's z axis and the vertical, from poses (F, 7)."""
+def tilt_deg(pose: np.ndarray) -> np.ndarray:
+    """Return the angle (F,), deg, between the base's z axis and the vertical, from poses (F, 7)."""
     _, x, y, _ = pose[:, 3:].T
     return np.degrees(2 * np.arcsin(np.clip(np.hypot(x, y), 0, 1)))
 
 
-def sideways(trace: Trace, vectors: np.ndarray) -> np.ndarray:
-    """The part (F,) of `vectors` (F, 3) to the left of the planned base."""
+def left_component(trace: Trace, vectors: np.ndarray) -> np.ndarray:
+    """Return the component (F,) of `vectors` (F, 3), world axes, to the left of the base's reference."""
     w, x, y, z = trace.base_target[:, 3:].T
     left = np.stack([2 * (x * y - w * z), 1 - 2 * (x**2 + z**2), 2 * (y * z + w * x)], axis=1)
     return np.sum(vectors * left, axis=1)
@@ -211,7 +225,7 @@ def _per_leg(
     target: np.ndarray | None = None,
     limit: float | None = None,
 ) -> Figure:
-    """One panel a leg with the three joints of `values` (F, 6, 3), `target` dashed; `limit` dotted."""
+    """One panel for each leg with `values` (F, 6, 3) of its three joints; `target` is dashed, `limit` dotted."""
     figure, axes = _grid(3, 2, title, share="all")
     for row, legs in zip(axes, PAIRS, strict=True):
         for ax, leg in zip(row, legs, strict=True):
@@ -226,14 +240,14 @@ def _per_leg(
 
 
 def _grid(rows: int, columns: int, title: str, share: Literal["none", "col", "all"] = "none") -> tuple[Figure, Any]:
-    """Figure and its axes (rows, columns), one time axis for all; `share` says which have one y axis."""
+    """Figure and its axes (rows, columns) with one time axis; `share` says which panels share a y axis."""
     figure = new_figure(1.6 + 1.1 * rows)
     figure.suptitle(wrap_text(title, 72 * PAGE - 2 * LETTERS))
     return figure, figure.subplots(rows, columns, sharex=True, sharey=share, squeeze=False)
 
 
 def _column(title: str, *labels: str) -> tuple[Figure, Any]:
-    """Figure and its axes (labels, 1), one above the other, with the labels of their y axes."""
+    """Figure and its axes (labels, 1), one below the other, with labels of their y axes."""
     figure, axes = _grid(len(labels), 1, title)
     for ax, label in zip(axes[:, 0], labels, strict=True):
         ax.set_ylabel(label)
@@ -241,7 +255,7 @@ def _column(title: str, *labels: str) -> tuple[Figure, Any]:
 
 
 def _finish(figure: Figure, axes: np.ndarray, trace: Trace) -> Figure:
-    """Time axis, a line where a stage begins, named above the top row, and a legend of what has a label."""
+    """Add time axis, lines where stages begin, stage names above the top row, and a legend."""
     legend_below(figure, [one for ax in axes.flat for one in ax.get_legend_handles_labels()[0]])
     starts = np.flatnonzero(np.diff(trace.stage, prepend=-1))
     room = ROOM / (72 * (PAGE / axes.shape[1] - BESIDE)) * (trace.time[-1] - trace.time[0])
@@ -258,7 +272,7 @@ def _finish(figure: Figure, axes: np.ndarray, trace: Trace) -> Figure:
 
 
 def _name_stages(ax: Axes, trace: Trace, starts: np.ndarray, room: float) -> None:
-    """Names of stages, but of those that begin less than `room` (s) after the one before that is named."""
+    """Write the names of stages that begin at least `room` (s) after the one that was named before."""
     marks, named = ax.secondary_xaxis("top"), [starts[0]]
     for k in starts[1:]:
         if trace.time[k] - trace.time[named[-1]] >= room:

@@ -29,30 +29,30 @@ from sweep.study.columns import LABELS
 from sweep.study.config import build_experiment
 from sweep.study.study import parameter_columns
 from sweep.systems.base import judge_rollout
-from sweep.trace.frames import VIDEO_RATE, need_ffmpeg, write_png, write_video
 from sweep.trace.mcap import write_mcap
 from sweep.trace.plots import PLOTS
-from sweep.trace.sampling import at_rate
+from sweep.trace.rendering import VIDEO_RATE, require_ffmpeg, write_png, write_video
+from sweep.trace.sampling import frames_at_rate
 
-SHOWN = ("mcap", "states", "model", "plot", "png", "video")  # options that a system may have nothing for
+SHOWN = ("mcap", "states", "model", "plot", "png", "video")  # options that a system may not support
 
 
 @dataclass(frozen=True)
 class Replay:
-    """A stored rollout and the same one simulated again."""
+    """A stored rollout and its replay."""
 
-    stored: pd.Series  # its row
-    again: Mapping[str, Any]  # the new row: figures and labels
-    trace: Trace  # what was recorded: states, forces, torques and stages over time
-    settings: EngineSettings  # of the engine
-    config: dict[str, Any]  # the study's resolved configuration and the point's own values
-    other_run: str | None  # what may differ from then, where code, libraries or device do
+    stored: pd.Series  # row of the stored rollout
+    again: Mapping[str, Any]  # metrics and outcome of the new rollout
+    trace: Trace  # states, forces, torques and stages of the new rollout over time
+    settings: EngineSettings  # settings of the engine
+    config: dict[str, Any]  # resolved configuration of the study, and the point's own values
+    other_run: str | None  # a note where code, libraries or device differ from those of the stored row
 
 
 def main(args: list[str]) -> int:
-    """Run the command with the arguments after `replay`; the exit status. Raises `InputError`."""
+    """Run `sweep replay` with the arguments after the verb; return the exit status. Raises `InputError`."""
     options = _parser().parse_args(args)
-    _check(options)
+    _check_options(options)
     system = results.load_experiment(options.folder).system
     for name in SHOWN:
         if getattr(options, name) and name not in system.replay_formats:
@@ -61,7 +61,7 @@ def main(args: list[str]) -> int:
     device_choice.choose_device_for_folder(options.folder)
     with show_wait(f"simulating {options.point} of {options.folder} in its batch"):
         result = replay(options.folder, options.point)
-    print(comparison(result))
+    print(format_comparison(result))
     for path in (options.mcap, options.video, options.output, options.states, options.model):
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -69,7 +69,7 @@ def main(args: list[str]) -> int:
         outcome = {"point_id": result.stored["point_id"], **result.again}
         write_mcap(options.mcap, result.trace, result.config, outcome)
     if options.states:
-        write_atomically(options.states, partial(states(result.trace).to_parquet, index=False))
+        write_atomically(options.states, partial(state_table(result.trace).to_parquet, index=False))
     if options.model:
         write_atomically(options.model, model_xml(result.trace.world, result.settings).encode())
     for name in options.plot:
@@ -79,16 +79,26 @@ def main(args: list[str]) -> int:
     if options.png:
         write_png(options.png, result.trace, came)
     if options.video:
-        pictures = len(at_rate(result.trace, VIDEO_RATE))
+        pictures = len(frames_at_rate(result.trace, VIDEO_RATE))
         with show_counts(lambda done, of: f"{done} of {of} pictures drawn", 0, pictures) as report:
             write_video(options.video, result.trace, f"row {result.stored.name}", came, report)
     return 0
 
 
 def replay(folder: Path, point: str) -> Replay:
-    """Simulate the batch of `point` (a row number or the start of a point id) in `folder` again, recording that point.
+    """Simulate a stored rollout again and record its trace.
 
-    The whole batch runs, because equal bits need equal neighbours in equal slots. Raises `InputError`.
+    Its whole batch runs, because equal bits need equal neighbours in equal slots.
+
+    Args:
+        folder: Folder of the study.
+        point: Row number, or the beginning of a point id.
+
+    Returns:
+        The stored row, the new one, and the trace.
+
+    Raises:
+        InputError: No row, or more than one, is meant; or the folder is damaged.
     """
     task, slot, row = load_point(folder, point)
     table, stored = store.read_points(folder), store.read_study(folder)
@@ -106,15 +116,22 @@ def replay(folder: Path, point: str) -> Replay:
     return Replay(row, again, trace, task.settings, {**config, "point": values}, other_run)
 
 
-def states(trace: Trace) -> pd.DataFrame:
-    """One row a control tick, one column a number, see `offered`."""
+def state_table(trace: Trace) -> pd.DataFrame:
+    """Return a trace as a table: a row for each control tick, a column for each number of the state."""
     record = {name: np.moveaxis(getattr(trace, name), 0, -1) for name in ("qpos", "qvel", "joint_torque", "foot_force")}
     columns = {name: np.asarray(column(record)) for name, column in available_columns(trace.world).items()}
     return pd.DataFrame({"time_s": trace.time, "stage": [trace.stages[k] for k in trace.stage], **columns})
 
 
 def model_xml(world: Case, settings: EngineSettings) -> str:
-    """The world's MuJoCo model as MJCF, to six digits; mjx has a contact of its own in place of MuJoCo's."""
+    """Return the world's MuJoCo model as MJCF, to six digits.
+
+    The contact of the `mjx` engine is its own and not part of the model.
+
+    Args:
+        world: The simulated case.
+        settings: Settings of the engine, which give the time step.
+    """
     if settings.name == "native":
         spec = scene.native_spec(world, settings.native_time_step, settings.solid)
     else:
@@ -124,12 +141,12 @@ def model_xml(world: Case, settings: EngineSettings) -> str:
     return spec.to_xml()
 
 
-def comparison(result: Replay) -> str:
-    """The stored outcome beside the new one, and the figures that differ."""
+def format_comparison(result: Replay) -> str:
+    """Return a text with the stored outcome beside the new one, and all metrics that differ."""
     stored, again = result.stored, result.again
     figures = [name for name in result.trace.metrics if name in stored]
     changed = [name for name in figures if not same_bits(stored[name], again[name])]
-    rows = [(name, _shown(stored[name]), _shown(again[name])) for name in (*LABELS[:4], *changed)]
+    rows = [(name, _format_value(stored[name]), _format_value(again[name])) for name in (*LABELS[:4], *changed)]
     lines = [
         f"point {stored['point_id']}",
         tabulate(rows, headers=("", "stored", "replayed"), disable_numparse=True),
@@ -140,7 +157,7 @@ def comparison(result: Replay) -> str:
     return "\n".join(lines)
 
 
-def _shown(value: Any) -> str:
+def _format_value(value: Any) -> str:
     return value if isinstance(value, str) else f"{value:.9g}"
 
 
@@ -158,8 +175,8 @@ def _parser() -> Arguments:
     return parser
 
 
-def _check(options: argparse.Namespace) -> None:
-    """Refuse before simulating what could not be written after it."""
+def _check_options(options: argparse.Namespace) -> None:
+    """Refuse options that would fail after the simulation."""
     if bool(options.plot) != (options.output is not None):
         raise InputError("--plot NAME ... and -o FILE go together")
     kinds = FigureCanvasBase.get_supported_filetypes()
@@ -172,4 +189,4 @@ def _check(options: argparse.Namespace) -> None:
     if options.video:
         if options.video.suffix != ".mp4":
             raise InputError(f"--video {options.video} is not allowed: a file that ends in mp4")
-        need_ffmpeg()
+        require_ffmpeg()

@@ -1,15 +1,15 @@
-"""Which frames of a trace to show, and where the robot's base is in them."""
+"""Select frames of a trace, and extract poses, joints and mass centres from it."""
 
 import mujoco
 import numpy as np
 
 from sweep.engines.base import Trace, single_joints
 
-BASE = "base"  # the robot's body
+BASE = "base"  # name of the robot's trunk in its model
 
 
 def finite_frames(trace: Trace) -> int:
-    """Number of frames before the simulation stopped being finite; at least 1 or `ValueError`."""
+    """Return the number of frames before the simulation diverged. Raises `ValueError` if it is 0."""
     bad = ~np.isfinite(trace.qpos).all(axis=1)
     count = int(np.argmax(bad)) if bad.any() else len(bad)
     if count == 0:
@@ -17,22 +17,33 @@ def finite_frames(trace: Trace) -> int:
     return count
 
 
-def at_times(trace: Trace, times: np.ndarray) -> np.ndarray:
-    """Indices (N,) of the finite frames nearest to `times` (s)."""
+def frames_at_times(trace: Trace, times: np.ndarray) -> np.ndarray:
+    """Return the finite frames nearest to some times.
+
+    Args:
+        trace: The rollout.
+        times: Times (N,), s.
+
+    Returns:
+        Indices (N,) of the frames.
+    """
     clock = trace.time[: finite_frames(trace)]
     after = np.clip(np.searchsorted(clock, times), 1, max(len(clock) - 1, 1))
     nearest = np.where(np.abs(times - clock[after - 1]) <= np.abs(clock[after % len(clock)] - times), after - 1, after)
     return np.minimum(nearest, len(clock) - 1)
 
 
-def at_rate(trace: Trace, rate: float) -> np.ndarray:
-    """Indices of finite frames, `rate` of them per simulated second, or every frame if there are fewer."""
+def frames_at_rate(trace: Trace, rate: float) -> np.ndarray:
+    """Return indices of finite frames, `rate` of them per simulated second, or of all frames if there are fewer."""
     start, end = trace.time[0], trace.time[finite_frames(trace) - 1]
-    return np.unique(at_times(trace, start + np.arange(int((end - start) * rate + 1e-6) + 1) / rate))
+    return np.unique(frames_at_times(trace, start + np.arange(int((end - start) * rate + 1e-6) + 1) / rate))
 
 
-def base_body(model: mujoco.MjModel) -> int:
-    """The robot's body: the one called base if that moves, the first that is free, or the first that moves."""
+def base_body_id(model: mujoco.MjModel) -> int:
+    """Return the id of the robot's trunk.
+
+    This is the moving body named `base`, else the first body with a free joint, else the first that moves.
+    """
     named = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, BASE)
     free = model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
     moving = np.flatnonzero(model.body_weldid != 0)
@@ -40,11 +51,11 @@ def base_body(model: mujoco.MjModel) -> int:
 
 
 def base_pose(trace: Trace) -> np.ndarray:
-    """Position (m) and quaternion (w, x, y, z) of the base in the world, (F, 7).
+    """Return position (m) and quaternion (w, x, y, z) of the base in the world, (F, 7).
 
-    Where it is not free, the middle of the model.
+    If the base has no free joint, this is the centre of the model.
     """
-    model, body = trace.model, base_body(trace.model)
+    model, body = trace.model, base_body_id(trace.model)
     joint = model.body_jntadr[body]
     if joint < 0 or model.jnt_type[joint] != int(mujoco.mjtJoint.mjJNT_FREE):
         return np.tile([*model.stat.center, 1.0, 0.0, 0.0, 0.0], (len(trace.qpos), 1))
@@ -52,23 +63,23 @@ def base_pose(trace: Trace) -> np.ndarray:
     return trace.qpos[:, start : start + 7]
 
 
-def joint_angle(trace: Trace) -> np.ndarray:
-    """Places (F, J) of the `single_joints`, rad or m; of the six-legged robot leg by leg, alpha, beta, gamma."""
+def joint_positions(trace: Trace) -> np.ndarray:
+    """Return positions (F, J) of the `single_joints`, rad or m; of the hexapod by legs, each alpha, beta, gamma."""
     return trace.qpos[:, trace.model.jnt_qposadr[single_joints(trace.model)]]
 
 
-def joint_rate(trace: Trace) -> np.ndarray:
-    """Rates (F, J) of the same, rad/s or m/s."""
+def joint_rates(trace: Trace) -> np.ndarray:
+    """Return rates (F, J) of the `single_joints`, rad/s or m/s."""
     return trace.qvel[:, trace.model.jnt_dofadr[single_joints(trace.model)]]
 
 
 def joint_names(model: mujoco.MjModel) -> list[str]:
-    """What the `single_joints` are called."""
+    """Return the names of the `single_joints`."""
     return [model.joint(joint).name or f"joint_{joint}" for joint in single_joints(model)]
 
 
 def mass_centres(trace: Trace, frames: slice) -> np.ndarray:
-    """Mass centre of the robot (m, world) in some frames, (N, 3)."""
+    """Return the robot's mass centre (N, 3), m, world axes, at the frames of a slice."""
     data, centres = mujoco.MjData(trace.model), []
     for qpos in trace.qpos[frames]:
         data.qpos[:] = qpos

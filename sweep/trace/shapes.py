@@ -1,4 +1,4 @@
-"""An MjModel's geoms as Foxglove primitives."""
+"""Convert the geoms of a MuJoCo model to Foxglove primitives."""
 
 import mujoco
 import numpy as np
@@ -17,45 +17,45 @@ from foxglove.messages import (
     Vector3,
 )
 
-from sweep.trace.hulls import hull_of
+from sweep.trace.hulls import geom_hull
 
 Primitive = CubePrimitive | CylinderPrimitive | SpherePrimitive | TriangleListPrimitive
 Geom = mujoco.mjtGeom
 
 WORLD = "world"  # the fixed frame
-PLANE_SIDE = 20.0  # m, how much of an infinite plane is drawn
+PLANE_SIDE = 20.0  # m, drawn of an infinite plane
 PLANE_THICKNESS = 2e-3  # m
 VISIBLE_GROUPS = 3  # MuJoCo's viewers draw the groups 0-2
 
 
-def vector(values: np.ndarray) -> Vector3:
-    """Foxglove vector from (3,)."""
+def foxglove_vector(values: np.ndarray) -> Vector3:
+    """Convert (3,) numbers to a Foxglove vector."""
     return Vector3(x=float(values[0]), y=float(values[1]), z=float(values[2]))
 
 
-def quaternion(values: np.ndarray) -> Quaternion:
-    """Foxglove quaternion from MuJoCo's order (w, x, y, z)."""
+def foxglove_quaternion(values: np.ndarray) -> Quaternion:
+    """Convert a quaternion in MuJoCo's order (w, x, y, z) to Foxglove's."""
     return Quaternion(x=float(values[1]), y=float(values[2]), z=float(values[3]), w=float(values[0]))
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:
-    """Name of the body's frame."""
+    """Return the name of a body, which is also that of its frame in Foxglove."""
     return mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or f"body_{body}"
 
 
-def moving_bodies(model: mujoco.MjModel) -> np.ndarray:
-    """Ids of the bodies that can move in the world."""
+def moving_body_ids(model: mujoco.MjModel) -> np.ndarray:
+    """Return the ids of the bodies that can move in the world."""
     return np.flatnonzero(model.body_weldid != 0)
 
 
-def entities(model: mujoco.MjModel) -> list[SceneEntity]:
-    """One entity for every body with visible geoms, locked to the body's frame.
+def scene_entities(model: mujoco.MjModel) -> list[SceneEntity]:
+    """Return a Foxglove entity for every body with visible geoms, locked to the body's frame.
 
     Fixed bodies are drawn in the world's frame, so that only moving bodies need a transform.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    moving = set(moving_bodies(model).tolist())
+    moving = set(moving_body_ids(model).tolist())
     made = []
     for body in range(model.nbody):
         geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]
@@ -83,7 +83,7 @@ def _entity(name: str, frame: str, shapes: list[Primitive]) -> SceneEntity:
 
 
 def _shapes(model: mujoco.MjModel, data: mujoco.MjData, geom: int, moving: bool) -> list[Primitive]:
-    """Primitives of one geom; none of a field of heights."""
+    """Primitives of one geom; none for a height field."""
     if moving:
         position, orientation = model.geom_pos[geom], model.geom_quat[geom]
     else:
@@ -95,18 +95,18 @@ def _shapes(model: mujoco.MjModel, data: mujoco.MjData, geom: int, moving: bool)
     def pose(along_z: float = 0.0) -> Pose:
         offset = np.empty(3)
         mujoco.mju_rotVecQuat(offset, np.array([0.0, 0.0, along_z]), orientation)
-        return Pose(position=vector(position + offset), orientation=quaternion(orientation))
+        return Pose(position=foxglove_vector(position + offset), orientation=foxglove_quaternion(orientation))
 
     def tube(radius: float, half: float) -> CylinderPrimitive:
-        dimensions = vector(np.array([2 * radius, 2 * radius, 2 * half]))
+        dimensions = foxglove_vector(np.array([2 * radius, 2 * radius, 2 * half]))
         return CylinderPrimitive(pose=pose(), size=dimensions, bottom_scale=1.0, top_scale=1.0, color=color)
 
     def ball(radii: np.ndarray, along_z: float = 0.0) -> SpherePrimitive:
-        return SpherePrimitive(pose=pose(along_z), size=vector(2 * radii), color=color)
+        return SpherePrimitive(pose=pose(along_z), size=foxglove_vector(2 * radii), color=color)
 
     match kind:
         case Geom.mjGEOM_BOX:
-            return [CubePrimitive(pose=pose(), size=vector(2 * size), color=color)]
+            return [CubePrimitive(pose=pose(), size=foxglove_vector(2 * size), color=color)]
         case Geom.mjGEOM_SPHERE:
             return [ball(size[[0, 0, 0]])]
         case Geom.mjGEOM_ELLIPSOID:
@@ -117,10 +117,10 @@ def _shapes(model: mujoco.MjModel, data: mujoco.MjData, geom: int, moving: bool)
             return [tube(size[0], size[1]), *(ball(size[[0, 0, 0]], end) for end in (-size[1], size[1]))]
         case Geom.mjGEOM_PLANE:  # a thin slab whose top is the plane; half-size 0 means infinite
             sides = np.where(size[:2] > 0, 2 * size[:2], PLANE_SIDE)
-            slab = vector(np.array([*sides, PLANE_THICKNESS]))
+            slab = foxglove_vector(np.array([*sides, PLANE_THICKNESS]))
             return [CubePrimitive(pose=pose(-PLANE_THICKNESS / 2), size=slab, color=color)]
         case Geom.mjGEOM_MESH:
-            vertices, faces = hull_of(model, geom)
+            vertices, faces = geom_hull(model, geom)
             points = [Point3(x=float(x), y=float(y), z=float(z)) for x, y, z in vertices]
             fans = [
                 index for face in faces for k in range(1, len(face) - 1) for index in (face[0], face[k], face[k + 1])
@@ -131,7 +131,7 @@ def _shapes(model: mujoco.MjModel, data: mujoco.MjData, geom: int, moving: bool)
 
 
 def geom_color(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
-    """Red, green, blue and opacity of a geom, a texture as its mean: primitives have one colour."""
+    """Return red, green, blue and opacity of a geom, from 0 to 1; a texture counts as its mean colour."""
     material = int(model.geom_matid[geom])
     return tuple((model.geom_rgba[geom] if material < 0 else _material_rgba(model, material)).tolist())
 

@@ -1,4 +1,8 @@
-"""What a plan lacks by other numbers: its margins over draws, against what is aimed at, without physics."""
+"""Score of a plan's free numbers: the deficits of its margins over draws of the belief, without physics.
+
+A margin has an aim. Its deficit is the amount by which it falls short of the aim, in units that make margins
+comparable.
+"""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -18,9 +22,9 @@ from sweep.core.errors import InputError, require_choice
 from sweep.models import plan_table
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
-from sweep.tune import planned, played
+from sweep.tune import ball_margins, kinematic_margins
 
-# what is aimed at if not told (m, rad/s, shares of the weight); a margin without an aim counts for nothing
+# default aims (m, rad/s, shares of the weight); a margin without an aim does not count
 AIMS = {
     "base": 0.02,
     "links": 0.003,
@@ -34,21 +38,21 @@ AIMS = {
     "support": 0.02,
     "hold": 0.01,
 }
-ALIKE = {"rate": 1.0, "hold": 0.01, "speed": 0.02}  # that count alike; else m:
+SCALES = {"rate": 1.0, "hold": 0.01, "speed": 0.02}  # unit of the deficit of these margins; of all others `LENGTH`
 LENGTH = 0.01  # m
-SLACK = 0.1  # of what counts alike, that a margin may lose where numbers only follow sizes
-MOMENTS, APART = 11, 0.05  # of a stage, at least; s, at most, in which a leg that swings goes some centimetres
-WORST, AT_ONCE = 3, 8  # moments of a stage that linear programs look at; draws that a core looks at together
-MOVED, SAME = 0.1, 1e-3  # of its step, by which a number moves for a difference; what is no difference
-UNKNOWN = 1e3  # the most that a margin lacks, as one that is not a number
-PERIOD, TIMES = 0.04, 1.05  # s, of a tick in which a plan on a ball is played; its time, with that of waiting
-PLAYED = ("zmp", "speed")  # margins of such a plan alone
+SLACK = 0.1  # units of deficit that a margin may lose by `Score.cap_aims`
+MOMENTS, APART = 11, 0.05  # least number of phases of a stage; largest time between them (s), some cm of a swing
+WORST, AT_ONCE = 3, 8  # phases of a stage that linear programs consider; draws that a core evaluates together
+MOVED, SAME = 0.1, 1e-3  # share of a number's step for a finite difference; deficits that differ by less are equal
+UNKNOWN = 1e3  # largest deficit, also that of nan
+PERIOD, TIMES = 0.04, 1.05  # tick (s) of a plan on a ball; its duration over that of its stages, as it may wait
+PLAYED = ("zmp", "speed")  # margins that only a plan on a ball has
 SETS = 3  # axes of sets of numbers: set, draw, number
-MANOEUVRE = "manoeuvre"  # beginning of paths that are not the table's
+MANOEUVRE = "manoeuvre"  # first word of paths outside the plan table
 
 
 class Aim(NamedTuple):
-    """What a margin should be at least."""
+    """Least value that a margin should have in some stages."""
 
     margin: str
     stages: str  # pattern of their names
@@ -56,11 +60,23 @@ class Aim(NamedTuple):
 
 
 class Score:
-    """Margins at the worst moment of every stage, and what they lack in the worst draw, by the plan's free numbers.
+    """Margins of a plan, and their deficits, as functions of its free numbers and of draws of the belief.
 
-    Plans on a ball are played by their tracker, with the ball where it rolls to; others are posed as they are planned,
-    at as many `moments` of a stage as the last pattern says that names it, or else at least `MOMENTS`, `APART` in time.
-    Raises `InputError` where no stage or margin is named as asked, or the plan's forces are not searched for.
+    The worst phases of every stage count. A plan on a ball is played by its tracker. Other plans are posed by inverse
+    kinematics at evenly spaced phases of a stage. Their number is that of the last pattern in `moments` that matches
+    the stage, or at least `MOMENTS`, and `APART` in time.
+
+    Args:
+        case: The nominal case.
+        free: Paths of the free numbers.
+        aims: Aims beside those of `AIMS`; a later aim of the same margin and stage takes precedence.
+        patterns: Patterns of the stages that count.
+        moments: Numbers of phases by pattern of the stage.
+        hold: Whether the force reserve counts too.
+        width: Largest number of sets of numbers in a call of `margins`.
+
+    Raises:
+        InputError: A pattern or a margin matches nothing, or the plan has no forces to search for.
     """
 
     def __init__(
@@ -84,7 +100,7 @@ class Score:
             raise InputError(f"--forces is not allowed: manoeuvre.kind = {case.manoeuvre.kind} plans none")
         if hold and self._plays:
             raise InputError("--forces is not allowed: a plan on a ball is played, not held")
-        told = (*planned.Margins._fields, *(PLAYED if self._plays else ("hold",) if hold else ()))
+        told = (*kinematic_margins.Margins._fields, *(PLAYED if self._plays else ("hold",) if hold else ()))
         for aim in aims:
             require_choice(aim.margin, told, f"--need: margin {aim.margin}")
         chosen = [k for k, name in enumerate(names) if name in judged and any(fnmatchcase(name, p) for p in patterns)]
@@ -104,9 +120,14 @@ class Score:
         self._descent = jax.jit(jax.vmap(jax.value_and_grad(self._lack), (None, 0)))
 
     def margins(self, numbers: np.ndarray, draws: Case) -> dict[str, np.ndarray]:
-        """Margins (..., draws, stages) by name, for numbers (..., draws or 1, free) or (free,).
+        """Return the least margins of every stage.
 
-        Of sets of numbers, a leading axis, there are at most `width`.
+        Args:
+            numbers: Free numbers (free,); (draws or 1, free); or up to `width` sets of them (sets, draws or 1, free).
+            draws: Beliefs, with arrays (draws,) as leaves.
+
+        Returns:
+            Margins (draws, stages) by name; with sets (sets, draws, stages).
         """
         count, single = len(draws.robot.body_length), numbers.ndim < SETS  # pyright: ignore[reportArgumentType]
         sets = np.broadcast_to(numbers, (1 if single else len(numbers), count, len(self._free)))
@@ -115,35 +136,69 @@ class Score:
         chosen = 0 if single else slice(len(sets))
         return {key: value[:, :, 0].swapaxes(0, 1)[chosen] for key, value in found.items()}
 
-    def lacks(self, margins: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Sums (...) over stages and margins (..., draws, stages) of squares of what the worst draw lacks."""
-        return np.sum(np.clip(np.nan_to_num(self.lacking(margins)).max(axis=-2), 0.0, UNKNOWN) ** 2, axis=-1)
+    def worst_draw_score(self, margins: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return the score (...): the sum over stages and margins of the squared deficit in the worst draw.
 
-    def lacking(self, margins: Mapping[str, Any]) -> Any:
-        """What margins (..., stages) with an aim lack (..., margins x stages), in what counts alike."""
-        aims = {key: self.aimed(key) for key in sorted(margins)}
-        return jnp.concatenate([(aim - _known(margins[key])) / ALIKE.get(key, LENGTH)
+        Args:
+            margins: Margins (..., draws, stages) by name.
+        """
+        return np.sum(np.clip(np.nan_to_num(self.deficits(margins)).max(axis=-2), 0.0, UNKNOWN) ** 2, axis=-1)
+
+    def deficits(self, margins: Mapping[str, Any]) -> Any:
+        """Return the deficits of all margins that have an aim.
+
+        Args:
+            margins: Margins (..., stages) by name.
+
+        Returns:
+            Deficits (..., margins x stages); negative where the margin exceeds its aim. A unit is 1 cm, or that of
+            `SCALES`.
+        """
+        aims = {key: self.aim_values(key) for key in sorted(margins)}
+        return jnp.concatenate([(aim - _known(margins[key])) / SCALES.get(key, LENGTH)
                                 for key, aim in aims.items() if np.isfinite(aim).any()], axis=-1)  # fmt: skip
 
-    def keep(self, numbers: np.ndarray, draws: Case) -> None:
-        """Aim no higher than at what numbers keep in the first draw, less a little."""
-        kept = self.margins(numbers, draws)
-        self._kept = {key: value[0] - SLACK * ALIKE.get(key, LENGTH) for key, value in kept.items()}
+    def cap_aims(self, numbers: np.ndarray, draws: Case) -> None:
+        """Lower all aims to the margins that some numbers reach in the first draw, less a tolerance.
 
-    def descent(self, numbers: np.ndarray, draws: Case) -> tuple[np.ndarray, np.ndarray]:
-        """What every draw lacks (draws,) by numbers (free,), and the gradients of that (draws, free)."""
+        Args:
+            numbers: Free numbers (free,).
+            draws: Beliefs, with arrays (draws,) as leaves.
+        """
+        kept = self.margins(numbers, draws)
+        self._kept = {key: value[0] - SLACK * SCALES.get(key, LENGTH) for key, value in kept.items()}
+
+    def deficit_gradients(self, numbers: np.ndarray, draws: Case) -> tuple[np.ndarray, np.ndarray]:
+        """Return the summed squared deficits of every draw and their gradients.
+
+        Args:
+            numbers: Free numbers (free,).
+            draws: Beliefs, with arrays (draws,) as leaves.
+
+        Returns:
+            Sums (draws,) and gradients (draws, free).
+        """
         lack, gradient = (np.asarray(x, float) for x in self._descent(jnp.asarray(numbers), draws))
         return lack, np.nan_to_num(gradient, posinf=0.0, neginf=0.0)
 
-    def slopes(self, numbers: np.ndarray, draws: Case, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What draws lack at worst moments (draws, moments, margins x stages) by their numbers (draws, free), and its
-        slopes (..., free), by differences of a part of `steps`: numbers that touch no stage in common move together.
+    def deficit_slopes(self, numbers: np.ndarray, draws: Case, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the deficits at the worst phases and their slopes by finite differences.
+
+        Numbers that affect no stage in common are moved together.
+
+        Args:
+            numbers: Free numbers of every draw (draws, free).
+            draws: Beliefs, with arrays (draws,) as leaves.
+            steps: Steps (free,); a difference takes a fraction of one.
+
+        Returns:
+            Deficits (draws, phases, margins x stages) and slopes (draws, phases, margins x stages, free).
         """
         count, stages = len(steps), len(self.stages)
         first = jax.tree.map(lambda x: x[:1], draws)
         alone = self._lacks(numbers[:1, None] + MOVED * steps * np.eye(count + 1, count, -1), first)[0]
         touched = ~np.isclose(alone[1:], alone[0], 0.0, SAME).reshape(count, -1, stages).all(axis=1)
-        group = groups(touched)
+        group = independent_groups(touched)
         moves = np.where(np.arange(-1, group.max() + 1)[:, None] == group, MOVED * steps, 0.0)
         lack = self._lacks(numbers[:, None] + moves, draws)
         known = np.where(np.isfinite(lack), lack, np.nan)
@@ -151,19 +206,19 @@ class Score:
         return lack[:, 0], more * np.tile(touched.T, (lack.shape[-1] // stages, 1)) / (MOVED * steps)
 
     def _lacks(self, numbers: np.ndarray, draws: Case) -> np.ndarray:
-        """What draws lack at worst moments (draws, sets, moments, margins x stages) by sets (draws, sets, free)."""
+        """Deficits (draws, sets, phases, margins x stages) at the worst phases, for numbers (draws, sets, free)."""
         each = jax.tree.map(lambda x: np.repeat(x, numbers.shape[1], axis=0), draws)
         found = _in_parts(self._margins, numbers.reshape(-1, 1, numbers.shape[-1]), each)
-        lack = np.asarray(self.lacking({key: value[:, 0] for key, value in found.items()}))
+        lack = np.asarray(self.deficits({key: value[:, 0] for key, value in found.items()}))
         return lack.reshape(*numbers.shape[:2], *lack.shape[1:])
 
     def _lack(self, numbers: jax.Array, belief: Case) -> jax.Array:
-        """The same as `lacks`, of one draw, to be differentiated."""
-        lack = self.lacking(self._left(numbers, belief))[0]
+        """Summed squared deficit of one draw, differentiable."""
+        lack = self.deficits(self._left(numbers, belief))[0]
         return jnp.sum(jnp.where(jnp.isfinite(lack) & (lack > 0), lack, 0.0) ** 2)  # what is infinite says nothing
 
-    def aimed(self, margin: str) -> np.ndarray:
-        """What is aimed at in every stage (S,); the last aim that names it counts, -inf without one."""
+    def aim_values(self, margin: str) -> np.ndarray:
+        """Return the aim (stages,) of a margin in every stage: the last that matches, or minus infinity."""
         found = np.full(len(self.stages), -np.inf)
         for aim in self.aims:
             if aim.margin == margin:
@@ -171,9 +226,9 @@ class Score:
         return np.minimum(found, self._kept.get(margin, np.inf))
 
     def _left(self, numbers: jax.Array, belief: Case) -> dict[str, jax.Array]:
-        """Margins (moments, S) of one draw, at the worst moments of every stage, the worst first."""
+        """Margins (phases, stages) of one draw at the worst phases of every stage, the worst first."""
         for path, value in zip(self._free, numbers, strict=True):
-            belief = changed(belief, path, value, self._formulas)
+            belief = with_value(belief, path, value, self._formulas)
         plan = belief.manoeuvre.plan(belief)
         return self._of_played(belief, plan) if self._plays else self._of_posed(belief, plan)
 
@@ -185,27 +240,36 @@ class Score:
             seen = jax.vmap(function)(jnp.repeat(chosen, counts), jnp.asarray(phases))
             most = max(WORST, *counts)
             own = (np.cumsum(counts) - counts)[:, None] + np.minimum(np.arange(most), counts[:, None] - 1)
-            return {key: -jax.lax.top_k(-lows(_known(x)[own]), WORST)[0].T for key, x in seen.items()}
+            return {key: -jax.lax.top_k(-local_minima(_known(x)[own]), WORST)[0].T for key, x in seen.items()}
 
-        found = worst(lambda k, u: planned.margins(belief, plan, k, u)._asdict(), moments)
+        found = worst(lambda k, u: kinematic_margins.planned_margins(belief, plan, k, u)._asdict(), moments)
         if hold:
             assert isinstance(belief.manoeuvre, PlannedForces)
             bounds, knots = belief.manoeuvre.force_bounds(belief), np.full(len(chosen), forces.KNOTS)
-            found |= worst(lambda k, u: {"hold": planned.holding(belief, plan, k, u, bounds)}, knots)
+            found |= worst(
+                lambda k, u: {"hold": kinematic_margins.planned_force_reserve(belief, plan, k, u, bounds)}, knots
+            )
         return found
 
     def _of_played(self, belief: Case, plan: Plan) -> dict[str, jax.Array]:
         chosen, count = self._at[0], len(plan.names)
-        seen = played.play(belief, plan, PERIOD, self._ticks)
-        found = played.by_stage(seen, count)._asdict()
+        seen = ball_margins.play_plan(belief, plan, PERIOD, self._ticks)
+        found = ball_margins.stage_minima(seen, count)._asdict()
         speed = jnp.max(jnp.linalg.norm(seen.free.velocity, axis=-1), axis=1)
-        zmp = jax.ops.segment_min(played.zero_moment(seen, PERIOD), seen.stage, count)  # m
+        zmp = jax.ops.segment_min(ball_margins.zmp_margin(seen, PERIOD), seen.stage, count)  # m
         found |= zip(PLAYED, (zmp, -jax.ops.segment_max(speed, seen.stage, count)), strict=True)  # m/s, negative
         return {key: value[None, chosen] for key, value in found.items()}
 
 
-def groups(touched: np.ndarray) -> np.ndarray:
-    """Groups (n,) of what touches (n, m), where two of the same touch nothing in common."""
+def independent_groups(touched: np.ndarray) -> np.ndarray:
+    """Assign n numbers to groups so that no two numbers of a group affect the same thing.
+
+    Args:
+        touched: What each number affects (n, m), bool.
+
+    Returns:
+        Group of each number (n,).
+    """
     group, taken = np.zeros(len(touched), int), np.zeros(touched.shape, bool)
     for k, own in enumerate(touched):
         group[k] = np.argmin((taken & own).any(axis=1))
@@ -214,18 +278,21 @@ def groups(touched: np.ndarray) -> np.ndarray:
 
 
 def _known(margin: Any) -> jax.Array:
-    """The same, where it is no number the worst that there is."""
+    """Replace nan by minus infinity, the worst margin."""
     return jnp.where(jnp.isnan(margin), -jnp.inf, margin)
 
 
-def lows(margin: jax.Array) -> jax.Array:
-    """Margins (S, moments) where they are least among their neighbours, the last of equal ones; others infinite."""
+def local_minima(margin: jax.Array) -> jax.Array:
+    """Keep margins (stages, phases) that are local minima over the phases, the last of equal ones.
+
+    All others become infinite.
+    """
     before, after = (jnp.pad(margin, ((0, 0), ends), constant_values=jnp.inf) for ends in ((1, 0), (0, 1)))
     return jnp.where((margin <= before[:, :-1]) & (margin < after[:, 1:]), margin, jnp.inf)
 
 
 def _in_parts(function: Callable[..., Any], numbers: np.ndarray, draws: Case) -> Any:
-    """Of numbers (draws, ...) and draws, a few at a time, on all cores."""
+    """Call `function` with a few draws at a time, on all cores; concatenate the results."""
     count = len(numbers)
     parts = np.minimum(np.arange(0, count, AT_ONCE)[:, None] + np.arange(min(AT_ONCE, count)), count - 1)
 
@@ -236,26 +303,46 @@ def _in_parts(function: Callable[..., Any], numbers: np.ndarray, draws: Case) ->
         return jax.tree.map(lambda *x: np.concatenate(x)[:count], *pool.map(part, parts))
 
 
-def changed(case: Case, path: str, value: Any, formulas: Mapping[str, float]) -> Case:
-    """With another number: of the plan's table, see `PlanTable.with_value`, or of the manoeuvre, as the path says."""
+def with_value(case: Case, path: str, value: Any, formulas: Mapping[str, float]) -> Case:
+    """Return a case with another value of one number of its plan.
+
+    Args:
+        case: The case.
+        path: Path of a number of the plan table, see `PlanTable.with_value`, or of the manoeuvre (`manoeuvre.NAME`).
+        value: The value.
+        formulas: Values of the numbers that formulas give.
+    """
     group, _, name = path.partition(".")
     if group == MANOEUVRE:
         return replace(case, manoeuvre=replace(case.manoeuvre, **{name: value}))  # pyright: ignore[reportArgumentType]
     return replace(case, plan=case.plan.with_value(path, value, formulas))
 
 
-def stacked(belief: Case, count: int) -> Case:
-    """What is believed in `count` draws, with a leading axis where it is the same in all of them."""
+def with_draw_axis(belief: Case, count: int) -> Case:
+    """Return a belief whose leaves all have a leading axis of draws.
+
+    Args:
+        belief: The belief, whose leaves are numbers or arrays (count,).
+        count: Number of draws.
+    """
     return jax.tree.map(lambda x: jnp.broadcast_to(jnp.asarray(x, float), (count,)), belief)
 
 
-def shares(believed: Case, sizes: Mapping[str, float]) -> np.ndarray:
-    """By how much draws differ from `sizes`, as shares of them (draws, k)."""
-    off = [np.asarray(plan_table.parameter_value(believed, path), float) / at - 1 for path, at in sizes.items()]
-    return np.stack(off, axis=1) if off else np.zeros((len(np.atleast_1d(believed.robot.body_length)), 0))
+def relative_changes(belief: Case, sizes: Mapping[str, float]) -> np.ndarray:
+    """Return by which share the sizes of each draw differ from reference sizes.
+
+    Args:
+        belief: The belief, with arrays (draws,) as varied leaves.
+        sizes: Reference sizes (k) by path.
+
+    Returns:
+        Relative changes (draws, k).
+    """
+    off = [np.asarray(plan_table.parameter_value(belief, path), float) / at - 1 for path, at in sizes.items()]
+    return np.stack(off, axis=1) if off else np.zeros((len(np.atleast_1d(belief.robot.body_length)), 0))
 
 
-def worst(margins: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """The least of each margin over draws and stages, of those that say anything."""
+def least_margins(margins: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """Return the least value of each margin over draws and stages, of the margins that are finite."""
     least = {key: float(np.min(value)) for key, value in margins.items()}
     return {key: value for key, value in least.items() if np.isfinite(value)}

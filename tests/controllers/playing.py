@@ -8,7 +8,7 @@ import numpy as np
 
 from sweep.controllers.plan import Plan
 from sweep.models.case import Case
-from sweep.tune.planned import margins, posed
+from sweep.tune.kinematic_margins import planned_margins, planned_stance
 
 U = np.linspace(0, 1, 41)
 
@@ -18,8 +18,8 @@ def play_plan(case: Case, plan: Plan) -> dict[str, jax.Array]:
     """Return margins, stance and joints of a plan at phases `U` of every stage, (S, U)."""
 
     def at(k, u):
-        stance, joints, _ = posed(case, plan, k, u)
-        return margins(case, plan, k, u)._asdict() | stance._asdict() | {"joints": joints}
+        stance, joints, _ = planned_stance(case, plan, k, u)
+        return planned_margins(case, plan, k, u)._asdict() | stance._asdict() | {"joints": joints}
 
     stages, moments = jnp.arange(len(plan.names)), jnp.asarray(U, float)
     return jax.lax.map(lambda k: jax.vmap(lambda u: at(k, u))(moments), stages)

@@ -22,7 +22,7 @@ from sweep.models.noise import Noise
 from sweep.models.obstacles.plane import Plane
 from sweep.models.robot import Robot
 from sweep.models.scene import compile_model
-from sweep.tune.hold import reserve
+from sweep.tune.force_reserve import force_reserve
 
 ROBOT = Robot()
 UPRIGHT = (0.5**0.5, 0.0, -(0.5**0.5), 0.0)  # x_r up
@@ -141,7 +141,7 @@ def test_on_level_ground_the_reserve_is_what_the_lightest_foot_bears_over_the_le
     def at(way):
         shifted = feet + jnp.array([0.0, 1.0, 0.0]) * way
         stance = StaticPose(shifted, up, stands, jnp.zeros((6, 3, 3)), none, jnp.asarray(100.0))
-        return reserve(stance, Bounds(1.0, 50.0, 5.0))
+        return force_reserve(stance, Bounds(1.0, 50.0, 5.0))
 
     value, slope = jax.jit(jax.value_and_grad(at))(aside)
     assert value == pytest.approx((1 - aside / 0.4) / 4 - 0.05, abs=1e-3)
@@ -154,7 +154,7 @@ def test_the_reserve_is_positive_where_forces_hold_and_has_the_slopes_of_small_c
     found = jax.jit(jax.vmap(lambda p: distribute_forces(p, bounds, "friction")))(poses)
 
     def shifted(way, p):
-        return reserve(p._replace(arm=p.arm + way * jnp.array([1.0, 0.0, 0.0])), bounds)
+        return force_reserve(p._replace(arm=p.arm + way * jnp.array([1.0, 0.0, 0.0])), bounds)
 
     there = jax.jit(jax.vmap(jax.value_and_grad(shifted), (None, 0)))
     (less, _), (value, slope), (more, _) = (there(way, poses) for way in (-0.005, 0.0, 0.005))

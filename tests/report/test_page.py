@@ -237,23 +237,23 @@ def test_a_long_rollout_takes_no_more_room_than_it_may(monkeypatch):
     long["joint_torque"] = noise.normal(size=(50 * times, 18))
     long["qpos"] = np.cumsum(noise.normal(0, 0.01, (50 * times, trace.qpos.shape[1])), axis=0)
     long["time"] = 0.1 * (1 + np.arange(50 * times))
-    kept = motion.motion(replace(trace, **long))
+    kept = motion.encode_motion(replace(trace, **long))
     every = round(kept["step"] / 0.1)
     assert len(kept["states"]) <= motion.ROOM
     assert every > 1
     assert kept["frames"] == 50 * times // every
     room = motion.ROOM
     monkeypatch.setattr(motion, "ROOM", np.inf)
-    whole = motion.motion(replace(trace, **long))
-    assert kept == motion.thinned(whole, every)
-    assert len(motion.thinned(whole, every - 1)["states"]) > room
+    whole = motion.encode_motion(replace(trace, **long))
+    assert kept == motion.thin_motion(whole, every)
+    assert len(motion.thin_motion(whole, every - 1)["states"]) > room
 
 
 def test_a_thinned_motion_has_the_states_of_its_frames():
     trace = moved()
     kept = "qpos", "qvel", "foot_force", "foot_position", "stage", "margin", "margin_of"
-    thin = motion.motion(replace(trace, **{name: getattr(trace, name)[2::3] for name in kept}))
-    again = motion.thinned(motion.motion(trace), 3)
+    thin = motion.encode_motion(replace(trace, **{name: getattr(trace, name)[2::3] for name in kept}))
+    again = motion.thin_motion(motion.encode_motion(trace), 3)
     assert again["frames"] == thin["frames"] == 16
     assert again["step"] == pytest.approx(0.3)
     assert again["states"] == thin["states"]

@@ -27,8 +27,8 @@ from sweep.metrics.outcome import FAILURES
 from sweep.report import page, replays
 from sweep.report.page.replay_data import ShownReplay
 from sweep.runs import results
-from sweep.trace.contact_forces import measured
-from sweep.trace.motion import FRICTION, MARGIN, bodies, motion
+from sweep.trace.contact_forces import measured_contact_forces
+from sweep.trace.motion import FRICTION, MARGIN, describe_bodies, encode_motion
 
 pytestmark = [
     pytest.mark.browser,
@@ -418,7 +418,7 @@ def test_captions_of_narrow_pictures_are_cut_and_not_squeezed(shown):
 
 def test_feet_and_base_are_told_where_mujoco_has_them(shown):
     trace = moved()
-    told = {**motion(trace), "bodies": bodies(trace.model, 6)}
+    told = {**encode_motion(trace), "bodies": describe_bodies(trace.model, 6)}
     found = by_script(
         shown,
         told,
@@ -799,7 +799,7 @@ def test_names_of_others_run_nothing(browser, wide, tmp_path):
 @pytest.mark.parametrize(("trace", "feet"), [(moved("scenario=ball_balance"), 6), (arm(), 0)], ids=["robot", "own"])
 def test_bodies_are_where_mujoco_has_them(shown, trace, feet):
     """The script's own reading and kinematics, which is not on the page by name, as the module that it is made from."""
-    told = {**motion(trace), "bodies": bodies(trace.model, feet)}
+    told = {**encode_motion(trace), "bodies": describe_bodies(trace.model, feet)}
     frame = 30
     found = places_by_script(shown, told, frame)
     assert np.abs(np.array(found) - body_places(trace, frame)).max() < 3e-3
@@ -843,7 +843,7 @@ def test_what_matters_is_what_the_statistics_tell(shown):
 
 def test_a_margin_is_read_with_the_limit_that_it_is_to(shown):
     trace = moved()
-    told = {**motion(trace), "bodies": bodies(trace.model, 6)}
+    told = {**encode_motion(trace), "bodies": describe_bodies(trace.model, 6)}
     read = """const motion = readMotion(told, told.bodies, await inflate(told.states));
         return [Array.from(motion.margin), motion.limits]"""
     margin, limits = by_script(shown, told, read)
@@ -856,10 +856,10 @@ def test_friction_is_read_as_the_share_of_what_there_is(shown):
     force = trace.foot_force.copy()  # three feet stand, pulled ahead the more the later
     force[:, ::2, 0] = np.linspace(0, 150, len(force))[:, None]
     trace = replace(trace, foot_force=force)
-    told = {**motion(trace), "bodies": bodies(trace.model, 6)}
+    told = {**encode_motion(trace), "bodies": describe_bodies(trace.model, 6)}
     read = """const motion = readMotion(told, told.bodies, await inflate(told.states));
         return Array.from(motion.friction)"""
-    used = np.nan_to_num(measured(trace).share)
+    used = np.nan_to_num(measured_contact_forces(trace).share)
     assert used.max(axis=0) == pytest.approx([150 / 90, 0] * 3)
     assert np.abs(np.reshape(by_script(shown, told, read), used.shape) - used).max() <= 0.5 / FRICTION + 1e-9
 

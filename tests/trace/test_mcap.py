@@ -18,8 +18,8 @@ from sweep.engines.base import Trace
 from sweep.models.legs import KINDS
 from sweep.trace import sampling
 from sweep.trace.arrows import FORCE_SCALE, arrow_tips
-from sweep.trace.hulls import hull_of
-from sweep.trace.mcap import plain, turn_x_to, write_mcap
+from sweep.trace.hulls import geom_hull
+from sweep.trace.mcap import rotation_from_x_axis, to_json_value, write_mcap
 
 CONFIG = {"robot": {"thigh": 0.52, "shin": np.float64(0.335)}, "limits": [np.inf, 1]}
 OUTCOME = {"outcome": "success", "cause": "", "slip_max_m": np.float32(0.25), "clearance_min_m": float("nan")}
@@ -86,7 +86,11 @@ def test_json_messages(written, trace):
 def test_joints_are_numbers_of_foxgloves_own_schema(written, trace):
     """Name, angle, rate and torque of each joint, in the order of the fields of `foxglove.JointState`."""
     message = _messages(written)["/joint_states"][100][1].data
-    angle, rate, torque = sampling.joint_angle(trace)[100], sampling.joint_rate(trace)[100], trace.joint_torque[100]
+    angle, rate, torque = (
+        sampling.joint_positions(trace)[100],
+        sampling.joint_rates(trace)[100],
+        trace.joint_torque[100],
+    )
     for k, name in enumerate(f"{kind}{leg}" for leg in range(1, 7) for kind in KINDS):
         assert message.count(name.encode()) == 1
         rest = message[message.index(name.encode()) + len(name) :]
@@ -134,7 +138,7 @@ def test_a_model_without_feet_has_its_joints_and_meshes(tmp_path):
     panels = json.loads((tmp_path / "arm.layout.json").read_text())["configById"]
     assert [path["label"] for path in panels["Plot!torque"]["paths"]] == ["joint_1", "joint_3"]
     assert panels["3D!robot"]["followTf"] == "trunk"
-    vertices, faces = hull_of(trace.model, 1)
+    vertices, faces = geom_hull(trace.model, 1)
     assert len(faces) <= 2 * len(vertices) - 4 <= 76
     full = trace.model.mesh_vert
     assert 0.8 < ConvexHull(vertices).volume / ConvexHull(full).volume <= 1
@@ -176,13 +180,17 @@ def test_arrow_starts_at_the_foot_and_points_along_the_force():
 
 @pytest.mark.parametrize("force", [[1.0, 0, 0], [0, 0, 1], [0, 0, -1], [-0.5, 0.2, 0.7]])
 def test_turning_x_into_the_force(force):
-    w, x, y, z = turn_x_to(np.array(force))
+    w, x, y, z = rotation_from_x_axis(np.array(force))
     turned_x = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
     np.testing.assert_allclose(turned_x, np.array(force) / np.linalg.norm(force), atol=1e-9)
 
 
 def test_plain_is_json():
-    assert plain({2: np.arange(2), "1": (True, np.inf), "a": None}) == {"1": [True, None], "2": [0, 1], "a": None}
+    assert to_json_value({2: np.arange(2), "1": (True, np.inf), "a": None}) == {
+        "1": [True, None],
+        "2": [0, 1],
+        "a": None,
+    }
 
 
 @pytest.mark.parametrize("room", [0, 100, 5000])

@@ -9,7 +9,7 @@ from sweep.core.parameters import InputError
 from sweep.core.plot_style import save_figure
 from sweep.models import scene
 from sweep.study.config import compose
-from sweep.trace.plots import PLOTS, tilt
+from sweep.trace.plots import PLOTS, tilt_deg
 
 LABELS = {
     "torques": {f"leg {leg}\ntorque (N·m)" for leg in range(1, 7)},
@@ -106,7 +106,7 @@ def test_tilt_of_a_turned_base():
     angle = np.radians([0, 30, 90])
     pose = np.zeros((3, 7))
     pose[:, 3], pose[:, 4] = np.cos(angle / 2), np.sin(angle / 2)
-    np.testing.assert_allclose(tilt(pose), [0, 30, 90], atol=1e-6)
+    np.testing.assert_allclose(tilt_deg(pose), [0, 30, 90], atol=1e-6)
 
 
 def test_a_broken_simulation_leaves_a_gap(trace, tmp_path):

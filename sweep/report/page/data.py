@@ -19,7 +19,7 @@ from sweep.report.outcome_style import FAILURE, GOOD, find_look
 from sweep.runs import refine
 from sweep.runs.results import Results
 from sweep.systems.base import split_side
-from sweep.trace.mcap import plain
+from sweep.trace.mcap import to_json_value
 
 ROWS, SAMPLE = 40_000, 20_000  # with more rows than that the page has a sample of them, and maps of densities
 MAX_METRICS = 28  # that are on the page, the ones that outcomes are judged by first
@@ -96,7 +96,7 @@ def sample_places(number: int) -> np.ndarray:
 
 def as_json(content: Any) -> str:
     """Format JSON for a script element; no text in it can end the element or begin a comment."""
-    text = json.dumps(plain(content), separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+    text = json.dumps(to_json_value(content), separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 

@@ -11,7 +11,7 @@ from sweep.core.files import encode_text
 from sweep.report import replays
 from sweep.report.page.data import sample_places
 from sweep.runs.results import Results
-from sweep.trace.motion import thinned
+from sweep.trace.motion import thin_motion
 
 THINNEST = 4  # frames of which one is kept at least, where all of them do not fit
 TOLD = ("step", "frames", "scales", "force_scale", "stages", "equal", "of", "why")  # of a replay as it is
@@ -86,6 +86,6 @@ def thin_to_room(shown: list[ShownReplay], room: int) -> list[ShownReplay]:
 
 def _thin(one: ShownReplay, every: int) -> dict[str, Any]:
     try:
-        return thinned(one.replay, every)
+        return thin_motion(one.replay, every)
     except ValueError as error:  # of a file that may come from a stranger
         raise InputError(f"the replay of {one.row['point_id']} cannot be read: {error}") from None

@@ -1,8 +1,8 @@
-"""A plan on a ball without physics: played through by its own tracker, which is told that all goes as it commands.
+"""Margins of a plan on a ball without physics: the plan's own tracker runs, and every command is reached at once.
 
-Only feet that stand stay where they landed, on the ground or on a body, wherever they are pressed to.
-A ball goes as it is meant to. One that is followed where it is seen rolls as the angular momentum of robot and ball
-about its lowest point has it, links counted as mass points; it stays where it is while feet stand on the floor, too.
+Standing feet stay where they landed, on the ground or on a body. The ball follows its reference. A ball whose motion
+the controller measures rolls instead by the angular momentum of robot and ball about the ball's lowest point, with
+links counted as point masses; it rests while any foot stands on the floor.
 """
 
 from typing import NamedTuple, cast
@@ -28,14 +28,15 @@ from sweep.models.frames import WORLD, body_frame
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.surface import FreeState, body_poses, free_start_state, surface_at
 from sweep.models.robot import total_mass
-from sweep.tune.planned import Margins, Swing, left
+from sweep.tune.kinematic_margins import Margins, Swing, stance_margins
 
-SMOOTH = 0.2  # s
-SHORT = 1e-3  # s, before the end of a stage, at which there is a tick: feet begin the next one where they are then
+SMOOTH = 0.2  # s, over which the mass centre's path is averaged
+# s before the end of a stage at which a tick ends, so that feet begin the next stage where they are at the end
+SHORT = 1e-3
 
 
-class Played(NamedTuple):
-    """What was played, by tick."""
+class PlayedPlan(NamedTuple):
+    """Result of playing a plan, by tick."""
 
     stage: Int[Array, " t"]
     margins: Margins
@@ -45,26 +46,39 @@ class Played(NamedTuple):
     centre: Float[Array, "t 3"]  # m, the robot's mass centre
 
 
-class Stood(NamedTuple):
-    """Feet where they landed."""
+class FootContacts(NamedTuple):
+    """Points where the feet landed, in the frames of the bodies under them."""
 
     feet: Float[Array, "6 3"]  # m, in their frames
     frame: Int[Array, " 6"]
 
 
-class Roll(NamedTuple):
-    """Of a ball: angular momentum about its lowest point, as K = up x this; the robot's mass centre from its centre."""
+class BallRoll(NamedTuple):
+    """Rolling state of a ball: its angular momentum about its lowest point, and the robot's mass centre relative to it.
+
+    The angular momentum is K = up x `momentum`.
+    """
 
     momentum: Float[Array, " 2"]  # kg m^2/s
     centre: Float[Array, " 3"]  # m
 
 
-def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
-    """Play the plan of `case`, its own world and belief, in `ticks` of `period` s, or less at the end of a stage."""
+def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> PlayedPlan:
+    """Play a plan on a ball by its tracker, without physics.
+
+    Args:
+        case: The case, which is both world and belief.
+        plan: Its plan.
+        period: Duration of a tick, s; the last tick of a stage is shorter.
+        ticks: Number of ticks.
+
+    Returns:
+        Stage, margins, ball, stance and mass centre by tick.
+    """
     free = free_start_state(case.obstacle)
     state = tracker.init(case, plan)
     still, joints = jnp.zeros(3), state.joints
-    stood = _standing(case, plan.start.feet, free)
+    stood = _contacts_at(case, plan.start.feet, free)
     centre = plan.start.position + rotate(plan.start.quat, mass_centre(case.robot, joints)) - free.position[0]
     seen = Observation(
         plan.start.position,
@@ -78,7 +92,7 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
         free,
     )
 
-    def tick(carry: tuple, _: None) -> tuple[tuple, Played]:
+    def tick(carry: tuple, _: None) -> tuple[tuple, PlayedPlan]:
         state, seen, stood, roll = carry
         remains = plan.duration[state.stage] - state.clock
         h = jnp.where((remains > 2 * SHORT) & (remains <= period + SHORT), remains - SHORT, period)
@@ -87,36 +101,43 @@ def play(case: Case, plan: Plan, period: float, ticks: int) -> Played:
         stage, free = state.stage, tracker.reference_body_state(plan, state, seen.free)[0]
         swings = plan.swing[stage]
         stood = jax.tree.map(lambda a, b: jnp.where(swings.reshape(-1, *[1] * (a.ndim - 1)), a, b),
-                             _standing(case, command.target.feet, free), stood)  # fmt: skip
+                             _contacts_at(case, command.target.feet, free), stood)  # fmt: skip
         feet = to_world(stood.feet, stood.frame, free)
         joints = joint_targets(case.robot, command.target._replace(feet=feet))[0]
         goal = state.goal if isinstance(case.manoeuvre, tracker.Guided) else plan.foothold[stage]
         starts, goal = (to_world(at, plan.foot_frame[stage], free) for at in (state.feet, goal))
         rates = wrap_angle(joints - seen.angles) / h
         swing = Swing(swings, starts, goal)
-        now = left(case, body_poses(free), command.target, joints, rates, command.shortfall, swing)
+        now = stance_margins(case, body_poses(free), command.target, joints, rates, command.shortfall, swing)
         on_floor = jnp.any(~swings & (stood.frame == WORLD))
         at = position + rotate(quat, mass_centre(case.robot, joints))
-        roll, then = _rolled(case, plan, state, roll, free, at - free.position[0], on_floor, h)
+        roll, then = _roll_ball(case, plan, state, roll, free, at - free.position[0], on_floor, h)
         velocity = (position - seen.position) / h
         seen = seen._replace(position=position, quat=quat, velocity=velocity, angles=joints, free=then)
         stance = command.target._replace(feet=feet)
-        return (state, seen, stood, roll), Played(stage, now, free, stance, ~swings, at)
+        return (state, seen, stood, roll), PlayedPlan(stage, now, free, stance, ~swings, at)
 
-    _, found = jax.lax.scan(tick, (state, seen, stood, Roll(jnp.zeros(2), centre)), None, length=ticks)
+    _, found = jax.lax.scan(tick, (state, seen, stood, BallRoll(jnp.zeros(2), centre)), None, length=ticks)
     return found
 
 
-def _standing(case: Case, feet: Float[Array, "6 3"], free: FreeState) -> Stood:
-    """Feet (m, world) as they would stand on what is nearest."""
+def _contacts_at(case: Case, feet: Float[Array, "6 3"], free: FreeState) -> FootContacts:
+    """Contacts of feet (m, world axes) with the surface nearest to each."""
     body = surface_at(case.obstacle, feet, body_poses(free)).body
     frame = jnp.array([WORLD, *map(body_frame, range(len(case.obstacle.free_bodies)))])[body + 1]
-    return Stood(to_frame(feet, frame, free), frame)
+    return FootContacts(to_frame(feet, frame, free), frame)
 
 
-def _rolled(
-    case: Case, plan: Plan, state: TrackerState, roll: Roll, free: FreeState, centre: Array, on_floor: Array, h: Array
-) -> tuple[Roll, FreeState]:
+def _roll_ball(
+    case: Case,
+    plan: Plan,
+    state: TrackerState,
+    roll: BallRoll,
+    free: FreeState,
+    centre: Array,
+    on_floor: Array,
+    h: Array,
+) -> tuple[BallRoll, FreeState]:
     """The ball `h` s later, with the robot's mass centre at `centre` (m) from its own.
 
     K = up x k, k = 7/5 M R v + m ((z + R)(v + u) - x u_z), where the mass centre moves by u over the ball and lies x
@@ -141,16 +162,23 @@ def _rolled(
     moved = jnp.where(follows, h * velocity, 0.0)
     turned = jnp.where(follows, h * turn, 0.0)
     then = FreeState(free.position + moved, multiply(exponential(turned)[None], free.quat), velocity[None], turn[None])
-    return Roll(inertia * v + own, centre), then
+    return BallRoll(inertia * v + own, centre), then
 
 
-def zero_moment(found: Played, period: float) -> Float[Array, " t"]:
-    """How far (m) the zero-moment point is inside the standing feet's polygon, at height of their mean.
+def zmp_margin(played: PlayedPlan, period: float) -> Float[Array, " t"]:
+    """Return how far (m) the zero-moment point lies inside the support polygon, at the mean height of standing feet.
 
-    Of a mass centre that goes as commanded in the mean of `SMOOTH`: drives round off its jumps.
+    The mass centre's path is averaged over `SMOOTH`, as drives smooth the jumps of commands.
+
+    Args:
+        played: The played plan.
+        period: Duration of a tick, s.
+
+    Returns:
+        Margin by tick (t,); negative outside.
     """
     many = 2 * round(SMOOTH / period / 2) + 1
-    padded = jnp.pad(found.centre, ((many // 2 + 1, many // 2 + 1), (0, 0)), mode="edge")
+    padded = jnp.pad(played.centre, ((many // 2 + 1, many // 2 + 1), (0, 0)), mode="edge")
     mean = jax.vmap(lambda x: jnp.convolve(x, jnp.ones(many) / many, mode="valid"), 1, 1)(padded)
     push = (mean[2:] - 2 * mean[1:-1] + mean[:-2]) / period**2
 
@@ -158,9 +186,17 @@ def zero_moment(found: Played, period: float) -> Float[Array, " t"]:
         height = centre[2] - jnp.sum(stance.feet[:, 2] * stands) / jnp.maximum(jnp.sum(stands), 1)
         return support_margin(stance.feet[:, :2], stands, centre[:2] - height * push[:2] / (GRAVITY + push[2]))
 
-    return jax.vmap(inside)(found.stance, found.stands, mean[1:-1], push)
+    return jax.vmap(inside)(played.stance, played.stands, mean[1:-1], push)
 
 
-def by_stage(found: Played, stages: int) -> Margins:
-    """The least of every stage (S,); infinite where none was played."""
-    return jax.tree.map(lambda x: jax.ops.segment_min(x, found.stage, stages), found.margins)
+def stage_minima(played: PlayedPlan, stages: int) -> Margins:
+    """Return the least margins of every stage.
+
+    Args:
+        played: The played plan.
+        stages: Number of stages.
+
+    Returns:
+        Margins (stages,); infinite for a stage that was not played.
+    """
+    return jax.tree.map(lambda x: jax.ops.segment_min(x, played.stage, stages), played.margins)

@@ -10,9 +10,9 @@ from matplotlib.image import imread
 
 from sweep.core.parameters import InputError
 from sweep.core.spacing import evenly_spaced_indices
-from sweep.trace import frames
+from sweep.trace import rendering
 from sweep.trace.arrows import FORCE_SCALE
-from sweep.trace.sampling import at_rate, at_times, base_pose, finite_frames
+from sweep.trace.sampling import base_pose, finite_frames, frames_at_rate, frames_at_times
 
 
 def _arrow_columns(picture: np.ndarray) -> np.ndarray:
@@ -24,16 +24,16 @@ def _arrow_columns(picture: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def drawable(trace):
     try:
-        next(frames.render(trace, np.array([0])))
+        next(rendering.render(trace, np.array([0])))
     except InputError as error:
         pytest.skip(f"no OpenGL here: {error}")
     return trace
 
 
 def test_frames_nearest_to_times(trace):
-    np.testing.assert_array_equal(at_times(trace, np.array([-1.0, 0.0101, 0.5, 9.0])), [0, 2, 124, 249])
-    assert len(at_rate(trace, 25.0)) == 25
-    np.testing.assert_array_equal(at_rate(trace, 1e4), np.arange(250))
+    np.testing.assert_array_equal(frames_at_times(trace, np.array([-1.0, 0.0101, 0.5, 9.0])), [0, 2, 124, 249])
+    assert len(frames_at_rate(trace, 25.0)) == 25
+    np.testing.assert_array_equal(frames_at_rate(trace, 1e4), np.arange(250))
     np.testing.assert_array_equal(evenly_spaced_indices(finite_frames(trace), 3), [0, 124, 249])
 
 
@@ -43,39 +43,44 @@ def test_only_finite_frames_are_chosen(trace):
     broken = dataclasses.replace(trace, qpos=qpos)
     assert finite_frames(broken) == 1
     few = evenly_spaced_indices(finite_frames(broken), 4)
-    for chosen in (at_times(broken, np.array([0.0, 5.0])), at_rate(broken, 25.0), few):
+    for chosen in (frames_at_times(broken, np.array([0.0, 5.0])), frames_at_rate(broken, 25.0), few):
         assert set(chosen.tolist()) == {0}
 
 
 def test_png_frames(drawable, tmp_path):
-    paths = frames.write_png(tmp_path / "png", drawable, number=3)
+    paths = rendering.write_png(tmp_path / "png", drawable, count=3)
     assert [path.name for path in paths] == ["t000.004s.png", "t000.500s.png", "t001.000s.png"]
     picture = imread(paths[0])
-    assert picture.shape[:2] == frames.SIZE[::-1]
+    assert picture.shape[:2] == rendering.SIZE[::-1]
     assert picture[..., :3].std() > 0.05  # not one flat colour
 
 
 def test_stills_say_when_what_and_how_it_ended(drawable):
-    (plain,) = frames.render(drawable, np.array([124]))
-    line = frames.caption(drawable, 124, "slipped")
+    (plain,) = rendering.render(drawable, np.array([124]))
+    line = rendering.format_caption(drawable, 124, "slipped")
     assert line.startswith("0.50 s   ")
     assert line.endswith(f"{drawable.stages[drawable.stage[124]]}   slipped")
-    changed = np.any(frames.captioned(plain, line) != plain, axis=2)
+    changed = np.any(rendering.add_caption(plain, line) != plain, axis=2)
     assert changed[-60:].any()  # at the bottom
     assert not changed[:-60].any()
 
 
 def test_a_film_tells_the_outcome_when_it_comes(trace):
     cause = dataclasses.replace(trace, metrics={"t_cause_s": 0.5})
-    assert [frames.known(cause, k, "slipped") for k in (0, 123, 124, 249)] == ["", "", "slipped", "slipped"]
-    assert [frames.known(trace, k, "success") for k in (0, 248, 249)] == ["", "", "success"]
+    assert [rendering.outcome_at_frame(cause, k, "slipped") for k in (0, 123, 124, 249)] == [
+        "",
+        "",
+        "slipped",
+        "slipped",
+    ]
+    assert [rendering.outcome_at_frame(trace, k, "success") for k in (0, 248, 249)] == ["", "", "success"]
 
 
 def test_a_video_takes_less_time_than_what_it_shows(drawable):
     start = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-    number = sum(1 for _ in frames.render(drawable, np.arange(0, 250, 5), samples=0))
+    number = sum(1 for _ in rendering.render(drawable, np.arange(0, 250, 5), samples=0))
     seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - start  # of the processor, with starting to draw
-    assert number / frames.VIDEO_RATE > 0.5 * (seconds - 1.5)
+    assert number / rendering.VIDEO_RATE > 0.5 * (seconds - 1.5)
 
 
 def test_forces_are_drawn_to_scale(drawable):
@@ -85,7 +90,9 @@ def test_forces_are_drawn_to_scale(drawable):
     def columns(foot):
         feet = drawable.foot_position.copy()
         feet[:, 4] = foot
-        (picture,) = frames.render(dataclasses.replace(drawable, foot_position=feet, foot_force=force), np.array([0]))
+        (picture,) = rendering.render(
+            dataclasses.replace(drawable, foot_position=feet, foot_force=force), np.array([0])
+        )
         return _arrow_columns(picture)
 
     start = np.array([-0.3, 0.0, 0.7])
@@ -101,25 +108,25 @@ def test_feet_are_in_the_picture(trace, monkeypatch):
     seen = {}
 
     def taken(folder, backend):
-        seen.update(np.load(f"{folder}/{frames.ARRAYS}"))
+        seen.update(np.load(f"{folder}/{rendering.ARRAYS}"))
         yield from ()
         return True
 
-    monkeypatch.setattr(frames, "_pictures", taken)
+    monkeypatch.setattr(rendering, "_read_pictures", taken)
     feet = trace.foot_position.copy()
     feet[124] += 2.5 * (feet[124] - base_pose(trace)[124, None, :3])
-    list(frames.render(dataclasses.replace(trace, foot_position=feet), np.array([0, 124])))
+    list(rendering.render(dataclasses.replace(trace, foot_position=feet), np.array([0, 124])))
     turn, rise = np.radians([seen["azimuth"], seen["elevation"]])
     ahead = np.array([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)])
     right = np.cross(ahead, [0, 0, 1]) / np.cos(rise)
     from_camera = feet[[0, 124]] - seen["look_at"][:, None] + seen["distance"] * ahead
     high = np.tan(np.radians(45 / 2)) * (from_camera @ ahead)
     assert (np.abs(from_camera @ np.cross(right, ahead)) < high).all()
-    assert (np.abs(from_camera @ right) < high * frames.SIZE[0] / frames.SIZE[1]).all()
+    assert (np.abs(from_camera @ right) < high * rendering.SIZE[0] / rendering.SIZE[1]).all()
 
 
 def test_caller_may_stop_early(drawable):
-    pictures = frames.render(drawable, np.arange(50))
+    pictures = rendering.render(drawable, np.arange(50))
     assert next(pictures).dtype == np.uint8
     pictures.close()  # must not wait for the other 49
 
@@ -127,8 +134,8 @@ def test_caller_may_stop_early(drawable):
 def test_video(drawable, tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the video extra is not installed")
     short = dataclasses.replace(drawable, qpos=np.where(drawable.time[:, None] < 0.2, drawable.qpos, np.nan))
-    frames.write_video(tmp_path / "walk.mp4", short)
-    frames.write_video(tmp_path / "told.mp4", short, "row 42", "slipped")
+    rendering.write_video(tmp_path / "walk.mp4", short)
+    rendering.write_video(tmp_path / "told.mp4", short, "row 42", "slipped")
     first = ["-frames:v", "1", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     plain, told = (
         np.frombuffer(
@@ -136,23 +143,25 @@ def test_video(drawable, tmp_path):
                 [ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / name, *first], capture_output=True, check=True
             ).stdout,
             np.uint8,
-        ).reshape(*frames.SIZE[::-1], 3)
+        ).reshape(*rendering.SIZE[::-1], 3)
         for name in ("walk.mp4", "told.mp4")
     )
     changed = (np.abs(plain.astype(int) - told) > 60).any(axis=2)
     assert changed[-60:].any()
     assert not changed[:-60].any()
-    assert ffmpeg.count_frames_and_secs(str(tmp_path / "walk.mp4"))[0] == len(at_rate(short, frames.VIDEO_RATE))
+    assert ffmpeg.count_frames_and_secs(str(tmp_path / "walk.mp4"))[0] == len(
+        frames_at_rate(short, rendering.VIDEO_RATE)
+    )
 
 
 def test_missing_opengl_names_the_packages(trace, monkeypatch, tmp_path):
-    monkeypatch.setattr(frames, "LIBRARIES", {"nonsense": "some-package"})
+    monkeypatch.setattr(rendering, "LIBRARIES", {"nonsense": "some-package"})
     with pytest.raises(InputError, match="Debian packages `some-package`"):
-        frames.write_png(tmp_path, trace)
+        rendering.write_png(tmp_path, trace)
 
 
 def test_missing_ffmpeg_names_the_extra(trace, monkeypatch, tmp_path):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"insect-sweep\[video\]"):
-        frames.write_video(tmp_path / "walk.mp4", trace)
+        rendering.write_video(tmp_path / "walk.mp4", trace)
     assert not list(tmp_path.iterdir())
