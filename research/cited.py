@@ -336,10 +336,8 @@ def sources(names: list[str]) -> str:
 
 
 def origin(names: list[str]) -> str:
-    """Return a sentence that says with which code the data of a page of the guide were measured."""
-    return (
-        f"The numbers on this page were measured with code {codes(names)}; the evidence page has commands and machines."
-    )
+    """Return the sentence of a page of the guide that says at which commits its data were measured."""
+    return f"Measured at commits {codes(names)}. The page of evidence has the commands and machines."
 
 
 def age(names: list[str]) -> str:
