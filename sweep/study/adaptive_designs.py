@@ -1,4 +1,4 @@
-"""Designs of adaptive sampling: checks of their settings, and the search that each stands for."""
+"""Settings of adaptive designs, and the search that each of them runs."""
 
 import numpy as np
 
@@ -8,7 +8,15 @@ from sweep.study.designs import Axis, Design
 
 
 def check_design(design: Design, axes: tuple[Axis, ...]) -> None:
-    """Raise `InputError` where the settings of an adaptive design are not allowed."""
+    """Check the settings of an adaptive design.
+
+    Args:
+        design: The design, of kind `importance` or `subset`.
+        axes: Axes of the study.
+
+    Raises:
+        InputError: A setting is not allowed, or an axis is listed or has a reserved name.
+    """
     if listed := [a.name for a in axes if a.values is not None]:
         raise InputError(f"study.design.kind = {design.kind} is not allowed with listed axes: {', '.join(listed)}")
     if taken := {a.name for a in axes} & {"weight", "round", "run", "level", "step", "chain"}:
@@ -33,12 +41,15 @@ def check_design(design: Design, axes: tuple[Axis, ...]) -> None:
 
 
 def make_search(axes: tuple[Axis, ...], design: Design, seed: int) -> adaptive_sampling.Search:
-    """Make the search of an adaptive design, a generator of rounds of draws.
+    """Start the search of an adaptive design, a generator of rounds of draws.
 
     Args:
         axes: Axes of the study; those with a distribution are drawn.
-        design: Its settings, of kind `importance` or `subset`.
+        design: The design, of kind `importance` or `subset`.
         seed: Seed of all draws.
+
+    Returns:
+        The search, see `sweep.study.adaptive_sampling`.
     """
     drawn = sum(axis.distribution is not None for axis in axes)
     if design.kind == "subset":
@@ -47,6 +58,6 @@ def make_search(axes: tuple[Axis, ...], design: Design, seed: int) -> adaptive_s
 
 
 def extreme_draws(axes: tuple[Axis, ...]) -> adaptive_sampling.Draws:
-    """Return two draws: all axes at their lower ends, and all at their upper ends."""
+    """Return two draws with all drawn axes at the lower, and at the upper ends of their ranges."""
     drawn = sum(axis.distribution is not None for axis in axes)
     return adaptive_sampling.Draws(np.repeat([[0.0], [1.0]], drawn, axis=1), np.arange(2), {})

@@ -24,7 +24,7 @@ LEAD = "margin"  # column that subset simulation follows by default
 
 
 class Draws(NamedTuple):
-    """Draws of one round, yielded by a search."""
+    """Draws of one round: what a search yields and the study simulates."""
 
     shares: Float[np.ndarray, "n d"]  # quantiles, before axes are correlated
     numbers: Int[np.ndarray, " n"]  # of the draws: each has noise of its own
@@ -32,13 +32,13 @@ class Draws(NamedTuple):
 
 
 class RoundSummary(NamedTuple):
-    """Summary of the rollouts of a round, sent to the search."""
+    """Summary of the rollouts of one round: what a search receives."""
 
     failed: Bool[np.ndarray, " n"]  # invalid ones among them
     lead: Float[np.ndarray, " n"]  # the smaller, the nearer to failure
 
     def select(self, rows: slice) -> "RoundSummary":
-        """Return the summary of some of the draws."""
+        """Return the summary of a slice of the draws."""
         return RoundSummary(self.failed[rows], self.lead[rows])
 
 
@@ -49,12 +49,12 @@ def summarize_round(rows: "pd.DataFrame", draws: Draws, lead: str) -> RoundSumma
     """Summarize the rows of a round for its search.
 
     Args:
-        rows: Finished rows, those of the round among them.
+        rows: Finished rows of the study, including those of the round.
         draws: The n draws of the round.
-        lead: A column, or an expression of columns, that shrinks towards failure.
+        lead: A column, or an expression of columns, whose value shrinks towards failure.
 
     Returns:
-        Failures and leads (n,), in the order of the draws.
+        Failures and values of `lead`, both (n,) and in the order of the draws.
 
     Raises:
         InputError: `lead` is no number of the rows.
@@ -71,7 +71,7 @@ def summarize_round(rows: "pd.DataFrame", draws: Draws, lead: str) -> RoundSumma
 
 
 def replay_search(search: Search, rows: "pd.DataFrame", lead: str) -> Any:
-    """Run a search again on stored rows.
+    """Run a search again on stored rows, without simulating anything.
 
     Args:
         search: A new search with the study's seed.

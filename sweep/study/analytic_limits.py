@@ -1,4 +1,4 @@
-"""Closed forms that a study's maps are compared with: `study.theory` names a formula of `sweep.formulas` as a limit.
+"""Analytic limits for a study's maps: `study.theory` names a formula of `sweep.formulas` that bounds a parameter.
 
 An input of the formula is a number or an expression of parameters, such as `drive.torque_limit / 77.4`.
 """
@@ -17,7 +17,10 @@ KEYS = ("label", "formula", "output", "of", "inputs", "measured")
 
 @dataclass(frozen=True)
 class AnalyticLimit:
-    """`output` of `formula` as a limit of the parameter `of`, a path without its side, in that parameter's unit."""
+    """The output of a formula as the limit of a parameter, in that parameter's unit.
+
+    `of` is the path of the parameter without its side.
+    """
 
     label: str
     formula: str
@@ -27,15 +30,32 @@ class AnalyticLimit:
     measured: str  # figure to show beside; empty for none
 
     def compute(self, value_of: Callable[[str], Any]) -> float:
-        """The limit where parameters have the values that `value_of` gives for their paths; nan where there is none.
+        """Compute the limit at given parameter values.
 
-        Raises `InputError`.
+        Args:
+            value_of: Returns the value of a parameter path.
+
+        Returns:
+            The limit in the unit of the parameter `of`; NaN where the formula has none.
+
+        Raises:
+            InputError: An input is not allowed.
         """
         outputs = formulas.find(self.formula).compute(self.formula_inputs(value_of))
         return float(outputs[self.output])
 
     def formula_inputs(self, value_of: Callable[[str], Any]) -> dict[str, Any]:
-        """The formula's inputs. Raises `InputError`."""
+        """Evaluate the inputs of the formula.
+
+        Args:
+            value_of: Returns the value of a parameter path.
+
+        Returns:
+            Inputs by name; those that are not given have their default.
+
+        Raises:
+            InputError: An input is not allowed.
+        """
         given = {}
         for name, value in self.inputs.items():
             try:
@@ -47,7 +67,18 @@ class AnalyticLimit:
 
 
 def parse_limit(key: str, values: Any) -> AnalyticLimit:
-    """From plain values. Raises `InputError`."""
+    """Parse one entry of `study.theory`.
+
+    Args:
+        key: Path of the entry, for messages.
+        values: Its plain keys and values.
+
+    Returns:
+        The limit.
+
+    Raises:
+        InputError: A key is missing or unknown, or the formula has no such output or input.
+    """
     values = require_keys(key, values, KEYS)
     for needed in ("formula", "output", "of"):
         if needed not in values:

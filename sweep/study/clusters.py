@@ -1,7 +1,7 @@
-"""Where batches are simulated: in this process, or by Dask workers on this machine, at an address, or as Slurm jobs.
+"""Clusters that simulate batches: this process, Dask workers on this machine or at an address, or Slurm jobs.
 
-A cluster hands out the numbers of batches; all else is in the study's folder, which workers read and write themselves.
-What it starts talks by TLS with keys of its own, as whoever reaches a Dask scheduler can run code on all its workers.
+A cluster distributes only the numbers of batches. Workers read and write the study's folder themselves. Connections use
+TLS with temporary keys, because whoever reaches a Dask scheduler can run code on its workers.
 """
 
 import logging
@@ -29,7 +29,7 @@ Dispatch = Callable[[Work, Iterable[int]], Iterator[Any]]  # results in the orde
 
 @dataclass
 class WorkerStatus:
-    """What is seen of the workers meanwhile."""
+    """State of the workers while batches run, for progress messages."""
 
     on_message: Callable[[str], None]  # what a user should know, in one line
     workers: int | None = None  # alive; None where there are none but this process
@@ -37,13 +37,13 @@ class WorkerStatus:
 
 @dataclass(frozen=True)
 class Local:
-    """In this process, one batch after the other, each on all its devices."""
+    """In this process, one batch after the other; each batch uses all devices."""
 
     is_remote: ClassVar[bool] = False  # whether workers have other devices than this machine
     kind: str = choice("local", "local")
 
     def connect(self, _: WorkerStatus) -> AbstractContextManager[Dispatch]:
-        """The built-in `map` takes a batch when the one before is done."""
+        """Return a context that simulates batches one after the other in this process."""
         return nullcontext(map)
 
 
@@ -57,7 +57,7 @@ class DaskLocal:
 
     @contextmanager
     def connect(self, status: WorkerStatus) -> Iterator[Dispatch]:
-        """Start the workers; a lost one is started again."""
+        """Start worker processes on this machine, and restart those that are lost, within this context."""
         distributed = _dask("distributed", self.kind)
         from tornado.ioloop import PeriodicCallback
 
@@ -75,7 +75,7 @@ class DaskLocal:
 
 @dataclass(frozen=True)
 class DaskAddress:
-    """Workers of a Dask scheduler that runs already; they need this package and the study's folder under its path."""
+    """Workers of a running Dask scheduler. They need this package, and the study's folder at the same path."""
 
     is_remote: ClassVar[bool] = True
     kind: str = choice("dask_address", "dask_address")
@@ -83,7 +83,7 @@ class DaskAddress:
 
     @contextmanager
     def connect(self, status: WorkerStatus) -> Iterator[Dispatch]:
-        """Raises `InputError` where no scheduler answers."""
+        """Connect to a running Dask scheduler within this context. Raises `InputError` if none answers."""
         distributed = _dask("distributed", self.kind)
         if not self.address:
             raise InputError("cluster.address is missing: a scheduler's, such as tcp://host:8786")
@@ -98,7 +98,7 @@ class DaskAddress:
 
 @dataclass(frozen=True)
 class Slurm:
-    """One Slurm job for each worker, sent from here; a job that ends early, as by its time limit, is sent again."""
+    """One Slurm job for each worker, submitted from this machine. A job that ends early is submitted again."""
 
     is_remote: ClassVar[bool] = True
     kind: str = choice("slurm", "slurm")
@@ -115,7 +115,7 @@ class Slurm:
 
     @contextmanager
     def connect(self, status: WorkerStatus) -> Iterator[Dispatch]:
-        """Send the jobs; Slurm starts them when it can. Raises `InputError` where it never would."""
+        """Submit the jobs, and cancel them after this context. Raises `InputError` where sbatch refuses them."""
         distributed, jobqueue = _dask("distributed", self.kind), _dask("dask_jobqueue", self.kind)
         os.makedirs(self.logs, exist_ok=True)
         cluster = jobqueue.SLURMCluster(
@@ -144,7 +144,15 @@ class Slurm:
 
 @contextmanager
 def connect_lazily(cluster: "Cluster", status: WorkerStatus) -> Iterator[Dispatch]:
-    """Hand out batches, connecting to the `cluster` at the first: a finished study sends no job."""
+    """Connect to a cluster only when the first batch is distributed, so that a finished study starts no workers.
+
+    Args:
+        cluster: The cluster.
+        status: Receives the number of workers, and messages for the user.
+
+    Yields:
+        A function `(work, batches)` that applies `work` to each batch number and yields results as they are ready.
+    """
     with ExitStack() as stack:
         connect = cache(lambda: stack.enter_context(cluster.connect(status)))
         yield lambda work, batches: connect()(work, batches)
@@ -163,7 +171,7 @@ QUIET: dict[str, Any] = {"scheduler_kwargs": QUIET_SCHEDULER, "silence_logs": lo
 
 
 def _dask(module: str, kind: str) -> Any:
-    """The module, with its loggers quiet: what a user must know is one line of ours."""
+    """Import a module of Dask with its loggers silenced. Raises `InputError` where it is not installed."""
     try:
         import dask.config
 
@@ -174,7 +182,7 @@ def _dask(module: str, kind: str) -> Any:
 
 
 def _check_job(script: str) -> None:
-    """Ask Slurm whether it would take the job: Dask would send it for ever. Raises `InputError`."""
+    """Raise `InputError` where sbatch would refuse the job. Dask would submit it again and again."""
     try:
         asked = subprocess.run(["sbatch", "--test-only"], input=script, capture_output=True, text=True, check=False)
     except FileNotFoundError:
@@ -185,12 +193,12 @@ def _check_job(script: str) -> None:
 
 
 def _ignore_interrupt() -> None:
-    """A terminal's Ctrl-C reaches all processes of the command; ending the workers is for this one to do."""
+    """Ignore Ctrl-C in a worker: a terminal sends it to all processes, and the main process ends the workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _security() -> Any:
-    """Keys for one scheduler and its workers, which nobody else has."""
+    """Make temporary TLS keys for one scheduler and its workers."""
     from distributed.security import Security
 
     try:
@@ -200,7 +208,10 @@ def _security() -> Any:
 
 
 def _distribute(client: Any, status: WorkerStatus, work: Work, batches: Iterable[int]) -> Iterator[Any]:
-    """Let the workers of `client` do it. Raises `Fault` after all others where workers kept dying over a batch."""
+    """Run batches on the workers and yield their results.
+
+    Raises `Fault` after all other batches if workers kept dying over some of them.
+    """
     from distributed import KilledWorker, as_completed
 
     tasks = [(client.submit(_timed, work, number, pure=False), number) for number in batches]
@@ -231,7 +242,7 @@ def _distribute(client: Any, status: WorkerStatus, work: Work, batches: Iterable
 
 
 def _timed(work: Work, number: int) -> tuple[float, Any]:
-    """The result of `work`, after the seconds that it took."""
+    """Return the duration of `work` in s, and its result."""
     start = time.monotonic()
     result = work(number)
     return time.monotonic() - start, result
@@ -239,7 +250,7 @@ def _timed(work: Work, number: int) -> tuple[float, Any]:
 
 @dataclass
 class _WorkerWatch:
-    """Which workers are at their batch for too long: they are started again, and their batches go to others."""
+    """Restarts workers that take too long for a batch, so that other workers get their batches."""
 
     client: Any
     watched: WorkerStatus
@@ -252,7 +263,7 @@ class _WorkerWatch:
     last: float = -math.inf  # s, when this looked
 
     def poll(self) -> None:
-        """Look once a second how workers do."""
+        """Check all workers, at most once a second, and restart those over their time limit."""
         now = time.monotonic()
         if now < self.last + 1:
             return
@@ -269,7 +280,7 @@ class _WorkerWatch:
         self.tasks = tasks
 
     def report_unfetched(self, future: Any) -> None:
-        """A batch is done, and the worker that did it does not tell."""
+        """Restart the worker that holds a result but does not send it."""
         now = time.monotonic()
         waited = now - self.asked.setdefault(future.key, now)
         if waited > LEAST:
@@ -277,7 +288,13 @@ class _WorkerWatch:
                 self.restart_worker(worker, self.numbers[future.key], waited)
 
     def restart_worker(self, worker: str, number: int, waited: float) -> None:
-        """Let its nanny kill `worker` and start it again; the scheduler forgets one that has none that answers."""
+        """Restart a worker, so that its batches go to other workers.
+
+        Args:
+            worker: Address of the worker.
+            number: Number of the batch that it has had for too long.
+            waited: How long, in s.
+        """
         self.watched.on_message(
             f"batch {number} has kept worker {worker} for {waited:.0f} s: it goes to another worker"
         )
@@ -285,6 +302,6 @@ class _WorkerWatch:
         self.since[worker] = time.monotonic()
 
     def time_limit_s(self, worker: str) -> float:
-        """Seconds that a batch of `worker` may take."""
+        """Return how long a worker may take for a batch, in s."""
         usual = TIMES * statistics.median(self.took) if self.took else 0.0
         return max(usual, LEAST if worker in self.warm else FIRST)

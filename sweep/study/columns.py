@@ -1,4 +1,4 @@
-"""The columns of a row: axes (dotted names), its place in the plan, its figures, how they are judged, and timing."""
+"""Columns of a row: axes (dotted names), place in the study, metrics, labels of its outcome, and timing."""
 
 from typing import TYPE_CHECKING
 
@@ -31,5 +31,5 @@ MEANINGS = {  # of labels and of what places a row in its study
 
 
 def metric_columns(rows: "pd.DataFrame") -> list[str]:
-    """What was measured: all but the axes, the plan, the labels and the timing."""
+    """List the metric columns of a table: all except axes, place in the study, labels and timing."""
     return [c for c in rows.columns if "." not in c and c not in (*PLAN, *LABELS, *TIMING)]

@@ -1,6 +1,6 @@
-"""Composed configurations as checked experiments, and errors of Hydra as one clear line.
+"""Composed configurations as checked experiments, and Hydra's errors as one line.
 
-The parameter dataclasses are the schemas: Hydra checks names and types while it composes, `build` checks bounds.
+The parameter dataclasses are the schemas. Hydra checks names and types while it composes; `build` checks bounds.
 """
 
 import dataclasses
@@ -59,7 +59,7 @@ CLASSES: dict[str, type] = {name: group.load() for name, group in GROUPS.items()
 
 @dataclass(frozen=True)
 class Experiment:
-    """A checked configuration, made by `experiment`."""
+    """A checked configuration, made by `build_experiment`."""
 
     scenario: str
     system: System
@@ -77,12 +77,12 @@ class Experiment:
 
     @property
     def folder(self) -> Path:
-        """The folder of its rows."""
+        """Folder of the study's rows."""
         return Path(self.out or f"results/{self.study.name}")
 
 
 def register_schemas() -> None:
-    """Register schemas, those of user modules included, and configuration files with Hydra. Raises `InputError`."""
+    """Register configuration files and schemas with Hydra, including those of user modules. Raises `InputError`."""
     add_user_classes(project.import_user_modules())
     _register()
     for group, kinds in KINDS.items():
@@ -128,7 +128,7 @@ def _schema(cls: type) -> DictConfig:
 
 
 def _open(node: DictConfig) -> DictConfig:
-    """`node` with its parts no longer frozen, as frozen dataclasses make them: no file could fill them in."""
+    """Make a node and its parts writable; those of frozen dataclasses are read-only."""
     OmegaConf.set_readonly(node, None)
     for key in node:
         if isinstance(part := node._get_node(key), DictConfig):
@@ -137,12 +137,12 @@ def _open(node: DictConfig) -> DictConfig:
 
 
 def compose(overrides: list[str]) -> Experiment:
-    """Compose the experiment of command-line overrides. Raises `InputError`."""
+    """Compose and check the experiment of command-line overrides such as `study=first`. Raises `InputError`."""
     return build_experiment(compose_values(overrides))
 
 
 def compose_values(overrides: list[str]) -> dict[str, Any]:
-    """Compose the plain values of command-line overrides, with names and types checked. Raises `InputError`."""
+    """Compose command-line overrides into plain values whose names and types are checked. Raises `InputError`."""
     register_schemas()
     try:
         check_overrides(overrides)
@@ -153,13 +153,13 @@ def compose_values(overrides: list[str]) -> dict[str, Any]:
 
 
 def primary_config(overrides: list[str]) -> str:
-    """Return the name of the configuration that Hydra composes, by the system of the scenario. Raises `InputError`."""
+    """Return the name of Hydra's primary configuration for the system that overrides select. Raises `InputError`."""
     name = hydra_sources.find_system_name({key: value for key, _, value in (one.partition("=") for one in overrides)})
     return systems.find_kind_by_name(name).config
 
 
 def check_overrides(overrides: list[str]) -> None:
-    """Raise `InputError` for overrides whose errors Hydra does not explain, such as a choice that is no name."""
+    """Raise `InputError` for overrides whose errors Hydra would not explain, such as `=x` or `robot=1`."""
     if nameless := [text for text in overrides if text.lstrip("+~").startswith(("=", "@"))]:
         raise InputError(f"{nameless[0]} cannot be read: group=choice or group.name=value")
     for text in overrides:
@@ -178,7 +178,17 @@ def check_overrides(overrides: list[str]) -> None:
 
 
 def resolve(config: DictConfig) -> dict[str, Any]:
-    """Resolve interpolations and return plain values. Raises `InputError`."""
+    """Resolve the interpolations of a composed configuration.
+
+    Args:
+        config: The configuration as Hydra composed it.
+
+    Returns:
+        Plain values.
+
+    Raises:
+        InputError: An interpolation does more than name a key, or a key is reserved.
+    """
     for key, text in flatten_values(OmegaConf.to_container(config, resolve=False)).items():
         if isinstance(text, str) and re.search(r"\$\{[^}]*:", text):  # such as oc.env, whose secret would be stored
             raise InputError(f"{key} = {text} is not allowed: an interpolation names another key")
@@ -195,7 +205,15 @@ def resolve(config: DictConfig) -> dict[str, Any]:
 
 
 def flatten_values(values: Any, path: str = "") -> dict[str, Any]:
-    """Return nested plain values by dotted path."""
+    """Flatten nested plain values.
+
+    Args:
+        values: Nested mappings, or a single value.
+        path: Dotted path of `values`; empty for the whole configuration.
+
+    Returns:
+        Values by dotted path.
+    """
     if not isinstance(values, Mapping):
         return {path: values}
     items = ((f"{path}.{key}" if path else str(key), value) for key, value in values.items())
@@ -203,7 +221,17 @@ def flatten_values(values: Any, path: str = "") -> dict[str, Any]:
 
 
 def build_experiment(values: Mapping[str, Any]) -> Experiment:
-    """Check plain values, composed or stored in study.yaml, and make the experiment. Raises `InputError`."""
+    """Check plain values and make the experiment.
+
+    Args:
+        values: A resolved configuration, composed or stored in study.yaml.
+
+    Returns:
+        The experiment.
+
+    Raises:
+        InputError: A key or a value is not allowed.
+    """
     add_user_classes(project.import_user_modules())
     kind = systems.find_kind_by_keys(values)
     allowed = (*systems.COMMON, *kind.keys)
@@ -238,7 +266,7 @@ experiment = build_experiment  # imported by projects that earlier versions expo
 
 
 def _numbers(system: System, settings: EngineSettings, start: str) -> list[str]:
-    """Paths of a system's numbers that begin with `start`, but those that are nominally zero."""
+    """List the paths of a system's quantities that begin with `start` and are not nominally zero."""
     floats = [
         path
         for path, value in system.physical_inputs(())
@@ -298,7 +326,15 @@ def format_error(error: Exception, overrides: list[str]) -> str:
 
 
 def suggest_paths(name: str, groups: Collection[str]) -> str:
-    """Suggest full paths of a parameter name in some groups, as a question; empty where there is none."""
+    """Suggest the full paths of a parameter that a user named without its group.
+
+    Args:
+        name: Name of the parameter.
+        groups: Groups to search.
+
+    Returns:
+        `: did you mean robot.thigh?`; empty where no group has the parameter.
+    """
     every = {group: [cls] for group, cls in CLASSES.items()} | {group: [*own.values()] for group, own in KINDS.items()}
     found = [
         f"{group}.{name}" for group, own in every.items() if group in groups and any(name in _names(cls) for cls in own)
@@ -324,6 +360,6 @@ def _wrong_type(error: OmegaConfBaseException, overrides: list[str]) -> str:
 
 
 def _given(key: str, overrides: list[str]) -> str:
-    """` = value` where the command line gave `key` one."""
+    """Return ` = value` where the command line sets `key`, else nothing."""
     texts = (o.lstrip("+~").partition("=") for o in overrides)
     return next((f" = {value}" for name, sign, value in texts if sign and name == key), "")

@@ -1,10 +1,10 @@
-"""How the points of a study are chosen: a grid of listed values, and draws from distributions at each of its points.
+"""Design of experiments: a grid of listed values, and draws from distributions at each grid point.
 
 Every axis gives a number n, listed or drawn, and turns it into a value of its path:
 
 - n itself;
 - with `times: PATH`, n times the value of another parameter at the same point (a ratio such as r/a_r);
-- with `relative: s`, (1 + s n) times its own nominal value, where n is even between -1 and 1 unless given.
+- with `relative: s`, (1 + s n) times its own nominal value; n is uniform between -1 and 1 unless given.
 """
 
 import dataclasses
@@ -52,7 +52,7 @@ OLD_SIDE = ("on", True)  # what `side` was called; a bare `on` is YAML's true
 
 @dataclass(frozen=True)
 class Axis:
-    """One varied parameter, or, without a path, a number that other axes refer to."""
+    """One varied parameter; without a path, a number that other axes refer to."""
 
     name: str
     path: str | None
@@ -66,17 +66,24 @@ class Axis:
 
     @property
     def target(self) -> str | None:
-        """The column of the points table that its values go to."""
+        """Column of the points table that holds the values of the parameter; None for an axis without a path."""
         return self.path if self.path is None or self.side == "both" else f"{self.side}.{self.path}"
 
     @property
     def column(self) -> str:
-        """The column that holds what was listed or drawn: its values, or n where that is what one wants to read."""
+        """Column that users read: the values of the parameter, or the number n where that is clearer."""
         own = self.path is None or self.times is not None or (self.relative is not None and self.values is not None)
         return f"axis.{self.name}" if own else str(self.target)
 
     def nominal_number(self, nominal_of: Callable[[str], Any]) -> Any:
-        """The n that gives its nominal value; `nominal` gives a parameter by its path."""
+        """Return the number n at which the parameter has its nominal value.
+
+        Args:
+            nominal_of: Returns the nominal value of a parameter path.
+
+        Raises:
+            InputError: A parameter to divide by is a name.
+        """
         if self.path is None:
             return self.nominal
         if self.relative is not None:
@@ -114,7 +121,7 @@ class Design:
 
     @property
     def level_settings(self) -> subset_simulation.LevelSettings:
-        """How runs of subset simulation go."""
+        """Settings of the levels of subset simulation."""
         return subset_simulation.LevelSettings(self.num, self.share, self.target)
 
 
@@ -136,7 +143,7 @@ def refuse_ignored_settings(study: Mapping[str, Any]) -> None:
 
 
 def rename_on_to_side(axes: Mapping[str, Any]) -> dict[str, Any]:
-    """Rename the old key `on` of axes to `side`. Raises `InputError` where both are given."""
+    """Rename the former key `on` of axes to `side`. Raises `InputError` where an axis has both."""
 
     def renamed(name: str, axis: Mapping[Any, Any]) -> dict[Any, Any]:
         if "side" in axis and any(key in OLD_SIDE for key in axis):
@@ -150,8 +157,11 @@ def expand_patterns(axes_config: Mapping[str, Any], paths_below: Callable[[str],
     """Expand axes whose path ends in `.*`, such as `plan.off.*`, into one axis for each number below it.
 
     Args:
-        given: Plain axes by name.
-        below: Returns the paths of numbers that start with a prefix.
+        axes_config: Plain axes by name.
+        paths_below: Returns the paths of numbers that start with a prefix.
+
+    Returns:
+        Plain axes by name, without patterns.
 
     Raises:
         InputError: A pattern matches nothing.
@@ -171,7 +181,7 @@ def expand_patterns(axes_config: Mapping[str, Any], paths_below: Callable[[str],
 
 
 def parse_axes(axes_config: Mapping[str, Any]) -> tuple[Axis, ...]:
-    """Parse plain axes. Raises `InputError`."""
+    """Parse the plain axes of a study, by name. Raises `InputError`."""
     axes = tuple(_axis(f"study.axes.{name}", name, axis) for name, axis in rename_on_to_side(axes_config).items())
     columns = [a.target for a in axes if a.target]
     if len(set(columns)) < len(columns):
@@ -194,7 +204,18 @@ def parse_axes(axes_config: Mapping[str, Any]) -> tuple[Axis, ...]:
 
 
 def parse_design(values: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
-    """How the axes that have a distribution are drawn. Raises `InputError`."""
+    """Parse the design of a study.
+
+    Args:
+        values: Plain settings of `study.design`.
+        axes: Axes of the study.
+
+    Returns:
+        The design.
+
+    Raises:
+        InputError: A setting is not allowed, or does not fit the axes.
+    """
     fields = {member.name: member for member in dataclasses.fields(Design)}
     values = require_keys("study.design", values, tuple(fields))
     values = {key: check_value(fields[key], value, f"study.design.{key}") for key, value in values.items()}
@@ -217,7 +238,7 @@ def parse_design(values: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
 
 
 def _correlation(key: str, pairs_config: Any, drawn: list[str]) -> tuple[tuple[str, str, float], ...]:
-    """Pairs `[axis, axis, number]`. Raises `InputError`, also where no joint distribution has them all."""
+    """Parse `[axis, axis, number]` entries. Raises `InputError`, also where no joint distribution exists."""
     pairs = []
     for pair in pairs_config:
         if not isinstance(pair, list | tuple) or len(pair) != 3 or pair[0] == pair[1]:
@@ -237,7 +258,7 @@ def _correlation(key: str, pairs_config: Any, drawn: list[str]) -> tuple[tuple[s
 
 
 def _matrix(pairs: tuple[tuple[str, str, float], ...], names: list[str]) -> np.ndarray:
-    """The correlations of the axes `names`, (d, d)."""
+    """Return the correlation matrix (d, d) of the axes `names`."""
     matrix = np.eye(len(names))
     for a, b, share in pairs:
         i, j = names.index(a), names.index(b)
@@ -246,7 +267,7 @@ def _matrix(pairs: tuple[tuple[str, str, float], ...], names: list[str]) -> np.n
 
 
 def design_warning(design: Design) -> str | None:
-    """What is doubtful about a design."""
+    """Return a warning about a design whose statistics suffer, or None."""
     if design.kind in ("sobol", "saltelli") and design.num & (design.num - 1):
         return f"study.design.num = {design.num} is not a power of 2: the points of a Sobol sequence lose their balance"
     return None
@@ -278,7 +299,7 @@ def _axis(key: str, name: str, axis_config: Any) -> Axis:
 
 
 def _values(key: str, axis_config: Mapping[str, Any]) -> tuple[Any, ...] | None:
-    """Listed values, or those of a range; None where the axis is drawn."""
+    """Return listed values, or those of a range; None where the axis is drawn."""
     values = axis_config.get("values")
     if values is not None:  # which win over a range, so that a command line can replace a study's range
         return tuple(parse_values(f"{key}.values", values))
@@ -308,11 +329,23 @@ def make_design_table(
     grid: "pd.DataFrame | None" = None,
     round_: adaptive_sampling.Draws | None = None,
 ) -> "pd.DataFrame":
-    """One row per draw of each grid point: the axes' columns, and `draw`. `nominal` gives a parameter by its path.
+    """Make the table of grid points and draws.
 
-    The draws are the same at every grid point, so that a difference between grid points is theirs. `grid` has the
-    numbers of listed axes by name, those of the design unless given; so is the `round_` of a design that seeks
-    failures, which has none of its own. Raises `InputError`.
+    The draws are the same at every grid point, so that differences between grid points are not due to the draws.
+
+    Args:
+        axes: Axes of the study.
+        design: How the axes are combined and drawn.
+        seed: Seed of the draws.
+        nominal_of: Returns the nominal value of a parameter path.
+        grid: Numbers of the listed axes by name; those of the design by default.
+        round_: Draws of a round of an adaptive design, which draws none by itself.
+
+    Returns:
+        One row for each draw at each grid point: the columns of the axes, and `draw`, the number of the draw.
+
+    Raises:
+        InputError: Axes refer to each other in a circle, or to something that is no number.
     """
     import pandas as pd
 
@@ -332,7 +365,15 @@ def make_design_table(
 
 
 def count_points(axes: tuple[Axis, ...], design: Design) -> int:
-    """How many points `table` would have."""
+    """Count the points of a design, without making them.
+
+    Args:
+        axes: Axes of the study.
+        design: How the axes are combined and drawn.
+
+    Returns:
+        Number of grid points times number of draws; the largest number for adaptive designs.
+    """
     lengths = [len(a.values) for a in axes if a.values is not None and a.along is None]
     drawn = sum(a.distribution is not None for a in axes)
     more = {"saltelli": drawn + 2, "morris": drawn + 1, "importance": design.rounds + 1}
@@ -343,7 +384,7 @@ def count_points(axes: tuple[Axis, ...], design: Design) -> int:
 
 
 def _grid(axes: list[Axis]) -> "pd.DataFrame":
-    """Every combination of the leading axes' values, by axis name, the last axis fastest."""
+    """Return every combination of the listed values, by name of the axis; the last axis varies fastest."""
     import pandas as pd
 
     leaders = [a for a in axes if a.along is None]
@@ -355,7 +396,7 @@ def _grid(axes: list[Axis]) -> "pd.DataFrame":
 
 
 def _one_at_a_time(axes: list[Axis], nominal_of: Callable[[str], Any]) -> "pd.DataFrame":
-    """The values of one leading axis after the other, the rest at their nominal numbers."""
+    """Return the values of one axis after the other, with all other axes at their nominal numbers."""
     import pandas as pd
 
     centre = {a.name: a.nominal_number(nominal_of) for a in axes}
@@ -365,7 +406,16 @@ def _one_at_a_time(axes: list[Axis], nominal_of: Callable[[str], Any]) -> "pd.Da
 
 
 def unit_draws(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:
-    """Numbers (draws, drawn axes) in (0, 1), spread as the design wants: the quantiles that are drawn."""
+    """Draw the quantiles of the drawn axes.
+
+    Args:
+        axes: Axes of the study.
+        design: Kind and number of draws, and correlations between axes.
+        seed: Seed of the draws.
+
+    Returns:
+        Quantiles in (0, 1), one row for each draw and one column for each drawn axis.
+    """
     drawn = [a for a in axes if a.distribution]
     if not drawn:
         return np.empty((0, 0))
@@ -402,7 +452,7 @@ def unit_draws(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:
 
 
 def _spread(shares: np.ndarray, axes: list[Axis], design: Design) -> np.ndarray:
-    """Independent shares, with the design's correlations."""
+    """Give independent quantiles the correlations of the design (a Gaussian copula)."""
     shares = np.clip(shares, adaptive_sampling.EDGE, 1 - adaptive_sampling.EDGE)
     if design.correlation:
         from scipy.special import ndtr, ndtri
@@ -417,7 +467,7 @@ def _spread(shares: np.ndarray, axes: list[Axis], design: Design) -> np.ndarray:
 
 
 def _columns(axes: tuple[Axis, ...], numbers: "pd.DataFrame", nominal_of: Callable[[str], Any]) -> dict[str, Any]:
-    """The axes' columns of the points table, from their numbers (listed or drawn) by name."""
+    """Compute the columns of the points table from the axes' numbers, by name."""
     by_target = {a.target: a for a in axes if a.target}
 
     def value(axis: Axis, above: tuple[str, ...] = ()) -> Any:

@@ -1,4 +1,4 @@
-"""Distributions that axes are drawn from: a few of our own, and every continuous one of scipy.stats."""
+"""Distributions from which axes are drawn: a few built-in ones, and every continuous one of scipy.stats."""
 
 import math
 import sys
@@ -19,16 +19,16 @@ DISTRIBUTIONS = {
 
 @dataclass(frozen=True)
 class Distribution:
-    """One of `DISTRIBUTIONS`, or of scipy.stats by its name there, with its numbers.
+    """A probability distribution: one of `DISTRIBUTIONS`, or one of scipy.stats by its name there.
 
-    A normal one and those of scipy.stats are truncated at `from` and `to` where these are given.
+    A normal distribution and those of scipy.stats are truncated at `from` and `to` where these are given.
     """
 
     kind: str
     parameters: Mapping[str, Any]
 
     def quantile(self, share: np.ndarray) -> np.ndarray:
-        """The values below which `share` of all draws lie, shape as given."""
+        """Return the quantile function at probabilities in (0, 1); the result has their shape."""
         low, high = self.parameters.get("from", -math.inf), self.parameters.get("to", math.inf)
         match self.kind:
             case "uniform":
@@ -60,7 +60,18 @@ class Distribution:
 
 
 def parse_distribution(key: str, config: Any) -> Distribution:
-    """From plain values. Raises `InputError`."""
+    """Parse the distribution of an axis.
+
+    Args:
+        key: Path of the distribution, for messages.
+        config: Its plain keys and values.
+
+    Returns:
+        The distribution.
+
+    Raises:
+        InputError: The kind is unknown, or a number is missing or not allowed.
+    """
     if not isinstance(config, Mapping):
         raise InputError(
             f"{key} = {config!r} is not allowed: keys and values, such as {{kind: uniform, from: 0, to: 1}}"
@@ -93,7 +104,7 @@ def parse_distribution(key: str, config: Any) -> Distribution:
 
 
 def find_scipy_distribution(kind: str) -> Any:
-    """The continuous distribution of scipy.stats that has this name; None without."""
+    """Return the continuous distribution of scipy.stats with this name, or None."""
     from scipy import stats  # slow to import
 
     found = getattr(stats, kind, None)
@@ -101,7 +112,7 @@ def find_scipy_distribution(kind: str) -> Any:
 
 
 def _distribution_of_scipy(key: str, kind: str, config: Mapping[str, Any]) -> Distribution:
-    """One of scipy.stats with its shapes, `loc` and `scale`, as its documentation names them."""
+    """Parse a distribution of scipy.stats with its shape parameters, `loc` and `scale`."""
     shapes = tuple(name.strip() for name in (find_scipy_distribution(kind).shapes or "").split(",") if name.strip())
     config = require_keys(key, config, ("kind", *shapes, "loc", "scale", "from", "to"))
     for name in shapes:
@@ -114,7 +125,19 @@ def _distribution_of_scipy(key: str, kind: str, config: Mapping[str, Any]) -> Di
 
 
 def require_keys(path: str, mapping: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
-    """`given` as a dict whose keys are all allowed. Raises `InputError`."""
+    """Require a mapping whose keys are all allowed.
+
+    Args:
+        path: Path of the mapping, for messages.
+        mapping: The value to check.
+        allowed: Allowed keys.
+
+    Returns:
+        The mapping as a dict.
+
+    Raises:
+        InputError: The value is no mapping, or a key is unknown.
+    """
     if not isinstance(mapping, Mapping):
         raise InputError(f"{path} = {mapping!r} is not allowed: keys and values (allowed: {', '.join(allowed)})")
     for key in mapping:
@@ -123,7 +146,18 @@ def require_keys(path: str, mapping: Any, allowed: tuple[str, ...]) -> dict[str,
 
 
 def parse_values(key: str, values: Any) -> list[Any]:
-    """`values` as a list of numbers or names. Raises `InputError`."""
+    """Require a list of numbers or of names.
+
+    Args:
+        key: Path of the list, for messages.
+        values: The value to check.
+
+    Returns:
+        The list.
+
+    Raises:
+        InputError: The value is no such list.
+    """
     if not isinstance(values, list) or not values or any(isinstance(one, list | Mapping | None) for one in values):
         raise InputError(f"{key} = {values!r} is not allowed: a list with at least one value, each a number or a name")
     if len({(isinstance(one, str), isinstance(one, bool)) for one in values}) > 1:
@@ -132,21 +166,32 @@ def parse_values(key: str, values: Any) -> list[Any]:
 
 
 def parse_number(key: str, value: Any) -> float:
-    """`value` as a number. Raises `InputError`."""
+    """Require a finite number.
+
+    Args:
+        key: Path of the number, for messages.
+        value: The value to check.
+
+    Returns:
+        The number.
+
+    Raises:
+        InputError: The value is no number.
+    """
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
         raise InputError(f"{key} = {str(value)[:40]} is not allowed: a number")
     return float(value)
 
 
 def format_value(value: Any) -> str:
-    """Six digits are enough to tell values apart."""
+    """Format a value with six significant digits, or a list of values."""
     if isinstance(value, list | tuple):
         return format_values(tuple(value))
     return f"{value:.6g}" if isinstance(value, int | float) else str(value)
 
 
 def format_values(values: tuple[Any, ...]) -> str:
-    """Values in a row, of many the first and the last."""
+    """Format values as a list; long lists are shortened to their first and last values."""
     if len(values) <= 4:
         return ", ".join(map(format_value, values))
     return (

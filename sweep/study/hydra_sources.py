@@ -1,9 +1,9 @@
-"""How Hydra reads configuration files: ours are plain, and what Hydra wants besides is added here.
+"""Configuration files of this package as sources of Hydra, with a simpler syntax than Hydra's own.
 
-A file of the groups `study` and `scenario` speaks of the whole configuration, that of its `system`. Its `extends` names
-the file that it starts from; under the name of a group stands a choice (`scenario: pole_climb`), or parameters
-(`obstacle: {height: 3}`), or both (`robot: {extends: prototype, thigh: 0.3}`). A file of another group holds
-parameters, and may have `extends` too. A file with a list of `defaults` is Hydra's own and taken as it is.
+A file of the groups `study` and `scenario` sets the whole configuration of its `system`. Its `extends` names the file
+that it starts from. The name of a group holds a choice (`scenario: pole_climb`), parameters (`obstacle: {height: 3}`),
+or both (`robot: {extends: prototype, thigh: 0.3}`). A file of another group holds parameters and may have `extends`,
+too. A file with a list of `defaults` is in Hydra's own syntax and stays as it is.
 """
 
 import io
@@ -35,37 +35,37 @@ SCHEMAS: dict[str, dict[str, Callable[[], DictConfig]]] = {}
 
 
 class GroupFiles(ConfigSource):
-    """The files of the groups, of the project and shipped (see `sweep.core.project`), and the classes' own values.
+    """Hydra source of the configuration groups: files of the project, shipped files, and defaults of the classes.
 
-    Those are called after their kind and `_schema`; a kind without a file of its name is a choice as it is.
+    The defaults of a class are named after its kind, with `_schema` appended. A kind without a file is a choice, too.
     """
 
     @staticmethod
     def scheme() -> str:
-        """The word that its search path begins with."""
+        """Return the scheme of this source in Hydra's search path."""
         return SCHEME
 
     def available(self) -> bool:
-        """That they can always be asked for."""
+        """Return True: the source can always be read."""
         return True
 
     def is_group(self, config_path: str) -> bool:
-        """Whether it names a group."""
+        """Return whether a path names a configuration group."""
         return config_path in GROUPS
 
     def is_config(self, config_path: str) -> bool:
-        """Whether `group/name` is a file."""
+        """Return whether `group/name` is a file or a kind."""
         group, _, name = config_path.partition("/")
         return group in GROUPS and (project.find_file(group, name) is not None or find_schema(group, name) is not None)
 
     def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
-        """The names that a group has."""
+        """List the choices of a group."""
         if results_filter == ObjectType.GROUP:
             return []
         return choice_names(config_path)
 
     def load_config(self, config_path: str) -> ConfigResult:
-        """The file as Hydra wants it. Raises `InputError`."""
+        """Load a file and translate it to Hydra's syntax. Raises `InputError`."""
         group, _, name = config_path.partition("/")
         if project.find_file(group, name) is None and (made := find_schema(group, name)):
             return ConfigResult(self.provider, self.full_path(), made(), {"package": None})
@@ -85,16 +85,24 @@ class GroupFiles(ConfigSource):
 
 
 def find_schema(group: str, name: str) -> Callable[[], DictConfig] | None:
-    """What makes the schema that `group=name` means where no file does."""
+    """Find the schema that `group=name` selects where it names no file.
+
+    Args:
+        group: Configuration group.
+        name: A kind, or the name of a schema, which ends in `_schema`.
+
+    Returns:
+        A function that makes the schema; None where there is none.
+    """
     kind = name if GROUPS[group].kinds else ""
     return SCHEMAS.get(group, {}).get(name.removesuffix("_schema") if name.endswith("_schema") else kind)
 
 
 class UserFiles(FileConfigSource):
-    """Files of a user, such as studies in a `--config-dir`: they choose and set values, and have nothing run."""
+    """Hydra source of a user's files, such as those in a `--config-dir`. They set values and cannot run code."""
 
     def load_config(self, config_path: str) -> ConfigResult:
-        """Raises `InputError` where Hydra would be told what to run, or the file is not what it looks like."""
+        """Load a file. Raises `InputError` where it would run code, or where its YAML is ambiguous."""
         file = os.path.join(self.path, self._normalize_file_name(config_path))
         if os.path.isfile(file):
             with open(file, encoding="utf-8") as opened:
@@ -106,7 +114,13 @@ class UserFiles(FileConfigSource):
 
 
 def refuse_code_keys(config_path: str, values: Any, package: str) -> None:
-    """Raise `InputError` where Hydra would be told what to run."""
+    """Raise `InputError` where a configuration has keys that make Hydra run code.
+
+    Args:
+        config_path: Path of the configuration, for messages.
+        values: Its plain values.
+        package: Hydra package of the configuration.
+    """
     defaults = values.get("defaults") if isinstance(values, Mapping) else None
     where = [config_path, package, *(map(str, defaults) if isinstance(defaults, list) else ())]
     named = [key for key in _keys(values) if key in ("hydra", "_target_")]
@@ -126,22 +140,33 @@ def _keys(values: Any) -> Iterator[str]:
 
 
 class SearchPath(SearchPathPlugin):
-    """Our files before Hydra's other sources."""
+    """Hydra plugin that puts the configuration groups of this package first on the search path."""
 
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
-        """Put these files first on Hydra's search path."""
+        """Put the configuration groups of this package first on Hydra's search path."""
         search_path.prepend("sweep", f"{SCHEME}://")
 
 
 def register_sources() -> None:
-    """Tell Hydra of both sources."""
+    """Register both sources with Hydra."""
     for plugin in (GroupFiles, SearchPath):
         Plugins.instance().register(plugin)  # which puts Hydra's own source of files in the place of ours
     SourcesRegistry.instance().types[UserFiles.scheme()] = UserFiles
 
 
 def read_config_file(file: Any, words: bool = False) -> dict[str, Any]:
-    """A file's keys and values; with `words` as plans have them (see `project.words`). Raises `InputError`."""
+    """Read the keys and values of a configuration file.
+
+    Args:
+        file: The file.
+        words: Whether unquoted `on`, `off` and similar words are names, as in plans.
+
+    Returns:
+        Plain values, interpolations as text.
+
+    Raises:
+        InputError: The file cannot be read, or holds no keys and values.
+    """
     try:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
@@ -161,7 +186,19 @@ def read_config_file(file: Any, words: bool = False) -> dict[str, Any]:
 
 
 def global_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
-    """A study or a scenario: what it starts from, its choices, then its values. Its name is its file's unless given."""
+    """Translate a study or scenario to Hydra's syntax: the file it extends, its choices, then its values.
+
+    Args:
+        group: `study` or `scenario`.
+        file: The file; its name is the default of `study.name` or `scenario.name`.
+        content: Its plain values.
+
+    Returns:
+        Values with Hydra's list of defaults.
+
+    Raises:
+        InputError: A choice is unknown, or a group has something else than a name or keys.
+    """
     defaults, values = extended_defaults(group, file, content), {}
     for key, value in content.items():
         if key in GROUPS and not isinstance(value, str | Mapping | None):
@@ -180,7 +217,14 @@ def global_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[s
 
 
 def find_system_name(chosen: Mapping[str, str]) -> str:
-    """The system that choices by group are for: that of the scenario, the one chosen or the study's; else `USUAL`."""
+    """Find the system that choices of a scenario or study select; `USUAL` by default.
+
+    Args:
+        chosen: Chosen names by group.
+
+    Returns:
+        Name of the system, unchecked.
+    """
     group, seen = "scenario" if "scenario" in chosen else "study", set()
     name: Any = chosen.get(group)
     while isinstance(name, str) and (group, name) not in seen and (file := project.find_file(group, name)) is not None:
@@ -196,7 +240,19 @@ def find_system_name(chosen: Mapping[str, str]) -> str:
 
 
 def group_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of one group, on top of those of the file it extends or of its class."""
+    """Translate parameters of a group to Hydra's syntax, after the file they extend or the defaults of their class.
+
+    Args:
+        group: Configuration group.
+        file: The file.
+        content: Its plain values.
+
+    Returns:
+        Values with Hydra's list of defaults.
+
+    Raises:
+        InputError: The kind is missing or unknown.
+    """
     free, kind = GROUPS[group].free, content.get("kind")
     if "extends" not in content and GROUPS[group].kinds and kind not in _kinds(group):
         told = "kind is missing" if kind is None else f"kind = {kind} is unknown"
@@ -206,13 +262,13 @@ def group_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[st
 
 
 def extended_defaults(group: str, file: Any, content: Mapping[str, Any]) -> list[Any]:
-    """The file that this one starts from, or the list of them, as a list of defaults."""
+    """Return the files that a file extends, as entries of Hydra's list of defaults. Raises `InputError`."""
     names = [require_choice_of_group(file, group, name) for name in extended_names(group, content)]
     return [f"/{group}/{name}@{'_global_' if GROUPS[group].whole else '_here_'}" for name in names]
 
 
 def extended_names(group: str, content: Mapping[str, Any]) -> list[Any]:
-    """What a file extends: in a group without a class of its own it may be several."""
+    """Return the names of the files that a file extends; several are allowed for plans only."""
     if "extends" not in content:
         return []
     found = content["extends"]
@@ -220,7 +276,7 @@ def extended_names(group: str, content: Mapping[str, Any]) -> list[Any]:
 
 
 def referenced_files(group: str, content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield group and name of each file that a file starts from, by `extends` or by a list of Hydra's `defaults`."""
+    """Yield group and name of each file that a file starts from, by `extends` or by Hydra's list of `defaults`."""
     yield from ((group, name) for name in extended_names(group, content))
     defaults = content.get("defaults")
     for entry in defaults if isinstance(defaults, list) else ():
@@ -235,7 +291,14 @@ def referenced_files(group: str, content: Mapping[str, Any]) -> Iterator[tuple[s
 
 
 def refuse_cycle(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None:
-    """Raise `InputError` where a file that extends `name` starts, through it, from itself."""
+    """Raise `InputError` where a file extends itself through other files.
+
+    Args:
+        group: Configuration group of `name`.
+        file: The file that is read.
+        name: Name of the file that is extended.
+        ring: Files from `file` to the one that extends `name`.
+    """
     above = project.find_file(group, resolve_beside(ring[-1], name)) if isinstance(name, str) else None
     if above is None:
         return
@@ -248,7 +311,7 @@ def refuse_cycle(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> Non
 
 
 def require_choice_of_group(file: Any, group: str, name: Any) -> str:
-    """Return the choice of `group` that a file names, a path resolved. Raises `InputError` where there is none."""
+    """Return `name` if it is a file or kind of a group; else raise `InputError` with a suggestion."""
     name = resolve_beside(file, name)
     if not isinstance(name, str) or (project.find_file(group, name) is None and name not in _kinds(group)):
         raise InputError(f"{file}: {group} = {name} is unknown{suggest(str(name), choice_names(group))}")
@@ -271,7 +334,7 @@ def resolve_beside(file: Any, name: Any) -> Any:
 
 
 def choice_names(group: str) -> list[str]:
-    """What may be chosen of a group: files of the project, shipped ones, and kinds."""
+    """List the choices of a group: files of the project, shipped files, and kinds."""
     return sorted({*project.project_files(group), *project.shipped_files(group), *_kinds(group)})
 
 

@@ -1,11 +1,11 @@
-"""Draws where failures are: importance sampling, from outcomes alone.
+"""Importance sampling of failures: each round draws from a mixture of normals fitted to earlier failures.
 
-Every drawn axis is a standard normal number u behind its quantile; plain draws have the density phi(u). The first round
-has normals `wide` times as wide. Each round after it is drawn from a mixture: normals fitted to what has failed so far,
-and beside them wide ones and plain ones, so that no weight phi / q exceeds 1 / `PLAIN`. For the fit all rounds so far
-are one sample of the mean of their densities (the balance heuristic), whose weights are less uneven than those of each
-round by itself. What a round is fitted to was drawn before it, so that the mean of weight times failure over the round
-is an unbiased estimate of the probability of failing.
+Every drawn axis is the quantile of a standard normal number u, so nominal draws have the density phi(u). The first
+round draws normals that are `wide` times as wide. Each later round draws from a mixture: normals fitted to all failures
+so far, wide normals, and nominal ones, so that no weight phi / q exceeds 1 / `PLAIN`. The fit treats all rounds as one
+sample from the mean of their densities (the balance heuristic), whose weights are less uneven than those of single
+rounds. A round's proposal depends on earlier rounds only, so the mean of weight times failure over the round is an
+unbiased estimate of the failure probability.
 """
 
 from collections.abc import Sequence
@@ -27,32 +27,57 @@ DIP = 0.5  # of the density at the lower of two middles: parts between which it 
 
 
 class Mixture(NamedTuple):
-    """Normals in d dimensions."""
+    """A mixture of k normal distributions in d dimensions."""
 
     share: Float[np.ndarray, " k"]
     mean: Float[np.ndarray, "k d"]
     root: Float[np.ndarray, "k d d"]  # lower, root root' being the covariance
 
     def log_density(self, u: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n k"]:
-        """Of each part, with its share."""
+        """Return the log density of each component, times its share, at points (n, d)."""
         away = np.stack([np.linalg.solve(r, (u - m).T) for m, r in zip(self.mean, self.root, strict=True)])
         size = np.log(np.diagonal(self.root, axis1=1, axis2=2)).sum(axis=1)
         return (np.log(self.share) - size)[None] - 0.5 * ((away**2).sum(axis=1).T + u.shape[1] * np.log(2 * np.pi))
 
     def draw(self, num: int, rng: np.random.Generator) -> Float[np.ndarray, "n d"]:
-        """Of each part as many as its share wants, to one more or less at random."""
+        """Draw points from the mixture, with stratified numbers of points from its components.
+
+        Args:
+            num: Number of points, n.
+            rng: Random generator.
+
+        Returns:
+            Points (n, d).
+        """
         part = np.searchsorted(np.cumsum(self.share)[:-1], (np.arange(num) + rng.random()) / num)
         normal = rng.standard_normal((num, self.mean.shape[1]))
         return self.mean[part] + np.einsum("nij,nj->ni", self.root[part], normal)
 
 
 def isotropic_normal(d: int, width: float, share: float = 1.0) -> Mixture:
-    """One round normal about zero."""
+    """Make a mixture of one isotropic normal about zero.
+
+    Args:
+        d: Number of dimensions.
+        width: Standard deviation.
+        share: Share of the component.
+    """
     return Mixture(np.array([share]), np.zeros((1, d)), width * np.eye(d)[None])
 
 
 def start_search(d: int, num: int, wide: float, rounds: int, seed: int) -> Search:
-    """The first round of draws, and `rounds` after it: see `sweep.study.adaptive_sampling`."""
+    """Start importance sampling, a search as in `sweep.study.adaptive_sampling`.
+
+    Args:
+        d: Number of drawn axes.
+        num: Draws of a round.
+        wide: Standard deviation of the first round, in standard deviations of the axes.
+        rounds: Number of rounds after the first.
+        seed: Seed of the draws.
+
+    Returns:
+        The search; its result is None.
+    """
     from scipy.special import ndtr  # slow to import
 
     mixtures, normals, failures = [isotropic_normal(d, wide)], [], []
@@ -66,7 +91,15 @@ def start_search(d: int, num: int, wide: float, rounds: int, seed: int) -> Searc
 
 
 def importance_weights(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture]) -> Float[np.ndarray, " n"]:
-    """Return importance weights: nominal density over the mean density of all rounds, which are equally long."""
+    """Return importance weights: nominal density over the mean density of all rounds.
+
+    Args:
+        u: Draws as standard-normal numbers, (n, d).
+        rounds: Proposals of the rounds, which have equally many draws.
+
+    Returns:
+        Weights (n,).
+    """
     from scipy.special import logsumexp  # slow to import
 
     logs = [logsumexp(mixture.log_density(u), axis=1) for mixture in rounds]
@@ -75,12 +108,15 @@ def importance_weights(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture]) -
 
 
 def fit_next_proposal(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture], wide: float) -> Mixture:
-    """Fit the proposal of the next round.
+    """Fit the proposal of the next round to the failures of earlier rounds.
 
     Args:
-        u: All failures so far, in standard-normal coordinates.
+        u: All failures so far as standard-normal numbers, (n, d).
         rounds: Proposals of earlier rounds.
-        wide: Standard deviation of the wide part of the proposal.
+        wide: Standard deviation of the wide component of the proposal.
+
+    Returns:
+        The proposal.
     """
     d = u.shape[1]
     parts = [isotropic_normal(d, wide, WIDE if len(u) else 1 - PLAIN), isotropic_normal(d, 1.0, PLAIN)]
@@ -91,11 +127,18 @@ def fit_next_proposal(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture], wi
 
 
 def fit_mixture(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) -> Mixture:
-    """Up to `PARTS` normals through what failed, by its weights, or by less uneven ones where these leave too little.
+    """Fit up to `PARTS` normals to weighted points, by expectation maximization.
 
-    Expectation and maximisation, from the heaviest row and those farthest from it; as much is added to each part as
-    `PRIOR` effective rows for each axis of a unit normal about its middle would say: along most ways failures lie as
-    plain draws do.
+    The fit starts at the heaviest point and those farthest from it. Each covariance has a prior of `PRIOR` effective
+    rows per axis of a unit normal about its mean, because in most directions failures are distributed like nominal
+    draws. If the weights leave too few effective points, less uneven ones are used.
+
+    Args:
+        u: Points (n, d).
+        weight: Weights (n,), unnormalized.
+
+    Returns:
+        The mixture, rounded so that machines with other last bits draw alike.
     """
     d = u.shape[1]
     powers = (weight**power / np.sum(weight**power) for power in TEMPERS)
@@ -121,7 +164,14 @@ def fit_mixture(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) ->
 
 
 def assign_modes(mixture: Mixture) -> Int[np.ndarray, " k"]:
-    """Assign parts of a mixture to modes: parts share a mode where the density has no dip between their means."""
+    """Assign the components of a mixture to modes. Two share a mode where the density has no dip between their means.
+
+    Args:
+        mixture: A mixture of k normals.
+
+    Returns:
+        Number of the mode of each component, (k,).
+    """
     number, way = np.arange(len(mixture.share)), np.linspace(0, 1, 21)[:, None]
     for a, b in combinations(range(len(number)), 2):
         density = np.logaddexp.reduce(

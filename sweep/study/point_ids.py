@@ -1,4 +1,4 @@
-"""Point ids and noise streams: what tells one rollout from another, for a million rows at once."""
+"""Point ids and noise streams, which identify a rollout; computed for a million rows at once."""
 
 import hashlib
 from typing import TYPE_CHECKING
@@ -14,12 +14,20 @@ DIGITS = 12  # of a number that count
 
 
 def replicate_streams(seed: int, replicates: int) -> np.ndarray:
-    """The numbers (replicates,) that the noise of each replicate is drawn from; the first ones stay as more come."""
+    """Return the noise streams (replicates,) of replicates. More replicates leave the first ones as they are."""
     return (np.random.SeedSequence(seed).generate_state(replicates, np.uint64) >> np.uint64(1)).astype(np.int64)
 
 
 def row_streams(seed: int, table: "pd.DataFrame") -> np.ndarray:
-    """The same (n,) by the values of each row, its replicate among them, wherever it stands in `table`."""
+    """Return the noise streams of rows (n,) from their values, replicate included, whatever their order.
+
+    Args:
+        seed: Seed of the study.
+        table: Values of the rows, by column.
+
+    Returns:
+        Numbers (n,) that seed the noise.
+    """
     total = np.full(len(table), text_hash(f"seed {seed}"))
     for column in table.columns:
         total += _hashes(str(column), table[column].to_numpy())
@@ -27,11 +35,18 @@ def row_streams(seed: int, table: "pd.DataFrame") -> np.ndarray:
 
 
 def point_ids(table: "pd.DataFrame", system: System) -> np.ndarray:
-    """Hash (16 hexadecimal digits) of all physical inputs of every row and its replicate.
+    """Hash all physical inputs and the replicate of every row.
 
-    The sum over all inputs of a hash of name and value, so that it is the same whether an input is varied or
-    nominal. How a row is simulated plays no part. Of what a
-    system came to have later only what is not as by default counts: else the ids are those of before there was any.
+    The hash is a sum over inputs of hashes of name and value, so it is the same whether an input is varied or nominal.
+    How a row is simulated does not matter. Inputs that were added later count only where they differ from their
+    default, so that ids of earlier rows stay valid.
+
+    Args:
+        table: Points, one row for each rollout.
+        system: The system, which knows the nominal inputs.
+
+    Returns:
+        Ids (n,) of 16 hexadecimal digits.
     """
     paths = [path for side, path in map(split_side, table.columns) if path.partition(".")[0] in system.groups]
     nominal = {f"{side}.{path}": value for side in SIDES for path, value in system.physical_inputs(paths)}
@@ -55,7 +70,7 @@ def point_ids(table: "pd.DataFrame", system: System) -> np.ndarray:
 
 
 def _hashes(key: str, values: np.ndarray) -> np.ndarray:
-    """Hashes (n,) of one input's values; numbers count to `DIGITS` decimal digits."""
+    """Hash the values (n,) of one input; numbers count to `DIGITS` significant digits."""
     import pandas as pd
 
     if values.dtype.kind in "fiu":
@@ -68,7 +83,7 @@ def _hashes(key: str, values: np.ndarray) -> np.ndarray:
 
 
 def _decimal(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mantissa of `DIGITS` digits and exponent, both whole numbers."""
+    """Split numbers into a mantissa of `DIGITS` digits and a decimal exponent, both whole numbers."""
     size = np.abs(values)
     exponent = np.floor(np.log10(np.where(size > 0, size, 1.0))).astype(np.int64)
     shift = DIGITS - 1 - exponent
@@ -79,12 +94,12 @@ def _decimal(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def text_hash(text: str) -> np.uint64:
-    """A hash of 64 bits of a text."""
+    """Hash a text to 64 bits."""
     return np.uint64(int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest()))
 
 
 def _mixed(x: np.ndarray) -> np.ndarray:
-    """Every bit of the result depends on every bit of `x` (the finaliser of SplitMix64)."""
+    """Mix bits so that every bit of the result depends on every bit of `x` (finalizer of SplitMix64)."""
     x = np.asarray(x, np.uint64) + np.uint64(0x9E3779B97F4A7C15)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

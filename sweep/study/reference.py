@@ -1,6 +1,6 @@
-"""`sweep describe`: every parameter with its unit, what it may be, its default and what it means.
+"""Text of `sweep describe`: every parameter with its unit, bounds, default and meaning.
 
-Meanings are the comments beside the parameters where they are defined, so that there is one place for both.
+Meanings are the comments beside the parameters in the source.
 """
 
 import ast
@@ -25,21 +25,24 @@ from sweep.study.columns import MEANINGS
 
 
 def classes_by_group() -> dict[str, list[type]]:
-    """The classes of each group; of obstacles, manoeuvres and clusters one for each kind, those of users too."""
+    """Return the parameter dataclasses of each group, including those of users."""
     config.register_schemas()
     kinds = {group: list(kinds.values()) for group, kinds in config.KINDS.items()}
     return {group: [cls] for group, cls in config.CLASSES.items()} | kinds
 
 
 def describe(name: str) -> str:
-    """Describe what a user names.
+    """Describe a group, choice, parameter or column.
 
     Args:
-        name: a group, a choice such as `obstacle=ball` or `robot=mine`, a parameter such as `drive.torque_limit`, or a
+        name: A group, a choice such as `obstacle=ball` or `robot=mine`, a parameter such as `drive.torque_limit`, or a
             column of rows such as `energy_j`.
 
+    Returns:
+        The description as Markdown.
+
     Raises:
-        InputError: nothing has this name.
+        InputError: Nothing has this name.
     """
     every = classes_by_group()
     if name not in every and (meaning := column_meanings().get(name)):
@@ -82,12 +85,20 @@ def column_meanings() -> dict[str, str]:
 
 
 def file_names(group: str) -> list[str]:
-    """The names of a group's files, of those that ship and of the project's own."""
+    """List the names of a group's files, shipped ones and the project's own."""
     return [*project.shipped_files(group), *project.project_files(group)]
 
 
 def describe_file_numbers(group: str, name: str) -> str:
-    """The numbers of a plan, `NAME` or one of them, `NAME.PATH`; without a name all plans. Raises `InputError`."""
+    """Describe plans: a list of all, the numbers of the plan `NAME`, or the number `NAME.PATH`.
+
+    Args:
+        group: The configuration group, `plan`.
+        name: `NAME`, `NAME.PATH`, or empty for all plans.
+
+    Raises:
+        InputError: There is no such plan or number.
+    """
     files = {**project.shipped_files(group), **project.project_files(group)}
     if not name:
         return "\n".join(f"{group}.{name:20} {project.first_comment(file)}" for name, file in files.items())
@@ -104,7 +115,7 @@ def describe_file_numbers(group: str, name: str) -> str:
 
 
 def parameters_page() -> str:
-    """All of them, as Markdown."""
+    """Describe all parameters of all groups as a Markdown page."""
     parts = [
         "# Parameters",
         "Any of them is set by `group.name=value`, in a study as well as on the command line. "
@@ -116,7 +127,12 @@ def parameters_page() -> str:
 
 
 def format_class(group: str, cls: type) -> str:
-    """What a class is, and its parameters as a table."""
+    """Describe a parameter dataclass and its parameters as Markdown.
+
+    Args:
+        group: Configuration group.
+        cls: The dataclass.
+    """
     kind = kind_of(cls)
     lines = pd.DataFrame(list(parameter_rows(cls)))
     table = lines.to_markdown(index=False, disable_numparse=True) if len(lines) else "No parameters."
@@ -131,7 +147,13 @@ def format_class(group: str, cls: type) -> str:
 
 
 def format_parameter(group: str, cls: type, line: dict[str, str]) -> str:
-    """One parameter in words."""
+    """Describe one parameter as text.
+
+    Args:
+        group: Configuration group.
+        cls: Dataclass of the parameter.
+        line: The parameter, as `parameter_rows` yields it.
+    """
     kind = kind_of(cls)
     beside = f" (of {group}={kind})" if kind else ""
     rows = [f"{group}.{line['parameter']}{beside}: {line['meaning'] or describe_class(cls).splitlines()[0]}"]
@@ -142,7 +164,7 @@ def format_parameter(group: str, cls: type, line: dict[str, str]) -> str:
 
 
 def parameter_rows(cls: type) -> Iterator[dict[str, str]]:
-    """A line for each parameter: name, default, unit, what is allowed, meaning. The kind is not one of them."""
+    """Yield name, default, unit, bounds and meaning of each parameter of a dataclass, except for `kind`."""
     meanings = getattr(cls, "meanings", {}) | member_comments(cls)
     for field in dataclasses.fields(cls):
         role = field.metadata.get("role")
@@ -164,34 +186,34 @@ def parameter_rows(cls: type) -> Iterator[dict[str, str]]:
 
 
 def choice_meanings(field: "dataclasses.Field[Any]") -> dict[str, str]:
-    """What each of the names means that a parameter may have, where that is said."""
+    """Return the meanings of the names that a `choice` parameter allows, where they are documented."""
     return field.metadata.get("meanings", {})
 
 
 def format_default(field: "dataclasses.Field[Any]") -> str:
-    """Its default as it is written."""
+    """Format the default of a parameter; empty without one."""
     value = field.default if field.default is not dataclasses.MISSING else ""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def kind_of(cls: type) -> str:
-    """The `kind` of an obstacle, a manoeuvre or a cluster; empty for the others."""
+    """Return the `kind` of an obstacle, manoeuvre or cluster class; empty for other classes."""
     found = [f.default for f in dataclasses.fields(cls) if f.name == "kind"]
     return str(found[0]) if found else ""
 
 
 def describe_class(cls: type) -> str:
-    """What the class says of itself."""
+    """Return the docstring of a class."""
     return inspect.cleandoc(cls.__doc__ or "")
 
 
 def module_summary(cls: type) -> str:
-    """The first sentence of its module, which names the source."""
+    """Return the first line of the docstring of a class' module, which cites the source."""
     return (inspect.cleandoc(inspect.getmodule(cls).__doc__ or "").splitlines() or [""])[0]
 
 
 def member_comments(cls: type) -> dict[str, str]:
-    """The comment beside each member of a class, or above it; those of the classes it inherits from too."""
+    """Return the comment beside or above each member of a class, inherited members included."""
     found: dict[str, str] = {}
     for one in reversed(cls.__mro__[:-1]):
         try:
@@ -211,7 +233,13 @@ def member_comments(cls: type) -> dict[str, str]:
 
 
 def comment_above(line: int, comment_by_line: dict[int, str], code: list[str]) -> str:
-    """The comment of the lines just above `line`."""
+    """Join the comment lines directly above a line.
+
+    Args:
+        line: Line number.
+        comment_by_line: Comments by line number.
+        code: All lines of the source.
+    """
     parts: list[str] = []
     while (line := line - 1) in comment_by_line and code[line - 1].lstrip().startswith("#"):
         parts.insert(0, comment_by_line[line])

@@ -1,7 +1,7 @@
-"""Which rollouts a study consists of: axes over paths of a system, a table of points, and their parameters.
+"""Studies: axes over parameters of a system, the table of points, and the checks of both.
 
-A column of the points table is an axis path such as `contact.friction`, prefixed `world.` or `belief.` where only
-one of the two is varied, or `axis.NAME` for a number that values are made from (see `sweep.study.designs`).
+A column of the points table is a parameter path such as `contact.friction`, prefixed `world.` or `belief.` where only
+one of the two varies, or `axis.NAME` for a number from which values are computed (see `sweep.study.designs`).
 """
 
 import dataclasses
@@ -38,7 +38,7 @@ Logger = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Expectation:
-    """Among the valid rows that match `where`, the share of those matching `that` lies within the limits."""
+    """A bound on the share of rows that match `that` among the valid rows that match `where`."""
 
     where: str | None = None  # condition on columns: the rows that are counted
     that: str = 'outcome == "success"'  # condition that a share of them meets
@@ -48,7 +48,7 @@ class Expectation:
 
 @dataclass(frozen=True)
 class ScenarioSchema:
-    """What is simulated nominally; `expect` must hold when it runs without a study."""
+    """Hydra schema of a scenario, which is simulated at nominal parameters; `expect` is checked when it runs alone."""
 
     name: str = "nominal"
     expect: list[Any] = field(default_factory=list)
@@ -56,7 +56,7 @@ class ScenarioSchema:
 
 @dataclass(frozen=True)
 class _PlainSettings:
-    """What a study's configuration holds as it is."""
+    """Settings of a study that need no parsing."""
 
     name: str = ""  # of the folder of results; the name of the file unless given
     points: str | None = None  # CSV file that takes the place of the axes
@@ -74,7 +74,7 @@ class _PlainSettings:
 
 @dataclass(frozen=True)
 class StudySchema(_PlainSettings):
-    """Which variations of the scenario are run, as the configuration says it; `Study.parse` reads the rest."""
+    """Hydra schema of a study, which varies parameters of a scenario; `Study.parse` reads it."""
 
     axes: dict[str, Any] = field(default_factory=dict)
     design: Design = field(default_factory=Design)
@@ -85,7 +85,7 @@ class StudySchema(_PlainSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class Study(_PlainSettings):
-    """Points of a grid and of distributions, or of a CSV file, each repeated with different noise."""
+    """A parsed study: points of a grid and of distributions, or of a CSV file, each repeated with different noise."""
 
     single: bool  # one nominal rollout, shown rather than stored
     axes: tuple[Axis, ...]
@@ -111,17 +111,28 @@ class Study(_PlainSettings):
 
     @property
     def has_repeats(self) -> bool:
-        """Whether rollouts of one grid point differ."""
+        """Whether several rollouts share a grid point and differ in noise or drawn axes."""
         return self.replicates > 1 or self.design.num > 0
 
     @property
     def max_rollouts(self) -> int:
-        """Largest number of rollouts, repeated points included."""
+        """Largest number of rollouts, before equal points are merged."""
         return self.replicates * designs.count_points(self.axes, self.design)
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], single: bool) -> "Study":
-        """From plain values. Raises `InputError`."""
+        """Parse the plain values of a study.
+
+        Args:
+            values: Values by key, as in `StudySchema`.
+            single: Whether the study is a single nominal rollout.
+
+        Returns:
+            The study.
+
+        Raises:
+            InputError: A value is not allowed.
+        """
         for member in dataclasses.fields(_PlainSettings):
             check_value(member, values[member.name], f"study.{member.name}")
         if values["seed"] < 0:
@@ -170,22 +181,40 @@ def _expectation(key: str, values: Any) -> Expectation:
 
 
 def unit_of_column(column: str, system: System, settings: EngineSettings) -> str:
-    """Unit of an axis; empty for pure numbers and names."""
+    """Return the unit of an axis column, such as `m`.
+
+    Args:
+        column: Column of the points table.
+        system: The system of the study.
+        settings: Engine settings of the study.
+
+    Returns:
+        The unit; empty for pure numbers and names.
+    """
     found = "" if column.startswith("axis.") else system.parameter(column, settings).metadata.get("unit", "")
     return "" if found == "-" else found
 
 
 def is_static(column: str, system: System, settings: EngineSettings) -> bool:
-    """Whether another value of `column` needs another compiled engine."""
+    """Return whether another value of a column needs another compiled engine.
+
+    Args:
+        column: Column of the points table.
+        system: The system of the study.
+        settings: Engine settings of the study.
+
+    Returns:
+        True for engine settings and for parameters that are no quantities.
+    """
     return column.startswith("engine.") or system.parameter(column, settings).metadata["role"] != "quantity"
 
 
 def name_axes(rows: "pd.DataFrame", axes: Iterable[Axis]) -> "pd.DataFrame":
-    """Let conditions and lists of columns name a study's axes as the study does.
+    """Let conditions and lists of columns name axes as the study does.
 
     Args:
-        rows: rows or points of the study; their columns stay as they are.
-        axes: axes of the study.
+        rows: Rows or points of the study; their columns stay as they are.
+        axes: Axes of the study.
 
     Returns:
         The same rows, with the columns of the axes by name in `attrs`: see `expressions.column`.
@@ -196,12 +225,12 @@ def name_axes(rows: "pd.DataFrame", axes: Iterable[Axis]) -> "pd.DataFrame":
 
 
 def parameter_columns(table: "pd.DataFrame") -> list[str]:
-    """The columns of `table` that vary a parameter."""
+    """List the columns of a points table that vary a parameter."""
     return [c for c in table.columns if "." in c and not c.startswith("axis.")]
 
 
 def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
-    """Raise `InputError` where time histories are asked for that there are none of."""
+    """Raise `InputError` where `study.keep` names unknown time series, or its rate is not allowed."""
     for name in study.keep:
         require_choice(name, system.history_columns, f"study.keep: {name}")
     ticks = 1 / (settings.control_period * study.keep_rate)
@@ -211,7 +240,16 @@ def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
 
 
 def check_expect(study: Study, system: System, points: "pd.DataFrame | None" = None) -> None:
-    """Raise `InputError` where something is expected of columns that rows of these points will not have."""
+    """Check that the expectations of a study name columns that its rows will have.
+
+    Args:
+        study: The study.
+        system: Its system.
+        points: Points of the study; None where they are not known yet.
+
+    Raises:
+        InputError: A condition is malformed or names an unknown column.
+    """
     import pandas as pd
 
     names = (*(points if points is not None else ()), *PLAN, *LABELS, *TIMING, *system.metric_names)
@@ -233,13 +271,24 @@ def make_points(
     on_message: Logger | None = None,
     round_: Draws | None = None,
 ) -> "pd.DataFrame":
-    """One row per rollout: axis values, replicate, noise stream and point id. Raises `InputError`.
+    """Make the table of a study's rollouts: axis values, replicate, noise stream and point id.
 
-    Points that are equal in all their digits that count are one; `say` is told how many others there were.
+    Points that are equal to `DIGITS` significant digits are merged. Every replicate of a drawn point has noise of its
+    own; the noise of a point from a CSV file depends on its values.
 
-    The replicates of a drawn point have numbers of their own, and with them noise of their own; rows of a file have
-    noise of their own by their values. `grid` takes the place of the study's grid points, and `round_` that of its
-    draws (see `designs.table`).
+    Args:
+        study: The study.
+        system: Its system.
+        settings: Its engine settings.
+        grid: Grid points that replace those of the study.
+        on_message: Receives a line if points were merged.
+        round_: Draws that replace those of the study, of a round of an adaptive design.
+
+    Returns:
+        One row for each rollout; rows that share a compiled engine are adjacent.
+
+    Raises:
+        InputError: The study has too many rollouts, or a value is not allowed.
     """
     rollouts = study.replicates if study.points or grid is not None else study.max_rollouts
     if rollouts > designs.MOST:
@@ -294,7 +343,7 @@ def make_points(
 
 
 def _check_values(member: Parameter, values: "pd.Series", column: str, exact: bool = False) -> None:
-    """Every value inside the bounds of its parameter, and an `exact` one of those it has; a million numbers at once."""
+    """Check that all values lie within their bounds; `exact` also refuses fractions of whole numbers."""
     import pandas as pd
 
     if values.dtype.kind == "f" and member.metadata["role"] == "quantity":
@@ -308,7 +357,16 @@ def _check_values(member: Parameter, values: "pd.Series", column: str, exact: bo
 
 
 def extreme_points(study: Study, system: System, settings: EngineSettings) -> "pd.DataFrame":
-    """Two points at the least and the most that is drawn, at each grid point; empty where nothing is."""
+    """Make two points for each grid point: all drawn axes at their lower, and at their upper ends.
+
+    Args:
+        study: The study.
+        system: Its system.
+        settings: Its engine settings.
+
+    Returns:
+        Points table; empty where no axis is drawn.
+    """
     told = partial(system.nominal, settings=settings)
     return designs.make_design_table(
         study.axes, study.design, study.seed, told, round_=adaptive_designs.extreme_draws(study.axes)
@@ -316,7 +374,7 @@ def extreme_points(study: Study, system: System, settings: EngineSettings) -> "p
 
 
 def _check_ends(study: Study, system: System, settings: EngineSettings) -> None:
-    """Raise `InputError` where draws in the tails, to which a search may come, are beyond a parameter's bounds."""
+    """Raise `InputError` where a parameter's bounds exclude the tails of its distribution, which a search may reach."""
     table = extreme_points(study, system, settings)
     for column in parameter_columns(table):
         try:
@@ -326,7 +384,7 @@ def _check_ends(study: Study, system: System, settings: EngineSettings) -> None:
 
 
 def identity_columns(columns: Any) -> list[str]:
-    """The columns that tell one rollout of a study from another: the point, and how it is simulated."""
+    """List the columns that identify a rollout of a study: its point, and how it is simulated."""
     return ["point_id", *(c for c in columns if c.startswith("engine."))]
 
 
@@ -353,7 +411,15 @@ def _from_csv(file: str) -> "pd.DataFrame":
 
 
 def replace_settings(settings: EngineSettings, values: Values) -> EngineSettings:
-    """The engine settings of a row."""
+    """Return engine settings with the values of a row.
+
+    Args:
+        settings: Engine settings of the study.
+        values: Values of the row by column; those of `engine.` columns are used.
+
+    Returns:
+        The settings.
+    """
     for column, value in values.items():
         if column.startswith("engine."):
             settings = dataclasses.replace(settings, **{column.removeprefix("engine."): value})

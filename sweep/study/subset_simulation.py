@@ -1,9 +1,9 @@
-"""Rare failures level by level: subset simulation by adaptive conditional sampling, along a figure that leads to them.
+"""Subset simulation of rare failures, by adaptive conditional sampling along a metric that leads to failure.
 
-A level has all rows whose `lead` is at most that of the best share of the level before it, and all that failed. From
-rows that are there chains go on in the space of the normals behind the draws, each step a proposal that is taken where
-it stays within the level (Au, Beck 2001; Papaioannou et al. 2015). The probability of failing is the product of the
-levels' shares. Several runs that know nothing of each other tell how far it may be off.
+A level holds the rows whose `lead` is at most that of the best share of the level before, and all failed rows. Markov
+chains continue from these rows in the standard-normal space of the draws; a proposal is accepted where it stays within
+the level (Au and Beck 2001; Papaioannou et al. 2015). The failure probability is the product of the levels' shares.
+Independent runs give its error.
 """
 
 from collections.abc import Generator
@@ -23,7 +23,7 @@ FEWEST = 10  # rows below it that chains are then begun from instead
 
 
 class LevelRows(NamedTuple):
-    """Where a run has come to: rows of one level, a rejected proposal's being that before it."""
+    """Rows of one level of a run. A rejected proposal repeats the row before it."""
 
     u: Float[np.ndarray, "n d"]
     number: Int[np.ndarray, " n"]  # of their draws
@@ -31,17 +31,17 @@ class LevelRows(NamedTuple):
     lead: Float[np.ndarray, " n"]  # -inf where failed
 
     def select(self, which: np.ndarray) -> "LevelRows":
-        """The level with some of its rollouts."""
+        """Return some of the rows, by index or mask."""
         return LevelRows(*(part[which] for part in self))
 
     def merge(self, which: np.ndarray, others: "LevelRows") -> "LevelRows":
-        """These rows, the others elsewhere."""
+        """Return these rows where the mask `which` (n,) holds, and those of `others` elsewhere."""
         u = np.where(which[:, None], self.u, others.u)
         return LevelRows(u, *(np.where(which, a, b) for a, b in zip(self[1:], others[1:], strict=True)))
 
 
 class RunResult(NamedTuple):
-    """What a run has come to."""
+    """Result of one run of subset simulation."""
 
     probability: float
     level: LevelRows  # the last
@@ -53,7 +53,7 @@ class RunResult(NamedTuple):
 
 @dataclass(frozen=True)
 class LevelSettings:
-    """How a run goes from level to level."""
+    """Settings of the levels of a run."""
 
     num: int  # rows of a level
     share: float  # of them that the next level begins with
@@ -61,29 +61,38 @@ class LevelSettings:
 
     @property
     def chain_count(self) -> int:
-        """How many chains a level has."""
+        """Number of Markov chains of a level."""
         return round(self.num * self.share)
 
     @property
     def steps_per_chain(self) -> int:
-        """Of a chain, after the row that it starts from."""
+        """Number of steps of a chain after its first row."""
         return round(1 / self.share) - 1
 
     @property
     def max_levels(self) -> int:
-        """The most that a run takes."""
+        """Largest number of levels of a run."""
         return int(np.ceil(np.log(self.target) / np.log(self.share) - 1e-9)) + 2
 
     @property
     def max_rollouts(self) -> int:
-        """How many rollouts a run has at most."""
+        """Largest number of rollouts of a run."""
         return self.num + (self.max_levels - 1) * self.chain_count * self.steps_per_chain
 
 
 def start_search(d: int, settings: LevelSettings, runs: int, seed: int) -> Search:
-    """`runs` side by side, whose steps are a round: see `sweep.study.adaptive_sampling`. It returns their `Outcome`s.
+    """Start independent runs of subset simulation side by side, a search as in `sweep.study.adaptive_sampling`.
 
-    A run draws the same however many others there are.
+    Each round holds one step of all runs. The draws of a run do not depend on the number of runs.
+
+    Args:
+        d: Number of drawn axes.
+        settings: Settings of the levels.
+        runs: Number of runs.
+        seed: Seed of the draws.
+
+    Returns:
+        The search; its result is a list of `RunResult`, one for each run.
     """
     going = {number: _run(d, settings, seed, number) for number in range(runs)}
     asked, ended = {number: next(run) for number, run in going.items()}, {}
@@ -101,14 +110,14 @@ def start_search(d: int, settings: LevelSettings, runs: int, seed: int) -> Searc
 
 
 def _together(parts: list[Draws]) -> Draws:
-    """Several rounds of draws as one."""
+    """Join the draws of several runs into one round."""
     columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
     shares, numbers = (np.concatenate([getattr(part, name) for part in parts]) for name in ("shares", "numbers"))
     return Draws(shares, numbers, columns)
 
 
 def _run(d: int, settings: LevelSettings, seed: int, run: int) -> Generator[Draws, RoundSummary, RunResult]:
-    """One run. Its draws are numbered from `run * plan.most` on."""
+    """Run subset simulation once. Its draws are numbered from `run * settings.max_rollouts` on."""
     rng = np.random.default_rng([seed, run])
     rollouts, width, p, bounds, accepted = 0, WIDTH, 1.0, [], []
 
@@ -152,7 +161,7 @@ def _run(d: int, settings: LevelSettings, seed: int, run: int) -> Generator[Draw
 
 
 def _level(u: np.ndarray, draws: Draws, summary: RoundSummary) -> LevelRows:
-    """Rows as they were drawn; a lead that is not a number leads nowhere."""
+    """Make the rows of a level. A lead of NaN counts as infinite, so it never leads to failure."""
     lead = np.where(summary.failed, -np.inf, np.nan_to_num(summary.lead, nan=np.inf, neginf=np.finfo(float).min))
     return LevelRows(u, draws.numbers, summary.failed, lead)
 
@@ -160,7 +169,7 @@ def _level(u: np.ndarray, draws: Draws, summary: RoundSummary) -> LevelRows:
 def _explain_end(
     inside: Bool[np.ndarray, " n"], bound: float, settings: LevelSettings, p: float, number: int
 ) -> str | None:
-    """Why a run goes no further, in words where it has found too few failures; None where it does."""
+    """Explain why a run ends after this level: empty where it reached failure, None where it continues."""
     if bound == -np.inf:  # all that is in the next level has failed
         return ""
     if p * settings.share < settings.target or number >= settings.max_levels:
@@ -172,12 +181,13 @@ def next_level(lead: Float[np.ndarray, " n"], settings: LevelSettings) -> tuple[
     """Choose the rows of the next level, those with the smallest leads.
 
     Args:
-        lead: Leads of the rows of this level.
-        plan: Sizes of levels; `plan.chains` rows are wanted.
+        lead: Leads of the rows of this level, (n,).
+        settings: Settings of the levels; `settings.chain_count` rows are wanted.
 
     Returns:
-        Which rows are in the next level, and the largest lead of it. Where many rows tie at the bound, only those
-        below it, and chains start from some of them twice.
+        Which rows are in the next level (n,), and its largest lead. Where many rows tie at that bound, only rows below
+        it
+        are chosen, and several chains start from the same row.
     """
     bound = float(np.sort(lead)[settings.chain_count - 1])
     inside, below = lead <= bound, lead < bound
