@@ -51,6 +51,7 @@ TOLERATED = {  # what an error of `BOUNDS` is called in the guide
     "noise.load_delay": "extra delay of the foot loads, ms",
 }
 TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
+FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
 COMMIT = re.compile(r"[0-9a-f]{12}(?:-dirty)?")
 BLOCK = re.compile(r"(<!-- data ?([\w ]*): (\w+)(?:, (.*?))? -->)(\s)((?:(?!<!--).)*?)(\s)(<!-- end -->)", re.DOTALL)
@@ -413,8 +414,9 @@ def _learning() -> pd.DataFrame:
 
 
 def by_hand(text: str) -> list[str]:
-    """Heads of tables with numbers that no block makes."""
-    return [found.partition("\n")[0] for found in TABLE.findall(BLOCK.sub("", text)) if NUMBER.search(found)]
+    """Heads of tables with numbers that no block makes; what a command prints in a tutorial is none."""
+    plain = FENCE.sub("", BLOCK.sub("", text))
+    return [found.partition("\n")[0] for found in TABLE.findall(plain) if NUMBER.search(found)]
 
 
 def pages() -> Iterator[Path]:

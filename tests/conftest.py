@@ -1,4 +1,6 @@
+import shutil
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -12,7 +14,8 @@ from sweep.cli.main import main
 from sweep.engines import devices
 from sweep.runs import batches
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))  # scenes that are measured are tested, too
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "bench"))  # scenes that are measured are tested, too
 devices.configure()  # before any test uses JAX: the CPU is split as for the command line
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and all that it starts
 
@@ -51,3 +54,17 @@ def pytest_xdist_make_scheduler(config, log):
     from xdist.scheduler import LoadFileScheduling
 
     return LoadFileScheduling(config, log)
+
+
+@pytest.fixture(scope="session")
+def built(tmp_path_factory) -> Path:
+    """A folder with the sdist, and the wheel that is made of it."""
+    folder, tree = tmp_path_factory.mktemp("dist"), tmp_path_factory.mktemp("tree")
+    for name in ("sweep", "conf"):  # a checkout's own list of sources, of builds before, would hide what is not found
+        shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE", ".git"):
+        (tree / name).symlink_to(ROOT / name)
+    asked = [sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, tree]
+    done = subprocess.run(asked, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    return folder

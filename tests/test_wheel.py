@@ -2,8 +2,6 @@
 
 import ast
 import re
-import shutil
-import subprocess
 import sys
 import tarfile
 import tomllib
@@ -11,25 +9,9 @@ import zipfile
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 TOOLS = ("sweep/report/page/.prettierrc.json", "sweep/report/page/package.json", "sweep/report/page/tsconfig.json")
-
-
-@pytest.fixture(scope="module")
-def built(tmp_path_factory) -> Path:
-    """A folder with the sdist, and the wheel that is made of it."""
-    folder, tree = tmp_path_factory.mktemp("dist"), tmp_path_factory.mktemp("tree")
-    for name in ("sweep", "conf"):  # a checkout's own list of sources, of builds before, would hide what is not found
-        shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE", ".git"):
-        (tree / name).symlink_to(ROOT / name)
-    asked = [sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, tree]
-    done = subprocess.run(asked, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
-    return folder
 
 
 def test_a_wheel_holds_every_file_of_the_package_and_no_other(built):
