@@ -210,14 +210,14 @@ def test_elementary_effects_screen_axes(study):
 def test_any_draws_tell_which_axes_matter(study):
     """Of y = thigh + 3 shin in units of their ranges the axes explain a tenth and nine tenths of the variance."""
     exp, rows = study({"shin": SHIN, "thigh": THIGH, "mass": MASS}, lambda t: t["robot.shin"] > 0.35,
-                      design={"kind": "latin_hypercube", "num": 500})  # fmt: skip
+                      design={"kind": "latin_hypercube", "num": 1000})  # fmt: skip
     rows["y_m"] = 3 * unit(rows, "robot.shin", 0.3, 0.1) + unit(rows, "robot.thigh", 0.5, 0.1)
     found = screening.rbd_fast_indices(rows, exp, "y_m")
     assert found["axis"].tolist() == ["robot.shin", "robot.thigh", "robot.body_mass"]
     assert found["first"].to_numpy() == pytest.approx([0.9, 0.1, 0], abs=0.05)
     moved = screening.pawn_indices(rows, exp, "y_m").set_index("axis")
     assert moved["median"]["robot.shin"] > moved["median"]["robot.thigh"] > moved["by_chance"].iloc[0]
-    assert moved["median"]["robot.body_mass"] == pytest.approx(moved["by_chance"].iloc[0], abs=0.05)
+    assert moved["median"]["robot.body_mass"] <= moved["by_chance"].iloc[0]
     titles = [title for title, _ in statistics_sections(rows, exp)]
     assert titles[-2:] == ["PAWN indices of success", "First Sobol indices (RBD-FAST) of success"]
     with pytest.raises(InputError, match="need 100 valid draws"):

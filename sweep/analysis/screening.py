@@ -3,13 +3,22 @@
 import numpy as np
 import pandas as pd
 
+from sweep.analysis.intervals import CONFIDENCE
 from sweep.analysis.sampling_units import PLAIN, draw_numbers
-from sweep.analysis.sensitivity import drawn_axes, listed_axes, numeric_axes, outcome_values
+from sweep.analysis.sensitivity import (
+    MIN_RARER,
+    drawn_axes,
+    listed_axes,
+    numeric_axes,
+    outcome_values,
+    rarer_outcomes,
+)
 from sweep.core.errors import InputError
 from sweep.study.config import Experiment
 
 LEAST, MOST = 100, 20_000  # rollouts that are asked for, and that are looked at
 SLICES, HARMONICS = 10, 10  # of PAWN; of RBD-FAST
+PERMUTATIONS = 199  # for the index of an axis without influence
 
 
 def pawn_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
@@ -24,8 +33,8 @@ def pawn_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None)
 
     Returns:
         A row for each drawn axis, the largest first: `median` and `largest` Kolmogorov-Smirnov distance between the
-        values in a slice and all values; `by_chance`, the median of a random axis without influence; the number of
-        `draws`.
+        values in a slice and all values; `by_chance`, which the median of an axis without influence exceeds in 5 % of
+        studies; the number of `draws`.
 
     Raises:
         InputError: There are fewer than `LEAST` draws, or the design is another one.
@@ -33,19 +42,33 @@ def pawn_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None)
     from SALib.analyze import pawn as salib
 
     names, x, y = _sample(rows, exp, figure, "PAWN indices need")
-    chance = np.random.default_rng(0).random(len(x))
-    indices = salib.analyze(
-        {"num_vars": len(names) + 1, "names": [*names, ""]}, np.column_stack([x, chance]), y, SLICES
-    )
-    columns = {"axis": names, "median": indices["median"][:-1], "largest": indices["maximum"][:-1]}
-    table = pd.DataFrame({**columns, "by_chance": indices["median"][-1], "draws": len(y)})
+    indices = salib.analyze({"num_vars": len(names), "names": names}, x, y, SLICES)
+    columns = {"axis": names, "median": indices["median"], "largest": indices["maximum"]}
+    table = pd.DataFrame({**columns, "by_chance": _median_by_chance(y), "draws": len(y)})
     return table.sort_values("median", ascending=False, ignore_index=True)
+
+
+def _median_by_chance(values: np.ndarray) -> float:
+    """Return the median PAWN index that an axis without influence exceeds in 5 % of studies, by permutations."""
+    ordered, rng = np.sort(values), np.random.default_rng(0)
+    last = np.append(np.flatnonzero(np.diff(ordered) != 0), len(values) - 1)  # of equal values
+    every = (last + 1) / len(values)
+    slices = np.arange(len(values)) * SLICES // len(values)
+    sizes = np.bincount(slices)
+    medians = []
+    for _ in range(PERMUTATIONS):
+        slice_of = rng.permutation(slices)
+        within = [np.cumsum(slice_of == k)[last] / sizes[k] for k in range(SLICES)]
+        medians.append(np.median([np.abs(one - every).max() for one in within]))
+    return float(np.quantile(medians, CONFIDENCE, method="higher"))
 
 
 def rbd_fast_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
     """Estimate first-order Sobol indices of success or of a metric by RBD-FAST, with 95 % errors (bootstrap).
 
-    The index is the share of the variance that an axis explains alone (Tarantola, Gatelli and Mara 2006).
+    The index is the share of the variance that an axis explains alone (Tarantola, Gatelli and Mara 2006). Its error is
+    NaN for Sobol sequences, and for success with fewer than `MIN_RARER` draws of the rarer outcome: it does not hold
+    there.
 
     Args:
         rows: Rows of a study with plain, uncorrelated draws at one condition.
@@ -64,7 +87,11 @@ def rbd_fast_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = N
         raise InputError("RBD-FAST needs draws without correlation")
     names, x, y = _sample(rows, exp, figure, "RBD-FAST needs")
     indices = salib.analyze({"num_vars": len(names), "names": names}, x, y, HARMONICS, seed=0)
-    table = pd.DataFrame({"axis": names, "first": indices["S1"], "error": indices["S1_conf"], "draws": len(y)})
+    error = indices["S1_conf"]
+    too_few = figure is None and rarer_outcomes(y) < MIN_RARER
+    if exp.study.design.kind == "sobol" or too_few:  # the order of a Sobol sequence biases its harmonics
+        error = np.full(len(names), np.nan)
+    table = pd.DataFrame({"axis": names, "first": indices["S1"], "error": error, "draws": len(y)})
     return table.sort_values("first", ascending=False, ignore_index=True)
 
 

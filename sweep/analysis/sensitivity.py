@@ -5,15 +5,16 @@ and counted. Axes are named by their column of the table (see `sweep.study.desig
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import reduce
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from sweep.analysis.intervals import CONFIDENCE, Interval, clopper_pearson
+from sweep.analysis.intervals import CONFIDENCE, Interval, clopper_pearson, student_interval
 from sweep.analysis.sampling_units import PLAIN, condition_rates, draw_numbers
 from sweep.analysis.stats import rates
 from sweep.core.errors import InputError
@@ -22,6 +23,9 @@ from sweep.study.config import Experiment
 from sweep.study.designs import INNER, LEVELS, Axis, unit_draws
 
 PERMUTATIONS, PERMUTED = (199, 999), 100_000_000  # of draws, fewer where there are many rows; numbers permuted in all
+MIN_BLOCKS, MIN_RARER = 64, 30  # blocks, and draws of the rarer outcome, below which errors of indices do not hold
+MIN_PATHS = 20  # of a Morris design, below which the errors of a metric's effects do not hold
+STEP = LEVELS / (2 * (LEVELS - 1))  # of an axis in a path of a Morris design, as a share of its range
 GOODNESS_TRIALS = 10  # at every value, for a test of how well a fit follows the rates
 
 
@@ -213,14 +217,13 @@ class Logistic:
     intercept: float
     slope: float
     covariance: np.ndarray
-    degrees_of_freedom: float = np.inf  # of the covariance; infinite for independent rows
 
     def probability(self, x: ArrayLike, level: float = CONFIDENCE) -> tuple[np.ndarray, Interval]:
         """Return P at `x`, with its confidence interval."""
         from scipy.special import expit
 
         x = np.asarray(x, float)
-        line, half = self.intercept + self.slope * x, self._quantile(level) * np.sqrt(self._variance(x))
+        line, half = self.intercept + self.slope * x, NormalDist().inv_cdf(0.5 + level / 2) * np.sqrt(self._variance(x))
         return expit(line), Interval(expit(line - half), expit(line + half))
 
     def distance_at(self, probability: float, level: float = CONFIDENCE) -> tuple[float, Interval]:
@@ -233,7 +236,7 @@ class Logistic:
         b, a, target = self.slope, self.intercept, logit(probability)
         if b >= 0:
             return np.inf if a >= target else -np.inf, Interval(np.asarray(-np.inf), np.asarray(np.inf))
-        v, z2 = self.covariance, self._quantile(level) ** 2
+        v, z2 = self.covariance, NormalDist().inv_cdf(0.5 + level / 2) ** 2
         square = b * b - z2 * v[1, 1]
         linear, constant = b * (a - target) - z2 * v[0, 1], (a - target) ** 2 - z2 * v[0, 0]
         x = (target - a) / b
@@ -245,15 +248,6 @@ class Logistic:
     def _variance(self, x: np.ndarray) -> np.ndarray:
         v = self.covariance
         return v[0, 0] + 2 * v[0, 1] * x + v[1, 1] * x**2
-
-    def _quantile(self, level: float) -> float:
-        from scipy.special import ndtri, stdtrit
-
-        return float(
-            ndtri(0.5 + level / 2)
-            if np.isinf(self.degrees_of_freedom)
-            else stdtrit(self.degrees_of_freedom, 0.5 + level / 2)
-        )
 
 
 def fit_logistic(x: ArrayLike, success: ArrayLike) -> Logistic:
@@ -280,30 +274,6 @@ def fit_logistic(x: ArrayLike, success: ArrayLike) -> Logistic:
             break
     to_x = np.array([1.0, 1.0 / scale])
     return Logistic(b[0], b[1] / scale, np.linalg.pinv(information) * np.outer(to_x, to_x))
-
-
-def cluster_robust_fit(fit: Logistic, x: np.ndarray, success: np.ndarray, unit: np.ndarray) -> Logistic:
-    """Replace the covariance of a fit by the cluster-robust sandwich estimate (CR1).
-
-    Args:
-        fit: The fit of `fit_logistic` to these rows.
-        x: Distances (n,).
-        success: Whether each row succeeded (n,).
-        unit: Independent unit of each row (n,).
-    """
-    x, y = np.asarray(x, float), np.asarray(success, float)
-    scale = np.abs(x).max(initial=0) or 1.0
-    design = np.stack([np.ones_like(x), x / scale], axis=1)
-    p = fit.probability(x)[0]
-    inverse = np.linalg.pinv(design.T @ ((p * (1 - p))[:, None] * design))
-    leverage = p * (1 - p) * np.einsum("ij,jk,ik->i", design, inverse, design)
-    _, codes = np.unique(unit, return_inverse=True)
-    number = int(codes.max(initial=0)) + 1
-    scores = np.zeros((number, 2))
-    np.add.at(scores, codes, (y - p + leverage * (0.5 - p))[:, None] * design)
-    to_x = np.array([1.0, 1.0 / scale])
-    robust = number / max(number - 1, 1) * inverse @ scores.T @ scores @ inverse * np.outer(to_x, to_x)
-    return replace(fit, covariance=robust, degrees_of_freedom=max(number - 1, 1))
 
 
 def goodness_of_fit_p(fit: Logistic, x: np.ndarray, success: np.ndarray, unit: np.ndarray | None = None) -> float:
@@ -357,11 +327,11 @@ def tolerance(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> 
 
     Returns:
         A row for each axis and side, the other axes nominal: `error`, by a logistic fit over the distance from the
-        nominal value; 0 where P is lower already nominally. `low` and `high`, its 95 % interval: Fieller's, and that of
-        the rates at the values tried with straight lines between them, whichever reaches further, so that it holds also
-        where the curve is not logistic. In both, a draw that several values share counts once. `tried`, the largest
-        distance with a valid rollout: an error beyond it is extrapolated. If `fit_p` is near 0, the rates do not follow
-        the fit: do not quote `error`.
+        nominal value; 0 where P is lower already nominally. `low` and `high`, its 95 % interval: where the intervals of
+        the rates at the values tried, with straight lines between them, contain `probability`; it does not depend on
+        the fit, and is extended to `error`. `high` is infinite where the largest value tried may still succeed often
+        enough. `tried`, the largest distance with a valid rollout: an error beyond it is extrapolated. If `fit_p` is
+        near 0, the rates do not follow the fit: do not quote `error`.
     """
     lines = []
     for labels, distance, part in _sides(rows, exp):
@@ -370,13 +340,10 @@ def tolerance(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> 
         if size.max(initial=0) <= 1e-12:
             continue
         fit, unit = fit_logistic(size, success), draw_numbers(part, exp)[valid]
-        x, *ends = fit.distance_at(probability)
-        if len(np.unique(unit)) < len(unit):
-            ends.append(cluster_robust_fit(fit, size, success, unit).distance_at(probability)[1])
+        x = max(fit.distance_at(probability)[0], 0.0)
         band = condition_rates(part[valid].assign(distance=size.round(12)), exp, ["distance"], clopper_pearson)
-        ends.append(_crossing(band, probability))
-        low, high = min(float(one.low) for one in ends), max(float(one.high) for one in ends)
-        result = {"error": max(x, 0.0), "low": max(low, 0.0), "high": max(high, 0.0)}
+        low, high = _crossing(band, probability)
+        result = {"error": x, "low": min(float(low), x), "high": max(float(high), x)}
         known = {"tried": size.max(), "fit_p": goodness_of_fit_p(fit, size, success, unit)}
         lines.append({**labels, **result, **known, "total": len(valid), "invalid": int((~valid).sum())})
     return pd.DataFrame(lines)
@@ -519,9 +486,11 @@ def _blocks(
 
 
 def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
-    """Estimate Sobol indices of success or of a metric from a Saltelli design, with 95 % errors (bootstrap).
+    """Estimate Sobol indices of success or of a metric from a Saltelli design, with 95 % errors.
 
-    A block of d + 2 rows with an invalid one is left out.
+    The error is that of a bootstrap, and at least that of the share of blocks that change (Clopper-Pearson). It is NaN
+    with fewer than `MIN_BLOCKS` blocks, and for success with fewer than `MIN_RARER` draws of the rarer outcome. A
+    block of d + 2 rows with an invalid one is left out.
 
     Args:
         rows: Rows of a study with `design.kind=saltelli` at one condition.
@@ -544,15 +513,55 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
     problem = {"num_vars": len(axes), "names": [a.column for a in axes]}
     # SALib takes a seed of 0 for none
     result = sobol.analyze(problem, whole.ravel(), calc_second_order=False, num_resamples=200, seed=1)
-    columns = {"first": "S1", "first_error": "S1_conf", "total": "ST", "total_error": "ST_conf"}
-    labels = {name: result[key] for name, key in columns.items()}
-    return pd.DataFrame({"axis": problem["names"], **labels, "blocks": len(whole)})
+    base = whole[:, [0, -1]]  # columns: A, A with an axis of B for each axis, B
+    squares = (whole[:, 1:-1] - base[:, :1]) ** 2
+    least = _binomial_error(squares, 1.0 if figure is None else None) / (2 * base.var())
+    if len(whole) < MIN_BLOCKS or (figure is None and rarer_outcomes(base) < MIN_RARER):
+        least[:] = np.nan
+    columns = {"first": result["S1"], "first_error": np.maximum(result["S1_conf"], least)}
+    columns |= {"total": result["ST"], "total_error": np.maximum(result["ST_conf"], least)}
+    return pd.DataFrame({"axis": problem["names"], **columns, "blocks": len(whole)})
+
+
+def rarer_outcomes(successes: np.ndarray) -> float:
+    """Count the rarer of success and failure among outcomes, which may be shares of replicates."""
+    share = float(np.mean(successes))
+    return np.size(successes) * min(share, 1 - share)
+
+
+def _binomial_error(changes: np.ndarray, largest: float | None) -> np.ndarray:
+    """Half width that the mean of changes has at least, because only a share of them differs from zero.
+
+    The interval of few changes from their spread is too narrow, and that of none has no width. The interval of their
+    share is Clopper and Pearson's.
+
+    Args:
+        changes: Sizes of independent changes (n, d), 0 for none.
+        largest: The size of any change; None: sizes differ, the largest one seen counts, and NaN where all are zero.
+    """
+    number, changed = len(changes), (changes != 0).sum(axis=0)
+    low, high = clopper_pearson(changed, np.full(changed.shape, number))
+    share = changed / number
+    if largest is None:
+        return (high - share) * np.where(changed > 0, changes.max(axis=0), np.nan)
+    return np.maximum(high - share, share - low) * largest
+
+
+def _path_effects(shares: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the sizes (paths, d) of the elementary effects of values (paths, d + 1) at shares (paths, d + 1, d)."""
+    steps = np.diff(shares, axis=1)
+    axis = np.abs(steps).argmax(axis=2)
+    sizes = np.abs(np.diff(values, axis=1)) / STEP
+    effects = np.empty_like(sizes)
+    np.put_along_axis(effects, axis, sizes, axis=1)
+    return effects
 
 
 def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
-    """Estimate elementary effects (Morris) on success or on a metric, with 95 % errors (bootstrap).
+    """Estimate elementary effects (Morris) on success or on a metric, with 95 % errors.
 
-    A path with an invalid rollout is left out.
+    The error is Student's over paths, and at least that of the share of paths with an effect (Clopper-Pearson). It
+    is NaN for a metric with fewer than `MIN_PATHS` paths. A path with an invalid rollout is left out.
 
     Args:
         rows: Rows of a study with `design.kind=morris` at one condition.
@@ -577,7 +586,14 @@ def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None =
     shares = unit_draws(exp.study.axes, exp.study.design, exp.study.seed)[chosen]
     problem = {"num_vars": len(axes), "names": [a.column for a in axes], "bounds": [[*INNER]] * len(axes)}
     result = morris.analyze(problem, shares, mean[whole].ravel(), num_levels=LEVELS, seed=0)
-    columns = {"mean_size": "mu_star", "error": "mu_star_conf", "mean": "mu", "spread": "sigma"}
+    columns = {"mean_size": "mu_star", "mean": "mu", "spread": "sigma"}
     labels = {name: result[key] for name, key in columns.items()}
-    table = pd.DataFrame({"axis": problem["names"], **labels, "paths": int(whole.sum())})
+    effects = _path_effects(shares.reshape(-1, length, len(axes)), mean[whole])
+    low, high = np.array([student_interval(sizes) for sizes in effects.T]).T
+    least = _binomial_error(effects, 1 / STEP if figure is None else None)
+    error = np.fmax((high - low) / 2, least)
+    holds = figure is None or len(effects) >= MIN_PATHS
+    labels["error"] = np.where((error > 0) & holds, error, np.nan)
+    order = ["axis", "mean_size", "error", "mean", "spread", "paths"]
+    table = pd.DataFrame({"axis": problem["names"], **labels, "paths": int(whole.sum())})[order]
     return table.sort_values("mean_size", ascending=False, ignore_index=True)

@@ -79,7 +79,8 @@ def statistics_sections(
         yield "Margins: how far from the nominal value rollouts succeed", _of_axes(margins, effective)
     if effective and several:
         title = (
-            f"Tolerance: the error at which the probability of success falls to {format_percent(level)} (logistic fit)"
+            f"Tolerance: the error at which the probability of success falls to {format_percent(level)} (logistic fit; "
+            "95 % interval from the rates at the values tried)"
         )
         yield title, _of_axes(sensitivity.tolerance(rows, exp, level), effective)
     if len(drawn) and {"success", "failure"} <= set(rows["outcome"]):
