@@ -6,6 +6,7 @@ made by `choice` or `count` is static: changing it compiles anew.
 
 import dataclasses
 import math
+import types
 import typing
 from collections.abc import Mapping
 from typing import Any, dataclass_transform
@@ -184,7 +185,7 @@ def check_value(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
 
 def _checked_plain(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
     """Check the type of a field that is no parameter where it is a single word, number or truth."""
-    kinds = typing.get_args(field.type) or (field.type,)
+    kinds = typing.get_args(field.type) if isinstance(field.type, types.UnionType) else (field.type,)
     if not {*kinds} <= {*PLAIN, type(None)}:
         return value
     fits = type(value) in kinds or (float in kinds and type(value) is int)
