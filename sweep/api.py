@@ -1,5 +1,6 @@
 """What `from sweep import load, run` offers to notebooks; behind it is the machinery of the command line."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from os import PathLike
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 
 from sweep.analysis.sample import drop_copies
 from sweep.core.errors import InputError
-from sweep.core.expressions import AXES, mask
+from sweep.core.expressions import AXES, column, condition_columns, mask
 from sweep.core.plot_style import plot_style
 from sweep.report import draws, maps, page, time_series_plots
 from sweep.report.labels import column_unit
@@ -37,10 +38,12 @@ def run(overrides: list[str]) -> pd.DataFrame:
     return load(exp.folder)
 
 
-def load(folder: str | PathLike[str], where: str | None = None) -> pd.DataFrame:
+def load(folder: str | PathLike[str], where: str | None = None, columns: Sequence[str] | None = None) -> pd.DataFrame:
     """Rows of a folder, see `sweep.load`."""
     folder = Path(folder)
     exp = results.load_experiment(folder)
+    if columns is not None:
+        return _load_columns(folder, exp, where, columns)
     rows = name_axes(store.read_rows(folder), exp.study.axes)
     if where:
         rows = rows[mask(rows, where)].reset_index(drop=True)
@@ -49,6 +52,17 @@ def load(folder: str | PathLike[str], where: str | None = None) -> pd.DataFrame:
     rows.attrs["axes"] = [*aliases]
     rows.attrs["folder"] = str(folder)
     return rows
+
+
+def _load_columns(folder: Path, exp: Experiment, where: str | None, columns: Sequence[str]) -> pd.DataFrame:
+    if isinstance(columns, str) or not columns:
+        raise InputError(f"columns = {columns!r} is not allowed: a list of names, such as ['outcome', 'slip_max_m']")
+    empty = results.empty_rows(folder, exp)
+    names = {name: column(empty, name) for name in columns}
+    wanted = [*dict.fromkeys([*names.values(), *condition_columns(empty, where)])]
+    rows = name_axes(store.read_rows(folder, wanted), exp.study.axes)
+    chosen = rows[mask(rows, where)].reset_index(drop=True) if where else rows
+    return _tidy(pd.DataFrame({name: chosen[own] for name, own in names.items()}), exp)
 
 
 @dataclass(frozen=True)
@@ -70,7 +84,7 @@ class Accessor:
 
     def __init__(self, rows: pd.DataFrame):
         if "folder" not in rows.attrs:
-            raise AttributeError("only rows of a study's folder have pictures: see sweep.load")
+            raise AttributeError("only rows of a study's folder with all their columns have pictures: see sweep.load")
         names = [name for name in rows.attrs["axes"] if name in rows]
         self._rows, self._folder = rows.drop(columns=names), Path(rows.attrs["folder"])
 

@@ -14,7 +14,7 @@ from sweep.runs import store
 from sweep.runs.parquet import read_parquet
 
 LONG = "x" * 1_000_000
-FILE = Path("part.parquet")
+FILE = "part.parquet"
 
 
 def written(table, **options):
@@ -50,20 +50,22 @@ def repeated(words, number):
         (lambda: pa.py_buffer(b"PAR1" + bytes(50) + b"PAR1"), "no table that can be read"),
     ],
 )
-def test_a_file_that_is_no_table_of_results_is_refused(content, words):
-    content, taken = content(), pa.total_allocated_bytes()
+def test_a_file_that_is_no_table_of_results_is_refused(tmp_path, content, words):
+    (tmp_path / FILE).write_bytes(content())
+    taken = pa.total_allocated_bytes()
     with pytest.raises(InputError, match=words) as error:
-        read_parquet(FILE, content)
+        read_parquet(tmp_path / FILE)
     assert "\n" not in str(error.value)
     assert pa.total_allocated_bytes() - taken < 2**24
 
 
-def test_a_table_is_read_as_it_was_written():
+def test_a_table_is_read_as_it_was_written(tmp_path):
     rows = pd.DataFrame({"a.b": [1.0, np.nan], "a.name": ["x", "y"], "a": [1, 2], "point_id": ["0a", "0b"],
                          "outcome": ["success", ""], "limit": [None, None]})  # fmt: skip
-    content = written(pa.Table.from_pandas(rows, preserve_index=False))
-    pd.testing.assert_frame_equal(read_parquet(FILE, content).to_pandas(), rows)
-    some = read_parquet(FILE, content, ["point_id", "a", "lacking"])
+    file = tmp_path / FILE
+    file.write_bytes(written(pa.Table.from_pandas(rows, preserve_index=False)))
+    pd.testing.assert_frame_equal(read_parquet(file).to_pandas(), rows)
+    some = read_parquet(file, ["point_id", "a", "lacking"])
     pd.testing.assert_frame_equal(some.to_pandas(), rows[["point_id", "a"]])
 
 

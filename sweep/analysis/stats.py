@@ -92,7 +92,9 @@ def rates(
     """
     flags = rows[by].assign(invalid=rows["outcome"] == "invalid", success=rows["outcome"] == "success")
     columns = {"total": ("success", "size"), "invalid": ("invalid", "sum"), "success": ("success", "sum")}
-    table = flags.groupby(by or (lambda _: 0), sort=True, observed=True).agg(**columns).reset_index(drop=not by)
+    table = (
+        flags.groupby(by or np.zeros(len(flags), int), sort=True, observed=True).agg(**columns).reset_index(drop=not by)
+    )
     valid = table["total"] - table["invalid"]
     share = table["success"] / valid.where(valid > 0)
     ends = interval(table["success"], valid)

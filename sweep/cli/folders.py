@@ -4,6 +4,7 @@ import argparse
 import os
 import sys
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,9 +14,12 @@ from sweep.core.errors import InputError
 from sweep.core.files import path_in, write_atomically
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
     import pandas as pd
 
     from sweep.runs.results import Results
+    from sweep.study.config import Experiment
 
 LICENSE = "https://spdx.org/licenses/CC-BY-4.0"
 
@@ -65,17 +69,31 @@ def verify(args: argparse.Namespace) -> int:
     return report_simulated_again(results.read(args.dir), args.simulate)
 
 
-def read_matching_rows(folder: Path, condition: str | None) -> "pd.DataFrame":
-    """Rows of a study that meet a condition."""
-    from sweep.core.expressions import mask
+def read_matching_rows(folder: Path, condition: str | None, columns: "Sequence[str] | None" = None) -> "pd.DataFrame":
+    """Read the rows of a study that meet a condition.
+
+    Args:
+        folder: Folder of the study.
+        condition: Condition on columns; None for all rows.
+        columns: Columns to read, besides those of the condition; None for all.
+    """
+    from sweep.core.expressions import condition_columns, mask
     from sweep.runs import results, store
     from sweep.study.study import name_axes
 
-    rows = name_axes(store.read_rows(folder), results.load_experiment(folder).study.axes)
+    exp = results.load_experiment(folder)
+    if columns is not None:
+        columns = [*columns, *condition_columns(results.empty_rows(folder, exp), condition)]
+    rows = name_axes(store.read_rows(folder, columns), exp.study.axes)
     found = rows[mask(rows, condition)].reset_index(drop=True) if condition else rows
     if len(found) < len(rows) and found.empty:
-        print(f"sweep: none of {len(rows)} rows of {folder} matches {condition!r}", file=sys.stderr)
+        warn_of_no_match(folder, condition, len(rows))
     return found
+
+
+def warn_of_no_match(folder: Path, condition: str | None, number: int) -> None:
+    """Say on the standard error that none of a number of rows meets a condition."""
+    print(f"sweep: none of {number} rows of {folder} matches {condition!r}", file=sys.stderr)
 
 
 def parse_names(text: str | None) -> list[str] | None:
@@ -83,8 +101,8 @@ def parse_names(text: str | None) -> list[str] | None:
     return [name.strip() for name in text.split(",")] if text else None
 
 
-def save_output(path: Path, content: bytes) -> None:
-    """Write output to the path of `-o`; `-` is the standard output.
+def save_output(path: Path, content: "bytes | Iterable[bytes]") -> None:
+    """Write output, whole or in pieces, to the path of `-o`; `-` is the standard output.
 
     Raises `InputError` where the file is part of a study's folder.
     """
@@ -95,7 +113,13 @@ def save_output(path: Path, content: bytes) -> None:
         named, folder = True, folder.parent
     if named and (folder / store.STUDY).exists():
         raise InputError(f"-o = {path} is not allowed: a study's own file")
-    write_atomically(Path("/dev/stdout") if path == Path("-") else path, content)
+    to = Path("/dev/stdout") if path == Path("-") else path
+    write_atomically(to, content if isinstance(content, bytes) else partial(_write_pieces, pieces=content))
+
+
+def _write_pieces(path: Path, pieces: "Iterable[bytes]") -> None:
+    with path.open("wb") as file:
+        file.writelines(pieces)
 
 
 def show_table(args: argparse.Namespace) -> int:
@@ -106,7 +130,13 @@ def show_table(args: argparse.Namespace) -> int:
     if args.format == "parquet" and not args.output:
         raise InputError("--format parquet needs a file: -o FILE")
     exp = results.load_experiment(args.dir)
-    content = tables.render_table(read_matching_rows(args.dir, args.where), args.format, parse_names(args.columns), exp)
+    empty, names = results.empty_rows(args.dir, exp), parse_names(args.columns)
+    chosen = tables.choose_columns(empty, args.format, names)
+    if args.format == "csv":
+        write_csv_table(args, exp, chosen)
+        return DONE
+    rows = read_matching_rows(args.dir, args.where, [*chosen, "replicate"])  # by which a page chooses columns
+    content = tables.render_table(rows, args.format, chosen if args.format == "parquet" else names, exp)
     if args.output:
         save_output(args.output, content)
     elif args.format != "markdown":  # data for another program, whose lines must stay whole
@@ -117,18 +147,39 @@ def show_table(args: argparse.Namespace) -> int:
     return DONE
 
 
+def write_csv_table(args: argparse.Namespace, exp: "Experiment", columns: "Sequence[str]") -> None:
+    """Write columns of the rows as CSV, with no more than a part of the folder in memory."""
+    from sweep.report import tables
+    from sweep.runs import results
+
+    def pieces() -> "Iterator[bytes]":
+        total, matching = 0, 0
+        for rows, number in results.iterate_matching_rows(args.dir, exp, columns, args.where):
+            yield tables.csv_bytes(rows, header=not total)
+            total, matching = total + number, matching + len(rows)
+        if not matching:
+            warn_of_no_match(args.dir, args.where, total)
+
+    if args.output:
+        save_output(args.output, pieces())
+    else:
+        sys.stdout.writelines(piece.decode() for piece in pieces())
+
+
 def show_statistics(args: argparse.Namespace) -> int:
     """Print the statistics of a study."""
     from sweep.core.expressions import column
     from sweep.report import statistics
     from sweep.runs import results
+    from sweep.study.columns import metric_columns
 
-    rows = read_matching_rows(args.dir, args.where)
-    if args.figure:
-        column(rows, args.figure)
+    exp = results.load_experiment(args.dir)
+    empty = results.empty_rows(args.dir, exp)
+    figures = [column(empty, args.figure)] if args.figure else []
+    measured = () if exp.study.is_adaptive else metric_columns(empty)  # a search may lead by any of them
+    rows = read_matching_rows(args.dir, args.where, [c for c in empty.columns if c not in measured] + figures)
     if not 0 < args.level < 1:
         raise InputError(f"--level = {args.level:g} is not allowed: between 0 and 1")
-    exp = results.load_experiment(args.dir)
     if args.figure and exp.study.design.kind not in ("saltelli", "morris"):
         raise InputError("--figure is for sensitivity: it needs a study with study.design.kind=saltelli or morris")
     terminal.print_markdown(

@@ -61,12 +61,39 @@ def mask(frame: "pd.DataFrame", condition: str | None) -> np.ndarray:
     """
     if not condition:
         return np.ones(len(frame), dtype=bool)
-    told = "where = " + (repr(condition) if len(condition) < 200 else f"{condition[:200]!r}...")
-    such = "'friction > 0.8 and replicate == 0'"
     found = evaluate_condition(
-        condition, lambda name: frame[column(frame, name, QUOTED.format(name))].to_numpy(), told, such
+        condition,
+        lambda name: frame[column(frame, name, QUOTED.format(name))].to_numpy(),
+        *_message_parts(condition),
     )
     return np.broadcast_to(found, (len(frame),))
+
+
+def condition_columns(frame: "pd.DataFrame", condition: str | None) -> list[str]:
+    """Return the columns that a condition names.
+
+    Args:
+        frame: A table with the columns of a study's rows; it may be empty.
+        condition: See `mask`.
+
+    Raises:
+        InputError: The text is no condition, or names no column.
+    """
+    empty, used = frame.iloc[:0].astype(object), dict[str, None]()
+
+    def look_up(name: str) -> np.ndarray:
+        used[found := column(frame, name, QUOTED.format(name))] = None
+        return empty[found].to_numpy()
+
+    if condition:
+        evaluate_condition(condition, look_up, *_message_parts(condition))
+    return [*used]
+
+
+def _message_parts(condition: str) -> tuple[str, str]:
+    """How messages name a condition on rows, and an example of one."""
+    shown = repr(condition) if len(condition) < 200 else f"{condition[:200]!r}..."
+    return f"where = {shown}", "'friction > 0.8 and replicate == 0'"
 
 
 def evaluate_condition(condition: str, look_up: Callable[[str], Any], label: str, example: str) -> np.ndarray:
@@ -75,8 +102,8 @@ def evaluate_condition(condition: str, look_up: Callable[[str], Any], label: str
     Args:
         condition: The text.
         look_up: Returns the values of a dotted name.
-        told: How messages name the condition, such as `where = 'x > 1'`.
-        such: An example of a condition, for messages.
+        label: How messages name the condition, such as `where = 'x > 1'`.
+        example: An example of a condition, for messages.
 
     Returns:
         Booleans of the shape of the values.

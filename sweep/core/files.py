@@ -228,3 +228,9 @@ def os_error_text(error: OSError) -> str:
 def digest(content: Buffer) -> str:
     """Return the SHA-256 as 64 hexadecimal digits, as `sha256sum` prints it."""
     return hashlib.sha256(content).hexdigest()
+
+
+def digest_file(path: Path) -> str:
+    """Return the `digest` of a file's content, which is read in small pieces. Raises `OSError`."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -8,7 +8,7 @@ lists its part.
 import json
 import re
 import time
-from collections.abc import Buffer, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -37,12 +37,11 @@ class Entry:
     labels: str = ""  # digest of the thresholds that judged the rows
     run_ids: tuple[str, ...] = ()  # ids of the runs of its rows
 
-    def find_problem(self, content: Buffer) -> str | None:
-        """Compare the content of the file with this entry; return what differs, or None."""
-        length = memoryview(content).nbytes
-        if length != self.length:
+    def find_problem(self, path: Path) -> str | None:
+        """Compare a file with this entry; return what differs, or None. Raises `OSError`."""
+        if (length := path.stat().st_size) != self.length:
             return f"{length} bytes instead of {self.length}"
-        return None if files.digest(content) == self.sha256 else "its content has changed"
+        return None if files.digest_file(path) == self.sha256 else "its content has changed"
 
 
 def format_line(entry: Entry) -> str:

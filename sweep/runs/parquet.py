@@ -3,6 +3,7 @@
 A few kB of Parquet can stand for any number of rows, as repeated values take no room, and for any amount of text.
 """
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,12 +23,11 @@ TEXT = "BYTE_ARRAY"
 NAME, PRINTABLE = "^[0-9a-f]{1,64}$", r"^\PC*$"  # of `NAMES`, and of other words: no control characters
 
 
-def read_parquet(path: Path, content: pa.Buffer, columns: Sequence[str] | None = None) -> pa.Table:
+def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """Read a table of numbers and words, as result folders hold them.
 
     Args:
-        path: Where the file is from, for messages.
-        content: The bytes of the file.
+        path: The file. Columns that are not asked for are not read.
         columns: Names of the columns to read, in this order; None for all. Those that the file lacks are left out.
 
     Returns:
@@ -37,16 +37,24 @@ def read_parquet(path: Path, content: pa.Buffer, columns: Sequence[str] | None =
         InputError: The file is no such table, or expands to more than its size warrants.
     """
     try:
-        metadata = pq.read_metadata(pa.BufferReader(content))
-        names = column_names(path, metadata)
-        chosen = names if columns is None else [name for name in dict.fromkeys(columns) if name in names]
-        words = _check_sizes(path, metadata, [names.index(name) for name in chosen], content.size)
-        # as dictionaries, so that repeated words take no memory until their size is known; this also refuses encodings
-        # that repeat words in another way
-        file = pq.ParquetFile(pa.BufferReader(content), metadata=metadata, read_dictionary=words)
-        # `b` alone would also be read as the column `b.c`
-        table = file.read(columns=chosen).select(chosen)
-        return _decode_words(path, table, content.size).replace_schema_metadata(None)
+        with pa.OSFile(os.fsencode(path)) as source:
+            metadata, size = pq.read_metadata(source), source.size()
+            names = column_names(path, metadata)
+            chosen = names if columns is None else [name for name in dict.fromkeys(columns) if name in names]
+            words = _check_sizes(path, metadata, [names.index(name) for name in chosen], size)
+            # as dictionaries, so that repeated words take no memory until their size is known; this also refuses
+            # encodings that repeat words in another way
+            file = pq.ParquetFile(source, metadata=metadata, read_dictionary=words)
+            # of the columns that are read each is selected, as `b` is also taken for the column `b.c`
+            numbers = [name for name in chosen if name not in words]
+            table = file.read(columns=numbers).select(numbers)
+            for name in words:  # one by one, as they take the most memory
+                column = file.read(columns=[name])[name]
+                check_expansion(path, table.nbytes + _count_bytes(column), size)
+                table = table.append_column(name, _decode_words(path, name, column))
+        _check_types(path, table)
+        pa.default_memory_pool().release_unused()
+        return table.select(chosen).replace_schema_metadata(None)
     except InputError:
         raise
     except (pa.ArrowException, OSError, KeyError, ValueError) as error:
@@ -112,35 +120,35 @@ def _check_sizes(path: Path, metadata: pq.FileMetaData, chosen: Sequence[int], s
     return words
 
 
-def _decode_words(path: Path, table: pa.Table, size: int) -> pa.Table:
-    """Replace dictionaries by their words, once it is known how large these are and that a terminal can print them."""
-    total = table.nbytes
-    for column in table.columns:
-        for chunk in column.chunks if pa.types.is_dictionary(column.type) else ():
-            sizes = pc.fill_null(pc.binary_length(chunk.dictionary), 0)
-            total += pc.sum(pc.take(sizes, chunk.indices)).as_py() or 0
-        check_expansion(path, total, size)
-    for k, field in enumerate(table.schema):
-        if pa.types.is_dictionary(field.type):
-            for chunk in table.column(k).chunks:
-                _check_words(path, field.name, chunk.dictionary)
-            table = table.set_column(k, field.name, table.column(k).cast(pa.large_string()))
-        kind = table.schema.field(k).type
-        words = field.name in (*NAMES, *WORDS) or ("." in field.name and not _is_number(kind))
-        fits = pa.types.is_large_string(kind) if words else _is_number(kind)
-        if not fits and not (pa.types.is_null(kind) and field.name not in NAMES):
+def _count_bytes(column: pa.ChunkedArray) -> int:
+    """Return what a column of dictionaries takes once it holds its words (bytes)."""
+    total = column.nbytes
+    for chunk in column.chunks:
+        sizes = pc.fill_null(pc.binary_length(chunk.dictionary), 0)
+        total += pc.sum(pc.take(sizes, chunk.indices)).as_py() or 0
+    return total
+
+
+def _decode_words(path: Path, name: str, column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Replace dictionaries by their words, which are UTF-8 that a terminal can print."""
+    for chunk in column.chunks:
+        chunk.dictionary.validate(full=True)
+        allowed = pc.match_substring_regex(chunk.dictionary, NAME if name in NAMES else PRINTABLE)
+        odd = chunk.dictionary.filter(pc.invert(pc.fill_null(allowed, True)))
+        if len(odd):
+            raise InputError(f"{path} is not allowed: column {name} holds {str(odd[0])[:100]!r}")
+    return column.cast(pa.large_string())
+
+
+def _check_types(path: Path, table: pa.Table) -> None:
+    """Refuse words where numbers belong, the other way round, and rows without a name."""
+    for field in table.schema:
+        words = field.name in (*NAMES, *WORDS) or ("." in field.name and not _is_number(field.type))
+        fits = pa.types.is_large_string(field.type) if words else _is_number(field.type)
+        if not fits and not (pa.types.is_null(field.type) and field.name not in NAMES):
             raise InputError(f"{path} is not allowed: column {field.name} holds no {'words' if words else 'numbers'}")
-        if field.name in NAMES and table.column(k).null_count:
+        if field.name in NAMES and table[field.name].null_count:
             raise InputError(f"{path} is not allowed: column {field.name} lacks values")
-    return table
-
-
-def _check_words(path: Path, name: str, words: pa.Array) -> None:
-    words.validate(full=True)  # that it is UTF-8
-    allowed = NAME if name in NAMES else PRINTABLE
-    odd = words.filter(pc.invert(pc.fill_null(pc.match_substring_regex(words, allowed), True)))
-    if len(odd):
-        raise InputError(f"{path} is not allowed: column {name} holds {str(odd[0])[:100]!r}")
 
 
 def _is_number(kind: pa.DataType) -> bool:

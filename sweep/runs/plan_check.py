@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 
 from sweep.core.errors import InputError
-from sweep.study.designs import MOST
 
 PLACE = ["batch", "slot"]  # columns that identify a row of the plan
 NUMBERS = ("replicate", "stream", "group", "batch", "slot", "width")  # whole numbers of a plan
 MOST_BATCHES, SPAN = 2**31, 2**32  # batches, and how far apart their keys are
+WIDEST = 20_000_000  # rollouts of a batch: as many as a study may have
 
 
 class Plan:
@@ -32,7 +32,7 @@ class Plan:
         for column in NUMBERS:
             if column in planned and planned[column].dtype.kind not in "iu":
                 raise InputError(f"{name} is not allowed: column {column} holds no whole numbers")
-        for column, least, most in (("batch", 0, MOST_BATCHES), ("slot", 0, MOST), ("width", 1, MOST + 1)):
+        for column, least, most in (("batch", 0, MOST_BATCHES), ("slot", 0, WIDEST), ("width", 1, WIDEST + 1)):
             if column in planned and len(odd := planned[column][~planned[column].between(least, most - 1)]):
                 raise InputError(f"{name} is not allowed: {column} = {odd.iloc[0]}, from {least} to {most - 1}")
         keys = place_keys(planned)

@@ -115,7 +115,7 @@ def _read_sound_plan(folder: Path, listed: Sequence[Entry]) -> Plan | None:
     path = path_in(folder, store.POINTS)
     if not path.exists() or not any(e.file == store.POINTS and not _find_problem(folder, e) for e in listed):
         return None
-    plan = Plan(read_parquet(path, store.read_buffer(path)).to_pandas(), str(path))
+    plan = Plan(store.to_frame(read_parquet(path)), str(path))
     return plan if {b for e in listed for b in e.batches} <= plan.batches() else None
 
 
@@ -123,13 +123,13 @@ def _find_problem(folder: Path, entry: Entry, plan: Plan | None = None) -> str |
     """Describe what is wrong with a listed file, or return None; with a plan, its rows are compared too."""
     path = path_in(folder, entry.file)
     try:
-        content = store.read_buffer(path)
+        problem = entry.find_problem(path)
     except OSError as error:
         return files.os_error_text(error)
-    if (problem := entry.find_problem(content)) or plan is None or not entry.batches:
+    if problem or plan is None or not entry.batches:
         return problem
     try:
-        rows = read_parquet(path, content, list(plan.rows.columns)).to_pandas()
+        rows = store.to_frame(read_parquet(path, list(plan.rows.columns)))
     except InputError as error:
         return str(error)
     return "; ".join(plan.differences(rows, entry.batches)) or None
@@ -150,12 +150,12 @@ def _is_recording(entry: Entry) -> bool:
 def _entry_from_metadata(folder: Path, path: Path) -> Entry | None:
     """Return the entry of a part that is not listed, from its own metadata; None where it is no part or was changed."""
     try:
-        content = store.read_buffer(path_in(folder, path.relative_to(folder)))
-        sha256 = files.digest(content)
+        path = path_in(folder, path.relative_to(folder))
+        sha256 = files.digest_file(path)
         if not path.stem.endswith(f"-{sha256[:12]}"):
             return None
-        about = json.loads(pq.read_schema(content).metadata[store.METADATA_KEY])
-        place = {"file": f"{path.parent.name}/{path.name}", "length": len(content), "sha256": sha256}
+        about = json.loads(pq.read_schema(path).metadata[store.METADATA_KEY])
+        place = {"file": f"{path.parent.name}/{path.name}", "length": path.stat().st_size, "sha256": sha256}
         return manifest.entry_of({**about, **place})
     except (OSError, ValueError, KeyError, TypeError, RecursionError, pa.ArrowException):  # `InputError` among them
         return None

@@ -1,5 +1,6 @@
 """Finished rows of a study's folder, as reports read them."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,7 +11,7 @@ import pandas as pd
 from sweep.analysis import sensitivity
 from sweep.analysis.sample import drop_copies
 from sweep.core.errors import InputError
-from sweep.core.expressions import mask
+from sweep.core.expressions import condition_columns, mask
 from sweep.runs import store
 from sweep.study.config import Experiment, build_experiment
 from sweep.study.study import name_axes, parameter_columns
@@ -87,6 +88,42 @@ def load_experiment(folder: Path) -> Experiment:
         return build_experiment(stored["config"])
     except InputError as error:
         raise InputError(f"{folder}, by version {stored['commit'] or stored['code']}: {error}") from None
+
+
+def empty_rows(folder: Path, exp: Experiment) -> pd.DataFrame:
+    """Return a table without rows that has the columns of a folder's rows, and the names of its axes.
+
+    Args:
+        folder: Folder of the study.
+        exp: Its experiment.
+
+    Raises:
+        InputError: There are no rows yet, or a part is damaged.
+    """
+    return name_axes(pd.DataFrame(columns=store.list_columns(folder)), exp.study.axes)
+
+
+def iterate_matching_rows(
+    folder: Path, exp: Experiment, columns: Sequence[str], where: str | None = None
+) -> Iterator[tuple[pd.DataFrame, int]]:
+    """Yield the finished rows that meet a condition, part by part, so that few of them are in memory.
+
+    Args:
+        folder: Folder of the study.
+        exp: Its experiment.
+        columns: Columns to yield, in this order.
+        where: Condition on columns; None for all rows.
+
+    Yields:
+        Rows of a part, and the number of those that were read.
+
+    Raises:
+        InputError: The folder is damaged, or the condition names no column.
+    """
+    wanted = [*dict.fromkeys([*columns, *condition_columns(empty_rows(folder, exp), where)])]
+    for part in store.iterate_parts(folder, wanted):
+        rows = name_axes(part.to_pandas().reindex(columns=wanted), exp.study.axes)  # a group may lack others' metrics
+        yield rows.loc[mask(rows, where), list(columns)], len(rows)
 
 
 def read(folder: Path, where: str | None = None) -> Results:

@@ -5,7 +5,6 @@ The manifest says which files count, see `manifest`.
 
 import contextlib
 import json
-import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -157,19 +156,16 @@ def read_points(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFr
     path = path_in(folder, POINTS)
     if not path.exists():
         return pd.DataFrame()
-    content = read_buffer(path)
-    if not any(entry.file == POINTS and not entry.find_problem(content) for entry in manifest.read(folder)):
+    listed = [entry for entry in manifest.read(folder) if entry.file == POINTS]
+    content = path.stat().st_size, files.digest_file(path)
+    if content not in [(entry.length, entry.sha256) for entry in listed]:
         raise DamagedFile(f"{path} is damaged: `sweep run` as before mends it")
-    return read_parquet(path, content, columns).to_pandas()
+    return read_parquet(path, columns).to_pandas()
 
 
-def read_buffer(path: Path) -> pa.Buffer:
-    """Return the bytes of a file in a buffer that Arrow owns. Raises `OSError`.
-
-    Were Python the owner, a thread of Arrow could release them while the interpreter shuts down, which then aborts.
-    """
-    with pa.OSFile(os.fsencode(path)) as file:
-        return file.read_buffer()
+def to_frame(table: pa.Table) -> pd.DataFrame:
+    """Convert a table to pandas for reading only, without copies where that is possible; `table` is used up."""
+    return table.to_pandas(self_destruct=True, split_blocks=True)
 
 
 def _to_parquet(table: pa.Table, about: Mapping[str, Any]) -> bytes:
@@ -301,13 +297,12 @@ def read_table(folder: Path, entry: Entry, columns: Sequence[str] | None = None)
     """
     path = path_in(folder, entry.file)
     try:
-        content = read_buffer(path)
-        problem = entry.find_problem(content)
+        problem = entry.find_problem(path)
     except OSError as error:
-        content, problem = None, files.os_error_text(error)
-    if content is None or problem:
+        problem = files.os_error_text(error)
+    if problem:
         raise InputError(f"{path} is damaged ({problem}): `sweep run` as before simulates it again")
-    return read_parquet(path, content, columns)
+    return read_parquet(path, columns)
 
 
 def read_rows(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
@@ -367,7 +362,7 @@ def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterato
             parts, plan = now, _read_plan(folder, wanted)
             continue
         planned = [name for name in plan.rows.columns if name in table.column_names]
-        if problems := plan.differences(table.select(planned).to_pandas(), entry.batches):
+        if problems := plan.differences(to_frame(table.select(planned)), entry.batches):
             raise InputError(
                 f"{folder} does not hold the rows of its {POINTS}: {problems[0]}; `sweep verify` names all"
             )
@@ -387,9 +382,15 @@ def _read_plan(folder: Path, columns: Sequence[str] | None) -> Plan:
 
 
 def list_columns(folder: Path) -> list[str]:
-    """List the columns that finished rows have, without reading rows. Raises `InputError`."""
+    """List the columns that finished rows have, without reading rows.
+
+    Raises:
+        InputError: There are no rows yet, or a part is damaged.
+    """
     names: dict[str, None] = {}
-    for entry in current_parts(folder):
+    if not (parts := current_parts(folder)):
+        raise InputError(f"{folder} has no finished rollouts yet")
+    for entry in parts:
         path = path_in(folder, entry.file)
         try:
             names |= dict.fromkeys(column_names(path, pq.read_metadata(path)))
