@@ -1,6 +1,6 @@
 """Draw research/figures/ball_*.png: figs. 3.1.4 to 3.1.6, 3.3.8, 3.4.8 of the monograph from our own runs (speed of the
 ball, and the robot over it; the way up and down), the ball driven aside as (3.3.7) has it, and how likely the robot
-stays on, from the rows of study=ball_noise.
+stays on, from the rows of ball_noise.
 
 python research/ball_figures.py [NAME ...]
 python research/ball_figures.py ball_noise=results/ball_noise
