@@ -110,7 +110,7 @@ def with_seed(exp: Experiment, folder: Path, seed: int, number: int) -> Experime
 
 
 def check_region(
-    exp: Experiment, folder: Path, found: certify.Certificate, names: list[str], worst: certify.RegionScore
+    exp: Experiment, folder: Path, certificate: certify.Certificate, names: list[str], worst: certify.RegionScore
 ) -> list[dict[str, Any]]:
     """Count failures where the region looks worst, and outside of it. These draws are not part of the guarantee.
 
@@ -123,7 +123,7 @@ def check_region(
     again = replace(again, settings=replace(again.settings, width=width))
     table = runner.select_points(again)
     x = table[names].to_numpy(dtype=float)
-    inside, order = found.contains(x), np.argsort(-worst(x))
+    inside, order = certificate.contains(x), np.argsort(-worst(x))
     kinds = {
         "where the region looks worst": order[inside[order]][:CHECKED],
         "outside": np.flatnonzero(~inside)[:CHECKED],
@@ -140,27 +140,28 @@ def check_region(
     return lines
 
 
-def failure_interval(one: dict[str, Any]) -> str:
+def failure_interval(check: dict[str, Any]) -> str:
     """Format the confidence interval of the share of failures among checked draws."""
-    low, high = (format_percent(float(v)) for v in clopper_pearson(one["fail"], one["rollouts"]))
+    low, high = (format_percent(float(v)) for v in clopper_pearson(check["fail"], check["rollouts"]))
     return f"{low} to {high}"
 
 
-def format_certificate(found: certify.Certificate, shape: str, names: list[str]) -> str:
+def format_certificate(certificate: certify.Certificate, shape: str, names: list[str]) -> str:
     """Format the guarantee, its region and its assumptions as text."""
-    where = f"{found.next_failed} of {found.next_rows} fresh rows fail in the next larger one"
-    if not found.is_certified:
-        return f"no {shape} is certified at {found.failures:g}: {where}; try more rows or larger --failures"
+    where = f"{certificate.next_failed} of {certificate.next_rows} fresh rows fail in the next larger one"
+    if not certificate.is_certified:
+        return f"no {shape} is certified at {certificate.failures:g}: {where}; try more rows or larger --failures"
     promise = (
-        f"with a confidence of {format_share(found.confidence)} at most {format_share(found.failures)} of the study's "
-        f"draws that fall into this {shape} fail: {format_percent(found.draw_share)} of all draws, "
-        f"{found.failed} of {found.rows} fresh rows failed there"
+        f"with a confidence of {format_share(certificate.confidence)} at most {format_share(certificate.failures)} "
+        f"of the study's draws that fall into this {shape} fail: "
+        f"{format_percent(certificate.draw_share)} of all draws, {certificate.failed} of {certificate.rows} fresh rows failed there"
     )
-    why = f"; {where}" if found.next_rows else "; no larger region can be formed"
+    why = f"; {where}" if certificate.next_rows else "; no larger region can be formed"
     assumed = (
         "this holds for draws from the study's distributions, not for every point; invalid rollouts count as failures"
     )
-    return f"{promise}{why}.\n{assumed}\nthe region, for --where:\n  {found.score.condition(names, found.threshold)}"
+    condition = certificate.score.condition(names, certificate.threshold)
+    return f"{promise}{why}.\n{assumed}\nthe region, for --where:\n  {condition}"
 
 
 def format_share(share: float) -> str:
@@ -168,20 +169,20 @@ def format_share(share: float) -> str:
     return f"{100 * share:g} %"
 
 
-def certificate_data(found: certify.Certificate, args: argparse.Namespace, names: list[str]) -> dict[str, Any]:
+def certificate_data(certificate: certify.Certificate, args: argparse.Namespace, names: list[str]) -> dict[str, Any]:
     """Convert the certificate to plain values for JSON."""
     return {
         "study": str(args.dir),
         "shape": args.shape,
-        "failures_at_most": found.failures,
-        "confidence": found.confidence,
-        "certified": found.is_certified,
-        "where": found.score.condition(names, found.threshold) if found.is_certified else None,
-        "rows": found.rows,
-        "failed": found.failed,
-        "fresh_rows": found.drawn,
-        "next_rows": found.next_rows,
-        "next_failed": found.next_failed,
-        "share_of_draws": found.draw_share,
-        "bound_of_its_rows": found.upper_bound if found.is_certified else None,
+        "failures_at_most": certificate.failures,
+        "confidence": certificate.confidence,
+        "certified": certificate.is_certified,
+        "where": certificate.score.condition(names, certificate.threshold) if certificate.is_certified else None,
+        "rows": certificate.rows,
+        "failed": certificate.failed,
+        "fresh_rows": certificate.drawn,
+        "next_rows": certificate.next_rows,
+        "next_failed": certificate.next_failed,
+        "share_of_draws": certificate.draw_share,
+        "bound_of_its_rows": certificate.upper_bound if certificate.is_certified else None,
     }

@@ -188,9 +188,9 @@ def show_statistics(args: argparse.Namespace) -> int:
     return DONE
 
 
-def progress_of_replays(done: int, of: int) -> str:
+def print_replay_progress(done: int, total: int) -> str:
     """Print the progress of simulating rollouts again."""
-    return f"{done} of {of} rollouts simulated again"
+    return f"{done} of {total} rollouts simulated again"
 
 
 def draw_report(args: argparse.Namespace) -> int:
@@ -212,7 +212,7 @@ def draw_report(args: argparse.Namespace) -> int:
         representative.draw_pictures(found)
     if args.replays:
         device_choice.choose_device_for_folder(args.dir)
-        with show_counts(progress_of_replays, 0, args.replays) as report:
+        with show_counts(print_replay_progress, 0, args.replays) as report:
             replays.make_replays(found, replay_selection.choose_replays(found, args.replays), report)
     print(page.write_page(found, path_in(folder, "report.html"), chosen=columns))
     for path in save_pictures(found, folder, columns):
@@ -234,7 +234,7 @@ def draw_pairs(args: argparse.Namespace, a: "Results", folder: Path) -> int:
     unit = compare.independent_unit_of_pairs(table, a.exp)
     if args.replays:
         device_choice.choose_device_for_folder(args.dir)
-        with show_counts(progress_of_replays, 0, args.replays) as report:
+        with show_counts(print_replay_progress, 0, args.replays) as report:
             pairs.replay_flipped_pairs(a, b, args.replays, report)
     about = page.PairsContent(
         f"{a.name} and {b.name}" if a.name != b.name else f"{a.name}: two runs",
@@ -247,16 +247,16 @@ def draw_pairs(args: argparse.Namespace, a: "Results", folder: Path) -> int:
     return DONE
 
 
-def save_pictures(found: "Results", folder: Path, chosen: tuple[str, ...]) -> list[Path]:
+def save_pictures(results: "Results", folder: Path, chosen: tuple[str, ...]) -> list[Path]:
     """Save the map of a study, or the overview of its draws; `chosen` are two parameters of the map."""
     from sweep.core.plot_style import plot_style, save_figure
     from sweep.report import draws, maps
 
     with plot_style():
-        if draws.has_draws_figure(found) and not chosen:
-            name, figure = "draws", draws.draw_overview(found)
-        elif chosen or len(maps.independent_parameters(found.rows)) > 1:
-            name, figure = "map", maps.success_map(found.rows, found.stored, chosen)
+        if draws.has_draws_figure(results) and not chosen:
+            name, figure = "draws", draws.draw_overview(results)
+        elif chosen or len(maps.independent_parameters(results.rows)) > 1:
+            name, figure = "map", maps.success_map(results.rows, results.stored, chosen)
         else:
             return []
     return [save_figure(figure, path_in(folder, f"{name}.{form}"), dpi=200) for form in ("png", "svg")]

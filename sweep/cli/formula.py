@@ -21,7 +21,7 @@ PICTURES = (".pdf", ".png", ".svg")
 
 def main(argv: list[str]) -> int:
     """Run the command with the arguments after `formula`; return the exit code. Raises `InputError`."""
-    for line in _answer(_parser().parse_args(argv)):
+    for line in _evaluate_command(_parser().parse_args(argv)):
         print(line)
     return DONE
 
@@ -40,21 +40,21 @@ def _parser() -> Arguments:
     return parser
 
 
-def _answer(args: argparse.Namespace) -> Iterator[str]:
+def _evaluate_command(args: argparse.Namespace) -> Iterator[str]:
     if args.plot and not args.sweep:
         raise InputError("--plot is not allowed alone: it draws the table of --sweep key=lo:hi:n")
     if args.name is None:
-        return _listing(FORMULAS.values(), args.json)
+        return _format_listing(FORMULAS.values(), args.json)
     if re.fullmatch(r"\d+(\.\d+)*", args.name):
         found = find_by_equation(args.name)
         if not found:
             raise InputError(f"equation {args.name} is in no formula (`sweep formula` lists all with their equations)")
-        return _listing(found, args.json)
+        return _format_listing(found, args.json)
     formula = find(args.name)
-    values = _values(formula, args.values)
+    values = _parse_inputs(formula, args.values)
     if args.sweep:
-        key, points = _range(formula, args.sweep)
-        rows = _table(formula, values, key, points)
+        key, points = _parse_range(formula, args.sweep)
+        rows = _evaluate_over(formula, values, key, points)
         if args.plot:
             _plot(formula, rows, key, args.plot)
         return iter([json.dumps(rows)]) if args.json else _table_lines(rows)
@@ -62,7 +62,7 @@ def _answer(args: argparse.Namespace) -> Iterator[str]:
     return iter([json.dumps(report, indent=2, ensure_ascii=False)]) if args.json else _report_lines(formula, report)
 
 
-def _listing(formulas: Any, as_json: bool) -> Iterator[str]:
+def _format_listing(formulas: Any, as_json: bool) -> Iterator[str]:
     if as_json:
         yield json.dumps({formula.name: {"what": formula.summary, "source": formula.reference} for formula in formulas})
         return
@@ -71,18 +71,18 @@ def _listing(formulas: Any, as_json: bool) -> Iterator[str]:
         yield f"{formula.name:22} {formula.summary}: {units}. {formula.reference}"
 
 
-def _values(formula: Formula, assignments: Sequence[str]) -> dict[str, Any]:
+def _parse_inputs(formula: Formula, assignments: Sequence[str]) -> dict[str, Any]:
     """Parse `key=value` assignments to checked inputs by flat name, with defaults for the others."""
     values = formula.complete({})
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
         if not equals:
             raise InputError(f"{assignment} is not allowed: inputs are written key=value")
-        values = _assigned(formula, values, key, _parsed(text))
+        values = _assign(formula, values, key, _parse_value(text))
     return values
 
 
-def _assigned(formula: Formula, values: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
+def _assign(formula: Formula, values: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
     """Set input `key`, or element name.index of a vector, to a checked value."""
     name, _, index = key.rpartition(".")
     vector = values.get(name)
@@ -91,10 +91,10 @@ def _assigned(formula: Formula, values: Mapping[str, Any], key: str, value: Any)
     return formula.complete({**values, key: value})
 
 
-def _parsed(text: str) -> Any:
+def _parse_value(text: str) -> Any:
     """Parse numbers as int or float, a comma-separated list as such, and keep other text."""
     if "," in text:
-        return [_parsed(part) for part in text.split(",")]
+        return [_parse_value(part) for part in text.split(",")]
     for kind in (int, float):
         try:
             return kind(text)
@@ -103,7 +103,7 @@ def _parsed(text: str) -> Any:
     return text
 
 
-def _range(formula: Formula, text: str) -> tuple[str, list[float]]:
+def _parse_range(formula: Formula, text: str) -> tuple[str, list[float]]:
     """Parse `key=lo:hi:n` to an input and its values."""
     match, key = re.fullmatch(r"[^=]+=([^:]+):([^:]+):(\d+)", text), text.partition("=")[0]
     try:
@@ -116,11 +116,13 @@ def _range(formula: Formula, text: str) -> tuple[str, list[float]]:
     return key, points
 
 
-def _table(formula: Formula, values: Mapping[str, Any], key: str, points: Sequence[float]) -> list[dict[str, Any]]:
+def _evaluate_over(
+    formula: Formula, values: Mapping[str, Any], key: str, points: Sequence[float]
+) -> list[dict[str, Any]]:
     """Evaluate a formula over values of one input: a row each, None where there is no solution."""
     rows: list[dict[str, Any]] = []
     for point in points:
-        inputs = _assigned(formula, values, key, point)
+        inputs = _assign(formula, values, key, point)
         try:
             outputs = dict(_elements(formula.evaluate(inputs)))
         except NoSolution:
@@ -128,7 +130,7 @@ def _table(formula: Formula, values: Mapping[str, Any], key: str, points: Sequen
         rows.append({key: point, **outputs})
     columns = max(rows, key=len)
     if len(columns) == 1:
-        formula.evaluate(_assigned(formula, values, key, points[0]))  # raises, and says why
+        formula.evaluate(_assign(formula, values, key, points[0]))  # raises, and says why
     return [{column: row.get(column) for column in columns} for row in rows]
 
 

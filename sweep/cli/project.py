@@ -131,7 +131,7 @@ def describe(args: argparse.Namespace) -> int:
     try:
         text = reference.parameters_page() if args.name is None else reference.describe(args.name)
     except InputError as error:
-        raise InputError(f"{error}{outside_of_project() if '=' in args.name else ''}") from None
+        raise InputError(f"{error}{outside_of_project() if '=' in (args.name or '') else ''}") from None
     terminal.print_markdown(text + "\n", required=("meaning",))
     return DONE
 
@@ -144,13 +144,13 @@ def completion(args: argparse.Namespace) -> int:
     before = args.line.split()[1:]
     word = "" if args.line.endswith(" ") or not before else before.pop()
     kept = word.rpartition("=")[0] + "=" if "=" in word else ""  # bash takes the word to begin behind it
-    for one in candidates(before, word, args.flags()):
+    for one in list_completions(before, word, args.flags()):
         if one.startswith(word):
             print(one.removeprefix(kept))
     return DONE
 
 
-def candidates(before: list[str], word: str, flags: dict[str, list[str]]) -> list[str]:
+def list_completions(before: list[str], word: str, flags: dict[str, list[str]]) -> list[str]:
     """List completions: commands, then flags, choices `group=name`, or folders of results."""
     if not before:
         return list(flags)

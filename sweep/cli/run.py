@@ -136,7 +136,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
     if exp.study.is_adaptive and complete:
         print(rare.estimate_failure_probability(rows, exp))
     print(f"{len(rows)} of {size} planned rollouts are in {folder}")
-    return verdict(exp, rows, complete)
+    return expectation_exit_code(exp, rows, complete)
 
 
 def failing_levels(exp: Experiment) -> list[FailingLevel]:
@@ -198,7 +198,7 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
         ):
             exp, rows = other, runner.run_single_batch(other)
         print(f"sweep: of rollouts that differ by 1e-6 {pooled_rate(rows, exp)}", file=sys.stderr)
-    return verdict(exp, rows, complete=True)
+    return expectation_exit_code(exp, rows, complete=True)
 
 
 def jitter_experiment(exp: Experiment) -> Experiment | None:
@@ -216,7 +216,7 @@ def jitter_experiment(exp: Experiment) -> Experiment | None:
     )
 
 
-def verdict(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
+def expectation_exit_code(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
     """Return the exit code of finished rows, and print a line for each expectation that is not met."""
     found = rate(rows["outcome"])
     if found.invalid_share > exp.study.invalid_max:
@@ -356,7 +356,9 @@ class LiveColumn(ProgressColumn):
 
 
 @contextmanager
-def report_progress(name: str, total: int, what: str, watched: WorkerStatus | None = None) -> Iterator[runner.Progress]:
+def report_progress(
+    name: str, total: int, program: str, watched: WorkerStatus | None = None
+) -> Iterator[runner.Progress]:
     """Show progress: a bar on a terminal, else a line from time to time."""
     console = Console(stderr=True)
     start, done, good, pace = time.perf_counter(), 0, 0, Pace(total)
@@ -371,7 +373,7 @@ def report_progress(name: str, total: int, what: str, watched: WorkerStatus | No
 
     def note() -> str:
         if not done:
-            return f"compiling {what}{format_last_duration(what)}{format_running_parts(what)}"
+            return f"compiling {program}{format_last_duration(program)}{format_running_parts(program)}"
         left = f", about {pace.remaining():.0f} s left" if not console.is_terminal else ""
         workers = f", {watched.workers} workers" if watched and watched.workers is not None else ""
         return f"{done / (time.perf_counter() - start):.1f} rollouts/s, {good / done:.0%} succeed{left}{workers}"
@@ -383,7 +385,7 @@ def report_progress(name: str, total: int, what: str, watched: WorkerStatus | No
         def report(rows: pd.DataFrame) -> None:
             nonlocal done, good
             if not done:
-                remember_duration(what, time.perf_counter() - start)
+                remember_duration(program, time.perf_counter() - start)
             pace.count(len(rows))
             done, good = done + len(rows), good + int((rows["outcome"] == "success").sum())
             bar.update(task, completed=done)

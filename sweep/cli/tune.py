@@ -153,14 +153,14 @@ def drawn_sizes(exp: Experiment) -> dict[str, float]:
 
 
 def sizes_that_matter(
-    exp: Experiment, score: Score, numbers: np.ndarray, seen: Case, sizes: Mapping[str, float]
+    exp: Experiment, score: Score, numbers: np.ndarray, draws: Case, sizes: Mapping[str, float]
 ) -> dict[str, float]:
     """Select the sizes that change a margin over the range of the draws.
 
     Slopes along other sizes, such as masses without forces, would be chance and extrapolate badly. Raises `InputError`
     where no size matters.
     """
-    off = relative_changes(seen, sizes)
+    off = relative_changes(draws, sizes)
     alone = 1 + np.vstack([np.diag(np.abs(off).max(axis=0)), np.zeros((max(1, len(off) - len(sizes)), len(sizes)))])
     tried = exp.system.make_sides({path: at * alone[:, k] for k, (path, at) in enumerate(sizes.items())})[1]
     lack = np.asarray(score.deficits(score.margins(numbers, with_draw_axis(tried, len(alone)))))
@@ -171,7 +171,7 @@ def sizes_that_matter(
 
 
 def round_solution(
-    score: Score, seen: Case, first: np.ndarray, sizes: Mapping[str, float], how: Mapping[str, Any], log: Path
+    score: Score, draws: Case, first: np.ndarray, sizes: Mapping[str, float], how: Mapping[str, Any], log: Path
 ) -> tuple[np.ndarray, np.ndarray]:
     """Search with a progress bar; return rounded numbers (n,), and the slopes (n, k) by which they follow sizes."""
     scale = np.array(list(how["free"].values()))
@@ -184,20 +184,20 @@ def round_solution(
             shown.update(task, completed=done, description=f"score {least:.4g}")
 
         if how["follow"]:
-            off = relative_changes(seen, sizes)
+            off = relative_changes(draws, sizes)
             score.cap_aims(first, with_draw_axis(score.case, len(off)))
             slopes = tuning.fit_size_slopes(
-                lambda moved: score.deficits(score.margins(first + moved, seen)),
-                lambda moved: score.deficit_slopes(first + moved, seen, scale), scale, off, how, log, tell)  # fmt: skip
+                lambda moved: score.deficits(score.margins(first + moved, draws)),
+                lambda moved: score.deficit_slopes(first + moved, draws, scale), scale, off, how, log, tell)  # fmt: skip
             slight = np.abs(slopes) * np.abs(off).max(axis=0) < SLIGHT * scale[:, None]
             return first, np.where(slight, 0.0, np.round(slopes, SLOPE_DIGITS))
         if how["gradients"]:
             best = tuning.search_by_gradients(
-                lambda numbers: score.deficit_gradients(numbers, seen), first, scale, how, log, tell
+                lambda numbers: score.deficit_gradients(numbers, draws), first, scale, how, log, tell
             )
         else:
             best, _ = tuning.search_by_cma(
-                lambda many: score.worst_draw_score(score.margins(many[:, None], seen)), first, scale, how, log, tell
+                lambda many: score.worst_draw_score(score.margins(many[:, None], draws)), first, scale, how, log, tell
             )
     return np.round(best, DIGITS), np.zeros((len(first), 0))
 
@@ -285,10 +285,10 @@ def manoeuvre_numbers(case: Case) -> dict[str, float]:
     return {f"{MANOEUVRE}.{name}": float(value) for name, value in found.items() if value is not None}
 
 
-def margins_table(score: Score, found: Mapping[str, Mapping[str, np.ndarray]]) -> str:
+def margins_table(score: Score, margins: Mapping[str, Mapping[str, np.ndarray]]) -> str:
     """Table of the smallest value of each margin (m, rad/s), with its stage in the last column."""
-    lines = {name: least_margins(margins) for name, margins in found.items()}
-    last = list(found.values())[-1]
+    lines = {name: least_margins(values) for name, values in margins.items()}
+    last = list(margins.values())[-1]
     where = {key: score.stages[int(np.argmin(last[key].min(axis=0)))] for key in next(iter(lines.values()))}
     shown = pd.DataFrame({**lines, "in stage": where})
     return shown.rename_axis("margin").to_markdown(floatfmt=".4g")

@@ -107,21 +107,21 @@ def file_names(folder: str) -> list[str]:
     return os.listdir(folder) if os.path.isdir(folder) else []
 
 
-def record_traces(what: list[str]) -> Iterator[Trace]:
+def record_traces(target: list[str]) -> Iterator[Trace]:
     """Record the rollout that the user names, at a frame rate for smooth playback. Raises `InputError`."""
-    if store.STUDY in file_names(what[0]):
-        found, at = find_row(*folder_and_point(what))
+    if store.STUDY in file_names(target[0]):
+        found, at = find_row(*folder_and_point(target))
         device_choice.choose_device_for_folder(found.folder)
         again = replays.simulate_again(found.exp, found.rows.iloc[[at]], store.read_points(found.folder), SMOOTH)
     else:
-        exp, planned = compose_single(what)
+        exp, planned = compose_single(target)
         again = replays.simulate_again(exp, planned, planned, SMOOTH)
     return (trace for _, trace, _ in again)
 
 
-def open_study(what: list[str], beside: list[str]) -> tuple[Results, list[ShownReplay]]:
+def open_study(target: list[str], beside: list[str]) -> tuple[Results, list[ShownReplay]]:
     """Read a study's results and replays, those that the user names first. Raises `InputError`."""
-    folder, point = folder_and_point(what)
+    folder, point = folder_and_point(target)
     found, first = find_row(folder, point)
     wanted = [(found, first, "")]
     if beside:
@@ -144,11 +144,11 @@ def open_study(what: list[str], beside: list[str]) -> tuple[Results, list[ShownR
     return found, [*shown, *(one for one in read_shown_replays(found) if one.row["point_id"] not in seen)]
 
 
-def folder_and_point(what: list[str]) -> tuple[str, str]:
+def folder_and_point(target: list[str]) -> tuple[str, str]:
     """Parse the two arguments folder and point. Raises `InputError` if there are not two."""
-    if len(what) != 2:
-        raise InputError(f"{what[0]} is a study: add a row number, or the beginning of a point_id")
-    return what[0], what[1]
+    if len(target) != 2:
+        raise InputError(f"{target[0]} is a study: add a row number, or the beginning of a point_id")
+    return target[0], target[1]
 
 
 def find_row(folder: str, point: str) -> tuple[Results, int]:
@@ -158,14 +158,14 @@ def find_row(folder: str, point: str) -> tuple[Results, int]:
     return found, int((found.rows["point_id"] == row["point_id"]).to_numpy().argmax())
 
 
-def simulate_configuration(what: list[str], beside: list[str]) -> tuple[Results, list[ShownReplay]]:
+def simulate_configuration(overrides: list[str], beside: list[str]) -> tuple[Results, list[ShownReplay]]:
     """Simulate one rollout of a configuration, and optionally a second one with other values. Raises `InputError`."""
     rows, shown = [], []
     exp, stages = None, {}
-    for overrides in [what, [*what, *beside]][: 1 + bool(beside)]:
-        one, planned = compose_single(overrides)
+    for words in [overrides, [*overrides, *beside]][: 1 + bool(beside)]:
+        one, planned = compose_single(words)
         exp = exp or one
-        with show_wait(f"simulating {' '.join(overrides)}"):
+        with show_wait(f"simulating {' '.join(words)}"):
             found = next(replays.simulate_again(one, planned, planned), None)
         if found is None:
             raise InputError(f"{one.scenario} cannot be shown")
@@ -178,7 +178,10 @@ def simulate_configuration(what: list[str], beside: list[str]) -> tuple[Results,
         stages[str(len(rows))] = list(trace.stages)
         shown.append(
             ShownReplay(
-                len(rows), row, replays.replay_content(row, trace), " ".join(overrides[len(what) :]) or one.scenario
+                len(rows),
+                row,
+                replays.replay_content(row, trace),
+                " ".join(words[len(overrides) :]) or one.scenario,
             )
         )
         rows.append(row)

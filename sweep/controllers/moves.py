@@ -91,7 +91,7 @@ class Standing(NamedTuple):
     frame: int = WORLD  # of the base
 
 
-def standing_on(feet: Feet, pitch: Number, frame: int = WORLD) -> Standing:
+def make_standing(feet: Feet, pitch: Number, frame: int = WORLD) -> Standing:
     """Return the `Standing` of a robot on footholds that are not given in a chart.
 
     Args:

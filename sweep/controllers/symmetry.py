@@ -130,14 +130,14 @@ def mirror_plan(plan: Plan, normal: Float[np.ndarray, " 3"]) -> Plan:
     )
 
 
-def join_plans(first: Plan, *others: Plan) -> Plan:
+def join_plans(first: Plan, *following: Plan) -> Plan:
     """Concatenate plans; each should start in the stance in which the one before it ends.
 
     Args:
         first: first plan, whose start and layers are kept.
         *others: the following plans.
     """
-    plans = (first, *others)
+    plans = (first, *following)
     whole = ("start", "patience", "layers")
     names = [f.name for f in fields(Plan) if f.name not in whole and not f.metadata.get("static")]
     parts = ({name: getattr(plan, name) for name in names} for plan in plans)

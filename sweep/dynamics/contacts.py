@@ -68,15 +68,15 @@ def no_anchors(n: int, dtype: jnp.dtype) -> Anchors:
     return Anchors(Vector.from_array(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, FACE))
 
 
-def _world(place: Vector, body: Array, frames: Frames) -> Vector:
+def _to_world_axes(place: Vector, body: Array, frames: Frames) -> Vector:
     """Points from the axes of the free body that each belongs to (-1: the world) to world axes."""
     for k, (origin, rotation) in enumerate(frames):
         place = select(body == k, rotation @ place + origin, place)
     return place
 
 
-def _own(place: Vector, body: Array, frames: Frames) -> Vector:
-    """Points from world axes to the axes of the free body that each belongs to; the inverse of `_world`."""
+def _to_body_axes(place: Vector, body: Array, frames: Frames) -> Vector:
+    """Points from world axes to the axes of the free body that each belongs to; the inverse of `_to_world_axes`."""
     for k, (origin, rotation) in enumerate(frames):
         place = select(body == k, rotation.transpose @ (place - origin), place)
     return place
@@ -99,7 +99,7 @@ def to_world(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPos
     Returns:
         Points (m, world axes).
     """
-    return _world(Vector.from_array(place), body, _frames(bodies)).array()
+    return _to_world_axes(Vector.from_array(place), body, _frames(bodies)).array()
 
 
 def to_body(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses) -> Float[Array, "n 3"]:
@@ -113,7 +113,7 @@ def to_body(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPose
     Returns:
         Points (m), each in the frame of its body.
     """
-    return _own(Vector.from_array(place), body, _frames(bodies)).array()
+    return _to_body_axes(Vector.from_array(place), body, _frames(bodies)).array()
 
 
 def contact_geometry(
@@ -126,7 +126,7 @@ def contact_geometry(
     normal = Vector.from_array(surface.normal)
     held = anchors.loaded & (anchors.face == surface.face)
     fresh = point + surface.depth * normal
-    kept = _world(anchors.place, surface.body, frames)
+    kept = _to_world_axes(anchors.place, surface.body, frames)
     if surface.rolling is not None:
         kept = select(surface.rolling.radius > 0, point + anchors.place, kept)
     place = select(held, kept, fresh)
@@ -192,7 +192,7 @@ def update_anchors(
     landed = point + h * velocity + (surface.depth - h * normal.dot(velocity)) * normal
     dragged = landed + (1 / contact.stiffness) * forces.tangential
     place = select(forces.slipping, dragged, place)
-    kept = _own(place, surface.body, frames)
+    kept = _to_body_axes(place, surface.body, frames)
     if surface.rolling is not None:
         kept = select(surface.rolling.radius > 0, place - point - h * velocity, kept)
     return Anchors(kept, forces.loaded, surface.face.astype(FACE))
@@ -273,11 +273,11 @@ class ContactSet(NamedTuple):
         return out
 
 
-def body_arms(at: Vector, body: Array, owner: Sequence[int], origins: Sequence[Vector]) -> tuple[ContactArm, ...]:
+def body_arms(points: Vector, body: Array, owner: Sequence[int], origins: Sequence[Vector]) -> tuple[ContactArm, ...]:
     """Arms of free bodies to points `at` that `owner` carries and that stand on `body`; their origins, base axes."""
-    shares = [jnp.equal(np.array(owner), k) - (body == k).astype(at.x.dtype) for k in range(len(origins))]
+    shares = [jnp.equal(np.array(owner), k) - (body == k).astype(points.x.dtype) for k in range(len(origins))]
     return tuple(
-        ContactArm(k + 1, share, at - origin) for k, (share, origin) in enumerate(zip(shares, origins, strict=True))
+        ContactArm(k + 1, share, points - origin) for k, (share, origin) in enumerate(zip(shares, origins, strict=True))
     )
 
 

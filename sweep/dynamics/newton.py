@@ -44,9 +44,9 @@ def newton_direction(
         for j in range(2):
             blocks.add(i, j, legs.rest[i][j].total())
     for arm in others:
-        _stand_on(blocks, arm, legs.rest)
+        _add_standing_legs(blocks, arm, legs.rest)
     if sites:
-        _touch(blocks, sites[0].arms, slopes[1], rolling)
+        _add_free_contacts(blocks, sites[0].arms, slopes[1], rolling)
     for k, body in enumerate(mass.root):
         blocks.add(2 * k, 2 * k, diagonal(body.mass, body.mass, body.mass))
         blocks.add(2 * k + 1, 2 * k + 1, body.inertia)
@@ -107,18 +107,20 @@ def _eliminate_legs(
     return Legs(upper, solved, inverse, [[rest(i, j) for j in range(2 + moving)] for i in range(2 + moving)])
 
 
-def _stand_on(blocks: "BlockMatrix", arm: ContactArm, rest: list[list[Matrix]]) -> None:
+def _add_standing_legs(blocks: "BlockMatrix", arm: ContactArm, leg_block: list[list[Matrix]]) -> None:
     """Add the stiffness that free bodies feel from the legs that stand on them."""
     ground = 2
     for i in range(2):
-        for j, column in enumerate(arm.twist_columns(rest[i][ground])):
+        for j, column in enumerate(arm.twist_columns(leg_block[i][ground])):
             blocks.add(i, 2 * arm.body + j, column.total())
-        for j, row in enumerate(arm.wrench_rows(rest[ground][i])):
+        for j, row in enumerate(arm.wrench_rows(leg_block[ground][i])):
             blocks.add(2 * arm.body + j, i, row.total())
-    _couple(blocks, arm, arm, rest[ground][ground])
+    _couple(blocks, arm, arm, leg_block[ground][ground])
 
 
-def _touch(blocks: "BlockMatrix", touching: tuple[ContactArm, ...], slope: Matrix, turning: Matrix | None) -> None:
+def _add_free_contacts(
+    blocks: "BlockMatrix", touching: tuple[ContactArm, ...], slope: Matrix, turning: Matrix | None
+) -> None:
     """Add the stiffness of contacts of free bodies with the world and each other; `turning` resists rolling."""
     for one in touching:
         for other in touching:
@@ -128,10 +130,10 @@ def _touch(blocks: "BlockMatrix", touching: tuple[ContactArm, ...], slope: Matri
                 blocks.add(2 * one.body + 1, 2 * other.body + 1, shared.total())
 
 
-def _couple(blocks: "BlockMatrix", one: ContactArm, other: ContactArm, slope: Matrix) -> None:
-    for i, row in enumerate(one.wrench_rows(slope)):
-        for j, block in enumerate(other.twist_columns(row)):
-            blocks.add(2 * one.body + i, 2 * other.body + j, block.total())
+def _couple(blocks: "BlockMatrix", first: ContactArm, second: ContactArm, slope: Matrix) -> None:
+    for i, row in enumerate(first.wrench_rows(slope)):
+        for j, block in enumerate(second.twist_columns(row)):
+            blocks.add(2 * first.body + i, 2 * second.body + j, block.total())
 
 
 class BlockMatrix:

@@ -146,9 +146,9 @@ def step(
     Returns:
         The state at the end, and the step's forces, torques and power.
     """
-    here = _here(smooth_dynamics, case, state)
+    here = _configuration(smooth_dynamics, case, state)
     mass, turned, v = here.mass, here.turned, here.motion
-    momentum, outside = mass.momentum(v), _outside(case, limits, state, here)
+    momentum, outside = mass.momentum(v), _external_wrenches(case, limits, state, here)
     touches = find_contacts(case, state.anchors, here.pose.root[0].position, turned, here.robot.joints[-1], here.free)
     error = map_joints(sub, split_joints(servo.target), state.pose.angle)
     problem = _Problem(
@@ -158,7 +158,7 @@ def step(
         tuple(touch.contacts for touch in touches),
         mass,
         here.robot.foot,
-        _start(momentum, here, outside, h),
+        _start_momentum(momentum, here, outside, h),
         error,
         h,
     )
@@ -173,10 +173,10 @@ def step(
         normal=feet.normal,
         torque=torque,
         saturated=map_joints(lambda f: 1.0 - f, acting.free),
-        residual=_largest(problem.residual(trial, acting), here) / h,
+        residual=_largest_component(problem.residual(trial, acting), here) / h,
         power=map_joints(mul, torque, w.leg),
         external_power=reduce(add, (motion.dot(force) for motion, force in zip(world, outside, strict=False))),
-        start=_before(here, normal, 0.5 * momentum.dot(v)),
+        start=_step_start(here, normal, 0.5 * momentum.dot(v)),
     )
     anchors = tuple(
         touch.next_anchors(case.contact, forces, velocity, turned, here.free.frames, h)
@@ -196,11 +196,11 @@ def mechanical_energy(smooth_dynamics: SmoothDynamics, case: Case, state: Compon
     Returns:
         The energy (J), (1,).
     """
-    here = _here(smooth_dynamics, case, state)
-    return 0.5 * here.mass.momentum(here.motion).dot(here.motion) + _potential(here)
+    here = _configuration(smooth_dynamics, case, state)
+    return 0.5 * here.mass.momentum(here.motion).dot(here.motion) + _potential_energy(here)
 
 
-class _Here(NamedTuple):
+class _Configuration(NamedTuple):
     """One configuration of robot and free bodies, in base axes."""
 
     pose: Pose
@@ -211,68 +211,78 @@ class _Here(NamedTuple):
     motion: Motion
 
 
-def _here(smooth_dynamics: SmoothDynamics, case: Case, state: ComponentState) -> _Here:
+def _configuration(smooth_dynamics: SmoothDynamics, case: Case, state: ComponentState) -> _Configuration:
     pose, robot = state.pose, smooth_dynamics(state.pose, state.motion)
     turned = pose.root[0].rotation()
     free = free_bodies.kinematics(pose, turned.transpose)
     mass = robot.mass._replace(root=(*robot.mass.root, *free_bodies.inertias(case, free.axes)))
     base, *others = state.motion.root
     motions = (base, *(own.rotate(axes) for own, axes in zip(others, free.axes, strict=True)))
-    return _Here(pose, turned, robot, free, mass, Motion(motions, state.motion.leg))
+    return _Configuration(pose, turned, robot, free, mass, Motion(motions, state.motion.leg))
 
 
-def _outside(case: Case, limits: DriveLimits, state: ComponentState, here: _Here) -> list[SpatialVector]:
+def _external_wrenches(
+    case: Case, limits: DriveLimits, state: ComponentState, config: _Configuration
+) -> list[SpatialVector]:
     """External wrenches on the root bodies, world axes: the push on the base, then loads on free bodies if any."""
     push = Vector(*(limits.push[k : k + 1] for k in range(3)))
     no_torque = Vector.from_array(jnp.zeros((1, 3), push.x.dtype))
-    return [SpatialVector(push, no_torque), *free_bodies.external_wrenches(case, state.pose, state.motion, here.free)]
+    return [SpatialVector(push, no_torque), *free_bodies.external_wrenches(case, state.pose, state.motion, config.free)]
 
 
-def _start(momentum: Motion, here: _Here, outside: list[SpatialVector], h: float) -> Motion:
+def _start_momentum(momentum: Motion, config: _Configuration, outside: list[SpatialVector], h: float) -> Motion:
     """Momentum at the end of the step without contact and drives: M v - h (bias - external forces)."""
-    up, to_base = here.turned.z, here.turned.transpose
-    biases = [here.robot.bias.root[0]]
-    biases += [free_bodies.bias_wrench(m, v, up) for m, v in zip(here.mass.root[1:], here.motion.root[1:], strict=True)]
-    start = add_scaled(momentum, -h, Motion(tuple(biases), here.robot.bias.leg))
+    up, to_base = config.turned.z, config.turned.transpose
+    biases = [config.robot.bias.root[0]]
+    biases += [
+        free_bodies.bias_wrench(m, v, up) for m, v in zip(config.mass.root[1:], config.motion.root[1:], strict=True)
+    ]
+    start = add_scaled(momentum, -h, Motion(tuple(biases), config.robot.bias.leg))
     root = list(start.root)
     for k, force in enumerate(outside):
         root[k] = add_scaled(root[k], h, force.rotate(to_base))
     return start._replace(root=tuple(root))
 
 
-def _potential(here: _Here) -> Array:
+def _potential_energy(config: _Configuration) -> Array:
     """Gravitational potential energy (J)."""
-    up, energies = here.turned.z, []
-    for place, body in zip(here.pose.root, here.mass.root, strict=True):
+    up, energies = config.turned.z, []
+    for place, body in zip(config.pose.root, config.mass.root, strict=True):
         height = body.mass * place.position.z
         energies.append(height if body.moment is None else height + up.dot(body.moment))
     return GRAVITY * reduce(add, energies)
 
 
-def _before(here: _Here, normal: Vector, kinetic: Array) -> StepStart:
-    turned, at, robot = here.turned, here.pose.root[0].position, here.robot.mass.root[0]
+def _step_start(config: _Configuration, normal: Vector, kinetic: Array) -> StepStart:
+    turned, at, robot = config.turned, config.pose.root[0].position, config.robot.mass.root[0]
     centre = at if robot.moment is None else at + turned @ ((1 / robot.mass) * robot.moment)
-    joints = tuple(at + turned @ joint for joint in here.robot.joints)
+    joints = tuple(at + turned @ joint for joint in config.robot.joints)
     return StepStart(
-        normal, kinetic + _potential(here), centre, joints, free_bodies.to_body_poses(here.free, normal.x.dtype)
+        normal,
+        kinetic + _potential_energy(config),
+        centre,
+        joints,
+        free_bodies.to_body_poses(config.free, normal.x.dtype),
     )
 
 
-def _largest(left: Motion, here: _Here) -> Array:
+def _largest_component(left: Motion, config: _Configuration) -> Array:
     """Largest component (1,) of a residual; forces in world axes, torques in body axes."""
     parts = [*left.root[0].angular]
-    for force, axes in zip(left.root[1:], here.free.axes, strict=True):
+    for force, axes in zip(left.root[1:], config.free.axes, strict=True):
         parts += axes.transpose @ force.angular
     for force in left.root:
-        parts += here.turned @ force.linear
+        parts += config.turned @ force.linear
     legs = [jnp.max(jnp.abs(part), axis=-1, keepdims=True) for part in left.leg]
     return reduce(jnp.maximum, [*(jnp.abs(part) for part in parts), *legs])
 
 
-def _integrate(pose: Pose, w: Motion, world: tuple[SpatialVector, ...], here: _Here, h: float) -> tuple[Pose, Motion]:
+def _integrate(
+    pose: Pose, w: Motion, world: tuple[SpatialVector, ...], config: _Configuration, h: float
+) -> tuple[Pose, Motion]:
     """Integrate poses over h seconds at velocity w; linear parts in world axes, the returned motion in body axes."""
     base, *others = w.root
-    spins = [base.angular, *(b.transpose @ own.angular for own, b in zip(others, here.free.axes, strict=True))]
+    spins = [base.angular, *(b.transpose @ own.angular for own, b in zip(others, config.free.axes, strict=True))]
     places = [
         place.integrate(motion.linear, spin, h) for place, motion, spin in zip(pose.root, world, spins, strict=True)
     ]
@@ -293,7 +303,7 @@ class _Trial(NamedTuple):
     turning: Vector | None  # of sites that roll
 
 
-class _Acting(NamedTuple):
+class _ActingForces(NamedTuple):
     """Forces that act at a trial end velocity."""
 
     forces: tuple[ContactForces, ...]  # on feet and sites
@@ -324,7 +334,7 @@ class _Problem(NamedTuple):
         rolls = sites and self.contacts[1].rolling is not None
         return _Trial(w, done, (feet, *sites), self.contacts[1].relative_spin(w.root) if rolls else None)
 
-    def acting(self, trial: _Trial) -> _Acting:
+    def acting(self, trial: _Trial) -> _ActingForces:
         """Forces at a trial velocity: contact (1.2.2), rolling resistance and clamped drives (1.2.1)."""
         laws = zip(self.contacts, trial.velocity, strict=True)
         forces = tuple(contact_forces(self.case.contact, own.geometry, velocity) for own, velocity in laws)
@@ -332,7 +342,7 @@ class _Problem(NamedTuple):
         if trial.turning is not None:
             sites = self.contacts[1]
             moments = resisting_moments(sites.rolling, sites.geometry.normal, forces[1].normal, trial.turning)  # pyright: ignore
-        return _Acting(forces, moments, *self._drive(trial.motion))
+        return _ActingForces(forces, moments, *self._drive(trial.motion))
 
     def _drive(self, w: Motion) -> tuple[Rates, Rates]:
         stiffness, torque, limit = (
@@ -347,7 +357,7 @@ class _Problem(NamedTuple):
     def _damping(self) -> Rates:
         return split_joints(self.h * self.servo.stiffness + self.servo.damping)
 
-    def residual(self, trial: _Trial, acting: _Acting) -> Motion:
+    def residual(self, trial: _Trial, acting: _ActingForces) -> Motion:
         """Error of the momentum balance (N s)."""
         left = jax.tree.map(sub, self.start, trial.momentum)
         root, feet = list(left.root), acting.forces[0].force
@@ -382,7 +392,7 @@ class _Problem(NamedTuple):
         own = (leg.x.x + damping, leg.y.y + damping, leg.z.z + damping)
         return reduce(add, [*cost, total(reduce(add, (p**2 / m for p, m in zip(left.leg, own, strict=True))))])
 
-    def _newton(self, acting: _Acting, right: Motion) -> Motion:
+    def _newton(self, acting: _ActingForces, right: Motion) -> Motion:
         """Newton direction, with the contact and clamp states of the present trial."""
         slopes = [
             contact_slope(own.geometry, forces, self.h)

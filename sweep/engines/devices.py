@@ -162,8 +162,8 @@ def vmap_in_chunks(function: Callable[..., Any], width: int) -> Callable[..., An
         leaves, tree = jax.tree.flatten(args)
         differ = [k for k, x in enumerate(leaves) if jnp.ndim(x)]
 
-        def one(own: Sequence[Array]) -> Any:
-            given = dict(zip(differ, own, strict=True))
+        def one(rows: Sequence[Array]) -> Any:
+            given = dict(zip(differ, rows, strict=True))
             return function(*jax.tree.unflatten(tree, [given.get(k, x) for k, x in enumerate(leaves)]))
 
         # not by map's batch_size, which does not allow empty arrays

@@ -10,7 +10,7 @@ from jax.extend.core import Jaxpr, Literal
 Flags = list[bool]
 
 
-def find_used_inputs(function: Callable[..., Any], *given: Any) -> Any:
+def find_used_inputs(function: Callable[..., Any], *args: Any) -> Any:
     """Find out which leaves of the arguments can change a result of `function`.
 
     An input counts as used wherever the trace does not exclude it, so that an unused one changes no bit of any result;
@@ -23,9 +23,9 @@ def find_used_inputs(function: Callable[..., Any], *given: Any) -> Any:
     Returns:
         A tuple like `given`, with a flag for each leaf.
     """
-    traced = jax.make_jaxpr(function)(*given)
+    traced = jax.make_jaxpr(function)(*args)
     used = _used_of_jaxpr(traced.jaxpr, [True] * len(traced.jaxpr.outvars))
-    return jax.tree.unflatten(jax.tree.structure(given), used)
+    return jax.tree.unflatten(jax.tree.structure(args), used)
 
 
 def find_unread_columns(

@@ -84,9 +84,10 @@ def update(
     """
     world, time = ctx.world, ctx.time
     states = tuple(
-        _updated(m, s, ctx, number) for m, s in zip(metrics.applicable_metrics(world), running.states, strict=True)
+        _update_metric(m, s, ctx, number)
+        for m, s in zip(metrics.applicable_metrics(world), running.states, strict=True)
     )
-    found = _figures(Rollout(world, ctx.plan, time, ctx.stage), states)
+    found = _compute_metrics(Rollout(world, ctx.plan, time, ctx.stage), states)
     crossed = [c.holds(found[c.metric], threshold_value(c, limits)) for c in tick_causes(world)]
     first = jnp.stack(crossed) & jnp.isnan(running.cause_time)
     new = RunningMetrics(
@@ -101,7 +102,7 @@ def update(
     return kept, jnp.stack([jnp.asarray(found[name], time.dtype) for name in tick_metrics(world)])
 
 
-def _updated(metric: Metric, state: Any, ctx: MetricTick, number: Array) -> Any:
+def _update_metric(metric: Metric, state: Any, ctx: MetricTick, number: Array) -> Any:
     every = max(1, int(metric.interval / ctx.period + 1e-6))
     if every == 1:
         return metric.update(state, ctx)
@@ -120,14 +121,14 @@ def compute(world: Case, plan: Plan, running: RunningMetrics, stage: Int[Array, 
     Returns:
         Values by column, whose name has the unit, and times and stages of `tick_causes`.
     """
-    out = _figures(Rollout(world, plan, running.time, stage), running.states)
+    out = _compute_metrics(Rollout(world, plan, running.time, stage), running.states)
     for k, cause in enumerate(tick_causes(world)):
         out[f"{cause.name}_time_s"] = running.cause_time[k]
         out[f"{cause.name}_stage"] = running.cause_stage[k]
     return out
 
 
-def _figures(rollout: Rollout, states: tuple[Any, ...]) -> dict[str, Array]:
+def _compute_metrics(rollout: Rollout, states: tuple[Any, ...]) -> dict[str, Array]:
     parts = (
         metric.compute(state, rollout)
         for metric, state in zip(metrics.applicable_metrics(rollout.world), states, strict=True)

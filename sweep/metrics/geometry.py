@@ -115,8 +115,8 @@ def leg_gap(joints: Float[Array, "6 k 3"]) -> Float[Array, ""]:
     links = joints.shape[1] - 1
     i, j = (index.ravel() for index in np.indices((links, links)))
 
-    def gaps(others: Array) -> Array:
-        return segment_distance(joints[:, i], joints[:, i + 1], others[:, j], others[:, j + 1])
+    def gaps(other_legs: Array) -> Array:
+        return segment_distance(joints[:, i], joints[:, i + 1], other_legs[:, j], other_legs[:, j + 1])
 
     return jnp.min(jnp.stack([gaps(jnp.roll(joints, k, axis=0)) for k in (1, 2, 3)]))
 
@@ -193,7 +193,7 @@ def base_gap(
         The distance (m), negative inside the base.
     """
     points = (joints[:, -3:] - centre) @ rotation
-    points = points.at[:, 0].set(_along(points[:, 0], points[:, 1], robot.hip_clearance + robot.link_radius))
+    points = points.at[:, 0].set(_point_along(points[:, 0], points[:, 1], robot.hip_clearance + robot.link_radius))
     to_base = jax.vmap(segment_box_distance, (0, 0, None))
     return jnp.min(to_base(points[:, :-1], points[:, 1:], half_between_hips(robot))) - robot.link_radius
 
@@ -209,11 +209,11 @@ def fold_gap(joints: Float[Array, "6 k 3"], clearance: Array | float) -> Float[A
         The least distance over all legs (m).
     """
     hip, knee, foot = joints[:, -3], joints[:, -2], joints[:, -1]
-    inner, outer = (_along(knee, end, clearance) for end in (hip, foot))
+    inner, outer = (_point_along(knee, end, clearance) for end in (hip, foot))
     return jnp.min(segment_distance(hip, inner, foot, outer))
 
 
-def _along(start: Float[Array, "6 3"], end: Float[Array, "6 3"], way: Array | float) -> Float[Array, "6 3"]:
+def _point_along(start: Float[Array, "6 3"], end: Float[Array, "6 3"], way: Array | float) -> Float[Array, "6 3"]:
     """Points at a distance of `way` (m) from each start towards its end, at most at the end."""
     link = end - start
     return start + jnp.minimum(way / jnp.sqrt(jnp.sum(link**2, axis=-1, keepdims=True) + 1e-12), 1.0) * link

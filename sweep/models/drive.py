@@ -54,7 +54,7 @@ def position_mode(drive: Drive, target: Float[Array, "6 3"]) -> Servo:
     return Servo(target, stiffness, damping, jnp.zeros_like(target))
 
 
-def interpolate_target(old: Servo, new: Servo, share: Array | float) -> Servo:
+def interpolate_target(start: Servo, end: Servo, share: Array | float) -> Servo:
     """Interpolate the target angles within a control tick; a target that is held for the whole tick ratchets the feet.
 
     Args:
@@ -62,4 +62,4 @@ def interpolate_target(old: Servo, new: Servo, share: Array | float) -> Servo:
         new: This tick's command, whose gains and torques apply.
         share: Elapsed share of the tick, 0 to 1.
     """
-    return new._replace(target=old.target + share * (new.target - old.target))
+    return end._replace(target=start.target + share * (end.target - start.target))

@@ -77,9 +77,9 @@ class PlanTable:
         changes = self.changes | {path: value}
         return dataclasses.replace(self, paths=tuple(changes), values=tuple(changes.values()))
 
-    def with_increment(self, path: str, more: Any) -> "PlanTable":
+    def with_increment(self, path: str, increment: Any) -> "PlanTable":
         """Return a table with `more` added to the number at `path`, on top of its formula and earlier increments."""
-        return self.with_value(MORE + path, self.changes.get(MORE + path, 0.0) + more)
+        return self.with_value(MORE + path, self.changes.get(MORE + path, 0.0) + increment)
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -141,7 +141,7 @@ def refuse_malformed(content: Content) -> None:
 
 def plan_direction(case: Any) -> str:
     """Direction in time in which a case's plan is executed, one of `DIRECTIONS`."""
-    return str(_written(case).get(WAY, FORTH))
+    return str(_file_content(case).get(WAY, FORTH))
 
 
 def plan_content(case: Any) -> Content:
@@ -152,7 +152,7 @@ def plan_content(case: Any) -> Content:
         more = changes.get(MORE + path)
         return changes.get(path, value) if more is None else f"{value} + {more:.4g}"
 
-    return map_numbers(_written(case), case.obstacle.charts, now) if changes else _written(case)
+    return map_numbers(_file_content(case), case.obstacle.charts, now) if changes else _file_content(case)
 
 
 def evaluate_plan(case: Any, part: str = "") -> Content:
@@ -168,13 +168,13 @@ def evaluate_plan(case: Any, part: str = "") -> Content:
     Raises:
         InputError: A formula has an unknown name, or a slope an unknown number or size.
     """
-    content = _written(case)
-    return _worked_out(case, content, _followed(case, content), part if part in content else "")
+    content = _file_content(case)
+    return _evaluate_content(case, content, _slope_amounts(case, content), part if part in content else "")
 
 
 def plan_values(case: Any) -> dict[str, float]:
     """All numbers of a case's plan by path, with formulas evaluated and without slopes."""
-    found = numbers_by_path(_worked_out(case, _written(case), {}), case.obstacle.charts)
+    found = numbers_by_path(_evaluate_content(case, _file_content(case), {}), case.obstacle.charts)
     return {path: float(value) for path, value in found.items()}
 
 
@@ -188,7 +188,7 @@ def formula_values(case: Any) -> dict[str, float]:
     return {path: value for path, value in plan_values(case).items() if path in text}
 
 
-def _followed(case: Any, content: Content) -> dict[str, Array]:
+def _slope_amounts(case: Any, content: Content) -> dict[str, Array]:
     """Amounts by which slopes change numbers for the sizes of this case, by path."""
     slopes = content.get(SLOPES, {})
     lines, sizes = {path: line for path, line in slopes.items() if path != AT}, slopes.get(AT, {})
@@ -206,7 +206,7 @@ def _followed(case: Any, content: Content) -> dict[str, Array]:
     return dict(zip(lines, jnp.sum(matrix * jnp.stack(off), axis=1), strict=True))
 
 
-def _worked_out(case: Any, content: Content, added: Mapping[str, Array], alone: str = "") -> Content:
+def _evaluate_content(case: Any, content: Content, added: Mapping[str, Array], alone: str = "") -> Content:
     """Evaluate formulas of `content`, or of one part, and apply the case's changes and the amounts `added` by path."""
     changes, sizes, times = case.plan.changes, content.get(SIZES, {}), {}
     names: dict[str, Any] = {"unit": leg_unit(case.robot)}
@@ -286,7 +286,7 @@ def suggest_path(path: str, paths: Iterable[str], prefix: str = "plan.") -> str:
     return suggest(prefix + path, [prefix + one for one in paths]).partition(" (allowed")[0]
 
 
-def _written(case: Any) -> Content:
+def _file_content(case: Any) -> Content:
     """Content of a case's plan table as in its file."""
     return json.loads(case.plan.text) if case.plan.text else own_plan_content(case)
 
@@ -352,7 +352,7 @@ def map_numbers(
     """
     if isinstance(content, Mapping):
         return {key: value if _is_word(key, value, path) else
-                map_numbers(value, charts, change, *_below(key, value, content, charts, path, names))
+                map_numbers(value, charts, change, *_nested_path(key, value, content, charts, path, names))
                 for key, value in content.items()}  # fmt: skip
     if isinstance(content, list):
         named = (*names, *range(len(names), len(content)))
@@ -367,7 +367,7 @@ def _is_word(key: str, value: Any, path: str) -> bool:
     return key in (SLOPES, REPEAT, "mirror") or (isinstance(value, str) and key not in SINGLE and path != SIZES)
 
 
-def _below(
+def _nested_path(
     key: str, value: Any, content: Content, charts: Mapping[str, Chart], path: str, names: Names
 ) -> tuple[str, Names]:
     """Path of a key's value, and names of its components if it is a list; `names` are those of a base pose."""
@@ -426,7 +426,7 @@ def merge_extended(name: str, read: Callable[[str], str]) -> Content:
     content = dict(yaml.load(project.quote_truth_words(read(name)), project.LOADER))
     bases = content.pop("extends", [])
     below = [merge_extended(base, read) for base in ([bases] if isinstance(bases, str) else bases)]
-    return functools.reduce(_over, [*below, content])
+    return functools.reduce(_merge_contents, [*below, content])
 
 
 def differences(content: Content, other: Content) -> dict[str, Any]:
@@ -449,10 +449,10 @@ def differences(content: Content, other: Content) -> dict[str, Any]:
     return found
 
 
-def _over(below: Content, above: Content) -> dict[str, Any]:
+def _merge_contents(below: Content, above: Content) -> dict[str, Any]:
     """Merge two contents key by key; `above` takes precedence."""
     found = dict(below)
     for key, value in above.items():
         deep = isinstance(value, Mapping) and isinstance(found.get(key), Mapping)
-        found[key] = _over(found[key], value) if deep else value
+        found[key] = _merge_contents(found[key], value) if deep else value
     return found

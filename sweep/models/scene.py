@@ -91,7 +91,7 @@ def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
         raise InputError(f"robot or obstacle is not allowed: MuJoCo makes no model of it: {reason}") from None
 
 
-def too_small(case: Case) -> np.ndarray:
+def find_too_small(case: Case) -> np.ndarray:
     """Which cases of a batch have a body with so little mass or inertia that MuJoCo does not compile the model.
 
     Args:
@@ -161,11 +161,11 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
 def _set_inertia(body: mujoco.MjsBody, name: str, values: dict[str, dict[str, np.ndarray]]) -> None:
     body.explicitinertial = True
     body.mass = float(values["body_mass"][name])
-    body.inertia = _without_rounding(np.asarray(values["body_inertia"][name], float))
+    body.inertia = _correct_rounding(np.asarray(values["body_inertia"][name], float))
     body.ipos = np.asarray(values["body_ipos"].get(name, np.zeros(3)), float)
 
 
-def _without_rounding(inertia: np.ndarray) -> np.ndarray:
+def _correct_rounding(inertia: np.ndarray) -> np.ndarray:
     """Moments of inertia (3,), corrected by rounding so that none exceeds the sum of the others."""
     return np.minimum(inertia, np.roll(inertia, 1) + np.roll(inertia, 2))
 

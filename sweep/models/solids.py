@@ -181,7 +181,7 @@ class _Convex(ABC):
         return []
 
     @abstractmethod
-    def edge_cross_axes(self, along: Float[Array, "n 3"], at: Float[Array, "n 3"]) -> list[Array]:
+    def edge_cross_axes(self, along: Float[Array, "n 3"], points: Float[Array, "n 3"]) -> list[Array]:
         """Axes (n, 3) normal to the solid's edges and to edges along `along` whose innermost points are `at`."""
 
     def to_solid_frame(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
@@ -258,7 +258,7 @@ class Box(_Convex):
         """The box's three axes, see `_Convex`."""
         return jnp.eye(3, dtype=dtype)
 
-    def edge_cross_axes(self, along: Array, at: Array) -> list[Array]:
+    def edge_cross_axes(self, along: Array, points: Array) -> list[Array]:
         """Cross products with the box's three axes, see `_Convex`."""
         return [jnp.cross(edge, along) for edge in np.eye(3, dtype=along.dtype)]
 
@@ -272,7 +272,7 @@ class Cylinder(_Convex):
 
     def signed_distance(self, points: Array) -> Array:
         """Signed distance from radius and height, see `_Convex`."""
-        return _extruded(_length(points[..., :2]) - self.radius, jnp.abs(points[..., 2]) - self.half)
+        return _extruded_distance(_length(points[..., :2]) - self.radius, jnp.abs(points[..., 2]) - self.half)
 
     def extent(self, axes: Array) -> tuple[Array, Array]:
         """Extent, equal in both directions, see `_Convex`."""
@@ -292,20 +292,20 @@ class Cylinder(_Convex):
         """Radial directions towards the points, see `_Convex`."""
         return [points * np.array([1, 1, 0], points.dtype)]
 
-    def edge_cross_axes(self, along: Array, at: Array) -> list[Array]:
+    def edge_cross_axes(self, along: Array, points: Array) -> list[Array]:
         """Axes at the point of the rim whose tangent is most parallel to the edge, see `_Convex`."""
-        side = jnp.where(at[:, 2] < 0, -1.0, 1.0)
-        clamped = jnp.clip(at[:, 2], -self.half, self.half)
-        distance = _length(at[:, :2])[:, None]
+        side = jnp.where(points[:, 2] < 0, -1.0, 1.0)
+        clamped = jnp.clip(points[:, 2], -self.half, self.half)
+        distance = _length(points[:, :2])[:, None]
         outer = jnp.concatenate(
-            [at[:, :2] * jnp.maximum(1 - self.radius / distance, 0.0), (at[:, 2] - clamped)[:, None]], axis=1
+            [points[:, :2] * jnp.maximum(1 - self.radius / distance, 0.0), (points[:, 2] - clamped)[:, None]], axis=1
         )
         axes = [outer, jnp.cross(np.array([0, 0, 1], along.dtype), along)]
-        radial = at[:, :2] / distance
+        radial = points[:, :2] / distance
         for _ in range(RIM_STEPS):
             tangent = jnp.stack([-radial[:, 1], radial[:, 0], jnp.zeros_like(side)], axis=1)
             axes.append(jnp.cross(tangent, along))
-            gap, cosine = at - self._rim(radial, side), _dot(tangent, along)
+            gap, cosine = points - self._rim(radial, side), _dot(tangent, along)
             step = (_dot(gap, tangent) - _dot(gap, along) * cosine) / jnp.maximum(1 - cosine**2, PARALLEL)
             radial = self.radius * radial + jnp.clip(step, -self.radius, self.radius)[:, None] * tangent[:, :2]
             radial = radial / _length(radial)[:, None]
@@ -330,11 +330,11 @@ class Prism(_Convex):
         """Signed distance from the sides of the base and the height, see `_Convex`."""
         corners, along, length = self._sides(points.dtype)
         offset = points[:, None, :2] - corners
-        out, on = _dot(offset, _left_of(along)), _dot(offset, along)
+        out, on = _dot(offset, _turn_left(along)), _dot(offset, along)
         deepest = jnp.max(out, axis=1)
         outside = jnp.sqrt(jnp.min(out**2 + (on - jnp.clip(on, 0.0, length)) ** 2, axis=1) + TINY)
         aside = jnp.where(deepest > 0, outside, deepest)
-        return _extruded(aside, jnp.abs(points[:, 2]) - self.height / 2)
+        return _extruded_distance(aside, jnp.abs(points[:, 2]) - self.height / 2)
 
     def extent(self, axes: Array) -> tuple[Array, Array]:
         """Extent, different in both directions, see `_Convex`."""
@@ -344,15 +344,15 @@ class Prism(_Convex):
 
     def support_points(self, axes: Array) -> Array:
         """Corners of both end faces, see `_Convex`."""
-        return jnp.concatenate([_raised(self._sides(axes.dtype)[0], end * self.height / 2) for end in (-1, 1)])
+        return jnp.concatenate([_with_height(self._sides(axes.dtype)[0], end * self.height / 2) for end in (-1, 1)])
 
     def face_normals(self, dtype: Any) -> Array:
         """Normals of the sides and of the end faces, see `_Convex`."""
-        return jnp.concatenate([_raised(_left_of(self._sides(dtype)[1]), 0.0), jnp.eye(3, dtype=dtype)[2:]])
+        return jnp.concatenate([_with_height(_turn_left(self._sides(dtype)[1]), 0.0), jnp.eye(3, dtype=dtype)[2:]])
 
-    def edge_cross_axes(self, along: Array, at: Array) -> list[Array]:
+    def edge_cross_axes(self, along: Array, points: Array) -> list[Array]:
         """Cross products with the edges of the base and with the prism's axis, see `_Convex`."""
-        edges = [*_raised(self._sides(along.dtype)[1], 0.0), jnp.eye(3, dtype=along.dtype)[2]]
+        edges = [*_with_height(self._sides(along.dtype)[1], 0.0), jnp.eye(3, dtype=along.dtype)[2]]
         return [jnp.cross(edge, along) for edge in edges]
 
     def _sides(self, dtype: Any) -> tuple[Array, Array, Array]:
@@ -401,7 +401,7 @@ def minimize_along(
     return at(place), value
 
 
-def _extruded(aside: Array, above: Array) -> Array:
+def _extruded_distance(aside: Array, above: Array) -> Array:
     """Signed distance to a prism, from the distances to its cross-section and to its slab."""
     most = jnp.maximum(aside, above)
     return jnp.where(most > 0, jnp.sqrt(jnp.maximum(aside, 0.0) ** 2 + jnp.maximum(above, 0.0) ** 2 + TINY), most)
@@ -427,12 +427,12 @@ def _vector(numbers: Any, dtype: Any) -> Array:
     return jnp.stack([jnp.asarray(x, dtype) for x in numbers])
 
 
-def _raised(plane: Float[Array, "n 2"], height: Any) -> Float[Array, "n 3"]:
+def _with_height(plane: Float[Array, "n 2"], height: Any) -> Float[Array, "n 3"]:
     """Extend vectors of the x-y plane by a third component."""
     return jnp.concatenate([plane, jnp.full_like(plane[:, :1], height)], axis=1)
 
 
-def _left_of(plane: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+def _turn_left(plane: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
     """Turn vectors of the x-y plane by 90 degrees counterclockwise: outward normals of a clockwise polygon."""
     return jnp.stack([-plane[:, 1], plane[:, 0]], axis=1)
 

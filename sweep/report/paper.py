@@ -70,7 +70,7 @@ def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
     shown, summed = list(list_figures(results)), list(summary_tables(results))
     keys, names = [one.key for one in shown], [name for name, *_ in summed]
     own = {"figures": keys, "data": [*keys, *names, "rows", "numbers"], "tables": names}
-    _refuse_others(out, own)
+    _refuse_foreign_files(out, own)
     for folder in own:
         (out / folder).mkdir(parents=True, exist_ok=True)
     paths = [_rows(results, out)]
@@ -120,14 +120,14 @@ def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
     return [*paths, out / "data" / "numbers.csv", *(out / name for name in texts)]
 
 
-def _refuse_others(out: Path, own: Mapping[str, Collection[str]]) -> None:
+def _refuse_foreign_files(out: Path, expected: Mapping[str, Collection[str]]) -> None:
     """Raise `InputError` if `out` has a main.tex that no export wrote, or unknown files in its folders.
 
     Of a folder's own files the names are without endings: a study's rows are in another form once they are many.
     """
     first, *_ = _source().encode().splitlines()
     others = [path for path in [out / "main.tex"] if path.is_file() and not path.read_bytes().startswith(first)]
-    for folder, names in own.items():
+    for folder, names in expected.items():
         others += sorted(path for path in (out / folder).glob("[!.]*") if path.stem not in names)
     if others:
         held = others[0].relative_to(out)
@@ -232,33 +232,33 @@ def quotable_numbers(results: Results, failure: rare.WeightedEstimate | rare.Sub
             yield Number(start + macro_name(figure) + word, float(value), f"{value:.4g}", what, 'outcome == "success"')
 
 
-def caveat(results: Results, found: rare.WeightedEstimate | rare.SubsetEstimate | None) -> str:
+def caveat(results: Results, failure: rare.WeightedEstimate | rare.SubsetEstimate | None) -> str:
     """Sentence that has to accompany the numbers if earlier rows decided which points were run."""
     if results.exp.study.is_refined:
         return "Most rollouts were placed next to the boundary, so this is not the share of the region."
-    if not found:
+    if not failure:
         return ""
     macro = f"\\{macro_prefix(results)}Failing"
     text = f"P(failure) is {macro}{{}}, with a 95\\,\\% interval from {macro}Low{{}} to {macro}High{{}}"
-    return text + ("." if found.is_reliable else ", which is not to be trusted: \\texttt{sweep stats} says why.")
+    return text + ("." if failure.is_reliable else ", which is not to be trusted: \\texttt{sweep stats} says why.")
 
 
-def _percent(name: str, share: float, what: str, where: str | None) -> Number:
-    return Number(name, share, "--" if np.isnan(share) else rf"{100 * share:.1f}\,\%", what, where)
+def _percent(name: str, share: float, meaning: str, where: str | None) -> Number:
+    return Number(name, share, "--" if np.isnan(share) else rf"{100 * share:.1f}\,\%", meaning, where)
 
 
-def macro_definition(results: Results, one: Number, file: str) -> str:
+def macro_definition(results: Results, number: Number, file: str) -> str:
     """LaTeX definition of a number's macro, after a comment that names its rows and how to list them."""
-    chosen = results.rows[mask(results.rows, one.where)]
-    if extreme := re.fullmatch(r"(min|max) of (\S+)", one.what):
+    chosen = results.rows[mask(results.rows, number.where)]
+    if extreme := re.fullmatch(r"(min|max) of (\S+)", number.what):
         values = chosen[extreme[2]]
-        chosen = chosen[(values == one.value).to_numpy()]
+        chosen = chosen[(values == number.value).to_numpy()]
     few = f": {', '.join(chosen['point_id'])}" if 0 < len(chosen) <= NAMED_ROWS else ""
-    where = " and ".join(f"({c})" if results.where and one.where else c for c in (results.where, one.where) if c)
+    where = " and ".join(f"({c})" if results.where and number.where else c for c in (results.where, number.where) if c)
     command = f"sweep table {results.folder} --format csv" + (f" --where '{where}'" if where else "")
-    definition = f"\\newcommand{{\\{one.name}}}{{{one.text}}}"
+    definition = f"\\newcommand{{\\{number.name}}}{{{number.text}}}"
     command = re.sub(r"\s", " ", command)  # a line break would end the comment
-    return f"% {one.what}, {len(chosen)} rows of data/{file}{few}\n% {command}\n{definition}\n"
+    return f"% {number.what}, {len(chosen)} rows of data/{file}{few}\n% {command}\n{definition}\n"
 
 
 def macro_prefix(results: Results) -> str:

@@ -77,16 +77,16 @@ def list_sections(results: Results) -> Iterator[Section]:
         yield section if is_filled(section) else bin_rows(results, x, y, others)
 
 
-def cut_section(results: Results, x: str, y: str, others: list[str]) -> Section:
-    """Section at the nominal values of `others`, or at a few values of a single other parameter."""
+def cut_section(results: Results, x: str, y: str, remaining: list[str]) -> Section:
+    """Section at the nominal values of the `remaining` parameters, or at a few values of a single other parameter."""
     rows = results.rows
-    if len(others) == 1:
-        values = np.sort(rows[others[0]].unique())
+    if len(remaining) == 1:
+        values = np.sort(rows[remaining[0]].unique())
         chosen = values[evenly_spaced_indices(len(values), PANELS)]
-        note = f"at values of {axis_words(others[0], results.exp)}"
-        return Section(x, y, others[0], rows[rows[others[0]].isin(chosen)], note)
+        note = f"at values of {axis_words(remaining[0], results.exp)}"
+        return Section(x, y, remaining[0], rows[rows[remaining[0]].isin(chosen)], note)
     fixed = {}
-    for name in others:
+    for name in remaining:
         fixed[name] = nearest_value(rows[name], nominal_value(results, name))
         rows = rows[rows[name] == fixed[name]]
     note = ", ".join(label_with_value(c, v, results.exp) for c, v in fixed.items())
@@ -101,12 +101,12 @@ def is_filled(section: Section) -> bool:
     return min(counts[:2]) > 1 and max(counts[:2]) <= GRID and 2 * cells >= math.prod(counts)
 
 
-def bin_rows(results: Results, x: str, y: str, others: list[str]) -> Section:
+def bin_rows(results: Results, x: str, y: str, remaining: list[str]) -> Section:
     """Bin all rows over two parameters; a parameter with few values keeps them."""
     rows = results.rows
     most = int(np.clip(np.sqrt(len(rows) / 20), 4, 40))
     bins = {c: min(most, rows[c].nunique()) for c in (x, y)}
-    note = f"{bins[x]} by {bins[y]} bins" + (", over all values of the other parameters" if others else "")
+    note = f"{bins[x]} by {bins[y]} bins" + (", over all values of the other parameters" if remaining else "")
     return Section(x, y, None, rows.assign(**{c: bin_values(rows[c], most) for c in (x, y)}), note)
 
 

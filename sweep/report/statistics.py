@@ -41,7 +41,7 @@ def statistics_sections(
         yield "How P(failure) was estimated", str(rare.estimate_failure_probability(rows, exp))
         if len(modes := rare.failure_modes(rows, exp)):
             yield "Modes of failure, by their share of that probability", modes
-        yield from _shares(rows, exp)
+        yield from _sensitivity_tables(rows, exp)
         return
     yield "Rate of success", f"{every}{note}{'; ' if copies else ''}{copies}"
     one_at_a_time = bool(numbers) and exp.study.design.grid == "one_at_a_time"
@@ -76,19 +76,19 @@ def statistics_sections(
     effective = [axis.column for axis in numbers if axis.name not in ineffective]
     if effective:
         margins = sensitivity.margins(whole, exp)
-        yield "Margins: how far from the nominal value rollouts succeed", _of_axes(margins, effective)
+        yield "Margins: how far from the nominal value rollouts succeed", _select_axes(margins, effective)
     if effective and several:
         title = (
             f"Tolerance: the error at which the probability of success falls to {format_percent(level)} (logistic fit; "
             "95 % interval from the rates at the values tried)"
         )
-        yield title, _of_axes(sensitivity.tolerance(rows, exp, level), effective)
+        yield title, _select_axes(sensitivity.tolerance(rows, exp, level), effective)
     if len(drawn) and {"success", "failure"} <= set(rows["outcome"]):
         yield (
             "Regional sensitivity: how draws that fail differ from those that succeed",
             sensitivity.regional_sensitivity(rows, exp),
         )
-        yield from _shares(rows, exp)
+        yield from _sensitivity_tables(rows, exp)
     for title, function in sensitivity_methods(exp, len(rows)).items() if drawn else ():
         try:
             yield f"{title} of {figure or 'success'}", function(rows, exp, figure)
@@ -96,12 +96,12 @@ def statistics_sections(
             yield title, str(error)
 
 
-def _of_axes(table: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
+def _select_axes(table: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
     """Select the lines of a table that belong to some axes."""
     return table[table["axis"].isin(columns)] if len(table) else table
 
 
-def _shares(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[str, pd.DataFrame]]:
+def _sensitivity_tables(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[str, pd.DataFrame]]:
     """Yield how each drawn number is related to failure, if there are enough rows."""
     with suppress(InputError):
         yield (

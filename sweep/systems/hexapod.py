@@ -179,7 +179,7 @@ class Hexapod:
         for part in (kind.iloc[k : k + CHECKED] for kind in kinds for k in range(0, len(kind), CHECKED)):
             words = {name: part[name].iloc[0] for name in names}
             case, _ = self.make_sides({**words, **{name: part[name].to_numpy() for name in sizes}})
-            for _, row in part[scene.too_small(case)].iterrows():
+            for _, row in part[scene.find_too_small(case)].iterrows():
                 said = ", ".join(f"{name} = {row[name]:g}" for name in sizes)
                 raise InputError(f"{said} is not allowed: a body's mass or inertia is too small for MuJoCo")
 

@@ -25,7 +25,7 @@ def add_solids(spec: "mujoco.MjSpec", solids: Sequence[Solid], friction: float, 
         drawn = {"group": DRAWN, "mass": 0.0, "contype": 0, "conaffinity": 0}
         body.add_geom(name=solid.name, **add_solid(spec, solid, solid.name), **_look(solid), **drawn)
         name = f"{solid.name}_contact"
-        body.add_geom(name=name, **add_solid(spec, solid, name, FOOT_RADIUS), **_colliding(friction))
+        body.add_geom(name=name, **add_solid(spec, solid, name, FOOT_RADIUS), **_contact_options(friction))
 
 
 def add_solid(spec: "mujoco.MjSpec", solid: Solid, name: str, margin: float = 0.0) -> dict[str, Any]:
@@ -47,9 +47,9 @@ def add_solid(spec: "mujoco.MjSpec", solid: Solid, name: str, margin: float = 0.
         case Sphere():
             return {"type": kinds.mjGEOM_SPHERE, "size": [solid.radius - margin, 0, 0], "pos": _numbers(solid.centre)}
         case Box():
-            return {"type": kinds.mjGEOM_BOX, "size": _shrunk(solid.half, margin), **_place(solid)}
+            return {"type": kinds.mjGEOM_BOX, "size": _shrink(solid.half, margin), **_place(solid)}
         case Cylinder():
-            size = [*_shrunk([solid.radius, solid.half], margin), 0.0]
+            size = [*_shrink([solid.radius, solid.half], margin), 0.0]
             return {"type": kinds.mjGEOM_CYLINDER, "size": size, **_place(solid)}
         case Prism():
             polygon = np.asarray(solid.polygon, float)
@@ -77,7 +77,7 @@ def add_rolling_contact(
     import mujoco
 
     rolling = {
-        **_colliding(0.0),
+        **_contact_options(0.0),
         "contype": 2,
         "conaffinity": 0,
         "condim": 6,
@@ -90,15 +90,15 @@ def add_rolling_contact(
     world.add_geom(name="floor_rolling", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], **rolling)
 
 
-def add_contact_pair(spec: "mujoco.MjSpec", one: str, other: str, friction: float, damping_ratio: float) -> None:
+def add_contact_pair(spec: "mujoco.MjSpec", first: str, second: str, friction: float, damping_ratio: float) -> None:
     """Add a contact pair of two bodies' geoms, or of a body and the world, with its own friction.
 
     With its own friction and damping: the impedance of the feet lets bodies rebound with most of their speed.
     """
     spec.add_pair(
-        name=f"{one}_{other}",
-        geomname1=one,
-        geomname2=other,
+        name=f"{first}_{second}",
+        geomname1=first,
+        geomname2=second,
         condim=3,
         friction=[friction] * 2 + [0.0] * 3,
         solref=[STIFF["solref"][0], damping_ratio],
@@ -125,7 +125,7 @@ def _place(solid: Box | Cylinder | Prism) -> dict[str, np.ndarray]:
     return {"pos": _numbers(solid.position), "quat": quat}
 
 
-def _shrunk(sizes: Any, margin: float) -> np.ndarray:
+def _shrink(sizes: Any, margin: float) -> np.ndarray:
     """Half-sizes less a margin; a thin solid keeps a little."""
     return np.array([max(size - margin, min(size, 1e-4)) for size in _numbers(sizes)])
 
@@ -150,5 +150,5 @@ def hidden_geom_options() -> dict[str, Any]:
     return {"rgba": [0, 0, 0, 0], "group": COLLIDING, "mass": 0.0}
 
 
-def _colliding(friction: float) -> dict:
+def _contact_options(friction: float) -> dict:
     return {"contype": 0, "conaffinity": 1, "friction": [friction, 0.005, 1e-4], **STIFF, **hidden_geom_options()}

@@ -171,7 +171,7 @@ def landmark_state(obstacle: Obstacle, free: FreeState) -> FreeState:
     Returns:
         State at the landmarks (world axes).
     """
-    return _shifted(free, obstacle.landmarks) if isinstance(obstacle, LandmarkedObstacle) else free
+    return _shift(free, obstacle.landmarks) if isinstance(obstacle, LandmarkedObstacle) else free
 
 
 def state_from_landmarks(obstacle: Obstacle, marks: FreeState) -> FreeState:
@@ -184,10 +184,10 @@ def state_from_landmarks(obstacle: Obstacle, marks: FreeState) -> FreeState:
     Returns:
         State at the mass centres (world axes).
     """
-    return _shifted(marks, -obstacle.landmarks) if isinstance(obstacle, LandmarkedObstacle) else marks
+    return _shift(marks, -obstacle.landmarks) if isinstance(obstacle, LandmarkedObstacle) else marks
 
 
-def _shifted(free: FreeState, by: Float[Array, "k 3"]) -> FreeState:
+def _shift(free: FreeState, by: Float[Array, "k 3"]) -> FreeState:
     arm = rotate(free.quat, by)
     return free._replace(position=free.position + arm, velocity=free.velocity + jnp.cross(free.turn, arm))
 

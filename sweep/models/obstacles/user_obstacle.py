@@ -18,30 +18,30 @@ def check_user_obstacle(obstacle: Obstacle) -> None:
     """Raise `InputError` if solids, surface or a chart of the obstacle fail or return something of another form."""
     bodies = identity_poses(len(obstacle.free_bodies))
 
-    def tried(what: str, function: Callable[..., Any], *given: Any) -> Any:
+    def call_checked(part: str, function: Callable[..., Any], *args: Any) -> Any:
         try:
-            return function(*given)
+            return function(*args)
         except WRONG as error:
-            raise _refused(obstacle, f"{what} fails: {format_user_exception(error)}") from None
+            raise _input_error(obstacle, f"{part} fails: {format_user_exception(error)}") from None
 
-    solids = tried("solids", obstacle.solids, bodies)
+    solids = call_checked("solids", obstacle.solids, bodies)
     if not isinstance(solids, tuple | list) or not all(hasattr(one, "segment_distance") for one in solids):
-        raise _refused(obstacle, f"solids gives {solids!r}: a tuple of solids is wanted")
+        raise _input_error(obstacle, f"solids gives {solids!r}: a tuple of solids is wanted")
     points, owner = jnp.zeros((POINTS, 3)), (-1,) * POINTS
-    found = tried("surface", jax.eval_shape, lambda at: obstacle.surface(at, owner, bodies), points)
+    found = call_checked("surface", jax.eval_shape, lambda at: obstacle.surface(at, owner, bodies), points)
     if not isinstance(found, Surface):
-        raise _refused(obstacle, f"surface gives {type(found).__name__}: a Surface is wanted")
+        raise _input_error(obstacle, f"surface gives {type(found).__name__}: a Surface is wanted")
     for name, form in FORMS.items():
         if (given := getattr(getattr(found, name), "shape", None)) != form:
-            raise _refused(obstacle, f"surface gives {name} {given} of {POINTS} points: {form} is wanted")
+            raise _input_error(obstacle, f"surface gives {name} {given} of {POINTS} points: {form} is wanted")
     if not isinstance(obstacle.charts, Mapping) or not all(isinstance(c, Chart) for c in obstacle.charts.values()):
-        raise _refused(obstacle, f"charts are {obstacle.charts}: a Chart by each name is wanted")
+        raise _input_error(obstacle, f"charts are {obstacle.charts}: a Chart by each name is wanted")
     for name, chart in obstacle.charts.items():
         numbers = jnp.zeros(3 + len(chart.names))  # the leg's side, the unit, how deep, the coordinates
-        point = tried(f"chart {name}", jax.eval_shape, lambda x, at=chart.at: at(obstacle, *x), numbers)
+        point = call_checked(f"chart {name}", jax.eval_shape, lambda x, at=chart.at: at(obstacle, *x), numbers)
         if getattr(point, "shape", None) != (3,):
-            raise _refused(obstacle, f"chart {name} gives {getattr(point, 'shape', point)}: (3,) is wanted")
+            raise _input_error(obstacle, f"chart {name} gives {getattr(point, 'shape', point)}: (3,) is wanted")
 
 
-def _refused(obstacle: Obstacle, what: str) -> InputError:
-    return InputError(f"obstacle.kind = {obstacle.kind} is not allowed: {what}")
+def _input_error(obstacle: Obstacle, reason: str) -> InputError:
+    return InputError(f"obstacle.kind = {obstacle.kind} is not allowed: {reason}")

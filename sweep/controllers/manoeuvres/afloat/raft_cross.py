@@ -17,7 +17,7 @@ from sweep.controllers.gaits import TRIPOD
 from sweep.controllers.layers import TickContext
 from sweep.controllers.manoeuvres.afloat.statics import require_floating
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.moves import Move, MoveContext, move_stages, part_stages, read_moves, standing_on
+from sweep.controllers.moves import Move, MoveContext, make_standing, move_stages, part_stages, read_moves
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import (
     ALONGSIDE,
@@ -103,7 +103,7 @@ class RaftCross:
             (aboard[-1], "on_deck"), (reached[0], "on_deck_far"), (landed[-1], "by_far")))  # fmt: skip
         stride = (raft.length / length + reached_at - ashore) / self.steps
         pull = replace(reached[-1], feet={}, seconds=self.pull, support="pulled", law=PULL)
-        standing = standing_on(feet, 0.0)
+        standing = make_standing(feet, 0.0)
         approach, standing = move_stages(
             tripod_moves(first, self.approach, self.stride_ratio, "by_near", "near"), context, standing, "approach."
         )

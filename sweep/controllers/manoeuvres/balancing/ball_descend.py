@@ -24,7 +24,7 @@ from sweep.controllers.manoeuvres.balancing.ball import (
 )
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, BesideBall
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import Move, move_stages, read_moves, read_numbers, standing_on
+from sweep.controllers.moves import Move, make_standing, move_stages, read_moves, read_numbers
 from sweep.controllers.plan import RESTS, STAYS, Plan, Stage, Support
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.formulas.ball import ball_omega
@@ -138,7 +138,7 @@ class BallDescend(BesideBall):
             belief, belief.obstacle_as(Ball).radius, self.deepening, (self.press, self.squeeze), supports
         )
         feet = dict(zip(LEGS, self.stand_pose(belief).feet, strict=True))
-        down, _ = move_stages(timed_moves(belief, self.rate), context, standing_on(feet, 0.0, body_frame(0)), "")
+        down, _ = move_stages(timed_moves(belief, self.rate), context, make_standing(feet, 0.0, body_frame(0)), "")
         last = down[-1]
         halt = Stage("rest", self.rest, foot_frames=(koenig_frame(0),) * 6, base_frame=koenig_frame(0),
                      support=(STAYS,), onset=last.onset, press=last.press)  # fmt: skip

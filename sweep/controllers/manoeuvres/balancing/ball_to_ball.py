@@ -20,7 +20,7 @@ from sweep.controllers.manoeuvres.balancing.beside_ball import CALM
 from sweep.controllers.manoeuvres.balancing.checks import CheckLimits, apply_checks, mass_centre_margins, next_support
 from sweep.controllers.manoeuvres.balancing.parts import ByParts, DriveUntil, SingleBallLaw
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import part_stages, standing_on
+from sweep.controllers.moves import make_standing, part_stages
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import TOGETHER, Plan, Stage, Support, reference_stance, stage_end_stances
 from sweep.controllers.posture import leg_points
@@ -176,7 +176,7 @@ class BallToBall(OnBall, ByParts):
         context = ball_move_context(
             belief, belief.robot.body_length, self.deepening, (self.press, self.squeeze), supports, (OVER,)
         )
-        stages = part_stages("over", context, standing_on(feet, 0.0, body_frame(0)))[0]
+        stages = part_stages("over", context, make_standing(feet, 0.0, body_frame(0)))[0]
         return apply_checks(with_touching_balls(belief), stance_on_ball(belief, pose), stages,
                        CheckLimits(self.spare, self.straight, self.clear))  # fmt: skip
 
