@@ -154,7 +154,8 @@ def format_certificate(certificate: certify.Certificate, shape: str, names: list
     promise = (
         f"with a confidence of {format_share(certificate.confidence)} at most {format_share(certificate.failures)} "
         f"of the study's draws that fall into this {shape} fail: "
-        f"{format_percent(certificate.draw_share)} of all draws, {certificate.failed} of {certificate.rows} fresh rows failed there"
+        f"{format_percent(certificate.draw_share)} of all draws, "
+        f"{certificate.failed} of {certificate.rows} fresh rows failed there"
     )
     why = f"; {where}" if certificate.next_rows else "; no larger region can be formed"
     assumed = (

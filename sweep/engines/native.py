@@ -104,7 +104,7 @@ class NativePrograms(NamedTuple):
     replan: Callable[..., LearnedState] | None  # see `replan_rest`
 
     def enter(self, inputs: Any, carried: LoopState, width: int) -> "Tiles | XlaBatch":
-        """Put a batch into the form in which it goes through control ticks.
+        """Put a batch into the memory of the tick's kernel, or wrap it for a tick compiled by XLA.
 
         Args:
             inputs: world, belief and plans of the batch.

@@ -194,7 +194,7 @@ def full(value: Any, dtype: np.dtype) -> Values:
 
 
 def fill(shape: tuple[int, ...], value: Any, x: Values) -> Values:
-    """Array of one value, in place of an array without elements."""
+    """Array filled with one value, the result of a reduction over nothing."""
     return np.full((*shape, 1), value, x.dtype)
 
 

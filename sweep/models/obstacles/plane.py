@@ -45,7 +45,7 @@ class Plane(StaticObstacle):
     slope: float = quantity(0.0, "rad", at_least=-1.2, at_most=1.2)  # angle by which the ground rises towards +x
 
     def rotation(self) -> Float[Array, "3 3"]:
-        """Ground axes (x uphill, z along the normal) to world axes."""
+        """Rotation matrix from ground axes (x uphill, z along the normal) to world axes."""
         cos, sin = jnp.cos(self.slope), jnp.sin(self.slope)
         zero, one = jnp.zeros_like(cos), jnp.ones_like(cos)
         rows = [jnp.stack([cos, zero, -sin]), jnp.stack([zero, one, zero]), jnp.stack([sin, zero, cos])]
