@@ -188,7 +188,13 @@ def round_solution(
             score.cap_aims(first, with_draw_axis(score.case, len(off)))
             slopes = tuning.fit_size_slopes(
                 lambda moved: score.deficits(score.margins(first + moved, draws)),
-                lambda moved: score.deficit_slopes(first + moved, draws, scale), scale, off, how, log, tell)  # fmt: skip
+                lambda moved: score.deficit_slopes(first + moved, draws, scale),
+                scale,
+                off,
+                how,
+                log,
+                tell,
+            )
             slight = np.abs(slopes) * np.abs(off).max(axis=0) < SLIGHT * scale[:, None]
             return first, np.where(slight, 0.0, np.round(slopes, SLOPE_DIGITS))
         if how["gradients"]:
