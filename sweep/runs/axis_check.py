@@ -18,6 +18,7 @@ import pandas as pd
 from sweep.core.errors import InputError
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.engines.base import Metrics
+from sweep.runs.axis_effects import find_unread_columns
 from sweep.runs.batches import forget_engine, make_batch, make_engine, make_nominal_batch, with_delay_buffer
 from sweep.study.config import Experiment
 from sweep.study.study import is_static, parameter_columns
@@ -44,6 +45,7 @@ class AxisCheckReport:
     engines: list[str]
     rollouts: int = 0  # simulated for the check
     inactive: dict[InactiveStretch, list[str]] = field(default_factory=dict)  # each with the engines that show it
+    unread: set[str] = field(default_factory=set)  # columns that no program of the study reads
     irreproducible: list[str] = field(default_factory=list)  # metrics that differ when a batch is simulated twice
 
     @property
@@ -60,7 +62,8 @@ class AxisCheckReport:
                 "without effect cannot be found"
             )
         for (column, first, last, whole), engines in self.inactive.items():
-            why = exp.system.inactive_reason(column, replace(exp.settings, name=engines[0]))
+            why = exp.system.inactive_reason(column, replace(exp.settings, name=engines[0]), (first, last))
+            why = why or ("it does not enter the simulation" if column in self.unread else "")
             between = f"from {_format_value(first)} to {_format_value(last)}"
             says = f"{column} changes nothing" + (
                 f" on {' and '.join(engines)}" if len(engines) < len(self.engines) else ""
@@ -95,6 +98,8 @@ def run(
         levels = {c: _levels(rows[c]) for c in varied if rows[c].nunique() > 1}
         for stretch in _find_inactive(exp, rows, levels, report, on_progress):
             report.inactive.setdefault(stretch, []).append(engine)
+    if any(one.is_entire_axis for one in report.inactive):
+        report.unread = find_unread_columns(exp, table.assign(width=1))
     return report
 
 

@@ -118,8 +118,17 @@ class System(Protocol):
         """Of these, the values at which an input plays no part in a point's id."""
         ...
 
-    def inactive_reason(self, column: str, settings: EngineSettings) -> str:
-        """Why a column may change nothing, in words; empty where nothing is known."""
+    def inactive_reason(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
+        """Explain why a column that was seen to change nothing cannot change anything.
+
+        Args:
+            column: path of the parameter.
+            settings: settings of the engine.
+            ends: first and last value between which it changed nothing.
+
+        Returns:
+            The cause in words, where model and configuration prove it; else nothing.
+        """
         ...
 
     def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:

@@ -202,7 +202,7 @@ class Hexapod:
 
         return LANES * devices.count_cores() if settings.fusible else 0
 
-    def inactive_reason(self, column: str, settings: EngineSettings) -> str:
+    def inactive_reason(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
         """Of errors that only the world has, see `System`."""
         side, path = split_side(column)
         if side == "world" and path.startswith(("manoeuvre.", "control.")):

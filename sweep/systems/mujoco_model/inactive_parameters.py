@@ -1,4 +1,6 @@
-"""Why a parameter of an own model may change nothing, as far as its model tells."""
+"""Why a parameter of a user's model cannot change anything, as far as the model proves it."""
+
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -12,14 +14,14 @@ CONDIM = {"slide": 3, "spin": 4, "roll": 6}  # of contacts, from which a frictio
 SENSED, FREE = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtJoint.mjJNT_FREE
 
 
-def explain_inactive(own: ModelSpec, column: str, settings: EngineSettings) -> str:
-    """Why a column may change nothing; empty where nothing is known: see `System.inactive_reason`."""
+def explain_inactive(own: ModelSpec, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
+    """Why a column cannot change anything, as far as the model proves it: see `System.inactive_reason`."""
     side, path = split_side(column)
     root = path.partition(".")[0]
     if root == "noise":
         return "errors are those of the world" if side == "belief" else ""
     if root == "controller":
-        return "its own numbers are believed" if side == "world" else "the controller makes no use of it"
+        return "its own numbers are believed" if side == "world" else ""
     if root != "model":
         return ""
     if side == "belief":
@@ -27,7 +29,9 @@ def explain_inactive(own: ModelSpec, column: str, settings: EngineSettings) -> s
     kind, number, _, what = fields.find_element(own.model, path)
     if kind == fields.OPTION:
         return _option(own.model, what)
-    return _geom(own.model, number, what) if kind == "geom" else _other(own.model, kind, number, what.partition(".")[0])
+    if kind == "geom":
+        return _geom(own.model, number, what, ends)
+    return _other(own.model, kind, number, what.partition(".")[0])
 
 
 def _option(model: mujoco.MjModel, what: str) -> str:
@@ -35,10 +39,10 @@ def _option(model: mujoco.MjModel, what: str) -> str:
         return "air has neither density nor viscosity"
     if what == "impratio" and model.opt.cone != int(mujoco.mjtCone.mjCONE_ELLIPTIC):
         return "it is one of elliptic cones (model.option.cone)"
-    return "the solver stops by another limit" if "tolerance" in what or "iterations" in what else ""
+    return ""
 
 
-def _geom(model: mujoco.MjModel, geom: int, what: str) -> str:
+def _geom(model: mujoco.MjModel, geom: int, what: str, ends: tuple[Any, Any]) -> str:
     name = model.geom
     if geom in model.pair_geom1 or geom in model.pair_geom2:
         return "contacts of a pair have numbers of their own"
@@ -60,7 +64,7 @@ def _geom(model: mujoco.MjModel, geom: int, what: str) -> str:
         return f"contacts have condim {condim.max()}, from {CONDIM[part]} on it counts"
     equal = others[model.geom_priority[others] == model.geom_priority[geom]]
     ranked = sorted((model.geom_friction[other, [*CONDIM].index(part)], name(other).name or other) for other in equal)
-    if not ranked:
+    if lower.any() or not ranked or max(ends) > ranked[0][0]:  # then the geom's own number counts somewhere
         return ""
     (least, low), (most, high) = ranked[0], ranked[-1]
     has = f"geom `{low}` has {least:g}" + (f", `{high}` {most:g}" if len(ranked) > 1 else "")
