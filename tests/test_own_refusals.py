@@ -56,8 +56,9 @@ GRAVITY = "path: model.option.gravity.z, side: world, values: [-9.81, -5]"
 def test_a_model_that_mjx_simulates_otherwise_is_refused_with_joint_and_values(study, capsys):
     run = study("held", PLUGIN, HOLD, GRAVITY)
     assert main([*run, "engine=mjx", "out=mjx"]) == 2
-    note, error = capsys.readouterr().err.splitlines(keepends=True)
+    note, compiled, error = capsys.readouterr().err.splitlines(keepends=True)
     assert "leaves out the model's plugins" in note
+    assert "mjx compiles model.xml (1 degrees of freedom, 0 pairs of 1 geoms that may touch)" in compiled
     one_line(error, "engine.name = mjx is not allowed: joint z accelerates by", "on C MuJoCo", "engine.cross_check=off")
     assert main([*run, "engine=mjx", "engine.cross_check=off", "out=off"]) == 0
     assert main([*run, "engine=native", "out=native"]) == 0

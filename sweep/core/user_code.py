@@ -22,7 +22,7 @@ LINES = 100  # printed lines, all different, that are kept
 _folders: dict[Path, str] = {}  # where code of a folder has changed the working folder to
 _printed: dict[str, bool] = {}  # lines by whether they were taken
 _tracebacks: list[str] = []
-_running: dict[int, tuple[str, float]] = {}  # calls by number: what runs, and since when
+_running: dict[int, tuple[str, float, float]] = {}  # calls: what runs, since when, when it is told first (s)
 _watching = threading.Lock()
 
 
@@ -90,11 +90,16 @@ def run_user_code(what: str, folder: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def report_silence(what: str) -> Iterator[None]:
-    """Say on the standard error that `what` has not returned, where this context takes long."""
+def report_silence(what: str, after: float | None = None) -> Iterator[None]:
+    """Say on the standard error that `what` has not returned, where this context takes long.
+
+    Args:
+        what: what runs.
+        after: seconds until it is said first; by default `SILENCE`.
+    """
     _start_watching()
     number = time.perf_counter_ns()
-    _running[number] = what, time.monotonic()
+    _running[number] = what, time.monotonic(), SILENCE if after is None else after
     try:
         yield
     finally:
@@ -111,8 +116,8 @@ def _watch() -> None:
     while True:
         time.sleep(0.5)
         running = dict(_running)
-        due = {number: due.get(number, SILENCE) for number in running}
-        for number, (what, since) in running.items():
+        due = {number: due.get(number, after) for number, (_, _, after) in running.items()}
+        for number, (what, since, _) in running.items():
             seconds = time.monotonic() - since
             if seconds >= due[number]:
                 due[number] = seconds + AGAIN

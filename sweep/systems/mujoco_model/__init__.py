@@ -5,9 +5,7 @@ Paths are `model.<kind>.<name>.<field>[.component]` (see `fields`), `noise.white
 """
 
 import dataclasses
-import functools
 import math
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,14 +20,13 @@ from sweep.engines import run_id
 from sweep.engines.settings import EngineSettings
 from sweep.systems.base import AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
 from sweep.systems.mujoco_model import fields, files, inactive_parameters, metrics, outcome
-from sweep.systems.mujoco_model.engine import ModelEngine, NativeModelEngine
+from sweep.systems.mujoco_model.engine import ModelEngine, NativeModelEngine, print_note
 from sweep.systems.mujoco_model.model_spec import ModelConfig, ModelSpec, Settings, SideValues
 from sweep.systems.mujoco_model.outcome import Condition
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_note = functools.cache(lambda line: print(f"sweep: note: {line}", file=sys.stderr))  # once
 AXES = ("name", "width", "precision")  # what an own model's engine has of the settings, beside the period of a tick
 ALLOWED = (*AXES, "control_period", "cross_check")
 OTHER = {"elliptic": "pyramidal", "pyramidal": "elliptic"}
@@ -122,7 +119,9 @@ class MujocoModel(ModelSpec):
         about = self.config
         yield from self.controller_values
         yield "model", about.content
-        yield "model.rollout", repr((about.period, about.duration, about.keyframe, about.observe, about.command))
+        sensors = () if about.sensors == ModelConfig.sensors else (about.sensors,)  # ids of before stay as they are
+        rollout = (about.period, about.duration, about.keyframe, about.observe, about.command, *sensors)
+        yield "model.rollout", repr(rollout)
         yield from self.default_inputs(paths)
 
     def cpu_threshold(self, settings: EngineSettings) -> int:
@@ -146,7 +145,7 @@ class MujocoModel(ModelSpec):
             ways = {c.removeprefix("engine."): value for c, value in values.items() if c.startswith("engine.")}
             made = self.make_engine(replace(settings, **ways), *self.make_sides(values), limits=None)
             for line in made.check_varied(fields.select_quantities(self.model, dict.fromkeys(varied))):
-                _note(line)
+                print_note(line)
         self.make_engine(settings, *self.make_sides({}), limits=None).check_start()
 
     def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:

@@ -33,13 +33,21 @@ class BatchStart(NamedTuple):
         for state, new in ((self.qpos, qpos), (self.qvel, qvel)):
             if new is not None:
                 state[:] = new
-        finite = np.isfinite(self.qpos).all(axis=1) & np.isfinite(self.qvel).all(axis=1)
+        finite = self._finite()
         flags, found = self.batch.expand("opt.enableflags"), self.batch.bind("energy")
         usual = flags.copy()
         flags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
         self.batch.forward(np.flatnonzero(finite))
         flags[:] = usual
         return np.where(finite, found.sum(axis=1), np.nan)
+
+    def current_sensors(self) -> np.ndarray:
+        """Sensors (n, nsensordata) of the state as it is, by MuJoCo's forward pass."""
+        self.batch.forward(np.flatnonzero(self._finite()))
+        return self.sensors
+
+    def _finite(self) -> np.ndarray:
+        return np.isfinite(self.qpos).all(axis=1) & np.isfinite(self.qvel).all(axis=1)
 
 
 def start_batch(

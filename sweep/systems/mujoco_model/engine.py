@@ -4,9 +4,11 @@ That is a batch of models on all cores, each rollout with fields of its own; bit
 many rollouts share a batch.
 """
 
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
 from typing import Any, NamedTuple
 
 import mujoco
@@ -37,6 +39,12 @@ class TickSample(NamedTuple):
 
 
 BatchResult = tuple[Metrics, list[TickSample], list[mujoco.MjModel]]  # of a batch; of some slots of it
+
+
+@cache
+def print_note(line: str) -> None:
+    """Print what a user should know before a study starts, once, on the standard error."""
+    print(f"sweep: note: {line}", file=sys.stderr)
 
 
 class ModelEngine:
@@ -182,7 +190,8 @@ class NativeModelEngine(ModelEngine):
                 before = ctrl
                 out = recorded[k % 2]
                 steps = recorded[k % 2] = begun.batch.rollout(self._substeps, controls, record=RECORDED, out=out)
-                seen = steps["sensordata"][:, -1]
+                is_current = own.config.sensors == "current"
+                seen = begun.current_sensors() if is_current else steps["sensordata"][:, -1]
                 sofar = aside.submit(measured, sofar.result(), steps, going)
                 if len(slots) and (k + 1) % every == 0:
                     last = (steps[name][slots, -1] for name in ("qpos", "qvel", "actuator_force"))

@@ -7,8 +7,9 @@ model with a row for each rollout.
 """
 
 import io
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import redirect_stdout
+from contextlib import contextmanager, redirect_stdout
 from copy import copy
 from importlib.util import find_spec
 from typing import Any
@@ -20,11 +21,19 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.core.errors import InputError
+from sweep.core.user_code import report_silence
 from sweep.engines import devices
 from sweep.engines.base import Metrics, TimeSeriesRequest
 from sweep.engines.settings import EngineSettings
 from sweep.systems.mujoco_model import batch, fields, metrics
-from sweep.systems.mujoco_model.engine import RECORDED, BatchResult, ModelEngine, TickSample, find_unsolved_steps
+from sweep.systems.mujoco_model.engine import (
+    RECORDED,
+    BatchResult,
+    ModelEngine,
+    TickSample,
+    find_unsolved_steps,
+    print_note,
+)
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 
 with redirect_stdout(io.StringIO()):  # it prints which of its parts are not installed
@@ -34,6 +43,7 @@ CARRIED = "qpos", "qvel", "act", "qacc_warmstart", "time"  # of its data, from s
 COMPARED = 3  # ticks that are compared with C MuJoCo's
 UNLIKE = 0.1  # difference of an acceleration, over the largest of all joints, from which the engines disagree
 LITTLE = 1e-3  # acceleration (m/s^2, rad/s^2) below which rounding is all there is
+SOON = 3.0  # s, until what MJX traces is told
 CHUNK = 50  # ticks of a call, so that a command can be ended
 RUBBING = "dof_frictionloss", "tendon_frictionloss"
 # by whether they are 0
@@ -74,12 +84,15 @@ class MjxModelEngine(ModelEngine):
         if warp and settings.precision != "float32":
             raise InputError(f"engine.precision = {settings.precision} is not allowed: warp reckons in float32")
         super().__init__(own, settings)
+        pairs, geoms = count_geom_pairs(self._model), self._model.ngeom
+        size = f"{self._model.nv} degrees of freedom, {pairs} pairs of {geoms} geoms that may touch"
+        self._about = f"{own.config.mjcf} ({size})"
         self._limited = [] if warp else limited_contact_dims(self._model)
         self._compared = False  # with C MuJoCo
         self._placed: dict[Any, tuple[Any, Any]] = {}  # MJX's model and data of a batch's shape
         if own.controller.batched:
             raise self._refusal("a controller of NumPy's or a network is no part of its program", "one of JAX's, ")
-        with self._within():
+        with self._within(), report_silence(f"{settings.name}, which traces {self._about},", after=SOON):
             self._check()
         # made once: a function of its own in every run would be traced and compiled anew
         each = self._programs.begin_one, self._programs.enter_one, self._programs.finish_one
@@ -117,14 +130,24 @@ class MjxModelEngine(ModelEngine):
     def _template(self, model: mujoco.MjModel) -> Any:
         """MJX's model. Raises `InputError` where it cannot simulate it."""
         try:
-            template, data = mjx.put_model(model, impl=self._impl), mujoco.MjData(model)
-            if self._impl == "jax":
-                jax.eval_shape(mjx.step, template, mjx.put_data(model, data))
+            with self._warnings_as_note():
+                template, data = mjx.put_model(model, impl=self._impl), mujoco.MjData(model)
+                if self._impl == "jax":
+                    jax.eval_shape(mjx.step, template, mjx.put_data(model, data))
         except (NotImplementedError, ValueError) as error:
             said = " ".join(str(error).split())
             instead = next((words for part, words in INSTEAD.items() if part in said), "")
             raise self._refusal(f"MJX has no {said.rstrip('.')}", f"{instead}, " if instead else "") from None
         return template
+
+    @contextmanager
+    def _warnings_as_note(self) -> Iterator[None]:
+        """Say all that MJX warns of within this context in one line, once."""
+        with warnings.catch_warnings(record=True, action="always") as caught:
+            yield
+        if said := list(dict.fromkeys(" ".join(str(one.message).split()) for one in caught)):
+            more = f" (and {len(said) - 1} more)" if len(said) > 1 else ""
+            print_note(f"{self._settings.name} warns of {self._own.config.mjcf}: {said[0]}{more}")
 
     def _refusal(self, why: str, instead: str) -> InputError:
         """One line, of what is to be changed."""
@@ -239,6 +262,7 @@ class MjxModelEngine(ModelEngine):
         To be called in the engine's precision.
         """
         own, n = self._own, len(streams)
+        print_note(f"{self._settings.name} compiles {self._about}")
         begun = batch.start_batch(own, self._settings, world, belief, streams)
         given = jax.device_put(begun.given)
         start, state, duration = self._call(self._first, given)
@@ -284,7 +308,8 @@ class MjxModelEngine(ModelEngine):
             if self._own.keyframe_index >= 0:
                 mujoco.mj_resetDataKeyframe(model, data, self._own.keyframe_index)
             rooms = warp_buffer_sizes(model, n) if self._impl == "warp" else {}
-            placed = mjx.put_model(model, impl=self._impl), mjx.put_data(model, data, impl=self._impl, **rooms)
+            with self._warnings_as_note():
+                placed = mjx.put_model(model, impl=self._impl), mjx.put_data(model, data, impl=self._impl, **rooms)
             self._placed = {shape: placed}
         template, data = self._placed[shape]
         leaves = {}
@@ -309,6 +334,9 @@ class MjxModelEngine(ModelEngine):
             told["full"], told["unsolved"] = self._invalid_flags(model, after)
             return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED}, told
 
+        def current(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array) -> Array:
+            return mjx.forward(template.tree_replace(rows), data.replace(**now, ctrl=ctrl)).sensordata
+
         def tick(carry: Mapping[str, Any]) -> dict[str, Any]:
             going = carry["carried"]["tick"] < carry["carried"]["ticks"]
             ctrl, carried = jax.vmap(self._programs.tick_one)(given, carry["carried"], carry["seen"])
@@ -327,6 +355,8 @@ class MjxModelEngine(ModelEngine):
             none = jnp.zeros((len(ctrl), self._model.nsensordata)), carry["force"]
             first = carry["now"], carry["sofar"], carry["full"], none
             (now, sofar, full, (sensors, force)), _ = jax.lax.scan(step, first, jnp.asarray(self._shares, float))
+            if self._own.config.sensors == "current":
+                sensors = jax.vmap(current)(leaves, now, ctrl)
             seen = self._own.observable_state(now["qpos"], now["qvel"], sensors)
             new = {"now": now, "sofar": sofar, "carried": carried, "seen": seen}
             return new | {"wrong": wrong, "full": full, "ctrl": ctrl, "force": force}
@@ -351,6 +381,23 @@ def custom_numeric(model: mujoco.MjModel, name: str) -> np.ndarray | None:
     """What a model's file has for MJX under a name, a view."""
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     return None if number < 0 else model.numeric_data[model.numeric_adr[number] :][:1]
+
+
+def count_geom_pairs(model: mujoco.MjModel) -> int:
+    """Count the pairs of geoms that may touch: those of the file, and those that MuJoCo's filters let through."""
+    one, other = np.triu_indices(model.ngeom, 1)
+    bodies = model.geom_bodyid[one], model.geom_bodyid[other]
+    welds = [model.body_weldid[body] for body in bodies]
+    parents = [model.body_weldid[model.body_parentid[weld]] for weld in welds]
+    types, able = model.geom_contype, model.geom_conaffinity
+    may = ((types[one] & able[other]) | (types[other] & able[one])) != 0
+    may &= welds[0] != welds[1]
+    if not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
+        is_parent = (welds[0] == parents[1]) | (welds[1] == parents[0])
+        may &= ~(is_parent & (welds[0] != 0) & (welds[1] != 0))
+    low, high = np.minimum(*bodies), np.maximum(*bodies)
+    may &= ~np.isin((low << 16) + high, model.exclude_signature)
+    return int(may.sum()) + model.npair
 
 
 def limited_contact_dims(model: mujoco.MjModel) -> list[int]:

@@ -28,6 +28,9 @@ class ModelConfig:
     collisions: tuple[str, ...] = ()  # touch sensors of what should touch nothing
     direction: tuple[float, ...] = (1.0, 0.0, 0.0)  # that it should go in, of the world's axes
     command: str = choice("held", "held", "ramped")  # over a tick: as given, or evenly from the one before
+    # whether sensors belong to the observed positions and velocities, by MuJoCo's forward pass before each observation,
+    # or are as the last physics step began, as in studies of before
+    sensors: str = choice("stepped", "stepped", "current")
     option: tuple[tuple[str, Any], ...] = ()  # of MuJoCo's other than the file's, by path: how it is simulated
     content: str = ""  # digest of model and controller, set by the first run
 
