@@ -44,7 +44,7 @@ def wait_for(folder: Path, parts: int, process: subprocess.Popen) -> None:
 
 def without_progress(text: str) -> str:
     """Return standard error without the progress lines of a busy machine."""
-    return re.sub(r"^sweep: \w+: \d+ of \d+, .*\n", "", text, flags=re.MULTILINE)
+    return re.sub(r"^sweep: (\w+: \d+ of \d+, .*|.* has not returned for \d+ s)\n", "", text, flags=re.MULTILINE)
 
 
 def one_line(text: str, *parts: str) -> None:

@@ -3,9 +3,10 @@
 from pathlib import Path
 
 import pytest
-from small_study import one_line
+from small_study import one_line, without_progress
 
 from sweep.cli.main import main
+from sweep.systems.mujoco_model.engine import print_note
 
 HOLD = (
     'FIGURES = {"height_m": "last height"}\n'
@@ -36,6 +37,7 @@ def policy(seen):
 def study(tmp_path, monkeypatch):
     """Writes a study of two gravities of a model and a controller; the arguments that run it."""
     monkeypatch.chdir(tmp_path)
+    print_note.cache_clear()  # which prints a line once in a process
 
     def write(name: str, model: str, controller: str, axis: str) -> list[str]:
         Path("model.xml").write_text(model)
@@ -56,7 +58,7 @@ GRAVITY = "path: model.option.gravity.z, side: world, values: [-9.81, -5]"
 def test_a_model_that_mjx_simulates_otherwise_is_refused_with_joint_and_values(study, capsys):
     run = study("held", PLUGIN, HOLD, GRAVITY)
     assert main([*run, "engine=mjx", "out=mjx"]) == 2
-    note, compiled, error = capsys.readouterr().err.splitlines(keepends=True)
+    note, compiled, error = without_progress(capsys.readouterr().err).splitlines(keepends=True)
     assert "leaves out the model's plugins" in note
     assert "mjx compiles model.xml (1 degrees of freedom, 0 pairs of 1 geoms that may touch)" in compiled
     one_line(error, "engine.name = mjx is not allowed: joint z accelerates by", "on C MuJoCo", "engine.cross_check=off")
