@@ -244,3 +244,9 @@ def test_every_design_has_a_unit_and_a_simulation():
         assert sampling_units.unit_numbers(rows, exp) is None
         assert not is_sample(rows, exp)
         assert sensitivity.regional_sensitivity(rows, exp)["p"].isna().all()
+
+
+def test_replicates_of_one_condition_are_independent_and_those_of_a_grid_share_their_noise():
+    for values, independent in (([0.5], True), ([0.5, 0.6], False)):
+        exp = study({"x1": {"path": "controller.x1", "values": values}}, replicates=40)
+        assert sampling_units.has_independent_rows(points(exp), exp) == independent

@@ -1,4 +1,4 @@
-"""What a study expects of its rows: shares within limits."""
+"""Expectations of a study: shares of its rows within limits."""
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,7 @@ from sweep.study.study import Expectation
 
 
 def unmet_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame, exp: Experiment) -> list[str]:
-    """A line for each expectation that the rows do not meet, with the interval of the share where they are a sample.
+    """Describe each expectation that the rows do not meet in a line.
 
     Args:
         expectations: Conditions and the limits of their shares.
@@ -23,30 +23,50 @@ def unmet_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame
     Raises:
         InputError: A condition names no column, or is none.
     """
+    return [line for line in judge_expectations(expectations, rows, exp) if line]
+
+
+def judge_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame, exp: Experiment) -> list[str]:
+    """Compare the rows with each expectation; the share has its interval if the rows are a random sample.
+
+    Args:
+        expectations: Conditions and the limits of their shares.
+        rows: Rows of the study.
+        exp: Its experiment: rows that were drawn where failures are count by their weights.
+
+    Returns:
+        A line for each expectation: the actual share if it is outside the limits, empty if it is within.
+
+    Raises:
+        InputError: A condition names no column, or is none.
+    """
     if not expectations:
         return []
-    lines = []
     weights = rare.draw_and_failure_weights(rows, exp)[0] if exp.study.is_adaptive else np.ones(len(rows))
     rows = rows.reset_index(drop=True)
     valid = rows[rows["outcome"] != "invalid"]
-    for one in expectations:
-        chosen = valid[mask(valid, one.where)]
-        what = f"share of {one.that}" + (f" where {one.where}" if one.where else "")
-        hit = mask(chosen, one.that)
-        weight = weights[chosen.index]
-        if not weight.sum() > 0:
-            lines.append(f"expected a {what}, but no valid rollout matches")
-            continue
-        share = float(np.average(np.asarray(hit, float), weights=weight))
-        if not one.at_least <= share <= one.at_most:
-            found = f"{share:.4g} of {len(chosen)}{_interval(chosen, np.asarray(hit, bool), exp)}"
-            lines.append(f"expected {what} from {one.at_least:g} to {one.at_most:g}, got {found}")
-    return lines
+    return [_judge(one, valid, weights[valid.index], exp) for one in expectations]
+
+
+def _judge(expectation: Expectation, rows: pd.DataFrame, weights: np.ndarray, exp: Experiment) -> str:
+    """Compare valid rows (n,) and their weights (n,) with an expectation."""
+    chosen = mask(rows, expectation.where)
+    counted, weight = rows[chosen], weights[np.asarray(chosen, bool)]
+    condition = f" where {expectation.where}" if expectation.where else ""
+    what = f"share of {expectation.that}{condition}"
+    hit = np.asarray(mask(counted, expectation.that), bool)
+    if not weight.sum() > 0:
+        return f"expected a {what}, but no valid rollout matches"
+    share = float(np.average(hit.astype(float), weights=weight))
+    if expectation.at_least <= share <= expectation.at_most:
+        return ""
+    actual = f"{share:.4g} of {len(counted)}{_interval(counted, hit, exp)}"
+    return f"expected {what} from {expectation.at_least:g} to {expectation.at_most:g}, got {actual}"
 
 
 def _interval(rows: pd.DataFrame, hit: np.ndarray, exp: Experiment) -> str:
-    """The 95 % interval of a share in words; empty where rows are no sample."""
+    """Write the 95 % interval of a share; empty if the rows are not a random sample."""
     if len(rows) < 2 or not is_sample(rows, exp):
         return ""
-    found = condition_rates(rows.assign(outcome=np.where(hit, "success", "failure")), exp, []).iloc[0]
-    return f" (95 % interval {format_percent(found['low'])} to {format_percent(found['high'])})"
+    rate = condition_rates(rows.assign(outcome=np.where(hit, "success", "failure")), exp, []).iloc[0]
+    return f" (95 % interval {format_percent(rate['low'])} to {format_percent(rate['high'])})"

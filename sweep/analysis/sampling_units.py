@@ -116,12 +116,18 @@ def pair_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
 def has_independent_rows(rows: pd.DataFrame, exp: Experiment) -> bool:
     """Whether every row is a draw of its own, and the draws are independent or more evenly spread than that.
 
+    Replicates at a single condition are draws of their noise.
+
     Args:
         rows: Rows of a study, with the column `replicate`.
         exp: Its experiment.
     """
-    plain = exp.study.design.kind in PLAIN and exp.study.design.num > 0 and not exp.study.points
-    return plain and not exp.study.is_refined and len(np.unique(draw_numbers(rows, exp))) == len(rows)
+    study = exp.study
+    if independent_unit(study) == Unit.REPLICATE:
+        plain = all(rows[c].nunique() <= 1 for c in parameter_columns(rows))
+    else:
+        plain = study.design.kind in PLAIN and study.design.num > 0 and not study.points
+    return plain and not study.is_refined and len(np.unique(draw_numbers(rows, exp))) == len(rows)
 
 
 def interval_method(study: Study) -> str:

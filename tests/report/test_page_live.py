@@ -594,6 +594,24 @@ def test_where_a_margin_is_zero_there_is_a_line(gridded, uneven):
         assert around.min() <= 0 < around.max(), (i, j)
 
 
+def test_rates_of_a_grid_are_up_to_a_value_and_those_of_draws_also_by_number(browser, uneven, tmp_path):
+    """A grid is run in the order of its axes: its first rollouts are no sample of it."""
+    even = "distribution: {kind: uniform, from: 0.05, to: 0.15}"
+    axes = ["~study.axes.step", f"+study.axes.drawn={{path: {STEP}, {even}}}", "~study.axes.friction"]
+    assert simulated(tmp_path, *axes, "study.design={kind: monte_carlo, num: 60}") == 0
+    drawn = page.write_page(results.read(tmp_path), tmp_path / "report.html")
+    options = "[...document.querySelector('#rates-by').options].map((one) => [one.value, one.selected])"
+    of_page = {}
+    for name, path in (("grid", uneven[0]), ("draws", drawn)):
+        browser.open(path)
+        browser.until("document.querySelectorAll('#rates-by option').length")
+        of_page[name] = browser.run(options)
+    chosen = {name: next(key for key, selected in listed if selected) for name, listed in of_page.items()}
+    assert chosen["grid"] in results.read(uneven[0].parent).axes
+    assert "" not in [key for key, _ in of_page["grid"]]
+    assert chosen["draws"] == ""
+
+
 def test_names_of_theories_do_not_lie_on_each_other(browser, refined, tmp_path):
     found = results.read(refined)
     (theory,) = found.exp.study.theory

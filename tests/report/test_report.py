@@ -1,4 +1,5 @@
 import io
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -7,6 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from sweep.analysis import expectations
 from sweep.analysis.expectations import unmet_expectations
 from sweep.analysis.stats import rate
 from sweep.core.parameters import InputError
@@ -51,6 +53,24 @@ def test_expectations_look_at_valid_rows(rows):
         (Expectation(where="friction > 0.7 and half_step_ratio < 0.2", at_least=1.0),), rows, EXP
     )
     assert len(unmet_expectations((Expectation(at_least=0.9), Expectation(where="friction > 9")), rows, EXP)) == 2
+
+
+def test_expectations_of_a_search_weigh_its_rows_once(monkeypatch):
+    """Half of the rows failed, but they were drawn where failures are, and count for a hundredth."""
+    calls = []
+
+    def weigh(rows, exp):
+        calls.append(len(rows))
+        return np.where(rows["outcome"] == "failure", 0.01, 1.0), np.zeros(len(rows))
+
+    monkeypatch.setattr(expectations.rare, "draw_and_failure_weights", weigh)
+    rows = pd.DataFrame({"outcome": ["success", "failure"] * 50, "x_m": np.arange(100.0)})
+    exp = SimpleNamespace(study=SimpleNamespace(is_adaptive=True))
+    asked = tuple(Expectation(at_least=least) for least in (0.5, 0.95, 0.995))
+    lines = expectations.judge_expectations(asked, rows, exp)  # pyright: ignore[reportArgumentType]
+    assert [bool(line) for line in lines] == [False, False, True]
+    assert "got 0.9901 of 100" in lines[2]
+    assert calls == [100]
 
 
 def test_tables_hold_the_rows_in_four_forms(rows):

@@ -20,9 +20,9 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from PIL import Image
 
-from sweep.analysis.expectations import unmet_expectations
+from sweep.analysis.expectations import judge_expectations
 from sweep.analysis.sample import pooled_rate
-from sweep.analysis.sampling_units import has_independent_rows, interval_method
+from sweep.analysis.sampling_units import has_independent_rows, independent_unit, interval_method
 from sweep.core.files import path_in, write_atomically
 from sweep.core.plot_style import plot_style
 from sweep.report import tables
@@ -153,6 +153,7 @@ def render_page(
         headline=headline(rows, results.exp) if results.exp.study.is_adaptive else "",
         sure=rate.has_interval,
         independent=independent,
+        unit=independent_unit(results.exp.study),
         refined_effects=bool(about["effects"]),
         method=interval_method(results.exp.study),
         came=str(outcome_kind(rows).iloc[0]).replace("_", " ") if len(rows) else "",
@@ -190,10 +191,10 @@ def plate_for_page(figure: StudyFigure) -> Plate:
 
 def check_expectations(results: Results) -> Iterator[tuple[str, str]]:
     """Yield each expectation of the study, and `met` or the actual result."""
-    for one in results.exp.study.expect:
+    expectations = results.exp.study.expect
+    for one, line in zip(expectations, judge_expectations(expectations, results.rows, results.exp), strict=True):
         where = f" where {one.where}" if one.where else ""
-        lines = unmet_expectations((one,), results.rows, results.exp)
-        yield f"{one.that}{where}: a share from {one.at_least:g} to {one.at_most:g}", lines[0] if lines else "met"
+        yield f"{one.that}{where}: a share from {one.at_least:g} to {one.at_most:g}", line or "met"
 
 
 def statistics_as_html(
