@@ -39,7 +39,16 @@ def run(overrides: list[str]) -> pd.DataFrame:
 
 
 def load(folder: str | PathLike[str], where: str | None = None, columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """Rows of a folder, see `sweep.load`."""
+    """Read the rows of a study's folder, see `sweep.load`.
+
+    Args:
+        folder: folder of the study.
+        where: condition on the rows, in which axes can be used by name; None for all rows.
+        columns: columns to read; None for all.
+
+    Returns:
+        A row for each rollout, with the columns of axes under their names, too.
+    """
     folder = Path(folder)
     exp = results.load_experiment(folder)
     if columns is not None:

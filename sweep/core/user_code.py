@@ -10,7 +10,6 @@ import re
 import sys
 import threading
 import time
-import traceback
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -137,6 +136,8 @@ def describe_user_error(error: BaseException, folder: Path) -> str | None:
     Returns:
         `ValueError: no way (walk.py, line 12)`, or None where no file below `folder` took part.
     """
+    import traceback  # not at the start of every command
+
     frames = [(frame.filename, frame.lineno or 0) for frame in traceback.extract_tb(error.__traceback__)]
     reason = format_user_exception(error)
     text = str(error)

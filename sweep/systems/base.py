@@ -204,6 +204,16 @@ def values_by_side(values: Values) -> dict[str, dict[str, Any]]:
 
 
 def judge_rollout(system: System, metrics: Mapping[str, Any], limits: Limits, stages: Sequence[str]) -> dict[str, Any]:
-    """The labels of a single rollout, whose figures are plain numbers."""
+    """Label a single rollout with its outcome.
+
+    Args:
+        system: system of the rollout.
+        metrics: its metrics, plain numbers by column name.
+        limits: thresholds of the outcomes.
+        stages: names of the plan's stages.
+
+    Returns:
+        Outcome, cause and the other labels by column name.
+    """
     row = {name: np.asarray([value], dtype=float) for name, value in metrics.items()}
     return {name: values[0] for name, values in system.judge(row, limits, stages).items()}

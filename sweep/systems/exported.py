@@ -74,7 +74,15 @@ def check_exportable(case: Case) -> None:
 
 
 def make_spec(case: Case, settings: EngineSettings) -> mujoco.MjSpec:
-    """The model of the robot's native engine, whose controls are angles of joints, with sensors that MJX has, too."""
+    """Describe the MuJoCo model of the exported robot: that of the native engine with joint angles as controls.
+
+    Args:
+        case: parameters of robot and obstacle.
+        settings: settings of the engine, for the time step.
+
+    Returns:
+        The spec; it only has sensors that MJX supports.
+    """
     made = native_spec(case, settings.native_time_step)
     made.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     for sensor in [*made.sensors]:
@@ -101,7 +109,18 @@ def _links(case: Case) -> list[str]:
 
 
 def make_scenario(case: Case, settings: EngineSettings, limits: Thresholds, model: str, controller: str) -> Any:
-    """What an own model's scenario says, for files of these names: the robot's own causes, but for doubts."""
+    """Describe the scenario of the exported robot, as in its configuration file.
+
+    Args:
+        case: parameters of robot, obstacle and manoeuvre.
+        settings: settings of the engine.
+        limits: thresholds of the robot's outcomes.
+        model: name of the model's file.
+        controller: name of the controller, `module:function`.
+
+    Returns:
+        The configuration: model, controller, and conditions of the robot's causes of failure.
+    """
     sensors = [sensor.name for sensor in make_spec(case, settings).sensors]
     seconds = GRACE * float(np.sum(np.asarray(nominal_plan(case).duration))) + REST
     about = {

@@ -291,7 +291,13 @@ def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str
 
 
 def replace_parameter[T](owner: T, path: str, value: Any) -> T:
-    """`owner` with the member at `path` replaced."""
+    """Return a copy of a case or parameter group with one parameter replaced.
+
+    Args:
+        owner: the case, or a parameter group.
+        path: path of the parameter below it, as `contact.friction`.
+        value: its new value.
+    """
     if isinstance(owner, PlanTable):
         return owner.with_value(path, value)  # pyright: ignore[reportReturnType]
     name, _, rest = path.partition(".")
