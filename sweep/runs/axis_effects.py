@@ -35,7 +35,15 @@ def find_unread_columns(exp: Experiment, table: pd.DataFrame) -> set[str]:
 
 
 def describe_unread_axes(exp: Experiment, table: pd.DataFrame) -> list[str]:
-    """A line for each axis of the points `table` that cannot change any metric."""
+    """List the axes that cannot change any metric, because no program of the study reads their parameter.
+
+    Args:
+        exp: the experiment.
+        table: points of the study.
+
+    Returns:
+        A sentence for each such axis.
+    """
     unread = find_unread_columns(exp, table)
     return [
         f"axis {axis.name} changes no metric: {axis.target} does not enter the simulation"
@@ -45,9 +53,16 @@ def describe_unread_axes(exp: Experiment, table: pd.DataFrame) -> list[str]:
 
 
 def describe_ineffective_axes(exp: Experiment, rows: pd.DataFrame) -> list[str]:
-    """A line for each axis that changed no metric of the finished `rows`.
+    """List the axes that changed no metric of finished rows.
 
-    Rows that differ in one axis alone tell; where there are none, as among draws, the program does.
+    Rows that differ in one axis alone decide; if there are none, as among draws, the traced program does.
+
+    Args:
+        exp: the experiment.
+        rows: finished rows of the study.
+
+    Returns:
+        A sentence for each such axis.
     """
     pairs = compare_along_axes(rows, exp)
     lines = [f"axis {name} changed no metric in {one.rollouts:,} rollouts" for name, one in pairs.items() if one.same]
