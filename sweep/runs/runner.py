@@ -151,12 +151,11 @@ def prepare_job(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
         if differ := set(planned.columns) ^ {*wanted.columns, "group", "batch", "slot", "width"}:
             raise InputError(f"{folder} holds a study with other axes ({', '.join(sorted(differ))}): give out=DIR")
     every = pd.concat([planned, wanted], ignore_index=True)
-    exp = with_delay_buffer(exp, every)
-    table = assign_batches(exp, planned, wanted)
-    time_series.check_size(exp, table)
-    return Job(
-        exp, folder, table, set(table.loc[isin_points(table, wanted), "batch"]), count_unplanned(exp, table, wanted)
-    )
+    buffered = with_delay_buffer(exp, every)
+    table = assign_batches(buffered, planned, wanted)
+    time_series.check_size(buffered, table)
+    unplanned = count_unplanned(exp, table, wanted)  # by the points' ids, which are not those with a buffer
+    return Job(buffered, folder, table, set(table.loc[isin_points(table, wanted), "batch"]), unplanned)
 
 
 def repair_folder(exp: Experiment, folder: Path) -> list[str]:

@@ -37,6 +37,14 @@ def test_a_scenario_shows_its_outcome_and_leaves_no_files(capsys, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_status_counts_each_point_of_a_study_with_delays_once(capsys):
+    delay = "+study.axes.delay={path: noise.delay, side: world, values: [0, 1]}"
+    for flags, done in ((["--limit", "5"], "5 of 24"), ([], "24 of 24")):
+        assert main(["run", *SMALL, delay, *flags, "study.expect=[]"]) == 0
+        assert main(["status", "results/walk_map"]) == 0
+        assert f"{done} rollouts done" in capsys.readouterr().out
+
+
 def test_a_study_from_run_to_table_and_map(capsys, tmp_path):
     assert main(["run", *SMALL, "--dry-run"]) == 0
     plan = "12 of 12 rollouts to run (2 batches of 6), 2.0 KiB of memory per rollout, time unknown until a first batch"
