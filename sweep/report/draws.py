@@ -4,7 +4,7 @@ Lines and dots are one raster image inside the figure, of a sample where there a
 much space as twelve.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from sweep.analysis import sensitivity
-from sweep.core.errors import InputError
 from sweep.core.plot_style import PAGE, fit_ticks, legend_below, new_figure, wrap_text
 from sweep.report.cells import end_axes_at_zero
 from sweep.report.figure import StudyFigure
@@ -39,43 +38,40 @@ def drawn_columns(results: Results) -> list[str]:
     return [a.column for a in sensitivity.numeric_axes(results.rows, sensitivity.drawn_axes(results.rows, results.exp))]
 
 
-def rank_parameters(results: Results) -> pd.DataFrame:
-    """Rank parameters by regional sensitivity, see `sensitivity.regional`; empty if all outcomes agree."""
-    try:
-        return sensitivity.regional_sensitivity(results.rows, results.exp)
-    except InputError:
-        return pd.DataFrame({"axis": [], "distance": [], "p": []})
-
-
 def draws_figure(results: Results) -> Iterator[StudyFigure]:
     """Yield the overview of a study of draws; its data have a row for each rollout."""
     if not has_draws_figure(results):
         return
     columns, size = drawn_columns(results), len(results.rows)
-    lines = sum(min(len(part), LINES) for _, part in rows_by_kind(results.rows))
+    lines = sum(min(len(part), LINES) for _, part in rows_by_kind(results.rows, ["outcome"]))
     text = "Above: a line for each rollout through its drawn values, on axes from the smallest to the largest. "
     if lines < size or len(columns) > AXES:
         text += f"{lines} of {size} lines and {min(len(columns), AXES)} of {len(columns)} parameters are shown. "
     if not {"success", "failure"} <= set(results.rows["outcome"]):
         text += "Below: the rollouts over the first parameters."
     else:
-        grey = "; grey where p > 0.05" if rank_parameters(results)["p"].notna().any() else ""
+        grey = "; grey where p > 0.05" if results.regional_sensitivity["p"].notna().any() else ""
         text += "Below: how differently successes and failures are distributed along each parameter "
         text += f"(Kolmogorov-Smirnov distance{grey}), and the rollouts over the two with the largest distance."
     table = results.rows[[*columns, *LABELS, "point_id"]]
     yield StudyFigure("draws", "Draws", text, table, lambda: draw_overview(results))
 
 
-def rows_by_kind(rows: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield the successes, then each cause, the most frequent first, so that rarer ones are drawn on top."""
-    kind = outcome_kind(rows)
+def rows_by_kind(rows: pd.DataFrame, columns: Sequence[str]) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Yield the successes, then each cause, the most frequent first, so that rarer ones are drawn on top.
+
+    Args:
+        rows: rows of a study.
+        columns: columns to yield; to copy all of many rows takes long.
+    """
+    kind, shown = outcome_kind(rows), rows[[*dict.fromkeys(columns)]]
     for one in kinds_by_frequency(kind):
-        yield one, rows[(kind == one).to_numpy()]
+        yield one, shown[(kind == one).to_numpy()]
 
 
 def draw_overview(results: Results) -> Figure:
     """Draw the overview of a study of draws."""
-    rows, ranked = results.rows, rank_parameters(results)
+    rows, ranked = results.rows, results.regional_sensitivity
     columns = list(ranked["axis"]) or drawn_columns(results)
     panels = [*(["rank"] if len(ranked) else []), "pair", "margin"]
     wide = len(columns) > 1
@@ -90,7 +86,10 @@ def draw_overview(results: Results) -> Figure:
     draw_margins(axes["margin"], results, columns[0])
     for name in panels[-2:]:
         fit_ticks(axes[name], len(panels))
-    handles = [legend_handle(kind, f"{kind.replace('_', ' ')} ({len(part):,})") for kind, part in rows_by_kind(rows)]
+    handles = [
+        legend_handle(kind, f"{kind.replace('_', ' ')} ({len(part):,})")
+        for kind, part in rows_by_kind(rows, ["outcome"])
+    ]
     legend_below(figure, handles)
     figure.suptitle(wrap_text(f"{results.name}: {headline(rows, results.exp)}", 72 * PAGE - 20))
     return figure
@@ -101,7 +100,7 @@ def draw_parallel_axes(ax: Axes, results: Results, columns: list[str]) -> None:
     values = results.rows[columns].to_numpy(dtype=float)
     low, high = values.min(axis=0), values.max(axis=0)
     places = np.arange(len(columns))
-    for kind, part in rows_by_kind(results.rows):
+    for kind, part in rows_by_kind(results.rows, columns):
         chosen = part.sample(min(len(part), LINES), random_state=0).sort_index()
         shares = (chosen[columns].to_numpy(dtype=float) - low) / (high - low)
         lines = np.stack(np.broadcast_arrays(places, shares), axis=-1)
@@ -133,7 +132,7 @@ def draw_ranking(ax: Axes, ranked: pd.DataFrame, results: Results) -> None:
 
 def draw_pair(ax: Axes, results: Results, columns: list[str]) -> None:
     """Scatter the rollouts over the two most important parameters, or a single one by outcome."""
-    every = list(rows_by_kind(results.rows))
+    every = list(rows_by_kind(results.rows, columns[:2]))
     for place, (kind, part) in enumerate(every):
         x = part[columns[0]]
         y = part[columns[1]] if len(columns) > 1 else pd.Series(float(place), index=part.index)
@@ -148,7 +147,7 @@ def draw_pair(ax: Axes, results: Results, columns: list[str]) -> None:
 
 def draw_margins(ax: Axes, results: Results, column: str) -> None:
     """Draw the margin of each rollout to its nearest threshold over the parameter that matters most."""
-    for kind, part in rows_by_kind(results.rows):
+    for kind, part in rows_by_kind(results.rows, [column, MARGIN]):
         draw_dots(ax, part[column], part[MARGIN], kind, len(results.rows))
     ax.set_yscale("symlog", linthresh=LINEAR)
     ax.axhline(0, color="0.3", linewidth=0.8, linestyle="--")

@@ -42,9 +42,9 @@ def find_representatives(results: Results) -> Iterator[Representative]:
         c for c in metric_columns(rows) if c not in results.exp.system.bookkeeping_metrics and rows[c].dtype.kind == "f"
     ]
     for kind in [*results.causes_seen, SUCCESS]:
-        own = rows[(kinds == kind).to_numpy()]
+        own = pd.Series(np.flatnonzero(kinds == kind))
         if len(own):
-            sample = own.sample(min(len(own), SAMPLE), random_state=0).sort_index()
+            sample = rows.iloc[np.sort(own.sample(min(len(own), SAMPLE), random_state=0))]
             row = sample.iloc[medoid(standardize(sample[columns].to_numpy(dtype=float)))]
             picture = path_in(results.folder, f"{PICTURES}/{row['run_id']}-{row['point_id']}.png")
             yield Representative(kind, len(own), row, kind_meaning(kind, results.exp), picture)

@@ -169,8 +169,9 @@ def varied_parameters(results: Results) -> Iterator[dict[str, Any]]:
         values = results.rows[name]
         side, path = split_side(name)
         path = paths.get(name, path)
-        listed = [format_value(v) for v in sorted(values.unique())]
-        extent = ", ".join(listed) if len(listed) <= 6 else f"{listed[0]} to {listed[-1]}"
+        listed = np.sort(values.unique()) if values.dtype.kind in "fiub" else sorted(values.unique())
+        few = len(listed) <= 6
+        extent = (", " if few else " to ").join(map(format_value, listed if few else (listed[0], listed[-1])))
         own = not name.startswith("axis.")  # else a number that parameters are made from
         usual = format_value(results.exp.system.nominal(name, results.exp.settings)) if own else ""
         about = {"words": words[name], "path": path, "side": side, "unit": column_unit(name, results.exp)}

@@ -165,9 +165,10 @@ def flip_table(results: Results) -> pd.DataFrame:
         A row for each variant (`simulated`) and sample (`drawn`, out of `of` rows): audited `rollouts`, those `invalid`
         in either simulation, `flips` among the others, their `share` and its exact 95 % interval `low` to `high`.
     """
-    lines = []
-    members = {kind: set(results.rows.loc[member, "point_id"]) for kind, member in sample_masks(results).items()}
-    for variant, pairs in iter_audited_variants(results):
+    lines, audited = [], dict(iter_audited_variants(results))
+    masks = sample_masks(results) if audited else {}  # which takes a minute of a million rows
+    members = {kind: set(results.rows.loc[member, "point_id"]) for kind, member in masks.items()}
+    for variant, pairs in audited.items():
         for kind, points in members.items():
             sample = pairs[pairs["point_id"].isin(points)]
             if sample.empty:

@@ -70,6 +70,14 @@ class Results:
         return list(dict.fromkeys(name for names in self.stored["stages"].values() for name in names))
 
     @cached_property
+    def regional_sensitivity(self) -> pd.DataFrame:
+        """Parameters by how much they matter, see `sensitivity.regional_sensitivity`; empty if all outcomes agree."""
+        try:
+            return sensitivity.regional_sensitivity(self.rows, self.exp)
+        except InputError:
+            return pd.DataFrame({"axis": [], "distance": [], "p": []})
+
+    @cached_property
     def causes_seen(self) -> dict[str, str]:
         """Causes that occur in the rows, with their meanings, in the order of their definition."""
         seen = set(self.rows["cause"].unique())
