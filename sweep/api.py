@@ -107,7 +107,7 @@ class Accessor:
         """Every draw, what matters, and where they fail. Raises `InputError`."""
         found = self._results()
         if not draws.drawn_columns(found):
-            raise InputError(f"{self._folder} has no axis with a distribution of numbers: draw a map")
+            raise InputError(f"{self._folder} has no axis with a distribution of numbers: use `map` instead")
         with plot_style():
             return draws.draw_overview(found)
 
@@ -130,7 +130,7 @@ class Accessor:
             raise InputError("to_xarray needs the package xarray: pip install 'insect-sweep[xarray]'") from None
         keys = axes if not self._rows.duplicated(axes).any() else [*axes, "replicate"]
         if self._rows.duplicated(keys).any():
-            raise InputError(f"{self._folder} is no grid: several rows are at one point of {', '.join(axes)}")
+            raise InputError(f"{self._folder} is not a grid: several rows share a point of {', '.join(axes)}")
         grid = self._rows.set_index(keys).to_xarray()
         for name, unit in self._rows.attrs["units"].items():
             if name in grid.variables:
@@ -149,12 +149,12 @@ class Accessor:
         from sweep.trace.replay import replay
 
         if row not in self._rows.index:
-            raise InputError(f"row {row} is none of these of {self._folder}: give a label of their index")
+            raise InputError(f"row {row} is not among the rows of {self._folder}: give a label of their index")
         return replay(self._folder, str(self._rows.loc[row, "point_id"]))
 
     def _results(self) -> results.Results:
         if self._rows.empty:
-            raise InputError(f"no row of {self._folder} is chosen: nothing to show")
+            raise InputError(f"no row of {self._folder} is selected")
         stored = store.read_study(self._folder)
         exp = results.load_experiment(self._folder)
         rows, copies = drop_copies(name_axes(self._rows, exp.study.axes), exp)

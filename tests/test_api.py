@@ -69,7 +69,7 @@ def test_a_notebook_sees_maps_draws_and_pages():
         rows.sweep.draws()
     with pytest.raises(sweep.InputError, match="no row of results/walk_map is chosen"):
         rows[rows["slip_max_m"] > 1e3].sweep.map()
-    with pytest.raises(sweep.InputError, match="row 99 is none of these of results/walk_map"):
+    with pytest.raises(sweep.InputError, match="row 99 is not among the rows of results/walk_map"):
         rows.sweep.replay(99)
     with pytest.raises(AttributeError, match=r"see sweep\.load"):
         sweep.run().sweep.map()

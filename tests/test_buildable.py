@@ -57,7 +57,7 @@ def test_rows_that_native_cannot_build_are_invalid_and_their_reason_is_said(caps
     engine = NativeEngine(replace(exp.settings, width=2), exp.case, exp.case, exp.thresholds)
     figures = engine.run(world, exp.case, np.zeros(2, int))
     assert figures["finite"].tolist() == [True, False]
-    one_line(capsys.readouterr().err, "1 of 2 rollouts", "MuJoCo makes no model of them: mass and inertia")
+    one_line(capsys.readouterr().err, "1 of 2 rollouts", "MuJoCo cannot compile their models: mass and inertia")
 
 
 def test_a_rollout_that_cannot_be_drawn_has_no_trace_and_the_others_have(monkeypatch):

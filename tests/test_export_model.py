@@ -35,10 +35,16 @@ def test_what_is_exported_is_the_robot_to_its_last_digit(tmp_path, monkeypatch, 
 @pytest.mark.parametrize(
     ("asked", "line"),
     [
-        (["scenario=ball_balance"], "obstacle.kind = ball is not allowed: it may move"),
-        (["scenario=walk_tripod", "noise.position_noise=0.001"], "noise is not allowed: an own model has its own"),
-        (["scenario=walk_tripod", "control.calibrate=sizes"], "control is not allowed: nothing is learned"),
-        (["scenario=stand_push"], "execution.push_impulse is not allowed: controllers of own models do not push"),
+        (["scenario=ball_balance"], "obstacle.kind = ball is not allowed: the obstacle may move"),
+        (
+            ["scenario=walk_tripod", "noise.position_noise=0.001"],
+            "noise is not allowed: a MuJoCo model has noise settings of its own",
+        ),
+        (
+            ["scenario=walk_tripod", "control.calibrate=sizes"],
+            "control is not allowed: an exported controller learns nothing",
+        ),
+        (["scenario=stand_push"], "execution.push_impulse is not allowed: a controller cannot push the robot"),
         (["study=walk_map"], "study is not allowed: one scenario is exported"),
     ],
 )

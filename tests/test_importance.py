@@ -94,10 +94,10 @@ def test_without_a_failure_there_is_a_bound_and_one_heavy_row_is_told():
     exp = SimpleNamespace(study=SimpleNamespace(name="some", design=design))
     none = rare.estimate_failure_probability(rows, exp)  # pyright: ignore[reportArgumentType]
     assert none.high == pytest.approx(0.01 / importance_sampling.PLAIN, rel=0.02)
-    assert str(none).endswith("a larger study.design.wide, more draws or wider errors may find some")
+    assert str(none).endswith("try a larger study.design.wide, more draws, or wider distributions")
     rows.loc[:9, "outcome"] = "failure"
     rows.loc[0, "axis.weight"] = 3.0
-    assert "NOT to be trusted: one row carries 25%" in str(rare.estimate_failure_probability(rows, exp))  # pyright: ignore[reportArgumentType]
+    assert "NOT reliable: one row carries 25%" in str(rare.estimate_failure_probability(rows, exp))  # pyright: ignore[reportArgumentType]
     every = rare.estimate_failure_probability(rows.assign(outcome="failure", **{"axis.weight": 1.3}), exp)  # pyright: ignore[reportArgumentType]
     assert (every.low, every.probability, every.high) == (1.0, 1.0, 1.0)  # whatever weights sum to
 

@@ -268,7 +268,7 @@ def test_warp_does_some_of_what_mjx_does_not(here, tmp_path, option, world, figu
 def test_what_warp_cannot_do_is_said_before_anything_runs(here, capsys):
     rail("push", PUSH)
     assert main(["run", "study=rail.yaml", "engine=warp", "engine.precision=float64", "out=refused"]) == 2
-    assert "engine.precision = float64 is not allowed: warp reckons in float32" in capsys.readouterr().err
+    assert "engine.precision = float64 is not allowed: warp computes in float32" in capsys.readouterr().err
     axis = "study.axes.stick={path: model.geom.floor.adhesion, side: world, values: [0, 9]}"
     assert main(["run", "study=study.yaml", "engine=warp", axis, "out=refused"]) == 2
     assert "MJX has no geom_adhesion, which model.geom.floor.adhesion varies" in capsys.readouterr().err

@@ -91,7 +91,7 @@ def test_what_studies_do_works_on_it(here, capsys, monkeypatch):
     for line in ("table some", "stats some", "status some", "verify some", "report some", "export some --paper p"):
         assert main(line.split()) == 0, line
     assert main(["replay", "some", "3"]) == 0
-    assert "16 of 16 figures are equal to the last bit" in capsys.readouterr().out
+    assert "16 of 16 metrics are equal to the last bit" in capsys.readouterr().out
     assert main(["run", *SHORT, "out=some", "outcome.goal='travelled_m < 1e9'"]) == 0  # judged anew
     assert (store.read_rows(Path("some"))["outcome"] == "success").all()
     assert main(["relabel", "some", "goal=travelled_m >= 1e9", "low=base_height_min_m < 0.1"]) == 0
@@ -102,7 +102,10 @@ def test_what_studies_do_works_on_it(here, capsys, monkeypatch):
         assert main(["relabel", "some", wrong]) == 2
         assert line in capsys.readouterr().err
     assert main(["replay", "some", "3", "--states", "s.parquet"]) == 2
-    assert "--states is not allowed: such rollouts are shown by --mcap, --png, --video, and" in capsys.readouterr().err
+    assert (
+        "--states is not allowed: rollouts of this system are shown by --mcap, --png, --video, and"
+        in capsys.readouterr().err
+    )
     trot = (here / "trot.py").read_text()
     (here / "other").mkdir()
     (here / "other" / "trot2.py").write_text(trot.replace("0.8 *", "0.7 *"))
@@ -264,7 +267,7 @@ BROKEN = {
         ("model.keyframe=hom", "model.keyframe = hom is unknown: did you mean home?"),
         ("model.observe=[turn,spim]", "model.observe: spim is unknown: did you mean spin?"),
         ("model.observe=[turn]", "model.controller = trot:policy fails: "),
-        ("model.feet=[turn]", "model.feet: turn is no touch sensor"),
+        ("model.feet=[turn]", "model.feet: turn is not a touch sensor"),
         ("model.feet=[lf_touch,lf_touch]", "model.feet = ['lf_touch', 'lf_touch'] is not allowed: each name once"),
         ("model.mjcf=[quadruped.xml]", "model.mjcf = ['quadruped.xml'] is not allowed: a word"),
         ("model.mjcf=TMP/still.xml", "model.mjcf = still.xml is not allowed: it has no joints, and nothing moves"),
@@ -283,19 +286,22 @@ BROKEN = {
         ),
         ("outcome.fell='abs(drift_m)>1'", "outcome.fell: 'abs(drift_m)' is not allowed: names, numbers"),
         ("model.observe={turn: 1}", "model.observe = {turn: 1} is not allowed: a list"),
-        ("model.content=1", "model.content is not allowed: it is made of what the files hold"),
+        ("model.content=1", "model.content is not allowed: it is computed from the files"),
         ("outcome.fell=3", "outcome.fell = 3 is not a condition"),
         ("controller.sped=1", "controller.sped is unknown: did you mean controller.speed?"),
         ("study.axes.load.path=model.body.trnk.mass", "no body is called trnk: did you mean trunk?"),
-        ("study.axes.load.path=model.body.world.mass", "the body has no mass in the file, so no inertia to scale"),
+        (
+            "study.axes.load.path=model.body.world.mass",
+            "the body has no mass in the file, so its inertia cannot be scaled",
+        ),
         ("study.axes.load.path=model.body.trunk.mas", "mas is unknown: did you mean mass?"),
         ("study.axes.load.path=model.geom.floor.size", "size is unknown"),
         (
             "study.axes.load.path=model.geom.lf_thigh.size.half_length",
-            "axis model.geom.lf_thigh.size.half_length is not allowed: the geom's fromto says where it ends",
+            "axis model.geom.lf_thigh.size.half_length is not allowed: the geom's fromto sets its ends",
         ),
         ("model.direction=[0,0,0]", "model.direction = [0, 0, 0] is not allowed: along the world's axes"),
-        ("model.collisions=[turn]", "model.collisions: turn is no touch sensor"),
+        ("model.collisions=[turn]", "model.collisions: turn is not a touch sensor"),
         (
             "study.axes.load.path=model.geom.floor.friction",
             "which of its numbers is unknown (allowed: roll, slide, spin)",
@@ -329,7 +335,7 @@ STILL = "def policy(belief, seen, state, key): return jnp.zeros(12), state\n"
     ("code", "line"),
     [
         (STILL.replace("12", "11"), "gives controls (11,): (12,) are wanted"),
-        (STILL.replace(", state\n", ", (state,)\n"), "gives a state of another form than it was given"),
+        (STILL.replace(", state\n", ", (state,)\n"), "returns a state of another shape or type than it receives"),
         (STILL.replace("(12)", "(12) + undefined"), "fails: NameError: name 'undefined' is not defined"),
         (STILL.replace("(12),", "(12) if seen[0] > 0 else 0,"), "fails: TracerBoolConversionError: "),
         (
@@ -341,7 +347,7 @@ STILL = "def policy(belief, seen, state, key): return jnp.zeros(12), state\n"
         (f"{STILL}FILES = 3", "FILES = 3 is not allowed: a list of names"),
         (
             f"{STILL}FIGURES = {{'a.b': ''}}\ndef figures(*given): return {{'a.b': 1.0}}",
-            "FIGURES has 'a.b': letters, digits and _ make a name",
+            "FIGURES has 'a.b': a name has letters, digits and _",
         ),
         (
             f"{STILL}FIGURES = {{'outcome': ''}}\ndef figures(*given): return {{'outcome': 1.0}}",
@@ -465,7 +471,7 @@ def test_a_policy_that_was_trained_elsewhere_runs_as_it_is(here, capsys):
         (lambda: network((8, 12), "bad.onnx"), "bad.onnx", "takes 8 numbers: 7 are observed (model.observe)"),
         (lambda: network((7, 11), "bad.onnx"), "bad.onnx", "gives float32 (64, 11): numbers (64, 12) are wanted"),
         (lambda: network((7, 12), "bad.onnx", rows=8), "bad.onnx", "takes 8 rollouts at a time: any number, or 1"),
-        (lambda: Path("bad.onnx").write_text("none"), "bad.onnx", "bad.onnx is no network: "),
+        (lambda: Path("bad.onnx").write_text("none"), "bad.onnx", "bad.onnx is not a readable network: "),
         (lambda: None, "bed.onnx", "model.controller = 'bed.onnx' is not a file: did you mean bad.onnx?"),
         (lambda: Path("flat.py").write_text("def policy(seen): return seen[0]"), "flat:policy", "gives float32 (7,)"),
         (lambda: Path("nan.py").write_text("def policy(seen): return seen[:, :1].repeat(12, 1) * float('nan')"),

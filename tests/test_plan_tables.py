@@ -328,7 +328,7 @@ def test_what_has_no_file_or_no_such_number_is_refused(capsys):
     with pytest.raises(InputError, match="made of what is believed"):
         exp.system.parameter(f"world.{AHEAD}", exp.settings)
     assert main(["run", "scenario=walk_tripod", "plan=pole", "--dry-run"]) == 2
-    assert "manoeuvre.kind = walk has its numbers in no file" in capsys.readouterr().err
+    assert "manoeuvre.kind = walk has no plan file" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("values", ["0, 1", "1, -2"])

@@ -85,21 +85,24 @@ def test_of_a_thousand_dead_axes_none_is_unsaid(here, capsys):
     assert {c for c, (where, _) in found.items() if not where} == {*dead, *told}
     assert found["model.site.s7.pos.x"][1] == "no sensor is at the site"
     assert found["model.geom.g7.friction.slide"][1] == "geom `g7` collides with nothing"
-    assert found["belief.model.geom.g7.friction.roll"][1] == "the controller is not told of it (BELIEVES)"
+    assert found["belief.model.geom.g7.friction.roll"][1] == "the controller's BELIEVES does not name it"
 
 
 @pytest.mark.parametrize(
     ("axis", "why"),
     [
-        ("path: model.geom.floor.friction.slide, values: [0.1, 0.3]", "the larger counts: geom `box` has 0.4"),
-        ("path: model.geom.floor.friction.roll, values: [0.1, 0.3]", "contacts have condim 3, from 6 on it counts"),
+        (
+            "path: model.geom.floor.friction.slide, values: [0.1, 0.3]",
+            "the larger friction of two geoms counts: geom `box` has 0.4",
+        ),
+        ("path: model.geom.floor.friction.roll, values: [0.1, 0.3]", "contacts have condim 3, it needs 6"),
         ("path: controller.unused, values: [0, 1]", "it does not enter the simulation"),
         ("path: controller.held, values: [0, 1]", "no figure differs by a bit from 0 to 1"),
         ("path: model.joint.slide.range.low, values: [0, 1]", "the joint has no limits"),
-        ("path: model.actuator.slide.ctrlrange.low, values: [0, 1]", "the actuator has no such limits"),
+        ("path: model.actuator.slide.ctrlrange.low, values: [0, 1]", "the actuator does not have these limits"),
         ("path: model.option.wind.x, values: [0, 1]", "air has neither density nor viscosity"),
-        ("path: model.body.box.pos.x, values: [0, 1]", "a free body is where its joint is"),
-        ("path: noise.delay, side: belief, values: [0, 1]", "errors are those of the world"),
+        ("path: model.body.box.pos.x, values: [0, 1]", "the keyframe sets the position of a free body"),
+        ("path: noise.delay, side: belief, values: [0, 1]", "sensor errors are part of the world"),
         ("path: model.option.iterations, values: [90, 100]", "no figure differs by a bit from 90 to 100"),
     ],
 )
@@ -116,7 +119,7 @@ def test_a_part_of_an_axis_may_be_dead(here, capsys):
     assert "6 of 6 axes have an effect" in out
     assert found["model.geom.box.friction.slide"] == (
         " from 0.2 to 0.45",
-        "of two that meet the larger counts: geom `floor` has 0.5",
+        "the larger friction of two geoms counts: geom `floor` has 0.5",
     )
 
 
@@ -153,7 +156,7 @@ def test_axes_of_the_robot_are_tried_too(tmp_path, monkeypatch, capsys):
     assert main(["run", "study=s.yaml", "--check"]) == 4
     out, err = capsys.readouterr()
     assert "2 of 5 axes have an effect" in out
-    assert "world.manoeuvre.half_step_ratio changes nothing: plans are made of what is believed" in err
+    assert "world.manoeuvre.half_step_ratio changes nothing: plans depend on the belief only" in err
     assert "belief.contact.friction changes nothing: it does not enter the simulation" in err
     assert "world.noise.load_noise changes nothing: " in err
 
@@ -221,4 +224,4 @@ def test_a_check_needs_something_to_try(here, capsys):
     assert main(["run", "study=study.yaml", "--check"]) == 2
     assert "varies nothing" in capsys.readouterr().err
     assert main(["run", "scenario=walk_tripod", "--check"]) == 2
-    assert "--check tries the axes of a study: give study=NAME" in capsys.readouterr().err
+    assert "--check tests the axes of a study: give study=NAME" in capsys.readouterr().err

@@ -109,7 +109,7 @@ def test_a_study_is_a_plain_file_wherever_it_lies(home, monkeypatch):
         ("study: 3\n", "study = 3 is not allowed"),
         ("robot: 3\n", "bad.yaml: robot = 3 is not allowed: the name of a choice, or keys and values"),
         ("study: {axes: {1: {path: contact.friction, values: [1]}}}\n", "study.axes.1 is not allowed: a name"),
-        ("\udcff", "bad.yaml cannot be read: letters in UTF-8 are wanted"),
+        ("\udcff", "bad.yaml cannot be read: it is not text in UTF-8"),
         ("contact: {frictoin: 1}\nstudy: {name: a}\n", "contact.frictoin is unknown: did you mean friction?"),
     ],
 )
@@ -211,7 +211,7 @@ def test_obstacles_and_manoeuvres_of_ones_own_are_simulated(home, capsys, monkey
     with pytest.raises(InputError, match=r"obstacle\.slope = 2 is not allowed: at least 0 and at most 1 rad"):
         compose(["obstacle=ramp", "obstacle.slope=2"])
     for text, named in (("modules: [nowhere]", "module nowhere cannot be imported: ModuleNotFoundError"),
-                        ("\udcff", "sweep.yaml cannot be read: it is no text in UTF-8"),
+                        ("\udcff", "sweep.yaml cannot be read: it is not text in UTF-8"),
                         ("moduls: [own]", "moduls is unknown"), ("modules: own", "a list of names")):  # fmt: skip
         write(home / "sweep.yaml", text)
         with pytest.raises(InputError, match=named):

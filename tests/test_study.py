@@ -211,7 +211,7 @@ def test_a_side_by_its_old_name_is_read_and_noted(capsys):
     exp = compose(["+study.axes.f={path: contact.friction, on: world, values: [0.5]}"])
     assert exp.study.axes[0].target == "world.contact.friction"
     assert exp.values["study"]["axes"]["f"]["side"] == "world"
-    assert capsys.readouterr().err == "sweep: note: the key `on` of an axis is called `side` now\n"
+    assert capsys.readouterr().err == "sweep: note: the key `on` of an axis is now called `side`\n"
     with pytest.raises(InputError, match="on is not allowed beside side"):
         compose(["+study.axes.f={path: contact.friction, on: world, side: world, values: [0.5]}"])
     as_yaml_reads_it = {"f": {"path": "contact.friction", True: "world", "values": [0.5]}}
@@ -236,7 +236,7 @@ def test_a_path_with_a_star_is_an_axis_for_each_number_below_it():
     assert len(table) == 8 * (len(held) + 1)  # Morris' paths
     for path in held:
         assert np.ptp(table[path]) == pytest.approx(0.04 * exp.system.nominal(path, exp.settings), rel=0.02)
-    with pytest.raises(InputError, match=r"study.axes.number.path = plan.of.\* names no number that is not zero"):
+    with pytest.raises(InputError, match=r"study.axes.number.path = plan.of.\* matches no number that is not zero"):
         compose(["scenario=ball_descend", "study=any_plan_sensitivity", "study.axes.number.path=plan.of.*"])
     sizes = compose(["+study.axes.size={path: robot.*, relative: 0.01}", "study.design.num=2"]).study.axes
     assert {"robot.thigh", "robot.body_mass"} < {a.target for a in sizes}

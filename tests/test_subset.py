@@ -134,12 +134,18 @@ def test_it_agrees_with_openturns():
     ("argument", "told"),
     [
         ("study.design.num=201", "study.design.num = 201 is not allowed: a multiple of 2, at least 20"),
-        ("study.design.share=0.3", "study.design.share = 0.3 is not allowed: 1 over a whole number from 2 on"),
+        (
+            "study.design.share=0.3",
+            "study.design.share = 0.3 is not allowed: 1 divided by a whole number of at least 2",
+        ),
         ("study.design.target=0", "study.design.target = 0 is not allowed: above 2.3e-10 and below 1"),
         ("study.design.runs=0", "study.design.runs = 0 is not allowed: at least 1"),
         ("study.design.rounds=3", "study.design.rounds = 3 is not allowed with study.design.kind = subset: 2 there"),
         ("study.replicates=2", "study.replicates is not allowed with study.design.kind = subset"),
-        ("study.axes.friction.distribution.std=0.2", "rare draws come to it: give its distribution `from` and `to`"),
+        (
+            "study.axes.friction.distribution.std=0.2",
+            "rare draws reach this value: give the distribution `from` and `to`",
+        ),
         ("study.design.lead=slip", "column slip is unknown"),
         ("study.design.lead=cause", "study.design.lead = 'cause' is not allowed: a column of numbers"),
     ],

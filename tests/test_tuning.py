@@ -273,7 +273,7 @@ def test_a_plan_is_tuned_to_follow_sizes_and_simulated(tmp_path, monkeypatch, ca
 @pytest.mark.parametrize(
     ("args", "told"),
     [
-        (["scenario=walk_tripod", "out=x.yaml"], "manoeuvre.kind = walk has its numbers in no file"),
+        (["scenario=walk_tripod", "out=x.yaml"], "manoeuvre.kind = walk has no plan file"),
         (["scenario=pole_top"], "out =  is not allowed: the file of the plan"),
         (
             ["scenario=pole_top", "out=x.yaml", "--moments", "over.*=1"],

@@ -49,11 +49,11 @@ def failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     axes = [axis for axis in (*listed_axes(rows, exp), *drawn_axes(rows, exp)) if axis.along is None]
     plain_draws = exp.study.design.kind in PLAIN and exp.study.design.num > 0
     if not (exp.study.is_adaptive or plain_draws) or not 0 < len(axes) <= AXES:
-        raise InputError(f"shares of failing need draws of at most {AXES} numbers")
+        raise InputError(f"shares of failure need draws of at most {AXES} numbers")
     plain, failing = _weighted(rows, exp)
     bad, good = (_chosen(weight) for weight in (failing, np.where(rows["outcome"] == "success", plain, 0.0)))
     if min(len(bad), len(good)) < FEWEST:
-        raise InputError(f"shares of failing need {FEWEST} failures and successes, here: {len(bad)} and {len(good)}")
+        raise InputError(f"shares of failure need {FEWEST} failures and successes, here: {len(bad)} and {len(good)}")
     used = np.concatenate([bad, good])
     kernels = np.stack([_kernel(rows[axis.column], plain, used) for axis in axes], axis=2)
     # rows of one draw are no evidence of their likeness
@@ -66,7 +66,7 @@ def failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     share, error = shapley[:, 0], _error(shapley)
     certain = share > np.maximum(error, LEAST)
     if not certain.any():
-        raise InputError("no share of failing is larger than its error: more failures may tell")
+        raise InputError("no share is larger than its error: more failures may help")
     table = {"axis": [axis.column for axis in axes], "share": np.where(certain, share, np.nan)}
     table |= {"low": np.clip(share - error, 0, 1), "high": np.clip(share + error, 0, 1), "alone": alone[:, 0]}
     counts = {"failures": len(bad), "successes": len(good)}

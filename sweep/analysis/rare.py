@@ -16,8 +16,8 @@ LARGEST = 0.1  # largest share of the sum that one row may carry in a reliable e
 LEAST = 0.01  # smallest share of a mode at which a cause is named
 NEAR = 3  # parameters that describe a mode
 PLAINLY = "study.design.kind=monte_carlo"
-INSTEAD = "another study.design.lead may lead to one, study.design.kind=importance needs none, or take wider errors"
-WIDER = "a larger study.design.wide, more draws or wider errors may find some"
+INSTEAD = "try another study.design.lead, study.design.kind=importance, or wider distributions"
+WIDER = "try a larger study.design.wide, more draws, or wider distributions"
 RARE = 0.1  # failure probability from which on plain draws are as good
 
 
@@ -53,11 +53,11 @@ class WeightedEstimate:
         if not self.failed:
             return f"no failure in the last {draws}: P(failure) <= {self.high:.2g} (95 %); {WIDER}"
         text = f"P(failure) = {self.probability:.3g}, {self.low:.2g} to {self.high:.2g} (95 %), by the last {draws}, "
-        text += f"of which {self.failed} failed; {self.equivalent_plain_draws:,.0f} plain draws would say as much"
+        text += f"of which {self.failed} failed; as precise as {self.equivalent_plain_draws:,.0f} plain draws"
         if self.invalid:
             text += f"; {self.invalid} invalid ones count as failures"
         if not self.is_reliable:
-            text += f"; NOT to be trusted: one row carries {self.largest:.0%} of the sum: more draws, or more rounds"
+            text += f"; NOT reliable: one row carries {self.largest:.0%} of the sum; use more draws or more rounds"
         return text + _not_rare(self.probability)
 
 
@@ -105,8 +105,8 @@ class SubsetEstimate:
     def __str__(self) -> str:
         count, rollouts = len(self.runs), sum(run.rollouts for run in self.runs)
         if not self.probability:
-            return f"no run of {count} came to a failure in {rollouts:,} rollouts: {self.runs[0].why}; {INSTEAD}"
-        spread = "one run, whose error nothing tells"
+            return f"none of {count} runs reached a failure in {rollouts:,} rollouts: {self.runs[0].why}; {INSTEAD}"
+        spread = "a single run gives no interval"
         if count > 1:
             low, high = self.interval
             spread = f"{low:.2g} to {high:.2g} (95 %, by the spread of {count} runs: "
@@ -114,15 +114,15 @@ class SubsetEstimate:
         taken = [share for run in self.runs for share in run.accepted]
         text = f"P(failure) = {self.probability:.3g}, {spread}, {rollouts:,} rollouts"
         if taken:
-            text += f"; {min(taken):.0%} to {max(taken):.0%} of a level's proposals were taken"
+            text += f"; {min(taken):.0%} to {max(taken):.0%} of a level's proposals were accepted"
         if self.stuck_runs:
             early = f"{len(self.stuck_runs)} of {count} runs ended early: {self.stuck_runs[0].why}"
-            text += f"; NOT to be trusted: {early}; {INSTEAD}"
+            text += f"; NOT reliable: {early}; {INSTEAD}"
         return text + _not_rare(self.probability)
 
 
 def _not_rare(probability: float) -> str:
-    return f"; it is not rare: {PLAINLY} tells as much" if probability > RARE else ""
+    return f"; it is not rare: {PLAINLY} is as precise" if probability > RARE else ""
 
 
 def estimate_failure_probability(rows: pd.DataFrame, exp: Experiment) -> WeightedEstimate | SubsetEstimate:
@@ -142,7 +142,7 @@ def _repeated(rows: pd.DataFrame, exp: Experiment) -> SubsetEstimate:
     study = exp.study
     runs = replay_search(adaptive_designs.make_search(study.axes, study.design, study.seed), rows, study.design.lead)
     if runs is None:
-        raise InputError(f"the runs of {study.name} are not at their end: run the rest first")
+        raise InputError(f"the runs of {study.name} are not finished: run the rest first")
     return SubsetEstimate(study.design.target, tuple(runs))
 
 

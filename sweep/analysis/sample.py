@@ -46,7 +46,7 @@ def drop_copies(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.DataFrame, str]
     if not again.any():
         return rows, ""
     number = int(again.sum())
-    return rows[~again].reset_index(drop=True), f"{number:,} copies of noise-free rollouts are counted once"
+    return rows[~again].reset_index(drop=True), f"{number:,} duplicate noise-free rollouts are counted once"
 
 
 def is_sample(rows: pd.DataFrame, exp: Experiment, at: Collection[str] = ()) -> bool:

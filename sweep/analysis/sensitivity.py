@@ -108,7 +108,7 @@ def grid_volume(rows: pd.DataFrame, exp: Experiment) -> GridVolume:
     """
     axes = numeric_axes(rows, listed_axes(rows, exp))
     if not axes or exp.study.design.grid != "full":
-        raise InputError("the volume of a grid needs a full grid of numbers")
+        raise InputError("the success volume needs a full grid of numbers")
     by = [a.column for a in axes]
     table = rates(rows, by)
     good = (table["share"] >= 0.5).astype(float).where(table["share"].notna())

@@ -71,18 +71,18 @@ class SequentialResult:
         )
         needed = 1 / (1 - self.level)
         evidence = f"{np.exp(self.log_e):.3g}, {needed:.3g} decides at {format_percent(self.level)}"
-        skipped = f"; {self.invalid} invalid pairs are passed over" if self.invalid else ""
+        skipped = f"; {self.invalid} invalid pairs are skipped" if self.invalid else ""
         flips = f"{self.lost} succeed only in A, {self.gained} only in B"
         lines = [f"after {self.pairs} pairs: {flips}; E = {evidence}{skipped}"]
         if self.decided:
             better, worse = ("A", "B") if self.lost > self.gained else ("B", "A")
-            rest = f"; {self.left} more pairs were not needed" if self.left else ""
+            rest = f"; {self.left} remaining pairs were not needed" if self.left else ""
             lines.append(f"{better} succeeds more often than {worse}, however often one looked{rest}")
         else:
-            lines.append("not decided: more draws may decide it, and one may look again after each")
-        lines.append(f"succeed: {shares}, intervals that hold however often one looks")
+            lines.append("not decided: more draws may decide it; you may look again after each one")
+        lines.append(f"succeed: {shares}; these intervals are valid at any time")
         if np.isfinite(once := fixed_sample_size(self.lost / self.pairs, self.gained / self.pairs, self.level)):
-            lines.append(f"if these were the true shares, a test looked at once would need about {once:.0f} pairs")
+            lines.append(f"if these were the true shares, a fixed-sample test would need about {once:.0f} pairs")
         return "\n".join(lines)
 
 

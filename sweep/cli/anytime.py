@@ -32,9 +32,11 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
         "tolerance": args.tolerance or None,
     }
     if asked := [flag for flag, value in others.items() if value is not None]:
-        raise InputError(f"--{asked[0]} is not for --anytime, which only says which is better")
+        raise InputError(
+            f"--{asked[0]} is not allowed with --anytime, which only decides which folder succeeds more often"
+        )
     if len(args.b) > 1:
-        raise InputError("--anytime compares two folders: give A and one B")
+        raise InputError("--anytime compares exactly two folders: A and one B")
     folders, conditions = (args.a, args.b[0]), (args.where_a, args.where_b)
     rows = [store.read_rows(folder) for folder in folders]
     exps = [results.load_experiment(folder) for folder in folders]
@@ -42,8 +44,10 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
         a, b = (named_rows(*one) for one in zip(rows, exps, conditions, strict=True))
         pairs = compare.pair_rows(a, b, by)
         if (unit := compare.independent_unit_of_pairs(pairs, exps[0])) is None:
-            what = "are no sample: they were chosen, as those of a grid, or placed where failures are"
-            raise InputError(f"--anytime needs draws, or noisy replicates of one point: the points of {args.a} {what}")
+            what = "were not drawn at random: they form a grid, or a search placed them"
+            raise InputError(
+                f"--anytime needs random draws, or noisy replicates of one point: the points of {args.a} {what}"
+            )
         found = sequential.sequential_test(pairs, level, unit)
         now = max(map(extend.count_draws, exps))
         if found.decided or args.most is None or now >= args.most:

@@ -39,7 +39,7 @@ def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     order = np.random.default_rng(0).permutation(len(rows))
     learned = parameters_and_failures(rows if args.rollouts else rows.iloc[order[::2]], names)
     if learned[1].all():
-        raise InputError("none of the rows to learn from succeeds: there is no region to begin with")
+        raise InputError("no region can be formed: none of the rows to fit it to succeeds")
     least = certify.required_rows(args.failures, args.confidence) / (args.rollouts or len(rows) // 2)
     with ThreadPoolExecutor() as pool:  # what is learned is learned while fresh draws are simulated
         score = pool.submit(certify.learn_score, args.shape, *learned, least)
@@ -51,9 +51,7 @@ def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     )
     lines = [format_certificate(found, args.shape, names)]
     if not learned[1].any():
-        lines.append(
-            "none of the rows to learn from failed, so that nothing orders the regions: draw from wider distributions"
-        )
+        lines.append("no region can be formed: none of the rows to fit it to failed; draw from wider distributions")
     again = check_region(exp, folder, found, names, worst.result()) if found.is_certified and args.rollouts else []
     if again:
         lines += ["", page_table(pd.DataFrame([{**one, "95 %": failure_interval(one)} for one in again]))]
@@ -75,16 +73,16 @@ def drawn_parameters(exp: Experiment, rows: pd.DataFrame) -> list[str]:
     own = exp.study
     unit = independent_unit(own)
     if unit != Unit.DRAW or own.design.kind != "monte_carlo" or own.replicates > 1 or own.is_refined:
-        raise InputError(f"{own.name} has no independent draws: it takes a study of design monte_carlo, one replicate")
-    if listed := sensitivity.listed_axes(rows, exp):
         raise InputError(
-            f"axis {listed[0].name} is listed: a region is certified for draws, so give the axis a distribution"
+            f"{own.name} has no independent draws: certify needs study.design.kind = monte_carlo, replicates = 1"
         )
+    if listed := sensitivity.listed_axes(rows, exp):
+        raise InputError(f"axis {listed[0].name} has listed values: certify needs a distribution for every axis")
     names = [a.column for a in own.axes if a.distribution]
     if words := [name for name in names if rows[name].dtype.kind not in "fi"]:
-        raise InputError(f"{words[0]} is a name: regions are of numbers")
+        raise InputError(f"{words[0]} is a name: certify needs axes of numbers")
     if len(names) > MOST_PARAMETERS:
-        raise InputError(f"{len(names)} parameters are drawn: regions are of at most {MOST_PARAMETERS}")
+        raise InputError(f"{len(names)} parameters are drawn: certify allows at most {MOST_PARAMETERS}")
     return names
 
 
@@ -157,7 +155,7 @@ def format_certificate(certificate: certify.Certificate, shape: str, names: list
         f"{format_percent(certificate.draw_share)} of all draws, "
         f"{certificate.failed} of {certificate.rows} fresh rows failed there"
     )
-    why = f"; {where}" if certificate.next_rows else "; no larger region can be formed"
+    why = f"; {where}" if certificate.next_rows else "; there is no larger region"
     assumed = (
         "this holds for draws from the study's distributions, not for every point; invalid rollouts count as failures"
     )

@@ -10,7 +10,7 @@ from sweep.core.groups import GROUPS
 
 PACKAGE = Path(__file__).parents[1]
 # end of a message about an unknown study: folders of results may be of one that does not ship
-EVIDENCE = "; studies behind the project's claims are files of its repository: study=research/studies/NAME.yaml"
+EVIDENCE = "; studies of the project's own evidence are files of its repository: study=research/studies/NAME.yaml"
 
 
 def shipped_choices(group: str) -> dict[str, str]:
@@ -41,7 +41,11 @@ def refuse_unknown(overrides: list[str]) -> None:
 
 def outside_of_project() -> str:
     """End of an error message about an unknown choice; says that no project is found, empty in a project."""
-    return "" if project.find_project() else "; this folder is in no project: there is no sweep.yaml in it or above it"
+    return (
+        ""
+        if project.find_project()
+        else "; this folder is in no project: neither it nor a folder above it has a sweep.yaml"
+    )
 
 
 def _refuse_bare_words(overrides: list[str]) -> None:

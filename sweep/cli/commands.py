@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 BENCH = ("arrowhead", "mjx", "native")  # rows of `sweep bench`
 WHOLE = {  # commands that parse their own arguments: the modules with their `main`, and what they do
-    "view": ("sweep.cli.view", "watch a rollout on its page"),
-    "replay": ("sweep.trace.replay", "record one rollout of a study again"),
-    "tune": ("sweep.cli.tune", "search the numbers of a plan"),
+    "view": ("sweep.cli.view", "play a rollout in the browser"),
+    "replay": ("sweep.trace.replay", "simulate one rollout of a study again and record it"),
+    "tune": ("sweep.cli.tune", "optimize the numbers of a plan"),
     "export-model": ("sweep.cli.export_model", "export the built-in robot as a MuJoCo model"),
-    "formula": ("sweep.cli.formula", "evaluate a closed-form result of the sources"),
+    "formula": ("sweep.cli.formula", "evaluate a closed-form formula from the literature"),
 }
 RUN_HELP = f"""groups: {", ".join(GROUPS)}
   sweep list               their choices
-  sweep describe robot     their parameters: unit, meaning, bounds, default
+  sweep describe robot     their describe parameters: unit, meaning, bounds, default
   sweep run --cfg job      the whole configuration
   sweep run --multirun     a run for each of robot=base,circular
 examples:
@@ -75,32 +75,38 @@ def parser() -> Arguments:
         return sub
 
     command("run", lambda _: DONE, "simulate a scenario, or every point of a study; see `sweep run --help`")
-    new = command("init", project.init, "make a project: a folder for studies, robots and modules of your own")
+    new = command("init", project.init, "create a project: a folder for your own studies, robots and modules")
     new.add_argument("dir", help="a new or empty folder")
-    new.add_argument("--model", action="store_true", help="for a model and a controller of your own, docs/own_model.md")
+    new.add_argument(
+        "--model", action="store_true", help="with an example MuJoCo model and controller, see docs/own_model.md"
+    )
     choices = command(
         "list",
         project.list_choices,
-        "scenarios, studies, robots and the other groups; or folders of results",
+        "list scenarios, studies, robots and other choices, or folders of results",
         "sweep list study map; sweep list robot; sweep list ball; sweep list results/",
     )
-    wanted = "a group, words that its choices match, or folders of studies, such as results/: a line for each"
+    wanted = "a group and words to filter its choices, or folders of results such as results/"
     choices.add_argument("what", nargs="*", help=wanted)
     about = command(
         "describe",
         project.describe,
-        "parameters: unit, meaning, bounds, default",
+        "describe parameters: unit, meaning, bounds, default",
         "sweep describe robot; sweep describe drive.torque_limit",
     )
-    about.add_argument("name", nargs="?", help="a group, obstacle=ball, or a parameter; all of them without")
+    about.add_argument(
+        "name",
+        nargs="?",
+        help="a group, a choice such as obstacle=ball, a parameter or a column (default: all parameters)",
+    )
     words = command("completion", project.completion, "completion for bash", 'eval "$(sweep completion)"  # in .bashrc')
     words.add_argument("--line", help=argparse.SUPPRESS)
     words.set_defaults(flags=lambda: flags_of(commands))
-    of_results("status", folders.status, "progress and outcomes of a study")
+    of_results("status", folders.status, "show progress and outcomes of a study")
     verify = of_results(
         "verify",
         folders.verify,
-        "check the files of a study, and its rows against its plan",
+        "check the files and rows of a study for damage",
         "sweep verify results/walk_map --simulate 20",
     )
     verify.add_argument(
@@ -108,7 +114,10 @@ def parser() -> Arguments:
     )
     table = of_results("table", folders.show_table, "print the rows of a study as a table")
     table.add_argument(
-        "--format", choices=("csv", "markdown", "latex", "parquet"), default="markdown", help="of the table (markdown)"
+        "--format",
+        choices=("csv", "markdown", "latex", "parquet"),
+        default="markdown",
+        help="format of the table (markdown)",
     )
     table.add_argument("--where", help="only rows that match, such as 'friction > 0.8 and outcome == \"failure\"'")
     table.add_argument("--columns", help="only these columns, separated by commas")
@@ -118,52 +127,56 @@ def parser() -> Arguments:
     )
     stats.add_argument("--where", help="only rows that match")
     stats.add_argument("--level", type=float, default=0.9, help="probability of success for the tolerance (0.9)")
-    stats.add_argument("--figure", help="Sobol indices or elementary effects of this column instead of success")
+    stats.add_argument("--figure", help="compute Sobol indices or elementary effects of this column instead of success")
     report = of_results(
-        "report", folders.draw_report, "write a page about the study, report.html, and its map, map.png and map.svg"
+        "report", folders.draw_report, "write a page about a study (report.html) and its map (map.png, map.svg)"
     )
     report.add_argument(
         "b",
         type=Path,
         nargs="?",
         metavar="B",
-        help="another folder: a page of the points of both, and where they differ",
+        help="second folder: write a page that compares the points of both",
     )
-    report.add_argument("--x", help="parameter along the map")
-    report.add_argument("--y", help="parameter up the map")
+    report.add_argument("--x", help="parameter along the horizontal axis of the map")
+    report.add_argument("--y", help="parameter along the vertical axis of the map")
     report.add_argument("--where", help="only rows that match")
     report.add_argument(
         "--replays",
         type=int,
         default=0,
         metavar="N",
-        help="simulate the N most informative rollouts again, for replays",
+        help="add replays of the N most informative rollouts (simulates them again)",
     )
-    report.add_argument("--pictures", action="store_true", help="simulate representative rollouts again, for pictures")
-    report.add_argument("-o", "--output", type=Path, help="folder for page and map instead of DIR")
-    export = of_results("export", folders.export_results, "export a study for a paper, or as a crate for archives")
-    export.add_argument("--paper", type=Path, metavar="FOLDER", help="LaTeX tables, figures, numbers, data")
+    report.add_argument(
+        "--pictures", action="store_true", help="add pictures of representative rollouts (simulates them again)"
+    )
+    report.add_argument("-o", "--output", type=Path, help="write page and map to this folder instead of DIR")
+    export = of_results(
+        "export", folders.export_results, "export a study for a LaTeX paper, or as an RO-Crate for archives"
+    )
+    export.add_argument("--paper", type=Path, metavar="FOLDER", help="write LaTeX tables, figures, numbers and data")
     export.add_argument(
-        "--crate", type=Path, metavar="FOLDER", help="an RO-Crate: rows, configuration, pictures, how they were made"
+        "--crate", type=Path, metavar="FOLDER", help="write an RO-Crate: rows, configuration, pictures and provenance"
     )
     export.add_argument("--zip", action="store_true", help="write the crate as FOLDER.zip")
     export.add_argument(
         "--license", default=folders.LICENSE, metavar="ADDRESS", help="licence of the crate's data (CC-BY-4.0)"
     )
     export.add_argument("--where", help="only rows that match")
-    export.add_argument("--serif", action="store_true", help="use a font with serifs in figures")
+    export.add_argument("--serif", action="store_true", help="use a serif font in figures")
     again = command(
         "reproduce",
         lazy_command("reproduce", "reproduce_crate"),
-        "simulate rows of a crate again on this machine, and compare them",
+        "simulate rows of a crate again on this machine and compare them",
         "sweep reproduce walk_map.zip --rows 50",
     )
-    again.add_argument("crate", type=Path, help="what `sweep export DIR --crate` wrote: a folder or an archive")
-    again.add_argument("--trust", action="store_true", help="run the code that the crate has, such as its controller")
-    again.add_argument("--rows", type=int, default=20, help="how many rows, drawn at random (20)")
-    again.add_argument("--seed", type=int, default=0, help="seed of that choice (0)")
+    again.add_argument("crate", type=Path, help="folder or archive that `sweep export DIR --crate` wrote")
+    again.add_argument("--trust", action="store_true", help="allow code of the crate to run, such as its controller")
+    again.add_argument("--rows", type=int, default=20, help="number of rows, drawn at random (20)")
+    again.add_argument("--seed", type=int, default=0, help="seed of the random choice (0)")
     again.add_argument("--tolerance", type=float, default=1e-3, help="relative tolerance of metrics (0.001)")
-    export.add_argument("--author", default="", metavar="NAME", help="who ran the study, for the crate")
+    export.add_argument("--author", default="", metavar="NAME", help="name of the person who ran the study")
     compare = command(
         "compare",
         folders.compare_results,
@@ -171,25 +184,39 @@ def parser() -> Arguments:
         "sweep compare results/before results/after --tolerance 0.01 --figures 0.1",
     )
     compare.add_argument(
-        "a", type=Path, metavar="A", help="folder of the reference; each of its rows needs its pair in B"
+        "a", type=Path, metavar="A", help="reference folder; each of its rows needs a row of the same point in B"
     )
-    compare.add_argument("b", type=Path, nargs="+", metavar="B", help="folder of another engine, version or controller")
+    compare.add_argument(
+        "b",
+        type=Path,
+        nargs="+",
+        metavar="B",
+        help="folder to compare, such as of another engine, version or controller",
+    )
     compare.add_argument("--a", dest="where_a", metavar="CONDITION", help="only rows of A that match")
     compare.add_argument("--b", dest="where_b", metavar="CONDITION", help="only rows of B that match")
-    compare.add_argument("--by", metavar="NAMES", help="columns that are equal in a pair (default: point_id)")
-    compare.add_argument("--regions", metavar="NAMES", help="parameters whose thirds are compared one by one")
-    compare.add_argument("--tolerance", type=float, default=0.0, help="largest share of pairs whose outcome may differ")
-    compare.add_argument("--figures", type=float, metavar="SHARE", help="largest typical relative change of a figure")
+    compare.add_argument(
+        "--by", metavar="NAMES", help="columns whose values are equal within a pair (default: point_id)"
+    )
+    compare.add_argument("--regions", metavar="NAMES", help="also compare by region: each parameter is cut into thirds")
+    compare.add_argument(
+        "--tolerance", type=float, default=0.0, help="largest tolerated share of pairs whose outcomes differ"
+    )
+    compare.add_argument(
+        "--figures", type=float, metavar="SHARE", help="largest tolerated relative change (median) of a metric"
+    )
     compare.add_argument("-o", "--output", type=Path, help="write the pairs that differ as CSV")
     compare.add_argument(
-        "--anytime", action="store_true", help="which one succeeds more often; valid however often you look"
+        "--anytime",
+        action="store_true",
+        help="decide which folder succeeds more often; valid at any time, however often you look",
     )
     compare.add_argument("--level", type=float, help="confidence of --anytime (0.95)")
     compare.add_argument(
         "--most",
         type=int,
         metavar="N",
-        help="with --anytime: simulate more draws in both, up to N, until it is decided",
+        help="with --anytime: simulate up to N draws in both folders until the test decides",
     )
     certify = of_results(
         "certify",
@@ -197,36 +224,42 @@ def parser() -> Arguments:
         "find the largest region of drawn parameters in which failures are guaranteed to be rare",
         "sweep certify results/draws --failures 1e-2 --confidence 0.95 --rollouts 4096",
     )
-    certify.add_argument("--failures", type=float, default=1e-2, help="largest probability of failing in it (0.01)")
-    certify.add_argument("--confidence", type=float, default=0.95, help="confidence of the guarantee (0.95)")
-    certify.add_argument("--shape", choices=("box", "ellipsoid", "score"), default="box", help="of the region (box)")
     certify.add_argument(
-        "--rollouts", type=int, metavar="N", help="test with N fresh draws; without it, half of the rows are used"
+        "--failures", type=float, default=1e-2, help="largest failure probability within the region (0.01)"
+    )
+    certify.add_argument("--confidence", type=float, default=0.95, help="confidence of the guarantee (0.95)")
+    certify.add_argument(
+        "--shape", choices=("box", "ellipsoid", "score"), default="box", help="shape of the region (box)"
+    )
+    certify.add_argument(
+        "--rollouts", type=int, metavar="N", help="test with N fresh draws (default: test with half of the rows)"
     )
     certify.add_argument("-o", "--output", type=Path, help="write the certificate as JSON")
     audit = of_results(
         "audit",
         folders.audit_results,
-        "simulate rollouts next to the boundary, and successes, again: at half the time step, and so on",
+        "simulate rollouts again in other ways, such as at half the time step, and count flipped outcomes",
     )
-    audit.add_argument("--points", type=int, default=32, help="how many of each, drawn at random (32)")
+    audit.add_argument("--points", type=int, default=32, help="number of rollouts of each kind, drawn at random (32)")
     audit.add_argument(
-        "--ways", help="separated by commas: again, half_step, float64, other_engine, solid; without it all"
+        "--ways", help="variants separated by commas: again, half_step, float64, other_engine, solid (default: all)"
     )
     audit.add_argument("--where", help="only rows that match")
     thresholds = of_results(
         "relabel",
         folders.relabel,
-        "apply other thresholds to stored rollouts, without simulating",
+        "apply other thresholds to stored rollouts without simulating",
         "sweep relabel results/walk_map 'slip_max_m<0.02' 'tilt_max_deg<15'",
     )
-    wanted = "such as 'slip_max_m<0.02'; of an own model a condition, 'goal=travelled_m >= 1'"
+    wanted = "such as 'slip_max_m<0.02'; for a MuJoCo model, a condition such as 'goal=travelled_m >= 1'"
     thresholds.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help=wanted)
     bench = command(
-        "bench", lazy_command("bench", "run_bench"), "measure simulation speed on this machine, by engine and dynamics"
+        "bench",
+        lazy_command("bench", "run_bench"),
+        "measure the simulation speed of this machine by engine and dynamics",
     )
-    bench.add_argument("--rollouts", type=int, default=0, help="rollouts of each row; 0: one batch")
-    bench.add_argument("--width", type=int, default=0, help="rollouts in a batch; 0: the device's best")
+    bench.add_argument("--rollouts", type=int, default=0, help="rollouts for each row of the table; 0: one batch")
+    bench.add_argument("--width", type=int, default=0, help="rollouts in a batch; 0: best for the device")
     bench.add_argument("--rows", nargs="+", choices=BENCH, default=list(BENCH), help="which of them")
     for name, (_, text) in WHOLE.items():
         command(name, lambda _: DONE, f"{text}; see `sweep {name} --help`")
@@ -279,20 +312,20 @@ def run_parser() -> Arguments:
         allow_abbrev=False,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         usage="sweep run [group=choice ...] [group.name=value ...] [flags]",
-        description="Without a study: one nominal rollout of a scenario. With one: every point of it, into "
-        "results/STUDY.",
+        description="Without a study, simulate one nominal rollout of a scenario. With a study, simulate all its "
+        "points into results/STUDY.",
         epilog=RUN_HELP,
     )
     own.add_argument("--version", action="version", version=f"sweep {VERSION}")
     own.add_argument(
-        "--dry-run", action="store_true", help="only print how many rollouts and batches would run, and the axes"
+        "--dry-run", action="store_true", help="only print the axes and the numbers of rollouts and batches"
     )
     own.add_argument(
         "--check", action="store_true", help="only check that each axis has an effect; exit code 4 if one has none"
     )
     own.add_argument("--limit", type=int, metavar="N", help="only the first N points of the study")
     own.add_argument("--where", metavar="CONDITION", help="only points that match, such as 'friction > 0.8'")
-    own.add_argument("--points", metavar="FILE.csv", help="points from a table whose columns are parameters")
+    own.add_argument("--points", metavar="FILE.csv", help="read points from a CSV file whose columns are parameters")
     return own
 
 

@@ -13,7 +13,8 @@ from sweep.models.binary import model_bytes
 from sweep.study.config import compose
 from sweep.systems import exported
 
-EPILOG = """A check of the robot by code that is not its own: C MuJoCo's and MJX's own step. The folder is a project.
+EPILOG = """C MuJoCo and MJX simulate the exported robot with their own physics, a check of this
+package's. The folder is a project.
 MuJoCo reads robot.mjb, which has all digits; robot.xml is the same to read, to six.
 example:
   sweep export-model scenario=pole_climb out=pole
@@ -39,7 +40,7 @@ def main(args: list[str]) -> int:
     if why := exp.system.unsupported_commands.get("export-model"):
         raise InputError(f"export-model is not allowed: {why}")
     if not exp.study.single:
-        raise InputError("study is not allowed: one scenario is exported, whose numbers are axes again")
+        raise InputError("study is not allowed: export-model exports a single scenario")
     if not exp.values["out"]:
         raise InputError("out is missing: a new or empty folder")
     exported.check_exportable(exp.case)

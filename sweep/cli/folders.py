@@ -54,7 +54,7 @@ def verify(args: argparse.Namespace) -> int:
     problems, others, sound = repair.verify(args.dir)
     for line in (*problems, *others):
         print(line)
-    remedy = f", {len(problems)} damaged: `sweep run` as before mends it" if problems else ""
+    remedy = f", {len(problems)} damaged: repeat the same `sweep run` to repair it" if problems else ""
     print(f"{args.dir}: {sound} part{' is' if sound == 1 else 's are'} sound{remedy}")
     if problems:
         return UNEXPECTED
@@ -142,7 +142,7 @@ def show_table(args: argparse.Namespace) -> int:
     elif args.format != "markdown":  # data for another program, whose lines must stay whole
         sys.stdout.write(content.decode())
     else:
-        kept, elsewhere = ("outcome", "cause"), "`--columns` chooses others, a file has all"
+        kept, elsewhere = ("outcome", "cause"), "use `--columns` to choose columns, or -o FILE for all"
         terminal.print_markdown(content.decode(), kept, elsewhere)
     return DONE
 
@@ -228,7 +228,7 @@ def draw_pairs(args: argparse.Namespace, a: "Results", folder: Path) -> int:
     from sweep.runs import device_choice, results
 
     if args.pictures or args.x or args.y:
-        raise InputError("--pictures, --x and --y are of one study")
+        raise InputError("--pictures, --x and --y are not allowed with a second folder")
     b = results.read(args.b, args.where)
     found, table = pairs.join_pairs(a, b)
     unit = compare.independent_unit_of_pairs(table, a.exp)
@@ -268,17 +268,17 @@ def export_results(args: argparse.Namespace) -> int:
     from sweep.runs import results, store
 
     if bool(args.paper) == bool(args.crate):
-        raise InputError("export wants one of --paper FOLDER and --crate FOLDER")
+        raise InputError("export needs either --paper FOLDER or --crate FOLDER")
     if args.crate:
         if args.where or args.serif:
-            raise InputError("--where and --serif are of --paper: a crate has the whole study")
+            raise InputError("--where and --serif need --paper: a crate contains the whole study")
         store.read_study(args.dir)  # before it is held, which would make it
         # nothing is added while it is copied, nor ever to what cannot be written
         with store.lock_folder(args.dir) if os.access(args.dir, os.W_OK) else nullcontext():
             print(crate.write_crate(results.read(args.dir), args.crate, args.license, args.zip, args.author))
         return DONE
     if args.zip or args.author or args.license != LICENSE:
-        raise InputError("--zip, --author and --license are of --crate")
+        raise InputError("--zip, --author and --license need --crate")
     for path in paper.write_paper(results.read(args.dir, args.where), args.paper, args.serif):
         print(path)
     return DONE

@@ -29,26 +29,28 @@ def main(argv: list[str]) -> int:
 def _parser() -> Arguments:
     parser = Arguments(
         prog="sweep formula",
-        description="Closed-form results of the sources. Without a name: the list of them.",
+        description="Evaluate a closed-form formula from the literature. Without a name, list all formulas.",
         epilog="Elements of a vector are set together (r_s=0.1,0,0.05) or one by one (r_s.0=0.1).",
     )
-    parser.add_argument("name", nargs="?", help="a formula, or an equation number such as 2.1.6 to find it")
-    parser.add_argument("values", nargs="*", metavar="key=value", help="inputs; the others keep their defaults")
+    parser.add_argument("name", nargs="?", help="name of a formula, or an equation number such as 2.1.6 to search for")
+    parser.add_argument(
+        "values", nargs="*", metavar="key=value", help="values of inputs; other inputs keep their defaults"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--sweep", metavar="key=lo:hi:n", help="a table over n values of one input")
-    parser.add_argument("--plot", metavar="FILE", type=Path, help="draw the table of --sweep")
+    parser.add_argument("--sweep", metavar="key=lo:hi:n", help="print a table over n values of one input")
+    parser.add_argument("--plot", metavar="FILE", type=Path, help="plot the table of --sweep")
     return parser
 
 
 def _evaluate_command(args: argparse.Namespace) -> Iterator[str]:
     if args.plot and not args.sweep:
-        raise InputError("--plot is not allowed alone: it draws the table of --sweep key=lo:hi:n")
+        raise InputError("--plot needs --sweep key=lo:hi:n, whose table it plots")
     if args.name is None:
         return _format_listing(FORMULAS.values(), args.json)
     if re.fullmatch(r"\d+(\.\d+)*", args.name):
         found = find_by_equation(args.name)
         if not found:
-            raise InputError(f"equation {args.name} is in no formula (`sweep formula` lists all with their equations)")
+            raise InputError(f"equation {args.name} is unknown (`sweep formula` lists all equations)")
         return _format_listing(found, args.json)
     formula = find(args.name)
     values = _parse_inputs(formula, args.values)
@@ -77,7 +79,7 @@ def _parse_inputs(formula: Formula, assignments: Sequence[str]) -> dict[str, Any
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
         if not equals:
-            raise InputError(f"{assignment} is not allowed: inputs are written key=value")
+            raise InputError(f"{assignment} is not allowed: give inputs as key=value")
         values = _assign(formula, values, key, _parse_value(text))
     return values
 

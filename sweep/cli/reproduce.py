@@ -34,7 +34,7 @@ def reproduce_crate(args: argparse.Namespace) -> int:
     with crate.open_crate(args.crate) as folder:
         if (code := crate.code_in(folder)) and not args.trust:
             print("\n".join(code))
-            raise InputError(f"{args.crate} has code of its own, listed above: read it, then give --trust to run it")
+            raise InputError(f"{args.crate} contains code, listed above: read it, then give --trust to run it")
         with crate.working_project(folder):
             if problems := repair.verify(folder / crate.STUDY)[0]:
                 raise InputError(problems[0])

@@ -69,9 +69,9 @@ def execute(exp: Experiment, flags: Flags) -> int:
     if exp.study.single:
         for flag, value in (("--limit", flags.limit), ("--where", flags.where)):
             if value is not None:
-                raise InputError(f"{flag} = {value} chooses among a study's points: give study=NAME, or leave it out")
+                raise InputError(f"{flag} = {value} selects points of a study: give study=NAME, or leave it out")
         if flags.check:
-            raise InputError("--check tries the axes of a study: give study=NAME")
+            raise InputError("--check tests the axes of a study: give study=NAME")
     if exp.study.single and not exp.out:
         return execute_single(exp, flags)
     folder = exp.folder
@@ -125,7 +125,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
         complete = len(rows) == size and (whole or not exp.study.is_sequential)
     if len(used) > 1:
         print(
-            f"sweep: rows come from {' and '.join(used)}, on which equal rollouts may differ in the last bit",
+            f"sweep: rows come from {' and '.join(used)}; equal rollouts may differ in the last bit between them",
             file=sys.stderr,
         )
     with show_wait("looking for axes without an effect"):
@@ -177,7 +177,7 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
     On the native engine, whose last bits differ between hosts, expectations are judged by jittered rollouts.
     """
     if exp.study.keep:
-        raise InputError("study.keep keeps time histories beside a study's rows: give study=NAME or out=DIR")
+        raise InputError("study.keep stores time series in a study's folder: give study=NAME or out=DIR")
     check_expect(exp.study, exp.system)
     if flags.dry_run:
         runner.prepare_single_batch(exp)
@@ -197,7 +197,7 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
             f"simulating {exp.scenario} {other.study.max_rollouts} times to judge its expectations on the native engine"
         ):
             exp, rows = other, runner.run_single_batch(other)
-        print(f"sweep: of rollouts that differ by 1e-6 {pooled_rate(rows, exp)}", file=sys.stderr)
+        print(f"sweep: with perturbations of 1e-6, {pooled_rate(rows, exp)}", file=sys.stderr)
     return expectation_exit_code(exp, rows, complete=True)
 
 
@@ -255,7 +255,7 @@ def forecast(job: runner.Job) -> str:
         text += format_compile_estimate(program_text(job.exp))
     if count := time_series.check_size(job.exp, job.table):
         kept, columns = min(job.exp.study.keep_rows, len(job.table)), ", ".join(job.exp.study.keep)
-        text += f"\ntime histories of {kept} rollouts ({columns}): about {4 * count / 2**20:.1f} MiB before compression"
+        text += f"\ntime series of {kept} rollouts ({columns}): about {4 * count / 2**20:.1f} MiB before compression"
     return f"{text}\n{axes_table(job.exp)}" if job.exp.study.axes and not job.exp.study.points else text
 
 
@@ -272,7 +272,7 @@ def duration_text(job: runner.Job, missing: pd.DataFrame) -> str:
     for folder in (job.folder, *(path.parent for path in beside)):
         if (seconds := seconds_per_rollout(folder, job)) is not None:
             return f"about {len(missing) * seconds:.0f} s at the speed of {folder}"
-    return f"time unknown until a first batch has run, such as --limit {missing['width'].iloc[0]}"
+    return f"time unknown until a first batch has run; try --limit {missing['width'].iloc[0]}"
 
 
 def seconds_per_rollout(folder: Path, job: runner.Job) -> float | None:

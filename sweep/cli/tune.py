@@ -70,7 +70,7 @@ def main(argv: list[str]) -> int:
         raise InputError(f"tune is not allowed: {why}")
     case, where = exp.case, Path(exp.out or "")
     if not isinstance(case.manoeuvre, plan_table.TabulatedManoeuvre):
-        raise InputError(f"manoeuvre.kind = {case.manoeuvre.kind} has its numbers in no file")
+        raise InputError(f"manoeuvre.kind = {case.manoeuvre.kind} has no plan file")
     if not args.check and where.suffix != ".yaml":
         raise InputError(f"out = {exp.out or ''} is not allowed: the file of the plan, such as plans/mine.yaml")
     numbers, own = plan_table.plan_values(case), manoeuvre_numbers(case)
@@ -82,7 +82,9 @@ def main(argv: list[str]) -> int:
     steps |= tuning.free_numbers(own, beside)
     numbers |= own
     if args.follow and beside:
-        raise InputError(f"--free = {beside[0]} is not allowed with --follow: only a plan's numbers follow sizes")
+        raise InputError(
+            f"--free = {beside[0]} is not allowed with --follow: only numbers of the plan can depend on sizes"
+        )
     sizes = drawn_sizes(exp) if args.follow else {}
     method = "linear programs, to follow sizes" if args.follow else "gradients" if args.gradients else "CMA-ES"
     aims, width = [parse_aim(text) for text in args.need], args.population if method == "CMA-ES" else 1
@@ -230,20 +232,29 @@ def parser() -> Arguments:
     made = Arguments(
         prog="sweep tune", others=is_value, allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter,
         usage="sweep tune [group=choice ...] [group.name=value ...] out=FILE.yaml [flags]", epilog=EPILOG,
-        description="Search the numbers of a plan until its margins reach their targets in all draws of a study.",
+        description="Optimize the numbers of a plan until its margins reach their targets in all draws of a study.",
     )  # fmt: skip
     made.add_argument(
-        "--free", action="append", metavar="PATTERN[=STEP]", help="numbers to search (all but formulas), first step"
+        "--free",
+        action="append",
+        metavar="PATTERN[=STEP]",
+        help="numbers to optimize (default: all but formulas) and first step size",
     )
-    made.add_argument("--stages", action="append", metavar="PATTERN", help="stages to judge (all)")
+    made.add_argument("--stages", action="append", metavar="PATTERN", help="stages to evaluate (default: all)")
     made.add_argument(
-        "--need", action="append", default=[], metavar="MARGIN[@STAGES]=VALUE", help="value that a margin should reach"
+        "--need", action="append", default=[], metavar="MARGIN[@STAGES]=VALUE", help="target value of a margin"
     )
-    made.add_argument("--forces", action="store_true", help="also search forces that hold the robot")
+    made.add_argument("--forces", action="store_true", help="also search for contact forces that hold the robot")
     way = made.add_mutually_exclusive_group()
-    way.add_argument("--gradients", action="store_true", help="by gradients, not CMA-ES: for many numbers")
-    way.add_argument("--follow", action="store_true", help="have numbers follow the sizes that the study draws")
-    made.add_argument("--simulate", action="store_true", help="run both draws by the plans before and after")
+    way.add_argument(
+        "--gradients", action="store_true", help="optimize by gradients instead of CMA-ES, for many numbers"
+    )
+    way.add_argument(
+        "--follow", action="store_true", help="make numbers depend linearly on the sizes that the study draws"
+    )
+    made.add_argument(
+        "--simulate", action="store_true", help="also simulate both sets of draws with the plans before and after"
+    )
     made.add_argument("--check", action="store_true", help="only print the margins of the plan as it is")
     made.add_argument(
         "--moments",
@@ -252,9 +263,9 @@ def parser() -> Arguments:
         metavar="[STAGES=]N",
         help=f"of each stage, or of some ({MOMENTS}, and no more than {APART} s apart)",
     )
-    made.add_argument("--population", type=int, default=16, help="plans of a generation (16)")
+    made.add_argument("--population", type=int, default=16, help="plans in a generation of CMA-ES (16)")
     made.add_argument("--generations", type=int, default=200, help="at most (200); steps of gradients, linear programs")
-    made.add_argument("--seed", type=int, default=1, help="of the search, at least 1")
+    made.add_argument("--seed", type=int, default=1, help="seed of the search, at least 1")
     return made
 
 

@@ -37,7 +37,7 @@ def main(args: list[str]) -> int:
             raise InputError(f"{name} is neither a folder of results nor group.name=value")
     if options.mujoco:
         if not has_screen():
-            raise InputError("--mujoco needs a screen: DISPLAY is not set. Without it the page shows the same")
+            raise InputError("--mujoco needs a screen: DISPLAY is not set; without --mujoco the page shows the same")
         with show_wait(f"simulating {' '.join(options.what)}"):
             trace = next(record_traces(options.what), None)
         if trace is None:
@@ -59,7 +59,7 @@ def parser() -> Arguments:
     """Parser of the arguments of `sweep view`."""
     made = Arguments(
         prog="sweep view",
-        description="Watch a rollout: simulate it and open its page, which plays it.",
+        description="Simulate a rollout and play it in the browser.",
         epilog="examples:\n  sweep view scenario=pole_climb contact.friction=0.5\n  sweep view results/walk_map 42\n"
         "  sweep view scenario=pole_climb --with engine=native\n  sweep view results/before 42 --with results/after",
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -72,7 +72,7 @@ def parser() -> Arguments:
         metavar=kinds,
         nargs="+",
         default=[],
-        help="a second rollout in step with it: another row, the same of another folder, or other values",
+        help="a second rollout to play beside it: another row, the same row of another folder, or other values",
     )
     made.add_argument("--mujoco", action="store_true", help="show MuJoCo's own viewer instead of the page")
     made.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page's file")

@@ -82,4 +82,4 @@ def make_usage_error(message: str, command: str, known: Iterable[str]) -> InputE
         return InputError(f"{found[1]} = {found[2]} is unknown{suggest(found[2], re.findall(r'[\w.-]+', found[3]))}")
     if found := re.match(r"argument (\S+): invalid (float|int|Path) value: '(.*)'", message):
         return InputError(f"{found[1]} = {found[3]} is not allowed: {KINDS[found[2]]}")
-    return InputError(f"{message} (`{command} --help` tells more)")
+    return InputError(f"{message} (`{command} --help` explains more)")

@@ -20,9 +20,7 @@ class Fault(RuntimeError):
     """A valid run that failed because of the machine: its disk, memory or workers. The command can be repeated."""
 
     def __str__(self) -> str:
-        return (
-            f"{escape_control_characters(super().__str__())}; what is on disk stays, the same command finishes the rest"
-        )
+        return f"{escape_control_characters(super().__str__())}; finished rollouts are kept, repeat the command"
 
 
 def escape_control_characters(text: str) -> str:

@@ -122,7 +122,7 @@ def evaluate_condition(condition: str, look_up: Callable[[str], Any], label: str
     except InputError as error:
         raise InputError(f"{label.partition(' = ')[0]}: {error}") from None
     except (TypeError, ValueError):
-        raise InputError(f"{label} compares or reckons with what cannot be, such as words with numbers") from None
+        raise InputError(f"{label} cannot be computed: it mixes words and numbers") from None
 
 
 def evaluate(expression: str, look_up: Callable[[str], Any], maths: Callable[[Any], Any] = lambda x: np) -> Any:
@@ -218,7 +218,7 @@ def _value(node: ast.expr, look_up: Callable[[str], Any], maths: Callable[[Any],
 def _number(value: Any) -> Any:
     """Return a number or array unchanged; refuse lists and words, which Python would repeat when multiplied."""
     if isinstance(value, list | str | bytes):
-        raise TypeError("words and lists are not reckoned with")
+        raise TypeError("words and lists cannot be computed with")
     return value
 
 

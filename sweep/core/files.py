@@ -88,7 +88,7 @@ def path_in(folder: Path, name: str | Path) -> Path:
     try:
         target = path.resolve()
         if not target.is_relative_to(folder.resolve()):
-            raise InputError(f"{path} is not allowed: it leads out of the folder, to {target}")
+            raise InputError(f"{path} is not allowed: it leads out of the folder to {target}")
         if target != folder.resolve() / inside:  # one file of the folder would be written in the place of another
             raise InputError(f"{path} is not allowed: a symbolic link to {target}")
         if path.exists() and not (path.is_file() or path.is_dir()):
@@ -217,7 +217,7 @@ def require_private(path: Path) -> None:
     found = path.stat()
     if found.st_uid != os.geteuid() or found.st_mode & 0o022:
         whose = "belongs to another user" if found.st_uid != os.geteuid() else "can be written by others (chmod go-w)"
-        raise InputError(f"{path} {whose}, and what is kept there is run: remove it, or set XDG_CACHE_HOME")
+        raise InputError(f"{path} {whose}, and sweep runs programs from it: remove it, or set XDG_CACHE_HOME")
 
 
 def os_error_text(error: OSError) -> str:

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 
 GRACE = 1.0  # s, from a Ctrl-C until the process is ended by force
 CODE = 130  # exit code of an interrupted command
-LINE = "sweep: interrupted; what is on disk stays, the same command finishes the rest"
+LINE = "sweep: interrupted; finished rollouts are kept, repeat the command"
 _patient = threading.Event()  # set while ending in an orderly way matters more than ending soon
 _said = threading.Event()
 

@@ -104,7 +104,7 @@ def format_compile_estimate(step: str) -> str:
     """Estimate how long compiling a step and running its first batch takes, from the last time on this machine."""
     waits = _load_waits()
     if waits is None:
-        return f"compile time unknown: {cache_folder()}/{KEPT} is damaged, and is written anew by the next run"
+        return f"compile time unknown: {cache_folder()}/{KEPT} is damaged; the next run rewrites it"
     if step not in waits:
         return "compile time unknown: not measured on this machine before"
     return f"about {waits[step]:.0f} s to compile and run the first batch, as last time on this machine"

@@ -75,7 +75,7 @@ def read_settings() -> dict[str, Any]:
         check_yaml(text, str(folder / FILE))
         content = yaml.load(text, LOADER) or {}
     except UnicodeDecodeError:
-        raise InputError(f"{folder / FILE} cannot be read: it is no text in UTF-8") from None
+        raise InputError(f"{folder / FILE} cannot be read: it is not text in UTF-8") from None
     except yaml.YAMLError as error:
         raise InputError(f"{folder / FILE} cannot be read: {yaml_error_line(error)}") from None
     modules = content.get("modules", []) if isinstance(content, dict) else None

@@ -9,7 +9,7 @@ from itertools import groupby
 
 NUMBER = 14  # a cell of at most so many letters is never broken
 GAP = 2  # letters between columns
-ELSEWHERE = "a wider terminal, or a file, has them"
+ELSEWHERE = "use a wider terminal, or -o FILE for all"
 
 
 def print_markdown(text: str, required: Collection[str] = (), elsewhere: str = ELSEWHERE) -> None:
@@ -89,7 +89,7 @@ def fit_table(lines: list[str], width: int, required: Collection[str], elsewhere
     widths = shrink_widths([natural[k] for k in found], [needed[k] for k in found], width - GAP * (len(found) - 1))
     yield from render_table([columns[k] for k in found], [marks[k].endswith("-:") for k in found], widths)
     if left := [head for k, head in enumerate(heads) if k not in found]:
-        yield wrap_line(f"No room for {', '.join(left)}: {elsewhere}.", width)
+        yield wrap_line(f"Not shown for lack of width: {', '.join(left)}: {elsewhere}.", width)
 
 
 def cell_width(text: str) -> int:

@@ -48,7 +48,7 @@ def _keep(line: str) -> None:
     if len(_printed) < LINES:
         _printed.setdefault(line, False)
     elif len(_printed) == LINES:
-        _printed["further lines that code of users prints are left out"] = False
+        _printed["further lines printed by user code are left out"] = False
 
 
 def take_output(with_tracebacks: bool = False) -> list[str]:

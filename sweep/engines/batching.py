@@ -51,7 +51,7 @@ def _compute_nominal_plan(belief: Case) -> Plan:
         plan = planning.evaluate_plan(lambda: belief.manoeuvre.plan(belief))
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(plan)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
-        raise InputError(f"{kinds} has no plan for the sizes given: a foothold or a path is out of the robot's reach")
+        raise InputError(f"{kinds} has no plan for these sizes: a foothold or a path is out of reach")
     return plan
 
 

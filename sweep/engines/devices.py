@@ -73,7 +73,7 @@ def prefer_cpu(reason: str) -> None:
     """Keep JAX, before it searches for devices, from using a GPU by default. A line on standard error says why."""
     if would_use_gpu():
         jax.config.update("jax_platforms", "cpu")
-        print(f"sweep: on the CPU, {reason} (JAX_PLATFORMS=cuda,cpu takes the GPU)", file=sys.stderr)
+        print(f"sweep: on the CPU, {reason} (set JAX_PLATFORMS=cuda,cpu to use the GPU)", file=sys.stderr)
 
 
 @contextlib.contextmanager
@@ -97,7 +97,7 @@ def on_cpu() -> contextlib.AbstractContextManager:
     try:
         return jax.default_device(jax.local_devices(backend="cpu")[0])
     except RuntimeError:
-        raise InputError("engine.name = native needs JAX's CPU: as JAX_PLATFORMS=cuda,cpu") from None
+        raise InputError("engine.name = native needs JAX's CPU: set JAX_PLATFORMS=cuda,cpu") from None
 
 
 def reuse_threshold() -> int:

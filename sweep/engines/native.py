@@ -238,7 +238,7 @@ class NativeEngine(BatchEngine):
                 reasons[reason] = reasons.get(reason, 0) + 1
         for reason, count in reasons.items():
             rows = f"{count} of {self.width} rollouts of a batch are invalid"
-            print(f"sweep: note: {rows}: MuJoCo makes no model of them: {reason}", file=sys.stderr)
+            print(f"sweep: note: {rows}: MuJoCo cannot compile their models: {reason}", file=sys.stderr)
         unbuilt = np.array([model is None for model in models])
         stand_in = self._model(self._nominal[0]) if unbuilt.any() else None
         return [model or stand_in for model in models], unbuilt  # pyright: ignore[reportReturnType]

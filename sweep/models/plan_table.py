@@ -398,9 +398,7 @@ def plan_parameter(case: Any, path: str) -> "dataclasses.Field[Any]":
     found = plan_values(case)
     if path not in found:
         if not found:
-            raise InputError(
-                f"plan.{path} is unknown: manoeuvre.kind = {case.manoeuvre.kind} has its numbers in no file"
-            )
+            raise InputError(f"plan.{path} is unknown: manoeuvre.kind = {case.manoeuvre.kind} has no plan file")
         raise InputError(
             f"plan.{path} is unknown{suggest_path(path, found)} (`sweep describe plan` tells what plans have)"
         )

@@ -29,7 +29,7 @@ def comparison_text(
         InputError: a region is not a parameter.
     """
     parts = [
-        f"{len(pairs)} pairs{name_pair_columns(pairs)}; {a - len(pairs)} rows of A and {b - len(pairs)} of B have none",
+        f"{len(pairs)} pairs{name_pair_columns(pairs)}; unpaired: {a - len(pairs)} rows of A, {b - len(pairs)} of B",
         str(compare.count_flips(pairs, unit)),
     ]
     axes = [find_parameter(pairs, name) for name in regions] if regions else default_regions(pairs)
@@ -46,7 +46,7 @@ def comparison_text(
     drift = drift[drift > 0].head(SHOWN)
     if len(drift):
         figures = pd.DataFrame({"figure": drift.index, "typical change": [format_percent(v) for v in drift]})
-        parts += ["", "Figures that changed most:", page_table(figures)]
+        parts += ["", "Metrics that changed most:", page_table(figures)]
     return "\n".join(parts)
 
 
@@ -74,7 +74,7 @@ def find_violations(pairs: pd.DataFrame, a: int, tolerance: float, figures: floa
     Args:
         pairs: paired rows, see `compare.pair`.
         a: rows of the first run, each of which needs a pair.
-        tolerance: largest share of pairs whose outcome may differ.
+        tolerance: largest tolerated share of pairs whose outcomes differ.
         figures: largest typical relative change of a metric; None: any.
     """
     found, lines = compare.count_flips(pairs), []

@@ -34,9 +34,9 @@ ENCRYPTED = 1  # bit of a ZIP entry's flags
 SMALL, LARGEST, DENSEST, MOST_FILES = 100 * 2**20, 64 * 2**30, 100, 100_000
 MEANINGS = {
     store.STUDY: "the resolved configuration, versions of the libraries, commit, devices",
-    store.POINTS: "the plan: one row for each rollout",
+    store.POINTS: "the points: one row for each rollout",
     manifest.MANIFEST: "length and SHA-256 of each file of rows",
-    store.LOG: "when which batch finished, and where",
+    store.LOG: "time and machine of each finished batch",
     "report.html": "the page: map, filters, replays",
 }
 
@@ -125,7 +125,7 @@ def describe_study(crate: "ROCrate", results: Results, license_: str, author: st
     began, ended = run_dates(folder)
     run = {
         "name": f"simulation of {results.name}",
-        "description": f"on {'; '.join(stored['devices'])}; `sweep reproduce` of this crate simulates rows of it again",
+        "description": f"on {'; '.join(stored['devices'])}; `sweep reproduce` simulates its rows again",
     }
     for key, day in (("startTime", began), ("endTime", ended)):
         if day:

@@ -37,7 +37,7 @@ def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:
             f"P(failure) <= {high:.2g} (95 %)" if np.isfinite(high) else "P(failure) is not known: no failure was found"
         )
     interval = f"95 % interval {low:.2g} to {high:.2g}" if np.isfinite(low) else "no interval from a single run"
-    caution = "" if found.is_reliable else ", NOT to be trusted: `sweep stats` says why"
+    caution = "" if found.is_reliable else ", NOT reliable: `sweep stats` says why"
     return f"P(failure) = {found.probability:.3g} ({interval}){caution}"
 
 

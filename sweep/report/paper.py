@@ -162,11 +162,15 @@ def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
     method = interval_method(results.exp.study)
     success = pd.DataFrame(lines, columns=["rollouts", "number", "invalid", "succeed", "%", "from", "to"])
     if results.exp.study.is_adaptive:
-        yield "success", "Rollouts that the search placed; their shares are no rates.", success.iloc[:, :4]
+        yield "success", "Rollouts that the search placed. Their shares do not estimate rates.", success.iloc[:, :4]
     elif (success["from"] == "").all():
         yield "success", "How often rollouts succeed.", success.drop(columns=["from", "to"])
     else:
-        yield "success", f"How often rollouts succeed, with 95\\,\\% intervals of what is a sample ({method}).", success
+        yield (
+            "success",
+            f"How often rollouts succeed, with 95\\,\\% intervals where points were sampled ({method}).",
+            success,
+        )
     if results.causes_seen:
         counts = [
             (c.replace("_", " "), words, int((rows["cause"] == c).sum())) for c, words in results.causes_seen.items()
@@ -210,9 +214,7 @@ def quotable_numbers(results: Results, failure: rare.WeightedEstimate | rare.Sub
     yield _percent(start + "InvalidRate", one.invalid_share, 'share of outcome == "invalid"', None)
     if failure:
         for name, value in zip(("", "Low", "High"), (failure.probability, *failure.interval), strict=True):
-            what = (
-                f"probability of failing{f', its {name.lower()} 95 % end' if name else ''}, by where rows were sought"
-            )
+            what = f"probability of failure{f', its {name.lower()} 95 % end' if name else ''}, sampling corrected"
             shown = "--" if np.isnan(value) else cells.format_number(value, 2)
             yield Number(f"{start}Failing{name}", value, shown, what, None)
     for cause in results.causes_seen:
@@ -240,7 +242,7 @@ def caveat(results: Results, failure: rare.WeightedEstimate | rare.SubsetEstimat
         return ""
     macro = f"\\{macro_prefix(results)}Failing"
     text = f"P(failure) is {macro}{{}}, with a 95\\,\\% interval from {macro}Low{{}} to {macro}High{{}}"
-    return text + ("." if failure.is_reliable else ", which is not to be trusted: \\texttt{sweep stats} says why.")
+    return text + ("." if failure.is_reliable else ", which is not reliable: \\texttt{sweep stats} says why.")
 
 
 def _percent(name: str, share: float, meaning: str, where: str | None) -> Number:

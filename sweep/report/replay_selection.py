@@ -75,7 +75,7 @@ def extreme_rows(results: Results) -> Iterator[tuple[int, str]]:
 def spread_rows(results: Results) -> Iterator[tuple[int, str]]:
     """Choose rows, each as far as possible from those before it."""
     every = choose_indices(len(results.rows), MANY)
-    yield from ((int(every[k]), "far from the others") for k in order_by_distance(parameter_places(results)[every]))
+    yield from ((int(every[k]), "far from all others") for k in order_by_distance(parameter_places(results)[every]))
 
 
 def parameter_places(results: Results) -> np.ndarray:

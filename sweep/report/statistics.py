@@ -40,7 +40,7 @@ def statistics_sections(
         yield "Probability of failure", headline(rows, exp)
         yield "How P(failure) was estimated", str(rare.estimate_failure_probability(rows, exp))
         if len(modes := rare.failure_modes(rows, exp)):
-            yield "Modes of failure, by their share of that probability", modes
+            yield "Failure modes by their share of P(failure)", modes
         yield from _sensitivity_tables(rows, exp)
         return
     yield "Rate of success", f"{every}{note}{'; ' if copies else ''}{copies}"
@@ -57,17 +57,15 @@ def statistics_sections(
     if exp.study.is_refined:
         yield "Refinement", "\n".join(map(str, refine.summarize_panels(exp, rows)))
     if exp.study.resolution and len(effects := refine.total_effects(exp, rows)):
-        yield "What matters in the map's cells (total Sobol index)", effects
+        yield "Importance of parameters in the map's cells (total Sobol index)", effects
     whole = refine.paint_cells(exp, rows) if exp.study.resolution else rows
     if numbers and not several and not one_at_a_time:
         found = sensitivity.grid_volume(whole, exp)
         share, low, high = map(format_percent, (found.share, found.low, found.high))
-        invalid = (
-            f"{found.invalid:,} invalid ({format_percent(every.invalid_share)}): the range covers both outcomes of them"
-        )
+        invalid = f"{found.invalid:,} invalid ({format_percent(every.invalid_share)}): the range covers both outcomes"
         yield (
             "Share of the grid's volume that succeeds",
-            f"{share}; {low} to {high}, as cells on the boundary count as failing or succeeding; {invalid}",
+            f"{share}; {low} to {high}, counting cells on the boundary as failures or successes; {invalid}",
         )
     ineffective = {name: pairs for name, pairs in compare_along_axes(rows, exp).items() if pairs.same}
     if ineffective:
@@ -76,7 +74,7 @@ def statistics_sections(
     effective = [axis.column for axis in numbers if axis.name not in ineffective]
     if effective:
         margins = sensitivity.margins(whole, exp)
-        yield "Margins: how far from the nominal value rollouts succeed", _select_axes(margins, effective)
+        yield "Margins: distance from the nominal value up to which rollouts succeed", _select_axes(margins, effective)
     if effective and several:
         title = (
             f"Tolerance: the error at which the probability of success falls to {format_percent(level)} (logistic fit; "
@@ -85,7 +83,7 @@ def statistics_sections(
         yield title, _select_axes(sensitivity.tolerance(rows, exp, level), effective)
     if len(drawn) and {"success", "failure"} <= set(rows["outcome"]):
         yield (
-            "Regional sensitivity: how draws that fail differ from those that succeed",
+            "Regional sensitivity: differences between failing and succeeding draws",
             sensitivity.regional_sensitivity(rows, exp),
         )
         yield from _sensitivity_tables(rows, exp)
@@ -105,7 +103,7 @@ def _sensitivity_tables(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[s
     """Yield how each drawn number is related to failure, if there are enough rows."""
     with suppress(InputError):
         yield (
-            "Share of each parameter in failing (Shapley values of the Hilbert-Schmidt criterion)",
+            "Share of each parameter in failure (Shapley values of the Hilbert-Schmidt criterion)",
             failing.failure_shares(rows, exp),
         )
 

@@ -58,4 +58,4 @@ def _refuse_other_rounds(folder: Path, planned: pd.DataFrame, table: pd.DataFram
         return
     stored = planned[planned["replicate"].isin(table["replicate"])]
     if not set(stored["point_id"]) <= set(table["point_id"]):
-        raise InputError(f"{folder} has rounds that were drawn otherwise, or by other thresholds: give out=DIR")
+        raise InputError(f"{folder} holds rounds of another search or other thresholds: give out=DIR")

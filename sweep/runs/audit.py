@@ -49,7 +49,9 @@ def run(
     shuffled = [np.random.default_rng(0).permutation(np.flatnonzero(mask)) for mask in sample_masks(results).values()]
     chosen = np.concatenate([rows[:count] for rows in shuffled])
     if not len(chosen):
-        raise InputError(f"{results.folder} has nothing to audit: no two neighbouring points differ, and none succeeds")
+        raise InputError(
+            f"{results.folder} has nothing to audit: no neighbouring points have different outcomes, and none succeeds"
+        )
     points = results.rows.iloc[np.sort(chosen)]
     parameters = [c for c in points if "." in str(c) and not str(c).startswith("engine.")]
     points = points[[*parameters, "replicate", "stream", "point_id"]].reset_index(drop=True)

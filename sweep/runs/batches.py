@@ -176,8 +176,8 @@ def _even_width(exp: Experiment, rows: pd.DataFrame) -> int:
     start = make_nominal_batch(exp, rows, exp.settings.width)
     if exp.cluster.is_remote and not start.settings.width:
         raise InputError(
-            f"cluster = {exp.cluster.kind} needs engine.width, as the workers' devices are not seen from here: "
-            "rollouts in a batch, such as 64 for two CPU cores or 32768 for a GPU"
+            f"cluster = {exp.cluster.kind} needs engine.width, the number of rollouts in a batch, such as 64 for two "
+            "CPU cores or 32768 for a GPU: the devices of the workers are unknown here"
         )
     engine = make_engine(exp, start)  # refuses an impossible plan before anything is written
     if start.settings.width:

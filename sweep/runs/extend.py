@@ -27,12 +27,14 @@ def check_extendable(exp: Experiment, folder: Path) -> None:
             nor replicates.
     """
     if exp.study.points or exp.study.is_refined:
-        raise InputError(f"{folder} cannot grow: its points are listed in a file, or chosen by what was found")
+        raise InputError(f"{folder} cannot be extended: its points come from a file, or a search chooses them")
     if exp.study.design.num and exp.study.design.kind not in GROWING:
         allowed = " or ".join(GROWING)
-        raise InputError(f"{folder} cannot grow: study.design.kind = {exp.study.design.kind} (allowed: {allowed})")
+        raise InputError(
+            f"{folder} cannot be extended: study.design.kind = {exp.study.design.kind} (allowed: {allowed})"
+        )
     if not exp.study.design.num and exp.study.replicates < 2:
-        raise InputError(f"{folder} cannot grow: it has neither draws nor replicates")
+        raise InputError(f"{folder} cannot be extended: it has neither draws nor replicates")
 
 
 def grow(exp: Experiment, folder: Path, count: int, progress: runner.Progress) -> Experiment:

@@ -120,7 +120,9 @@ def read(folder: Path) -> list[Entry]:
     """Return the entries of a folder's manifest in the order of its lines. Raises `InputError` if a line is damaged."""
     entries, damaged = parse(folder)
     if damaged:
-        raise InputError(f"{folder / MANIFEST} is damaged in line {damaged[0]}: `sweep run` as before mends it")
+        raise InputError(
+            f"{folder / MANIFEST} is damaged in line {damaged[0]}: repeat the same `sweep run` to repair it"
+        )
     return entries
 
 

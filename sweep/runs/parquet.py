@@ -58,7 +58,7 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     except InputError:
         raise
     except (pa.ArrowException, OSError, KeyError, ValueError) as error:
-        raise InputError(f"{path} is no table that can be read: {str(error).splitlines()[0]}") from None
+        raise InputError(f"{path} cannot be read as a table: {str(error).splitlines()[0]}") from None
 
 
 def column_names(path: Path, metadata: pq.FileMetaData) -> list[str]:
@@ -114,7 +114,7 @@ def _check_sizes(path: Path, metadata: pq.FileMetaData, chosen: Sequence[int], s
         for k in chosen:
             column = group.column(k)
             if column.num_values != group.num_rows:
-                raise InputError(f"{path} is damaged: its columns have not the same number of rows")
+                raise InputError(f"{path} is damaged: its columns differ in length")
             total += column.num_values * WIDTHS[column.physical_type] + max(column.total_uncompressed_size, 0)
     check_expansion(path, total, size)
     return words

@@ -65,9 +65,11 @@ def make_lattice(study: Study) -> Lattice:
     if not axes or min(map(len, values)) < 2:
         raise InputError("refinement needs axes of numbers, with at least 2 values each")
     if study.has_repeats and study.design.kind not in ("monte_carlo", "sobol"):
-        raise InputError(f"refinement needs draws that can grow: not of study.design.kind = {study.design.kind}")
+        raise InputError(
+            f"refinement needs draws that can be extended: study.design.kind = {study.design.kind} has none"
+        )
     if study.has_repeats and not study.budget:
-        raise InputError("study.budget is missing: refinement with noise or draws ends when it is spent")
+        raise InputError("study.budget is missing: refinement with noise or draws stops when the budget is spent")
     halvings = 0
     if study.resolution:
         widest = max(np.diff(v).max() / (v[-1] - v[0]) for v in values)
@@ -376,7 +378,7 @@ class RefinedPanel:
         if self.undecided:
             text += f"; at {self.undecided} the interval still holds the level"
         if self.audited:
-            text += f"; {self.missed} of {self.audited} audited points differ from what their cell promised"
+            text += f"; {self.missed} of {self.audited} audited points differ from the outcome of their cell"
             text += f", at most {format_percent(self.missed_share_upper)} of the points that were not run (95 %)"
         return text
 

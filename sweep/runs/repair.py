@@ -90,14 +90,14 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
         elif entry and set(entry.batches) <= {b for listed in kept for b in listed.batches}:
             path.unlink()  # its rows are in another part: a worker or a merge came too late
         else:
-            lines.append(f"{path} is not of this study as it is: ignored")
+            lines.append(f"{path} does not belong to this study: ignored")
     if damaged or kept != entries:
         manifest.rewrite(folder, kept)
     for entry in dropped:
         path_in(folder, entry.file).unlink(missing_ok=True)
     parts = [entry for entry in kept if entry.batches]
     if plan is None and (parts or path_in(folder, store.POINTS).exists()):
-        lines.append(f"{folder / store.POINTS} was lost or damaged: rebuilt from the parts")
+        lines.append(f"{folder / store.POINTS} was missing or damaged: rebuilt from the parts")
         path_in(folder, store.POINTS).unlink(missing_ok=True)
         if parts:
             store.write_points(folder, rebuild_plan(folder, parts))

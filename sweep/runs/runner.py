@@ -109,7 +109,7 @@ def select_points(
     table = make_points(exp.study, exp.system, exp.settings, on_message=say)
     table = table[mask(name_axes(table, exp.study.axes), where)].iloc[:limit]
     if table.empty:
-        raise InputError(f"no point of {exp.study.name} is left to run")
+        raise InputError(f"no point of {exp.study.name} matches the selection")
     return table.reset_index(drop=True)
 
 
@@ -192,7 +192,7 @@ def repair_folder(exp: Experiment, folder: Path) -> list[str]:
             start = make_nominal_batch(job.exp, rows, int(rows["width"].iloc[0]))
             record.stages[int(group)] = list(make_engine(job.exp, start).stages)  # pyright: ignore[reportArgumentType]
         write_description(job, record)
-        lines.append(f"{folder / store.STUDY} was lost or damaged: written anew")
+        lines.append(f"{folder / store.STUDY} was missing or damaged: written again")
     return lines
 
 

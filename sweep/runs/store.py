@@ -94,7 +94,7 @@ def read_study(folder: Path) -> dict[str, Any]:
         InputError: The folder has another format.
     """
     path = path_in(folder, STUDY)
-    damaged = DamagedFile(f"{path} is damaged: `sweep run` as before mends it")
+    damaged = DamagedFile(f"{path} is damaged: repeat the same `sweep run` to repair it")
     try:
         text, check, given = path.read_bytes().rpartition(CHECK.encode())
         if check and given != f"{files.digest(text)}\n".encode():
@@ -159,7 +159,7 @@ def read_points(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFr
     listed = [entry for entry in manifest.read(folder) if entry.file == POINTS]
     content = path.stat().st_size, files.digest_file(path)
     if content not in [(entry.length, entry.sha256) for entry in listed]:
-        raise DamagedFile(f"{path} is damaged: `sweep run` as before mends it")
+        raise DamagedFile(f"{path} is damaged: repeat the same `sweep run` to repair it")
     return read_parquet(path, columns).to_pandas()
 
 
@@ -254,7 +254,7 @@ def current_parts(folder: Path) -> list[Entry]:
     if not path_in(folder, STUDY).exists():
         return []
     if not path_in(folder, manifest.MANIFEST).exists() and any(path_in(folder, PARTS).glob("*.parquet")):
-        raise InputError(f"{folder / manifest.MANIFEST} is missing: `sweep run` as before mends it")
+        raise InputError(f"{folder / manifest.MANIFEST} is missing: repeat the same `sweep run` to repair it")
     return manifest.select_current_parts(manifest.read(folder), read_study(folder)["labels"])
 
 
@@ -301,7 +301,7 @@ def read_table(folder: Path, entry: Entry, columns: Sequence[str] | None = None)
     except OSError as error:
         problem = files.os_error_text(error)
     if problem:
-        raise InputError(f"{path} is damaged ({problem}): `sweep run` as before simulates it again")
+        raise InputError(f"{path} is damaged ({problem}): repeat the same `sweep run` to simulate it again")
     return read_parquet(path, columns)
 
 
@@ -377,7 +377,7 @@ def _read_plan(folder: Path, columns: Sequence[str] | None) -> Plan:
     # after the parts are listed: a run that goes on plans its batches before it finishes them
     planned = read_points(folder, columns)
     if planned.empty:
-        raise DamagedFile(f"{folder / POINTS} is lost: `sweep run` as before mends it")
+        raise DamagedFile(f"{folder / POINTS} is missing: repeat the same `sweep run` to repair it")
     return Plan(planned, str(folder / POINTS))
 
 
@@ -395,7 +395,7 @@ def list_columns(folder: Path) -> list[str]:
         try:
             names |= dict.fromkeys(column_names(path, pq.read_metadata(path)))
         except (pa.ArrowException, OSError):
-            raise InputError(f"{path} is damaged: `sweep run` as before simulates it again") from None
+            raise InputError(f"{path} is damaged: repeat the same `sweep run` to simulate it again") from None
     return [*names]
 
 

@@ -141,7 +141,7 @@ def read(folder: Path) -> pd.DataFrame:
     """
     entries = store.list_recordings(folder, store.HISTORIES)
     if not entries:
-        raise InputError(f"{folder} holds no time histories: run the study with study.keep=[tilt_deg]")
+        raise InputError(f"{folder} holds no time series: run the study with study.keep=[tilt_deg]")
     return pd.concat([store.read_part(folder, entry) for entry in entries], ignore_index=True)
 
 

@@ -62,7 +62,9 @@ def free_numbers(
         except ValueError:
             raise InputError(f"--free = {text} is not allowed: a pattern, or PATTERN=STEP") from None
         if not steps or min(steps.values()) <= 0:
-            raise InputError(f"--free = {text} frees no number{suggest(pattern, numbers).partition(' (allowed')[0]}")
+            raise InputError(
+                f"--free = {text} matches no number of the plan{suggest(pattern, numbers).partition(' (allowed')[0]}"
+            )
         first_steps |= steps
     return first_steps
 

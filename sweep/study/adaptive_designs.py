@@ -32,12 +32,16 @@ def check_design(design: Design, axes: tuple[Axis, ...]) -> None:
         )
     steps = 1 / design.share if design.share > 0 else 0
     if not 0 < design.share <= 0.5 or abs(steps - round(steps)) > 1e-9:
-        raise InputError(f"study.design.share = {design.share:g} is not allowed: 1 over a whole number from 2 on")
+        raise InputError(
+            f"study.design.share = {design.share:g} is not allowed: 1 divided by a whole number of at least 2"
+        )
     if design.kind == "importance" and design.num < 2:  # of which one alone tells no error
         raise InputError(f"study.design.num = {design.num} is not allowed: at least 2")
     if design.kind == "subset" and (design.num < subset_simulation.FEWEST * steps or design.num % round(steps)):
         least = f"a multiple of {steps:.0f}, at least {subset_simulation.FEWEST * steps:.0f}"
-        raise InputError(f"study.design.num = {design.num} is not allowed: {least}, as study.design.share has it")
+        raise InputError(
+            f"study.design.num = {design.num} is not allowed: {least}with study.design.share = {design.share:g}"
+        )
 
 
 def make_search(axes: tuple[Axis, ...], design: Design, seed: int) -> adaptive_sampling.Search:

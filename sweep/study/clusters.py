@@ -86,12 +86,12 @@ class DaskAddress:
         """Connect to a running Dask scheduler within this context. Raises `InputError` if none answers."""
         distributed = _dask("distributed", self.kind)
         if not self.address:
-            raise InputError("cluster.address is missing: a scheduler's, such as tcp://host:8786")
+            raise InputError("cluster.address is missing: the address of a Dask scheduler, such as tcp://host:8786")
         try:
             client = distributed.Client(self.address, timeout=5)
         except (OSError, ValueError) as error:
             reason = str(error).splitlines()[0]
-            raise InputError(f"cluster.address = {self.address} is not a scheduler that answers: {reason}") from None
+            raise InputError(f"cluster.address = {self.address} does not answer: {reason}") from None
         with client:
             yield partial(_distribute, client, status)
 
@@ -189,7 +189,7 @@ def _check_job(script: str) -> None:
         raise InputError("cluster = slurm needs Slurm's sbatch on the PATH") from None
     if asked.returncode:
         lines = [line.partition("error: ")[2] for line in asked.stderr.splitlines() if "error: " in line]
-        raise InputError(f"cluster = slurm is not allowed as asked for, says sbatch: {'; '.join(lines)}")
+        raise InputError(f"cluster = slurm is not allowed: sbatch refuses the job: {'; '.join(lines)}")
 
 
 def _ignore_interrupt() -> None:
@@ -238,7 +238,7 @@ def _distribute(client: Any, status: WorkerStatus, work: Work, batches: Iterable
             yield result
         future.release()
     if lost:
-        raise Fault(f"{len(lost)} batches lost their worker again and again; is its memory too small?")
+        raise Fault(f"{len(lost)} batches repeatedly lost their worker; it may have too little memory")
 
 
 def _timed(work: Work, number: int) -> tuple[float, Any]:
@@ -296,7 +296,7 @@ class _WorkerWatch:
             waited: How long, in s.
         """
         self.watched.on_message(
-            f"batch {number} has kept worker {worker} for {waited:.0f} s: it goes to another worker"
+            f"batch {number} has occupied worker {worker} for {waited:.0f} s: it is given to another worker"
         )
         self.client.restart_workers([worker], timeout=GIVE_UP, raise_for_error=False)
         self.since[worker] = time.monotonic()

@@ -120,7 +120,7 @@ def add_user_classes(modules: tuple[ModuleType, ...]) -> None:
                 if lacks := [one for one in MEMBERS[group] if not hasattr(cls, one)]:
                     raise InputError(f"module {module.__name__}: {group} {kind} has no {lacks[0]}")
                 if KINDS[group].setdefault(kind, cls) is not cls:
-                    raise InputError(f"module {module.__name__}: {group} {kind} is there already: give it another name")
+                    raise InputError(f"module {module.__name__}: {group} {kind} exists already: choose another name")
 
 
 def _schema(cls: type) -> DictConfig:
@@ -191,16 +191,16 @@ def resolve(config: DictConfig) -> dict[str, Any]:
     """
     for key, text in flatten_values(OmegaConf.to_container(config, resolve=False)).items():
         if isinstance(text, str) and re.search(r"\$\{[^}]*:", text):  # such as oc.env, whose secret would be stored
-            raise InputError(f"{key} = {text} is not allowed: an interpolation names another key")
+            raise InputError(f"{key} = {text} is not allowed: an interpolation may only name another key")
     values: Any = OmegaConf.to_container(config, resolve=True)
     if made := [key for key in systems.DERIVED if key in flatten_values(values)]:
-        raise InputError(f"{made[0]} is not allowed: it is made of what the files hold")
+        raise InputError(f"{made[0]} is not allowed: it is computed from the files")
     if not isinstance(values.get("study"), dict) or not isinstance(values["study"].get("axes"), dict):
         return values  # which `experiment` refuses
     designs.refuse_ignored_settings(values["study"])
     axes = rename_on_to_side(values["study"]["axes"])
     if axes != values["study"]["axes"]:
-        print("sweep: note: the key `on` of an axis is called `side` now", file=sys.stderr)
+        print("sweep: note: the key `on` of an axis is now called `side`", file=sys.stderr)
     return {**values, "study": {**values["study"], "axes": axes}}
 
 
@@ -244,7 +244,7 @@ def build_experiment(values: Mapping[str, Any]) -> Experiment:
             raise InputError(f"{group} = {said} is not allowed: `sweep list` shows the choices")
     system, settings, limits, told = kind.nominal(values, KINDS)
     if taken := {*PLAN, *LABELS, *TIMING} & {*system.metric_names}:
-        raise InputError(f"a figure called {min(taken)} is not allowed: all rows have a column of that name")
+        raise InputError(f"a metric called {min(taken)} is not allowed: all rows have a column of this name")
     cluster = build_by_kind(KINDS["cluster"], values["cluster"], "cluster")
     scenario = require_keys("scenario", values["scenario"], _names(ScenarioSchema))
     asked = require_keys("study", values["study"], _names(StudySchema))
@@ -290,7 +290,7 @@ def format_error(error: Exception, overrides: list[str]) -> str:
         A line that names the key, the value and what is allowed.
     """
     if isinstance(error, RecursionError):
-        return f"{' '.join(overrides)} is not allowed: the files chosen start from each other in a ring"
+        return f"{' '.join(overrides)} is not allowed: the chosen files extend each other in a circle"
     group, _, name = ((isinstance(error, MissingConfigException) and error.missing_cfg_file) or "").partition("/")
     if group in GROUPS:
         if name.endswith(".yaml"):
@@ -304,24 +304,24 @@ def format_error(error: Exception, overrides: list[str]) -> str:
         reason = f"put quotes around its value{quoted}" if given else "group=choice or group.name=value"
         return f"{error.override} cannot be read: {reason}"
     if found := re.match(r"Ambiguous value for argument '(.*)'", str(error)):
-        return f"{found[1]} cannot be read: key=[VALUE,VALUE] is a list, and --multirun runs each"
+        return f"{found[1]} cannot be read: write a list as key=[VALUE,VALUE], or run each value with --multirun"
     cause = error.__cause__ or error.__context__ if isinstance(error, ConfigCompositionException) else error
     if isinstance(cause, ConfigKeyError | AttributeError) and isinstance(cause, OmegaConfBaseException):
         key, given = str(cause.full_key), _given(str(cause.full_key), overrides)
         allowed = [str(k) for k in cause.parent_node or () if k != "hydra"]  # pyright: ignore[reportGeneralTypeIssues]
         if not allowed and (group := key.partition(".")[0]) in GROUPS:
-            return f"{key}{given} is unknown: first a {group} is chosen, {group}=NAME (`sweep list` shows them)"
+            return f"{key}{given} is unknown: choose a {group} first, {group}=NAME (`sweep list` shows them)"
         return f"{key}{given} is unknown{suggest_paths(key, allowed) or suggest(str(cause.key), allowed)}"
     if isinstance(cause, KeyValidationError):
-        return f"{cause.full_key} is not allowed: a name that is no number"
+        return f"{cause.full_key} is not allowed: a name that is not a number"
     if isinstance(cause, InterpolationResolutionError):
         key = str(cause.full_key)
-        return f"{key}{_given(key, overrides)} is not allowed: an interpolation names another key"
+        return f"{key}{_given(key, overrides)} is not allowed: an interpolation may only name another key"
     if isinstance(cause, ValidationError | ConfigTypeError) and cause.full_key:
         return _wrong_type(cause, overrides)
     if isinstance(cause, ValidationError | ConfigTypeError):  # of a part of a file, which Hydra does not name
         file = re.match(r"In '(.*?)'", str(error))
-        return f"{file[1] if file else 'the configuration'} has a list or a word where keys and values are wanted"
+        return f"{file[1] if file else 'the configuration'} has a list or a word where keys and values are needed"
     return ": ".join(line.strip().rstrip(":") for line in str(error).splitlines()[:2] if line.strip())
 
 
@@ -345,7 +345,7 @@ def suggest_paths(name: str, groups: Collection[str]) -> str:
 def _wrong_type(error: OmegaConfBaseException, overrides: list[str]) -> str:
     cls, key = error.object_type, str(error.full_key)
     if f"~{key}" in overrides:
-        return f"~{key} is not allowed: a parameter has a value"
+        return f"~{key} is not allowed: a parameter cannot be removed"
     if below := next((o for o in overrides if o.lstrip("+~").startswith(f"{key}.")), None):
         return f"{below} is not allowed: {key} has no parts"
     for member in dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ():

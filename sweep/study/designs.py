@@ -138,7 +138,7 @@ def refuse_ignored_settings(study: Mapping[str, Any]) -> None:
     for key, kind in KIND_OF.items():
         usual, value = getattr(Design, key), design[key]
         if design["kind"] != kind and value != usual:
-            other = f"not allowed with study.design.kind = {design['kind']}: {usual} there, it is of kind {kind} only"
+            other = f"not allowed with study.design.kind = {design['kind']}: it needs kind = {kind} (default {usual})"
             raise InputError(f"study.design.{key} = {value} is {other}")
 
 
@@ -147,7 +147,7 @@ def rename_on_to_side(axes: Mapping[str, Any]) -> dict[str, Any]:
 
     def renamed(name: str, axis: Mapping[Any, Any]) -> dict[Any, Any]:
         if "side" in axis and any(key in OLD_SIDE for key in axis):
-            raise InputError(f"study.axes.{name}.on is not allowed beside side, which is what it is called now")
+            raise InputError(f"study.axes.{name}.on is not allowed together with side, its new name")
         return {"side" if key in OLD_SIDE else key: value for key, value in axis.items()}
 
     return {name: renamed(name, axis) if isinstance(axis, Mapping) else axis for name, axis in axes.items()}
@@ -175,7 +175,7 @@ def expand_patterns(axes_config: Mapping[str, Any], paths_below: Callable[[str],
         start = path.removesuffix("*")
         found = {f"{name}_{number.removeprefix(start).replace('.', '_')}": number for number in paths_below(start)}
         if not found:
-            raise InputError(f"study.axes.{name}.path = {path} names no number that is not zero")
+            raise InputError(f"study.axes.{name}.path = {path} matches no number that is not zero")
         axes |= {one: {**axis, "path": number} for one, number in found.items()}
     return axes
 
@@ -185,7 +185,7 @@ def parse_axes(axes_config: Mapping[str, Any]) -> tuple[Axis, ...]:
     axes = tuple(_axis(f"study.axes.{name}", name, axis) for name, axis in rename_on_to_side(axes_config).items())
     columns = [a.target for a in axes if a.target]
     if len(set(columns)) < len(columns):
-        raise InputError(f"study.axes name the same parameter twice: {', '.join(columns)}")
+        raise InputError(f"study.axes vary the same parameter twice: {', '.join(columns)}")
     by_name, used = {a.name: a for a in axes}, {a.relative for a in axes}
     for axis in axes:
         key = f"study.axes.{axis.name}"
@@ -196,10 +196,10 @@ def parse_axes(axes_config: Mapping[str, Any]) -> tuple[Axis, ...]:
         if axis.along is not None:
             leader = by_name.get(axis.along)
             if leader is None or leader.values is None or leader.along is not None or axis.values is None:
-                raise InputError(f"{key}.with = {axis.along!r} is not allowed: both need listed values")
+                raise InputError(f"{key}.with = {axis.along!r} is not allowed: both axes need listed values")
             if len(leader.values) != len(axis.values):
                 counts = f"{len(axis.values)} values, {axis.along} has {len(leader.values)}"
-                raise InputError(f"{key} cannot go along with {axis.along}: it has {counts}")
+                raise InputError(f"{key} cannot vary with {axis.along}: it has {counts}")
     return axes
 
 
@@ -225,7 +225,7 @@ def parse_design(values: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     for key, allowed in (("kind", DESIGNS), ("grid", GRIDS)):
         require_choice(value := getattr(design, key), allowed, f"study.design.{key} = {value!r}")
     if design.correlation and design.kind in ("saltelli", "morris"):
-        raise InputError(f"study.design.correlation is not allowed with {design.kind}, which moves one axis at a time")
+        raise InputError(f"study.design.correlation is not allowed with {design.kind}, which varies one axis at a time")
     least = 1 if drawn else 0
     if design.num < least:
         of = f" for {', '.join(drawn)}" if drawn else ""
@@ -245,14 +245,14 @@ def _correlation(key: str, pairs_config: Any, drawn: list[str]) -> tuple[tuple[s
             raise InputError(f"{key} = {pair!r} is not allowed: two drawn axes and a number, such as [a, b, 0.7]")
         for name in pair[:2]:
             if name not in drawn:
-                raise InputError(f"{key}: {name} is no drawn axis{suggest(str(name), drawn)}")
+                raise InputError(f"{key}: {name} is not a drawn axis{suggest(str(name), drawn)}")
         if not -1 < (share := parse_number(key, pair[2])) < 1:
             raise InputError(f"{key} = {share:g} is not allowed: between -1 and 1")
         pairs.append((str(pair[0]), str(pair[1]), share))
     if (least := np.linalg.eigvalsh(_matrix(tuple(pairs), drawn)).min(initial=1.0)) <= 0:
         pairs_config, some = ", ".join(f"{a}-{b} {c:g}" for a, b, c in pairs), (math.ceil(100 / (1 - least)) - 1) / 100
         raise InputError(
-            f"{key}: no distribution has all of {pairs_config}: multiply them by {some:g} or less, or drop one"
+            f"{key}: no distribution has the correlations {pairs_config}: scale them by {some:g} or less, or drop one"
         )
     return tuple(pairs)
 
@@ -269,7 +269,7 @@ def _matrix(pairs: tuple[tuple[str, str, float], ...], names: list[str]) -> np.n
 def design_warning(design: Design) -> str | None:
     """Return a warning about a design whose statistics suffer, or None."""
     if design.kind in ("sobol", "saltelli") and design.num & (design.num - 1):
-        return f"study.design.num = {design.num} is not a power of 2: the points of a Sobol sequence lose their balance"
+        return f"study.design.num = {design.num} is not a power of 2: estimates from Sobol draws get less precise"
     return None
 
 
@@ -284,7 +284,7 @@ def _axis(key: str, name: str, axis_config: Any) -> Axis:
     if relative is not None and not isinstance(relative, str):
         relative = parse_number(f"{key}.relative", relative)
     if relative is not None and times is not None:
-        raise InputError(f"{key} has relative and times: one of them")
+        raise InputError(f"{key} is not allowed with both relative and times")
     if path is None and (relative is not None or times is not None):
         raise InputError(f"{key}.path is missing: {PARAMETER}")
     values = _values(key, axis_config)
@@ -294,7 +294,7 @@ def _axis(key: str, name: str, axis_config: Any) -> Axis:
         distribution = parse_distribution(f"{key}.distribution", axis_config.get("distribution", default))
     centre = parse_number(f"{key}.nominal", axis_config.get("nominal", 0.0))
     if "nominal" in axis_config and path is not None:
-        raise InputError(f"{key}.nominal = {centre:g} is not allowed: {path} has its own in the configuration")
+        raise InputError(f"{key}.nominal = {centre:g} is not allowed: {path} has a nominal value in the configuration")
     return Axis(name, path, side, values, distribution, relative, times, axis_config.get("with"), centre)
 
 
@@ -309,7 +309,7 @@ def _values(key: str, axis_config: Mapping[str, Any]) -> tuple[Any, ...] | None:
             raise InputError(f"{key} needs values, or from, to and num, or a distribution")
         return None
     if axis_config.get("distribution") is not None:
-        raise InputError(f"{key} has a range and a distribution: one of them")
+        raise InputError(f"{key} is not allowed with both a range and a distribution")
     if lacking := [name for name, end in zip(("from", "to", "num"), ends, strict=True) if end is None]:
         raise InputError(f"{key}.{lacking[0]} is missing: a range has from, to and num")
     low, high = (parse_number(f"{key}.{name}", end) for name, end in zip(("from", "to"), ends[:2], strict=True))
@@ -475,16 +475,18 @@ def _columns(axes: tuple[Axis, ...], numbers: "pd.DataFrame", nominal_of: Callab
         if axis.relative is not None:
             base = _finite(axis, str(axis.path), nominal_of)
             if base == 0:
-                raise InputError(f"study.axes.{axis.name}.relative is of no use: {axis.path} is 0 nominally")
+                raise InputError(f"study.axes.{axis.name}.relative has no effect: {axis.path} is nominally 0")
             scale = numbers[axis.relative] if isinstance(axis.relative, str) else axis.relative
             return base * (1 + scale * n)
         if axis.times is None:
             return n
         if axis.name in above:
-            raise InputError(f"study.axes.{axis.name}.times goes in a circle: {' -> '.join((*above, axis.name))}")
+            raise InputError(f"study.axes.{axis.name}.times refers to itself: {' -> '.join((*above, axis.name))}")
         source = by_target.get(f"{axis.side}.{axis.times}") or by_target.get(axis.times)
         if axis.side == "both" and any(f"{side}.{axis.times}" in by_target for side in SIDES):
-            raise InputError(f"study.axes.{axis.name}.times = {axis.times} differs between world and belief: give side")
+            raise InputError(
+                f"study.axes.{axis.name}.times = {axis.times} differs between world and belief: set `side`"
+            )
         return n * (value(source, (*above, axis.name)) if source else _finite(axis, axis.times, nominal_of))
 
     columns: dict[str, Any] = {}
@@ -499,5 +501,5 @@ def _columns(axes: tuple[Axis, ...], numbers: "pd.DataFrame", nominal_of: Callab
 def _finite(axis: Axis, path: str, nominal_of: Callable[[str], Any]) -> float:
     value = nominal_of(path)
     if isinstance(value, str):
-        raise InputError(f"study.axes.{axis.name}: {path} is a name, not a number to multiply")
+        raise InputError(f"study.axes.{axis.name}: {path} is a name, and a number is needed")
     return float(value)

@@ -126,7 +126,7 @@ def refuse_code_keys(config_path: str, values: Any, package: str) -> None:
     named = [key for key in _keys(values) if key in ("hydra", "_target_")]
     named += ["hydra" for text in where if re.search(r"\bhydra\b", text)]
     if named:
-        raise InputError(f"{config_path} has {named[0]}, which runs code: a file of yours sets parameters only")
+        raise InputError(f"{config_path} has {named[0]}, which runs code: a user's file may only set parameters")
 
 
 def _keys(values: Any) -> Iterator[str]:
@@ -170,7 +170,7 @@ def read_config_file(file: Any, words: bool = False) -> dict[str, Any]:
     try:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
-        raise InputError(f"{file} cannot be read: letters in UTF-8 are wanted") from None
+        raise InputError(f"{file} cannot be read: it is not text in UTF-8") from None
     except OSError as error:
         raise InputError(f"{file} cannot be read: {os_error_text(error)}") from None
     try:
@@ -181,7 +181,7 @@ def read_config_file(file: Any, words: bool = False) -> dict[str, Any]:
     except OSError:  # as OmegaConf tells of a word
         content = None
     if not isinstance(content, DictConfig):
-        raise InputError(f"{file} is not a configuration: keys and values are wanted, such as `study:`")
+        raise InputError(f"{file} is not a configuration: it needs keys and values, such as `study:`")
     return OmegaConf.to_container(content, resolve=False)  # pyright: ignore[reportReturnType]
 
 
@@ -303,7 +303,7 @@ def refuse_cycle(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> Non
     if above is None:
         return
     if os.path.samefile(above, file):
-        raise InputError(f"{' extends '.join(map(str, (*ring, above)))}: a file cannot start from itself")
+        raise InputError(f"{' extends '.join(map(str, (*ring, above)))}: a file cannot extend itself")
     if above in ring:  # a ring beyond this file, which is refused where it is read
         return
     for other, more in referenced_files(group, read_config_file(above, words=GROUPS[group].free)):

@@ -337,7 +337,7 @@ def make_points(
     distinct = table.drop_duplicates(identity_columns(table.columns), ignore_index=True)
     if on_message and len(distinct) < len(table):
         on_message(
-            f"{len(table) - len(distinct)} of {len(table)} rollouts are left out: equal to others in {DIGITS} digits"
+            f"{len(table) - len(distinct)} of {len(table)} rollouts are left out: they equal others in {DIGITS} digits"
         )
     return distinct
 
@@ -380,7 +380,7 @@ def _check_ends(study: Study, system: System, settings: EngineSettings) -> None:
         try:
             _check_values(system.parameter(column, settings), table[column], column)
         except InputError as error:
-            raise InputError(f"{error}; rare draws come to it: give its distribution `from` and `to`") from None
+            raise InputError(f"{error}; rare draws reach this value: give the distribution `from` and `to`") from None
 
 
 def identity_columns(columns: Any) -> list[str]:
@@ -401,12 +401,12 @@ def _from_csv(file: str) -> "pd.DataFrame":
         ) from None
     if not isinstance(table.index, pd.RangeIndex):  # as of numbers with a decimal comma: pandas shifts them
         if ";" in Path(file).read_text(encoding="utf-8", errors="replace").partition("\n")[0]:
-            raise InputError(f"study.points = {file} has semicolons between its values: commas are needed")
-        raise InputError(f"study.points = {file} is not a table: more values in a line than there are names")
+            raise InputError(f"study.points = {file} separates values by semicolons: use commas")
+        raise InputError(f"study.points = {file} is not a table: a line has more values than there are column names")
     if table.empty:
         raise InputError(f"study.points = {file} holds no points")
     if len(table.columns) == 1 and ";" in table.columns[0]:
-        raise InputError(f"study.points = {file} has semicolons between its values: commas are needed")
+        raise InputError(f"study.points = {file} separates values by semicolons: use commas")
     return table
 
 

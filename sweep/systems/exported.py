@@ -60,13 +60,13 @@ def check_exportable(case: Case) -> None:
     plan = nominal_plan(case)
     kind = f"manoeuvre.kind = {case.manoeuvre.kind}"
     reasons = {
-        f"obstacle.kind = {case.obstacle.kind} is not allowed: it may move": bool(case.obstacle.free_bodies),
-        f"{kind} is not allowed: it changes its servos' gains": plan.layer(Flywheel) is not None,
-        f"{kind} is not allowed: it searches forces before it starts": plan.layer(Feedforward) is not None,
-        "noise is not allowed: an own model has its own": classify_sensing(case.noise) != "exact",
-        "execution.push_impulse is not allowed: controllers of own models do not push": case.execution.push_impulse
-        != 0,
-        "control is not allowed: nothing is learned": (case.control.calibrate, case.control.touch) != ("none", "none"),
+        f"obstacle.kind = {case.obstacle.kind} is not allowed: the obstacle may move": bool(case.obstacle.free_bodies),
+        f"{kind} is not allowed: its controller changes servo gains": plan.layer(Flywheel) is not None,
+        f"{kind} is not allowed: it plans contact forces before it starts": plan.layer(Feedforward) is not None,
+        "noise is not allowed: a MuJoCo model has noise settings of its own": classify_sensing(case.noise) != "exact",
+        "execution.push_impulse is not allowed: a controller cannot push the robot": case.execution.push_impulse != 0,
+        "control is not allowed: an exported controller learns nothing": (case.control.calibrate, case.control.touch)
+        != ("none", "none"),
     }
     for reason, holds in reasons.items():
         if holds:

@@ -100,12 +100,12 @@ class Hexapod:
         side, path = split_side(column)
         if path.startswith("plan."):
             if side == "world":
-                raise InputError(f"axis {column} varies nothing: plans are made of what is believed")
+                raise InputError(f"axis {column} varies nothing: plans depend on the belief only")
             return plan_table.plan_parameter(self.case, path.removeprefix("plan."))
         owner, name = self._owner(column, settings)
         found = next(f for f in dataclasses.fields(owner) if f.name == name)
         if found.metadata.get("role") not in VARIED:
-            raise InputError(f"axis {column} cannot be varied: only single numbers and names can")
+            raise InputError(f"axis {column} cannot be varied: it is neither a single number nor a name")
         return found
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
@@ -206,10 +206,10 @@ class Hexapod:
         """Of errors that only the world has, see `System`."""
         side, path = split_side(column)
         if side == "world" and path.startswith(("manoeuvre.", "control.")):
-            return "plans are made of what is believed"
+            return "plans depend on the belief only"
         if other := next((engine for engine, own in ALONE.items() if path in own and engine != settings.name), ""):
-            return f"it is one of {other}"
-        return "errors are those of the world" if side == "belief" and path.startswith("noise.") else ""
+            return f"engine {other} uses it"
+        return "sensor errors are part of the world" if side == "belief" and path.startswith("noise.") else ""
 
     def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """Rows with errors that are drawn, see `System`."""
@@ -310,16 +310,16 @@ def _table(given: Any, manoeuvre: Any) -> PlanTable:
     kind = manoeuvre.kind
     if not given:
         if isinstance(manoeuvre, TabulatedManoeuvre) and not manoeuvre.own_plan:
-            raise InputError(f"plan is missing: manoeuvre.kind = {kind} has none of its own")
+            raise InputError(f"plan is missing: manoeuvre.kind = {kind} has no default plan")
         return PlanTable()
     if not isinstance(given, Mapping):
         raise InputError(f"plan = {given} is not allowed: `sweep list` shows the choices")
     if not isinstance(manoeuvre, TabulatedManoeuvre):
-        raise InputError(f"plan is not allowed: manoeuvre.kind = {kind} has its numbers in no file")
+        raise InputError(f"plan is not allowed: manoeuvre.kind = {kind} has no plan file")
     plan_table.refuse_malformed(given)
     require_choice(way := given.get(WAY, FORTH), DIRECTIONS, f"plan.{WAY} = {way}")
     if way != FORTH and not isinstance(manoeuvre, ReversibleManoeuvre):
-        raise InputError(f"plan.{WAY} = {way} is not allowed: manoeuvre.kind = {kind} goes {FORTH} alone")
+        raise InputError(f"plan.{WAY} = {way} is not allowed: manoeuvre.kind = {kind} goes {FORTH} only")
     return PlanTable(json.dumps(given))
 
 

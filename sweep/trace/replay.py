@@ -57,7 +57,9 @@ def main(args: list[str]) -> int:
     for name in SHOWN:
         if getattr(options, name) and name not in system.replay_formats:
             shown = ", ".join(f"--{one}" for one in sorted(system.replay_formats))
-            raise InputError(f"--{name} is not allowed: such rollouts are shown by {shown}, and what study.keep keeps")
+            raise InputError(
+                f"--{name} is not allowed: rollouts of this system are shown by {shown}, and what study.keep keeps"
+            )
     device_choice.choose_device_for_folder(options.folder)
     with show_wait(f"simulating {options.point} of {options.folder} in its batch"):
         result = replay(options.folder, options.point)
@@ -112,7 +114,7 @@ def replay(folder: Path, point: str) -> Replay:
     other_run = None
     if str(row["run_id"]) != exp.system.run_id(task.settings):
         then, here = " or ".join(stored["devices"]), exp.system.device(task.settings)
-        other_run = f"the row was simulated by other code or libraries, or on another device ({then}; here {here})"
+        other_run = f"the row was simulated with other code or libraries, or on another device ({then}; here {here})"
     return Replay(row, again, trace, task.settings, {**config, "point": values}, other_run)
 
 
@@ -150,7 +152,7 @@ def format_comparison(result: Replay) -> str:
     lines = [
         f"point {stored['point_id']}",
         tabulate(rows, headers=("", "stored", "replayed"), disable_numparse=True),
-        f"{len(figures) - len(changed)} of {len(figures)} figures are equal to the last bit",
+        f"{len(figures) - len(changed)} of {len(figures)} metrics are equal to the last bit",
     ]
     if result.other_run:
         lines.append(f"{result.other_run}: bits may differ")

@@ -99,7 +99,7 @@ class Score:
         if hold and not isinstance(case.manoeuvre, PlannedForces):
             raise InputError(f"--forces is not allowed: manoeuvre.kind = {case.manoeuvre.kind} plans none")
         if hold and self._plays:
-            raise InputError("--forces is not allowed: a plan on a ball is played, not held")
+            raise InputError("--forces is not allowed: plans on a ball have no static contact forces")
         told = (*kinematic_margins.Margins._fields, *(PLAYED if self._plays else ("hold",) if hold else ()))
         for aim in aims:
             require_choice(aim.margin, told, f"--need: margin {aim.margin}")

@@ -100,7 +100,7 @@ def test_points_from_a_file(tmp_path, capsys):
     assert "1 of 2 succeed" in capsys.readouterr().out
     (tmp_path / "comma.csv").write_text("contact.friction\n0,9\n")
     assert main(["run", "--points", "comma.csv"]) == 2
-    one_line(capsys.readouterr().err, "comma.csv is not a table: more values in a line than there are names")
+    one_line(capsys.readouterr().err, "comma.csv is not a table: a line has more values than there are column names")
     assert main(["run", "--points", "none.csv"]) == 2
 
 
@@ -168,9 +168,9 @@ def test_what_is_wrong_is_told_before_what_is_slow_is_imported(argument, unneede
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "the following arguments are required: command (`sweep --help` tells more)"),
+        ([], "the following arguments are required: command (`sweep --help` explains more)"),
         (["lits"], "command = lits is unknown: did you mean list? (allowed: audit, bench,"),
-        (["table"], "the following arguments are required: dir (`sweep table --help` tells more)"),
+        (["table"], "the following arguments are required: dir (`sweep table --help` explains more)"),
         (["table", "results", "--whre", "x"], "--whre is unknown: did you mean --where? (allowed: --columns,"),
         (["table", "results", "--format", "md"], "--format = md is unknown (allowed: csv, latex, markdown, parquet)"),
         (["stats", "results", "--level", "x"], "--level = x is not allowed: a number"),
@@ -262,7 +262,7 @@ def test_copies_and_choices_are_not_taken_for_evidence(capsys):
     assert main(["run", *SMALL, "study.replicates=5"]) == 0
     out = capsys.readouterr().out
     assert "6 of 12 succeed (50.0 %), 0 invalid" in out  # of a grid: no sample, no interval
-    assert "48 copies of noise-free rollouts are counted once" in out
+    assert "48 duplicate noise-free rollouts are counted once" in out
     assert main(["stats", "results/walk_map"]) == 0
     assert "| 60 " not in capsys.readouterr().out
     assert main(["run", "study.replicates=5", "out=noisy", "noise.position_noise=0.001"]) == 0
@@ -323,7 +323,7 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
         ),
         (["compare", results, results, "--anytime", "-o", "x.csv"], "--output is not for --anytime"),
         (["compare", results, results, "--anytime", "--figures", "0"], "--figures is not for --anytime"),
-        (["export", results, "--paper", "p", "--zip"], "--zip, --author and --license are of --crate"),
+        (["export", results, "--paper", "p", "--zip"], "--zip, --author and --license need --crate"),
         (["view", "nowhere", "3"], "nowhere is neither a folder of results nor group.name=value"),
         (["describe", "torque_limit"], "torque_limit is unknown: did you mean drive.torque_limit?"),
         (["run", "study=walk_map", "study=push_map"], "study is chosen twice: study=walk_map study=push_map"),
@@ -342,8 +342,8 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
             ["run", "robot=base,circular"],
             "robot=base,circular cannot be read: key=[VALUE,VALUE] is a list, and --multi",
         ),
-        (["run", "study=list.yaml"], "study/list.yaml has a list or a word where keys and values are wanted"),
-        (["run", "study=word.yaml"], "study/word.yaml has a list or a word where keys and values are wanted"),
+        (["run", "study=list.yaml"], "study/list.yaml has a list or a word where keys and values are needed"),
+        (["run", "study=word.yaml"], "study/word.yaml has a list or a word where keys and values are needed"),
         (["run", "--points", ""], "study.points =  is not a file"),
         (["run", "execution.dead_joint=1.5"], "execution.dead_joint = 1.5 is not allowed: a whole number"),
         (["init", " "], "dir = ' ' is not allowed: a new or empty folder"),

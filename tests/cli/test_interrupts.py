@@ -61,7 +61,7 @@ def test_an_interrupt_while_compiling_ends_the_command_within_two_seconds(tmp_pa
     _, error = process.communicate(timeout=30)
     assert time.monotonic() - start < 2
     assert process.returncode == 130, error
-    assert error.count("interrupted; what is on disk stays, the same command finishes the rest") == 1
+    assert error.count("interrupted; finished rollouts are kept, repeat the command") == 1
     if compiler == "child":
         assert has_ended(int(began.read_text()))
     assert not [path for path in tmp_path.rglob(".tmp-*") if path.is_file()]

@@ -46,7 +46,7 @@ def test_sweeps_a_table_with_gaps_and_draws_it(capsys, tmp_path):
     [
         (["corner_balanced", "q=1"], "corner_balanced.q is unknown (allowed: eps, k, psi)"),
         (["corner_balanced", "k=-1"], "corner_balanced.k = -1 is not allowed: greater than 0"),
-        (["corner_balanced", "k"], "k is not allowed: inputs are written key=value"),
+        (["corner_balanced", "k"], "k is not allowed: give inputs as key=value"),
         (["corner_balanced", "k=0.5"], "k must be greater than tan(psi)"),
         (["corner_balanced", "--sweep", "k=0:1"], "key=lo:hi:n"),
         (["corner_balanced", "--sweep", "k=0.1:0.5:3"], "k must be greater than tan(psi)"),

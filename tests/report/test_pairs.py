@@ -54,7 +54,7 @@ def test_the_page_of_two_is_written(folders, capsys, tmp_path):
     assert str(compare.count_flips(compare.pair_rows(a.rows, b.rows))) in page
     assert 'id="difference"' in page
     assert main(["report", *map(str, folders), "--pictures"]) == 2
-    assert "--pictures, --x and --y are of one study" in capsys.readouterr().err
+    assert "--pictures, --x and --y are not allowed with a second folder" in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -66,7 +66,7 @@ def test_every_point_is_found_in_its_slot(folder, number, capsys):
     assert main([str(folder), str(number)]) == 0
     shown = capsys.readouterr().out
     assert row["point_id"] in shown
-    assert "figures are equal to the last bit" in shown
+    assert "metrics are equal to the last bit" in shown
     assert "slip_max_m" not in shown  # only what differs is listed
 
 

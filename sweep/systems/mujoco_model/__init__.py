@@ -53,7 +53,10 @@ class MujocoModel(ModelSpec):
     bookkeeping_metrics = frozenset(outcome.INVALID_CAUSES)
     replay_formats = ("mcap", "png", "video")
     unsupported_commands = MappingProxyType(
-        {"tune": "its controller's numbers are axes (controller.*)", "export-model": "it is an own model already"}
+        {
+            "tune": "vary the controller's parameters as axes instead (controller.*)",
+            "export-model": "it is a MuJoCo model already",
+        }
     )
     audit_variants = MappingProxyType(WAYS)
     device = staticmethod(run_id.describe_device)
@@ -82,11 +85,11 @@ class MujocoModel(ModelSpec):
     def source_files(self) -> dict[str, Path]:
         """See `System`: those of the model and of the controller."""
         if _content_digest(self) != self.config.content:
-            raise InputError("the model or its controller is not as it was when the study was run")
+            raise InputError("model or controller changed after the study was run")
         found, place = {}, files.project_folder().resolve()
         for file in (*files.list_files(self.config.mjcf), *self.controller.files):
             if not file.resolve().is_relative_to(place):
-                raise InputError(f"{file} is not allowed: a crate has files of the project only")
+                raise InputError(f"{file} is not allowed: a crate contains only files of the project")
             found[str(file.resolve().relative_to(place))] = file
         return found
 
@@ -137,7 +140,7 @@ class MujocoModel(ModelSpec):
         columns = [c for c in map(str, table.columns) if "." in c and not c.startswith("axis.")]
         for column in columns:
             if column.startswith("world.controller."):
-                raise InputError(f"axis {column} varies nothing: the belief alone has the controller's own numbers")
+                raise InputError(f"axis {column} varies nothing: the controller's parameters belong to the belief")
         shaping = [c for c in columns if self.parameter(c, settings).metadata["role"] != "quantity"]
         distinct: list[Any] = table[shaping].drop_duplicates().to_dict("records") if shaping else [{}]
         varied = {path for side, path in map(split_side, columns) if side != "belief" and path.startswith("model.")}
@@ -185,7 +188,7 @@ class MujocoModel(ModelSpec):
         """See `System`: `goal=travelled_m >= 1`."""
         key, _, condition = (part.strip() for part in text.partition("="))
         if not key.isidentifier() or not condition:
-            raise InputError(f"{text!r} names no condition: as 'goal=travelled_m >= 1'")
+            raise InputError(f"{text!r} is not allowed: a name and a condition, such as 'goal=travelled_m >= 1'")
         return key, condition
 
     def thresholds(self, limits: tuple[Condition, ...]) -> dict[str, float]:
@@ -206,7 +209,7 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     settings, usual = build(Settings, values["engine"], "engine"), Settings()
     for field in dataclasses.fields(usual):
         if field.name not in ALLOWED and getattr(settings, field.name) != getattr(usual, field.name):
-            raise InputError(f"engine.{field.name} is not allowed: the model's file says how it is simulated")
+            raise InputError(f"engine.{field.name} is not allowed: the model's file sets it")
     own, groups = MujocoModel(about, ()), {group: values.get(group) or {} for group in ("noise", "controller")}
     asked = {f"{group}.{name}": value for group, given in groups.items() for name, value in given.items()}
     for path in asked:
@@ -239,7 +242,7 @@ def _parse_model(given: Mapping[str, Any]) -> ModelConfig:
     along = direction if isinstance(direction, list | tuple) else ()
     along = tuple(check_value(quantity(0.0, ""), one, "model.direction") for one in along)
     if len(along) != 3 or not any(along):
-        raise InputError(f"model.direction = {direction!r} is not allowed: along the world's axes, as [1, 0, 0]")
+        raise InputError(f"model.direction = {direction!r} is not allowed: a vector in world axes, such as [1, 0, 0]")
     if not isinstance(option, Mapping):
         raise InputError(f"model.option = {option!r} is not allowed: names and values, such as {{cone: elliptic}}")
     model, paths = (

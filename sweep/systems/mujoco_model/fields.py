@@ -188,11 +188,11 @@ def check_variable(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, p
     geom = source().geom(name) if locate_numbers(model, path)[0].compiled else None
     for wrong, why in (
         (kind == "body" and what == "mass" and not model.body_mass[number],
-         "the body has no mass in the file, so no inertia to scale"),
+         "the body has no mass in the file, so its inertia cannot be scaled"),
         (kind == "body" and what.startswith("ipos") and model.body_simple[number],
-         'MuJoCo has the body as a simple one, without simple="false"'),
-        (geom and np.isfinite(geom.fromto[0]) and what != "size.radius", "the geom's fromto says where it ends"),
-        (geom and geom.type == Shape.mjGEOM_MESH, "the geom is where its mesh has its middle"),
+         'MuJoCo simplified the body: set simple="false" in its file'),
+        (geom and np.isfinite(geom.fromto[0]) and what != "size.radius", "the geom's fromto sets its ends"),
+        (geom and geom.type == Shape.mjGEOM_MESH, "its mesh sets the geom's position"),
     ):  # fmt: skip
         if wrong:
             raise InputError(f"axis {path} is not allowed: {why}")
@@ -272,7 +272,7 @@ def _places(model: mujoco.MjModel, kind: str, number: int, field: str) -> tuple[
 def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[NumberSpec, list[NumberLocation]]:
     gain, bias = model.actuator_gainprm[number], model.actuator_biasprm[number]
     if model.actuator_biastype[number] != int(mujoco.mjtBias.mjBIAS_AFFINE) or gain[0] != -bias[1]:
-        what = "the actuator is no position servo: gainprm.0 and biasprm.0, .1, .2"
+        what = "the actuator is no position servo; vary gainprm.0 and biasprm.0, .1, .2 instead"
         raise InputError(f"axis {path} names nothing: {what}")
     places = [
         NumberLocation(field, number * field_values(model, field)[0].size + k, sign) for field, k, sign in SERVO[word]

@@ -96,7 +96,7 @@ def load_spec(mjcf: str) -> mujoco.MjSpec:
     """What a model is compiled from. Raises `InputError` where that is not known."""
     file = project_folder() / mjcf
     if file.suffix == BINARY:
-        raise InputError(f"model.mjcf = {mjcf} is compiled: sizes and places of geoms vary in MJCF or URDF only")
+        raise InputError(f"model.mjcf = {mjcf} is compiled: sizes and positions of geoms can vary in MJCF or URDF only")
     return _source(file, file.stat().st_mtime_ns)
 
 
@@ -185,14 +185,14 @@ def _network(name: str, file: str, changed: int) -> Callable[[np.ndarray], np.nd
     try:
         session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # it has a class of its own for each kind of fault
-        raise InputError(f"{told} is no network: {' '.join(str(error).split())}") from None
+        raise InputError(f"{told} is not a readable network: {' '.join(str(error).split())}") from None
     into, out = session.get_inputs(), session.get_outputs()
     if len(into) != 1 or len(out) != 1 or into[0].type not in TYPES or len(into[0].shape) != 2:
         has = ", ".join(f"{one.name} ({', '.join(map(str, one.shape))}) {one.type}" for one in (*into, *out))
-        raise InputError(f"{told} has {has}: one input (n, k) of numbers and one output (n, m) are wanted")
+        raise InputError(f"{told} has {has}: allowed are one input (n, k) of numbers and one output (n, m)")
     rows, size = into[0].shape
     if rows not in (None, 1) and not isinstance(rows, str):
-        raise InputError(f"{told} takes {rows} rollouts at a time: any number, or 1, is wanted")
+        raise InputError(f"{told} takes {rows} rollouts at a time: allowed are any number, or 1")
 
     def network(seen: np.ndarray) -> np.ndarray:
         if isinstance(size, int) and size != seen.shape[1]:
@@ -210,9 +210,9 @@ def _beside(name: str, module: Any) -> dict[str, Any]:
     found = {key: getattr(module, key, None) for key in ("figures", "measure", "observe")}
     measured = getattr(module, "FIGURES", {})
     if bool(measured) != callable(found["figures"]):
-        raise InputError(f"model.controller = {name}: figures, a function, and FIGURES, their names, go together")
+        raise InputError(f"model.controller = {name}: the function `figures` and the names FIGURES need each other")
     if odd := next((one for one in measured if not one.isidentifier()), None):
-        raise InputError(f"model.controller = {name}: FIGURES has {odd!r}: letters, digits and _ make a name")
+        raise InputError(f"model.controller = {name}: FIGURES has {odd!r}: a name has letters, digits and _")
     return {**found, "measured": measured}
 
 

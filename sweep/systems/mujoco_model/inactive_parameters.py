@@ -19,13 +19,13 @@ def explain_inactive(own: ModelSpec, column: str, settings: EngineSettings, ends
     side, path = split_side(column)
     root = path.partition(".")[0]
     if root == "noise":
-        return "errors are those of the world" if side == "belief" else ""
+        return "sensor errors are part of the world" if side == "belief" else ""
     if root == "controller":
-        return "its own numbers are believed" if side == "world" else ""
+        return "controller parameters are part of the belief" if side == "world" else ""
     if root != "model":
         return ""
     if side == "belief":
-        return "" if path in own.controller.believes.values() else "the controller is not told of it (BELIEVES)"
+        return "" if path in own.controller.believes.values() else "the controller's BELIEVES does not name it"
     kind, number, _, what = fields.find_element(own.model, path)
     if kind == fields.OPTION:
         return _option(own.model, what)
@@ -38,14 +38,14 @@ def _option(model: mujoco.MjModel, what: str) -> str:
     if what.startswith("wind") and not model.opt.density and not model.opt.viscosity:
         return "air has neither density nor viscosity"
     if what == "impratio" and model.opt.cone != int(mujoco.mjtCone.mjCONE_ELLIPTIC):
-        return "it is one of elliptic cones (model.option.cone)"
+        return "it applies to elliptic cones only (model.option.cone)"
     return ""
 
 
 def _geom(model: mujoco.MjModel, geom: int, what: str, ends: tuple[Any, Any]) -> str:
     name = model.geom
     if geom in model.pair_geom1 or geom in model.pair_geom2:
-        return "contacts of a pair have numbers of their own"
+        return "contacts of its pairs have their own parameters"
     types, able = model.geom_contype, model.geom_conaffinity
     meets = ((types & able[geom]) | (types[geom] & able)) != 0
     still = model.body_weldid == model.body_weldid[model.geom_bodyid[geom]]
@@ -61,33 +61,33 @@ def _geom(model: mujoco.MjModel, geom: int, what: str, ends: tuple[Any, Any]) ->
     lower = model.geom_priority[others] < model.geom_priority[geom]
     condim = np.where(lower, model.geom_condim[geom], np.maximum(model.geom_condim[others], model.geom_condim[geom]))
     if condim.max() < CONDIM[part]:
-        return f"contacts have condim {condim.max()}, from {CONDIM[part]} on it counts"
+        return f"contacts have condim {condim.max()}, it needs {CONDIM[part]}"
     equal = others[model.geom_priority[others] == model.geom_priority[geom]]
     ranked = sorted((model.geom_friction[other, [*CONDIM].index(part)], name(other).name or other) for other in equal)
     if lower.any() or not ranked or max(ends) > ranked[0][0]:  # then the geom's own number counts somewhere
         return ""
     (least, low), (most, high) = ranked[0], ranked[-1]
     has = f"geom `{low}` has {least:g}" + (f", `{high}` {most:g}" if len(ranked) > 1 else "")
-    return f"of two that meet the larger counts: {has}"
+    return f"the larger friction of two geoms counts: {has}"
 
 
 def _other(model: mujoco.MjModel, kind: str, number: int, what: str) -> str:
     """Why the attribute `what` of something that is no geom counts for nothing; empty where it counts."""
     match kind, what:
         case "body", "pos" if (first := model.body_jntadr[number]) >= 0 and model.jnt_type[first] == FREE:
-            return "a free body is where its joint is: in the keyframe"
+            return "the keyframe sets the position of a free body"
         case "body", _ if what != "pos" and model.body_weldid[number] == 0:
             return "the body does not move"
         case "joint", "pos" if model.jnt_type[number] == FREE:
-            return "it is that of a free joint"
+            return "a free joint ignores it"
         case "joint", "range" if not model.jnt_limited[number]:
             return "the joint has no limits"
         case "tendon", "range" if not model.tendon_limited[number]:
             return "the tendon has no limits"
         case "actuator", "forcerange" if not model.actuator_forcelimited[number]:
-            return "the actuator has no such limits"
+            return "the actuator does not have these limits"
         case "actuator", "ctrlrange" if not model.actuator_ctrllimited[number]:
-            return "the actuator has no such limits"
+            return "the actuator does not have these limits"
         case "site", _ if SENSED not in model.sensor_objtype[model.sensor_objid == number]:
             return "no sensor is at the site"
         case _:

@@ -30,7 +30,7 @@ COLUMNS = {  # what each metric means; those of a base, feet, collisions or limi
     "energy_gained_j": "growth of mechanical energy beyond the work of the actuators",
     "duration_s": "simulated time",
     "not_finite": "1 where a number was not finite",
-    "buffer_full": "1 where MuJoCo's room for contacts or constraints was full",
+    "buffer_full": "1 where MuJoCo's buffer for contacts or constraints was full",
 }
 Tree = dict[str, Any]
 BALANCED = 0.01  # share of the forces, up to which those of a step are in balance

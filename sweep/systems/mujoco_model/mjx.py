@@ -82,7 +82,7 @@ class MjxModelEngine(ModelEngine):
             how = "pip install 'insect-sweep[warp]'"
             raise InputError(f"engine.name = warp is not allowed: it needs NVIDIA Warp: {how}")
         if warp and settings.precision != "float32":
-            raise InputError(f"engine.precision = {settings.precision} is not allowed: warp reckons in float32")
+            raise InputError(f"engine.precision = {settings.precision} is not allowed: warp computes in float32")
         super().__init__(own, settings)
         pairs, geoms = count_geom_pairs(self._model), self._model.ngeom
         size = f"{self._model.nv} degrees of freedom, {pairs} pairs of {geoms} geoms that may touch"
@@ -91,7 +91,7 @@ class MjxModelEngine(ModelEngine):
         self._compared = False  # with C MuJoCo
         self._placed: dict[Any, tuple[Any, Any]] = {}  # MJX's model and data of a batch's shape
         if own.controller.batched:
-            raise self._refusal("a controller of NumPy's or a network is no part of its program", "one of JAX's, ")
+            raise self._refusal("it cannot compile a NumPy controller or a network", "one of JAX's, ")
         with self._within(), report_silence(f"{settings.name}, which traces {self._about},", after=SOON):
             self._check()
         # made once: a function of its own in every run would be traced and compiled anew
@@ -103,7 +103,7 @@ class MjxModelEngine(ModelEngine):
         """Where MJX is known to part from C MuJoCo, each a line."""
         model = self._model
         if model.nplugin:
-            yield f"{self._settings.name} leaves out the model's plugins, C MuJoCo has them"
+            yield f"{self._settings.name} ignores the model's plugins, C MuJoCo does not"
         damped = model.actuator_biasprm[:, 2] != 0
         bounded = (model.actuator_forcelimited | model.actuator_ctrllimited).astype(bool)
         fast = self._impl == "jax" and model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
@@ -111,12 +111,12 @@ class MjxModelEngine(ModelEngine):
             alike = "the two agree with model.option.integrator=Euler"
             yield f"mjx damps actuators at a limit in an implicitfast step, C MuJoCo does not: {alike}"
         if self._impl == "warp":
-            yield "on a GPU warp gives other last bits each time, in a replay, too; native's are those of its row"
+            yield "on a GPU warp gives different last bits each time, replays included; use native for exact replays"
             return
         if (model.tendon_armature[model.tendon_num > 1] != 0).any():
-            yield "mjx has armature of tendons between branches of a body, C MuJoCo does not: the two may differ"
+            yield "mjx simulates armature of tendons between branches of a body, C MuJoCo does not: results may differ"
         if custom_numeric(model, "max_geom_pairs") is not None:
-            yield "mjx leaves contacts out beyond the model's max_geom_pairs, and does not tell which rollouts had more"
+            yield "mjx ignores contacts beyond the model's max_geom_pairs and does not report which rollouts have more"
 
     def _check(self) -> None:
         """Raise `InputError` where it cannot simulate the model, or would leave a part of it out without a word."""
@@ -230,7 +230,7 @@ class MjxModelEngine(ModelEngine):
         raise InputError(
             f"engine.name = {self._settings.name} is not allowed: joint {name} accelerates by {here[row, dof]:.4g} in "
             f"tick {tick + 1} and by {there[row, dof]:.4g} on C MuJoCo, from the same state with the same controls "
-            "(engine=native, or engine.cross_check=off if that is meant)"
+            "(engine=native, or engine.cross_check=off to skip this check)"
         )
 
     @devices.convert_memory_errors()

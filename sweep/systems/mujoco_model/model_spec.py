@@ -99,7 +99,7 @@ class ModelSpec:
         for name in names:
             require_choice(name, sensors, f"model.{key}: {name}")
             if self.model.sensor(name).type != int(mujoco.mjtSensor.mjSENS_TOUCH):
-                raise InputError(f"model.{key}: {name} is no touch sensor")
+                raise InputError(f"model.{key}: {name} is not a touch sensor")
         return [self.model.sensor(name).id for name in names]
 
     @property
@@ -138,7 +138,7 @@ class ModelSpec:
         """What of the state is observed. Raises `InputError`."""
         model, names = self.model, self.config.observe
         if names and self.controller.observe:
-            raise InputError("model.observe is not allowed beside the controller's own function `observe`")
+            raise InputError("model.observe is not allowed: the controller has a function `observe`")
         for name in names:
             require_choice(name, self.state_slices, f"model.observe: {name}")
         usual = slice(model.nq + model.nv if model.nsensordata else 0, None)

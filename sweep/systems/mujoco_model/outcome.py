@@ -13,8 +13,8 @@ from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
 
 GOAL, MISSED, UNTRUSTED = "goal", "goal_missed", "untrusted"
 INVALID_CAUSES = {  # figures that are 1 where they hold
-    "not_finite": "a number of the simulation or of the controller was not finite",
-    "buffer_full": "MuJoCo's room for contacts or constraints was full",
+    "not_finite": "a number of the simulation or controller was not finite",
+    "buffer_full": "MuJoCo's buffer for contacts or constraints was full",
 }
 
 
@@ -66,13 +66,13 @@ def parse_conditions(given: Mapping[str, Any], figures: Collection[str]) -> tupl
     found = []
     for key, text in given.items():
         if key in (*INVALID_CAUSES, MISSED, UNTRUSTED, SUCCESS, FAILURE) or not str(key).isidentifier():
-            raise InputError(f"outcome.{key} is not allowed: a name of your own for a failure, {GOAL} or {INVALID}")
+            raise InputError(f"outcome.{key} is not allowed: a new name for a failure, {GOAL} or {INVALID}")
 
         evaluate_condition(str(text), look_up, f"outcome.{key} = {text!r}", "'tilt_max_deg > 60'")
         found.append(Condition({GOAL: MISSED, INVALID: UNTRUSTED}.get(key, str(key)), str(key), str(text)))
     if {one.key for one in found} <= {INVALID}:
         such = "such as {fell: tilt_max_deg > 60}, or a goal"
-        raise InputError(f"outcome is empty: name what counts as a failure, {such}")
+        raise InputError(f"outcome is empty: it needs a failure, {such}")
     return tuple(sorted(found, key=lambda one: (one.cause != UNTRUSTED, one.cause == MISSED)))
 
 

@@ -136,9 +136,9 @@ class ControllerPrograms:
         if not np.array_equal(controls, again):
             row, one = np.argwhere(controls != again)[0]
             raise self._error(
-                f"gives {controls[row, one]:.4g}, then {again[row, one]:.4g} for the same observations: a global that "
-                "keeps a state, or draws, mixes rollouts. A controller of JAX keeps a state of each rollout: "
-                "policy(belief, observation, state, key) -> (controls, state)"
+                f"gives {controls[row, one]:.4g}, then {again[row, one]:.4g} for the same observations: a global "
+                "variable that keeps a state, or draws random numbers, mixes rollouts. A JAX controller has a state "
+                "for each rollout: policy(belief, observation, state, key) -> (controls, state)"
             )
 
     def _error(self, what: str) -> InputError:
@@ -200,8 +200,8 @@ class ControllerPrograms:
             (getattr(seen, "ndim", 0) != 1, f"observes {getattr(seen, 'shape', seen)}: (k,) is wanted"),
             (not own.controller.batched and shape != (model.nu,),
              f"gives controls {shape}: ({model.nu},) are wanted"),
-            (differ(state, after), "gives a state of another form than it was given"),
-            (differ(sofar, more), "measures in another form than at first"),
+            (differ(state, after), "returns a state of another shape or type than it receives"),
+            (differ(sofar, more), "returns measurements of another shape or type than at first"),
             (start is not None and start.shape != (model.nq,),
              f"begins at {getattr(start, 'shape', '')}: ({model.nq},) are wanted"),
             (duration is not None and duration.shape, f"lasts {getattr(duration, 'shape', '')}: one number is wanted"),
