@@ -78,7 +78,7 @@ def compare_replays(base: Path, rows: tuple[int, ...]) -> Line:
         )
         for row in rows
     ]
-    found = [re.search(r"(\d+) of (\d+) figures are equal", one.stdout) for one in shown]
+    found = [re.search(r"(\d+) of (\d+) metrics are equal", one.stdout) for one in shown]
     counts = [(int(one[1]), int(one[2])) for one in found if one]
     other = any("bits may differ" in one.stdout for one in shown)
     bits = f"{sum(a == b for a, b in counts)} of {len(rows)}"

@@ -98,7 +98,7 @@ def test_a_folder_that_cannot_be_written_is_no_way_that_is_left_out(fake_engine,
 def test_what_has_neither_a_boundary_nor_successes_is_refused(fake_engine, tmp_path, capsys):
     assert main([*STUDY, f"out={tmp_path}", "study.where='friction < 0.15'"]) == 0
     for arguments, message in (
-        ([], "no two neighbouring points differ, and none succeeds"),
+        ([], "no neighbouring points have different outcomes, and none succeeds"),
         (["--ways", "quarter_step"], "--ways quarter_step is unknown"),
         (["--points", "0"], "at least 1"),
     ):

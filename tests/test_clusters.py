@@ -41,7 +41,7 @@ def test_a_batch_that_kills_every_worker_is_named_and_the_others_are_done(tmp_pa
     process = start(tmp_path, *WORKERS, FAKE_DEATH="1.2")
     _, error = process.communicate(timeout=400)
     assert process.returncode == 5
-    one_line(error, "1 batches lost their worker", "the same command finishes the rest")
+    one_line(error, "1 batches repeatedly lost their worker", "finished rollouts are kept, repeat the command")
     assert store.finished_batches(tmp_path) == set(range(BATCHES - 1))
 
 
@@ -108,8 +108,8 @@ def test_a_worker_that_hangs_is_named_and_its_batch_goes_to_another(tmp_path, wh
         assert main(["run", *STUDY, *WORKERS, f"out={tmp_path / 'out'}"]) == 0
     assert (tmp_path / "stopped").exists()
     error = capsys.readouterr().err
-    assert "batch 6 has kept worker tls://" in error
-    assert "it goes to another" in error
+    assert "batch 6 has occupied worker tls://" in error
+    assert "it is given to another" in error
     pd.testing.assert_frame_equal(content(tmp_path / "out"), whole)
 
 
@@ -144,7 +144,7 @@ def test_jobs_of_slurm_are_given_keys_that_only_this_user_can_read(tmp_path, mon
 def test_what_a_cluster_needs_is_said_before_anything_runs(tmp_path, monkeypatch, capsys):
     cases = (
         (["cluster=dask_address"], "cluster.address is missing"),
-        (["cluster=dask_address", "cluster.address=tcp://127.0.0.1:9"], "not a scheduler that answers"),
+        (["cluster=dask_address", "cluster.address=tcp://127.0.0.1:9"], "does not answer"),
         (["engine.width=0", "cluster=slurm"], "needs engine.width"),
         (["cluster=slrm"], "did you mean slurm?"),
         (["cluster=dask_local", "cluster.workers=0"], "cluster.workers = 0"),

@@ -129,4 +129,4 @@ def test_two_folders_on_the_command_line(fake_engine, tmp_path, monkeypatch, cap
     assert "of 30 rows of A have no pair in B" in capsys.readouterr().err
     halves = ["--a", "half_step_ratio < 0.04", "--b", "half_step_ratio > 0.19", "--by", "friction"]
     assert main(["compare", "a", "a", *halves, "--tolerance", "1"]) == 0  # another controller at equal friction
-    assert "6 pairs; 0 rows of A and 0 of B" in capsys.readouterr().out
+    assert "6 pairs; unpaired: 0 rows of A, 0 of B" in capsys.readouterr().out

@@ -111,7 +111,7 @@ BAD = [
     ("+study.axes.f={path: contact.friction, from: 0, to: 1, num: 1000000000}", ["study.axes.f.num", "20000000"]),
     ("contact.friction='${oc.env:SECRET}'", ["contact.friction = ${oc.env:SECRET}", "another key"]),
     ("study.name=${oc.env:SECRET}", ["study.name = ${oc.env:SECRET}", "another key"]),
-    ("contact.friction='${friction}'", ["contact.friction = '${friction}'", "names another key"]),
+    ("contact.friction='${friction}'", ["contact.friction = '${friction}'", "may only name another key"]),
     ("~contact.friction", ["~contact.friction is not allowed"]),
     ("contact=[base,soft]", ["contact = soft is unknown (allowed: base)"]),
     ("study.axes=[1]", ["study.axes = [1]", "keys and values"]),

@@ -181,10 +181,10 @@ def test_rows_say_which_whole_delays_and_joints_were_drawn(table_of):
         ({"f": listed("contact.friction", 8, "9")}, {}, "[8, '9'] is not allowed: all numbers, or all names"),
         ({"p": {"path": "noise.delay", "relative": 0.1}}, {"num": 1}, "noise.delay is nominally 0"),
         ({"f": listed("contact.friction", 1, times="robot.bdy_mass")}, {}, "did you mean body_mass?"),
-        ({"f": listed("contact.friction", 1, **{"with": "g"})}, {}, "both need listed values"),
+        ({"f": listed("contact.friction", 1, **{"with": "g"})}, {}, "both axes need listed values"),
         ({"f": listed("contact.friction", 1, **{"with": "g"}), "g": listed("robot.shin", 1, 2)}, {}, "g has 2"),
         ({"f": listed("robot.shin", 1, times="robot.thigh"), "g": listed("robot.thigh", 1, times="robot.shin")}, {},
-         "goes in a circle"),
+         "refers to itself"),
     ],
 )  # fmt: skip
 def test_a_bad_design_is_refused(table_of, axes, design, message):
@@ -254,7 +254,7 @@ def test_correlations_that_go_with_no_distribution_tell_how_much_smaller_ones_do
         given = [[a, b, factor * share] for a, b, share in pairs]
         return designs.parse_design({"num": 4, "correlation": given}, axes)
 
-    with pytest.raises(InputError, match=r"mass-grip -0\.9: multiply them by (0\.55) or less, or drop one") as told:
+    with pytest.raises(InputError, match=r"mass-grip -0\.9: scale them by (0\.55) or less, or drop one") as told:
         parsed(1.0)
     assert parsed(0.55).correlation
     with pytest.raises(InputError):

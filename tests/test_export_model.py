@@ -45,7 +45,7 @@ def test_what_is_exported_is_the_robot_to_its_last_digit(tmp_path, monkeypatch, 
             "control is not allowed: an exported controller learns nothing",
         ),
         (["scenario=stand_push"], "execution.push_impulse is not allowed: a controller cannot push the robot"),
-        (["study=walk_map"], "study is not allowed: one scenario is exported"),
+        (["study=walk_map"], "study is not allowed: export-model exports a single scenario"),
     ],
 )
 def test_what_a_controller_of_an_own_model_cannot_do_is_refused(tmp_path, monkeypatch, capsys, asked, line):

@@ -48,7 +48,7 @@ def test_an_interrupted_run_says_so_and_goes_on(tmp_path, whole):
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130, error
-    one_line(error, "interrupted", "the same command finishes the rest")
+    one_line(error, "interrupted", "finished rollouts are kept, repeat the command")
     assert main(["run", *STUDY, f"out={tmp_path / 'out'}"]) == 0
     pd.testing.assert_frame_equal(content(tmp_path / "out"), whole)
 
@@ -59,7 +59,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, whole):
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (12_000, 12_000))
     _, error = process.communicate(timeout=60)
     assert process.returncode == 5
-    one_line(error, "part-000000-", "cannot be written", "the same command finishes the rest")
+    one_line(error, "part-000000-", "cannot be written", "finished rollouts are kept, repeat the command")
     assert not list((tmp_path / "out" / store.PARTS).iterdir())
     assert main(["run", *STUDY, f"out={tmp_path / 'out'}"]) == 0
     pd.testing.assert_frame_equal(content(tmp_path / "out"), whole)

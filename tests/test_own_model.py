@@ -84,7 +84,7 @@ def test_what_studies_do_works_on_it(here, capsys, monkeypatch):
     assert main(["run", *SHORT, "out=whole", "engine.width=7", "study.keep=[base_z_m,qpos_7,tilt_deg]"]) == 0
     capsys.readouterr()
     assert main(["compare", "some", "whole", "--tolerance", "0"]) == 0
-    assert "36 pairs; 0 rows of A and 0 of B have none\n0 of 36 flip" in capsys.readouterr().out
+    assert "36 pairs; unpaired: 0 rows of A, 0 of B\n0 of 36 flip" in capsys.readouterr().out
     some, whole = (store.read_rows(Path(name)).set_index("point_id") for name in ("some", "whole"))
     measured = ["base_height_min_m", "tilt_max_deg", "travelled_m", "slip_max_m", "energy_j"]
     pd.testing.assert_frame_equal(some[measured], whole.loc[some.index, measured], check_exact=True)
@@ -98,7 +98,10 @@ def test_what_studies_do_works_on_it(here, capsys, monkeypatch):
     rows = store.read_rows(Path("some"))
     assert set(rows["cause"]) <= {"fell", "low", "goal_missed"}
     assert (rows["outcome"] == "failure").all()
-    for wrong, line in (("goal", "'goal' names no condition"), ("goal=far > 1", "outcome.goal: far is unknown")):
+    for wrong, line in (
+        ("goal", "'goal' is not allowed"),
+        ("goal=far > 1", "outcome.goal: far is unknown"),
+    ):
         assert main(["relabel", "some", wrong]) == 2
         assert line in capsys.readouterr().err
     assert main(["replay", "some", "3", "--states", "s.parquet"]) == 2
@@ -260,7 +263,10 @@ BROKEN = {
             "model.mjcf = bad.xml does not compile: XML Error: Schema violation: unrecognized attribute: 'sise'",
         ),
         ("model.mjcf=TMP/lost.xml", "model.mjcf = lost.xml does not compile: Error: Error opening file 'hul.obj'"),
-        ("model.controller=trot", "model.controller = 'trot' is not allowed: as my.walk:policy"),
+        (
+            "model.controller=trot",
+            "model.controller = 'trot' is not allowed: a module and its function",
+        ),
         ("model.controller=trot:polic", "polic is unknown: did you mean policy?"),
         ("model.controller=trit:policy", "model.controller = trit:policy cannot be imported: ModuleNotFoundError"),
         ("model.period=0.003", "model.period = 0.003 is not allowed: a multiple of 0.002 s, the model's time step"),
@@ -278,7 +284,7 @@ BROKEN = {
         ("model.option.cone=round", "model.option.cone = 'round' is not allowed: one of pyramidal, elliptic"),
         ("model.option.timestp=0.001", "timestp is unknown: did you mean timestep?"),
         ("study.axes.load.path=engine.compiler", "compiler is unknown"),
-        ("engine.time_step=0.001", "engine.time_step is not allowed: the model's file says"),
+        ("engine.time_step=0.001", "engine.time_step is not allowed: the model's file sets it"),
         ("robot.shin=1", "robot is unknown"),
         (
             "outcome.fell='base_hight_min_m<1'",
@@ -300,7 +306,7 @@ BROKEN = {
             "study.axes.load.path=model.geom.lf_thigh.size.half_length",
             "axis model.geom.lf_thigh.size.half_length is not allowed: the geom's fromto sets its ends",
         ),
-        ("model.direction=[0,0,0]", "model.direction = [0, 0, 0] is not allowed: along the world's axes"),
+        ("model.direction=[0,0,0]", "model.direction = [0, 0, 0] is not allowed: a vector in world axes"),
         ("model.collisions=[turn]", "model.collisions: turn is not a touch sensor"),
         (
             "study.axes.load.path=model.geom.floor.friction",
@@ -351,7 +357,7 @@ STILL = "def policy(belief, seen, state, key): return jnp.zeros(12), state\n"
         ),
         (
             f"{STILL}FIGURES = {{'outcome': ''}}\ndef figures(*given): return {{'outcome': 1.0}}",
-            "a figure called outcome is not allowed: all rows have a column of that name",
+            "a metric called outcome is not allowed: all rows have a column of this name",
         ),
         ("policy = dict", "fails: TypeError: dict expected at most 1 argument"),
         (
@@ -375,7 +381,7 @@ STILL = "def policy(belief, seen, state, key): return jnp.zeros(12), state\n"
             f"{STILL}FIGURES = {{'a': 'b'}}\ndef figures(*given): return {{'a': jnp.array(1j)}}",
             "has figures a complex64 (): numbers are wanted, named in FIGURES",
         ),
-        (f"{STILL}FIGURES = {{'a': 'b'}}", "figures, a function, and FIGURES, their names, go together"),
+        (f"{STILL}FIGURES = {{'a': 'b'}}", "the function `figures` and the names FIGURES need each other"),
         (f"{STILL}BELIEVES = {{'load': 'model.body.trnk.mass'}}", "no body is called trnk: did you mean trunk?"),
         (f"{STILL}PARAMETERS = {{'speed': 'fast'}}", "controller.speed = 'fast' is not allowed"),
         (
@@ -470,7 +476,7 @@ def test_a_policy_that_was_trained_elsewhere_runs_as_it_is(here, capsys):
     [
         (lambda: network((8, 12), "bad.onnx"), "bad.onnx", "takes 8 numbers: 7 are observed (model.observe)"),
         (lambda: network((7, 11), "bad.onnx"), "bad.onnx", "gives float32 (64, 11): numbers (64, 12) are wanted"),
-        (lambda: network((7, 12), "bad.onnx", rows=8), "bad.onnx", "takes 8 rollouts at a time: any number, or 1"),
+        (lambda: network((7, 12), "bad.onnx", rows=8), "bad.onnx", "takes 8 rollouts at a time: allowed are"),
         (lambda: Path("bad.onnx").write_text("none"), "bad.onnx", "bad.onnx is not a readable network: "),
         (lambda: None, "bed.onnx", "model.controller = 'bed.onnx' is not a file: did you mean bad.onnx?"),
         (lambda: Path("flat.py").write_text("def policy(seen): return seen[0]"), "flat:policy", "gives float32 (7,)"),

@@ -59,7 +59,7 @@ def test_a_model_that_mjx_simulates_otherwise_is_refused_with_joint_and_values(s
     run = study("held", PLUGIN, HOLD, GRAVITY)
     assert main([*run, "engine=mjx", "out=mjx"]) == 2
     note, compiled, error = without_progress(capsys.readouterr().err).splitlines(keepends=True)
-    assert "leaves out the model's plugins" in note
+    assert "ignores the model's plugins" in note
     assert "mjx compiles model.xml (1 degrees of freedom, 0 pairs of 1 geoms that may touch)" in compiled
     one_line(error, "engine.name = mjx is not allowed: joint z accelerates by", "on C MuJoCo", "engine.cross_check=off")
     assert main([*run, "engine=mjx", "engine.cross_check=off", "out=off"]) == 0
@@ -70,7 +70,7 @@ def test_a_controllers_own_number_is_no_axis_of_the_world(study, capsys):
     controller = HOLD.replace("import", 'PARAMETERS = {"speed": 0.1}\nimport', 1)
     run = study("fast", SLIDE % "", controller, "path: controller.speed, side: world, values: [0.1, 0.9]")
     assert main([*run, "--dry-run"]) == 2
-    one_line(capsys.readouterr().err, "axis world.controller.speed varies nothing: the belief alone")
+    one_line(capsys.readouterr().err, "axis world.controller.speed varies nothing: the controller's parameters")
 
 
 @pytest.mark.parametrize("engine", ["native", "mjx"])

@@ -35,7 +35,7 @@ def repeated(words, number):
         (lambda: written({"wall_s": repeated(pa.array([0.5]), 40_000_000)}), "expand to 320,"),
         (
             lambda: written({"stage": [LONG] * 3}, use_dictionary=False, column_encoding={"stage": "DELTA_BYTE_ARRAY"}),
-            "no table that can be read",
+            "cannot be read as a table",
         ),
         (lambda: written({"wall_s": [[1.0] * 10]}), "columns with parts"),
         (lambda: written({"wall_s": [{"a": 1}]}), "columns with parts"),
@@ -47,7 +47,7 @@ def repeated(words, number):
         (lambda: written({"point_id": ["../../x"]}), "column point_id holds"),
         (lambda: written({"run_id": ["ab", None]}), "column run_id lacks values"),
         (lambda: written({"a\nb": [1.0]}), "a column called"),
-        (lambda: pa.py_buffer(b"PAR1" + bytes(50) + b"PAR1"), "no table that can be read"),
+        (lambda: pa.py_buffer(b"PAR1" + bytes(50) + b"PAR1"), "cannot be read as a table"),
     ],
 )
 def test_a_file_that_is_no_table_of_results_is_refused(tmp_path, content, words):

@@ -42,7 +42,7 @@ def simulated_on(folder, device: str) -> None:
 def test_few_rollouts_go_to_the_cpu_and_a_line_says_so(tmp_path, capsys):
     few = ["run", *STUDY, *FEW]
     assert 4 * 7 <= 2 * LANES < 5 * 7
-    told = "sweep: on the CPU, where few rollouts end sooner (JAX_PLATFORMS=cuda,cpu takes the GPU)"
+    told = "sweep: on the CPU, where few rollouts end sooner (set JAX_PLATFORMS=cuda,cpu to use the GPU)"
     assert chosen(capsys, *few, f"out={tmp_path}") == ("cpu", told)
     assert chosen(capsys, "run", *STUDY, *MANY, f"out={tmp_path / 'many'}") == (None, "")
     assert chosen(capsys, *few, "engine.compiler=xla", "--dry-run", f"out={tmp_path / 'xla'}") == (None, "")
@@ -53,7 +53,7 @@ def test_few_rollouts_go_to_the_cpu_and_a_line_says_so(tmp_path, capsys):
 
 
 def test_one_rollout_goes_there_but_not_the_first_of_several_runs_of_one_process(capsys):
-    told = "sweep: on the CPU, where a rollout ends sooner (JAX_PLATFORMS=cuda,cpu takes the GPU)"
+    told = "sweep: on the CPU, where a rollout ends sooner (set JAX_PLATFORMS=cuda,cpu to use the GPU)"
     assert chosen(capsys, "run", "study.expect=[]") == ("cpu", told)
     assert chosen(capsys, "run", "--multirun", "study.expect=[]", "study.seed=0,1") == (None, "")
 
@@ -66,7 +66,7 @@ def test_rows_of_a_folder_are_of_one_kind_of_device(tmp_path, capsys):
     folder = f"out={tmp_path / 'rows'}"
     assert chosen(capsys, "run", *STUDY, *FEW, folder)[0] == "cpu"
     simulated_on(tmp_path / "rows", CPU)
-    told = f"sweep: on the CPU, as the rows of {tmp_path / 'rows'} were (JAX_PLATFORMS=cuda,cpu takes the GPU)"
+    told = f"sweep: on the CPU, as the rows of {tmp_path / 'rows'} were (set JAX_PLATFORMS=cuda,cpu to use the GPU)"
     assert chosen(capsys, "run", *STUDY, *MANY, folder) == ("cpu", told)
     assert chosen(capsys, "audit", str(tmp_path / "rows"), "--points", "1", "--ways", "again") == ("cpu", told)
     simulated_on(tmp_path / "rows", GPU)

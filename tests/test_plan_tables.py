@@ -105,7 +105,7 @@ def test_a_plan_may_extend_one_that_extends_several(lab):
     )
     assert {path for path in own if own[path] != mine[path]} == {"stand.rise.seconds"}
     lab.write_text("extends: [ball_climb, mine]\n")
-    with pytest.raises(InputError, match="cannot start from itself"):
+    with pytest.raises(InputError, match="cannot extend itself"):
         compose(["scenario=ball_over", "plan=mine"])
 
 
@@ -325,7 +325,7 @@ def test_what_has_no_file_or_no_such_number_is_refused(capsys):
     exp = compose(ROOF)
     with pytest.raises(InputError, match=r"did you mean plan\.roof\.pitch\.base\.ahead"):
         exp.system.parameter("plan.roof.pitch.base.ahed", exp.settings)
-    with pytest.raises(InputError, match="made of what is believed"):
+    with pytest.raises(InputError, match="depend on the belief only"):
         exp.system.parameter(f"world.{AHEAD}", exp.settings)
     assert main(["run", "scenario=walk_tripod", "plan=pole", "--dry-run"]) == 2
     assert "manoeuvre.kind = walk has no plan file" in capsys.readouterr().err

@@ -93,7 +93,7 @@ def test_of_a_thousand_dead_axes_none_is_unsaid(here, capsys):
     [
         (
             "path: model.geom.floor.friction.slide, values: [0.1, 0.3]",
-            "the larger friction of two geoms counts: geom `box` has 0.4",
+            "two geoms counts: geom `box` has 0.4",
         ),
         ("path: model.geom.floor.friction.roll, values: [0.1, 0.3]", "contacts have condim 3, it needs 6"),
         ("path: controller.unused, values: [0, 1]", "it does not enter the simulation"),

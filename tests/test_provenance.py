@@ -109,7 +109,7 @@ def test_another_processor_is_another_run_and_said(tmp_path, monkeypatch, capsys
     monkeypatch.setattr(provenance, "processor_id", lambda: "another processor")
     assert run_id(settings) != here
     assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
-    assert "on which equal rollouts may differ in the last bit" in (error := capsys.readouterr().err)
+    assert "equal rollouts may differ in the last bit between them" in (error := capsys.readouterr().err)
     assert "another processor" in error
     assert content(tmp_path)["run_id"].nunique() == 2
 

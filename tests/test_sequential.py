@@ -86,6 +86,6 @@ def test_what_cannot_grow_is_told(fake_engine, tmp_path, monkeypatch, capsys):
     assert main([*study, "out=a"]) == main([*study, "out=b"]) == 0
     for more in ([], ["--most", "50"]):
         assert main(["compare", "a", "b", "--anytime", *more]) == 2
-        assert "the points of a are no sample: they were chosen, as those of a grid" in capsys.readouterr().err
+        assert "the points of a were not drawn at random: they form a grid" in capsys.readouterr().err
     assert main(["compare", "a", "b", "--most", "50"]) == 2
     assert "--most = 50 is for --anytime" in capsys.readouterr().err

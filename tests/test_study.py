@@ -64,7 +64,7 @@ def test_points_that_are_left_out_are_counted(tmp_path, capsys):
     exp = compose([values, "study.name=x"])
     table = make_points(exp.study, exp.system, exp.settings, on_message=said.append)
     assert table["contact.friction"].tolist() == [1.0, 2.0, 1e-300, 2e-300]
-    assert said == ["2 of 6 rollouts are left out: equal to others in 12 digits"]
+    assert said == ["2 of 6 rollouts are left out: they equal others in 12 digits"]
     (tmp_path / "p.csv").write_text("contact.friction\n1.0\n1.0\n2.0\n")
     assert main(["run", "--points", str(tmp_path / "p.csv"), f"out={tmp_path / 'out'}", "--dry-run"]) == 0
     assert "1 of 3 rollouts are left out" in capsys.readouterr().err
@@ -212,7 +212,7 @@ def test_a_side_by_its_old_name_is_read_and_noted(capsys):
     assert exp.study.axes[0].target == "world.contact.friction"
     assert exp.values["study"]["axes"]["f"]["side"] == "world"
     assert capsys.readouterr().err == "sweep: note: the key `on` of an axis is now called `side`\n"
-    with pytest.raises(InputError, match="on is not allowed beside side"):
+    with pytest.raises(InputError, match="on is not allowed together with side"):
         compose(["+study.axes.f={path: contact.friction, on: world, side: world, values: [0.5]}"])
     as_yaml_reads_it = {"f": {"path": "contact.friction", True: "world", "values": [0.5]}}
     assert parse_axes(as_yaml_reads_it) == exp.study.axes

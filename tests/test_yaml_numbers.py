@@ -73,7 +73,7 @@ def test_files_that_start_from_each_other_are_named(capsys, files):
     for file, text in files.items():
         Path(file).write_text(f"{text}\n")
     assert main(["run", "study=t", "--dry-run"]) == 2
-    one_line(capsys.readouterr().err, "t.yaml", "a file cannot start from itself")
+    one_line(capsys.readouterr().err, "t.yaml", "a file cannot extend itself")
 
 
 @pytest.mark.parametrize("kind", ["cycle", "laughs", "deep"])

@@ -10,7 +10,7 @@ from sweep.core.expressions import column, mask
 ROWS = pd.DataFrame({"world.contact.friction": [0.5], "slip_max_m": [0.01], "slip_mean_m": [0.01],
                      "tilt_max_deg": [1.0],
                      "energy_j": [1.0], "outcome": ["success"], "cause": [""]})  # fmt: skip
-NO_PROJECT = "this folder is in no project: there is no sweep.yaml in it or above it"
+NO_PROJECT = "this folder is in no project: neither it nor a folder above it has a sweep.yaml"
 LOW = "+study.axes.mu={path: contact.friction, distribution: {kind: normal, mean: 0.1, std: 0.1}}"
 
 
@@ -22,7 +22,7 @@ LOW = "+study.axes.mu={path: contact.friction, distribution: {kind: normal, mean
         (["run", "--study", "walk_map"], "--study is not allowed: did you mean study=walk_map?"),
         (["run", "first"], f"group=choice or group.name=value; {NO_PROJECT}"),
         (["run", "study=first"], NO_PROJECT),
-        (["run", "--points", "points.csv", "study.name=s"], "points.csv has semicolons between its values"),
+        (["run", "--points", "points.csv", "study.name=s"], "points.csv separates values by semicolons"),
         (
             ["run", LOW, "study.name=s", "study.design.num=64"],
             "axis mu draws it: give its distribution `from` and `to` to truncate it",

@@ -27,7 +27,7 @@ def test_the_reference_breaks_between_words(width):
     whole = reference.parameters_page()
     shown = fit_to_width(whole, width)
     assert max(map(len, shown.splitlines())) <= width
-    assert words(shown) - words(whole) <= words(f"No room for default unit allowed: {ELSEWHERE}.")
+    assert words(shown) - words(whole) <= words(f"Not shown for lack of width: default unit allowed{ELSEWHERE}.")
 
 
 def test_columns_that_are_left_out_are_named_and_the_kept_ones_stay():

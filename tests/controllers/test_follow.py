@@ -57,7 +57,7 @@ def planned():
     [
         ("-1.6", "0", r"foot 5 is 0\.\d+ m out of reach at the end of stage up.front"),
         ("/obstacle: corner", "/obstacle: flat", "chart floor is unknown on plane"),
-        (SCENARIO[SCENARIO.index("plan:") :], "", "plan is missing: manoeuvre.kind = follow has none of its own"),
+        (SCENARIO[SCENARIO.index("plan:") :], "", "plan is missing: manoeuvre.kind = follow has no default plan"),
         (
             SCENARIO[SCENARIO.index("  up:") :],
             "",

@@ -51,10 +51,10 @@ def test_sweeps_a_table_with_gaps_and_draws_it(capsys, tmp_path):
         (["corner_balanced", "--sweep", "k=0:1"], "key=lo:hi:n"),
         (["corner_balanced", "--sweep", "k=0.1:0.5:3"], "k must be greater than tan(psi)"),
         (["corner_balanced", "--sweep", "q=1:2:3"], "corner_balanced.q is unknown"),
-        (["corner_balanced", "--plot", "x.png"], "--plot is not allowed alone"),
+        (["corner_balanced", "--plot", "x.png"], "--plot needs --sweep"),
         (["corner_balanced", "--sweep", "k=1:2:3", "--plot", "no/x.png"], "in a folder that exists"),
         (["corner_balnced"], "did you mean corner_balanced?"),
-        (["9.9.9"], "equation 9.9.9 is in no formula"),
+        (["9.9.9"], "equation 9.9.9 is unknown"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_2(capsys, argv, message):

@@ -58,9 +58,9 @@ def test_a_crate_has_the_study_and_says_how_it_was_made(study, tmp_path, capsys)
     assert entities["./"]["license"]["@id"].endswith("CC-BY-4.0")
     pd.testing.assert_frame_equal(store.read_rows(tmp_path / "crate/study"), store.read_rows(study))
     for words, error in ((["--crate", str(tmp_path / "crate")], "is not an empty folder"),
-                         ([], "wants one of --paper FOLDER and --crate FOLDER"),
+                         ([], "needs either --paper FOLDER or --crate FOLDER"),
                          (["--crate", "else", "--license", "mine"], "--license = mine is not allowed"),
-                         (["--crate", "else", "--where", "friction > 1"], "has the whole study")):  # fmt: skip
+                         (["--crate", "else", "--where", "friction > 1"], "contains the whole study")):  # fmt: skip
         assert main(["export", str(study), *words]) == 2
         assert error in capsys.readouterr().err
 

@@ -83,7 +83,7 @@ def test_what_differs_is_shown(folder, trace, monkeypatch, capsys):
         ["outcome", "success", "failure"],
         ["tilt_max_deg", "0", "30"],
     ]
-    assert lines[-1].startswith("the row was simulated by other code")
+    assert lines[-1].startswith("the row was simulated with other code")
 
 
 def test_files(folder, tmp_path):

@@ -148,7 +148,7 @@ def load_controller(name: str) -> Policy:
         return Policy(policy, (*files, *beside), digest, True, folder=folder, **_beside(name, module))
     module_name, sign, function = name.partition(":")
     if not (sign and module_name and function):
-        such = "as my.walk:policy, a module and its function, or walk.onnx"
+        such = "a module and its function, such as my.walk:policy, or a network, such as walk.onnx"
         raise InputError(f"model.controller = {name!r} is not allowed: {such}")
     module = _module(name, module_name)
     if not callable(policy := getattr(module, function, None)):
