@@ -289,9 +289,9 @@ def bisect_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
     return wanted
 
 
-def _disagreeing_cells(seen: np.ndarray, size: int) -> np.ndarray:
-    inside = _cell_windows(seen, size)
-    axes = tuple(range(seen.ndim, 2 * seen.ndim))
+def _disagreeing_cells(labels: np.ndarray, size: int) -> np.ndarray:
+    inside = _cell_windows(labels, size)
+    axes = tuple(range(labels.ndim, 2 * labels.ndim))
     return (inside == FAILS).any(axis=axes) & (inside == SUCCEEDS).any(axis=axes)
 
 

@@ -78,9 +78,9 @@ def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> PlayedPlan:
     free = free_start_state(case.obstacle)
     state = tracker.init(case, plan)
     still, joints = jnp.zeros(3), state.joints
-    stood = _contacts_at(case, plan.start.feet, free)
+    contacts = _contacts_at(case, plan.start.feet, free)
     centre = plan.start.position + rotate(plan.start.quat, mass_centre(case.robot, joints)) - free.position[0]
-    seen = Observation(
+    observation = Observation(
         plan.start.position,
         plan.start.quat,
         still,
@@ -93,32 +93,34 @@ def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> PlayedPlan:
     )
 
     def tick(carry: tuple, _: None) -> tuple[tuple, PlayedPlan]:
-        state, seen, stood, roll = carry
+        state, observation, contacts, roll = carry
         remains = plan.duration[state.stage] - state.clock
         h = jnp.where((remains > 2 * SHORT) & (remains <= period + SHORT), remains - SHORT, period)
-        state, command = tracker.step(case, plan, state, seen, cast(float, h))
+        state, command = tracker.step(case, plan, state, observation, cast(float, h))
         position, quat = command.target.position, command.target.quat
-        stage, free = state.stage, tracker.reference_body_state(plan, state, seen.free)[0]
+        stage, free = state.stage, tracker.reference_body_state(plan, state, observation.free)[0]
         swings = plan.swing[stage]
-        stood = jax.tree.map(lambda a, b: jnp.where(swings.reshape(-1, *[1] * (a.ndim - 1)), a, b),
-                             _contacts_at(case, command.target.feet, free), stood)  # fmt: skip
-        feet = to_world(stood.feet, stood.frame, free)
+        contacts = jax.tree.map(lambda a, b: jnp.where(swings.reshape(-1, *[1] * (a.ndim - 1)), a, b),
+                             _contacts_at(case, command.target.feet, free), contacts)  # fmt: skip
+        feet = to_world(contacts.feet, contacts.frame, free)
         joints = joint_targets(case.robot, command.target._replace(feet=feet))[0]
         goal = state.goal if isinstance(case.manoeuvre, tracker.Guided) else plan.foothold[stage]
         starts, goal = (to_world(at, plan.foot_frame[stage], free) for at in (state.feet, goal))
-        rates = wrap_angle(joints - seen.angles) / h
+        rates = wrap_angle(joints - observation.angles) / h
         swing = Swing(swings, starts, goal)
-        now = stance_margins(case, body_poses(free), command.target, joints, rates, command.shortfall, swing)
-        on_floor = jnp.any(~swings & (stood.frame == WORLD))
-        at = position + rotate(quat, mass_centre(case.robot, joints))
-        roll, then = _roll_ball(case, plan, state, roll, free, at - free.position[0], on_floor, h)
-        velocity = (position - seen.position) / h
-        seen = seen._replace(position=position, quat=quat, velocity=velocity, angles=joints, free=then)
+        margins = stance_margins(case, body_poses(free), command.target, joints, rates, command.shortfall, swing)
+        on_floor = jnp.any(~swings & (contacts.frame == WORLD))
+        centre = position + rotate(quat, mass_centre(case.robot, joints))
+        roll, next_free = _roll_ball(case, plan, state, roll, free, centre - free.position[0], on_floor, h)
+        velocity = (position - observation.position) / h
+        observation = observation._replace(
+            position=position, quat=quat, velocity=velocity, angles=joints, free=next_free
+        )
         stance = command.target._replace(feet=feet)
-        return (state, seen, stood, roll), PlayedPlan(stage, now, free, stance, ~swings, at)
+        return (state, observation, contacts, roll), PlayedPlan(stage, margins, free, stance, ~swings, centre)
 
-    _, found = jax.lax.scan(tick, (state, seen, stood, BallRoll(jnp.zeros(2), centre)), None, length=ticks)
-    return found
+    _, played = jax.lax.scan(tick, (state, observation, contacts, BallRoll(jnp.zeros(2), centre)), None, length=ticks)
+    return played
 
 
 def _contacts_at(case: Case, feet: Float[Array, "6 3"], free: FreeState) -> FootContacts:
@@ -138,14 +140,14 @@ def _roll_ball(
     on_floor: Array,
     h: Array,
 ) -> tuple[BallRoll, FreeState]:
-    """The ball `h` s later, with the robot's mass centre at `centre` (m) from its own.
+    """Roll the ball for `h` s, with the robot's mass centre at `centre` (m) from the ball's centre.
 
     K = up x k, k = 7/5 M R v + m ((z + R)(v + u) - x u_z), where the mass centre moves by u over the ball and lies x
     ahead and z above; k changes by m (g x + u_z v).
     """
-    programme, follows = plan.layer(ReferenceBodyMotion), jnp.asarray(True)
-    if programme is not None:
-        follows = jnp.asarray(programme.support.mode)[state.stage, 0] == MEASURED
+    body_motion, follows = plan.layer(ReferenceBodyMotion), jnp.asarray(True)
+    if body_motion is not None:
+        follows = jnp.asarray(body_motion.support.mode)[state.stage, 0] == MEASURED
     assert isinstance(case.obstacle, Ball)
     ball, mass = case.obstacle, total_mass(case.robot)
     u = (centre - roll.centre) / h
@@ -155,14 +157,16 @@ def _roll_ball(
     own = mass * (above * u[:2] - u[2] * centre[:2])
     momentum = roll.momentum + h * mass * (GRAVITY * centre[:2] + u[2] * v)
     rolls = (momentum - own) / inertia
-    meant = jnp.where(follows, 0.0, v)
-    v = jnp.where(follows & ~on_floor, rolls, meant)
+    reference = jnp.where(follows, 0.0, v)
+    v = jnp.where(follows & ~on_floor, rolls, reference)
     velocity = jnp.append(v, 0.0)
     turn = jnp.cross(jnp.asarray(UP), velocity) / ball.radius
     moved = jnp.where(follows, h * velocity, 0.0)
     turned = jnp.where(follows, h * turn, 0.0)
-    then = FreeState(free.position + moved, multiply(exponential(turned)[None], free.quat), velocity[None], turn[None])
-    return BallRoll(inertia * v + own, centre), then
+    next_free = FreeState(
+        free.position + moved, multiply(exponential(turned)[None], free.quat), velocity[None], turn[None]
+    )
+    return BallRoll(inertia * v + own, centre), next_free
 
 
 def zmp_margin(played: PlayedPlan, period: float) -> Float[Array, " t"]:
@@ -177,9 +181,9 @@ def zmp_margin(played: PlayedPlan, period: float) -> Float[Array, " t"]:
     Returns:
         Margin by tick (t,); negative outside.
     """
-    many = 2 * round(SMOOTH / period / 2) + 1
-    padded = jnp.pad(played.centre, ((many // 2 + 1, many // 2 + 1), (0, 0)), mode="edge")
-    mean = jax.vmap(lambda x: jnp.convolve(x, jnp.ones(many) / many, mode="valid"), 1, 1)(padded)
+    width = 2 * round(SMOOTH / period / 2) + 1
+    padded = jnp.pad(played.centre, ((width // 2 + 1, width // 2 + 1), (0, 0)), mode="edge")
+    mean = jax.vmap(lambda x: jnp.convolve(x, jnp.ones(width) / width, mode="valid"), 1, 1)(padded)
     push = (mean[2:] - 2 * mean[1:-1] + mean[:-2]) / period**2
 
     def inside(stance: Stance, stands: Array, centre: Array, push: Array) -> Array:

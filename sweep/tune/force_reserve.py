@@ -41,41 +41,40 @@ def force_reserve(pose: StaticPose, bounds: Bounds) -> Float[Array, ""]:
         The reserve, as a share of the robot's weight (for torques: weight times 1 m); negative where no forces hold it.
     """
     last = WEIGHTS[-1]
-    held = stop_gradient(_solve(pose, bounds))
-    gain = last * _log_barrier(pose, bounds, held) + held.multipliers @ _unbalanced(pose, held.force)
-    return held.reserve + gain - stop_gradient(gain)
+    optimum = stop_gradient(_solve(pose, bounds))
+    gain = last * _log_barrier(pose, bounds, optimum) + optimum.multipliers @ _unbalanced(pose, optimum.force)
+    return optimum.reserve + gain - stop_gradient(gain)
 
 
 def _solve(pose: StaticPose, bounds: Bounds) -> BarrierState:
     grasp = jax.jacfwd(lambda f: -_unbalanced(pose, f))(jnp.zeros((6, 3))).reshape(6, 18)
     first = (grasp.T @ jnp.linalg.solve(grasp @ grasp.T, _unbalanced(pose, jnp.zeros((6, 3))))).reshape(6, 3)
-    room = jnp.min(_slack(pose, bounds, BarrierState(first, jnp.zeros(()), jnp.zeros(6))))
+    least_slack = jnp.min(_slack(pose, bounds, BarrierState(first, jnp.zeros(()), jnp.zeros(6))))
     swings = jnp.append(jnp.repeat(~pose.stands, 3), False)
 
-    def step(weight: Array, now: BarrierState) -> BarrierState:
+    def step(weight: Array, iterate: BarrierState) -> BarrierState:
         def cost(x: Array) -> Array:
-            return -x[-1] - weight * _log_barrier(
-                pose, bounds, BarrierState(x[:-1].reshape(6, 3), x[-1], now.multipliers)
-            )
+            moved = BarrierState(x[:-1].reshape(6, 3), x[-1], iterate.multipliers)
+            return -x[-1] - weight * _log_barrier(pose, bounds, moved)
 
-        x = jnp.append(now.force.ravel(), now.reserve)
+        x = jnp.append(iterate.force.ravel(), iterate.reserve)
         balance = jnp.concatenate([grasp, jnp.zeros((6, 1))], axis=1)
         curvature = jax.hessian(cost)(x) + jnp.diag(jnp.where(swings, 1.0, 0.0))
         matrix = jnp.block([[curvature, balance.T], [balance, jnp.zeros((6, 6))]])
-        found = jnp.linalg.solve(matrix, jnp.append(-jax.grad(cost)(x), _unbalanced(pose, now.force)))
-        way, price = found[:-6], found[-6:]
-        before = _slack(pose, bounds, now)
+        solution = jnp.linalg.solve(matrix, jnp.append(-jax.grad(cost)(x), _unbalanced(pose, iterate.force)))
+        direction, multipliers = solution[:-6], solution[-6:]
+        before = _slack(pose, bounds, iterate)
 
-        def at(length: Array) -> BarrierState:
-            to = x + length * way
-            return BarrierState(to[:-1].reshape(6, 3), to[-1], price)
+        def advance(length: Array) -> BarrierState:
+            x_next = x + length * direction
+            return BarrierState(x_next[:-1].reshape(6, 3), x_next[-1], multipliers)
 
-        fits = jax.vmap(lambda length: jnp.all(_slack(pose, bounds, at(length)) > KEPT * before))
+        fits = jax.vmap(lambda length: jnp.all(_slack(pose, bounds, advance(length)) > KEPT * before))
         lengths = jnp.asarray(STEP_LENGTHS)
-        return at(jnp.max(jnp.where(fits(lengths), lengths, 0.0)))
+        return advance(jnp.max(jnp.where(fits(lengths), lengths, 0.0)))
 
-    begin = BarrierState(first, room - 1.0, jnp.zeros(6))
-    return jax.lax.fori_loop(0, len(WEIGHTS), lambda k, so_far: step(jnp.asarray(WEIGHTS)[k], so_far), begin)
+    start = BarrierState(first, least_slack - 1.0, jnp.zeros(6))
+    return jax.lax.fori_loop(0, len(WEIGHTS), lambda k, iterate: step(jnp.asarray(WEIGHTS)[k], iterate), start)
 
 
 def _unbalanced(pose: StaticPose, force: Array) -> Float[Array, " 6"]:
@@ -85,16 +84,16 @@ def _unbalanced(pose: StaticPose, force: Array) -> Float[Array, " 6"]:
     return jnp.zeros(6).at[2].set(1.0) - jnp.concatenate([jnp.sum(force, axis=0), moment])
 
 
-def _slack(pose: StaticPose, bounds: Bounds, at: BarrierState) -> Float[Array, "6 k"]:
+def _slack(pose: StaticPose, bounds: Bounds, iterate: BarrierState) -> Float[Array, "6 k"]:
     """Distance (6, k) of foot forces from each bound, less the reserve; positive inside."""
-    normal = jnp.sum(at.force * pose.normal, axis=-1)
-    tangential = jnp.sqrt(jnp.sum((at.force - normal[:, None] * pose.normal) ** 2, axis=-1) + 1e-12)
-    torque = joint_torque(pose, at.force * pose.weight)
-    firm = normal - at.reserve
-    room = [(bounds.friction * firm - tangential)[:, None], (firm - bounds.least_normal / pose.weight)[:, None],
-            (bounds.torque - jnp.abs(torque)) / pose.weight - at.reserve]  # fmt: skip
-    return jnp.where(pose.stands[:, None], jnp.concatenate(room, axis=-1), 1.0)
+    normal = jnp.sum(iterate.force * pose.normal, axis=-1)
+    tangential = jnp.sqrt(jnp.sum((iterate.force - normal[:, None] * pose.normal) ** 2, axis=-1) + 1e-12)
+    torque = joint_torque(pose, iterate.force * pose.weight)
+    firm = normal - iterate.reserve
+    slack = [(bounds.friction * firm - tangential)[:, None], (firm - bounds.least_normal / pose.weight)[:, None],
+            (bounds.torque - jnp.abs(torque)) / pose.weight - iterate.reserve]  # fmt: skip
+    return jnp.where(pose.stands[:, None], jnp.concatenate(slack, axis=-1), 1.0)
 
 
-def _log_barrier(pose: StaticPose, bounds: Bounds, at: BarrierState) -> Array:
-    return jnp.sum(jnp.log(_slack(pose, bounds, at)))
+def _log_barrier(pose: StaticPose, bounds: Bounds, iterate: BarrierState) -> Array:
+    return jnp.sum(jnp.log(_slack(pose, bounds, iterate)))

@@ -95,14 +95,14 @@ class Score:
         for flag, pattern in (*asked, *(("--need", aim.stages) for aim in aims)):
             if not any(fnmatchcase(name, pattern) for name in judged):
                 raise InputError(f"{flag} = {pattern} names no stage of {', '.join(judged)}")
-        self._plays = type(case.obstacle) is Ball  # what leans on something, or on another ball, is taken to rest
+        self._is_on_ball = type(case.obstacle) is Ball  # a ball that leans on something is taken to rest
         if hold and not isinstance(case.manoeuvre, PlannedForces):
             raise InputError(f"--forces is not allowed: manoeuvre.kind = {case.manoeuvre.kind} plans none")
-        if hold and self._plays:
+        if hold and self._is_on_ball:
             raise InputError("--forces is not allowed: plans on a ball have no static contact forces")
-        told = (*kinematic_margins.Margins._fields, *(PLAYED if self._plays else ("hold",) if hold else ()))
+        available = (*kinematic_margins.Margins._fields, *(PLAYED if self._is_on_ball else ("hold",) if hold else ()))
         for aim in aims:
-            require_choice(aim.margin, told, f"--need: margin {aim.margin}")
+            require_choice(aim.margin, available, f"--need: margin {aim.margin}")
         chosen = [k for k, name in enumerate(names) if name in judged and any(fnmatchcase(name, p) for p in patterns)]
         self.stages = [names[k] for k in chosen]
         self.aims = [Aim(margin, "*", value) for margin, value in AIMS.items()] + list(aims)
@@ -114,10 +114,10 @@ class Score:
         for pattern, count in moments:
             counts = np.where([fnmatchcase(name, pattern) for name in self.stages], count, counts)
         self._at = np.array(chosen), counts, hold
-        self._kept: dict[str, np.ndarray] = {}
+        self._caps: dict[str, np.ndarray] = {}
 
-        self._margins = jax.jit(jax.vmap(jax.vmap(self._left, (0, None))))
-        self._descent = jax.jit(jax.vmap(jax.value_and_grad(self._lack), (None, 0)))
+        self._margins = jax.jit(jax.vmap(jax.vmap(self._worst_margins, (0, None))))
+        self._deficit_gradients = jax.jit(jax.vmap(jax.value_and_grad(self._squared_deficit), (None, 0)))
 
     def margins(self, numbers: np.ndarray, draws: Case) -> dict[str, np.ndarray]:
         """Return the least margins of every stage.
@@ -132,7 +132,7 @@ class Score:
         count, single = len(draws.robot.body_length), numbers.ndim < SETS  # pyright: ignore[reportArgumentType]
         sets = np.broadcast_to(numbers, (1 if single else len(numbers), count, len(self._free)))
         padded = sets[np.minimum(np.arange(self._width), len(sets) - 1)]  # all calls have one shape
-        found = _in_parts(self._margins, padded.swapaxes(0, 1), draws)
+        found = _map_draws(self._margins, padded.swapaxes(0, 1), draws)
         chosen = 0 if single else slice(len(sets))
         return {key: value[:, :, 0].swapaxes(0, 1)[chosen] for key, value in found.items()}
 
@@ -155,7 +155,7 @@ class Score:
             `SCALES`.
         """
         aims = {key: self.aim_values(key) for key in sorted(margins)}
-        return jnp.concatenate([(aim - _known(margins[key])) / SCALES.get(key, LENGTH)
+        return jnp.concatenate([(aim - _nan_to_worst(margins[key])) / SCALES.get(key, LENGTH)
                                 for key, aim in aims.items() if np.isfinite(aim).any()], axis=-1)  # fmt: skip
 
     def cap_aims(self, numbers: np.ndarray, draws: Case) -> None:
@@ -165,8 +165,8 @@ class Score:
             numbers: Free numbers (free,).
             draws: Beliefs, with arrays (draws,) as leaves.
         """
-        kept = self.margins(numbers, draws)
-        self._kept = {key: value[0] - SLACK * SCALES.get(key, LENGTH) for key, value in kept.items()}
+        reached = self.margins(numbers, draws)
+        self._caps = {key: value[0] - SLACK * SCALES.get(key, LENGTH) for key, value in reached.items()}
 
     def deficit_gradients(self, numbers: np.ndarray, draws: Case) -> tuple[np.ndarray, np.ndarray]:
         """Return the summed squared deficits of every draw and their gradients.
@@ -178,8 +178,8 @@ class Score:
         Returns:
             Sums (draws,) and gradients (draws, free).
         """
-        lack, gradient = (np.asarray(x, float) for x in self._descent(jnp.asarray(numbers), draws))
-        return lack, np.nan_to_num(gradient, posinf=0.0, neginf=0.0)
+        deficit, gradient = (np.asarray(x, float) for x in self._deficit_gradients(jnp.asarray(numbers), draws))
+        return deficit, np.nan_to_num(gradient, posinf=0.0, neginf=0.0)
 
     def deficit_slopes(self, numbers: np.ndarray, draws: Case, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the deficits at the worst phases and their slopes by finite differences.
@@ -196,69 +196,72 @@ class Score:
         """
         count, stages = len(steps), len(self.stages)
         first = jax.tree.map(lambda x: x[:1], draws)
-        alone = self._lacks(numbers[:1, None] + MOVED * steps * np.eye(count + 1, count, -1), first)[0]
+        alone = self._deficits_of_sets(numbers[:1, None] + MOVED * steps * np.eye(count + 1, count, -1), first)[0]
         touched = ~np.isclose(alone[1:], alone[0], 0.0, SAME).reshape(count, -1, stages).all(axis=1)
         group = independent_groups(touched)
         moves = np.where(np.arange(-1, group.max() + 1)[:, None] == group, MOVED * steps, 0.0)
-        lack = self._lacks(numbers[:, None] + moves, draws)
-        known = np.where(np.isfinite(lack), lack, np.nan)
+        deficit = self._deficits_of_sets(numbers[:, None] + moves, draws)
+        known = np.where(np.isfinite(deficit), deficit, np.nan)
         more = np.nan_to_num(np.moveaxis(known[:, 1:] - known[:, :1], 1, -1))[..., group]
-        return lack[:, 0], more * np.tile(touched.T, (lack.shape[-1] // stages, 1)) / (MOVED * steps)
+        return deficit[:, 0], more * np.tile(touched.T, (deficit.shape[-1] // stages, 1)) / (MOVED * steps)
 
-    def _lacks(self, numbers: np.ndarray, draws: Case) -> np.ndarray:
+    def _deficits_of_sets(self, numbers: np.ndarray, draws: Case) -> np.ndarray:
         """Deficits (draws, sets, phases, margins x stages) at the worst phases, for numbers (draws, sets, free)."""
-        each = jax.tree.map(lambda x: np.repeat(x, numbers.shape[1], axis=0), draws)
-        found = _in_parts(self._margins, numbers.reshape(-1, 1, numbers.shape[-1]), each)
-        lack = np.asarray(self.deficits({key: value[:, 0] for key, value in found.items()}))
-        return lack.reshape(*numbers.shape[:2], *lack.shape[1:])
+        repeated = jax.tree.map(lambda x: np.repeat(x, numbers.shape[1], axis=0), draws)
+        margins = _map_draws(self._margins, numbers.reshape(-1, 1, numbers.shape[-1]), repeated)
+        deficit = np.asarray(self.deficits({key: value[:, 0] for key, value in margins.items()}))
+        return deficit.reshape(*numbers.shape[:2], *deficit.shape[1:])
 
-    def _lack(self, numbers: jax.Array, belief: Case) -> jax.Array:
+    def _squared_deficit(self, numbers: jax.Array, belief: Case) -> jax.Array:
         """Summed squared deficit of one draw, differentiable."""
-        lack = self.deficits(self._left(numbers, belief))[0]
-        return jnp.sum(jnp.where(jnp.isfinite(lack) & (lack > 0), lack, 0.0) ** 2)  # what is infinite says nothing
+        deficit = self.deficits(self._worst_margins(numbers, belief))[0]
+        counts = jnp.isfinite(deficit) & (deficit > 0)
+        return jnp.sum(jnp.where(counts, deficit, 0.0) ** 2)
 
     def aim_values(self, margin: str) -> np.ndarray:
         """Return the aim (stages,) of a margin in every stage: the last that matches, or minus infinity."""
-        found = np.full(len(self.stages), -np.inf)
+        values = np.full(len(self.stages), -np.inf)
         for aim in self.aims:
             if aim.margin == margin:
-                found = np.where([fnmatchcase(stage, aim.stages) for stage in self.stages], aim.value, found)
-        return np.minimum(found, self._kept.get(margin, np.inf))
+                values = np.where([fnmatchcase(stage, aim.stages) for stage in self.stages], aim.value, values)
+        return np.minimum(values, self._caps.get(margin, np.inf))
 
-    def _left(self, numbers: jax.Array, belief: Case) -> dict[str, jax.Array]:
+    def _worst_margins(self, numbers: jax.Array, belief: Case) -> dict[str, jax.Array]:
         """Margins (phases, stages) of one draw at the worst phases of every stage, the worst first."""
         for path, value in zip(self._free, numbers, strict=True):
             belief = with_value(belief, path, value, self._formulas)
         plan = belief.manoeuvre.plan(belief)
-        return self._of_played(belief, plan) if self._plays else self._of_posed(belief, plan)
+        return self._played_margins(belief, plan) if self._is_on_ball else self._posed_margins(belief, plan)
 
-    def _of_posed(self, belief: Case, plan: Plan) -> dict[str, jax.Array]:
+    def _posed_margins(self, belief: Case, plan: Plan) -> dict[str, jax.Array]:
         chosen, moments, hold = self._at
 
-        def worst(function: Callable[..., dict[str, jax.Array]], counts: np.ndarray) -> dict[str, jax.Array]:
+        def worst_phases(function: Callable[..., dict[str, jax.Array]], counts: np.ndarray) -> dict[str, jax.Array]:
             phases = np.concatenate([np.linspace(0, 1, n) for n in counts])
-            seen = jax.vmap(function)(jnp.repeat(chosen, counts), jnp.asarray(phases))
+            by_phase = jax.vmap(function)(jnp.repeat(chosen, counts), jnp.asarray(phases))
             most = max(WORST, *counts)
-            own = (np.cumsum(counts) - counts)[:, None] + np.minimum(np.arange(most), counts[:, None] - 1)
-            return {key: -jax.lax.top_k(-local_minima(_known(x)[own]), WORST)[0].T for key, x in seen.items()}
+            index = (np.cumsum(counts) - counts)[:, None] + np.minimum(np.arange(most), counts[:, None] - 1)
+            return {
+                key: -jax.lax.top_k(-local_minima(_nan_to_worst(x)[index]), WORST)[0].T for key, x in by_phase.items()
+            }
 
-        found = worst(lambda k, u: kinematic_margins.planned_margins(belief, plan, k, u)._asdict(), moments)
+        margins = worst_phases(lambda k, u: kinematic_margins.planned_margins(belief, plan, k, u)._asdict(), moments)
         if hold:
             assert isinstance(belief.manoeuvre, PlannedForces)
             bounds, knots = belief.manoeuvre.force_bounds(belief), np.full(len(chosen), forces.KNOTS)
-            found |= worst(
+            margins |= worst_phases(
                 lambda k, u: {"hold": kinematic_margins.planned_force_reserve(belief, plan, k, u, bounds)}, knots
             )
-        return found
+        return margins
 
-    def _of_played(self, belief: Case, plan: Plan) -> dict[str, jax.Array]:
+    def _played_margins(self, belief: Case, plan: Plan) -> dict[str, jax.Array]:
         chosen, count = self._at[0], len(plan.names)
-        seen = ball_margins.play_plan(belief, plan, PERIOD, self._ticks)
-        found = ball_margins.stage_minima(seen, count)._asdict()
-        speed = jnp.max(jnp.linalg.norm(seen.free.velocity, axis=-1), axis=1)
-        zmp = jax.ops.segment_min(ball_margins.zmp_margin(seen, PERIOD), seen.stage, count)  # m
-        found |= zip(PLAYED, (zmp, -jax.ops.segment_max(speed, seen.stage, count)), strict=True)  # m/s, negative
-        return {key: value[None, chosen] for key, value in found.items()}
+        played = ball_margins.play_plan(belief, plan, PERIOD, self._ticks)
+        margins = ball_margins.stage_minima(played, count)._asdict()
+        speed = jnp.max(jnp.linalg.norm(played.free.velocity, axis=-1), axis=1)
+        zmp = jax.ops.segment_min(ball_margins.zmp_margin(played, PERIOD), played.stage, count)  # m
+        margins |= zip(PLAYED, (zmp, -jax.ops.segment_max(speed, played.stage, count)), strict=True)  # m/s, negative
+        return {key: value[None, chosen] for key, value in margins.items()}
 
 
 def independent_groups(touched: np.ndarray) -> np.ndarray:
@@ -271,13 +274,13 @@ def independent_groups(touched: np.ndarray) -> np.ndarray:
         Group of each number (n,).
     """
     group, taken = np.zeros(len(touched), int), np.zeros(touched.shape, bool)
-    for k, own in enumerate(touched):
-        group[k] = np.argmin((taken & own).any(axis=1))
-        taken[group[k]] |= own
+    for k, row in enumerate(touched):
+        group[k] = np.argmin((taken & row).any(axis=1))
+        taken[group[k]] |= row
     return group
 
 
-def _known(margin: Any) -> jax.Array:
+def _nan_to_worst(margin: Any) -> jax.Array:
     """Replace nan by minus infinity, the worst margin."""
     return jnp.where(jnp.isnan(margin), -jnp.inf, margin)
 
@@ -291,16 +294,16 @@ def local_minima(margin: jax.Array) -> jax.Array:
     return jnp.where((margin <= before[:, :-1]) & (margin < after[:, 1:]), margin, jnp.inf)
 
 
-def _in_parts(function: Callable[..., Any], numbers: np.ndarray, draws: Case) -> Any:
+def _map_draws(function: Callable[..., Any], numbers: np.ndarray, draws: Case) -> Any:
     """Call `function` with a few draws at a time, on all cores; concatenate the results."""
     count = len(numbers)
     parts = np.minimum(np.arange(0, count, AT_ONCE)[:, None] + np.arange(min(AT_ONCE, count)), count - 1)
 
-    def part(own: np.ndarray) -> Any:
-        return jax.tree.map(np.asarray, function(numbers[own], jax.tree.map(lambda x: x[own], draws)))
+    def evaluate(index: np.ndarray) -> Any:
+        return jax.tree.map(np.asarray, function(numbers[index], jax.tree.map(lambda x: x[index], draws)))
 
     with ThreadPoolExecutor() as pool:
-        return jax.tree.map(lambda *x: np.concatenate(x)[:count], *pool.map(part, parts))
+        return jax.tree.map(lambda *x: np.concatenate(x)[:count], *pool.map(evaluate, parts))
 
 
 def with_value(case: Case, path: str, value: Any, formulas: Mapping[str, float]) -> Case:
