@@ -211,7 +211,7 @@ def test_many_small_parts_become_few_when_a_run_ends(tmp_path, whole, monkeypatc
 
 
 def test_parts_that_are_put_together_while_they_are_read_are_no_damage(folder, whole, monkeypatch):
-    monkeypatch.setattr(repair, "FEW", 2)
+    monkeypatch.setattr(repair, "MIN_MERGED_PARTS", 2)
     read = store.read_table
 
     def late(*given):
@@ -226,7 +226,7 @@ def test_parts_that_are_put_together_while_they_are_read_are_no_damage(folder, w
 
 def test_parts_are_put_together_without_changing_the_order_of_rows(tmp_path, monkeypatch):
     """Two engines, parts of a later extension, and gaps that are still to be run."""
-    monkeypatch.setattr(repair, "FEW", 2)
+    monkeypatch.setattr(repair, "MIN_MERGED_PARTS", 2)
     both = [
         *STUDY,
         "study.axes.friction.num=4",

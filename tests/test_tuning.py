@@ -17,7 +17,7 @@ from sweep.models.plan_table import evaluate_plan, numbers_by_path
 from sweep.runs import tuning
 from sweep.runs.tuning import fit_size_slopes, free_numbers, search_by_cma, search_by_gradients
 from sweep.study.config import compose
-from sweep.tune.score import MOVED, UNKNOWN, Aim, Score, independent_groups, local_minima, with_draw_axis
+from sweep.tune.score import DIFFERENCE_SHARE, MAX_DEFICIT, Aim, Score, independent_groups, local_minima, with_draw_axis
 from sweep.tune.score import with_value as moved
 
 STUDIES = Path(__file__).parents[1] / "research" / "studies"
@@ -195,7 +195,7 @@ def test_a_margin_that_is_no_number_lacks_the_most():
     score = Score(compose(["scenario=pole_top"]).case, [], [], ["over.front"], [("*", 3)], False, 1)
     rates = [np.array([[[x], [0.0]]]) for x in (-1.0, -7.0, np.nan)]  # rad/s, of two draws
     kept, short, unknown = (score.worst_draw_score({"rate": rate})[0] for rate in rates)
-    assert kept == 0 < short < unknown == UNKNOWN**2
+    assert kept == 0 < short < unknown == MAX_DEFICIT**2
 
 
 @pytest.mark.slow
@@ -240,9 +240,9 @@ def test_slopes_of_numbers_that_move_together_are_those_of_each():
     score = Score(exp.case, free, [], ["over.front", "top.rear"], [("*", 3)], False, 1)
     lack, slopes = score.deficit_slopes(first, draws, steps)
     known = np.isfinite(lack[0, 0])
-    moved = [score.deficits(score.margins(first + MOVED * step, draws))[0, known] for step in np.diag(steps)]
+    moved = [score.deficits(score.margins(first + DIFFERENCE_SHARE * step, draws))[0, known] for step in np.diag(steps)]
     apart = np.stack([x - lack[0, 0, known] for x in moved], axis=1)
-    np.testing.assert_allclose(slopes[0, 0, known] * MOVED * steps, apart, atol=2e-3)
+    np.testing.assert_allclose(slopes[0, 0, known] * DIFFERENCE_SHARE * steps, apart, atol=2e-3)
     assert (np.abs(apart) > 0.01).any(axis=0).all()
 
 

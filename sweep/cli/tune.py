@@ -31,10 +31,10 @@ from sweep.study.config import Experiment, compose
 from sweep.study.study import make_points, parameter_columns
 from sweep.systems.base import split_side
 from sweep.tune.score import (
-    APART,
+    EQUAL_DEFICIT,
     MANOEUVRE,
-    MOMENTS,
-    SAME,
+    MAX_PHASE_INTERVAL,
+    MIN_PHASES,
     Aim,
     Score,
     least_margins,
@@ -166,7 +166,7 @@ def sizes_that_matter(
     alone = 1 + np.vstack([np.diag(np.abs(off).max(axis=0)), np.zeros((max(1, len(off) - len(sizes)), len(sizes)))])
     tried = exp.system.make_sides({path: at * alone[:, k] for k, (path, at) in enumerate(sizes.items())})[1]
     lack = np.asarray(score.deficits(score.margins(numbers, with_draw_axis(tried, len(alone)))))
-    moved = ~np.isclose(lack, lack[-1], 0.0, SAME, equal_nan=True).all(axis=1)
+    moved = ~np.isclose(lack, lack[-1], 0.0, EQUAL_DEFICIT, equal_nan=True).all(axis=1)
     if not (found := {path: at for (path, at), feels in zip(sizes.items(), moved, strict=False) if feels}):
         raise InputError(f"--follow is not allowed: no margin depends on {', '.join(sizes)}")
     return found
@@ -261,7 +261,7 @@ def parser() -> Arguments:
         action="append",
         default=[],
         metavar="[STAGES=]N",
-        help=f"of each stage, or of some ({MOMENTS}, and no more than {APART} s apart)",
+        help=f"of each stage, or of some ({MIN_PHASES}, and no more than {MAX_PHASE_INTERVAL} s apart)",
     )
     made.add_argument("--population", type=int, default=16, help="plans in a generation of CMA-ES (16)")
     made.add_argument("--generations", type=int, default=200, help="at most (200); steps of gradients, linear programs")

@@ -18,7 +18,7 @@ from sweep.runs import batches, store
 from sweep.runs.results import Results
 from sweep.study.config import Experiment
 from sweep.systems.base import judge_rollout
-from sweep.trace.motion import RATE, describe_bodies, encode_motion
+from sweep.trace.motion import MAX_RATE, describe_bodies, encode_motion
 
 REPLAYS = "replays"  # folder beside the study's parts
 NUMBER = int | float
@@ -56,7 +56,7 @@ def make_replays(
 
 
 def simulate_again(
-    exp: Experiment, rows: pd.DataFrame, planned: pd.DataFrame, rate: float = RATE
+    exp: Experiment, rows: pd.DataFrame, planned: pd.DataFrame, rate: float = MAX_RATE
 ) -> Iterator[tuple[pd.Series, Trace, dict[str, Any]]]:
     """Simulate rows again and record them.
 

@@ -24,7 +24,7 @@ from sweep.study.config import Experiment
 from sweep.study.study import is_static, parameter_columns
 
 MAX_LEVELS = 9  # tried on an axis
-ENGINE = "engine.name"
+ENGINE_COLUMN = "engine.name"
 Levels = Mapping[str, Sequence[Any]]  # by column
 
 
@@ -92,7 +92,9 @@ def run(
     varied = [c for c in parameter_columns(table) if table[c].nunique() > 1]
     if not varied:
         raise InputError(f"--check: {exp.study.name} varies nothing")
-    by_engine = dict(iter(table.groupby(ENGINE, sort=False))) if ENGINE in varied else {exp.settings.name: table}
+    by_engine = (
+        dict(iter(table.groupby(ENGINE_COLUMN, sort=False))) if ENGINE_COLUMN in varied else {exp.settings.name: table}
+    )
     report = AxisCheckReport(len(varied), [*map(str, by_engine)])
     for engine, rows in zip(report.engines, by_engine.values(), strict=True):
         levels = {c: _levels(rows[c]) for c in varied if rows[c].nunique() > 1}
@@ -106,12 +108,12 @@ def run(
 def _find_inactive(
     exp: Experiment, table: pd.DataFrame, levels: Levels, report: AxisCheckReport, on_progress: Callable[[int], None]
 ) -> Iterator[InactiveStretch]:
-    """Yield what has no effect on one engine, whose points are `table`."""
+    """Yield the stretches of axes without effect on one engine, whose points are `table`."""
     static = [c for c in levels if is_static(c, exp.system, exp.settings)]
     swept = {c: values for c, values in levels.items() if c not in static}
     middle = table.iloc[len(table) // 2]
     nominal = {c: exp.system.nominal(c, exp.settings) for c in parameter_columns(table)}
-    nominal |= {c: middle[c] for c in nominal if c == ENGINE}
+    nominal |= {c: middle[c] for c in nominal if c == ENGINE_COLUMN}
     acts = {c: np.zeros(len(values) - 1, dtype=bool) for c, values in levels.items()}
 
     def simulate(base: Mapping[str, Any], k: int) -> Metrics:

@@ -8,7 +8,7 @@ from sweep.core.files import path_in
 from sweep.engines import devices
 from sweep.study.config import Experiment
 
-ON_CPU = re.compile(r"(\d+ x )?cpu\b")  # matches the name of a CPU in study.yaml
+CPU_NAME = re.compile(r"(\d+ x )?cpu\b")  # matches the name of a CPU in study.yaml
 
 
 def choose_device_for_run(exp: Experiment) -> None:
@@ -26,7 +26,7 @@ def choose_device_for_run(exp: Experiment) -> None:
 def choose_device_for_folder(folder: Path) -> None:
     """Choose the CPU if all rows of `folder` were simulated on one, as for a replay; else keep JAX's default."""
     names = _row_devices(folder)
-    if names and all(map(ON_CPU.match, names)):
+    if names and all(map(CPU_NAME.match, names)):
         devices.prefer_cpu(f"as the rows of {folder} were")
 
 

@@ -21,7 +21,7 @@ PARTS, HISTORIES, LAST_STATES = "parts", "histories", "last_states"
 SUBFOLDERS = (PARTS, HISTORIES, LAST_STATES)  # of files that the manifest may list
 NAME = re.compile(rf"({'|'.join(SUBFOLDERS)})/\w[\w.-]{{,200}}", re.ASCII)  # what this package calls their files
 LONGEST = 200  # characters of another name in messages
-CHECK = 16  # digits of the digest at the start of a line
+DIGEST_DIGITS = 16  # digits of the digest at the start of a line
 RETRY_PAUSES = (0.01, 0.05, 0.2, 0.5)  # s, in which another command may finish the last line
 
 
@@ -47,7 +47,7 @@ class Entry:
 def format_line(entry: Entry) -> str:
     """Return the entry as a line of the manifest: a digest of the text, then the text (JSON)."""
     text = json.dumps(asdict(entry))
-    return f"{files.digest(text.encode())[:CHECK]} {text}"
+    return f"{files.digest(text.encode())[:DIGEST_DIGITS]} {text}"
 
 
 def parse(folder: Path) -> tuple[list[Entry], list[int]]:
@@ -66,7 +66,7 @@ def parse(folder: Path) -> tuple[list[Entry], list[int]]:
     entries, damaged = [], []
     for number, row in enumerate(content.removesuffix(b"\n").split(b"\n"), 1):
         check, _, text = row.partition(b" ")
-        if check == files.digest(text)[:CHECK].encode():
+        if check == files.digest(text)[:DIGEST_DIGITS].encode():
             entries.append(_parse_entry(folder, number, text))
         else:
             damaged.append(number)

@@ -29,14 +29,16 @@ class FailingLevel(NamedTuple):
 
 
 def find_failing_levels(exp: Experiment) -> list[FailingLevel]:
-    """Simulate the nominal rollout with each listed name of each axis, all other parameters nominal.
+    """Find the levels of categorical axes with which the nominal rollout does not succeed.
+
+    Each level is simulated once, with all other parameters nominal.
 
     Args:
-        exp: experiment of a study. Axes of the engine, of numbers, and of a table of points are left out, and so is
+        exp: Experiment of a study. Axes of the engine, of numbers, and of a table of points are left out, and so is
             everything where batches run on other machines.
 
     Returns:
-        The names whose rollout does not succeed, in the order of the axes.
+        The levels that do not succeed, in the order of the axes.
     """
     if exp.study.points or exp.cluster.is_remote:
         return []

@@ -411,7 +411,7 @@ def summarize_panels(exp: Experiment, rows: pd.DataFrame) -> list[RefinedPanel]:
 
 
 def total_effects(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
-    """Compute how much each listed parameter decides about success over the whole of a refined map.
+    """Compute the total Sobol index of success for each listed axis, over the lattice of a refined map.
 
     The rows themselves would mislead, as most of them lie next to the boundary; the lattice is even. A lattice point
     without a label counts half.

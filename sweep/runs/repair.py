@@ -16,8 +16,11 @@ from sweep.runs.manifest import Entry
 from sweep.runs.parquet import read_parquet
 from sweep.runs.plan_check import Plan
 
-SMALL, LARGE = 4096, 32768  # rows: smaller parts than SMALL are merged, into parts of at most LARGE
-FEW = 8  # least number of parts that are merged
+SMALL_PART_ROWS, MAX_PART_ROWS = (
+    4096,
+    32768,
+)  # rows: smaller parts than the first are merged, into parts of at most the second
+MIN_MERGED_PARTS = 8  # least number of parts that are merged
 
 
 def verify(folder: Path) -> tuple[list[str], list[str], int]:
@@ -197,7 +200,7 @@ def merge_small_parts(folder: Path, planned: pd.DataFrame) -> None:
     parts = store.current_parts(folder)
     merged = {}
     for run in _mergeable_runs(parts, planned):
-        if len(run) >= FEW:
+        if len(run) >= MIN_MERGED_PARTS:
             table = pa.concat_tables([store.read_table(folder, entry) for entry in run])
             merged[run[0].file] = store.write_table(folder, table, run[0].study, run[0].labels)
             merged |= dict.fromkeys((entry.file for entry in run[1:]), None)
@@ -212,7 +215,7 @@ def merge_small_parts(folder: Path, planned: pd.DataFrame) -> None:
 
 
 def _mergeable_runs(parts: Sequence[Entry], planned: pd.DataFrame) -> Iterator[list[Entry]]:
-    """Yield runs of small parts that are neighbours in the plan and share a group, up to LARGE rows a run."""
+    """Yield runs of small parts that are neighbours in the plan and share a group, up to MAX_PART_ROWS rows a run."""
     batches = planned.groupby("batch")["group"].agg(["first", "size"])
     place = {batch: k for k, batch in enumerate(batches.index)}
     run: list[Entry] = []
@@ -221,11 +224,11 @@ def _mergeable_runs(parts: Sequence[Entry], planned: pd.DataFrame) -> Iterator[l
         size = int(batches.loc[list(entry.batches), "size"].sum())
         group = batches["first"][entry.batches[0]]
         follows = run and place[entry.batches[0]] == place[run[-1].batches[-1]] + 1
-        follows = follows and group == batches["first"][run[-1].batches[0]] and total + size <= LARGE
-        if run and (not follows or size >= SMALL):
+        follows = follows and group == batches["first"][run[-1].batches[0]] and total + size <= MAX_PART_ROWS
+        if run and (not follows or size >= SMALL_PART_ROWS):
             yield run
             run, total = [], 0
-        if size < SMALL:
+        if size < SMALL_PART_ROWS:
             run.append(entry)
             total += size
     if run:

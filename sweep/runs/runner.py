@@ -338,7 +338,7 @@ def limit_last_states(folder: Path, beside: tuple[Entry, ...]) -> list[Entry]:
     Workers do not know of each other, so together they may record too many.
     """
     last = [entry for entry in beside if entry.file.startswith(f"{store.LAST_STATES}/")]
-    room = time_series.INVALID_ROWS - len(store.list_recordings(folder, store.LAST_STATES)) if last else 0
+    room = time_series.MAX_INVALID_ROWS - len(store.list_recordings(folder, store.LAST_STATES)) if last else 0
     for entry in last[room:]:
         path_in(folder, entry.file).unlink(missing_ok=True)
     return [entry for entry in beside if entry not in last[room:]]
@@ -456,7 +456,7 @@ def last_states_of_invalid_rows(
     """
     if not (finished["outcome"] == INVALID).any():
         return []
-    room = time_series.INVALID_ROWS - len(list(path_in(job.folder, store.LAST_STATES).glob("*.parquet")))
+    room = time_series.MAX_INVALID_ROWS - len(list(path_in(job.folder, store.LAST_STATES).glob("*.parquet")))
     try:
         return (
             time_series.simulate_last_states(job.exp, engine, make_batch(job.exp, rows), finished, room)

@@ -34,7 +34,7 @@ HISTORIES, LAST_STATES = manifest.HISTORIES, manifest.LAST_STATES
 FORMAT = 2  # of the folder
 MEMBERS = {"config": dict, "rollouts": int, "labels": str, "stages": dict, "devices": list, "code": str, "commit": str,
            "versions": dict}  # of study.yaml, beside the format  # fmt: skip
-CHECK = "# sha256 of the lines above: "
+CHECKSUM_PREFIX = "# sha256 of the lines above: "
 METADATA_KEY = b"sweep"  # of the Parquet metadata with a part's study, thresholds and batches
 
 
@@ -83,7 +83,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
 def write_study(folder: Path, content: Mapping[str, Any]) -> None:
     """Write `study.yaml`: configuration, versions, devices. Raises `Fault` if the disk refuses it."""
     text = yaml.safe_dump({"format": FORMAT, **content}, sort_keys=False, allow_unicode=True)
-    files.write_atomically(path_in(folder, STUDY), f"{text}{CHECK}{files.digest(text.encode())}\n".encode())
+    files.write_atomically(path_in(folder, STUDY), f"{text}{CHECKSUM_PREFIX}{files.digest(text.encode())}\n".encode())
 
 
 def read_study(folder: Path) -> dict[str, Any]:
@@ -96,7 +96,7 @@ def read_study(folder: Path) -> dict[str, Any]:
     path = path_in(folder, STUDY)
     damaged = DamagedFile(f"{path} is damaged: repeat the same `sweep run` to repair it")
     try:
-        text, check, given = path.read_bytes().rpartition(CHECK.encode())
+        text, check, given = path.read_bytes().rpartition(CHECKSUM_PREFIX.encode())
         if check and given != f"{files.digest(text)}\n".encode():
             raise damaged
         body = (text if check else given).decode()
@@ -131,7 +131,7 @@ def digest(values: Any) -> str:
 
 
 def write_points(folder: Path, points: pd.DataFrame) -> None:
-    """Write the plan of a folder: all points with group, batch and slot. Raises `Fault` if the disk refuses it."""
+    """Write all points of a study, with their group, batch and slot. Raises `Fault` if the disk refuses it."""
     content = _to_parquet(pa.Table.from_pandas(points, preserve_index=False), {})
     entry = Entry(POINTS, len(content), files.digest(content))
     # listed before it is written: any listed plan counts as sound, so a kill in between does no harm

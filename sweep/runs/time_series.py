@@ -19,7 +19,7 @@ from sweep.runs.manifest import Entry
 from sweep.study.config import Experiment
 from sweep.study.study import identity_columns
 
-INVALID_ROWS = 10  # of a folder, whose last states are stored
+MAX_INVALID_ROWS = 10  # of a folder, whose last states are stored
 LAST_SECONDS = 1.0  # of such a row that are stored, s
 MAX_NUMBERS = 500_000_000  # of 4 bytes, in the histories of a study
 
@@ -121,7 +121,7 @@ def simulate_last_states(
         A table for each recorded row, see `to_table`.
     """
     slots = np.flatnonzero(finished["outcome"] == INVALID)[:limit]
-    watched = TimeSeriesRequest(tuple(exp.system.history_columns), 1, INVALID_ROWS)
+    watched = TimeSeriesRequest(tuple(exp.system.history_columns), 1, MAX_INVALID_ROWS)
     _, samples = engine.run_with_time_series(task.world, task.belief, task.streams, slots, watched)
     period = task.settings.control_period
     time, tables = period * (1 + np.arange(len(samples))), []

@@ -19,21 +19,36 @@ from sweep.core.files import append_line, write_atomically
 from sweep.study.config import Experiment
 from sweep.study.study import is_static, make_points, parameter_columns
 
-STEP = 0.02  # first step of a free number for which none is given
-STEPS = {"pitch": 2.0, "elevation": 2.0}  # first steps (deg) by the last word of a number's path
-BOUND = ("time", "seconds", "first", "last", "arc", "rung", "depth")  # last words of numbers freed only with a step
+DEFAULT_STEP = 0.02  # first step of a free number for which none is given
+STEP_BY_WORD = {"pitch": 2.0, "elevation": 2.0}  # first steps (deg) by the last word of a number's path
+STEP_REQUIRED = (
+    "time",
+    "seconds",
+    "first",
+    "last",
+    "arc",
+    "rung",
+    "depth",
+)  # last words of numbers freed only with a step
 # CMA-ES ends at this score, or below this step size in first steps
-ENOUGH, LEAST = 1e-9, 1e-6
+TARGET_SCORE, MIN_STEP = 1e-9, 1e-6
 # Adam: first learning rate in first steps, and the number of steps after which it falls as their square root
-RATE, SLOWER = 0.1, 60
+LEARNING_RATE, RATE_DECAY_STEPS = 0.1, 60
 RIDGE = 1e-3  # cost of a number one first step from its start, so that numbers without effect stay
-EVERY = 10  # steps between entries of the log
-FAR, UNKNOWN = 20.0, 1e3  # largest norm of a draw's gradient, and largest deficit
+LOG_INTERVAL = 10  # steps between entries of the log
+MAX_GRADIENT, MAX_DEFICIT = 20.0, 1e3  # largest norm of a draw's gradient, and largest deficit
 # linear programs
-PRICE = 2e-3  # cost of a number one first step away in the farthest draw, so that numbers with little effect stay
-REST, HALF = 0.1, 5.0  # weight of the sum of deficits beside the largest one; cost at which its growth halves
-BAND = 1.0  # margins whose deficit is below minus this are left out of a program
-RADIUS, WIDEST, TRIES = 0.5, 2.0, 6  # trust radius in first steps: first, largest; and how often it is halved
+STEP_COST = 2e-3  # cost of a number one first step away in the farthest draw, so that numbers with little effect stay
+SUM_WEIGHT, COST_SCALE = (
+    0.1,
+    5.0,
+)  # weight of the sum of deficits beside the largest one; cost at which its growth halves
+SURPLUS = 1.0  # margins whose deficit is below minus this are left out of a program
+FIRST_RADIUS, MAX_RADIUS, MAX_HALVINGS = (
+    0.5,
+    2.0,
+    6,
+)  # trust radius in first steps: first, largest; and how often it is halved
 
 
 def free_numbers(
@@ -43,7 +58,7 @@ def free_numbers(
 
     Args:
         numbers: All numbers of the plan by path.
-        patterns: `PATTERN`, which skips numbers that formulas give and those in `BOUND`, or `PATTERN=STEP`.
+        patterns: `PATTERN`, which skips numbers that formulas give and those in `STEP_REQUIRED`, or `PATTERN=STEP`.
         formulas: Paths of numbers that formulas give.
 
     Returns:
@@ -56,9 +71,9 @@ def free_numbers(
     for text in patterns:
         pattern, sign, step = text.partition("=")
         try:
-            steps = {path: float(step) if sign else STEPS.get(path.rpartition(".")[2], STEP)
+            steps = {path: float(step) if sign else STEP_BY_WORD.get(path.rpartition(".")[2], DEFAULT_STEP)
                      for path in numbers if fnmatchcase(path, pattern)
-                     and (sign or (path.rpartition(".")[2] not in BOUND and path not in formulas))}  # fmt: skip
+                     and (sign or (path.rpartition(".")[2] not in STEP_REQUIRED and path not in formulas))}  # fmt: skip
         except ValueError:
             raise InputError(f"--free = {text} is not allowed: a pattern, or PATTERN=STEP") from None
         if not steps or min(steps.values()) <= 0:
@@ -123,8 +138,8 @@ def search_by_cma(
         "popsize": settings["population"],
         "seed": settings["seed"],
         "verbose": -9,
-        "ftarget": ENOUGH,
-        "tolx": LEAST,
+        "ftarget": TARGET_SCORE,
+        "tolx": MIN_STEP,
     }
     strategy = cma.CMAEvolutionStrategy(np.zeros(len(first)), 1.0, options)
     best, least = first, np.inf
@@ -165,7 +180,9 @@ class AdamState(NamedTuple):
         least, best = (mean, self.at) if mean < self.least else (self.least, self.best)
         first, second = 0.9 * self.mean + 0.1 * down, 0.99 * self.square + 0.01 * down**2
         direction = first / (1 - 0.9**k) / (np.sqrt(second / (1 - 0.99**k)) + 1e-12)
-        return AdamState(k, least, self.at - RATE * min(1.0, (SLOWER / k) ** 0.5) * direction, best, first, second)
+        return AdamState(
+            k, least, self.at - LEARNING_RATE * min(1.0, (RATE_DECAY_STEPS / k) ** 0.5) * direction, best, first, second
+        )
 
 
 def search_by_gradients(
@@ -178,7 +195,7 @@ def search_by_gradients(
 ) -> np.ndarray:
     """Search for the numbers with the least mean deficit over all draws, by Adam.
 
-    A draw's gradient is cut to the length `FAR`, so that draws out of reach do not outweigh all others.
+    A draw's gradient is cut to the length `MAX_GRADIENT`, so that draws out of reach do not outweigh all others.
 
     Args:
         descent: Function from numbers (n,) to the deficit (draws,) of every draw and its gradients (draws, n).
@@ -200,10 +217,10 @@ def search_by_gradients(
     while now.steps < settings["generations"]:
         lack, gradients = descent(first + steps * now.at)
         gradients = steps * gradients
-        gradients /= np.maximum(1.0, np.linalg.norm(gradients, axis=1, keepdims=True) / FAR)
-        mean = float(np.mean(np.minimum(np.nan_to_num(lack, nan=UNKNOWN), UNKNOWN)))
+        gradients /= np.maximum(1.0, np.linalg.norm(gradients, axis=1, keepdims=True) / MAX_GRADIENT)
+        mean = float(np.mean(np.minimum(np.nan_to_num(lack, nan=MAX_DEFICIT), MAX_DEFICIT)))
         now = now.step(mean, gradients.mean(axis=0) + 2 * RIDGE * now.at)
-        if now.steps % EVERY == 0 or now.steps == settings["generations"]:
+        if now.steps % LOG_INTERVAL == 0 or now.steps == settings["generations"]:
             append_log(log, [now.steps, now.least, *(part.tolist() for part in now[2:])])
         progress(now.steps, now.least)
     return first + steps * now.best
@@ -241,19 +258,19 @@ def fit_size_slopes(
     """
     spread = np.maximum(np.abs(shares).max(axis=0), 1e-12)
     by, entries = shares / spread, resume_log(log, settings)
-    radius, at = entries[-1] if entries else (RADIUS, np.zeros((len(steps), len(spread))))
+    radius, at = entries[-1] if entries else (FIRST_RADIUS, np.zeros((len(steps), len(spread))))
     at = np.array(at)  # slopes in first steps, per largest share of a draw
     least = cost(deficits(steps * (by @ at.T))).mean()
     for k in range(len(entries), settings["generations"]):
         progress(k, least)
         lack, slope = slopes(steps * (by @ at.T))
-        for tried in radius / 2.0 ** np.arange(TRIES):
+        for tried in radius / 2.0 ** np.arange(MAX_HALVINGS):
             to = solve_linear_program(lack, slope * steps, by, at, tried)
             if (mean_cost := cost(deficits(steps * (by @ to.T))).mean()) < least:
                 break
         else:
             break
-        least, at, radius = mean_cost, to, min(1.5 * tried, WIDEST)
+        least, at, radius = mean_cost, to, min(1.5 * tried, MAX_RADIUS)
         append_log(log, [radius, at.tolist()])
     return steps[:, None] * at / spread
 
@@ -261,10 +278,10 @@ def fit_size_slopes(
 def cost(deficit: np.ndarray) -> np.ndarray:
     """Return the cost (draws,) of deficits (draws, margins): the largest of a draw, and a small share of their sum.
 
-    Costs above `HALF` grow logarithmically, so that draws out of reach do not outweigh all others.
+    Costs above `COST_SCALE` grow logarithmically, so that draws out of reach do not outweigh all others.
     """
-    deficit = np.clip(np.nan_to_num(deficit), 0.0, UNKNOWN)
-    return HALF * np.log1p((deficit.max(axis=-1) + REST * deficit.sum(axis=-1)) / HALF)
+    deficit = np.clip(np.nan_to_num(deficit), 0.0, MAX_DEFICIT)
+    return COST_SCALE * np.log1p((deficit.max(axis=-1) + SUM_WEIGHT * deficit.sum(axis=-1)) / COST_SCALE)
 
 
 def solve_linear_program(
@@ -285,7 +302,7 @@ def solve_linear_program(
     from scipy.optimize import linprog  # slow to import
     from scipy.sparse import block_array, csr_array, eye_array, kron
 
-    near = np.isfinite(deficit) & (deficit > -BAND)
+    near = np.isfinite(deficit) & (deficit > -SURPLUS)
     draw, _, margin = np.nonzero(near)
     pairs, pair = np.unique(draw * deficit.shape[-1] + margin, return_inverse=True)
     row, number = np.nonzero(slope[near])
@@ -299,8 +316,8 @@ def solve_linear_program(
     largest = minus_column(pairs // deficit.shape[-1], count)
     rows = block_array([[moves, -moves, minus_column(pair, len(pairs)), None],
                         [None, None, eye_array(len(pairs)), largest]])  # fmt: skip
-    weight = np.exp(-cost(deficit.max(axis=1)) / HALF) / count
-    price = np.concatenate([np.full(2 * at.size, PRICE), REST * weight[pairs // deficit.shape[-1]], weight])
+    weight = np.exp(-cost(deficit.max(axis=1)) / COST_SCALE) / count
+    price = np.concatenate([np.full(2 * at.size, STEP_COST), SUM_WEIGHT * weight[pairs // deficit.shape[-1]], weight])
     both = np.concatenate([at.ravel(), -at.ravel()])
     near_by = np.maximum(np.stack([both - radius, both + radius], axis=1), 0.0)
     bounds = np.concatenate([near_by, np.tile([0.0, np.inf], (len(pairs) + count, 1))])

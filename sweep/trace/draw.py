@@ -13,7 +13,7 @@ import numpy as np
 from sweep.trace.arrows import ARROW_RADIUS, FORCE_COLOR
 
 NO_OPENGL = 3  # exit status: this OpenGL library does not work here
-MODEL, ARRAYS = "model.mjb", "frames.npz"  # files in the folder JOB
+MODEL_FILE, ARRAYS_FILE = "model.mjb", "frames.npz"  # files in the folder JOB
 ARROW_RGBA = np.array([*FORCE_COLOR, 1.0], np.float32)
 
 
@@ -26,8 +26,8 @@ def main(job: Path) -> int:
     except Exception as error:  # mujoco passes on all exceptions of its OpenGL wrapper
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return NO_OPENGL
-    model = mujoco.MjModel.from_binary_path(str(job / MODEL))
-    with np.load(job / ARRAYS) as arrays:
+    model = mujoco.MjModel.from_binary_path(str(job / MODEL_FILE))
+    with np.load(job / ARRAYS_FILE) as arrays:
         draw_frames(model, dict(arrays))
     return 0
 

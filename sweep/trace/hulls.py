@@ -5,7 +5,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 MAX_FACES = 64  # of MuJoCo's hull of a mesh; a hull with more faces is simplified
-POINTS = 40  # directions along which a simplified hull has its farthest points
+HULL_DIRECTIONS = 40  # directions along which a simplified hull has its farthest points
 
 
 def geom_hull(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, list[list[int]]]:
@@ -21,12 +21,12 @@ def geom_hull(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, list[list[i
         Vertices (N, 3) in the geom's axes, m, and faces as lists of vertices, counterclockwise seen from outside.
     """
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-        return _hull(_directions(POINTS) * model.geom_size[geom])
+        return _hull(_directions(HULL_DIRECTIONS) * model.geom_size[geom])
     mesh = int(model.geom_dataid[geom])
     first, number = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices = np.asarray(model.mesh_vert[first : first + number], float)
     if not 0 < model.mesh_polynum[mesh] <= MAX_FACES:
-        return _hull(vertices[np.unique(np.argmax(_directions(POINTS) @ vertices.T, axis=1))])
+        return _hull(vertices[np.unique(np.argmax(_directions(HULL_DIRECTIONS) @ vertices.T, axis=1))])
     faces = []
     for polygon in model.mesh_polyadr[mesh] + np.arange(model.mesh_polynum[mesh]):
         start = int(model.mesh_polyvertadr[polygon])

@@ -18,17 +18,17 @@ from sweep.trace.hulls import geom_hull
 from sweep.trace.sampling import base_body_id, finite_frames
 from sweep.trace.shapes import VISIBLE_GROUPS, geom_color
 
-RATE = 10.0  # frames per second, at most
-ROOM = 40_000  # largest number of characters in the states of a rollout; a longer one gets fewer frames
-FINE = 1e-3  # resolution of `qpos` in m and rad; coarser where int16 could not hold the largest value
-UNIT = 1e-4  # resolution of quaternions
+MAX_RATE = 10.0  # frames per second, at most
+MAX_CHARACTERS = 40_000  # largest number of characters in the states of a rollout; a longer one gets fewer frames
+QPOS_RESOLUTION = 1e-3  # resolution of `qpos` in m and rad; coarser where int16 could not hold the largest value
+QUATERNION_RESOLUTION = 1e-4  # resolution of quaternions
 INT8, INT16 = 2**7 - 1, 2**15 - 1  # largest values
-LEVELS = 50  # integer of the largest force
-MARGIN = 100  # integer of a margin of 1; margins are clipped at -1
-FRICTION = 20  # integer of a foot that uses all friction
+FORCE_LEVELS = 50  # integer of the largest force
+MARGIN_LEVELS = 100  # integer of a margin of 1; margins are clipped at -1
+FRICTION_LEVELS = 20  # integer of a foot that uses all friction
 DIGITS = 4  # decimals of lengths (m) and directions of bodies and geoms
 Kind = mujoco.mjtGeom
-UNSHOWN = (Kind.mjGEOM_HFIELD, Kind.mjGEOM_SDF)  # geoms that the page cannot draw
+HIDDEN_GEOMS = (Kind.mjGEOM_HFIELD, Kind.mjGEOM_SDF)  # geoms that the page cannot draw
 SHAPES = {
     Kind.mjGEOM_PLANE: "plane",
     Kind.mjGEOM_SPHERE: "sphere",
@@ -42,7 +42,7 @@ def encode_motion(trace: Trace) -> dict[str, Any]:
     """Encode the finite frames of a trace as plain values for JSON.
 
     Returns:
-        `states`, the encoded stream in base64, at most `ROOM` characters, for which frames are dropped if necessary;
+        `states`, the encoded stream in base64, at most `MAX_CHARACTERS` characters, for which frames are dropped if necessary;
         `frames`, their number; `step` (s), the time between frames, and of the first one; and the units of the whole
         numbers: `scales` (nq,) for `qpos`, `force_scale` (N), `torque_scale` (N m), `margin_scale`, `friction_scale`.
             `limits` are the names of the limits to which margins belong; `torque_limit` is in N m.
@@ -52,17 +52,19 @@ def encode_motion(trace: Trace) -> dict[str, Any]:
     scales = np.maximum(qpos_resolution(trace.model), np.abs(qpos).max(axis=0) / INT16)
     force = np.asarray(trace.foot_force[:frames], float)
     force = force.reshape(frames, force[0].size)
-    force_scale = max(float(np.nan_to_num(np.abs(force)).max(initial=0)) / LEVELS, 1e-6)
+    force_scale = max(float(np.nan_to_num(np.abs(force)).max(initial=0)) / FORCE_LEVELS, 1e-6)
     torque = np.nan_to_num(np.asarray(trace.joint_torque[:frames], float))
-    torque_scale = max(float(np.abs(torque).max(initial=0)) / LEVELS, 1e-6)
+    torque_scale = max(float(np.abs(torque).max(initial=0)) / FORCE_LEVELS, 1e-6)
     known = np.isfinite(trace.margin[:frames]).any()
     limits = sorted(set(trace.margin_of[:frames])) if known else []
     small = [np.round(np.nan_to_num(force) / force_scale), trace.stage[:frames], np.round(torque / torque_scale)]
     if known:
         margin = np.nan_to_num(trace.margin[:frames], nan=-1.0).clip(-1.0, 1.0)
-        small += [np.round(MARGIN * margin), np.searchsorted(limits, trace.margin_of[:frames])]
+        small += [np.round(MARGIN_LEVELS * margin), np.searchsorted(limits, trace.margin_of[:frames])]
     if force.size:
-        small.append(np.round(FRICTION * np.nan_to_num(measured_contact_forces(trace).share[:frames])).clip(0, INT8))
+        small.append(
+            np.round(FRICTION_LEVELS * np.nan_to_num(measured_contact_forces(trace).share[:frames])).clip(0, INT8)
+        )
     whole = {
         "step": float(trace.time[0]),
         "frames": frames,
@@ -70,13 +72,13 @@ def encode_motion(trace: Trace) -> dict[str, Any]:
         "force_scale": float(f"{force_scale:.6g}"),
         "torque_scale": float(f"{torque_scale:.6g}"),
         "torque_limit": trace.torque_limit,
-        "margin_scale": 1 / MARGIN,
-        "friction_scale": 1 / FRICTION,
+        "margin_scale": 1 / MARGIN_LEVELS,
+        "friction_scale": 1 / FRICTION_LEVELS,
         "limits": limits,
         "states": encode_states(np.round(qpos / scales).astype(np.int16), np.column_stack(small).astype(np.int8)),
     }
     kept, every = whole, 1
-    while len(kept["states"]) > ROOM and every < frames:
+    while len(kept["states"]) > MAX_CHARACTERS and every < frames:
         every += 1
         kept = thin_motion(whole, every)
     return kept
@@ -134,12 +136,12 @@ def decode_planes(content: bytes, frames: int, kind: np.dtype) -> np.ndarray:
 
 def qpos_resolution(model: mujoco.MjModel) -> np.ndarray:
     """Return the finest resolution (nq,) with which each coordinate of `qpos` is encoded."""
-    fine = np.full(model.nq, FINE)
+    fine = np.full(model.nq, QPOS_RESOLUTION)
     for joint in range(model.njnt):
         turned = {int(mujoco.mjtJoint.mjJNT_FREE): 3, int(mujoco.mjtJoint.mjJNT_BALL): 0}.get(model.jnt_type[joint])
         if turned is not None:
             start = model.jnt_qposadr[joint] + turned
-            fine[start : start + 4] = UNIT
+            fine[start : start + 4] = QUATERNION_RESOLUTION
     return fine
 
 
@@ -157,7 +159,7 @@ def describe_bodies(model: mujoco.MjModel, legs: int) -> dict[str, Any]:
     """
     root = model.body_rootid[base_body_id(model)]
     drawn = [g for g in range(model.ngeom) if model.geom_group[g] < VISIBLE_GROUPS and model.geom_rgba[g, 3] > 0]
-    drawn = [g for g in drawn if Kind(model.geom_type[g]) not in UNSHOWN]
+    drawn = [g for g in drawn if Kind(model.geom_type[g]) not in HIDDEN_GEOMS]
     feet = [model.site(f"foot{leg}") for leg in range(1, legs + 1)]
     return {
         "bodies": [

@@ -18,13 +18,13 @@ from sweep.trace.contact_forces import measured_contact_forces, planned_contact_
 from sweep.trace.layout import LEG_COLORS
 from sweep.trace.sampling import base_pose, joint_positions, mass_centres
 
-PAIRS = ((6, 5), (4, 3), (2, 1))
+LEG_ROWS = ((6, 5), (4, 3), (2, 1))
 SYMBOLS = dict(zip(KINDS, ("α", "β", "γ"), strict=True))
 ACTUAL, SECOND, REFERENCE = "#0072b2", "#d55e00", "0.25"
-SMOOTHED = 25  # ticks over which the speed of a body is averaged
+SPEED_WINDOW = 25  # ticks over which the speed of a body is averaged
 SLANTED_STAGES = 10  # most stage names that are written slanted; more are upright
-ROOM = 1.2 * LETTERS  # points between stage names that are written
-BESIDE = 0.6  # in, of a panel's width that its axis takes
+NAME_SPACING = 1.2 * LETTERS  # points between stage names that are written
+AXIS_WIDTH = 0.6  # in, of a panel's width that its axis takes
 BOOK_TORQUE = 75.2  # N·m, unit of the monograph's figures 2.3.5 and 2.3.6: about the body's moment of gravity on a pole
 
 
@@ -116,9 +116,9 @@ def plot_ball(trace: Trace) -> Figure:
     if len(starts) < 2:
         raise InputError("--plot ball is not allowed: this obstacle has no free body")
     place = trace.qpos[:, starts[1] : starts[1] + 3]
-    average = np.ones(SMOOTHED) / SMOOTHED
+    average = np.ones(SPEED_WINDOW) / SPEED_WINDOW
     rates = np.gradient(place[:, :2], trace.time, axis=0).T
-    speed = [np.convolve(np.pad(rate, SMOOTHED // 2, mode="edge"), average, "valid") for rate in rates]
+    speed = [np.convolve(np.pad(rate, SPEED_WINDOW // 2, mode="edge"), average, "valid") for rate in rates]
     few = slice(None, None, max(1, len(place) // 2000))
     over_ball = mass_centres(trace, few)[:, :2] - place[few, :2]
     labels = ("speed (mm/s)", "way (m)", "base (mm)", "mass centre (mm)")
@@ -227,7 +227,7 @@ def _per_leg(
 ) -> Figure:
     """One panel for each leg with `values` (F, 6, 3) of its three joints; `target` is dashed, `limit` dotted."""
     figure, axes = _grid(3, 2, title, share="all")
-    for row, legs in zip(axes, PAIRS, strict=True):
+    for row, legs in zip(axes, LEG_ROWS, strict=True):
         for ax, leg in zip(row, legs, strict=True):
             for kind, color in zip(range(3), (ACTUAL, SECOND, "#009e73"), strict=True):
                 ax.plot(trace.time, values[:, leg - 1, kind], color=color, lw=1.1, label=SYMBOLS[KINDS[kind]])
@@ -258,7 +258,7 @@ def _finish(figure: Figure, axes: np.ndarray, trace: Trace) -> Figure:
     """Add time axis, lines where stages begin, stage names above the top row, and a legend."""
     legend_below(figure, [one for ax in axes.flat for one in ax.get_legend_handles_labels()[0]])
     starts = np.flatnonzero(np.diff(trace.stage, prepend=-1))
-    room = ROOM / (72 * (PAGE / axes.shape[1] - BESIDE)) * (trace.time[-1] - trace.time[0])
+    room = NAME_SPACING / (72 * (PAGE / axes.shape[1] - AXIS_WIDTH)) * (trace.time[-1] - trace.time[0])
     for ax in axes.flat:
         ax.grid(alpha=0.3)
         ax.margins(x=0.01)

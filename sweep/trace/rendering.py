@@ -22,19 +22,21 @@ from sweep.core.spacing import evenly_spaced_indices
 from sweep.engines.base import Trace
 from sweep.trace.arrows import arrow_tips
 from sweep.trace.contact_forces import surfaces_under
-from sweep.trace.draw import ARRAYS, MODEL, NO_OPENGL
+from sweep.trace.draw import ARRAYS_FILE, MODEL_FILE, NO_OPENGL
 from sweep.trace.sampling import base_pose, finite_frames, frames_at_rate
 
 SIZE = (960, 544)  # pixels; video codecs need multiples of 16
-SMALL = (424, 240)  # pixels of a picture in a strip
-IN_A_ROW = 4  # pictures in a row of a strip
-STILL = 4  # samples per pixel of a still picture
+STRIP_PICTURE_SIZE = (424, 240)  # pixels of a picture in a strip
+PICTURES_PER_ROW = 4  # pictures in a row of a strip
+STILL_SAMPLES = 4  # samples per pixel of a still picture
 VIDEO_RATE = 25  # frames per second, simulated and shown
 CAMERA_DISTANCE = 1.7  # least distance, in units of the distance between the robot's farthest feet at the start
-AROUND = 2.0  # distance in units of a model's extent, for a model without feet
-FIELD = np.tan(np.radians(22.5)) * np.array([SIZE[0] / SIZE[1], 1.0])  # half of MuJoCo's 45 deg, per unit of distance
+MODEL_DISTANCE = 2.0  # distance in units of a model's extent, for a model without feet
+HALF_FIELD = np.tan(np.radians(22.5)) * np.array(
+    [SIZE[0] / SIZE[1], 1.0]
+)  # half of MuJoCo's 45 deg, per unit of distance
 LONGEST_ARROW = 1.6  # m
-FILLED = 0.9  # largest share of half the picture's width and height that the feet span
+MAX_SPAN = 0.9  # largest share of half the picture's width and height that the feet span
 AZIMUTHS = (125.0, -125.0, 55.0, -55.0)  # deg, viewing directions of the camera in order of preference
 ELEVATION = -22.0  # deg
 LIBRARIES = {"egl": "libegl1 libegl-mesa0 libgl1-mesa-dri", "osmesa": "libosmesa6"}  # Debian packages
@@ -93,7 +95,7 @@ def add_caption(picture: np.ndarray, text: str) -> np.ndarray:
 
 
 def write_strip(path: str | Path, trace: Trace, frames: np.ndarray, outcome: str = "") -> None:
-    """Write pictures of some frames side by side, at most `IN_A_ROW` in a row.
+    """Write pictures of some frames side by side, at most `PICTURES_PER_ROW` in a row.
 
     Args:
         path: The file, a PNG.
@@ -105,10 +107,10 @@ def write_strip(path: str | Path, trace: Trace, frames: np.ndarray, outcome: str
         InputError: Neither EGL nor OSMesa works.
     """
     small = [
-        add_caption(np.asarray(Image.fromarray(picture).resize(SMALL)), format_caption(trace, k, outcome))
+        add_caption(np.asarray(Image.fromarray(picture).resize(STRIP_PICTURE_SIZE)), format_caption(trace, k, outcome))
         for picture, k in zip(render(trace, frames), frames, strict=True)
     ]
-    rows = [np.concatenate(row, axis=1) for row in itertools.batched(small, IN_A_ROW)]
+    rows = [np.concatenate(row, axis=1) for row in itertools.batched(small, PICTURES_PER_ROW)]
     write_atomically(Path(path), partial(Image.fromarray(np.concatenate(rows)).quantize(128).save, optimize=True))
 
 
@@ -163,7 +165,7 @@ def require_ffmpeg() -> None:
         raise InputError("a video needs ffmpeg: pip install 'insect-sweep[video]'")
 
 
-def render(trace: Trace, frames: np.ndarray, samples: int = STILL) -> Generator[np.ndarray, None, None]:
+def render(trace: Trace, frames: np.ndarray, samples: int = STILL_SAMPLES) -> Generator[np.ndarray, None, None]:
     """Yield pictures (height, width, 3), uint8, of some frames of a trace.
 
     The camera follows the base; contact forces are drawn as arrows.
@@ -187,9 +189,9 @@ def render(trace: Trace, frames: np.ndarray, samples: int = STILL) -> Generator[
 
 def _write_job(job: Path, trace: Trace, frames: np.ndarray, samples: int) -> None:
     azimuth = min(AZIMUTHS, key=partial(_count_hidden_points, trace, frames))
-    mujoco.mj_saveModel(trace.model, str(job / MODEL), None)
+    mujoco.mj_saveModel(trace.model, str(job / MODEL_FILE), None)
     np.savez(
-        job / ARRAYS,
+        job / ARRAYS_FILE,
         qpos=trace.qpos[frames],
         look_at=_look_at(trace, frames),
         distance=_camera_distance(trace, frames, azimuth),
@@ -229,11 +231,11 @@ def _camera_distance(trace: Trace, frames: np.ndarray, azimuth: float) -> float:
     For a model without feet, a multiple of its extent.
     """
     if not trace.foot_position.shape[1]:
-        return AROUND * float(trace.model.stat.extent)
+        return MODEL_DISTANCE * float(trace.model.stat.extent)
     start, ends = trace.foot_position[0], np.concatenate([trace.foot_position[frames], _tips(trace, frames)], axis=1)
     offset = ends - _look_at(trace, frames)[:, None]
     across, towards = offset @ _camera_axes(azimuth)[:2].T, offset @ _camera_axes(azimuth)[2]
-    needed = towards + np.max(np.abs(across) / (FILLED * FIELD), axis=-1)
+    needed = towards + np.max(np.abs(across) / (MAX_SPAN * HALF_FIELD), axis=-1)
     return max(CAMERA_DISTANCE * np.linalg.norm(start[:, None] - start, axis=-1).max(), needed.max())
 
 

@@ -34,7 +34,7 @@ from sweep.trace.plots import PLOTS
 from sweep.trace.rendering import VIDEO_RATE, require_ffmpeg, write_png, write_video
 from sweep.trace.sampling import frames_at_rate
 
-SHOWN = ("mcap", "states", "model", "plot", "png", "video")  # options that a system may not support
+FORMAT_OPTIONS = ("mcap", "states", "model", "plot", "png", "video")  # options that a system may not support
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def main(args: list[str]) -> int:
     options = _parser().parse_args(args)
     _check_options(options)
     system = results.load_experiment(options.folder).system
-    for name in SHOWN:
+    for name in FORMAT_OPTIONS:
         if getattr(options, name) and name not in system.replay_formats:
             shown = ", ".join(f"--{one}" for one in sorted(system.replay_formats))
             raise InputError(

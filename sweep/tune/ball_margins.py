@@ -30,9 +30,9 @@ from sweep.models.obstacles.surface import FreeState, body_poses, free_start_sta
 from sweep.models.robot import total_mass
 from sweep.tune.kinematic_margins import Margins, Swing, stance_margins
 
-SMOOTH = 0.2  # s, over which the mass centre's path is averaged
+SMOOTHING_TIME = 0.2  # s, over which the mass centre's path is averaged
 # s before the end of a stage at which a tick ends, so that feet begin the next stage where they are at the end
-SHORT = 1e-3
+END_OFFSET = 1e-3
 
 
 class PlayedPlan(NamedTuple):
@@ -95,7 +95,7 @@ def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> PlayedPlan:
     def tick(carry: tuple, _: None) -> tuple[tuple, PlayedPlan]:
         state, observation, contacts, roll = carry
         remains = plan.duration[state.stage] - state.clock
-        h = jnp.where((remains > 2 * SHORT) & (remains <= period + SHORT), remains - SHORT, period)
+        h = jnp.where((remains > 2 * END_OFFSET) & (remains <= period + END_OFFSET), remains - END_OFFSET, period)
         state, command = tracker.step(case, plan, state, observation, cast(float, h))
         position, quat = command.target.position, command.target.quat
         stage, free = state.stage, tracker.reference_body_state(plan, state, observation.free)[0]
@@ -172,7 +172,7 @@ def _roll_ball(
 def zmp_margin(played: PlayedPlan, period: float) -> Float[Array, " t"]:
     """Return how far (m) the zero-moment point lies inside the support polygon, at the mean height of standing feet.
 
-    The mass centre's path is averaged over `SMOOTH`, as drives smooth the jumps of commands.
+    The mass centre's path is averaged over `SMOOTHING_TIME`, as drives smooth the jumps of commands.
 
     Args:
         played: The played plan.
@@ -181,7 +181,7 @@ def zmp_margin(played: PlayedPlan, period: float) -> Float[Array, " t"]:
     Returns:
         Margin by tick (t,); negative outside.
     """
-    width = 2 * round(SMOOTH / period / 2) + 1
+    width = 2 * round(SMOOTHING_TIME / period / 2) + 1
     padded = jnp.pad(played.centre, ((width // 2 + 1, width // 2 + 1), (0, 0)), mode="edge")
     mean = jax.vmap(lambda x: jnp.convolve(x, jnp.ones(width) / width, mode="valid"), 1, 1)(padded)
     push = (mean[2:] - 2 * mean[1:-1] + mean[:-2]) / period**2

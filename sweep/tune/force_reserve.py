@@ -18,8 +18,8 @@ from jaxtyping import Array, Float
 from sweep.controllers.forces import STEP_LENGTHS, Bounds, StaticPose, joint_torque
 
 # weight of the barriers relative to the reserve, for each Newton step
-WEIGHTS = np.repeat(np.geomspace(0.1, 1e-4, 16).astype(np.float32), 3)
-KEPT = 0.1  # least share of the slack of a bound that a step leaves
+BARRIER_WEIGHTS = np.repeat(np.geomspace(0.1, 1e-4, 16).astype(np.float32), 3)
+MIN_SLACK_SHARE = 0.1  # least share of the slack of a bound that a step leaves
 
 
 class BarrierState(NamedTuple):
@@ -40,7 +40,7 @@ def force_reserve(pose: StaticPose, bounds: Bounds) -> Float[Array, ""]:
     Returns:
         The reserve, as a share of the robot's weight (for torques: weight times 1 m); negative where no forces hold it.
     """
-    last = WEIGHTS[-1]
+    last = BARRIER_WEIGHTS[-1]
     optimum = stop_gradient(_solve(pose, bounds))
     gain = last * _log_barrier(pose, bounds, optimum) + optimum.multipliers @ _unbalanced(pose, optimum.force)
     return optimum.reserve + gain - stop_gradient(gain)
@@ -69,12 +69,14 @@ def _solve(pose: StaticPose, bounds: Bounds) -> BarrierState:
             x_next = x + length * direction
             return BarrierState(x_next[:-1].reshape(6, 3), x_next[-1], multipliers)
 
-        fits = jax.vmap(lambda length: jnp.all(_slack(pose, bounds, advance(length)) > KEPT * before))
+        fits = jax.vmap(lambda length: jnp.all(_slack(pose, bounds, advance(length)) > MIN_SLACK_SHARE * before))
         lengths = jnp.asarray(STEP_LENGTHS)
         return advance(jnp.max(jnp.where(fits(lengths), lengths, 0.0)))
 
     start = BarrierState(first, least_slack - 1.0, jnp.zeros(6))
-    return jax.lax.fori_loop(0, len(WEIGHTS), lambda k, iterate: step(jnp.asarray(WEIGHTS)[k], iterate), start)
+    return jax.lax.fori_loop(
+        0, len(BARRIER_WEIGHTS), lambda k, iterate: step(jnp.asarray(BARRIER_WEIGHTS)[k], iterate), start
+    )
 
 
 def _unbalanced(pose: StaticPose, force: Array) -> Float[Array, " 6"]:

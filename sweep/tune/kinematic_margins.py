@@ -29,9 +29,11 @@ from sweep.models.obstacles.surface import BodyPoses, body_poses, free_start_sta
 from sweep.models.robot import half_size
 from sweep.tune.force_reserve import force_reserve
 
-LEVEL = 0.999  # least vertical component of a level face's normal; the support polygon is meaningful on these only
+MIN_LEVEL_NORMAL = (
+    0.999  # least vertical component of a level face's normal; the support polygon is meaningful on these only
+)
 MID_SWING = 0.05  # m from both ends of a swing; farther along, the foot must be off the obstacle
-JOINTS_AT = 0.02  # share of a stage over which joint rates are differenced
+RATE_INTERVAL = 0.02  # share of a stage over which joint rates are differenced
 
 
 class Margins(NamedTuple):
@@ -67,8 +69,8 @@ def planned_margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Arra
         to_world(feet, plan.foot_frame[stage], free)
         for feet in (stage_start(plan, stage, free)[0], plan.foothold[stage])
     )
-    _, later, _ = planned_stance(case, plan, stage, u + jnp.where(u > 0.5, -JOINTS_AT, JOINTS_AT))
-    rates = wrap_angle(later - joints) / (JOINTS_AT * plan.duration[stage])
+    _, later, _ = planned_stance(case, plan, stage, u + jnp.where(u > 0.5, -RATE_INTERVAL, RATE_INTERVAL))
+    rates = wrap_angle(later - joints) / (RATE_INTERVAL * plan.duration[stage])
     goes = Swing(plan.swing[stage], starts, goal)
     return stance_margins(case, body_poses(free), stance, joints, rates, shortfall, goes)
 
@@ -114,7 +116,7 @@ def stance_margins(
     faces = surface_at(obstacle, foot, bodies)
     above = jnp.where(goes & swing.swings, -faces.depth, jnp.inf)
     inside = edge_distance(obstacle, swing.starts, bodies)
-    level = jnp.all(swing.swings | (faces.normal[:, 2] > LEVEL))
+    level = jnp.all(swing.swings | (faces.normal[:, 2] > MIN_LEVEL_NORMAL))
     centre = stance.position + rotate(stance.quat, mass_centre(robot, joints))
     return Margins(
         base=solids.distance_to_box(solid, *base),

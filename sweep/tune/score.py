@@ -25,7 +25,7 @@ from sweep.models.obstacles.ball import Ball
 from sweep.tune import ball_margins, kinematic_margins
 
 # default aims (m, rad/s, shares of the weight); a margin without an aim does not count
-AIMS = {
+DEFAULT_AIMS = {
     "base": 0.02,
     "links": 0.003,
     "legs": 0.025,
@@ -40,14 +40,26 @@ AIMS = {
 }
 SCALES = {"rate": 1.0, "hold": 0.01, "speed": 0.02}  # unit of the deficit of these margins; of all others `LENGTH`
 LENGTH = 0.01  # m
-SLACK = 0.1  # units of deficit that a margin may lose by `Score.cap_aims`
-MOMENTS, APART = 11, 0.05  # least number of phases of a stage; largest time between them (s), some cm of a swing
-WORST, AT_ONCE = 3, 8  # phases of a stage that linear programs consider; draws that a core evaluates together
-MOVED, SAME = 0.1, 1e-3  # share of a number's step for a finite difference; deficits that differ by less are equal
-UNKNOWN = 1e3  # largest deficit, also that of nan
-PERIOD, TIMES = 0.04, 1.05  # tick (s) of a plan on a ball; its duration over that of its stages, as it may wait
-PLAYED = ("zmp", "speed")  # margins that only a plan on a ball has
-SETS = 3  # axes of sets of numbers: set, draw, number
+CAP_TOLERANCE = 0.1  # units of deficit that a margin may lose by `Score.cap_aims`
+MIN_PHASES, MAX_PHASE_INTERVAL = (
+    11,
+    0.05,
+)  # least number of phases of a stage; largest time between them (s), some cm of a swing
+WORST_PHASES, DRAWS_PER_CALL = (
+    3,
+    8,
+)  # phases of a stage that linear programs consider; draws that a core evaluates together
+DIFFERENCE_SHARE, EQUAL_DEFICIT = (
+    0.1,
+    1e-3,
+)  # share of a number's step for a finite difference; deficits that differ by less are equal
+MAX_DEFICIT = 1e3  # largest deficit, also that of nan
+TICK_PERIOD, DURATION_FACTOR = (
+    0.04,
+    1.05,
+)  # tick (s) of a plan on a ball; its duration over that of its stages, as it may wait
+BALL_MARGINS = ("zmp", "speed")  # margins that only a plan on a ball has
+SETS_NDIM = 3  # axes of sets of numbers: set, draw, number
 MANOEUVRE = "manoeuvre"  # first word of paths outside the plan table
 
 
@@ -64,12 +76,12 @@ class Score:
 
     The worst phases of every stage count. A plan on a ball is played by its tracker. Other plans are posed by inverse
     kinematics at evenly spaced phases of a stage. Their number is that of the last pattern in `moments` that matches
-    the stage, or at least `MOMENTS`, and `APART` in time.
+    the stage, or at least `MIN_PHASES`, and `MAX_PHASE_INTERVAL` in time.
 
     Args:
         case: The nominal case.
         free: Paths of the free numbers.
-        aims: Aims beside those of `AIMS`; a later aim of the same margin and stage takes precedence.
+        aims: Aims beside those of `DEFAULT_AIMS`; a later aim of the same margin and stage takes precedence.
         patterns: Patterns of the stages that count.
         moments: Numbers of phases by pattern of the stage.
         hold: Whether the force reserve counts too.
@@ -100,17 +112,20 @@ class Score:
             raise InputError(f"--forces is not allowed: manoeuvre.kind = {case.manoeuvre.kind} plans none")
         if hold and self._is_on_ball:
             raise InputError("--forces is not allowed: plans on a ball have no static contact forces")
-        available = (*kinematic_margins.Margins._fields, *(PLAYED if self._is_on_ball else ("hold",) if hold else ()))
+        available = (
+            *kinematic_margins.Margins._fields,
+            *(BALL_MARGINS if self._is_on_ball else ("hold",) if hold else ()),
+        )
         for aim in aims:
             require_choice(aim.margin, available, f"--need: margin {aim.margin}")
         chosen = [k for k, name in enumerate(names) if name in judged and any(fnmatchcase(name, p) for p in patterns)]
         self.stages = [names[k] for k in chosen]
-        self.aims = [Aim(margin, "*", value) for margin, value in AIMS.items()] + list(aims)
+        self.aims = [Aim(margin, "*", value) for margin, value in DEFAULT_AIMS.items()] + list(aims)
         self.case, self._free, self._width = case, tuple(free), width
         self._formulas = plan_table.formula_values(case)
         time = np.asarray(jax.jit(lambda: case.manoeuvre.plan(case).duration)(), float)
-        self._ticks = math.ceil(TIMES * time.sum() / PERIOD) + len(names)
-        counts = np.maximum(np.ceil(time[chosen] / APART).astype(int) + 1, MOMENTS)
+        self._ticks = math.ceil(DURATION_FACTOR * time.sum() / TICK_PERIOD) + len(names)
+        counts = np.maximum(np.ceil(time[chosen] / MAX_PHASE_INTERVAL).astype(int) + 1, MIN_PHASES)
         for pattern, count in moments:
             counts = np.where([fnmatchcase(name, pattern) for name in self.stages], count, counts)
         self._at = np.array(chosen), counts, hold
@@ -129,7 +144,7 @@ class Score:
         Returns:
             Margins (draws, stages) by name; with sets (sets, draws, stages).
         """
-        count, single = len(draws.robot.body_length), numbers.ndim < SETS  # pyright: ignore[reportArgumentType]
+        count, single = len(draws.robot.body_length), numbers.ndim < SETS_NDIM  # pyright: ignore[reportArgumentType]
         sets = np.broadcast_to(numbers, (1 if single else len(numbers), count, len(self._free)))
         padded = sets[np.minimum(np.arange(self._width), len(sets) - 1)]  # all calls have one shape
         found = _map_draws(self._margins, padded.swapaxes(0, 1), draws)
@@ -142,7 +157,7 @@ class Score:
         Args:
             margins: Margins (..., draws, stages) by name.
         """
-        return np.sum(np.clip(np.nan_to_num(self.deficits(margins)).max(axis=-2), 0.0, UNKNOWN) ** 2, axis=-1)
+        return np.sum(np.clip(np.nan_to_num(self.deficits(margins)).max(axis=-2), 0.0, MAX_DEFICIT) ** 2, axis=-1)
 
     def deficits(self, margins: Mapping[str, Any]) -> Any:
         """Return the deficits of all margins that have an aim.
@@ -166,7 +181,7 @@ class Score:
             draws: Beliefs, with arrays (draws,) as leaves.
         """
         reached = self.margins(numbers, draws)
-        self._caps = {key: value[0] - SLACK * SCALES.get(key, LENGTH) for key, value in reached.items()}
+        self._caps = {key: value[0] - CAP_TOLERANCE * SCALES.get(key, LENGTH) for key, value in reached.items()}
 
     def deficit_gradients(self, numbers: np.ndarray, draws: Case) -> tuple[np.ndarray, np.ndarray]:
         """Return the summed squared deficits of every draw and their gradients.
@@ -196,14 +211,16 @@ class Score:
         """
         count, stages = len(steps), len(self.stages)
         first = jax.tree.map(lambda x: x[:1], draws)
-        alone = self._deficits_of_sets(numbers[:1, None] + MOVED * steps * np.eye(count + 1, count, -1), first)[0]
-        touched = ~np.isclose(alone[1:], alone[0], 0.0, SAME).reshape(count, -1, stages).all(axis=1)
+        alone = self._deficits_of_sets(
+            numbers[:1, None] + DIFFERENCE_SHARE * steps * np.eye(count + 1, count, -1), first
+        )[0]
+        touched = ~np.isclose(alone[1:], alone[0], 0.0, EQUAL_DEFICIT).reshape(count, -1, stages).all(axis=1)
         group = independent_groups(touched)
-        moves = np.where(np.arange(-1, group.max() + 1)[:, None] == group, MOVED * steps, 0.0)
+        moves = np.where(np.arange(-1, group.max() + 1)[:, None] == group, DIFFERENCE_SHARE * steps, 0.0)
         deficit = self._deficits_of_sets(numbers[:, None] + moves, draws)
         known = np.where(np.isfinite(deficit), deficit, np.nan)
         more = np.nan_to_num(np.moveaxis(known[:, 1:] - known[:, :1], 1, -1))[..., group]
-        return deficit[:, 0], more * np.tile(touched.T, (deficit.shape[-1] // stages, 1)) / (MOVED * steps)
+        return deficit[:, 0], more * np.tile(touched.T, (deficit.shape[-1] // stages, 1)) / (DIFFERENCE_SHARE * steps)
 
     def _deficits_of_sets(self, numbers: np.ndarray, draws: Case) -> np.ndarray:
         """Deficits (draws, sets, phases, margins x stages) at the worst phases, for numbers (draws, sets, free)."""
@@ -239,10 +256,11 @@ class Score:
         def worst_phases(function: Callable[..., dict[str, jax.Array]], counts: np.ndarray) -> dict[str, jax.Array]:
             phases = np.concatenate([np.linspace(0, 1, n) for n in counts])
             by_phase = jax.vmap(function)(jnp.repeat(chosen, counts), jnp.asarray(phases))
-            most = max(WORST, *counts)
+            most = max(WORST_PHASES, *counts)
             index = (np.cumsum(counts) - counts)[:, None] + np.minimum(np.arange(most), counts[:, None] - 1)
             return {
-                key: -jax.lax.top_k(-local_minima(_nan_to_worst(x)[index]), WORST)[0].T for key, x in by_phase.items()
+                key: -jax.lax.top_k(-local_minima(_nan_to_worst(x)[index]), WORST_PHASES)[0].T
+                for key, x in by_phase.items()
             }
 
         margins = worst_phases(lambda k, u: kinematic_margins.planned_margins(belief, plan, k, u)._asdict(), moments)
@@ -256,11 +274,13 @@ class Score:
 
     def _played_margins(self, belief: Case, plan: Plan) -> dict[str, jax.Array]:
         chosen, count = self._at[0], len(plan.names)
-        played = ball_margins.play_plan(belief, plan, PERIOD, self._ticks)
+        played = ball_margins.play_plan(belief, plan, TICK_PERIOD, self._ticks)
         margins = ball_margins.stage_minima(played, count)._asdict()
         speed = jnp.max(jnp.linalg.norm(played.free.velocity, axis=-1), axis=1)
-        zmp = jax.ops.segment_min(ball_margins.zmp_margin(played, PERIOD), played.stage, count)  # m
-        margins |= zip(PLAYED, (zmp, -jax.ops.segment_max(speed, played.stage, count)), strict=True)  # m/s, negative
+        zmp = jax.ops.segment_min(ball_margins.zmp_margin(played, TICK_PERIOD), played.stage, count)  # m
+        margins |= zip(
+            BALL_MARGINS, (zmp, -jax.ops.segment_max(speed, played.stage, count)), strict=True
+        )  # m/s, negative
         return {key: value[None, chosen] for key, value in margins.items()}
 
 
@@ -297,7 +317,7 @@ def local_minima(margin: jax.Array) -> jax.Array:
 def _map_draws(function: Callable[..., Any], numbers: np.ndarray, draws: Case) -> Any:
     """Call `function` with a few draws at a time, on all cores; concatenate the results."""
     count = len(numbers)
-    parts = np.minimum(np.arange(0, count, AT_ONCE)[:, None] + np.arange(min(AT_ONCE, count)), count - 1)
+    parts = np.minimum(np.arange(0, count, DRAWS_PER_CALL)[:, None] + np.arange(min(DRAWS_PER_CALL, count)), count - 1)
 
     def evaluate(index: np.ndarray) -> Any:
         return jax.tree.map(np.asarray, function(numbers[index], jax.tree.map(lambda x: x[index], draws)))

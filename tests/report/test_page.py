@@ -239,11 +239,11 @@ def test_a_long_rollout_takes_no_more_room_than_it_may(monkeypatch):
     long["time"] = 0.1 * (1 + np.arange(50 * times))
     kept = motion.encode_motion(replace(trace, **long))
     every = round(kept["step"] / 0.1)
-    assert len(kept["states"]) <= motion.ROOM
+    assert len(kept["states"]) <= motion.MAX_CHARACTERS
     assert every > 1
     assert kept["frames"] == 50 * times // every
-    room = motion.ROOM
-    monkeypatch.setattr(motion, "ROOM", np.inf)
+    room = motion.MAX_CHARACTERS
+    monkeypatch.setattr(motion, "MAX_CHARACTERS", np.inf)
     whole = motion.encode_motion(replace(trace, **long))
     assert kept == motion.thin_motion(whole, every)
     assert len(motion.thin_motion(whole, every - 1)["states"]) > room

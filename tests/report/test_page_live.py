@@ -28,7 +28,7 @@ from sweep.report import page, replays
 from sweep.report.page.replay_data import ShownReplay
 from sweep.runs import results
 from sweep.trace.contact_forces import measured_contact_forces
-from sweep.trace.motion import FRICTION, MARGIN, describe_bodies, encode_motion
+from sweep.trace.motion import FRICTION_LEVELS, MARGIN_LEVELS, describe_bodies, encode_motion
 
 pytestmark = [
     pytest.mark.browser,
@@ -865,7 +865,7 @@ def test_a_margin_is_read_with_the_limit_that_it_is_to(shown):
     read = """const motion = readMotion(told, told.bodies, await inflate(told.states));
         return [Array.from(motion.margin), motion.limits]"""
     margin, limits = by_script(shown, told, read)
-    assert np.abs(margin - trace.margin.clip(-1)).max() <= 0.5 / MARGIN + 1e-9
+    assert np.abs(margin - trace.margin.clip(-1)).max() <= 0.5 / MARGIN_LEVELS + 1e-9
     assert limits == trace.margin_of.tolist()
 
 
@@ -879,7 +879,7 @@ def test_friction_is_read_as_the_share_of_what_there_is(shown):
         return Array.from(motion.friction)"""
     used = np.nan_to_num(measured_contact_forces(trace).share)
     assert used.max(axis=0) == pytest.approx([150 / 90, 0] * 3)
-    assert np.abs(np.reshape(by_script(shown, told, read), used.shape) - used).max() <= 0.5 / FRICTION + 1e-9
+    assert np.abs(np.reshape(by_script(shown, told, read), used.shape) - used).max() <= 0.5 / FRICTION_LEVELS + 1e-9
 
 
 @pytest.fixture(scope="module")

@@ -108,7 +108,7 @@ def test_feet_are_in_the_picture(trace, monkeypatch):
     seen = {}
 
     def taken(folder, backend):
-        seen.update(np.load(f"{folder}/{rendering.ARRAYS}"))
+        seen.update(np.load(f"{folder}/{rendering.ARRAYS_FILE}"))
         yield from ()
         return True
 
