@@ -93,7 +93,7 @@ class Plan:
 
 
 def place_keys(rows: pd.DataFrame) -> np.ndarray:
-    """Return a whole number for the batch and slot of each row (n,), in their order; -1 for places that cannot be."""
+    """Return a sortable integer key (n,) for the batch and slot of each row; -1 where one of them is out of range."""
     batch, slot = (rows[column].to_numpy() for column in PLACE)
     possible = (batch >= 0) & (batch < MOST_BATCHES) & (slot >= 0) & (slot < SPAN)
     return np.where(possible, batch.astype(np.int64) * SPAN + slot.astype(np.int64), -1)

@@ -42,7 +42,7 @@ def encode_motion(trace: Trace) -> dict[str, Any]:
     """Encode the finite frames of a trace as plain values for JSON.
 
     Returns:
-        `states`, the encoded stream in base64, at most `MAX_CHARACTERS` characters, for which frames are dropped if necessary;
+        `states`, the encoded stream in base64, at most `MAX_CHARACTERS`, for which frames are dropped if necessary;
         `frames`, their number; `step` (s), the time between frames, and of the first one; and the units of the whole
         numbers: `scales` (nq,) for `qpos`, `force_scale` (N), `torque_scale` (N m), `margin_scale`, `friction_scale`.
             `limits` are the names of the limits to which margins belong; `torque_limit` is in N m.
