@@ -1,4 +1,4 @@
-"""The systems that studies simulate; only this table knows which there are, all else uses the contract in `base`."""
+"""The systems that studies can simulate. Other rooms use them through the contract in `base` only."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -58,14 +58,14 @@ SYSTEMS = {
 
 
 def find_kind_by_name(name: str) -> SystemKind:
-    """The system that a scenario names, by its present or its former name. Raises `InputError`."""
+    """Return the system that a scenario names, by its present or a former name. Raises `InputError`."""
     name = FORMER_NAMES.get(name, name)
     require_choice(name, SYSTEMS, f"system = {name}")
     return SYSTEMS[name]
 
 
 def find_kind_by_keys(values: Mapping[str, Any]) -> SystemKind:
-    """The system of a plain configuration: the one whose first key the configuration has."""
+    """Return the system to which the keys of a plain configuration belong."""
     return next((kind for kind in SYSTEMS.values() if kind.keys[0] in values), SYSTEMS[USUAL])
 
 

@@ -1,7 +1,7 @@
-"""The contract between studies and what they study.
+"""The contract between studies and the systems that they simulate.
 
-Studies, their analysis and reports know a system by this alone: parameters by path, two sides that they never look
-into, engines that take those, figures by column, and causes by name.
+Studies, analysis and reports use a system only through this contract: parameters by path, two sides (world and belief)
+that are opaque to them, engines that simulate both, metrics by column, and causes by name.
 """
 
 import dataclasses
@@ -26,7 +26,7 @@ Limits = Any  # of figures, by which a system judges
 
 
 class AuditVariant(NamedTuple):
-    """A way to simulate that should make no difference, see `sweep audit`."""
+    """Another way to simulate a rollout that should not change its outcome, see `sweep audit`."""
 
     description: str
     change: Callable[[EngineSettings], EngineSettings] = lambda settings: settings
@@ -34,7 +34,7 @@ class AuditVariant(NamedTuple):
 
 
 class System(Protocol):
-    """What is studied, at its nominal parameters. Hashable; equal ones simulate alike.
+    """A system at its nominal parameters: what a study simulates. Hashable; equal systems simulate alike.
 
     A column is the path of a parameter such as `contact.friction`, or `engine.name`, prefixed `world.` or `belief.`
     where only one side has it.
@@ -42,146 +42,171 @@ class System(Protocol):
 
     @property
     def case(self) -> Any:
-        """The nominal world, which is the nominal belief, too."""
+        """The nominal world, which is also the nominal belief."""
         ...
 
     @property
     def groups(self) -> Collection[str]:
-        """What paths of its parameters start with, `engine` apart."""
+        """First parts of parameter paths, except for `engine`."""
         ...
 
     @property
     def causes(self) -> Mapping[str, str]:
-        """What each cause means, in the order of their definition."""
+        """Meaning of each cause by name, in the order of their definition."""
         ...
 
     def cause_meanings(self, limits: Limits) -> Mapping[str, str]:
-        """What each cause means, as in `causes`, with the values of its thresholds."""
+        """Return the meaning of each cause by name, with the values of its thresholds."""
         ...
 
     @property
     def invalid_causes(self) -> Collection[str]:
-        """The causes for which a rollout is invalid rather than failed."""
+        """Causes that make a rollout invalid rather than failed."""
         ...
 
     @property
     def metric_names(self) -> Collection[str]:
-        """All that a row may say of what was measured."""
+        """Columns of all metrics that a row may have."""
         ...
 
     @property
     def bookkeeping_metrics(self) -> Collection[str]:
-        """Figures that outcomes are derived from and that say nothing beside them."""
+        """Metrics that only serve to derive outcomes."""
         ...
 
     @property
     def history_columns(self) -> Collection[str]:
-        """Columns of time histories."""
+        """Columns of time series."""
         ...
 
     @property
     def replay_formats(self) -> Collection[str]:
-        """As what `sweep replay` can show a rollout: its options."""
+        """Options of `sweep replay` that this system supports."""
         ...
 
     @property
     def unsupported_commands(self) -> Mapping[str, str]:
-        """Commands that it has no use for, with why."""
+        """Commands that do not apply to this system, with the reason."""
         ...
 
     @property
     def audit_variants(self) -> Mapping[str, AuditVariant]:
-        """Ways in which `sweep audit` simulates rollouts again, by name."""
+        """Variants of `sweep audit` by name."""
         ...
 
     def settings_summary(self, settings: EngineSettings) -> Mapping[str, str]:
-        """What is simulated and how, for a reader: values by the words for them."""
+        """Summarize what is simulated and how, for readers: values by label."""
         ...
 
     def source_files(self) -> Mapping[str, Path]:
-        """What it is read from, by the place in its project: a crate has them. Raises `InputError`."""
+        """Return the files that define the system, by path within the project. Raises `InputError`."""
         ...
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
-        """What a column varies. Raises `InputError` where it names nothing that can be varied."""
+        """Return the field that describes a column. Raises `InputError` for columns that cannot vary."""
         ...
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
-        """The value of a parameter where it is not varied. Raises `InputError` where `column` names nothing."""
+        """Return the nominal value of a parameter. Raises `InputError` where `column` names none."""
         ...
 
     def physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """All that physically tells one rollout from another, by path, nominal; `paths` are varied."""
-        ...
-
-    def default_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """Of these, the values at which an input plays no part in a point's id."""
-        ...
-
-    def inactive_reason(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
-        """Explain why a column that was seen to change nothing cannot change anything.
+        """Yield all physical inputs of a rollout, by path and nominal value.
 
         Args:
-            column: path of the parameter.
-            settings: settings of the engine.
-            ends: first and last value between which it changed nothing.
-
-        Returns:
-            The cause in words, where model and configuration prove it; else nothing.
+            paths: Paths that vary.
         """
         ...
 
+    def default_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
+        """Yield the inputs and values that do not count for point ids, because earlier versions did not have them.
+
+        Args:
+            paths: Paths that vary.
+        """
+        ...
+
+    def inactive_reason(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
+        """Explain why a column may change nothing; empty where no reason is known."""
+        ...
+
     def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
-        """Which rows draw something, so that replicates of one point differ."""
+        """Return which rows (n,) draw random numbers, so that their replicates differ."""
         ...
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
-        """Raise `InputError` where values of a table, each within its bounds, are not allowed together."""
+        """Raise `InputError` where values of a points table, each within its bounds, are not allowed together."""
         ...
 
     def make_sides(self, values: Values) -> tuple[Any, Any]:
-        """World and belief with `values`, numbers or arrays over a batch: common ones first, then each side's own."""
+        """Make world and belief from values by column: values of both sides first, then those of one side.
+
+        Args:
+            values: Numbers, or arrays over a batch, by column.
+
+        Returns:
+            World and belief.
+        """
         ...
 
     def with_delay_buffer(self, table: "pd.DataFrame") -> Self:
-        """Itself with memory, such as a delay's, that is long enough for all points of `table`."""
+        """Return this system with buffers that hold the longest delay in a points table."""
         ...
 
     def make_engine(self, settings: EngineSettings, world: Any, belief: Any, limits: Limits) -> Engine:
-        """A compiled engine for sides of this structure. Raises `InputError` where there is none."""
+        """Compile an engine.
+
+        Args:
+            settings: Engine settings.
+            world: Simulated parameters, whose structure is compiled.
+            belief: Parameters that the planner receives.
+            limits: Thresholds of outcomes.
+
+        Raises:
+            InputError: No engine can simulate this.
+        """
         ...
 
     def cpu_threshold(self, settings: EngineSettings) -> int:
-        """Rollouts that end on the CPU before a GPU has begun; 0 where none are known to."""
+        """Return the number of rollouts that a CPU finishes before a GPU has started; 0 if unknown."""
         ...
 
     def device(self, settings: EngineSettings) -> str:
-        """What an engine runs on, as far as it may change bits."""
+        """Name the device of an engine, as far as it may change bits of a row."""
         ...
 
     def run_id(self, settings: EngineSettings) -> str:
-        """Hash of how a row is simulated: rows are equal bit for bit only at an equal one."""
+        """Hash how a row is simulated: rows are equal bit for bit only where it is equal."""
         ...
 
     def judge(self, figures: Mapping[str, np.ndarray], limits: Limits, stages: Sequence[str]) -> dict[str, np.ndarray]:
-        """The labels (`sweep.study.columns.LABELS`) of each row; a pure function of the stored figures."""
+        """Derive the labels of rows (`sweep.study.columns.LABELS`) from their stored metrics alone.
+
+        Args:
+            figures: Metrics (n,) by column.
+            limits: Thresholds.
+            stages: Names of the plan's stages.
+
+        Returns:
+            Labels (n,) by column.
+        """
         ...
 
     def parse_threshold(self, text: str) -> tuple[str, Any]:
-        """A key of `outcome` and its value, as a user says them in a word. Raises `InputError`."""
+        """Parse a threshold such as `slip_max_m<0.02` into a key of `outcome` and its value. Raises `InputError`."""
         ...
 
     def thresholds(self, limits: Limits) -> Mapping[str, float]:
-        """By the figure that they are for."""
+        """Return the thresholds by metric column."""
         ...
 
     def explain_cause(self, row: Mapping[str, Any], limits: Limits) -> str:
-        """The cause of a row in words, with the figure and its threshold; empty for a success."""
+        """Explain the cause of a row with its metric and threshold; empty for a success."""
         ...
 
 
 class Nominal(NamedTuple):
-    """What a configuration says of what is studied."""
+    """A system with engine settings and thresholds, built from a configuration."""
 
     system: System
     settings: EngineSettings
@@ -190,13 +215,16 @@ class Nominal(NamedTuple):
 
 
 def split_side(column: str) -> tuple[str, str]:
-    """`world.contact.friction` -> (`world`, `contact.friction`)."""
+    """Split a column into side and path: `world.contact.friction` into `world` and `contact.friction`.
+
+    A column without a side belongs to `both`.
+    """
     side, _, path = column.partition(".")
     return (side, path) if side in SIDES else ("both", column)
 
 
 def values_by_side(values: Values) -> dict[str, dict[str, Any]]:
-    """The values of each side by path: common ones first, then its own; what is the engine's is left out."""
+    """Return the values of each side by path. Values of both sides come first; engine settings are left out."""
     placed = [(*split_side(column), value) for column, value in values.items() if not column.startswith("engine.")]
     return {
         side: {path: value for here in ("both", side) for on, path, value in placed if on == here} for side in SIDES
@@ -204,16 +232,16 @@ def values_by_side(values: Values) -> dict[str, dict[str, Any]]:
 
 
 def judge_rollout(system: System, metrics: Mapping[str, Any], limits: Limits, stages: Sequence[str]) -> dict[str, Any]:
-    """Label a single rollout with its outcome.
+    """Derive the labels of a single rollout from its metrics.
 
     Args:
-        system: system of the rollout.
-        metrics: its metrics, plain numbers by column name.
-        limits: thresholds of the outcomes.
-        stages: names of the plan's stages.
+        system: The system that was simulated.
+        figures: Metrics by column, plain numbers.
+        limits: Thresholds of the system.
+        stages: Names of the plan's stages.
 
     Returns:
-        Outcome, cause and the other labels by column name.
+        Labels by column, see `System.judge`.
     """
     row = {name: np.asarray([value], dtype=float) for name, value in metrics.items()}
     return {name: values[0] for name, values in system.judge(row, limits, stages).items()}

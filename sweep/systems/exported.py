@@ -1,7 +1,7 @@
-"""The six-legged robot as an own model: what MuJoCo compiles, and its plan, tracker and judge as a controller.
+"""Export of the six-legged robot as a MuJoCo model, with its plan, tracker and metrics as a controller.
 
-The controller sees the ends of ticks only: torques and forces are those there, where the robot's own engines have peaks
-and means of all steps; all places are the same.
+The controller observes the ends of control ticks only, so torques and forces are those at the ends; the robot's own
+engines use peaks and means of all physics steps.
 """
 
 import math
@@ -46,7 +46,7 @@ BELIEVED = "robot", "drive", "contact", "obstacle", "manoeuvre"  # groups whose 
 
 
 class Controller(NamedTuple):
-    """What the module of an own model's controller has."""
+    """Members of the module of a user's controller."""
 
     begin: Callable[..., Any]
     policy: Callable[..., Any]
@@ -56,7 +56,7 @@ class Controller(NamedTuple):
 
 
 def check_exportable(case: Case) -> None:
-    """Raise `InputError` where a manoeuvre does more than a controller of an own model can."""
+    """Raise `InputError` where a case does more than the controller of a MuJoCo model can."""
     plan = nominal_plan(case)
     kind = f"manoeuvre.kind = {case.manoeuvre.kind}"
     reasons = {
@@ -74,14 +74,14 @@ def check_exportable(case: Case) -> None:
 
 
 def make_spec(case: Case, settings: EngineSettings) -> mujoco.MjSpec:
-    """Describe the MuJoCo model of the exported robot: that of the native engine with joint angles as controls.
+    """Make the MuJoCo model of the robot, with joint angles as controls and sensors that MJX supports.
 
     Args:
-        case: parameters of robot and obstacle.
-        settings: settings of the engine, for the time step.
+        case: The scenario's parameters.
+        settings: Engine settings; the time step is that of the native engine.
 
     Returns:
-        The spec; it only has sensors that MJX supports.
+        The model, not compiled.
     """
     made = native_spec(case, settings.native_time_step)
     made.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_ENERGY)
@@ -109,17 +109,17 @@ def _links(case: Case) -> list[str]:
 
 
 def make_scenario(case: Case, settings: EngineSettings, limits: Thresholds, model: str, controller: str) -> Any:
-    """Describe the scenario of the exported robot, as in its configuration file.
+    """Make the scenario of the exported model, with the robot's causes of failure as conditions.
 
     Args:
-        case: parameters of robot, obstacle and manoeuvre.
-        settings: settings of the engine.
-        limits: thresholds of the robot's outcomes.
-        model: name of the model's file.
-        controller: name of the controller, `module:function`.
+        case: The scenario's parameters.
+        settings: Engine settings.
+        limits: Thresholds of the causes.
+        model: File of the model.
+        controller: Controller, `module:function`.
 
     Returns:
-        The configuration: model, controller, and conditions of the robot's causes of failure.
+        Plain values of a scenario file.
     """
     sensors = [sensor.name for sensor in make_spec(case, settings).sensors]
     seconds = GRACE * float(np.sum(np.asarray(nominal_plan(case).duration))) + REST
@@ -135,7 +135,7 @@ def make_scenario(case: Case, settings: EngineSettings, limits: Thresholds, mode
 
 
 def _conditions(case: Case, limits: Thresholds) -> Iterator[tuple[str, str]]:
-    """Those of a moment first, as what is known at the end alone comes of them; which came first is not known."""
+    """Yield names and conditions of the causes, those known at a tick first."""
     every = [cause for metric in metrics.applicable_metrics(case) for cause in metric.causes if not cause.invalid]
     for cause in sorted(every, key=lambda cause: cause.known_at == "end"):
         limit = threshold_value(cause, limits)
@@ -145,7 +145,18 @@ def _conditions(case: Case, limits: Thresholds) -> Iterator[tuple[str, str]]:
 
 
 def make_controller(case: Case, settings: EngineSettings, limits: Thresholds) -> Controller:
-    """Plan, tracker and judge of a case; what is believed is simulated, as far as its figures tell."""
+    """Make a controller that plans, tracks and measures as this package does.
+
+    The nominal world is simulated for the plan, with the belief's values where the belief has them.
+
+    Args:
+        case: The scenario's parameters.
+        settings: Engine settings; the control period is used.
+        limits: Thresholds of the causes.
+
+    Returns:
+        Functions and tables that the controller's module exports.
+    """
     period = settings.control_period
     numbers = {
         path: value for path, value in flatten_case(case, "") if isinstance(value, float) and abs(value) < LARGEST
@@ -189,7 +200,16 @@ controller = make_controller  # imported by projects that earlier versions expor
 
 
 def summarize_tick(case: Case, seen: Float[Array, " k"], period: float) -> Tick:
-    """What the metrics want of a tick, of what is observed at its end."""
+    """Compute the inputs of the metrics from the observation at the end of a control tick.
+
+    Args:
+        case: The scenario's parameters.
+        seen: Observation (k,): `qpos`, `qvel` and sensors.
+        period: Control period in s.
+
+    Returns:
+        The tick, as the robot's own engines report it.
+    """
     count, drive = len(_links(case)), case.drive
     sizes = 25, 24, N_LEGS, 3, 3 * count, 3 * N_LEGS, N_JOINTS
     qpos, qvel, load, centre, places, feet, effort = jnp.split(seen, np.cumsum(sizes)[:-1])

@@ -1,4 +1,4 @@
-"""The six-legged robot on its obstacles, as studies know it: a `Case`, its paths, and engines for it."""
+"""The built-in six-legged robot on its obstacles as a system for studies."""
 
 import dataclasses
 import json
@@ -63,7 +63,7 @@ WAYS = {
 
 @dataclass(frozen=True)
 class Hexapod:
-    """The robot, its obstacle and its manoeuvre: a `System`."""
+    """The robot with its obstacle and manoeuvre; implements `System`."""
 
     case: Case
 
@@ -83,20 +83,20 @@ class Hexapod:
 
     @property
     def history_columns(self) -> tuple[str, ...]:
-        """Columns of states in such a world, see `System`."""
+        """Columns of time series, see `System`."""
         return tuple(available_columns(self.case))
 
     def source_files(self) -> dict[str, Path]:
-        """See `System`: all is in the configuration."""
+        """Return no files: the configuration holds everything."""
         return {}
 
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
-        """Manoeuvre, obstacle, engine and its step, see `System`."""
+        """Summarize manoeuvre, obstacle, engine, time step and precision, see `System`."""
         about = {"manoeuvre": self.case.manoeuvre.kind, "obstacle": self.case.obstacle.kind, "engine": settings.name}
         return {**about, "step": f"{1000 * settings.step:g} ms", "precision": settings.precision}
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
-        """A field of the case or of the engine's settings, or a plan's number, see `System`."""
+        """Return the field of a case, of engine settings, or of a plan's number, see `System`."""
         side, path = split_side(column)
         if path.startswith("plan."):
             if side == "world":
@@ -109,7 +109,7 @@ class Hexapod:
         return found
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
-        """What case, settings or plan have, see `System`."""
+        """Return the value in the case, engine settings or plan, see `System`."""
         if split_side(column)[1].startswith("plan."):
             return self.parameter(column, settings).default
         return getattr(*self._owner(column, settings))
@@ -134,21 +134,21 @@ class Hexapod:
         return owner, last
 
     def physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """All fields of the case, and what the plan says, see `System`."""
+        """Yield all fields of the case and all numbers of the plan, see `System`."""
         yield from flatten_case(self.case, "")
         yield from _plan_inputs(self.case, plan_table.plan_content(self.case))
 
     def default_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """Of `control`, of errors of the feet's load and of the plan's numbers what is as by default.
+        """Yield defaults of inputs that earlier versions did not have: control, load errors, numbers of the plan.
 
-        The ids are thus those of before there were any.
+        Point ids of earlier rows thus stay valid.
         """
         yield from flatten_case(Control(), "control")
         yield from ((path, value) for path, value in flatten_case(Noise(), "noise") if path.startswith(LATER))
         yield from _plan_inputs(self.case, plan_table.own_plan_content(self.case))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
-        """Refuse sizes of a wrong unit, robots that cannot be built, and steps that are too long, see `System`."""
+        """Refuse sizes of a wrong unit, robots that MuJoCo cannot compile, and too long time steps, see `System`."""
         for column in table.columns:
             if not column.startswith("axis.") and table[column].dtype.kind == "f":
                 _check_size(column, self.parameter(column, settings), table[column].max())
@@ -184,7 +184,7 @@ class Hexapod:
                 raise InputError(f"{said} is not allowed: a body's mass or inertia is too small for MuJoCo")
 
     def _check_step(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
-        """Raises `InputError` where a step of mjx is longer than contacts take to relax: they would not stay."""
+        """Raise `InputError` where a time step of mjx exceeds the relaxation time of contacts."""
         import pandas as pd
 
         found = pd.DataFrame({path: _of_side(self, table, "world", path, settings) for path in RELAXING})
@@ -197,13 +197,13 @@ class Hexapod:
             )
 
     def cpu_threshold(self, settings: EngineSettings) -> int:
-        """See `System`: where this package compiles, a full tile for each core."""
+        """Return a full tile of the fused compiler for each core, see `System`."""
         from sweep.fused.llvm import LANES  # whose library what is wrong need not wait for
 
         return LANES * devices.count_cores() if settings.fusible else 0
 
     def inactive_reason(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
-        """Of errors that only the world has, see `System`."""
+        """Explain parameters that only the other side, or another engine, uses; see `System`."""
         side, path = split_side(column)
         if side == "world" and path.startswith(("manoeuvre.", "control.")):
             return "plans depend on the belief only"
@@ -212,7 +212,7 @@ class Hexapod:
         return "sensor errors are part of the world" if side == "belief" and path.startswith("noise.") else ""
 
     def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
-        """Rows with errors that are drawn, see `System`."""
+        """Return which rows (n,) have sensor errors or calibration, which draw random numbers."""
         found = np.zeros(len(rows), dtype=bool)
         for path, none in RANDOM.items():
             column = next((c for c in (f"world.{path}", path) if c in rows), None)
@@ -220,7 +220,7 @@ class Hexapod:
         return found
 
     def make_sides(self, values: Values) -> tuple[Case, Case]:
-        """Two cases, see `System`."""
+        """Make the cases of world and belief, see `System`."""
         sides = values_by_side(values).values()
         world, belief = (
             reduce(lambda case, one: replace_parameter(case, *one), own.items(), self.case) for own in sides
@@ -228,7 +228,7 @@ class Hexapod:
         return world, belief
 
     def with_delay_buffer(self, table: "pd.DataFrame") -> "Hexapod":
-        """With memory for the longest delay, see `System`."""
+        """Return this system with sensor buffers for the longest delay of a table, see `System`."""
 
         def of(name: str) -> Any:
             columns = [c for c in table.columns if split_side(c)[1] == f"noise.{name}"]
@@ -239,13 +239,13 @@ class Hexapod:
         return Hexapod(replace_parameter(self.case, "noise.delay_buffer", room))
 
     def make_engine(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds) -> Engine:
-        """One of the robot's two engines, see `System`."""
+        """Compile one of the robot's engines, see `System`."""
         from sweep import engines  # slow to import
 
         return engines.make(settings, world, belief, limits)
 
     def parse_threshold(self, text: str) -> tuple[str, float]:
-        """See `System`: `slip_max_m<0.02`. The sign must agree with the name: a maximum is kept below."""
+        """Parse a threshold such as `slip_max_m<0.02`, see `System`. Maxima allow `<` only, minima `>` only."""
         sign = next((s for s in ("<=", ">=", "<", ">", "=") if s in text), None)
         key, _, value = text.partition(sign or "=")
         try:
@@ -259,12 +259,12 @@ class Hexapod:
         return key.strip(), number
 
     def thresholds(self, limits: Thresholds) -> dict[str, float]:
-        """Limits of all causes that have one, see `System`."""
+        """Return the threshold of each cause that has one, by metric."""
         return {cause.metric: outcome.threshold_value(cause, limits) for cause in outcome.CAUSES if cause.threshold}
 
 
 def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
-    """See `sweep.systems.SystemKind`."""
+    """Build the robot's system from a plain configuration, see `sweep.systems.SystemKind.nominal`."""
     classes = {"engine": EngineSettings, "outcome": Thresholds}
     classes |= {name: group.load() for name, group in GROUPS.items() if group.in_case and group.one_class}
     parts = {group: build(cls, values[group], group) for group, cls in classes.items()}
@@ -285,18 +285,29 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
 
 
 def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str]:
-    """Numbers and formulas of a plan's file by path, whatever obstacle it is for; `read` gives the text of a name."""
+    """Return the numbers and formulas of a plan's file by path, for any obstacle.
+
+    Args:
+        file: Name of the file.
+        read: Returns the text of the file of a name.
+
+    Returns:
+        Numbers, and formulas as text, by path.
+    """
     places = {key: chart for cls in OBSTACLES.values() for key, chart in cls.charts.items()}
     return plan_table.numbers_by_path(plan_table.merge_extended(file, read), places)
 
 
 def replace_parameter[T](owner: T, path: str, value: Any) -> T:
-    """Return a copy of a case or parameter group with one parameter replaced.
+    """Return a copy of nested dataclasses with one member replaced.
 
     Args:
-        owner: the case, or a parameter group.
-        path: path of the parameter below it, as `contact.friction`.
-        value: its new value.
+        owner: The dataclass.
+        path: Dotted path of the member.
+        value: Its new value.
+
+    Returns:
+        The copy.
     """
     if isinstance(owner, PlanTable):
         return owner.with_value(path, value)  # pyright: ignore[reportReturnType]
@@ -306,7 +317,7 @@ def replace_parameter[T](owner: T, path: str, value: Any) -> T:
 
 
 def _table(given: Any, manoeuvre: Any) -> PlanTable:
-    """The numbers of a plan, if they are not the manoeuvre's own."""
+    """Return the plan table of a configuration; empty where the manoeuvre's default plan is used."""
     kind = manoeuvre.kind
     if not given:
         if isinstance(manoeuvre, TabulatedManoeuvre) and not manoeuvre.own_plan:
@@ -324,10 +335,7 @@ def _table(given: Any, manoeuvre: Any) -> PlanTable:
 
 
 def _suits(obstacle: type[Obstacle], manoeuvre: Manoeuvre) -> bool:
-    """Whether obstacles of a class are what a manoeuvre needs: the nearest class that any one asks for, or charts.
-
-    A ball between ledges is no ball on a floor.
-    """
+    """Return whether a manoeuvre can use obstacles of a class, by the nearest base class that any manoeuvre needs."""
     asked = {cls for kind in MANOEUVRES.values() for cls in kind.needs}
     nearest = next((cls for cls in obstacle.__mro__ if cls in asked), None)
     return nearest in manoeuvre.needs or (Obstacle in manoeuvre.needs and bool(obstacle.charts))
@@ -336,7 +344,7 @@ def _suits(obstacle: type[Obstacle], manoeuvre: Manoeuvre) -> bool:
 def _of_side(
     system: Hexapod, table: "pd.DataFrame", side: str, path: str, settings: EngineSettings
 ) -> "pd.Series[Any]":
-    """The values of a parameter on one side, a row each: varied there, varied on both, or nominal."""
+    """Return the value of a parameter on one side for each row: varied there, varied on both, or nominal."""
     import pandas as pd
 
     column = next((c for c in (f"{side}.{path}", path) if c in table.columns), None)
@@ -344,7 +352,7 @@ def _of_side(
 
 
 def _check_size(column: str, member: Parameter, value: Any) -> None:
-    """Raise `InputError` where robot or obstacle is so large that a unit must be wrong."""
+    """Raise `InputError` where a length is so far above its nominal value that its unit must be wrong."""
     group, nominal = split_side(column)[1].partition(".")[0], member.default
     if group not in SIZED or member.metadata.get("unit") != "m" or not isinstance(nominal, float):
         return
@@ -355,7 +363,7 @@ def _check_size(column: str, member: Parameter, value: Any) -> None:
 
 
 def _plan_inputs(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
-    """A plan's numbers by path, and all its words and formulas as one."""
+    """Yield the numbers of a plan by path, and its words and formulas as one text."""
     places = case.obstacle.charts
     found = plan_table.numbers_by_path(plan, places).items()
     yield from ((f"plan.{path}", value) for path, value in found if not isinstance(value, str))
@@ -364,7 +372,7 @@ def _plan_inputs(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
 
 
 def flatten_case(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """What a case consists of, by path, but for a plan's numbers."""
+    """Yield path and value of all members of a case, except for numbers of its plan."""
     if isinstance(value, PlanTable):
         return  # see `_plan_inputs`
     if dataclasses.is_dataclass(value):

@@ -1,7 +1,7 @@
-"""An own model with an own controller: any that MuJoCo compiles, and any function that JAX traces.
+"""A user's MuJoCo model with a user's controller as a system for studies.
 
 Paths are `model.<kind>.<name>.<field>[.component]` (see `fields`), `noise.white`, `noise.bias`, `noise.delay`, and
-`controller.<name>` for what its module has in `PARAMETERS`.
+`controller.<name>` for the entries of the controller's `PARAMETERS`.
 """
 
 import dataclasses
@@ -43,7 +43,7 @@ WAYS = {
 
 @dataclass(frozen=True)
 class MujocoModel(ModelSpec):
-    """A model and its controller: a `System`."""
+    """A MuJoCo model with its controller; implements `System`."""
 
     conditions: tuple[Condition, ...] = ()
 
@@ -204,7 +204,7 @@ class MujocoModel(ModelSpec):
 
 
 def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
-    """See `sweep.systems.SystemKind`."""
+    """Build the system of a MuJoCo model from a plain configuration, see `sweep.systems.SystemKind.nominal`."""
     about = _parse_model(values["model"])
     settings, usual = build(Settings, values["engine"], "engine"), Settings()
     for field in dataclasses.fields(usual):

@@ -1,4 +1,4 @@
-"""Rollouts of an own model as they begin: models of their own, what their controllers are given, and poses."""
+"""Batches of a MuJoCo model at their first tick: models with their own values, controller inputs, and poses."""
 
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 
 
 class BatchStart(NamedTuple):
-    """n rollouts at their first tick."""
+    """A batch of n rollouts at their first control tick."""
 
     batch: Batch  # at the keyframe
     qpos: np.ndarray  # (n, nq), of the batch: what is written here is where it goes on from

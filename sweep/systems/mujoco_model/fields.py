@@ -1,8 +1,8 @@
-"""From a path such as `model.geom.floor.friction.slide` to numbers of a MuJoCo model, and back into a batch of models.
+"""Parameter paths such as `model.geom.floor.friction.slide`, and the numbers of a MuJoCo model that they name.
 
-Only numbers that a model may differ in while its layout stays as it is: `mj_setConst` works out again what follows, but
-for `stat.meaninertia`, which scales a solver's tolerance. What MuJoCo's compiler makes of a size or a place of a geom
-(inertia, bounding volumes) comes from models that are compiled anew, one for each of the values.
+Only numbers that leave the model's layout unchanged can vary. `mj_setConst` recomputes what follows from them, except
+for `stat.meaninertia`, which scales the solver's tolerance. What MuJoCo's compiler derives from sizes and positions of
+geoms (inertia, bounding volumes) is taken from models that are compiled for each value.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ OPTION, ROOT = "option", "model"
 
 
 class NumberSpec(NamedTuple):
-    """What may vary of a thing of some kind."""
+    """Unit, bounds and component names of a field that may vary."""
 
     unit: str = ""
     at_least: float = -np.inf
@@ -34,7 +34,7 @@ class NumberSpec(NamedTuple):
 
 
 class NumberLocation(NamedTuple):
-    """A number of a model: where it is in a flattened field, and how it counts there."""
+    """Location of a number in a flattened field of a model, and its sign there."""
 
     field: str
     flat: int
@@ -42,7 +42,7 @@ class NumberLocation(NamedTuple):
 
 
 class Element(NamedTuple):
-    """What a path names a number of."""
+    """The element of a model that a path names, and the attribute."""
 
     kind: str
     number: int  # as MuJoCo counts things of the kind; of options, which are one thing, 0
@@ -136,7 +136,7 @@ SETTINGS = {name: NumberSpec(names=("",), field=f"opt.{name}") for name in (*CHO
 
 
 def parameter(model: mujoco.MjModel, path: str) -> Parameter:
-    """The number or the choice that `path` names, at its nominal value. Raises `InputError`."""
+    """Return the field that describes the parameter of a path, with its nominal value. Raises `InputError`."""
     if (name := path.removeprefix(f"{ROOT}.{OPTION}.")) in CHOSEN:
         return choice(CHOSEN[name][getattr(model.opt, name)], *CHOSEN[name])
     if name in COUNTED:
@@ -154,7 +154,7 @@ def select_quantities(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[
 
 
 def with_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> mujoco.MjModel:
-    """A copy of a model with other options, by path; of vectors none."""
+    """Return a copy of a model with other scalar options, by path."""
     changed = copy(model)
     for path, value in values.items():
         name = path.removeprefix(f"{ROOT}.{OPTION}.")
@@ -217,7 +217,7 @@ def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> 
 
 
 def find_element(model: mujoco.MjModel, path: str) -> Element:
-    """What a path names a number of. Raises `InputError` where there is no such thing."""
+    """Find the element that a path names. Raises `InputError` where there is none."""
     root, _, rest = path.partition(".")
     kind, _, rest = rest.partition(".")
     require_choice(kind if root == ROOT else root, (*VARIED, OPTION), f"axis {path} names nothing: {kind or root}")
@@ -235,7 +235,7 @@ def find_element(model: mujoco.MjModel, path: str) -> Element:
 
 
 def locate_numbers(model: mujoco.MjModel, path: str) -> tuple[NumberSpec, list[NumberLocation]]:
-    """What a path varies, and the places that it writes. Raises `InputError`."""
+    """Return what a path varies, and where its numbers are in the model. Raises `InputError`."""
     kind, number, _, what = find_element(model, path)
     if kind == "actuator" and what in SERVO:
         return _servo(model, path, what, number)

@@ -1,4 +1,4 @@
-"""An own model's files: what MuJoCo compiles, and the Python functions that control it."""
+"""Files of a MuJoCo model, and the Python functions or the network that control it."""
 
 import ast
 import contextlib

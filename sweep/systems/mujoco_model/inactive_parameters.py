@@ -1,4 +1,4 @@
-"""Why a parameter of a user's model cannot change anything, as far as the model proves it."""
+"""Reasons why a parameter of a MuJoCo model may have no effect."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Figures of an own model's rollouts, as sums and extremes over physics steps; units are at the ends of their names."""
+"""Metrics of MuJoCo models, accumulated as sums and extremes over physics steps; names end in their units."""
 
 from typing import Any
 
@@ -135,7 +135,7 @@ class MetricAccumulator:
 
 
 def metric_names(own: ModelSpec) -> tuple[str, ...]:
-    """The figures that its rollouts have."""
+    """Return the names of the metrics that rollouts of a model have."""
     meter, one = MetricAccumulator(own), np.ones(1)
     still = own.model.qpos0[None], np.zeros((1, own.model.nv))
     return tuple(meter.compute(meter.start(*still), one, one, one == 0, one == 0))

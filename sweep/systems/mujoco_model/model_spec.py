@@ -51,7 +51,7 @@ NOISE = {  # errors of what the controller observes, alike in all components, in
 
 @dataclass(frozen=True)
 class SideValues:
-    """What one side has other than nominal, by path: numbers, or arrays over a batch."""
+    """Values in which a side differs from the nominal model, by path: numbers, or arrays over a batch."""
 
     values: tuple[tuple[str, Any], ...] = ()
 
@@ -62,7 +62,7 @@ class SideValues:
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """A model and its controller, nominal."""
+    """A MuJoCo model with its controller and noise, at nominal values."""
 
     config: ModelConfig
     controller_values: tuple[tuple[str, float], ...]  # `noise.*` and `controller.*` by path
@@ -166,23 +166,31 @@ class ModelSpec:
 
 
 def array_namespace(array: Any) -> Any:
-    """NumPy or JAX's of it, whichever an array is of."""
+    """Return the module, NumPy or jax.numpy, to which an array belongs."""
     return array.__array_namespace__()
 
 
 def cosine_of_tilt(quat: Any, start: Any) -> Any:
-    """Cosine of the angle between upward axes of two orientations (..., 4), each as it stands in the world."""
+    """Return the cosine of the angle between the upward axes of two orientations.
+
+    Args:
+        quat: Unit quaternions (..., 4), body to world.
+        start: Unit quaternions (..., 4), body to world.
+
+    Returns:
+        Cosines (...).
+    """
     a, b = (up_axis(array_namespace(quat).moveaxis(one, -1, 0)) for one in (quat, start))
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def up_axis(quat: Any) -> tuple[Any, Any, Any]:
-    """The upward axis of an orientation (4, ...), each of its components (...)."""
+    """Return the body's z axis in world axes, of a unit quaternion (4, ...), as three components."""
     w, x, y, z = quat
     return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
 
 
 def angle_deg(cosine: Any) -> Any:
-    """In degrees, of a cosine that may be beyond 1 by rounding."""
+    """Return the angle of a cosine in degrees; cosines beyond 1 by rounding are clipped."""
     xp = array_namespace(cosine)
     return xp.degrees(xp.arccos(xp.clip(cosine, -1, 1)))

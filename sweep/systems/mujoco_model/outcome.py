@@ -1,4 +1,4 @@
-"""Outcomes of an own model: conditions on figures, in the language of `--where`."""
+"""Outcomes of MuJoCo models: conditions on metrics, written as for `--where`."""
 
 import ast
 from collections.abc import Collection, Mapping, Sequence
@@ -19,7 +19,7 @@ INVALID_CAUSES = {  # figures that are 1 where they hold
 
 
 class Condition(NamedTuple):
-    """A cause of failure, or of doubt, that holds where `text` does, or where it does not: of the goal."""
+    """A cause of failure or invalidity, which holds where its condition does; for the goal, where it does not."""
 
     cause: str
     key: str  # in `outcome`
@@ -31,13 +31,13 @@ class Condition(NamedTuple):
         return f"not {self.text}" if self.cause == MISSED else self.text
 
     def evaluate(self, figures: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Whether rows fail by it."""
+        """Return which rows (n,) the cause holds for."""
         found = np.asarray(evaluate(self.text, figures.__getitem__))
         return ~found if self.cause == MISSED else found
 
     @property
     def threshold(self) -> tuple[str, float, bool] | None:
-        """Of a plain `figure < number`: the figure, the number, and whether the cause holds below it."""
+        """Metric, threshold, and whether the cause holds below it, of a condition `metric < number`; else None."""
         match ast.parse(self.text, mode="eval").body:
             case ast.Compare(ast.Name(name), [ast.Lt() | ast.LtE() | ast.Gt() | ast.GtE() as sign], [number]):
                 with suppress(ValueError, TypeError):
