@@ -1,10 +1,14 @@
 """Workers come and go; the rows are those of a run in one process."""
 
+import json
 import os
 import random
 import re
 import signal
+import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pandas as pd
@@ -139,6 +143,32 @@ def test_jobs_of_slurm_are_given_keys_that_only_this_user_can_read(tmp_path, mon
         pass
     assert "tls://" in seen[0]
     assert seen[1:] == [0, 0, 0, 3]
+
+
+def test_a_cluster_without_workers_and_a_lost_scheduler_are_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(clusters, "JOIN", 1.0)
+    monkeypatch.setattr(clusters, "GIVE_UP", 2.0)
+    file, log = tmp_path / "scheduler.json", tmp_path / "out" / store.LOG
+
+    def wait_for_text(path: Path, text: str) -> None:
+        deadline = time.monotonic() + 60
+        while not (path.exists() and text in path.read_text()) and time.monotonic() < deadline:
+            time.sleep(0.1)
+
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
+    command += ["--no-dashboard", "--scheduler-file", str(file)]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as scheduler:
+        wait_for_text(file, "}")
+        address = json.loads(file.read_text())["address"]
+        killer = threading.Thread(target=lambda: (wait_for_text(log, "no worker"), scheduler.kill()))
+        killer.start()
+        run = ["run", *STUDY, "cluster=dask_address", f"cluster.address={address}", f"out={log.parent}"]
+        assert main(run) == 5
+        killer.join()
+    told = without_progress(capsys.readouterr().err).splitlines()
+    assert told[0].startswith(f"sweep: no worker has joined the scheduler {address} for 1 s")
+    assert told[1:] == [f"sweep: the scheduler {address} is lost; what is on disk stays, the same command finishes the "
+                        "rest"]  # fmt: skip
 
 
 def test_what_a_cluster_needs_is_said_before_anything_runs(tmp_path, monkeypatch, capsys):

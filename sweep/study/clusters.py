@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -164,6 +165,7 @@ MEND = 5000  # ms between two looks for workers that are lost
 LEAST, TIMES = 60.0, 10  # s, and medians, that a batch may take before its worker is given up
 POLL = 0.05  # s, between two looks for results
 FETCH = 5.0  # s, for a result, of a few hundred bytes
+JOIN, AGAIN = 20.0, 60.0  # s, without a worker, until that is said, and until it is said again
 GIVE_UP = 30.0  # s, for a worker to end and start again
 FIRST = 600.0  # s, of a worker's first batch, for which it compiles
 QUIET_SCHEDULER: dict[str, Any] = {"dashboard": False, "dashboard_address": "localhost:0"}  # where no port is taken
@@ -210,12 +212,23 @@ def _security() -> Any:
 def _distribute(client: Any, status: WorkerStatus, work: Work, batches: Iterable[int]) -> Iterator[Any]:
     """Run batches on the workers and yield their results.
 
-    Raises `Fault` after all other batches if workers kept dying over some of them.
+    Raises `Fault` if the scheduler is lost, or after all other batches if workers kept dying over some of them.
     """
+    address = client.scheduler.address
+    try:
+        yield from _collect_results(client, status, work, batches)
+    except (Exception, CancelledError) as error:
+        if isinstance(error, InputError | Fault) or client.status == "running":
+            raise
+        raise Fault(f"the scheduler {address} is lost") from None
+
+
+def _collect_results(client: Any, status: WorkerStatus, work: Work, batches: Iterable[int]) -> Iterator[Any]:
+    """Run batches on the workers and yield their results, see `_distribute`."""
     from distributed import KilledWorker, as_completed
 
     tasks = [(client.submit(_timed, work, number, pure=False), number) for number in batches]
-    watch = _WorkerWatch(client, status, {future.key: number for future, number in tasks})
+    watch = _WorkerWatch(client, status, {future.key: number for future, number in tasks}, client.scheduler.address)
     ready, lost = as_completed([future for future, _ in tasks]), []
     del tasks  # nothing but `ready` refers to the futures: a finished one that a dying worker holds is not done again
     while ready.count():
@@ -255,20 +268,32 @@ class _WorkerWatch:
     client: Any
     watched: WorkerStatus
     numbers: Mapping[str, int]  # of batches, by the key of their task
+    address: str  # of the scheduler
     took: list[float] = field(default_factory=list)  # s, of finished batches
     tasks: dict[str, set[str]] = field(default_factory=dict)  # that each worker has, the first of them running
     since: dict[str, float] = field(default_factory=dict)  # s, when that one began, as far as is seen from here
     warm: set[str] = field(default_factory=set)  # workers that have finished a batch
     asked: dict[str, float] = field(default_factory=dict)  # s, when a result was first asked for in vain, by task
     last: float = -math.inf  # s, when this looked
+    alone: float | None = None  # s, since when there is no worker
+    cut_off: float | None = None  # s, since when the scheduler does not answer
 
     def poll(self) -> None:
         """Check all workers, at most once a second, and restart those over their time limit."""
         now = time.monotonic()
         if now < self.last + 1:
             return
-        self.last, tasks = now, {worker: set(keys) for worker, keys in self.client.processing().items()}
-        self.watched.workers = len(tasks)
+        self.last = now
+        try:
+            tasks = {worker: set(keys) for worker, keys in self.client.processing().items()}
+            self.watched.workers = len(tasks)
+            self.report_missing_workers(bool(tasks), now)
+        except (OSError, TimeoutError):  # which Dask tries to mend
+            self.cut_off = self.cut_off or now
+            if now - self.cut_off > GIVE_UP:
+                raise Fault(f"the scheduler {self.address} is lost") from None
+            return
+        self.cut_off = None
         for worker, keys in tasks.items():
             before = self.tasks.get(worker, set())
             if not before <= keys:
@@ -278,6 +303,21 @@ class _WorkerWatch:
             if keys and now - self.since[worker] > self.time_limit_s(worker):
                 self.restart_worker(worker, min(self.numbers[key] for key in keys), now - self.since[worker])
         self.tasks = tasks
+
+    def report_missing_workers(self, is_any: bool, now: float) -> None:
+        """Say that no worker has joined, and what the scheduler warned of last, after `JOIN` and each minute.
+
+        Args:
+            is_any: whether there is a worker.
+            now: time, in s.
+        """
+        self.alone = None if is_any else self.alone or now
+        if self.alone is None or now - self.alone < JOIN:
+            return
+        warned = [text for level, text in self.client.get_scheduler_logs() if level in ("WARNING", "ERROR", "CRITICAL")]
+        why = f"; its last warning: {' '.join(warned[-1].split())}" if warned else "; its log has no warning"
+        self.watched.on_message(f"no worker has joined the scheduler {self.address} for {JOIN:.0f} s{why}")
+        self.alone = now + AGAIN - JOIN
 
     def report_unfetched(self, future: Any) -> None:
         """Restart the worker that holds a result but does not send it."""
