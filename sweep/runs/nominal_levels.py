@@ -42,10 +42,10 @@ def find_failing_levels(exp: Experiment) -> list[FailingLevel]:
     """
     if exp.study.points or exp.cluster.is_remote:
         return []
-    return [level for axis in exp.study.axes if _lists_names(axis) for level in _iter_failing(exp, axis)]
+    return [level for axis in exp.study.axes if _is_categorical(axis) for level in _iter_failing(exp, axis)]
 
 
-def _lists_names(axis: Axis) -> bool:
+def _is_categorical(axis: Axis) -> bool:
     names = axis.values is not None and all(isinstance(value, str) for value in axis.values)
     return names and axis.along is None and axis.path is not None and not axis.path.startswith("engine.")
 

@@ -7,9 +7,9 @@ import pandas as pd
 
 from sweep.core.errors import InputError
 
-PLACE = ["batch", "slot"]  # columns that identify a row of the plan
-NUMBERS = ("replicate", "stream", "group", "batch", "slot", "width")  # whole numbers of a plan
-MOST_BATCHES, SPAN = 2**31, 2**32  # batches, and how far apart their keys are
+KEY_COLUMNS = ["batch", "slot"]  # columns that identify a row of the plan
+INTEGER_COLUMNS = ("replicate", "stream", "group", "batch", "slot", "width")  # with whole numbers
+MOST_BATCHES, MOST_SLOTS = 2**31, 2**32  # upper bounds of batch and slot numbers in a key
 WIDEST = 20_000_000  # rollouts of a batch: as many as a study may have
 
 
@@ -26,17 +26,17 @@ class Plan:
         Raises:
             InputError: A column that places rows holds no whole numbers, or impossible ones.
         """
-        for column in PLACE:
+        for column in KEY_COLUMNS:
             if column not in planned:
                 raise InputError(f"{name} has no column {column}")
-        for column in NUMBERS:
+        for column in INTEGER_COLUMNS:
             if column in planned and planned[column].dtype.kind not in "iu":
                 raise InputError(f"{name} is not allowed: column {column} holds no whole numbers")
         for column, least, most in (("batch", 0, MOST_BATCHES), ("slot", 0, WIDEST), ("width", 1, WIDEST + 1)):
             if column in planned and len(odd := planned[column][~planned[column].between(least, most - 1)]):
                 raise InputError(f"{name} is not allowed: {column} = {odd.iloc[0]}, from {least} to {most - 1}")
         keys = place_keys(planned)
-        if not _increases(keys):
+        if not _is_increasing(keys):
             order = np.argsort(keys, kind="stable")
             planned, keys = planned.iloc[order], keys[order]
         self.rows, self.keys = planned, keys
@@ -57,7 +57,7 @@ class Plan:
         return self.rows.iloc[places], self.keys[places]
 
     def differences(self, rows: pd.DataFrame, batches: Collection[int]) -> list[str]:
-        """Say in which ways finished rows are not those that were planned.
+        """List the differences between finished rows and the planned points.
 
         Args:
             rows: Finished rows, with all columns that this plan has.
@@ -69,12 +69,12 @@ class Plan:
         """
         if lacking := [name for name in self.rows.columns if name not in rows]:
             return [f"column {lacking[0]} is missing"]
-        for column in PLACE:
+        for column in KEY_COLUMNS:
             if rows[column].dtype.kind not in "iu":
                 return [f"column {column} holds no whole numbers"]
         there = place_keys(rows)
         expected, wanted = self.rows_of(batches)
-        if _increases(wanted) and np.array_equal(there, wanted):
+        if _is_increasing(wanted) and np.array_equal(there, wanted):
             return _differing_inputs(rows, expected)
         found, here, planned = [], pd.Index(there), pd.Index(wanted)
         parts = (
@@ -94,12 +94,12 @@ class Plan:
 
 def place_keys(rows: pd.DataFrame) -> np.ndarray:
     """Return a sortable integer key (n,) for the batch and slot of each row; -1 where one of them is out of range."""
-    batch, slot = (rows[column].to_numpy() for column in PLACE)
-    possible = (batch >= 0) & (batch < MOST_BATCHES) & (slot >= 0) & (slot < SPAN)
-    return np.where(possible, batch.astype(np.int64) * SPAN + slot.astype(np.int64), -1)
+    batch, slot = (rows[column].to_numpy() for column in KEY_COLUMNS)
+    possible = (batch >= 0) & (batch < MOST_BATCHES) & (slot >= 0) & (slot < MOST_SLOTS)
+    return np.where(possible, batch.astype(np.int64) * MOST_SLOTS + slot.astype(np.int64), -1)
 
 
-def _increases(keys: np.ndarray) -> bool:
+def _is_increasing(keys: np.ndarray) -> bool:
     return bool((np.diff(keys) > 0).all())
 
 

@@ -26,7 +26,7 @@ INT8, INT16 = 2**7 - 1, 2**15 - 1  # largest values
 FORCE_LEVELS = 50  # integer of the largest force
 MARGIN_LEVELS = 100  # integer of a margin of 1; margins are clipped at -1
 FRICTION_LEVELS = 20  # integer of a foot that uses all friction
-DIGITS = 4  # decimals of lengths (m) and directions of bodies and geoms
+DECIMALS = 4  # decimals of lengths (m) and directions of bodies and geoms
 Kind = mujoco.mjtGeom
 HIDDEN_GEOMS = (Kind.mjGEOM_HFIELD, Kind.mjGEOM_SDF)  # geoms that the page cannot draw
 SHAPES = {
@@ -222,5 +222,5 @@ def describe_shape(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
 
 
 def round_values(values: np.ndarray) -> list[float]:
-    """Round numbers to `DIGITS` decimals."""
-    return [float(f"{value:.{DIGITS}f}") + 0.0 for value in np.asarray(values, float)]
+    """Round numbers to `DECIMALS` decimals."""
+    return [float(f"{value:.{DECIMALS}f}") + 0.0 for value in np.asarray(values, float)]

@@ -38,8 +38,8 @@ DEFAULT_AIMS = {
     "support": 0.02,
     "hold": 0.01,
 }
-SCALES = {"rate": 1.0, "hold": 0.01, "speed": 0.02}  # unit of the deficit of these margins; of all others `LENGTH`
-LENGTH = 0.01  # m
+DEFAULT_SCALE = 0.01  # m, unit of the deficit of a margin
+SCALES = {"rate": 1.0, "hold": 0.01, "speed": 0.02}  # units of the deficits of other margins than lengths
 CAP_TOLERANCE = 0.1  # units of deficit that a margin may lose by `Score.cap_aims`
 MIN_PHASES, MAX_PHASE_INTERVAL = (
     11,
@@ -170,7 +170,7 @@ class Score:
             `SCALES`.
         """
         aims = {key: self.aim_values(key) for key in sorted(margins)}
-        return jnp.concatenate([(aim - _nan_to_worst(margins[key])) / SCALES.get(key, LENGTH)
+        return jnp.concatenate([(aim - _nan_to_worst(margins[key])) / SCALES.get(key, DEFAULT_SCALE)
                                 for key, aim in aims.items() if np.isfinite(aim).any()], axis=-1)  # fmt: skip
 
     def cap_aims(self, numbers: np.ndarray, draws: Case) -> None:
@@ -181,7 +181,7 @@ class Score:
             draws: Beliefs, with arrays (draws,) as leaves.
         """
         reached = self.margins(numbers, draws)
-        self._caps = {key: value[0] - CAP_TOLERANCE * SCALES.get(key, LENGTH) for key, value in reached.items()}
+        self._caps = {key: value[0] - CAP_TOLERANCE * SCALES.get(key, DEFAULT_SCALE) for key, value in reached.items()}
 
     def deficit_gradients(self, numbers: np.ndarray, draws: Case) -> tuple[np.ndarray, np.ndarray]:
         """Return the summed squared deficits of every draw and their gradients.
