@@ -7,12 +7,12 @@ from sweep.controllers.calibration import CalibrationResult, learnable_sizes
 from sweep.metrics.metric import Metric, RolloutStart
 
 SIZES = {
-    "body_length": "the body's length",
-    "body_width": "the body's width",
-    "mount_radius": "the radius that the legs are mounted at",
-    "coxa": "the coxae",
-    "thigh": "the thighs",
-    "shin": "the shins",
+    "body_length": "length of the body",
+    "body_width": "width of the body",
+    "mount_radius": "radius at which the legs are mounted",
+    "coxa": "length of the coxae",
+    "thigh": "length of the thighs",
+    "shin": "length of the shins",
 }
 
 
@@ -34,7 +34,7 @@ METRIC = Metric(
     begin,
     lambda state, ctx: state,
     lambda state, rollout: learned_sizes(state),
-    {f"learned_{name}_m": f"{what}, as calibration has found" for name, what in SIZES.items()}
-    | {f"learned_{name}_sd_m": f"standard deviation of that for {what}" for name, what in SIZES.items()},
+    {f"learned_{name}_m": f"{what}, estimated by calibration" for name, what in SIZES.items()}
+    | {f"learned_{name}_sd_m": f"standard deviation of the estimate of {what}" for name, what in SIZES.items()},
     applies=lambda case: case.control.calibrate == "sizes",
 )

@@ -7,16 +7,16 @@ METRIC = Metric(
     lambda state, ctx: state,
     lambda state, rollout: {},
     {
-        "calibration_margin": "least distance of a figure of a simulated calibration to what fails it, as `margin`",
-        "calibration_slip_max_m": "largest slip of a foot in its poses",
-        "calibration_clearance_min_m": "least distance of base and links to the obstacle in them",
-        "calibration_torque_peak_nm": "largest torque of a joint in them",
-        "calibration_s": "simulated time that they took",
+        "calibration_margin": "smallest margin of a simulated calibration, as for `margin`",
+        "calibration_slip_max_m": "largest slip of a foot in the calibration poses",
+        "calibration_clearance_min_m": "smallest distance of base and links to the obstacle in the calibration poses",
+        "calibration_torque_peak_nm": "largest torque of a joint in the calibration poses",
+        "calibration_s": "simulated duration of the calibration poses",
     },
     (
         Cause(
             "uncalibrated",
-            "the robot failed as it went through the poses of its calibration, by anything that fails a rollout",
+            "the robot failed in the calibration poses, by any cause of failure",
             "calibration_margin",
             0.0,
             below=True,

@@ -16,11 +16,11 @@ def largest_depth(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
 
 METRIC = extremes(
     largest_depth,
-    {"depth_max_m": "largest depth of a foot inside what it stands on"},
+    {"depth_max_m": "largest penetration of a foot into its support"},
     (
         Cause(
             "sunk",
-            "a foot was deeper than depth_max_m inside what it stands on: points and a linear law tell nothing there",
+            "a foot penetrated its support by more than depth_max_m, where the contact model is not valid",
             "depth_max_m",
             5e-3,
             invalid=True,

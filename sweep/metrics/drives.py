@@ -71,13 +71,13 @@ METRIC = Metric(
         **{f"torque_peak_{joint}_nm": f"largest torque of a {joint} joint" for joint in KINDS},
         **{f"saturation_share_{joint}": f"share of time at the torque limit of {joint} joints" for joint in KINDS},
         "saturation_share_max": "largest of the three",
-        "torque_reserve_min": "least of 1 minus torque over its limit, of a kind of joint in the mean of all legs, "
-        "over 50 ms",
-        "turn_over_limit": "largest size of an alpha over drive.turn_limit",
+        "torque_reserve_min": "smallest value of 1 minus torque over limit, averaged over all legs and 50 ms, among "
+        "alpha, beta and gamma joints",
+        "turn_over_limit": "largest absolute alpha angle over drive.turn_limit",
         "joint_speed_max_radps": "largest rate of a joint",
-        "joint_speed_over_limit": "the same over drive.speed_limit",
-        "joint_power_max_w": "largest mechanical power of a joint, given or taken, in the mean of a tick",
-        "joint_power_over_limit": "the same over drive.power_limit",
+        "joint_speed_over_limit": "largest rate of a joint over drive.speed_limit",
+        "joint_power_max_w": "largest absolute mechanical power of a joint, tick mean",
+        "joint_power_over_limit": "largest absolute mechanical power of a joint over drive.power_limit",
     },
     (
         Cause(
@@ -90,9 +90,9 @@ METRIC = Metric(
         *(
             Cause(name, f"{what} {figure}_max times drive.{size}", figure, 1.0)
             for figure, size, name, what in (
-                ("turn_over_limit", "turn_limit", "overturned_leg", "a leg turned to beyond"),
-                ("joint_speed_over_limit", "speed_limit", "overspeed", "a joint was faster than"),
-                ("joint_power_over_limit", "power_limit", "overpower", "a joint gave or took more than"),
+                ("turn_over_limit", "turn_limit", "overturned_leg", "an alpha angle exceeded"),
+                ("joint_speed_over_limit", "speed_limit", "overspeed", "a joint rate exceeded"),
+                ("joint_power_over_limit", "power_limit", "overpower", "the power of a joint exceeded"),
             )
         ),
     ),

@@ -41,14 +41,13 @@ METRIC = Metric(
     update,
     compute,
     {
-        "feet_on_target": "feet that are at the end at the obstacle's face, of the body, where the plan has them, "
-        "or within 20 mm of it",
-        "foot_gap_max_m": "how far the worst foot ends from that face, negative inside; at another face how far from "
-        "its foothold, but more than 20 mm",
+        "feet_on_target": "number of feet that end on their planned face, or within 20 mm of it",
+        "foot_gap_max_m": "largest final distance of a foot from its planned face, negative inside; on another face "
+        "the distance from its foothold, at least 20 mm",
     },
     (
         goal_cause(
-            "fewer feet than feet_on_target_min ended at their faces",
+            "fewer feet than feet_on_target_min ended on their planned faces",
             "feet_on_target",
             below=True,
             is_count=True,

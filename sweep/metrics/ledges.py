@@ -48,9 +48,9 @@ METRIC = Metric(
     update,
     compute,
     {
-        "past_centre_max_m": "farthest that the robot's mass centre was beyond the ball's, seen from the ledge that "
-        "it leaves, or comes to",
-        "docking_gap_m": "least distance of the ball from the far wall before the robot began to leave it",
+        "past_centre_max_m": "largest distance of the robot's centre of mass beyond the ball's, away from the ledge "
+        "that it leaves or reaches",
+        "docking_gap_m": "smallest distance of the ball from the far wall before the robot began to leave the ball",
         "docking_speed_mps": f"speed of the ball when it first was within {1e3 * THERE:g} mm of the far wall",
     },
     (
@@ -63,7 +63,7 @@ METRIC = Metric(
         goal_cause(
             "the ball stayed farther from the far wall than docking_gap_max_m when the robot left it", "docking_gap_m"
         ),
-        goal_cause("the ball came to the far wall faster than docking_speed_max_mps", "docking_speed_mps"),
+        goal_cause("the ball reached the far wall faster than docking_speed_max_mps", "docking_speed_mps"),
     ),
     applies=lambda case: isinstance(case.obstacle, Ledges),
 )

@@ -60,9 +60,9 @@ METRIC = Metric(
     update,
     compute,
     {
-        "friction_demand_max": "largest tangential over normal force of a loaded foot, tick means; the friction itself "
-        "as soon as a foot slides for a moment",
-        "friction_demand_mean": "tangential over normal force, each summed over the feet, averaged over time",
+        "friction_demand_max": "largest ratio of tangential to normal force of a loaded foot, tick means; equals the "
+        "friction coefficient when a foot slides",
+        "friction_demand_mean": "ratio of tangential to normal force, each summed over the feet, averaged over time",
         "normal_max_over_weight": "largest normal force of a foot over the robot's weight",
         "friction_reserve_min": "least of 1 minus tangential force over what friction allows, each summed over the "
         "feet, over 50 ms",

@@ -82,14 +82,14 @@ METRIC = Metric(
     update,
     compute,
     {
-        "finished": "whether the plan came to its end",
+        "finished": "whether the plan was finished",
         "time_use": f"time to the plan's end over {GRACE:g} of its duration, all it is given; beyond 1 what it lacked",
-        "end_stage": "number of its last stage that began",
+        "end_stage": "number of the last stage that began",
         "duration_s": "simulated time",
-        "progress": "1 minus the distance left to the goal over the length of the planned way",
-        "distance_m": "between the base's first place and its last, seen from above",
-        "speed_mps": "along the planned direction, while the plan moves the base",
-        "position_error_max_m": "largest distance of the base from where it was told to be",
+        "progress": "1 minus the remaining distance to the goal over the length of the planned path",
+        "distance_m": "horizontal distance between the first and last position of the base",
+        "speed_mps": "mean speed along the planned direction while the plan moves the base",
+        "position_error_max_m": "largest distance of the base from its reference",
     },
     (
         Cause(

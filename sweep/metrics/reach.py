@@ -21,7 +21,7 @@ METRIC = extremes(
     reach_values,
     {
         "reach_shortfall_max_m": "largest distance of a foot target beyond its leg's reach",
-        "reach_reserve_min_m": "least length by which a leg could be longer or shorter, the former taken off",
+        "reach_reserve_min_m": "smallest distance of a foot target to the limits of a leg's reach, less shortfall",
     },
     (
         Cause(

@@ -19,7 +19,7 @@ METRIC = extremes(
     (
         Cause(
             "no_plan",
-            "what was learned left no plan within the legs' reach, by replanned_shortfall_max_m",
+            "replanning found no plan within the legs' reach, by replanned_shortfall_max_m",
             "replanned_shortfall_max_m",
             5e-3,
         ),

@@ -37,13 +37,13 @@ METRIC = Metric(
     update,
     lambda state, rollout: {"end_drift_m": state.drift},
     {
-        "end_drift_m": f"farthest that a hip, knee or foot went in the {REST:g} s after the plan, seen from where the "
-        "base is told to be"
+        "end_drift_m": f"largest motion of a hip, knee or foot in the {REST:g} s after the plan, relative to the "
+        "reference of the base"
     },
     (
         Cause(
             "restless",
-            "the robot was not at rest when its plan had ended: some part went on by more than end_drift_max_m",
+            "the robot was not at rest after its plan: some part moved by more than end_drift_max_m",
             "end_drift_m",
             5e-3,
         ),

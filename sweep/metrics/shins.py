@@ -20,7 +20,7 @@ METRIC = Metric(
     initial_state(jnp.asarray, 1.0),  # upright
     update,
     lambda sine, rollout: {"shin_angle_min_rad": jnp.arcsin(sine)},
-    {"shin_angle_min_rad": "least angle of a standing foot's shin over the face that it stands on, negative under it"},
+    {"shin_angle_min_rad": "smallest angle of a standing leg's shin above the face it stands on, negative below it"},
     (
         Cause(
             "shin_under_face",

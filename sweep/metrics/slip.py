@@ -80,7 +80,7 @@ METRIC = Metric(
     begin,
     update,
     lambda state, rollout: {"slip_max_m": state.largest},
-    {"slip_max_m": "largest distance of a loaded standing foot from where it took hold"},
+    {"slip_max_m": "largest slip of a loaded stance foot from its touchdown"},
     (
         Cause(
             "slipped",

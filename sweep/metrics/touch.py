@@ -36,8 +36,8 @@ def _columns() -> dict[str, str]:
     sizes = {(n, u) for cls in OBSTACLES.values() for n, u in learned_size_units(cls).items()}
     told = {}
     for name, unit in sorted(sizes):
-        told[f"learned_{name}_{unit}"] = f"the obstacle's {name.replace('_', ' ')}, as touching it has told"
-        told[f"learned_{name}_sd_{unit}"] = "standard deviation of that"
+        told[f"learned_{name}_{unit}"] = f"the obstacle's {name.replace('_', ' ')}, estimated from touchdowns"
+        told[f"learned_{name}_sd_{unit}"] = "standard deviation of this estimate"
     return told
 
 

@@ -122,7 +122,7 @@ def plot_ball(trace: Trace) -> Figure:
     few = slice(None, None, max(1, len(place) // 2000))
     over_ball = mass_centres(trace, few)[:, :2] - place[few, :2]
     labels = ("speed (mm/s)", "way (m)", "base (mm)", "mass centre (mm)")
-    figure, axes = _column("Ball: speed and way; base and mass centre over its centre", *labels)
+    figure, axes = _column("Ball: speed and path; base and centre of mass over its centre", *labels)
     for k, (name, color) in enumerate((("ahead", ACTUAL), ("left", SECOND))):
         axes[0, 0].plot(trace.time, 1e3 * speed[k], color=color, lw=1.2, label=name)
         axes[1, 0].plot(trace.time, place[:, k] - place[0, k], color=color, lw=1.2)

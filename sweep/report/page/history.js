@@ -71,7 +71,7 @@ export function replaySeries({ model, motion }, paths) {
     },
     { title: "force on a foot [N]", lines: legs(pull), limit: null },
     {
-      title: "friction used under a foot, of what there is",
+      title: "used share of a foot's available friction",
       lines: friction ? legs((k, leg) => friction[model.feet.length * k + leg]) : [],
       limit: 1,
     },

@@ -18,8 +18,8 @@ import { formatShort, ticks } from "./numbers.js";
 
 export const PANEL_MARGIN = { left: 44, right: 8, top: 20, bottom: 20 }; // of a panel, CSS pixels
 export const PATH_VIEWS = /** @type {const} */ ([
-  { title: "way from above: y over x [m]", up: 1 },
-  { title: "way from the side: z over x [m]", up: 2 },
+  { title: "path from above: y over x [m]", up: 1 },
+  { title: "path from the side: z over x [m]", up: 2 },
 ]);
 
 /**
