@@ -44,7 +44,7 @@ def require_within_reach(belief: Case, stances: Callable[[], Mapping[str, Stance
     Raises:
         InputError: a foot is out of reach.
     """
-    if not are_plain_numbers(belief.robot, belief.obstacle, belief.manoeuvre):
+    if not are_plain_numbers(belief.robot, belief.obstacle, belief.manoeuvre, belief.plan):
         return
     words = []
 

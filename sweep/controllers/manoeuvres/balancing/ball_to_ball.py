@@ -186,7 +186,7 @@ class BallToBall(OnBall, ByParts):
         Raises:
             InputError: a foot is out of reach, or the mass centre is less than `spare` m inside its support.
         """
-        if not are_plain_numbers(belief.robot, belief.obstacle, self):
+        if not are_plain_numbers(belief.robot, belief.obstacle, self, belief.plan):
             return
 
         start = with_touching_balls(belief).obstacle_as(TwoBalls).start
