@@ -19,7 +19,7 @@ from sweep.core.errors import InputError
 MANIFEST, POINTS = "manifest.txt", "points.parquet"
 PARTS, HISTORIES, LAST_STATES = "parts", "histories", "last_states"
 SUBFOLDERS = (PARTS, HISTORIES, LAST_STATES)  # of files that the manifest may list
-NAME = re.compile(rf"({'|'.join(SUBFOLDERS)})/\w[\w.-]{{,200}}", re.ASCII)  # what this package calls their files
+FILE_NAME = re.compile(rf"({'|'.join(SUBFOLDERS)})/\w[\w.-]{{,200}}", re.ASCII)  # names of listed files
 LONGEST = 200  # characters of another name in messages
 DIGEST_DIGITS = 16  # digits of the digest at the start of a line
 RETRY_PAUSES = (0.01, 0.05, 0.2, 0.5)  # s, in which another command may finish the last line
@@ -100,7 +100,7 @@ def _parse_entry(folder: Path, number: int, text: bytes) -> Entry:
         entry = entry_of(json.loads(text))
     except (ValueError, KeyError, TypeError, RecursionError):
         raise InputError(f"{where} is no entry of a study's file") from None
-    if entry.file != POINTS and not NAME.fullmatch(entry.file):
+    if entry.file != POINTS and not FILE_NAME.fullmatch(entry.file):
         allowed = f"{POINTS}, or a file in {', '.join(SUBFOLDERS)}"
         shown = entry.file if len(entry.file) < LONGEST else f"{entry.file[:LONGEST]}..."
         raise InputError(f"{where} names {shown!r}, which is not allowed: {allowed}")

@@ -16,11 +16,11 @@ from sweep.core.errors import InputError
 from sweep.study.columns import NAMES, WORDS
 
 pc: Any = pyarrow.compute  # whose functions exist only once it is imported
-# a file may expand to SMALL bytes; to more only up to DENSEST times its size, and never beyond LARGEST
-SMALL, LARGEST, DENSEST = 256 * 2**20, 64 * 2**30, 1000
+# a file may expand to ALWAYS_ALLOWED bytes; to more only up to MAX_RATIO times its size, and never beyond MAX_EXPANSION
+ALWAYS_ALLOWED, MAX_EXPANSION, MAX_RATIO = 256 * 2**20, 64 * 2**30, 1000
 WIDTHS = {"BOOLEAN": 1, "INT32": 4, "FLOAT": 4, "INT64": 8, "DOUBLE": 8, "BYTE_ARRAY": 4}  # bytes; of text its number
 TEXT = "BYTE_ARRAY"
-NAME, PRINTABLE = "^[0-9a-f]{1,64}$", r"^\PC*$"  # of `NAMES`, and of other words: no control characters
+HEX_NAME, PRINTABLE = "^[0-9a-f]{1,64}$", r"^\PC*$"  # of `NAMES`, and of other words: no control characters
 
 
 def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
@@ -93,9 +93,9 @@ def check_expansion(path: Path, total: int, size: int) -> None:
     Raises:
         InputError: `total` is too large.
     """
-    if total > (room := max(SMALL, min(LARGEST, DENSEST * size))):
+    if total > (room := max(ALWAYS_ALLOWED, min(MAX_EXPANSION, MAX_RATIO * size))):
         raise InputError(
-            f"{path} is not allowed: its {size:,} bytes expand to {total:,} or more; at most {room:,}, or {DENSEST} "
+            f"{path} is not allowed: its {size:,} bytes expand to {total:,} or more; at most {room:,}, or {MAX_RATIO} "
             "times its size"
         )
 
@@ -133,7 +133,7 @@ def _decode_words(path: Path, name: str, column: pa.ChunkedArray) -> pa.ChunkedA
     """Replace dictionaries by their words, which are UTF-8 that a terminal can print."""
     for chunk in column.chunks:
         chunk.dictionary.validate(full=True)
-        allowed = pc.match_substring_regex(chunk.dictionary, NAME if name in NAMES else PRINTABLE)
+        allowed = pc.match_substring_regex(chunk.dictionary, HEX_NAME if name in NAMES else PRINTABLE)
         odd = chunk.dictionary.filter(pc.invert(pc.fill_null(allowed, True)))
         if len(odd):
             raise InputError(f"{path} is not allowed: column {name} holds {str(odd[0])[:100]!r}")

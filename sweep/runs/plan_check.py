@@ -14,13 +14,13 @@ WIDEST = 20_000_000  # rollouts of a batch: as many as a study may have
 
 
 class Plan:
-    """The planned rows of a folder, in which those of a batch are found without a look at the others."""
+    """Planned rows of a folder, indexed by batch."""
 
     def __init__(self, planned: pd.DataFrame, name: str):
-        """Arrange a plan.
+        """Check the planned rows, and sort them by batch and slot.
 
         Args:
-            planned: Some or all columns of `points.parquet`, `batch` and `slot` among them; one row a rollout.
+            planned: Some or all columns of `points.parquet`, `batch` and `slot` among them; one row for each rollout.
             name: The file, for messages.
 
         Raises:

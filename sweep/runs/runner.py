@@ -65,12 +65,12 @@ class Job:
     unplanned: int = 0  # number of the study's points that have no batch
 
     @cached_property
-    def study(self) -> str:
+    def study_digest(self) -> str:
         """Digest of what all rows of the folder share: configuration and code."""
         return study_id(self.exp.values)
 
     @cached_property
-    def labels(self) -> str:
+    def labels_digest(self) -> str:
         """Digest of the thresholds that judge the rows."""
         return labels_id(self.exp.values)
 
@@ -285,7 +285,7 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
     if path_in(folder, store.STUDY).exists():
         stored = store.read_study(folder)
         record = RunRecord(stored["stages"], stored["devices"])
-        if stored["labels"] != job.labels:
+        if stored["labels"] != job.labels_digest:
             relabel(folder, exp.values["outcome"])
     write_description(job, record)
     while missing := job.missing():
@@ -325,7 +325,9 @@ def accept_part(job: Job, done: "FinishedBatch", entry: Entry) -> pd.DataFrame:
     """
     if not all(path_in(job.folder, one.file).exists() for one in (entry, *done.recordings)):
         raise Fault(f"{done.host} wrote batch {done.batch} to {job.folder.resolve()}, which is not seen here")
-    if (entry.study, entry.labels) != (job.study, job.labels) or {one.study for one in done.recordings} - {job.study}:
+    if (entry.study, entry.labels) != (job.study_digest, job.labels_digest) or {
+        one.study for one in done.recordings
+    } - {job.study_digest}:
         raise Fault(f"{done.host} simulated batch {done.batch} of another study, or judged it by other thresholds")
     rows = store.read_table(job.folder, entry, PROGRESS_COLUMNS).to_pandas()
     manifest.add(job.folder, *limit_last_states(job.folder, done.recordings), entry)
@@ -426,9 +428,9 @@ def simulate_on_worker(folder: Path, version: str, code: str, number: int) -> Fi
     try:
         finished, table = simulate_batch(job.exp, engine, rows)
         # labelled by the thresholds that judged the rows, even if the command has others by now
-        entry = store.write_part(folder, finished, job.study, job.labels)
+        entry = store.write_part(folder, finished, job.study_digest, job.labels_digest)
         beside = time_series.write(
-            folder, job.study, number, table, last_states_of_invalid_rows(job, engine, rows, finished)
+            folder, job.study_digest, number, table, last_states_of_invalid_rows(job, engine, rows, finished)
         )
     except MemoryError:
         pass
@@ -475,7 +477,7 @@ def _read_job(folder: Path, version: str) -> Job:
 
 def write_description(job: Job, record: RunRecord) -> None:
     """Write `study.yaml`: configuration, number of rollouts, versions, and what the run has recorded so far."""
-    about = {"config": job.exp.values, "rollouts": len(job.table) + job.unplanned, "labels": job.labels}
+    about = {"config": job.exp.values, "rollouts": len(job.table) + job.unplanned, "labels": job.labels_digest}
     there = {"stages": record.stages, "devices": record.devices, **provenance.version_record()}
     store.write_study(job.folder, about | there)
 

@@ -43,7 +43,7 @@ SUM_WEIGHT, COST_SCALE = (
     0.1,
     5.0,
 )  # weight of the sum of deficits beside the largest one; cost at which its growth halves
-SURPLUS = 1.0  # margins whose deficit is below minus this are left out of a program
+MAX_SURPLUS = 1.0  # margins whose deficit is below minus this are left out of a program
 FIRST_RADIUS, MAX_RADIUS, MAX_HALVINGS = (
     0.5,
     2.0,
@@ -302,7 +302,7 @@ def solve_linear_program(
     from scipy.optimize import linprog  # slow to import
     from scipy.sparse import block_array, csr_array, eye_array, kron
 
-    near = np.isfinite(deficit) & (deficit > -SURPLUS)
+    near = np.isfinite(deficit) & (deficit > -MAX_SURPLUS)
     draw, _, margin = np.nonzero(near)
     pairs, pair = np.unique(draw * deficit.shape[-1] + margin, return_inverse=True)
     row, number = np.nonzero(slope[near])
