@@ -65,21 +65,21 @@ class MujocoModel(ModelSpec):
 
     @property
     def causes(self) -> dict[str, str]:
-        """Its scenario's conditions, and what makes a rollout doubtful, see `System`."""
+        """Meaning of each cause: conditions of the scenario, and causes of invalidity, see `System`."""
         return {one.cause: one.meaning for one in self.conditions} | outcome.INVALID_CAUSES
 
     def cause_meanings(self, limits: tuple[Condition, ...]) -> dict[str, str]:
-        """The conditions of the scenario, which have their thresholds in them, see `System`."""
+        """Return the meaning of each cause, whose conditions contain their thresholds, see `System`."""
         return {one.cause: one.meaning for one in limits} | outcome.INVALID_CAUSES
 
     @property
     def metric_names(self) -> tuple[str, ...]:
-        """Those of any model, and its controller's own, see `System`."""
+        """Metrics of any MuJoCo model, and those of its controller, see `System`."""
         return (*metrics.metric_names(self), *self.controller.measured)
 
     @property
     def history_columns(self) -> tuple[str, ...]:
-        """Columns of its positions and velocities, see `System`."""
+        """Columns of time series: positions and velocities, see `System`."""
         return tuple(self.time_series_columns(self.model.qpos0[None], np.zeros((1, self.model.nv))))
 
     def source_files(self) -> dict[str, Path]:
@@ -94,12 +94,12 @@ class MujocoModel(ModelSpec):
         return found
 
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
-        """Its files, engine and step, see `System`."""
+        """Summarize files, engine and time step, see `System`."""
         about = {"model": self.config.mjcf, "controller": self.config.controller, "engine": settings.name}
         return {**about, "step": f"{1000 * self.model.opt.timestep:g} ms"}
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
-        """A field of the model, or a number of controller, noise or engine, see `System`."""
+        """Return the field of a model's number, or of a controller, noise or engine parameter, see `System`."""
         path = split_side(column)[1]
         require_choice(root := path.partition(".")[0], (*self.groups, "engine"), f"axis {column} names nothing: {root}")
         if root == "model":
@@ -113,7 +113,7 @@ class MujocoModel(ModelSpec):
         return dataclasses.field(default=self.nominal_value(path), metadata=self.parameters[path].metadata)
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
-        """What the model or its settings have, see `System`."""
+        """Return the nominal value of a parameter of the model or its settings, see `System`."""
         root, _, name = column.partition(".")
         return getattr(settings, name) if root == "engine" else self.parameter(column, settings).default
 
@@ -156,17 +156,17 @@ class MujocoModel(ModelSpec):
         return np.ones(len(rows), dtype=bool)
 
     def make_sides(self, values: Values) -> tuple[SideValues, SideValues]:
-        """Values by path, of either side, see `System`."""
+        """Make the values of world and belief, by path, see `System`."""
         world, belief = (SideValues(tuple(own.items())) for own in values_by_side(values).values())
         return world, belief
 
     def with_delay_buffer(self, table: "pd.DataFrame") -> "MujocoModel":
-        """With memory for the longest delay, see `System`."""
+        """Return this system with an observation buffer for the longest delay of a table, see `System`."""
         varied = [table[c].max() for c in table.columns if split_side(c)[1] == "noise.delay"]
         return replace(self, delay_buffer=math.ceil(max([self.nominal_value("noise.delay"), *varied])))
 
     def make_engine(self, settings: EngineSettings, world: SideValues, belief: SideValues, limits: Any) -> ModelEngine:
-        """C MuJoCo's, or MJX's by either name, see `System`."""
+        """Compile an engine on C MuJoCo or MJX, see `System`."""
         model = world.select_group("model")
         shared = {
             path: value for path, value in model.items() if path not in fields.select_quantities(self.model, model)
@@ -185,18 +185,18 @@ class MujocoModel(ModelSpec):
         )
 
     def parse_threshold(self, text: str) -> tuple[str, str]:
-        """See `System`: `goal=travelled_m >= 1`."""
+        """Parse a condition such as `goal=travelled_m >= 1`, see `System`."""
         key, _, condition = (part.strip() for part in text.partition("="))
         if not key.isidentifier() or not condition:
             raise InputError(f"{text!r} is not allowed: a name and a condition, such as 'goal=travelled_m >= 1'")
         return key, condition
 
     def thresholds(self, limits: tuple[Condition, ...]) -> dict[str, float]:
-        """Limits of conditions that have one, see `System`."""
+        """Return the thresholds of conditions that compare a metric with a number, see `System`."""
         return {one.threshold[0]: one.threshold[1] for one in limits if one.threshold}
 
     def explain_cause(self, row: Mapping[str, Any], limits: tuple[Condition, ...]) -> str:
-        """The condition that ended it, with its figure, see `System`."""
+        """Return the condition that ended a rollout, with its metric, see `System`."""
         for one in limits:
             if one.cause == row["cause"] and one.threshold:
                 return f"{one.meaning} ({one.threshold[0]} {float(row[one.threshold[0]]):.4g})"

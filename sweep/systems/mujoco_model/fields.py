@@ -149,7 +149,7 @@ def parameter(model: mujoco.MjModel, path: str) -> Parameter:
 
 
 def select_quantities(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Of `values` by path those in which the models of a batch may differ."""
+    """Select the values, by path, in which the models of one batch may differ."""
     return {path: value for path, value in values.items() if parameter(model, path).metadata["role"] == "quantity"}
 
 
@@ -163,9 +163,12 @@ def with_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> mujoco.MjM
 
 
 def write_values(batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.MjSpec]) -> None:
-    """Give a batch's models their own `values` (n,) by path, and work out what follows from them.
+    """Write values into the models of a batch, and recompute what follows from them.
 
-    `source` gives what the model was compiled from.
+    Args:
+        batch: The batch of n models.
+        values: Values (n,) by path.
+        source: Returns what the model was compiled from.
     """
     made = {path: value for path, value in values.items() if locate_numbers(batch.model, path)[0].compiled}
     if made:
@@ -183,7 +186,13 @@ def write_values(batch: Batch, values: Mapping[str, Any], source: Callable[[], m
 
 
 def check_variable(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, path: str) -> None:
-    """Raise `InputError` where a path names a number that cannot vary in the model that `source` gives."""
+    """Raise `InputError` where a path names a number that cannot vary in this model.
+
+    Args:
+        source: Returns what the model was compiled from.
+        model: The compiled model.
+        path: Path of the parameter.
+    """
     kind, number, name, what = find_element(model, path)
     geom = source().geom(name) if locate_numbers(model, path)[0].compiled else None
     for wrong, why in (
@@ -199,7 +208,7 @@ def check_variable(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, p
 
 
 def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> None:
-    """Have MuJoCo compile a model for each of the rows of `values`, and take over all that it has otherwise."""
+    """Compile a model for each distinct row of `values`, and copy all fields that differ."""
     model, names = batch.model, sorted(MODEL_FIELDS - {"opt.timestep"})
     rows, which = np.unique(np.stack([*values.values()], axis=1), axis=0, return_inverse=True)
     for k, row in enumerate(rows):
@@ -257,7 +266,7 @@ def locate_numbers(model: mujoco.MjModel, path: str) -> tuple[NumberSpec, list[N
 
 
 def _places(model: mujoco.MjModel, kind: str, number: int, field: str) -> tuple[int, list[int]]:
-    """How many numbers a thing has in a field, and where the first of them is: one of each freedom of a joint."""
+    """Return how many numbers an element has in a field, and the first index for each joint freedom."""
     if kind == OPTION:
         return field_values(model, field).size, [0]
     size = field_values(model, field)[0].size
@@ -281,10 +290,10 @@ def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[Nu
 
 
 def locate_field(model: Any, field: str) -> tuple[Any, str]:
-    """What has a field that `mujoco.batch` calls so, a model or its options, and the field's name there."""
+    """Return the object, model or options, that has a field of `mujoco.batch`, and the name of the field there."""
     return (model.opt, field[4:]) if field.startswith("opt.") else (model, field)
 
 
 def field_values(model: mujoco.MjModel, field: str) -> np.ndarray:
-    """A field of a model by the name that `mujoco.batch` has for it."""
+    """Return a field of a model by its name in `mujoco.batch`."""
     return np.asarray(getattr(*locate_field(model, field)))

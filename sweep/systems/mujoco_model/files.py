@@ -55,7 +55,7 @@ class Policy(NamedTuple):
 
 
 def project_folder() -> Path:
-    """Where a project's files are named from."""
+    """Return the folder that paths in a configuration are relative to."""
     return project.find_project() or Path.cwd()
 
 
@@ -93,7 +93,7 @@ def _compiled(file: Path, changed: int) -> mujoco.MjModel:
 
 
 def load_spec(mjcf: str) -> mujoco.MjSpec:
-    """What a model is compiled from. Raises `InputError` where that is not known."""
+    """Load the source of a model. Raises `InputError` where the model is a compiled file."""
     file = project_folder() / mjcf
     if file.suffix == BINARY:
         raise InputError(f"model.mjcf = {mjcf} is compiled: sizes and positions of geoms can vary in MJCF or URDF only")
@@ -113,7 +113,7 @@ def _source(file: Path, changed: int) -> mujoco.MjSpec:
 
 
 def list_files(mjcf: str) -> list[Path]:
-    """A model's file, and all that it names: meshes, textures, heights, other files."""
+    """List the file of a model and all files that it refers to: meshes, textures, height fields, included files."""
     main = project_folder() / mjcf
     found, folders = [main], {""}
     for file in found:  # which grows
@@ -130,12 +130,12 @@ def list_files(mjcf: str) -> list[Path]:
 
 
 def digest_model(compiled: mujoco.MjModel) -> str:
-    """Of all numbers of a model, its meshes among them."""
+    """Hash all numbers of a compiled model, meshes included."""
     return hashlib.blake2b(model_bytes(compiled), digest_size=8).hexdigest()
 
 
 def load_controller(name: str) -> Policy:
-    """The functions that `module:policy` names, or the network of a file. Raises `InputError`."""
+    """Load the controller that `module:function` names, or a network from a file. Raises `InputError`."""
     if name.endswith(ONNX):
         file = _require_file("controller", name, ONNX)
         files = sorted(file.parent.glob(f"{file.name}*"))  # a large network's weights

@@ -37,9 +37,9 @@ BALANCED = 0.01  # share of the forces, up to which those of a step are in balan
 
 
 class MetricAccumulator:
-    """Figures of n rollouts of a model, told of every tick; those of a base or of touch sensors where there are any.
+    """Accumulates the metrics of n rollouts over control ticks, in trees of NumPy or JAX arrays (n, ...).
 
-    What is measured so far is a tree of arrays (n, ...), of NumPy or of JAX as those are that it is told of.
+    Metrics of the base and of touch sensors exist only where the model has these.
     """
 
     def __init__(self, own: ModelSpec):
@@ -56,7 +56,12 @@ class MetricAccumulator:
         self._collide = model.sensor_adr[own.touch_sensors("collisions")]
 
     def start(self, qpos: Any, qvel: Any) -> Tree:
-        """What is measured at first, of positions (n, nq) and velocities (n, nv)."""
+        """Return the initial accumulator.
+
+        Args:
+            qpos: Positions (n, nq).
+            qvel: Velocities (n, nv).
+        """
         xp, n, feet = array_namespace(qpos), len(qpos), len(self._sites)
         none = xp.zeros_like(qpos[:, 0])
         sums = "steps", "power", "work", "tilt", "slip", "load", "full", "ends", "unsolved", "touched", "impulse"

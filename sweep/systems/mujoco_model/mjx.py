@@ -378,7 +378,7 @@ class MjxModelEngine(ModelEngine):
 
 
 def custom_numeric(model: mujoco.MjModel, name: str) -> np.ndarray | None:
-    """What a model's file has for MJX under a name, a view."""
+    """Return a custom numeric value of a model by name, as a view; None without one."""
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     return None if number < 0 else model.numeric_data[model.numeric_adr[number] :][:1]
 
@@ -401,7 +401,7 @@ def count_geom_pairs(model: mujoco.MjModel) -> int:
 
 
 def limited_contact_dims(model: mujoco.MjModel) -> list[int]:
-    """Dimensions of contacts of which MJX keeps some and leaves others out: by a model's `max_contact_points`."""
+    """Return the contact dimensions of which MJX drops contacts beyond the model's `max_contact_points`."""
     whole = copy(model)
     if (most := custom_numeric(whole, "max_contact_points")) is None:
         return []
@@ -411,13 +411,18 @@ def limited_contact_dims(model: mujoco.MjModel) -> list[int]:
 
 
 def model_leaf(model: Any, name: str) -> Any:
-    """What MJX's model has by a name of `mujoco.batch`; None where it has none but in a part of Warp's own."""
+    """Return the leaf of an MJX model by its name in `mujoco.batch`; None where it has none."""
     owner, name = fields.locate_field(model, name)
     return vars(owner).get(name)
 
 
 def with_features(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
-    """A model for a program that has all that is 0 for it, and not for a rollout; `most` of it by field."""
+    """Return a copy of a model whose features that any rollout uses are not 0, so that the program includes them.
+
+    Args:
+        model: The model.
+        most: Largest absolute values over the batch, by field.
+    """
     model = copy(model)
     for name, values in most.items():
         setattr(*fields.locate_field(model, name), np.broadcast_to(values, fields.field_values(model, name).shape))
@@ -426,5 +431,5 @@ def with_features(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjMo
 
 
 def warp_buffer_sizes(model: mujoco.MjModel, n: int) -> dict[str, int]:
-    """What n of Warp's rollouts have for contacts, all together, and for constraints, each."""
+    """Return the sizes of Warp's buffers for n rollouts: contacts of all, and constraints of each."""
     return {"naconmax": CONTACTS * n, "njmax": CONSTRAINTS * CONTACTS + model.njnt + 2 * model.nv}

@@ -1,4 +1,4 @@
-"""What is simulated of an own model: its files, what its controller is told, what is measured of it."""
+"""Settings of a MuJoCo model and its controller: files, observations and measurements."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +16,7 @@ from sweep.systems.mujoco_model import fields, files
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """What the configuration's `model` says."""
+    """The group `model` of a configuration."""
 
     mjcf: str = ""  # file, from the project's folder
     controller: str = ""  # module:function
@@ -37,7 +37,7 @@ class ModelConfig:
 
 @parameters
 class Settings(EngineSettings):
-    """How an own model is simulated: there is one engine more."""
+    """Engine settings of a MuJoCo model, with the additional engine `warp`."""
 
     name: str = choice("native", "native", "mjx", "warp")
 
@@ -56,7 +56,7 @@ class SideValues:
     values: tuple[tuple[str, Any], ...] = ()
 
     def select_group(self, root: str) -> dict[str, Any]:
-        """The values whose paths start with `root`."""
+        """Return the values whose paths start with `root`."""
         return {path: value for path, value in self.values if path.startswith(f"{root}.")}
 
 
@@ -70,31 +70,31 @@ class ModelSpec:
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """As MuJoCo compiles it, with the configuration's options."""
+        """The compiled model with the options of the configuration."""
         return fields.with_options(files.load_model(self.config.mjcf), dict(self.config.option))
 
     def load_source(self) -> mujoco.MjSpec:
-        """What the model is compiled from."""
+        """Load what the model is compiled from. Raises `InputError`."""
         return files.load_spec(self.config.mjcf)
 
     @cached_property
     def controller(self) -> files.Policy:
-        """What the controller's module says."""
+        """The loaded controller."""
         return files.load_controller(self.config.controller)
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
-        """The parameters of noise and controller, by path."""
+        """Fields of the noise and controller parameters, by path."""
         return NOISE | {f"controller.{name}": quantity(value, "") for name, value in self.controller.parameters.items()}
 
     @property
     def base_address(self) -> int | None:
-        """Place in `qpos` of the first free joint."""
+        """Index in `qpos` of the first free joint; None without one."""
         free = np.flatnonzero(self.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
         return int(self.model.jnt_qposadr[free[0]]) if len(free) else None
 
     def touch_sensors(self, key: str) -> list[int]:
-        """Numbers of the touch sensors that `feet` or `collisions` names. Raises `InputError`."""
+        """Return the ids of the touch sensors that `model.feet` or `model.collisions` lists. Raises `InputError`."""
         names, sensors = getattr(self.config, key), [*self.state_slices][2:]  # which follow qpos and qvel
         for name in names:
             require_choice(name, sensors, f"model.{key}: {name}")
@@ -104,19 +104,19 @@ class ModelSpec:
 
     @property
     def keyframe_index(self) -> int:
-        """Its number; -1 for the model's own pose. Raises `InputError`."""
+        """Index of the keyframe at which rollouts start; -1 for the model's default pose. Raises `InputError`."""
         names, name = [self.model.key(k).name for k in range(self.model.nkey)], self.config.keyframe
         if name:
             require_choice(name, names, f"model.keyframe = {name}")
         return names.index(name) if name else -1
 
     def observable_state(self, qpos: Any, qvel: Any, sensors: Any) -> Any:
-        """All that can be observed (n, s) without errors: see `parts`."""
+        """Concatenate positions, velocities and sensors to states (n, s) without noise, see `state_slices`."""
         return array_namespace(qpos).concatenate([qpos, qvel, sensors], axis=1)
 
     @cached_property
     def state_slices(self) -> dict[str, slice]:
-        """Where in that state are `qpos`, `qvel` and sensors by name."""
+        """Slices of the observable state: `qpos`, `qvel` and sensors by name."""
         model, first = self.model, self.model.nq + self.model.nv
         found = {"qpos": slice(0, model.nq), "qvel": slice(model.nq, first)}
         starts, sizes = first + model.sensor_adr, model.sensor_dim
@@ -124,18 +124,18 @@ class ModelSpec:
         return found | {name: slice(starts[k], starts[k] + sizes[k]) for k, name in named.items()}
 
     def split_state(self, state: Any) -> dict[str, Any]:
-        """The parts of one state (s,) by name."""
+        """Split one observable state (s,) into its parts by name."""
         return {name: state[place] for name, place in self.state_slices.items()}
 
     def observe_state(self, state: Any) -> Any:
-        """What one controller would be told (k,) without errors, of a state (s,)."""
+        """Return the observation (k,) of one controller without noise, from an observable state (s,)."""
         if self.controller.observe:
             return self.controller.observe(self.split_state(state))
         return array_namespace(state).concatenate([state[place] for place in self.observed_slices])
 
     @cached_property
     def observed_slices(self) -> list[slice]:
-        """What of the state is observed. Raises `InputError`."""
+        """Slices of the observable state that the controller observes. Raises `InputError`."""
         model, names = self.model, self.config.observe
         if names and self.controller.observe:
             raise InputError("model.observe is not allowed: the controller has a function `observe`")
@@ -145,17 +145,22 @@ class ModelSpec:
         return [self.state_slices[name] for name in names] or [usual]
 
     def believed_values(self, values: Values) -> dict[str, Any]:
-        """What the controller believes by its own names: its own numbers and the model's, `values` by path if given."""
+        """Return what the controller believes by its own names; `values` by path replace nominal ones."""
         paths = {**self.controller.believes, **{name: f"controller.{name}" for name in self.controller.parameters}}
         return {name: values[path] if path in values else self.nominal_value(path) for name, path in paths.items()}
 
     def nominal_value(self, path: str) -> Any:
-        """The nominal value of a parameter. Raises `InputError` where there is none."""
+        """Return the nominal value of a parameter path. Raises `InputError` where there is none."""
         numbers = dict(self.controller_values)
         return numbers[path] if path in numbers else fields.parameter(self.model, path).default
 
     def time_series_columns(self, qpos: np.ndarray, qvel: np.ndarray) -> dict[str, np.ndarray]:
-        """Columns of time histories, of positions (n, nq) and velocities (n, nv)."""
+        """Compute the columns of time series, (n,) each.
+
+        Args:
+            qpos: Positions (n, nq).
+            qvel: Velocities (n, nv).
+        """
         columns = {}
         if (at := self.base_address) is not None:
             columns = {f"base_{axis}_m": qpos[:, at + k] for k, axis in enumerate("xyz")}
