@@ -32,6 +32,7 @@ pa.set_memory_pool(pa.system_memory_pool())
 STUDY, LOG, LOCK = "study.yaml", "log.txt", ".lock"
 HISTORIES, LAST_STATES = manifest.HISTORIES, manifest.LAST_STATES
 FORMAT = 2  # of the folder
+JOINED = 16  # columns that are joined from all parts at once
 # of study.yaml, beside the format
 STUDY_KEYS = {"config": dict, "rollouts": int, "labels": str, "stages": dict, "devices": list, "code": str,
               "commit": str, "versions": dict}  # fmt: skip
@@ -325,14 +326,28 @@ def read_rows(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFram
         check_expansion(folder, total, size)
         tables.append(part)
         del part
-    # into pandas once, column by column: a million rows take seconds and little more memory than they need
-    table = pa.concat_tables(tables, promote_options="permissive")
-    tables.clear()  # which hold all columns
+    names = [*dict.fromkeys(name for one in tables for name in one.column_names)]
     if columns is not None:
-        if unknown := [name for name in columns if name not in table.column_names]:
+        if unknown := [name for name in columns if name not in names]:
             raise InputError(f"column {unknown[0]} is unknown in {folder}")
-        table = table.select(list(dict.fromkeys(columns)))
-    return table.to_pandas(self_destruct=True)
+        names = [*dict.fromkeys(columns)]
+    return _join_parts(tables, names)
+
+
+def _join_parts(tables: list[pa.Table], names: Sequence[str]) -> pd.DataFrame:
+    """Join tables to a table of pandas with columns `names`, in which few columns are in memory twice.
+
+    `tables` is emptied meanwhile.
+    """
+    frames = []
+    for first in range(0, len(names), JOINED):
+        some = names[first : first + JOINED]
+        parts = [one.select([name for name in some if name in one.column_names]) for one in tables]
+        frames.append(pa.concat_tables(parts, promote_options="permissive").select(some).to_pandas())
+        del parts
+        tables[:] = [one.drop_columns([name for name in some if name in one.column_names]) for one in tables]
+        pa.default_memory_pool().release_unused()
+    return pd.concat(frames, axis=1)
 
 
 def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
