@@ -70,7 +70,7 @@ METRIC = Metric(
         "energy_j": "positive work of the drives",
         **{f"torque_peak_{joint}_nm": f"largest torque of a {joint} joint" for joint in KINDS},
         **{f"saturation_share_{joint}": f"share of time at the torque limit of {joint} joints" for joint in KINDS},
-        "saturation_share_max": "largest of the three",
+        "saturation_share_max": "largest of the saturation shares of alpha, beta and gamma joints",
         "torque_reserve_min": "smallest value of 1 minus torque over limit, averaged over all legs and 50 ms, among "
         "alpha, beta and gamma joints",
         "turn_over_limit": "largest absolute alpha angle over drive.turn_limit",

@@ -21,7 +21,7 @@ METRIC = extremes(
     least_edge_distance,
     {
         "edge_reserve_min_m": "least distance of a loaded foot to an edge of its face, at most "
-        f"{AROUND:g} m or half of how thick it is there"
+        f"{AROUND:g} m or half the solid's thickness there"
     },
     applies=lambda case: not isinstance(case.obstacle, Plane),
     interval=0.02,

@@ -97,10 +97,10 @@ METRIC = Metric(
         "ride_height_min_m": "smallest height of the base over the centre of the body that it rides on",
         "obstacle_x_m": "final x coordinate of the body that the robot rides on, world axes",
         "obstacle_y_m": "final y coordinate of the body that the robot rides on, world axes",
-        "obstacle_aside_max_m": "the farthest that it was sideways of the x axis, or of the way that it is driven",
-        "obstacle_speed_mps": f"its mean speed in the {REST:g} s after the plan; of one that is left in motion, over "
-        f"the plan's last {TAIL:g} s",
-        "obstacle_speed_error_mps": "difference of that from the speed that the manoeuvre aims at, if not at rest",
+        "obstacle_aside_max_m": "largest lateral distance of the body that the robot rides on from its path",
+        "obstacle_speed_mps": f"mean speed of the body that the robot rides on in the {REST:g} s after the plan; of a "
+        f"body that is left in motion, over the plan's last {TAIL:g} s",
+        "obstacle_speed_error_mps": "difference of obstacle_speed_mps from the speed that the manoeuvre aims at",
     },
     (
         Cause(

@@ -26,7 +26,7 @@ METRIC = Metric(
     compute,
     {
         "imbalance_max": "largest part of the weight that planned forces leave unheld",
-        "infeasible_stage": "the stage in which they do",
+        "infeasible_stage": "number of the stage with the largest imbalance of planned forces",
     },
     (
         Cause(

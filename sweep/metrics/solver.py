@@ -76,7 +76,7 @@ METRIC = Metric(
         "finite": "whether energy and joints were finite throughout",
         "solver_residual_max_n": "largest force that the contact solver left unexplained",
         "solver_residual_over_weight": "largest unexplained contact force over the robot's weight",
-        "solver_unsettled_share": f"share of time in which more than {UNSETTLED:g} of the weight was left",
+        "solver_unsettled_share": f"share of time with an unexplained contact force above {UNSETTLED:g} of the weight",
         "energy_gain_max_j": "largest growth of mechanical energy beyond the drives' work",
         "energy_gain_ratio": "largest growth over the drives' positive work until then and the energy that "
         "lifts the robot by its length",

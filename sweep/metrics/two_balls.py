@@ -70,7 +70,7 @@ METRIC = Metric(
         "balls_apart_max_m": "largest distance between the balls during the transfer",
         "second_ball_x_m": "final x coordinate of the second ball, world axes",
         "second_ball_y_m": "final y coordinate of the second ball, world axes",
-        "second_ball_speed_mps": f"its mean speed in the {REST:g} s after the plan",
+        "second_ball_speed_mps": f"mean speed of the second ball in the {REST:g} s after the plan",
     },
     (goal_cause("the second ball ended faster than second_ball_speed_max_mps", "second_ball_speed_mps"),),
     applies=lambda case: isinstance(case.obstacle, TwoBalls),
