@@ -248,7 +248,12 @@ class Arrays:
         )
         done = set()
         for row in rows:
-            if (leg := self._leg(x.ravel()[row])) is not None and leg.leg and leg.op not in ("load", "gather"):
+            leg = self._leg(x.ravel()[row])
+            if (
+                leg is not None
+                and leg.leg
+                and (leg.op not in ("load", "gather") or leg.attribute(Address).region.place < 0)
+            ):
                 yield Store(region, int(row[0]), leg, int(row[1] - row[0]))
                 done.update(row.tolist())
         for k, node in enumerate(x.flat):

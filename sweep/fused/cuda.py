@@ -148,7 +148,7 @@ class GpuPrinter(Text):
     def _items(self, items: Iterable[Any]) -> None:
         for item in items:
             if isinstance(item, Node):
-                if item.op not in RECOMPUTED:
+                if item.op not in RECOMPUTED and item.op != "any_rollout":
                     self.names[item.number] = self._work(item)
             elif isinstance(item, Store):
                 self._stores([item])
@@ -288,7 +288,7 @@ class GpuPrinter(Text):
         self.counts[loop.body.depth] = count
         self._block(loop.body)
         self.emit(f"add i32 {count}, 1", following)
-        again = self.emit(f"icmp ult i32 {following}, {loop.length}")
+        again = self._uniform(loop.more) if loop.more else self.emit(f"icmp ult i32 {following}, {loop.length}")
         phis = [f"{count} = phi i32 [0, %{before}], [{following}, %{self.label}]"]
         for k, place in enumerate(moving):
             kind = TYPES[place[0].dtype]
@@ -320,6 +320,8 @@ class GpuPrinter(Text):
         Parts pass nothing on for warps whose rollouts are all over. Lanes of the next part's warps that read such a
         value from different warps could take different branches, and would wait for each other for ever.
         """
+        if node.op == "any_rollout":
+            return self._nvvm("vote.any.sync", "i1", EVERY, f"i1 {self.value(node.args[0])}")
         if node.op in RECOMPUTED or node.op == "count":
             return self.counts[node.attribute(LoopCount).depth] if node.op == "count" else self.value(node)
         args = [self._uniform(x) for x in node.args]

@@ -5,6 +5,7 @@ Calls, loops and branches are handled here. A primitive without a rule raises `U
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -67,8 +68,8 @@ class Interpreter(Arrays):
         if name in ALIAS and ALIAS[name] is None:
             return args
         args = [self.resolve_update(x) for x in args]
-        if name in ("scan", "cond"):
-            return getattr(self, name)(args, eqn)
+        if name in ("scan", "cond", "while"):
+            return getattr(self, f"_{name}")(args, eqn)
         if rule := MANY.get(name):
             return rule(args, eqn)
         if name in ELEMENTWISE or name in ALIAS:
@@ -96,7 +97,7 @@ class Interpreter(Arrays):
         traced = jax.make_jaxpr(function)(*shapes)
         return self.resolve_update(self.evaluate(traced.jaxpr, traced.consts, args)[0])
 
-    def scan(self, args: list[Array], eqn: Any) -> list[Array]:
+    def _scan(self, args: list[Array], eqn: Any) -> list[Array]:
         """A loop; a short one is unrolled."""
         closed, length = eqn.params["jaxpr"], eqn.params["length"]
         inner = closed.jaxpr
@@ -117,7 +118,8 @@ class Interpreter(Arrays):
         outside = len(self.program.blocks) - 1
         regions = [self._saved(x, outside + 1) for x in carry]
         tables = [self._saved(x, outside + 1) for x in xs]
-        with self.program.loop(length) as body:
+        with self.program.loop(length) as loop:
+            body = loop.body
             count = self.program.node("count", (), "int32", LoopCount(body.depth))
             state = [self.load_array(r, x.shape, body.depth) for r, x in zip(regions, carry, strict=True)]
             here = [self._looked_up(r, x.shape[1:], count) for r, x in zip(tables, xs, strict=True)]
@@ -125,6 +127,37 @@ class Interpreter(Arrays):
             for region, result in zip(regions, results, strict=True):
                 self.save(region, result, body.stores)
         return [self.load_array(r, x.shape, outside) for r, x in zip(regions, carry, strict=True)]
+
+    def _while(self, args: list[Array], eqn: Any) -> list[Array]:
+        """A loop that ends when no rollout of the warp or vector goes on; one that does not go on keeps its values.
+
+        The body runs at least once, which changes nothing for rollouts that do not want it.
+        """
+        params, n_cond, n_body = eqn.params, eqn.params["cond_nconsts"], eqn.params["body_nconsts"]
+        cond, body, carry = args[:n_cond], args[n_cond : n_cond + n_body], args[n_cond + n_body :]
+
+        def goes_on(state: list[Array]) -> Node:
+            (result,) = self._results(params["cond_jaxpr"], [*cond, *state])
+            return result[()]
+
+        outside = len(self.program.blocks) - 1
+        carry = [np.full((), goes_on(carry), object), *carry]
+        regions = [self._saved(x, outside + 1) for x in carry]
+        with self.program.loop(None) as loop:
+            flag, *state = (self.load_array(r, x.shape, loop.body.depth) for r, x in zip(regions, carry, strict=True))
+            new = self._select(flag[()], state, self._results(params["body_jaxpr"], [*body, *state]))
+            more = self.emit("and", "bool", flag[()], goes_on(new))
+            for region, result in zip(regions, [np.full((), more, object), *new], strict=True):
+                self.save(region, result, loop.body.stores)
+            loop.more = self.program.node("any_rollout", (more,), "bool")
+        return [self.load_array(r, x.shape, outside) for r, x in zip(regions[1:], carry[1:], strict=True)]
+
+    def _results(self, closed: Any, args: list[Array]) -> list[Array]:
+        return [self.resolve_update(x) for x in self.evaluate(closed.jaxpr, closed.consts, args)]
+
+    def _select(self, flag: Node, old: list[Array], new: list[Array]) -> list[Array]:
+        """The new values where the flag is set."""
+        return [self.choose(np.full(x.shape, flag, object), [y, x]) for y, x in zip(old, new, strict=True)]
 
     def _saved(self, x: Array, depth: int) -> Region | None:
         """Memory that holds `x` from here on."""
@@ -143,24 +176,45 @@ class Interpreter(Arrays):
     def _gathered(self, region: Region, index: int, place: Node) -> Node:
         return self.program.node("gather", (place,), region.dtype, Address(region, index, region.depth, 0), leg=False)
 
-    def cond(self, args: list[Array], eqn: Any) -> list[Array]:
+    def _cond(self, args: list[Array], eqn: Any) -> list[Array]:
         """One branch if all rollouts agree, else all branches, of which each rollout takes one."""
         branches, (index, *operands) = eqn.params["branches"], args
         which = index[()]
         if which.op == "const":
             branch = branches[int(constant_value(which))]
             return self.evaluate(branch.jaxpr, branch.consts, operands)
-        if not is_uniform(which):
-            each = [map(self.resolve_update, self.evaluate(b.jaxpr, b.consts, operands)) for b in branches]
-            return [self.choose(index, list(values)) for values in zip(*each, strict=True)]
-        depth = len(self.program.blocks) - 1
         shapes = [v.aval for v in eqn.outvars]
+        if is_uniform(which):
+            return self._branch(which, [partial(self.evaluate, b.jaxpr, b.consts, operands) for b in branches], shapes)
+        idle = next((k for k, b in enumerate(branches) if not b.jaxpr.eqns), None)
+        if len(branches) == 2 and idle is not None:
+            return self._skip(which, branches, operands, idle, shapes)
+        each = [self._results(b, operands) for b in branches]
+        return [self.choose(index, list(values)) for values in zip(*each, strict=True)]
+
+    def _skip(
+        self, which: Node, branches: Sequence[Any], operands: list[Array], idle: int, shapes: list[Any]
+    ) -> list[Array]:
+        """A choice between computing something and nothing, skipped where no rollout of the warp or vector computes."""
+        busy = self.emit("ne", "bool", which, self.program.const(idle, which.dtype))
+        unchanged = partial(self._results, branches[idle], operands)
+
+        def compute() -> list[Array]:
+            return self._select(busy, unchanged(), self._results(branches[1 - idle], operands))
+
+        anyone = self.program.node("any_rollout", (busy,), "bool")
+        return self._branch(anyone, [unchanged, compute], shapes, hoists=True)
+
+    def _branch(
+        self, which: Node, alternatives: Sequence[Callable[[], list]], shapes: list[Any], hoists: bool = False
+    ) -> list[Array]:
+        """Results of the alternative of number `which`, the same for all rollouts of a warp or vector."""
+        depth = len(self.program.blocks) - 1
         regions = [Region(math.prod(s.shape), s.dtype.name, depth) for s in shapes]
         blocks = []
-        for b in branches:
-            with self.program.branch() as block:
-                results = self.evaluate(b.jaxpr, b.consts, operands)
-                for region, result in zip(regions, results, strict=True):
+        for alternative in alternatives:
+            with self.program.branch(hoists) as block:
+                for region, result in zip(regions, alternative(), strict=True):
                     self.save(region, result, block.stores)
             blocks.append(block)
         self.program.add(Branch(which, blocks))
@@ -171,7 +225,8 @@ def _operations(jaxpr: Any) -> int:
     """Number of operations on whole arrays in a jaxpr, those of inner ones included."""
     total = 0
     for eqn in jaxpr.eqns:
-        inner = [v for v in eqn.params.values() if hasattr(v, "eqns") or hasattr(v, "jaxpr")]
+        inner = [*eqn.params.values(), *eqn.params.get("branches", ())]
+        inner = [v for v in inner if hasattr(v, "eqns") or hasattr(v, "jaxpr")]
         times = eqn.params.get("length", 1) if eqn.primitive.name == "scan" else 1
         total += times * sum(_operations(getattr(i, "jaxpr", i)) for i in inner) if inner else sum(
             max(1, math.prod(v.aval.shape)) for v in eqn.outvars)  # fmt: skip

@@ -222,7 +222,8 @@ def _operands(item: Any, needed: set[int] | None = None) -> list[Node]:
     """All operands of an item of a block, those inside a branch included; by default of all operations."""
     nodes = [x for x in (item, *items_inside(item)) if isinstance(x, Node) and (needed is None or x.number in needed)]
     stored = [x.value for x in items_inside(item) if isinstance(x, Store)]
-    return [*(arg for x in nodes for arg in x.args), *stored, *([item.index] if isinstance(item, Branch) else [])]
+    decisive = item.index if isinstance(item, Branch) else item.more if isinstance(item, Loop) else None
+    return [*(arg for x in nodes for arg in x.args), *stored, *([decisive] if decisive else [])]
 
 
 def _is_input(node: Node, block: Block) -> bool:
@@ -337,7 +338,8 @@ class ThreadPart:
         if isinstance(item, Store):
             return self._store(item)
         if isinstance(item, Loop):
-            return [Loop(item.length, self._block(item.body, needed))]
+            body = self._block(item.body, needed)
+            return [Loop(item.length, body, self.values_by_leg(item.more)[0] if item.more else None)]
         if isinstance(item, Branch):
             return [Branch(self.values_by_leg(item.index)[0], [self._block(block, needed) for block in item.blocks])]
         args = [self.values_by_leg(x) for x in item.args]

@@ -98,7 +98,11 @@ class CpuPrinter(Text):
         self._order(body)
         length = "%ticks" if loop.length is None else str(loop.length)
         self.emit(f"add i64 {count}, 1", following)
-        self.emit(f"icmp eq i64 {following}, {length}", f"%{name}_c")
+        if loop.more:
+            more = self.emit(f"extractelement {self.vector('bool')} {self.value(loop.more)}, i32 0")
+            self.emit(f"xor i1 {more}, true", f"%{name}_c")
+        else:
+            self.emit(f"icmp eq i64 {following}, {length}", f"%{name}_c")
         self.lines[at] = f"{count} = phi i64 [0, %{before}], [{following}, %{self.label}]"
         self.lines.append(f"br i1 %{name}_c, label %{name}_x, label %{name}")
         self.start_block(f"{name}_x")
@@ -106,7 +110,7 @@ class CpuPrinter(Text):
     def _branch(self, branch: Branch, orders: Sequence[Order]) -> None:
         self._fresh += 1
         name = f"B{self._fresh}"
-        index = self.value(branch.index)
+        index = self.value(branch.index)  # of all rollouts alike
         first = self.emit(f"extractelement {self.vector(branch.index.dtype)} {index}, i32 0")
         self.switch(TYPES[branch.index.dtype], first, name, len(orders))
         for k, one in enumerate(orders):
@@ -269,12 +273,25 @@ class CpuPrinter(Text):
                 return self.gather(node, args[0], at)
             case "part":
                 return self.part(node.args[0], node.attribute(LegIndex).leg)
+            case "any_rollout":
+                return self._any(args[0])
             case "count":
                 return self._whole(self.counts[node.attribute(LoopCount).depth])
             case "tick":
                 return self._whole(self.emit(f"add i64 {self.counts[1]}, %first"))
             case _:
                 return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
+
+    def _any(self, flags: str) -> str:
+        """In all lanes, whether a flag is set in any."""
+        if self.lanes == 1:
+            return flags
+        vector = self.vector("bool")
+        function = f"@llvm.vector.reduce.or.v{self.lanes}i1"
+        self.declared.add(f"declare i1 {function}({vector})")
+        found = self.emit(f"call i1 {function}({vector} {flags})")
+        one = self.emit(f"insertelement {vector} poison, i1 {found}, i32 0")
+        return self.emit(f"shufflevector {vector} {one}, {vector} poison, <{self.lanes} x i32> zeroinitializer")
 
     def _whole(self, number: str) -> str:
         short = self.emit(f"trunc i64 {number} to i32")

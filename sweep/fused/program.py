@@ -116,14 +116,16 @@ class Block:
     stores: list[Store] = field(default_factory=list)
     known: dict[Any, Node] = field(default_factory=dict)
     is_conditional: bool = False  # it may not run, so that no operation is moved out of it
+    hoists: bool = False  # of a conditional block: all the same, operations that a loop around it repeats are moved out
 
 
 @dataclass(eq=False)
 class Loop:
-    """A block that runs `length` times; None: as often as the caller asks."""
+    """A block that runs `length` times; None: as often as the caller asks, or with `more` as long as that holds."""
 
     length: int | None
     body: Block
+    more: Node | None = None  # of the body, the same for all rollouts of a warp or vector
 
 
 @dataclass(eq=False)
@@ -178,10 +180,9 @@ class Program:
             depth = max(depth, extra.depth)
         elif isinstance(extra, LoopCount):
             depth = extra.depth
-        for block in reversed(self.blocks):
-            if block.is_conditional and op != "const":
+        for block in self.blocks if op != "const" else ():
+            if block.is_conditional and not (block.hoists and depth < block.depth - 1):
                 depth = max(depth, block.depth)
-                break
         home = self.blocks[depth]
         made = Node(op, args, extra, dtype, leg, self._number, home)
         self._number += 1
@@ -199,18 +200,18 @@ class Program:
         return self.node("const", (), dtype, Const((_bits(value, dtype),)))
 
     @contextmanager
-    def loop(self, length: int | None) -> Iterator[Block]:
+    def loop(self, length: int | None) -> Iterator[Loop]:
         """Context in which the current block is the body of a new loop."""
-        body = Block(len(self.blocks))
-        self.blocks.append(body)
-        yield body
+        loop = Loop(length, Block(len(self.blocks)))
+        self.blocks.append(loop.body)
+        yield loop
         self.blocks.pop()
-        self.blocks[-1].items.append(Loop(length, body))
+        self.blocks[-1].items.append(loop)
 
     @contextmanager
-    def branch(self) -> Iterator[Block]:
+    def branch(self, hoists: bool = False) -> Iterator[Block]:
         """Context in which the current block is one that may not run."""
-        block = Block(len(self.blocks), is_conditional=True)
+        block = Block(len(self.blocks), is_conditional=True, hoists=hoists)
         self.blocks.append(block)
         yield block
         self.blocks.pop()

@@ -116,6 +116,8 @@ def _roots(block: Block) -> Iterator[Node]:
                 yield item.row
         elif isinstance(item, Branch):
             yield item.index
+        elif isinstance(item, Loop) and item.more:
+            yield item.more
 
 
 def assign_slots(top: Order) -> Slots:

@@ -86,12 +86,12 @@ def trace_program(
     interpreter = Interpreter(program)
     regions = [[Region(x.size, x.dtype, depth, x.place, told) for x in leaves]
                for leaves, depth, told in ((constant, 0, False), (moving, 1, False), (recorded, 1, True))]  # fmt: skip
-    with program.loop(None) as body:
+    with program.loop(None) as loop:
         tick = np.full((), program.node("tick", (), "int32", LoopCount(1)), object)
         inputs = [interpreter.load_array(region, leaf.shape, region.depth)
                   for group, leaves in zip(regions[:2], (constant, moving), strict=True)
                   for region, leaf in zip(group, leaves, strict=True)]  # fmt: skip
         results = interpreter.evaluate(jaxpr.jaxpr, jaxpr.consts, [*inputs, tick])
         for region, value in zip((*regions[1], *regions[2]), results, strict=True):
-            interpreter.save(region, value, body.stores)
+            interpreter.save(region, value, loop.body.stores)
     return Traced(program.top, constant, moving, dict(zip(names, recorded, strict=True)))

@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 
 from sweep.fused import kernel, llvm
 from sweep.fused.arrays import Unsupported
-from sweep.fused.program import Node, walk_block
+from sweep.fused.program import Branch, Node, walk_block
 
 PAGE = Path(__file__).parents[2] / "docs/compiler.md"
 WIDTH = 5
@@ -263,6 +264,46 @@ def test_places_that_depend_on_the_rollout_and_loops():
     fused, xla = both(walked, some(5, 6), index)
     for name, values in fused.items():
         np.testing.assert_allclose(values, xla[name], rtol=1e-5, atol=1e-5, err_msg=name)
+
+
+def cube_root(form, x):
+    """By Newton's method, as exactly as single precision allows: the root, and how many iterations were needed."""
+
+    def improve(y, n):
+        return y - (y**3 - jnp.sqrt(x * x)) / (3 * y * y), n + 1
+
+    def wants_more(y):
+        return jnp.abs(y**3 - x) > 1e-4 * x
+
+    def iterate(carry, _):
+        return jax.lax.cond(wants_more(carry[0]), lambda: improve(*carry), lambda: carry), None
+
+    start = jnp.ones(()), jnp.zeros(())
+    if form == "while":
+        y, n = jax.lax.while_loop(lambda carry: wants_more(carry[0]), lambda carry: improve(*carry), start)
+    else:
+        y, n = jax.lax.scan(iterate, start, length=400)[0]
+    return {"y": y, "n": n}
+
+
+@pytest.mark.parametrize("form", ["cond", "while"])
+def test_what_no_rollout_needs_is_skipped_and_changes_nothing_where_another_needs_it(form):
+    x = jnp.array([1.0, 8.0, 1e3, 0.5, 64.0], jnp.float32)
+    fused, xla = both(partial(cube_root, form), x)
+    assert len(set(fused["n"].tolist())) > 3
+    np.testing.assert_array_equal(fused["n"], xla["n"])
+    np.testing.assert_allclose(fused["y"], np.cbrt(x), rtol=1e-4)
+    for row, alone in zip(fused["y"], x, strict=True):  # the rollouts beside it make no difference
+        assert both(partial(cube_root, form), jnp.full(WIDTH, alone))[0]["y"][0] == row
+
+
+def test_what_may_be_skipped_stands_in_a_branch_but_for_what_the_loop_repeats():
+    one = jax.ShapeDtypeStruct((), jnp.float32)
+    program, _ = kernel.print_program(lambda x, carried, k: (carried, cube_root("cond", x)), one, jnp.zeros(()), 6)
+    (branch,) = (x for x in walk_block(program.top) if isinstance(x, Branch))
+    idle, busy = branch.blocks
+    assert [x for x in walk_block(idle) if isinstance(x, Node)] == []
+    assert [x.op for x in walk_block(busy) if isinstance(x, Node) and x.op in ("div", "sqrt")] == ["div"]
 
 
 def test_what_is_carried_keeps_its_shapes_or_is_refused():
