@@ -17,7 +17,7 @@ from jaxtyping import Array
 from sweep.core.parameters import parameters, quantity
 from sweep.core.vectors import Vector
 from sweep.dynamics import contacts, free_bodies, step, tree
-from sweep.dynamics.spatial import Motion, SpatialVector
+from sweep.dynamics.spatial import SpatialVector
 from sweep.models.case import Case
 from sweep.models.contact import Contact
 from sweep.models.obstacles.kerb import Kerb
@@ -104,13 +104,13 @@ def broken_bounds(results: Errors) -> dict[str, float]:
 
 def _patches() -> Iterator[Any]:
     """Of what is traced, so that a step has the fault that its obstacle says."""
-    now: dict[str, Any] = {}  # of the step that is being traced: its fault, and the velocity that it begins with
+    now: dict[str, Any] = {}  # of the step that is being traced: its fault
     right = {
         name: getattr(owner, name)
         for owner, name in (
             (simulation, "step"), (step, "contact_forces"), (contacts, "update_anchors"),
             (contacts.ContactSet, "root_wrenches"), (tree, "tree_terms"), (free_bodies, "bias_wrench"),
-            (step._Problem, "trial"), (step._Problem, "improve"),
+            (step._Problem, "_improve"),
         )
     }  # fmt: skip
 
@@ -157,20 +157,16 @@ def _patches() -> Iterator[Any]:
         found = right["bias_wrench"](*of)
         return found._replace(angular=unless("no Coriolis force of free bodies", 0.0) * found.angular)
 
-    def trial(self: Any, w: Motion) -> Any:
-        now.setdefault("begins", w)  # what the first is asked for
-        return right["trial"](self, w)
-
-    def improve(self: Any, before: Any) -> Any:
-        """Nothing after the first improvement, which has left the velocity that the step begins with."""
-        pairs = zip(jax.tree.leaves(before.motion), jax.tree.leaves(now["begins"]), strict=True)
-        late = has("one iteration") & jnp.any(jnp.stack([jnp.any(a != b) for a, b in pairs]))
-        return jax.tree.map(lambda a, b: jnp.where(late, a, b), before, right["improve"](self, before))
+    def improve(self: Any, before: Any, enough: Array) -> Any:
+        """Nothing after the first iteration but to count."""
+        late = has("one iteration") & (before.number > 0)
+        after = right["_improve"](self, before, enough)
+        return jax.tree.map(lambda a, b: jnp.where(late, a, b), before._replace(number=after.number), after)
 
     wrong = (
         (simulation, "step", told), (step, "contact_forces", forces), (contacts, "update_anchors", anchors),
         (contacts.ContactSet, "root_wrenches", onto), (tree, "tree_terms", terms), (free_bodies, "bias_wrench", bias),
-        (step._Problem, "trial", trial), (step._Problem, "improve", improve),
+        (step._Problem, "_improve", improve),
     )  # fmt: skip
     for owner, name, function in wrong:
         yield mock.patch.object(owner, name, function)

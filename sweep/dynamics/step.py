@@ -1,8 +1,8 @@
 """One physics step: clamped drives (1.2.1) and contact (1.2.2), implicit, on the smooth dynamics.
 
 The end velocity w solves M0 w = b0 + h (contact forces + clamped drive torques), both at w. Every Newton iteration
-decides anew which feet are loaded, which slip and which drives saturate; of a few step lengths the one with the least
-residual is taken, which is what carries it across those switches.
+decides anew which feet are loaded, which slip and which drives saturate. Where a whole Newton step does not converge,
+the step length with the least residual is taken out of a few, which is what carries it across those switches.
 
 All is in the axes of the base at the start of the step, by components. Momentum and the velocities of contact points
 are linear in the end velocity, so they are formed once for all step lengths.
@@ -49,10 +49,10 @@ from sweep.models.drive import Servo
 from sweep.models.legs import N_LEGS
 from sweep.models.obstacles.surface import BodyPoses
 
-STEP_LENGTHS = (1.0, 0.5, 0.2)
-# and with free bodies: at a limit a drive's stiffness is not in the slope, and longer steps go on past its other limit;
-# on fixed ground nothing is known to need it, and a walk would take 6 % longer
-SHORTER = (0.1,)
+# shorter steps along Newton's direction: at a limit a drive's stiffness is not in the slope, and a longer step goes on
+# past its other limit
+SHORTER_STEPS = (0.5, 0.2, 0.1)
+CONVERGED = 100  # roundings of the robot's weight times the step: what a converged step leaves unexplained at most
 
 
 class PhysicsState(NamedTuple):
@@ -162,8 +162,7 @@ def step(
         error,
         h,
     )
-    # a loop, not written out: every operation more takes time to compile
-    trial, _ = jax.lax.scan(lambda s, _: (problem.improve(s), None), problem.trial(v), length=iterations)
+    trial = problem.solve(v, iterations)
     w, acting = trial.motion, problem.acting(trial)
     world = tuple(motion.rotate(turned) for motion in w.root)  # of the root bodies
     torque = map_joints(lambda u, rate: u - case.drive.back_emf * rate, acting.effort, w.leg)
@@ -303,6 +302,14 @@ class _Trial(NamedTuple):
     turning: Vector | None  # of sites that roll
 
 
+class _Iterate(NamedTuple):
+    """An end velocity, and how far it is from a solution."""
+
+    trial: _Trial
+    cost: Array  # () J, see `_Problem._cost`
+    number: Array  # () int32, of the iteration
+
+
 class _ActingForces(NamedTuple):
     """Forces that act at a trial end velocity."""
 
@@ -370,17 +377,38 @@ class _Problem(NamedTuple):
         )
         return Motion(tuple(root), legs)
 
-    def improve(self, trial: _Trial) -> _Trial:
-        """One Newton iteration, with the best of the fixed step lengths."""
+    def solve(self, v: Motion, iterations: int) -> _Trial:
+        """The end velocity by Newton's method, from the velocity `v` at the start of the step.
+
+        Most steps converge in one iteration, and few need more than three. The loop ends when no rollout beside this
+        one needs another; one that has converged stays as it is.
+        """
+        rounding = CONVERGED * float(jnp.finfo(v.leg[0].dtype).eps)
+        enough = (rounding * GRAVITY * self.h) ** 2 * self.mass.root[0].mass[0]
+        first = _Iterate(self.trial(v), jnp.full_like(enough, jnp.inf), jnp.zeros((), jnp.int32))
+        return jax.lax.while_loop(
+            lambda now: (now.cost > enough) & (now.number < iterations), lambda now: self._improve(now, enough), first
+        ).trial
+
+    def _improve(self, now: _Iterate, enough: Array) -> _Iterate:
+        """One Newton iteration: the whole step, or where that does not converge the best of some step lengths."""
+        trial, number = now.trial, now.number + 1
         acting = self.acting(trial)
-        way = self.trial(self._newton(acting, self.residual(trial, acting)))
-        lengths = STEP_LENGTHS + SHORTER * (len(trial.motion.root) > 1)
-        tried = add_scaled(trial, jnp.asarray(lengths, trial.motion.leg[0].dtype)[:, None], way)
-        costs = self._cost(self.residual(tried, self.acting(tried)))
-        best, length = costs[0], jnp.full_like(costs[0], lengths[0])
-        for cost, shorter in zip(costs[1:], lengths[1:], strict=True):
-            best, length = jnp.where(cost < best, cost, best), jnp.where(cost < best, shorter, length)
-        return add_scaled(trial, length, way)
+        direction = self.trial(self._newton(acting, self.residual(trial, acting)))
+        whole = jax.tree.map(add, trial, direction)
+        cost = self._cost(self.residual(whole, self.acting(whole)))[0]
+
+        def shorten() -> _Iterate:
+            lengths = jnp.asarray(SHORTER_STEPS, cost.dtype)
+            tried = add_scaled(trial, lengths[:, None], direction)
+            costs = self._cost(self.residual(tried, self.acting(tried)))[:, 0]
+            best, length = cost, jnp.ones_like(cost)
+            for k in range(len(SHORTER_STEPS)):
+                better = costs[k] < best
+                best, length = jnp.where(better, costs[k], best), jnp.where(better, lengths[k], length)
+            return _Iterate(add_scaled(trial, length, direction), best, number)
+
+        return jax.lax.cond(cost > enough, shorten, lambda: _Iterate(whole, cost, number))
 
     def _cost(self, left: Motion) -> Array:
         """Norm of the residual, weighted with the inverse masses."""

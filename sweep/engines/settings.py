@@ -22,7 +22,7 @@ class EngineSettings:
     compiler: str = choice("auto", "auto", "xla", "fused")
     # between two commands of the controller: a whole number of physics steps
     control_period: float = quantity(4e-3, "s", above=0, at_most=0.05)
-    iterations: int = count(2, at_least=1, at_most=20)  # Newton iterations of the implicit contact step
+    iterations: int = count(8, at_least=1, at_most=20)  # Newton iterations of a contact step, at most
     precision: str = choice("float32", "float32", "float64")  # of all numbers in mjx and in the controller
     width: int = count(0, at_most=1 << 24)  # rollouts in a batch; 0 selects the device's best
     solid: bool = flag(False)  # base and links collide with the obstacle and each other; native only
