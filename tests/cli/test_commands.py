@@ -287,7 +287,7 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
             ["table", results, "--where", "outcome == failure"],
             'failure is unknown (a word is written in quotes: "failure")',
         ),
-        (["table", results, "--where", "not friction"], "cannot be computed: it mixes words and numbers"),
+        (["table", results, "--where", "not friction"], "where = 'not friction' is not a condition"),
         (["replay", results, "99"], "99 is not a point of results/walk_map: give a row from 0 to 3"),
         (["relabel", results, "slip_max<1"], "outcome.slip_max is unknown: did you mean slip_max_m"),
         (["relabel", results, "slip_max_m<1", "slip_max_m<2"], "given twice: slip_max_m<1 slip_max_m<2"),
