@@ -75,8 +75,9 @@ class ControllerPrograms:
         """Controls (nu,) of one rollout, or what it is told (k,), and what it carries on, after a state (s,)."""
         tick, seen = carried["tick"], self._own.observe_state(now)
         own, noise = jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 2 + tick))
-        late = jnp.concatenate([seen[None], carried["late"][:-1]])
-        told = late[given["delay"]] + carried["bias"] + given["white"] * _draw_normal(noise, seen)
+        length = self._own.delay_buffer + 1  # of a ring, in which only one row is written in a tick
+        late = carried["late"].at[tick % length].set(seen)
+        told = late[(tick - given["delay"]) % length] + carried["bias"] + given["white"] * _draw_normal(noise, seen)
         ctrl, state = self._policy(given["belief"], told, carried["state"], own)
         new = {"late": late, "tick": tick + 1, "sofar": self._measured(carried, now)}
         return ctrl, {**carried, **new, "state": _freeze_ended(tick < carried["ticks"], state, carried["state"])}
