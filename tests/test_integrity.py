@@ -151,7 +151,7 @@ def test_a_killed_relabelling_changes_all_rows_or_none(folder, whole, monkeypatc
             (store, "write_part"),
             (store, "write_study"),
             (repair, "remove_parts"),
-            (runner, "experiment"),
+            (runner, "build_experiment"),
         ):
             patch.setattr(module, name, killed(getattr(module, name)))
         done = main(["relabel", str(folder), "slip_max_m<0.01"]) == 0
