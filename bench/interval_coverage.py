@@ -279,10 +279,10 @@ def _cases() -> Iterable[Case]:
     yield Case("monte_carlo", failing.failure_shares, "shares in failing", "256 draws", share_hits, {})
     first, total = ("first", "first_error"), ("total", "total_error")
     for metric, what, truths in ((False, "success", HALF), (True, "a metric", sobol_g_indices())):
-        settings = {"method": sensitivity.sobol_indices, "kind": "saltelli", "num": 64, "metric": metric}
+        settings = {"method": sensitivity.sobol_indices, "kind": "saltelli", "num": 128, "metric": metric}
         more = {"columns": (first, total), "truths": truths}
         yield Case(
-            "saltelli", sensitivity.sobol_indices, "Sobol indices", f"64 blocks, {what}", index_hits, settings | more
+            "saltelli", sensitivity.sobol_indices, "Sobol indices", f"128 blocks, {what}", index_hits, settings | more
         )
         for kind in ("monte_carlo", "latin_hypercube", "sobol"):
             settings = {"method": screening.rbd_fast_indices, "kind": kind, "num": 128, "metric": metric}

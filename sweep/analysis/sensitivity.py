@@ -23,7 +23,7 @@ from sweep.study.config import Experiment
 from sweep.study.designs import INNER, LEVELS, Axis, unit_draws
 
 PERMUTATIONS, PERMUTED = (199, 999), 100_000_000  # of draws, fewer where there are many rows; numbers permuted in all
-MIN_BLOCKS, MIN_RARER = 64, 30  # blocks, and draws of the rarer outcome, below which errors of indices do not hold
+MIN_BLOCKS, MIN_RARER = 128, 30  # blocks, and draws of the rarer outcome, below which errors of indices do not hold
 MIN_PATHS = 20  # of a Morris design, below which the errors of a metric's effects do not hold
 STEP = LEVELS / (2 * (LEVELS - 1))  # of an axis in a path of a Morris design, as a share of its range
 GOODNESS_TRIALS = 10  # at every value, for a test of how well a fit follows the rates
