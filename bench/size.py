@@ -67,7 +67,7 @@ def make_folder(folder: Path, number: int) -> None:
             measured = {c: table[c].to_numpy() for c in metric_columns(table)}
             labels = exp.system.judge(measured, exp.thresholds, tuple(stages))
             done = pd.concat([rows, table, pd.DataFrame(labels)], axis=1).assign(wall_s=1e-4)
-            manifest.add(folder, store.write_part(folder, done, job.study, job.labels))
+            manifest.add(folder, store.write_part(folder, done, job.study_digest, job.labels_digest))
 
 
 def measure(command: list[str], place: Path) -> list[str]:
