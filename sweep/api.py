@@ -89,7 +89,7 @@ class Page:
 
 @pd.api.extensions.register_dataframe_accessor("sweep")
 class Accessor:
-    """`rows.sweep`: pictures of the rows that `load` or `run` gave, all or chosen ones, and their rollouts again."""
+    """Methods of `rows.sweep`: draw figures of rows that `load` or `run` returned, and simulate their rollouts again."""
 
     def __init__(self, rows: pd.DataFrame):
         if "folder" not in rows.attrs:

@@ -43,7 +43,7 @@ PLAIN = ("monte_carlo", "latin_hypercube", "sobol")  # designs whose draws follo
 
 
 def independent_unit(study: Study) -> Unit:
-    """Return the independent unit of a study."""
+    """Return which rows of a study count as one independent draw: a row, a scramble, a trajectory, a pair, or none."""
     if study.points or not study.design.num:
         return Unit.REPLICATE if study.replicates > 1 else Unit.NONE
     if study.design.kind == "sobol" and study.design.scrambles == 1:

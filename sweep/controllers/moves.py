@@ -216,7 +216,7 @@ def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"]
 def part_stages(
     part: str, context: MoveContext, standing: Standing, prefix: str | None = None
 ) -> tuple[list[Stage], Standing]:
-    """Return the stages of a part's moves, and the `Standing` after them.
+    """Return the stages of one part of a plan, and where the robot stands after them.
 
     Args:
         part: name of the part.

@@ -52,7 +52,7 @@ def servo(
 
 
 class ServoDelay(NamedTuple):
-    """The longest delay, and how fast the joint swings at it."""
+    """Longest delay of a servo's feedback at which its joint is stable, and the frequency at which it oscillates there."""
 
     delay: Annotated[Float[Array, "..."], "s"]
     omega: Annotated[Float[Array, "..."], "rad/s"]

@@ -24,7 +24,7 @@ ALIAS = frozenset(("stop_gradient", "copy", "optimization_barrier", "random_wrap
 
 
 class Operation(NamedTuple):
-    """An operation on numbered values."""
+    """One operation of a program: the numbers of its operands and of its results in the list of values."""
 
     rule: Callable[..., Any] | str  # or the name of an external function
     reads: tuple[int, ...]
@@ -152,7 +152,7 @@ class Writer:
         self._there: dict[Any, tuple[int, ...]] = {}
 
     def new(self) -> int:
-        """Number for another value."""
+        """Return the number of a new value."""
         self._size += 1
         return self._size - 1
 

@@ -17,7 +17,7 @@ GROUP = 6  # the robot's legs
 
 
 class Leaf(NamedTuple):
-    """Place of an array in a rollout's memory: its first number; the others follow in order."""
+    """Where an array lies in a rollout's memory: the offset of its first element; the others follow in order."""
 
     place: int
     shape: tuple[int, ...]

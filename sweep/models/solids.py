@@ -190,7 +190,7 @@ class _Convex(ABC):
         return offset if self.rotation is None else offset @ self.rotation
 
     def segment_distance(self, a: Array, b: Array) -> Array:
-        """Distance of points along the segment, or of separating planes where they overlap, see `Solid`."""
+        """Return signed distances (m) to the segments from `a` to `b`; a negative one is a depth of overlap."""
         a, b = self.to_solid_frame(a), self.to_solid_frame(b)
         at, apart = minimize_along(self.signed_distance, a, b)
         along = (b - a) / _length(b - a)[:, None]

@@ -351,7 +351,7 @@ def _join_parts(tables: list[pa.Table], names: Sequence[str]) -> pd.DataFrame:
 
 
 def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
-    """Yield finished rows part by part, in the order of their batches, also while a run puts parts together.
+    """Yield finished rows part by part, in the order of their batches. A run may merge parts meanwhile.
 
     Args:
         folder: Results folder of a study.

@@ -36,7 +36,7 @@ END_OFFSET = 1e-3
 
 
 class PlayedPlan(NamedTuple):
-    """Result of playing a plan, by tick."""
+    """Poses and speeds of a plan on a ball, computed by kinematics alone, one entry a tick."""
 
     stage: Int[Array, " t"]
     margins: Margins

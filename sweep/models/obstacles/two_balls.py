@@ -32,7 +32,7 @@ def base_above_ball(
 
 @parameters
 class TwoBalls(Ball):
-    """Balls of 400 kg and 0.8 a_r; at the start the first one rests, or rolls, at the origin."""
+    """Two balls of 400 kg, each with a radius of 0.8 body lengths. The first one rests or rolls at the origin at the start."""
 
     charts: ClassVar = {
         **Ball.charts,

@@ -71,7 +71,7 @@ class MetricAccumulator:
 
     @np.errstate(invalid="ignore", over="ignore")
     def update(self, sofar: Tree, steps: Tree, limits: Tree, going: Any) -> Tree:
-        """After a tick: `steps` (n, s, ...) recorded at every physics step, and which of them are `unsolved`.
+        """Add one tick to the running metrics.
 
         Rollouts that are not `going` (n,) are over. `limits` are the models' own: `actuator_forcerange`, `jnt_range`,
         (n, ..., 2).

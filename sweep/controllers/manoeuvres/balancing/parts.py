@@ -70,7 +70,7 @@ class DriveUntil(ABC):
         return self.drive_law(belief, ctx.obs.free).guide(belief, ctx, state)
 
     def drive_law(self, belief: Case, free: FreeState) -> Guided:
-        """Return the drive, with the place that it goes to."""
+        """Return the law by which the robot drives the ball, with the position at which it stops."""
         return self.drive
 
     @abstractmethod
