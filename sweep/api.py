@@ -89,7 +89,7 @@ class Page:
 
 @pd.api.extensions.register_dataframe_accessor("sweep")
 class Accessor:
-    """Methods of `rows.sweep`: draw figures of rows that `load` or `run` returned, and simulate their rollouts again."""
+    """Methods of `rows.sweep`: draw figures of rows, and simulate their rollouts again."""
 
     def __init__(self, rows: pd.DataFrame):
         if "folder" not in rows.attrs:

@@ -42,7 +42,7 @@ def judge_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame
     """
     if not expectations:
         return []
-    weights = rare.draw_and_failure_weights(rows, exp)[0] if exp.study.is_adaptive else np.ones(len(rows))
+    weights = rare.weights_of_draws_and_failures(rows, exp)[0] if exp.study.is_adaptive else np.ones(len(rows))
     rows = rows.reset_index(drop=True)
     valid = rows[rows["outcome"] != "invalid"]
     return [_judge(one, valid, weights[valid.index], exp) for one in expectations]

@@ -15,7 +15,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from sweep.analysis.intervals import CONFIDENCE
-from sweep.analysis.rare import draw_and_failure_weights
+from sweep.analysis.rare import weights_of_draws_and_failures
 from sweep.analysis.sample import choose_indices
 from sweep.analysis.sampling_units import PLAIN, draw_numbers
 from sweep.analysis.sensitivity import drawn_axes, listed_axes
@@ -98,7 +98,7 @@ def _kernel(values: pd.Series, plain: np.ndarray, at: np.ndarray) -> Float[np.nd
 def _weighted(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
     """Return the weight of each row (n,) as a plain draw, and as a failure."""
     if exp.study.is_adaptive:
-        return draw_and_failure_weights(rows, exp)
+        return weights_of_draws_and_failures(rows, exp)
     return np.ones(len(rows)), (rows["outcome"] != "success").to_numpy(dtype=float)
 
 

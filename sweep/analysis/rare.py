@@ -191,7 +191,7 @@ def failure_modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
         failure.
     """
     axes = [axis for axis in exp.study.axes if pd.api.types.is_numeric_dtype(rows[axis.column])]
-    x, (plain, failing) = rows[[axis.column for axis in axes]].to_numpy(float), draw_and_failure_weights(rows, exp)
+    x, (plain, failing) = rows[[axis.column for axis in axes]].to_numpy(float), weights_of_draws_and_failures(rows, exp)
     here = np.flatnonzero(failing > 0)
     if not len(here):
         return pd.DataFrame()
@@ -217,7 +217,7 @@ def failure_modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     return pd.DataFrame(table).sort_values("share", ascending=False, ignore_index=True)
 
 
-def draw_and_failure_weights(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
+def weights_of_draws_and_failures(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
     """Return the weight of each row as a plain draw (n,), and as a failure (n,).
 
     The weights of failures sum to the failure probability, up to a factor.

@@ -204,7 +204,7 @@ def draw_report(args: argparse.Namespace) -> int:
         raise InputError(f"--replays = {args.replays} is not allowed: at least 0")
     found, folder = results.read(args.dir, args.where), args.output or args.dir
     if args.b:
-        return draw_pairs(args, found, folder)
+        return write_pairs_page(args, found, folder)
     columns = tuple(column(found.rows, name) for name in (args.x, args.y) if name)
     if columns:
         maps.map_axes(found.rows, columns)  # refuses before anything is written
@@ -220,7 +220,7 @@ def draw_report(args: argparse.Namespace) -> int:
     return DONE
 
 
-def draw_pairs(args: argparse.Namespace, a: "Results", folder: Path) -> int:
+def write_pairs_page(args: argparse.Namespace, a: "Results", folder: Path) -> int:
     """Write the page that compares two folders."""
     from sweep.analysis import compare
     from sweep.core.progress import show_counts

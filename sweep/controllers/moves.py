@@ -83,7 +83,7 @@ class Footing(NamedTuple):
     place: Place | None = None  # place in a chart, if the file names one
 
 
-class Standing(NamedTuple):
+class StandingState(NamedTuple):
     """Feet and base of the robot between two moves."""
 
     feet: Mapping[int, Footing]  # by leg
@@ -91,15 +91,15 @@ class Standing(NamedTuple):
     frame: int = WORLD  # of the base
 
 
-def make_standing(feet: Feet, pitch: Number, frame: int = WORLD) -> Standing:
-    """Return the `Standing` of a robot on footholds that are not given in a chart.
+def make_standing(feet: Feet, pitch: Number, frame: int = WORLD) -> StandingState:
+    """Return the `StandingState` of a robot on footholds that are not given in a chart.
 
     Args:
         feet: leg number -> foothold (m).
         pitch: of the base (rad), nose up.
         frame: frame of all feet and the base.
     """
-    return Standing({leg: Footing(point, frame, frame) for leg, point in feet.items()}, pitch, frame)
+    return StandingState({leg: Footing(point, frame, frame) for leg, point in feet.items()}, pitch, frame)
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ class MoveContext:
         return level + up * np.array([0.0, 0.0, 1.0])
 
 
-def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"], Float[Array, " 3"], Standing]:
+def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"], Float[Array, " 3"], StandingState]:
     """Return feet and base at the start, from a part of the file that places the robot.
 
     Args:
@@ -208,14 +208,14 @@ def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"]
     feet = {leg: context.foot(leg, place or {}, f"{move.path}.{group}", move.depth)
             for group, place in move.feet.items() for leg in GROUPS[group]}  # fmt: skip
     position, pitch, chart = context.base(move.base, f"{move.path}.base")
-    standing = Standing(feet, 0.0 if pitch is None else pitch, chart.frame)
+    standing = StandingState(feet, 0.0 if pitch is None else pitch, chart.frame)
     world = jnp.stack([foot_in_frame(context.belief, feet[leg], WORLD) for leg in LEGS])
     return world, foot_in_frame(context.belief, Footing(position, chart.frame), WORLD), standing
 
 
 def part_stages(
-    part: str, context: MoveContext, standing: Standing, prefix: str | None = None
-) -> tuple[list[Stage], Standing]:
+    part: str, context: MoveContext, standing: StandingState, prefix: str | None = None
+) -> tuple[list[Stage], StandingState]:
     """Return the stages of one part of a plan, and where the robot stands after them.
 
     Args:
@@ -231,9 +231,9 @@ def part_stages(
 
 
 def move_stages(
-    moves: Mapping[str, Move], context: MoveContext, standing: Standing, prefix: str
-) -> tuple[list[Stage], Standing]:
-    """Return the stages of moves, and the `Standing` after them.
+    moves: Mapping[str, Move], context: MoveContext, standing: StandingState, prefix: str
+) -> tuple[list[Stage], StandingState]:
+    """Return the stages of moves, and the `StandingState` after them.
 
     Args:
         moves: moves by name.
@@ -251,7 +251,7 @@ def move_stages(
     return stages, standing
 
 
-def _move_stage(name: str, move: Move, context: MoveContext, standing: Standing) -> tuple[Stage, Standing]:
+def _move_stage(name: str, move: Move, context: MoveContext, standing: StandingState) -> tuple[Stage, StandingState]:
     feet, frames, swing, guides = (
         dict(standing.feet),
         {leg: foot.stance_frame for leg, foot in standing.feet.items()},
@@ -299,7 +299,7 @@ def _move_stage(name: str, move: Move, context: MoveContext, standing: Standing)
         stage, position=position, turn=None if turn is None else turn * context.left, pivot=pivot, arc=arc,
         base_frame=chart.frame,
     )  # fmt: skip
-    return stage, Standing(feet, standing.pitch if pitch is None else pitch, chart.frame)
+    return stage, StandingState(feet, standing.pitch if pitch is None else pitch, chart.frame)
 
 
 def foot_in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]:

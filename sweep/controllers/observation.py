@@ -202,7 +202,7 @@ def with_contact_detection(control: Control, noise: Noise, obs: Observation) -> 
     return obs._replace(loaded=obs.load > control.load_threshold + doubt, maybe_loaded=perhaps)
 
 
-def load_delay_s(noise: Noise, period: float) -> Array | float:
+def foot_load_delay_s(noise: Noise, period: float) -> Array | float:
     """Return the delay (s) of measured foot loads relative to measured positions.
 
     Args:

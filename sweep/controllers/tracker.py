@@ -14,7 +14,7 @@ from sweep.controllers.observation import (
     BodyObserver,
     Observation,
     filter_body_pose,
-    load_delay_s,
+    foot_load_delay_s,
     touchdown_detection_delay_s,
 )
 from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference_stance
@@ -154,7 +154,7 @@ def step(
     free, ignores_pose = reference_body_state(plan, state, obs.free)
     ctx = TickContext(
         belief.robot, plan, previous.stage, state.stage, state.clock, phase, is_first_tick, obs, free, period,
-        state.joints, touchdown_detection_delay_s(belief.noise, period), load_delay_s(belief.noise, period),
+        state.joints, touchdown_detection_delay_s(belief.noise, period), foot_load_delay_s(belief.noise, period),
     )  # fmt: skip
     frames = plan.foot_frame[state.stage], plan.base_frame[state.stage]
     for layer in plan.layers:
@@ -223,7 +223,7 @@ def _advance(
     following = jnp.where(last, stage, stage + 1)
     reference_free, ignores_pose = reference_body_state(plan, state, obs.free)
     ended = stance_to_world(reached, plan.foot_frame[stage], plan.base_frame[stage], reference_free)
-    load_delay = load_delay_s(belief.noise, period)
+    load_delay = foot_load_delay_s(belief.noise, period)
     for layer, layer_state in zip(plan.layers, state.layer_states, strict=True):
         ended = ended._replace(
             feet=layer.advance_late_feet(plan, layer_state, stage, state.clock, ended.feet, load_delay)

@@ -20,7 +20,7 @@ from sweep.engines.settings import EngineSettings
 from sweep.engines.states import select_columns
 from sweep.fused import eager
 from sweep.fused.arrays import Unsupported
-from sweep.fused.eager import Eager
+from sweep.fused.eager import NumpyProgram
 from sweep.fused.kernel import Kernel, Tiles
 from sweep.models.case import Case
 
@@ -100,7 +100,9 @@ def single_rollout_shapes(arrays: tuple[Case, Case, Array], batch: Any) -> tuple
     return (world, belief, plan), carry
 
 
-def trace_or_compile(by_xla: Callable[[], Compiled], function: Callable[..., Any], *shapes: Any) -> Eager | Compiled:
+def trace_or_compile(
+    by_xla: Callable[[], Compiled], function: Callable[..., Any], *shapes: Any
+) -> NumpyProgram | Compiled:
     """Make a program that runs only a few times for each batch: for NumPy if it has a rule for all, else by XLA.
 
     Args:
@@ -114,9 +116,9 @@ def trace_or_compile(by_xla: Callable[[], Compiled], function: Callable[..., Any
         return by_xla()
 
 
-def bind_width(program: Eager | Compiled, width: int) -> Callable[..., Any]:
-    """Turn a program of one rollout (`Eager`) or of a batch (`Compiled`) into a function over batches of `width`."""
-    return functools.partial(*(program, width) if isinstance(program, Eager) else (devices.run_program, program))
+def bind_width(program: NumpyProgram | Compiled, width: int) -> Callable[..., Any]:
+    """Turn a program of a rollout (`NumpyProgram`) or a batch (`Compiled`) into a function over batches of `width`."""
+    return functools.partial(*(program, width) if isinstance(program, NumpyProgram) else (devices.run_program, program))
 
 
 def return_missing_rule(compile_programs: Callable[..., tuple]) -> Callable[..., tuple]:

@@ -41,7 +41,7 @@ from sweep.engines.pre_rollout import prepare_belief
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import available_columns, select_columns
 from sweep.fused import driver, kernel, launch
-from sweep.fused.eager import Eager
+from sweep.fused.eager import NumpyProgram
 from sweep.fused.kernel import Code, Kernel
 from sweep.metrics.outcome import Thresholds
 from sweep.models.binary import model_bytes
@@ -188,11 +188,11 @@ class MjxEngine(BatchEngine):
 
     def _bind_programs(
         self,
-        start: Eager | Compiled,
+        start: NumpyProgram | Compiled,
         searches: dict[str, Code],
         chunk: Compiled | Code,
-        finish: Eager | Compiled,
-        again: Eager | Compiled | None = None,
+        finish: NumpyProgram | Compiled,
+        again: NumpyProgram | Compiled | None = None,
         machine: driver.GpuKernel | None = None,
     ) -> XlaPrograms | FusedPrograms:
         begin, end = Planning.from_programs(start, searches), fused_loop.bind_width(finish, self.width)
@@ -270,7 +270,7 @@ class MjxEngine(BatchEngine):
 
     def _compile_replan(
         self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
-    ) -> Eager | Compiled | None:
+    ) -> NumpyProgram | Compiled | None:
         """Program that plans again between chunks, if the scenario does so."""
         if not self._replans:
             return None
@@ -292,7 +292,7 @@ class MjxEngine(BatchEngine):
 
     def _compile_finish(
         self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
-    ) -> Eager | Compiled:
+    ) -> NumpyProgram | Compiled:
         """Program that computes the metrics of a batch, see `_compile`."""
         split = PartitionSpec(devices.BATCH)
 

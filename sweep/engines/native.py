@@ -46,7 +46,7 @@ from sweep.engines.pre_rollout import prepare_belief
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import select_columns
 from sweep.fused import kernel
-from sweep.fused.eager import Eager
+from sweep.fused.eager import NumpyProgram
 from sweep.fused.kernel import Code, Kernel, Tiles
 from sweep.metrics import accumulator
 from sweep.metrics.metric import Tick
@@ -316,7 +316,7 @@ class NativeEngine(BatchEngine):
 
             def make_program(
                 name: str, function: Callable, inputs: tuple, shapes: tuple, axes: tuple
-            ) -> Eager | Compiled:
+            ) -> NumpyProgram | Compiled:
                 def by_xla() -> Compiled:
                     return jax.jit(jax.vmap(function, in_axes=axes)).lower(*inputs).compile()
 

@@ -37,7 +37,7 @@ def dynamics_name(settings: EngineSettings) -> str:
     return "arrowhead" if settings.dynamics == "auto" else settings.dynamics
 
 
-def make_physics(settings: EngineSettings, top: Topology) -> "Physics":
+def make_physics(settings: EngineSettings, top: Topology) -> "TickPhysics":
     """Make the physics of a scenario.
 
     Args:
@@ -45,11 +45,11 @@ def make_physics(settings: EngineSettings, top: Topology) -> "Physics":
         top: bodies and joints of the nominal model.
     """
     if dynamics_name(settings) == "arrowhead":
-        return Physics(settings, batching.substeps(settings), tree.tree_dynamics)
+        return TickPhysics(settings, batching.substeps(settings), tree.tree_dynamics)
     with redirect_stdout(io.StringIO()):  # MJX prints a message at import
         from sweep.dynamics import mjx
 
-    return Physics(settings, batching.substeps(settings), mjx.mjx_dynamics(top))
+    return TickPhysics(settings, batching.substeps(settings), mjx.mjx_dynamics(top))
 
 
 def execution_limits(world: Case, step: Array, h: float) -> DriveLimits:
@@ -126,7 +126,7 @@ class TickTotals(NamedTuple):
         )
 
 
-class Physics(NamedTuple):
+class TickPhysics(NamedTuple):
     """Simulates the world from one control tick to the next."""
 
     settings: EngineSettings

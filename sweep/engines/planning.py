@@ -22,29 +22,29 @@ from sweep.core.progress import timed_part
 from sweep.engines import devices
 from sweep.fused import eager, kernel
 from sweep.fused.arrays import Unsupported
-from sweep.fused.eager import Eager
+from sweep.fused.eager import NumpyProgram
 from sweep.fused.kernel import Code, Kernel
 from sweep.models.legs import N_LEGS
 
 Start = Callable[..., Any]  # function of a rollout's world, belief and random key
-Parts = tuple[Eager | Compiled, dict[str, Code]]  # of `Planning`, as the cache stores them
+Parts = tuple[NumpyProgram | Compiled, dict[str, Code]]  # of `Planning`, as the cache stores them
 SLICE = 1 << 16  # poses that are in memory at a time
 
 
 class Planning(NamedTuple):
     """A compiled start of a batch, with kernels that search for planned forces, by the names of `forces.SEARCHES`."""
 
-    program: Eager | Compiled
+    program: NumpyProgram | Compiled
     searches: dict[str, Kernel]
 
     @classmethod
-    def from_programs(cls, program: Eager | Compiled, searches: dict[str, Code]) -> "Planning":
+    def from_programs(cls, program: NumpyProgram | Compiled, searches: dict[str, Code]) -> "Planning":
         """Load the programs that the cache stores."""
         return cls(program, {name: Kernel(code) for name, code in searches.items()})
 
     def __call__(self, world: Any, belief: Any, keys: Array) -> Any:
         """Plan a batch: world and belief (numbers or arrays over the batch), and a random key for each rollout."""
-        if not isinstance(self.program, Eager):
+        if not isinstance(self.program, NumpyProgram):
             return self.program(world, belief, keys)
         apart = {name: partial(_search_forces, search) for name, search in self.searches.items()}
         return self.program(len(keys), world, belief, keys, external=apart)
@@ -119,7 +119,7 @@ def compile_in_pool(
     return pool.submit(compiled)
 
 
-def _compile_searches(program: Eager) -> dict[str, Code]:
+def _compile_searches(program: NumpyProgram) -> dict[str, Code]:
     """Kernels for the searches that a program calls."""
     return {name: _compile_search(forces.SEARCHES[name], asked) for name, asked in program.external.items()}
 

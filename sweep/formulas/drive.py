@@ -52,7 +52,7 @@ def servo(
 
 
 class ServoDelay(NamedTuple):
-    """Longest delay of a servo's feedback at which its joint is stable, and the frequency at which it oscillates there."""
+    """Longest delay of a servo at which its joint is stable, and the frequency at which it oscillates there."""
 
     delay: Annotated[Float[Array, "..."], "s"]
     omega: Annotated[Float[Array, "..."], "rad/s"]

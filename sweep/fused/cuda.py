@@ -34,7 +34,7 @@ from sweep.fused.program import (
     StoredNode,
     constant_value,
 )
-from sweep.fused.text import INTRINSICS, TYPES, Text
+from sweep.fused.text import INTRINSICS, TYPES, LlvmText
 
 THREADS = 32  # threads of a warp
 WARPS = 8  # warps of a block, as many as registers allow
@@ -53,7 +53,7 @@ class StoredValue(NamedTuple):
     has_own_room: bool  # whether it has room of its own, outside of the state's arrays
 
 
-class GpuPrinter(Text):
+class GpuPrinter(LlvmText):
     """Prints a program as a kernel `run(given, first, state)`, or with `kept` and `record` besides.
 
     A launch runs `ticks` ticks. `given` and `state` are tiles of memory. `kept` holds each rollout's place among the

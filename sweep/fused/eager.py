@@ -66,7 +66,7 @@ class Listing(NamedTuple):
         return [values[k] for k in self.outputs]
 
 
-class Eager(NamedTuple):
+class NumpyProgram(NamedTuple):
     """A traced function of one rollout that NumPy executes for a batch; it can be pickled."""
 
     steps: Listing
@@ -96,7 +96,7 @@ class Eager(NamedTuple):
         return jax.tree.unflatten(tree, [restore_keys(x, form) for x, form in zip(rows, forms, strict=True)])
 
 
-def trace(function: Callable[..., Any], *shapes: Any, external: Collection[str] = ()) -> Eager:
+def trace(function: Callable[..., Any], *shapes: Any, external: Collection[str] = ()) -> NumpyProgram:
     """Trace a function of one rollout so that NumPy can execute it for batches.
 
     Args:
@@ -120,7 +120,7 @@ def trace(function: Callable[..., Any], *shapes: Any, external: Collection[str] 
         results = writer.write(program.jaxpr, program.consts, inputs)
     steps = writer.steps(inputs, results)
     asked = {step.rule: writer.asked[step.rule] for step in steps.steps if isinstance(step.rule, str)}
-    return Eager(steps, leaf_shapes, results_shape, asked)
+    return NumpyProgram(steps, leaf_shapes, results_shape, asked)
 
 
 def evaluate_constants(function: Callable[[], Any], external: Mapping[str, Callable[..., Any]] | None = None) -> Any:

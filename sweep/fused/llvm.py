@@ -22,7 +22,7 @@ from sweep.fused.program import (
     constant_value,
 )
 from sweep.fused.schedule import Order, Slots, Turn, used_regions
-from sweep.fused.text import TYPES, Text
+from sweep.fused.text import TYPES, LlvmText
 
 LANES, NARROW = 16, 4  # rollouts of a tile; a narrow tile takes half as long
 ALIGN = 64  # bytes
@@ -46,7 +46,7 @@ def round_to_alignment(size: int) -> int:
     return -(-size // ALIGN) * ALIGN
 
 
-class CpuPrinter(Text):
+class CpuPrinter(LlvmText):
     """Prints a program as an LLVM function `run(rollouts, scratch, record, stride, first, ticks)`.
 
     `record` advances by `stride` bytes each tick; `first` is the number of the first tick.

@@ -304,7 +304,7 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
             store.log(folder, f"batch {done.batch}: {len(rows)} rollouts, {rows['wall_s'].sum():.1f} s on {where}")
             progress(rows)
         if out_of_memory:
-            job = halve_width(job, out_of_memory)
+            job = halve_batch_width(job, out_of_memory)
     repair.merge_small_parts(folder, job.table)
     return job
 
@@ -372,7 +372,7 @@ def iter_batches(
                 yield number
 
 
-def halve_width(job: Job, out_of_memory: list["FinishedBatch"]) -> Job:
+def halve_batch_width(job: Job, out_of_memory: list["FinishedBatch"]) -> Job:
     """Return the job with too wide batches assigned anew, at half the width.
 
     These are all unfinished batches of the group and width of a batch that ran out of memory.

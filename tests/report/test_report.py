@@ -63,7 +63,7 @@ def test_expectations_of_a_search_weigh_its_rows_once(monkeypatch):
         calls.append(len(rows))
         return np.where(rows["outcome"] == "failure", 0.01, 1.0), np.zeros(len(rows))
 
-    monkeypatch.setattr(expectations.rare, "draw_and_failure_weights", weigh)
+    monkeypatch.setattr(expectations.rare, "weights_of_draws_and_failures", weigh)
     rows = pd.DataFrame({"outcome": ["success", "failure"] * 50, "x_m": np.arange(100.0)})
     exp = SimpleNamespace(study=SimpleNamespace(is_adaptive=True))
     asked = tuple(Expectation(at_least=least) for least in (0.5, 0.95, 0.995))

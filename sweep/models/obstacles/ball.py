@@ -44,7 +44,7 @@ def floor_point(
     return point(ahead * obstacle.radius, side * aside * obstacle.radius, -obstacle.radius - depth)
 
 
-def tangent_base(
+def tangent_base_position(
     obstacle: "Ball", side: float, unit: Number, depth: Number, elevation: Number, distance: Number, ahead: Number = 0.0
 ) -> Float[Array, " 3"]:
     """Chart of bases that are tangent to a circle about the ball's centre.
@@ -67,7 +67,7 @@ def tangent_base(
 
 
 def tangent_pitch(obstacle: "Ball", unit: Number, elevation: Number, distance: Number, ahead: Number = 0.0) -> Array:
-    """Pitch of a base in the chart `tangent_base`.
+    """Pitch of a base in the chart `tangent_base_position`.
 
     Args:
         obstacle: The ball.
@@ -83,7 +83,7 @@ def tangent_pitch(obstacle: "Ball", unit: Number, elevation: Number, distance: N
 
 
 def pitch_pivot(obstacle: "Ball", unit: Number, *at: Number) -> Float[Array, " 3"]:
-    """Point about which bases of the chart `tangent_base` turn (m): the ball's centre."""
+    """Point about which bases of the chart `tangent_base_position` turn (m): the ball's centre."""
     return jnp.zeros(3)
 
 
@@ -109,7 +109,7 @@ class Ball(ObstacleDefaults):
         "ground": Chart(("aside", "ahead"), floor_point, koenig_frame(0), WORLD),
         "tangent": Chart(
             ("elevation", "distance", "ahead"),
-            tangent_base,
+            tangent_base_position,
             koenig_frame(0),
             pitch=tangent_pitch,
             pivot=pitch_pivot,

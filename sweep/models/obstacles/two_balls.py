@@ -32,7 +32,7 @@ def base_above_ball(
 
 @parameters
 class TwoBalls(Ball):
-    """Two balls of 400 kg, each with a radius of 0.8 body lengths. The first one rests or rolls at the origin at the start."""
+    """Two balls of 400 kg and a radius of 0.8 body lengths. The first one starts at the origin, at rest or rolling."""
 
     charts: ClassVar = {
         **Ball.charts,

@@ -95,7 +95,7 @@ class MjxModelEngine(ModelEngine):
         with self._within(), report_silence(f"{settings.name}, which traces {self._about},", after=SOON):
             self._check()
         # made once: a function of its own in every run would be traced and compiled anew
-        each = self._programs.begin_one, self._programs.enter_one, self._programs.finish_one
+        each = self._programs.begin_one, self._programs.start_rollout, self._programs.finish_one
         self._first, self._enter, self._finish = (jax.jit(jax.vmap(one)) for one in each)
         self._ticks = jax.jit(self._run_ticks, donate_argnums=2)
 

@@ -55,7 +55,7 @@ class ControllerPrograms:
         def each(one: Callable[..., Any]) -> Callable[..., Any]:  # of a tile's rollouts
             return lambda *rows: jax.lax.map(lambda row: one(*row), rows)
 
-        self.first, self.enter = jax.jit(each(self.begin_one)), jax.jit(each(self.enter_one))
+        self.first, self.enter = jax.jit(each(self.begin_one)), jax.jit(each(self.start_rollout))
         self.tick, self.finish = jax.jit(each(self.tick_one), donate_argnums=1), jax.jit(each(self.finish_one))
 
     def begin_one(self, given: Mapping[str, Any]) -> tuple[Any, Any, Any]:
@@ -64,7 +64,7 @@ class ControllerPrograms:
         start, state, duration = self._begin(given["belief"], key)
         return start, state, jnp.asarray(jnp.inf if duration is None else duration)
 
-    def enter_one(self, given: Mapping[str, Any], state: Any, now: Array, ticks: Array) -> dict[str, Any]:
+    def start_rollout(self, given: Mapping[str, Any], state: Any, now: Array, ticks: Array) -> dict[str, Any]:
         """What one rollout carries from tick to tick, of its `state` and the model's (s,) at first."""
         key, seen = jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 1), self._own.observe_state(now)
         bias, late = given["bias"] * _draw_normal(key, seen), jnp.tile(seen, (self._own.delay_buffer + 1, 1))
@@ -98,7 +98,7 @@ class ControllerPrograms:
             ctrl, carried = self.tick_one(given, carried, now)
             return carried, ctrl
 
-        carried = self.enter_one(given, state, now, jnp.int32(2))
+        carried = self.start_rollout(given, state, now, jnp.int32(2))
         carried, ctrl = jax.lax.scan(tick, carried, None, length=2)
         return start, duration, ctrl, self.finish_one(given, carried, now), world.select_group("model")
 
@@ -124,7 +124,7 @@ class ControllerPrograms:
             raise self._error("begins at positions that are not finite")
         begun.energy(start)
         now = self._own.observable_state(begun.qpos, begun.qvel, begun.sensors)[0]
-        ctrl, _ = found(self.tick_one, found(self.enter_one, state, now, np.int32(1)), now)
+        ctrl, _ = found(self.tick_one, found(self.start_rollout, state, now, np.int32(1)), now)
         told = np.tile(ctrl, (TILE, 1))
         controls = np.array(self.compute_controls(told))
         if not np.isfinite(controls).all():

@@ -12,7 +12,7 @@ from sweep.controllers.manoeuvres.balancing.ball import ball_move_context, requi
 from sweep.controllers.manoeuvres.balancing.ball_ride import RIDE, Ride
 from sweep.controllers.manoeuvres.balancing.beside_ball import CALM, BesideBall
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import MoveContext, Standing, initial_stance, part_stages, read_numbers
+from sweep.controllers.moves import MoveContext, StandingState, initial_stance, part_stages, read_numbers
 from sweep.controllers.plan import RESTS, TO_VELOCITY, Plan, Stage, Support
 from sweep.controllers.tracker import Guided
 from sweep.controllers.validation import are_plain_numbers
@@ -75,8 +75,8 @@ class BallClimb(BesideBall):
             stages += stages_of_part
         return start, stages
 
-    def start_standing(self, belief: Case) -> tuple[Stance, Standing]:
-        """Return the start stance, and its feet and base as a `Standing`."""
+    def start_standing(self, belief: Case) -> tuple[Stance, StandingState]:
+        """Return the start stance, and its feet and base as a `StandingState`."""
         feet, position, standing = initial_stance("start", self.move_context(belief, self.deepening, (0.0, 0.0)))
         return Stance(feet, position, jnp.array(IDENTITY)), standing
 

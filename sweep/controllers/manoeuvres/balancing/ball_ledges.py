@@ -25,7 +25,7 @@ from sweep.controllers.manoeuvres.balancing.parts import ByParts, DriveUntil
 from sweep.controllers.manoeuvres.goals import UPRIGHT
 from sweep.controllers.moves import (
     MoveContext,
-    Standing,
+    StandingState,
     initial_stance,
     mirror_move,
     move_stages,
@@ -105,8 +105,8 @@ class BallLedges(OnBall, ByParts):
         rolling = self.roll_drive.step_stages(stand_pose(belief, self), ROLLS)
         return compile_plan(stance, [*stages, *get_on, *rolling, *get_off, *last], self.patience, ease=self.ease)
 
-    def start_standing(self, belief: Case) -> tuple[Stance, Standing]:
-        """Return the start stance, and its feet and base as a `Standing`, as far to the side as the ball."""
+    def start_standing(self, belief: Case) -> tuple[Stance, StandingState]:
+        """Return the start stance, and its feet and base as a `StandingState`, as far to the side as the ball."""
         feet, position, standing = initial_stance("start", self.move_context(belief))
         aside = belief.obstacle_as(Ledges).start().position[0] * jnp.array([0.0, 1.0, 0.0])
         return Stance(feet + aside, position, jnp.asarray(LEVEL)), standing

@@ -20,7 +20,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.models.case import Case
 from sweep.models.frames import koenig_frame
 from sweep.models.legs import PAIRS
-from sweep.models.obstacles.ball import Ball, tangent_base
+from sweep.models.obstacles.ball import Ball, tangent_base_position
 
 DRIVE = "drive"
 
@@ -93,7 +93,7 @@ class BallOver(BesideBall):
         height, spread = self.hips_ratio * length, self.spread_ratio * length
         step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.turning)
         *_, last = read_moves(belief, "off").values()
-        stood = tangent_base(belief.obstacle_as(Ball), 1.0, radius, 0.0, *last.base["tangent"])
+        stood = tangent_base_position(belief.obstacle_as(Ball), 1.0, radius, 0.0, *last.base["tangent"])
         position = stood.at[0].add(step.half_length).at[2].set(height - radius)  # clear of the ball
         under = position + foot_centres_facing(belief, spread, height, AHEAD)
         first = Stage("away.3-4", 1.0, {leg: under[leg - 1] for leg in PAIRS["middle"]}, CYCLE_B, 2 * step.height,

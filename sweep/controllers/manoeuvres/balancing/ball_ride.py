@@ -16,7 +16,7 @@ from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, logarithm, rotate
 from sweep.formulas.ball import ROLLING, climbing_rate
 from sweep.models.case import Case
-from sweep.models.obstacles.ball import Ball, tangent_base, tangent_pitch
+from sweep.models.obstacles.ball import Ball, tangent_base_position, tangent_pitch
 from sweep.models.robot import total_mass
 
 RIDE = "ride"
@@ -76,7 +76,7 @@ class Ride(NamedTuple):
         goal = jnp.where(swing, rotate(turn[None], plan.foothold[state.stage]), state.feet)
         goal = jnp.where(phase < 1, goal, state.goal)  # late feet stay clear of those ahead
         feet = reference_stance(plan, state.stage, jnp.clip(phase, 0.0, 1.0), state.feet, state.position, goal).feet
-        position = tangent_base(ball, 1.0, 1.0, 0.0, *pose).at[1].set(aside)
+        position = tangent_base_position(ball, 1.0, 1.0, 0.0, *pose).at[1].set(aside)
         return Guidance(Stance(feet, position, rotation_about_y(down)), goal, memory)
 
     def climb_rate(self, belief: Case, obs: Observation) -> Float[Array, ""]:

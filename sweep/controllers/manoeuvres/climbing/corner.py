@@ -16,7 +16,7 @@ from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import Step
 from sweep.controllers.manoeuvres.climbing.walking import FACING_MINUS_Y
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.moves import MoveContext, Standing, initial_stance, part_stages
+from sweep.controllers.moves import MoveContext, StandingState, initial_stance, part_stages
 from sweep.controllers.plan import STAND, Plan, Stage
 from sweep.controllers.symmetry import apply_direction
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -68,8 +68,8 @@ class OnCorner(PlannedForces):
             belief, unit, step.time, step.height, extra_charts={"edges": rearing_base_chart(belief.robot.body_length)}
         )
 
-    def climb_stages(self, belief: Case) -> tuple[Stance, list[Stage], Standing]:
-        """Return the start stance, the stages to the end of the gallop, and the `Standing` after them."""
+    def climb_stages(self, belief: Case) -> tuple[Stance, list[Stage], StandingState]:
+        """Return the start stance, the stages to the end of the gallop, and the `StandingState` after them."""
         context = self.move_context(belief)
         places, position, standing = initial_stance("arrive", context)
         climb, standing = part_stages("climb", context, standing, "")

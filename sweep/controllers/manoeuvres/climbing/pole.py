@@ -14,7 +14,7 @@ from sweep.controllers.frames import Stance
 from sweep.controllers.gaits import Step
 from sweep.controllers.manoeuvres.climbing.walking import approach_stages
 from sweep.controllers.manoeuvres.goals import ON_ITS_FEET
-from sweep.controllers.moves import MoveContext, Standing, initial_stance, part_stages
+from sweep.controllers.moves import MoveContext, StandingState, initial_stance, part_stages
 from sweep.controllers.plan import STAND, Plan, Stage
 from sweep.controllers.symmetry import apply_direction
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -80,8 +80,8 @@ class OnPole(PlannedForces):
         charts = {"edges": rearing_base_chart(belief.robot.body_length), "hang": hang}
         return MoveContext(belief, unit, step.time, step.height, {"side": self.deepening}, charts, laws=(PRESS,))
 
-    def climb_stages(self, belief: Case, gap: Array | float = 0.0) -> tuple[Stance, list[Stage], Standing]:
-        """Return the start stance, the stages to the end of the gallop, and the `Standing` after them.
+    def climb_stages(self, belief: Case, gap: Array | float = 0.0) -> tuple[Stance, list[Stage], StandingState]:
+        """Return the start stance, the stages to the end of the gallop, and the `StandingState` after them.
 
         Args:
             belief: believed parameters.

@@ -8,7 +8,7 @@ from typing import ClassVar
 from sweep.controllers.frames import Stance
 from sweep.controllers.manoeuvres.climbing.pole import PRESS, PoleClimb
 from sweep.controllers.manoeuvres.goals import UPRIGHT
-from sweep.controllers.moves import Standing, part_stages
+from sweep.controllers.moves import StandingState, part_stages
 from sweep.controllers.plan import Stage
 from sweep.core.parameters import choice, count, parameters
 from sweep.models.case import Case
@@ -24,8 +24,8 @@ class PoleTop(PoleClimb):
 
     own_plan = "pole_top"
 
-    def top_stages(self, belief: Case) -> tuple[Stance, list[Stage], Standing]:
-        """Return the start stance, the stages on to the top, and the `Standing` after them.
+    def top_stages(self, belief: Case) -> tuple[Stance, list[Stage], StandingState]:
+        """Return the start stance, the stages on to the top, and the `StandingState` after them.
 
         The gallop ends with the front edge of the base x* below the top.
         """
