@@ -3,6 +3,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import pandas as pd
@@ -43,12 +44,15 @@ def test_a_nominal_rollout_is_one_row_and_leaves_no_files(tmp_path):
         sweep.run("robot.thihg=0.5")
 
 
-def test_the_notebook_example_of_the_readme_runs():
-    readme = (Path(__file__).parents[1] / "README.md").read_text()
-    (example,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
-    assert sum(map(bool, example.splitlines())) == 6
+def test_the_example_of_the_page_on_python_runs():
+    page = (Path(__file__).parents[1] / "docs/howto/use_from_python.md").read_text(encoding="utf-8")
+    example = re.search(r"```python\n(.*?)```", page, re.DOTALL)
+    assert example
+    names: dict[str, Any] = {}
     with mpl.rc_context({"backend": "agg"}):
-        exec(example, {})
+        exec(example[1], names)
+        figure = names["rows"].sweep.map("friction", "half_step_ratio")
+    assert figure.axes
 
 
 def test_importing_is_light():
@@ -67,7 +71,7 @@ def test_a_notebook_sees_maps_draws_and_pages():
     assert page._repr_html_().startswith('<iframe srcdoc="&lt;!doctype')
     with pytest.raises(sweep.InputError, match="no axis with a distribution"):
         rows.sweep.draws()
-    with pytest.raises(sweep.InputError, match="no row of results/walk_map is chosen"):
+    with pytest.raises(sweep.InputError, match="no row of results/walk_map is selected"):
         rows[rows["slip_max_m"] > 1e3].sweep.map()
     with pytest.raises(sweep.InputError, match="row 99 is not among the rows of results/walk_map"):
         rows.sweep.replay(99)

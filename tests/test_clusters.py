@@ -167,8 +167,7 @@ def test_a_cluster_without_workers_and_a_lost_scheduler_are_told(tmp_path, monke
         killer.join()
     told = without_progress(capsys.readouterr().err).splitlines()
     assert told[0].startswith(f"sweep: no worker has joined the scheduler {address} for 1 s")
-    assert told[1:] == [f"sweep: the scheduler {address} is lost; what is on disk stays, the same command finishes the "
-                        "rest"]  # fmt: skip
+    assert told[1:] == [f"sweep: the scheduler {address} is lost; finished rollouts are kept, repeat the command"]
 
 
 def test_what_a_cluster_needs_is_said_before_anything_runs(tmp_path, monkeypatch, capsys):

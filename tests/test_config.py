@@ -88,7 +88,7 @@ BAD = [
     ("robot.mounts=star", ["robot.mounts = 'star'", "rectangle, circle"]),
     ("frictoin=1", ["frictoin = 1", "contact"]),
     ("obstacle=ball", ["obstacle.kind = ball", "manoeuvre.kind = walk needs plane"]),
-    ("plan.top.rear.time=1", ["plan.top is unknown", "first a plan is chosen, plan=NAME"]),
+    ("plan.top.rear.time=1", ["plan.top is unknown", "choose a plan first, plan=NAME"]),
     ("robot.thigh", ["robot.thigh", "group.name=value"]),
     ("study.name=a<b", ["study.name=a<b cannot be read", "quotes"]),
     ("out=results/ö", ["out=results/ö cannot be read", """'out="results/ö"'"""]),
@@ -118,7 +118,7 @@ BAD = [
     ("study.keep={a: 1}", ["study.keep = {a: 1}", "a list"]),
     ("study.keep=[[1]]", ["study.keep: [1] is unknown"]),
     ("study.seed=1.5", ["study.seed = 1.5", "a whole number"]),
-    ("out=[a]", ["out = [a]", "a word"]),
+    ("out=[a]", ["out = ['a']", "a word"]),
     ("+study.axes.f={path: contact.friction, values: [[1]]}", ["study.axes.f.values = [[1]]", "a number or a name"]),
     (
         "+study.axes.f={path: contact.friction, values: [1], with: [g]}",

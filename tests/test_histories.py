@@ -54,7 +54,7 @@ def test_a_report_lays_histories_over_each_other(folder):
 
 def test_a_forecast_says_how_much_is_kept(fake_engine, tmp_path, capsys):
     assert main(["run", *STUDY, *KEEP, "--dry-run", f"out={tmp_path / 'out'}"]) == 0
-    assert "time histories of 20 rollouts (tilt_deg, base_z_m): about 0.0 MiB" in capsys.readouterr().out
+    assert "time series of 20 rollouts (tilt_deg, base_z_m): about 0.0 MiB" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

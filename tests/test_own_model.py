@@ -464,7 +464,7 @@ def test_a_policy_that_was_trained_elsewhere_runs_as_it_is(here, capsys):
     noisy += ["outcome.goal='travelled_m > -9'"]
     assert main(["run", *noisy, "model.controller=walk.onnx", "out=trained"]) == 0
     assert main(["audit", "trained", "--points", "2"]) == 0
-    assert "audit: other_engine is left out: engine.name = mjx is not allowed: a controller" in capsys.readouterr().err
+    assert "audit: other_engine is left out: engine.name = mjx is not allowed: it cannot" in capsys.readouterr().err
     stored = results.read(Path("trained")).exp.values["model"]["content"]
     network((7, 12), "walk.onnx", rows="many")
     assert main(["run", *noisy, "model.controller=walk.onnx", "out=trained"]) == 2  # another file

@@ -214,7 +214,7 @@ def test_what_an_engine_has_no_use_for_is_told_of_the_robot(fake_engine, capsys,
     told = re.findall(r"^sweep: (\S+) changes nothing(?: on (\w+))?: (.*)$", err, re.MULTILINE)
     assert {(c, on) for c, on, _ in told} == {*((c, "") for c in dead), *zip(half, ("native", "mjx"), strict=True)}
     assert {why for *_, why in told if not why.startswith("no figure")} == {
-        "it is one of native",
+        "engine native uses it",
         "it does not enter the simulation",
     }
 

@@ -140,7 +140,7 @@ def test_it_agrees_with_openturns():
         ),
         ("study.design.target=0", "study.design.target = 0 is not allowed: above 2.3e-10 and below 1"),
         ("study.design.runs=0", "study.design.runs = 0 is not allowed: at least 1"),
-        ("study.design.rounds=3", "study.design.rounds = 3 is not allowed with study.design.kind = subset: 2 there"),
+        ("study.design.rounds=3", "study.design.rounds = 3 is not allowed with study.design.kind = subset"),
         ("study.replicates=2", "study.replicates is not allowed with study.design.kind = subset"),
         (
             "study.axes.friction.distribution.std=0.2",

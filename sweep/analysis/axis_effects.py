@@ -30,7 +30,8 @@ def compare_along_axes(rows: pd.DataFrame, exp: Experiment) -> dict[str, AxisPai
     if exp.study.points or exp.study.is_adaptive or rows.empty:
         return {}
     axes = [axis for axis in exp.study.axes if axis.column in rows]
-    measured = pd.util.hash_pandas_object(rows[[*metric_columns(rows), *LABELS]], index=False).to_numpy()
+    results = rows[[*metric_columns(rows), *(name for name in LABELS if name in rows)]]
+    measured = pd.util.hash_pandas_object(results, index=False).to_numpy()
     draws = rows["replicate"].where(exp.system.find_random_rows(rows, exp.settings), 0)
     found = {axis.name: _compare_along(axis, axes, rows, draws, measured) for axis in axes}
     return {name: pairs for name, pairs in found.items() if pairs.rollouts}

@@ -190,7 +190,7 @@ def _checked_plain(field: "dataclasses.Field[Any]", value: Any, path: str) -> An
         return value
     fits = type(value) in kinds or (float in kinds and type(value) is int)
     if not fits:
-        raise InputError(f"{path} = {str(value)[:100]!r} is not allowed: {PLAIN[kinds[0]]}")
+        raise InputError(f"{path} = {value!r:.100} is not allowed: {PLAIN[kinds[0]]}")
     return value
 
 

@@ -375,14 +375,14 @@ def test_what_goes_with_a_replay_is_told_over_time(shown):
     for words in (
         "margin to the nearest limit",
         "force on a foot [N]",
-        "friction used under a foot",
+        "used share of a foot's available friction",
         "slip of a standing foot",
         "height of a foot",
         "x of the base",
         "y of the base",
         "height of the base",
-        "way from above",
-        "way from the side",
+        "path from above",
+        "path from the side",
         "tilt",
         "torque of α",
         "joint γ",
@@ -404,7 +404,7 @@ def test_a_second_replay_lies_dashed_over_the_first(shown):
     titles = shown.run("[...document.querySelectorAll('.history canvas[role]')].map(e => e.getAttribute('aria-label'))")
     assert len(panels) == len(titles)
     for title, panel in zip(titles, panels, strict=True):
-        many = 7 if title.startswith("way from") else 1 if " base " in title or "margin" in title else 6
+        many = 7 if title.startswith("path from") else 1 if " base " in title or "margin" in title else 6
         assert len(re.findall(dashed, panel)) == many, title
 
 
