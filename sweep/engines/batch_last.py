@@ -22,6 +22,7 @@ from jax.extend.core import ClosedJaxpr  # pyright: ignore[reportPrivateImportUs
 from jaxtyping import Array
 
 from sweep.fused.interpret import CALLS
+from sweep.fused.jaxprs import split_scan_operands
 
 ELEMENTWISE = frozenset("""
     abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type copy cos cosh div
@@ -176,19 +177,13 @@ def _elementwise(eqn: Any, args: list[Operand]) -> Any:
 def _scan(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
     """A loop over the first axis; everything that it carries becomes batched."""
     program = eqn.params["jaxpr"]
-    inner = program.jaxpr if isinstance(program, ClosedJaxpr) else program
-    # scanned and stacked values have one axis less inside
-    n_xs = sum(_rank(x) != _rank(y) for x, y in zip(eqn.invars, inner.invars, strict=True))
-    n_ys = sum(_rank(x) != _rank(y) for x, y in zip(eqn.outvars, inner.outvars, strict=True))
-    n_carry = len(eqn.outvars) - n_ys
-    n_consts = len(args) - n_carry - n_xs
-    consts, carry, xs = args[:n_consts], args[n_consts : n_consts + n_carry], args[n_consts + n_carry :]
+    consts, carry, xs = split_scan_operands(eqn, args)
 
     def body(state: list[Array], x: list[Array]) -> tuple[list[Array], list[Array]]:
         here = [Operand(s, True) for s in state]
         there = [Operand(v, operand.batched) for v, operand in zip(x, xs, strict=True)]
         values = [_broadcast_batch(v, batch.size) for v in _evaluate(_closed(program), [*consts, *here, *there], batch)]
-        return values[:n_carry], values[n_carry:]
+        return values[: len(carry)], values[len(carry) :]
 
     loop = {key: eqn.params[key] for key in ("length", "reverse", "unroll")}
     last, ys = lax.scan(body, [_broadcast_batch(x, batch.size) for x in carry], [x.value for x in xs], **loop)
@@ -202,10 +197,6 @@ def _cond(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
         return [_broadcast_batch(x, batch.size) for x in _evaluate(branch, args[1:], batch)]
 
     return _results(lax.switch(args[0].value, [partial(spread, branch) for branch in eqn.params["branches"]]), True)
-
-
-def _rank(atom: Any) -> int:
-    return atom.aval.ndim
 
 
 def _closed(program: Any) -> ClosedJaxpr:

@@ -83,11 +83,11 @@ def start_compilation(
 def evaluate_plan(function: Callable[[], Any]) -> Any:
     """Evaluate a function of plain numbers that may search for planned forces."""
 
-    def searched(name: str, *problems: Shaped[np.ndarray, "n ... 1"]) -> Float[np.ndarray, "n 6 3 1"]:
+    def search_by_name(name: str, *problems: Shaped[np.ndarray, "n ... 1"]) -> Float[np.ndarray, "n 6 3 1"]:
         forms = tuple(jax.ShapeDtypeStruct(x.shape[:-1], x.dtype) for x in problems)
         return _search_forces(Kernel(_compile_search(forces.SEARCHES[name], forms)), *problems)
 
-    return eager.evaluate_constants(function, {name: partial(searched, name) for name in forces.SEARCHES})
+    return eager.evaluate_constants(function, {name: partial(search_by_name, name) for name in forces.SEARCHES})
 
 
 def key_and_case_shapes(arrays: Any) -> Any:

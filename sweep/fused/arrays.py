@@ -289,11 +289,11 @@ class Arrays:
             at = np.arange(x.size).reshape(x.shape)[known]
             at = at[tuple(slice(0, sizes[d]) for d in range(x.ndim))]
 
-            def gathered(i: tuple) -> Node:
+            def gather_element(i: tuple) -> Node:
                 address = Address(region, first + int(at[i]), depth, 0)
                 return self.program.node("gather", (place,), region.dtype, address, leg=False)
 
-            return build_array(at.shape, gathered)
+            return build_array(at.shape, gather_element)
         x = x[known]
         many = 1
         for d in moving:

@@ -7,21 +7,23 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import Jaxpr, Literal
 
+from sweep.fused.jaxprs import ScanOperands, count_carried, inner_jaxpr, inner_jaxprs, split_scan_operands
+
 Flags = list[bool]
 
 
 def find_used_inputs(function: Callable[..., Any], *args: Any) -> Any:
     """Find out which leaves of the arguments can change a result of `function`.
 
-    An input counts as used wherever the trace does not exclude it, so that an unused one changes no bit of any result;
-    arrays without elements carry nothing on.
+    An input counts as used unless the trace excludes it, so an unused one changes no bit of any result. Arrays without
+    elements pass nothing on.
 
     Args:
         function: any that JAX can trace.
-        *given: its arguments, as arrays or numbers.
+        *args: its arguments, as arrays or numbers.
 
     Returns:
-        A tuple like `given`, with a flag for each leaf.
+        A tuple like `args`, with a flag for each leaf.
     """
     traced = jax.make_jaxpr(function)(*args)
     used = _used_of_jaxpr(traced.jaxpr, [True] * len(traced.jaxpr.outvars))
@@ -62,56 +64,46 @@ def _carries_numbers(variable: Any) -> bool:
 
 def _used_of_equation(equation: Any, wanted: Flags) -> Flags:
     """Inputs of one operation that its `wanted` results depend on; all of them where it has no rule here."""
-    params = equation.params
     match equation.primitive.name:
         case "scan":
             return _used_of_scan(equation, wanted)
         case "while":
             return _used_of_while(equation, wanted)
         case "cond":
-            each = [_used_of_jaxpr(_jaxpr_of(branch), wanted) for branch in params["branches"]]
+            each = [_used_of_jaxpr(branch, wanted) for branch in inner_jaxprs(equation)]
             return [True, *map(any, zip(*each, strict=True))]
         case _:
-            inner = [_jaxpr_of(one) for one in params.values() if hasattr(one, "eqns") or hasattr(one, "jaxpr")]
+            inner = inner_jaxprs(equation)
             shape = len(equation.invars), len(equation.outvars)
             if len(inner) == 1 and (len(inner[0].invars), len(inner[0].outvars)) == shape:  # a call
                 return _used_of_jaxpr(inner[0], wanted)
             return [True] * len(equation.invars)
 
 
-def _jaxpr_of(param: Any) -> Any:
-    return getattr(param, "jaxpr", param)
-
-
 def _used_of_scan(equation: Any, wanted: Flags) -> Flags:
     """Inputs of a scan: a carried number counts where a later turn or the result makes use of it."""
-    body = _jaxpr_of(equation.params["jaxpr"])
-    rows, results = (
-        sum(x.aval.ndim != y.aval.ndim for x, y in zip(*pair, strict=True))
-        for pair in ((equation.invars, body.invars), (equation.outvars, body.outvars))
-    )
-    carried = len(equation.outvars) - results
-    consts = len(equation.invars) - carried - rows
-    used = [False] * len(body.invars)
-    carry = wanted[:carried]
-    while True:
-        used = _used_of_jaxpr(body, [*carry, *wanted[carried:]])
-        more = [a or b for a, b in zip(carry, used[consts : consts + carried], strict=True)]
-        if more == carry:
-            break
-        carry = more
-    return [*used[:consts], *carry, *used[consts + carried :]]
+    body, carried = inner_jaxpr(equation.params["jaxpr"]), count_carried(equation)
+
+    def used(carry: Flags) -> ScanOperands[bool]:
+        return split_scan_operands(equation, _used_of_jaxpr(body, [*carry, *wanted[carried:]]))
+
+    carry = _used_of_carry(wanted[:carried], lambda carry: used(carry).carry)
+    last = used(carry)
+    return [*last.consts, *carry, *last.xs]
 
 
 def _used_of_while(equation: Any, wanted: Flags) -> Flags:
     """Inputs of a loop: what its condition looks at counts, too."""
-    test, body = (_jaxpr_of(equation.params[name]) for name in ("cond_jaxpr", "body_jaxpr"))
+    test, body = (inner_jaxpr(equation.params[name]) for name in ("cond_jaxpr", "body_jaxpr"))
     of_test, of_body = equation.params["cond_nconsts"], equation.params["body_nconsts"]
     asked = _used_of_jaxpr(test, [True])
     carry = [a or b for a, b in zip(wanted, asked[of_test:], strict=True)]
-    while True:
-        used = _used_of_jaxpr(body, carry)
-        more = [a or b for a, b in zip(carry, used[of_body:], strict=True)]
-        if more == carry:
-            return [*asked[:of_test], *used[:of_body], *carry]
+    carry = _used_of_carry(carry, lambda carry: _used_of_jaxpr(body, carry)[of_body:])
+    return [*asked[:of_test], *_used_of_jaxpr(body, carry)[:of_body], *carry]
+
+
+def _used_of_carry(carry: Flags, used_by_turn: Callable[[Flags], Sequence[bool]]) -> Flags:
+    """What a loop carries that any of its turns makes use of, from what is used after the last turn."""
+    while (more := [a or b for a, b in zip(carry, used_by_turn(carry), strict=True)]) != carry:
         carry = more
+    return carry

@@ -138,7 +138,7 @@ def make_handler(launch: Launch) -> Any:
     """Make a handler that XLA calls by a pointer, and that passes calls to `launch`. It has to be kept alive."""
 
     @ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(_Frame))
-    def called(address: Any) -> int | None:
+    def handle_call(address: Any) -> int | None:
         frame = address.contents
         if frame.extension:
             told = frame.extension.contents.metadata.contents
@@ -151,7 +151,7 @@ def make_handler(launch: Launch) -> Any:
             return frame.api.contents.error(made)
         return None
 
-    return called
+    return handle_call
 
 
 def _handle_call(frame: _Frame, launch: Launch) -> None:

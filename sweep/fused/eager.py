@@ -18,6 +18,7 @@ from sweep.fused.arrays import Unsupported
 from sweep.fused.batch_ops import Values
 from sweep.fused.eager_rules import COMPUTED, RULES
 from sweep.fused.interpret import CALLS
+from sweep.fused.jaxprs import inner_jaxpr, split_scan_operands
 from sweep.fused.randomness import is_key, key_words, restore_keys
 
 ALIAS = frozenset(("stop_gradient", "copy", "optimization_barrier", "random_wrap", "random_unwrap"))
@@ -223,7 +224,7 @@ class Writer:
             if params.get("name") in self.apart:
                 return self._call_external(params["name"], args, eqn)
             inner = params[CALLS[name]]
-            return self.write(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), args)
+            return self.write(inner_jaxpr(inner), getattr(inner, "consts", ()), args)
         if not eqn.outvars:
             return []
         if name in ALIAS:
@@ -264,13 +265,10 @@ class Writer:
         inner, length = eqn.params["jaxpr"], eqn.params["length"]
         if not length:
             raise Unsupported("a loop without steps")
-        n_xs = sum(x.aval.ndim != y.aval.ndim for x, y in zip(eqn.invars, inner.jaxpr.invars, strict=True))
-        n_ys = sum(x.aval.ndim != y.aval.ndim for x, y in zip(eqn.outvars, inner.jaxpr.outvars, strict=True))
-        n_carry = len(eqn.outvars) - n_ys
-        n_consts = len(args) - n_carry - n_xs
-        body, consts = self._inner(inner, args[:n_consts])
-        how = Scan(body, length, eqn.params["reverse"], len(consts), n_carry)
-        return self.emit(partial(run_scan, how), [*consts, *args[n_consts:]], len(eqn.outvars))
+        consts, carry, xs = split_scan_operands(eqn, args)
+        body, consts = self._inner(inner, consts)
+        how = Scan(body, length, eqn.params["reverse"], len(consts), len(carry))
+        return self.emit(partial(run_scan, how), [*consts, *carry, *xs], len(eqn.outvars))
 
     def _cond(self, args: list[int], eqn: Any) -> Sequence[int]:
         """One branch if all rollouts agree, else all branches, of which each rollout takes one."""

@@ -14,6 +14,7 @@ from jax.extend import core
 
 from sweep.fused import maths
 from sweep.fused.arrays import Array, Arrays, RowUpdate, Unsupported, build_array, stack
+from sweep.fused.jaxprs import inner_jaxpr, inner_jaxprs, split_scan_operands
 from sweep.fused.operations import REDUCTIONS
 from sweep.fused.program import Address, Branch, LoopCount, Node, Region, constant_value, is_uniform
 from sweep.fused.rules import MANY, RULES
@@ -61,7 +62,7 @@ class Interpreter(Arrays):
         name, params = eqn.primitive.name, eqn.params
         if name in CALLS:
             inner = params[CALLS[name]]
-            return self.evaluate(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), args)
+            return self.evaluate(inner_jaxpr(inner), getattr(inner, "consts", ()), args)
         if not eqn.outvars:
             return []
         out = eqn.outvars[0].aval
@@ -101,12 +102,9 @@ class Interpreter(Arrays):
         """A loop; a short one is unrolled."""
         closed, length = eqn.params["jaxpr"], eqn.params["length"]
         inner = closed.jaxpr
-        n_xs = sum(x.ndim != y.aval.ndim for x, y in zip(args, inner.invars, strict=True))
-        n_ys = sum(x.aval.ndim != y.aval.ndim for x, y in zip(eqn.outvars, inner.outvars, strict=True))
-        n_carry = len(eqn.outvars) - n_ys
-        n_consts = len(args) - n_carry - n_xs
-        consts, carry, xs = args[:n_consts], args[n_consts : n_consts + n_carry], args[n_consts + n_carry :]
-        if n_ys or eqn.params["reverse"] or length * _operations(inner) <= UNROLLED:
+        consts, carry, xs = split_scan_operands(eqn, args)
+        n_carry = len(carry)
+        if n_carry < len(eqn.outvars) or eqn.params["reverse"] or length * _operations(inner) <= UNROLLED:
             steps = range(length)
             ys = []
             for k in reversed(steps) if eqn.params["reverse"] else steps:
@@ -225,9 +223,8 @@ def _operations(jaxpr: Any) -> int:
     """Number of operations on whole arrays in a jaxpr, those of inner ones included."""
     total = 0
     for eqn in jaxpr.eqns:
-        inner = [*eqn.params.values(), *eqn.params.get("branches", ())]
-        inner = [v for v in inner if hasattr(v, "eqns") or hasattr(v, "jaxpr")]
+        inner = inner_jaxprs(eqn)
         times = eqn.params.get("length", 1) if eqn.primitive.name == "scan" else 1
-        total += times * sum(_operations(getattr(i, "jaxpr", i)) for i in inner) if inner else sum(
+        total += times * sum(map(_operations, inner)) if inner else sum(
             max(1, math.prod(v.aval.shape)) for v in eqn.outvars)  # fmt: skip
     return total

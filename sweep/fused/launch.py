@@ -99,11 +99,11 @@ def print_program(
         The program, and a printer that holds its text.
     """
 
-    def recorded(inputs: Any, carry: Any, number: Array) -> tuple[Any, dict[str, Array]]:
+    def tick_with_record(inputs: Any, carry: Any, number: Array) -> tuple[Any, dict[str, Array]]:
         carry, record = function(inputs, carry, number)
         return carry, record if record_capacity else {}
 
-    program = trace_program(recorded, inputs, carry, _lay_out, share_memory=False, group=group)
+    program = trace_program(tick_with_record, inputs, carry, _lay_out, share_memory=False, group=group)
     tree = jax.tree.structure(carry)
     flag = program.carried[is_over(jax.tree.unflatten(tree, range(tree.num_leaves)))].place
     sizes = _end(program.given), _end(program.carried), _end([*program.recorded.values()])

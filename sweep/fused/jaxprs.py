@@ -1,0 +1,44 @@
+"""Programs inside operations that JAX has traced: bodies of loops, branches, calls."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+
+class ScanOperands[T](NamedTuple):
+    """Operands of a scan by their role."""
+
+    consts: Sequence[T]  # the same at every step
+    carry: Sequence[T]  # changed by every step
+    xs: Sequence[T]  # arrays of which each step takes a row
+
+
+def split_scan_operands[T](eqn: Any, operands: Sequence[T]) -> ScanOperands[T]:
+    """Split what belongs to the operands of a scan by their role.
+
+    Args:
+        eqn: The traced scan.
+        operands: Something for each of its operands, or of the inputs of its body, which have the same order.
+    """
+    body = inner_jaxpr(eqn.params["jaxpr"])
+    rows = sum(x.aval.ndim != y.aval.ndim for x, y in zip(eqn.invars, body.invars, strict=True))
+    carried = count_carried(eqn)
+    consts = len(eqn.invars) - carried - rows
+    return ScanOperands(operands[:consts], operands[consts : consts + carried], operands[consts + carried :])
+
+
+def count_carried(eqn: Any) -> int:
+    """Return how many results of a scan are carried; the others are stacked, and have one axis less in its body."""
+    body = inner_jaxpr(eqn.params["jaxpr"])
+    stacked = sum(x.aval.ndim != y.aval.ndim for x, y in zip(eqn.outvars, body.outvars, strict=True))
+    return len(eqn.outvars) - stacked
+
+
+def inner_jaxpr(program: Any) -> Any:
+    """Return a program without the values of its constants, which it may come with."""
+    return getattr(program, "jaxpr", program)
+
+
+def inner_jaxprs(eqn: Any) -> list[Any]:
+    """Return the programs in the parameters of an operation: a call's, a loop's, those of all branches."""
+    programs = [*eqn.params.values(), *eqn.params.get("branches", ())]
+    return [inner_jaxpr(one) for one in programs if hasattr(one, "eqns") or hasattr(one, "jaxpr")]
