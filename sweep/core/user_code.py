@@ -19,9 +19,9 @@ SILENCE, AGAIN = 10.0, 60.0  # s until a call that does not return is reported, 
 PACKAGE = Path(__file__).resolve().parents[1]
 LINES = 100  # printed lines, all different, that are kept
 _folders: dict[Path, str] = {}  # where code of a folder has changed the working folder to
-_printed: dict[str, bool] = {}  # lines by whether they were taken
+_printed: dict[str, bool] = {}  # printed lines, and whether `take_output` has returned them
 _tracebacks: list[str] = []
-_running: dict[int, tuple[str, float, float]] = {}  # calls: what runs, since when, when it is told first (s)
+_running: dict[int, tuple[str, float, float]] = {}  # calls: what runs, its start, and after how long it is reported (s)
 _watching = threading.Lock()
 
 
@@ -90,11 +90,11 @@ def run_user_code(what: str, folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def report_silence(what: str, after: float | None = None) -> Iterator[None]:
-    """Say on the standard error that `what` has not returned, where this context takes long.
+    """Report on the standard error if the code in this context takes long.
 
     Args:
         what: what runs.
-        after: seconds until it is said first; by default `SILENCE`.
+        after: seconds until the first report; by default `SILENCE`.
     """
     _start_watching()
     number = time.perf_counter_ns()

@@ -52,7 +52,7 @@ from sweep.models.obstacles.surface import BodyPoses
 # shorter steps along Newton's direction: at a limit a drive's stiffness is not in the slope, and a longer step goes on
 # past its other limit
 SHORTER_STEPS = (0.5, 0.2, 0.1)
-CONVERGED = 100  # roundings of the robot's weight times the step: what a converged step leaves unexplained at most
+CONVERGED = 100  # a step has converged if its error is below so many rounding errors of the momentum g m h
 
 
 class PhysicsState(NamedTuple):
@@ -378,10 +378,10 @@ class _Problem(NamedTuple):
         return Motion(tuple(root), legs)
 
     def solve(self, v: Motion, iterations: int) -> _Trial:
-        """The end velocity by Newton's method, from the velocity `v` at the start of the step.
+        """Solve for the end velocity by Newton's method, which begins with the velocity `v` at the start of the step.
 
-        Most steps converge in one iteration, and few need more than three. The loop ends when no rollout beside this
-        one needs another; one that has converged stays as it is.
+        Most steps converge in one iteration, and few need more than three. A rollout that has converged keeps its
+        solution while others of the same warp or vector go on.
         """
         rounding = CONVERGED * float(jnp.finfo(v.leg[0].dtype).eps)
         enough = (rounding * GRAVITY * self.h) ** 2 * self.mass.root[0].mass[0]
@@ -391,14 +391,14 @@ class _Problem(NamedTuple):
         ).trial
 
     def _improve(self, now: _Iterate, enough: Array) -> _Iterate:
-        """One Newton iteration: the whole step, or where that does not converge the best of some step lengths."""
+        """Take a full Newton step or, if that does not converge, the step length with the least residual."""
         trial, number = now.trial, now.number + 1
         acting = self.acting(trial)
         direction = self.trial(self._newton(acting, self.residual(trial, acting)))
         whole = jax.tree.map(add, trial, direction)
         cost = self._cost(self.residual(whole, self.acting(whole)))[0]
 
-        def shorten() -> _Iterate:
+        def take_best_step_length() -> _Iterate:
             lengths = jnp.asarray(SHORTER_STEPS, cost.dtype)
             tried = add_scaled(trial, lengths[:, None], direction)
             costs = self._cost(self.residual(tried, self.acting(tried)))[:, 0]
@@ -408,7 +408,7 @@ class _Problem(NamedTuple):
                 best, length = jnp.where(better, costs[k], best), jnp.where(better, lengths[k], length)
             return _Iterate(add_scaled(trial, length, direction), best, number)
 
-        return jax.lax.cond(cost > enough, shorten, lambda: _Iterate(whole, cost, number))
+        return jax.lax.cond(cost > enough, take_best_step_length, lambda: _Iterate(whole, cost, number))
 
     def _cost(self, left: Motion) -> Array:
         """Norm of the residual, weighted with the inverse masses."""

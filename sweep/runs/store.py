@@ -382,7 +382,7 @@ def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterato
             raise InputError(
                 f"{folder} does not hold the rows of its {POINTS}: {problems[0]}; `sweep verify` names all"
             )
-        if not todo.issuperset(entry.batches):  # of a part that was put together meanwhile some rows were yielded
+        if not todo.issuperset(entry.batches):  # a run has merged parts meanwhile: some rows were yielded before
             table = table.filter(pa.array(np.isin(table["batch"].to_numpy(), sorted(todo))))
         todo.difference_update(entry.batches)
         parts = parts[1:]
