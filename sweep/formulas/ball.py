@@ -47,7 +47,7 @@ def stabilise_delta(
     Delta: Annotated[Scalar, Input("s", 0.0, at_least=0)],
     tau: Annotated[Scalar, Input("s", 1.0, at_least=0)],
 ) -> StabilisingMove:
-    """Body's moves that stop a ball: delta from 0 to 1, pulse delta'.
+    """Body motions that stop a ball: delta from 0 to 1, and the pulse delta'.
 
     The ball ends at rest with no angular momentum gained. `delta` goes from 0 to 1 in T - Delta with an overshoot
     (golden ratio) such that its integral over T is T. The body then rests. `pulse` (delta') leaves and returns to 0,
@@ -82,7 +82,7 @@ class LateralMove(NamedTuple):
 def lateral_mu(
     T: Annotated[Scalar, positive("s", 2.0)], tau: Annotated[Scalar, Input("s", 1.0, at_least=0)]
 ) -> LateralMove:
-    """Sideways push of a ball: pulse with a plateau.
+    """Sideways push on a ball: a pulse with a plateau.
 
     The peak is 2, the plateau lasts d = T/4. The integral is 3/2 T, so that the gain of (3.1.8) must be multiplied by
     2/3 where this shape replaces the pulse.
@@ -173,7 +173,7 @@ def ball_omega(
     dphi: Annotated[Scalar, Input("rad/s", 1.0)],
     omega0: Annotated[Scalar, Input("rad/s", 1.0)],
 ) -> BallRate:
-    """Rate of a ball after the robot moved on it at a constant rate.
+    """Angular rate of a ball after the robot moved on it at a constant rate.
 
     Args:
         m: mass of the robot (kg).
@@ -208,7 +208,7 @@ def ball_descent(
     rho: CentreDistance,
     phi: Annotated[Scalar, Input("rad", 0.4, at_least=0, at_most=np.pi / 2)],
 ) -> Descent:
-    """Least rate that a ball gains while the robot comes down from its top.
+    """Least angular rate that a ball gains while the robot comes down from its top.
 
     A ball at rest ends with `gain`; a ball that shall be at rest in the end must start with as much the other way.
     """

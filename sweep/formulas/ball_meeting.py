@@ -31,7 +31,7 @@ def ball_approach(
     k_v: Annotated[Scalar, positive("s", 0.6)],
     f_s: Annotated[Scalar, Input("m", 4e-4, at_least=0)],
 ) -> Approach:
-    """Least speed to ask for, that a ball comes as far as it shall in time.
+    """Least speed to command so that a ball covers a distance in a given time.
 
     By (3.1.8) the mass centre is k_v (v - v_b) ahead of the ball's in the mean, whose speed v_b then goes to
     v - f_s (m + M)/(m k_v), f_s (m) being its rolling friction, with the time constant tau. So it goes `delta` in `t`.
@@ -54,7 +54,7 @@ def ball_impact(
     T: Annotated[Scalar, positive("s", 1.2)],
     d: Annotated[Scalar, positive("m", 0.1)],
 ) -> Impact:
-    """Rebound of a ball from a damped wall, and the speed at which feet that were about to land miss by d.
+    """Rebound of a ball from a damped wall, and the rebound speed at which landing feet miss by d.
 
     A spring and a damper of zeta times the critical damping push until they would pull: the ball comes back at e times
     its speed v. Feet land where a ball that rolls on is after half of the step's time T; off by T (1 + e) v/2.
@@ -80,7 +80,7 @@ def balls_hold(
     s: Annotated[Scalar, Input("m", 0.0, at_least=0)],
     t: Annotated[Scalar, positive("s", 2.0)],
 ) -> BallContactFriction:
-    """Least friction between two balls that touch, at which they roll no farther than told.
+    """Least friction between two touching balls that keeps them from rolling farther than a limit.
 
     T_1 and T_2 are the moments of feet about the balls' lowest points, forward. Pressed together by
     N = (T_1 - T_2)/(2 R) they roll as one, and slide on each other: 14/5 M R v' = T_1 + T_2 - mu (T_1 - T_2), so that

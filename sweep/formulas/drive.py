@@ -65,7 +65,7 @@ def servo_delay(
     damping: Annotated[Scalar, Input("N*m*s/rad", 514.26, at_least=0)],
     c_e: Annotated[Scalar, Input("N*m*s/rad", 10.0, at_least=0)],
 ) -> ServoDelay:
-    """How late a joint drive may know of its own joint before it swings by itself.
+    """Longest feedback delay with which a joint drive is still stable.
 
     About an inertia J (by default of a shin in the air and its drive), unsaturated; the back-EMF c_e has no delay:
     J phi'' + c_e phi' + damping phi'(t - delay) + stiffness phi(t - delay) = 0. At the limit phi oscillates steadily at

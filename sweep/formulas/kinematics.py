@@ -94,7 +94,7 @@ def step_cycle(
     kprime: Annotated[int, Input("", 2, options=(1, 2))],
     period: Annotated[Scalar, Input("s", 0.0, at_least=0)],
 ) -> CycleFoot:
-    """Foot in a step cycle, swing and stance (period 0: that of kprime)."""
+    """Foot position in a step cycle of swing and stance (period 0: the period that follows from kprime)."""
     full = jnp.where(jnp.asarray(period) > 0, period, tstar * (1 + 2 / kprime))
     return CycleFoot(stepping.step_cycle(cycle, t % full, tstar, d_x, d_y, kprime))
 
@@ -113,5 +113,5 @@ def lambda1(
     tstar: Annotated[Scalar, positive("s", 1.2156)],
     sigma2: Annotated[Scalar, Input("", 1.0, at_least=0.5, at_most=1)],
 ) -> TransferShare:
-    """Share of an irregular transfer done at a time, and its rate."""
+    """Share of an irregular swing that is done at a time, and its rate."""
     return TransferShare(*stepping.trapezoidal_transfer(t, t0, tstar, sigma2))

@@ -22,7 +22,7 @@ def ladder(
     f1: Annotated[Scalar, positive("", 1.0)],
     f2: Annotated[Scalar, positive("", 1.0)],
 ) -> LadderStatics:
-    """How far up a leaning ladder holds, and whether it holds to the top.
+    """Highest position at which a leaning ladder holds a load, and whether it holds one at the top.
 
     Monograph (2.2.1)-(2.2.4). Both contacts slide at the limit, which gives chi = f1 (tan phi + f2) / (1 + f1 f2); it
     reaches 1 exactly where tan phi >= 1/f1, the theorem of 2.2. An overhanging ladder (phi > pi/2) holds at most what
@@ -55,7 +55,7 @@ def ladder_lean(
     f2: Annotated[Scalar, positive("", 1.0)],
     chi: Annotated[Scalar, positive("", 1.0)],
 ) -> LadderInclination:
-    """How steep a ladder has to lean for a load on it to stay.
+    """Least inclination at which a leaning ladder holds a load.
 
     Least angle phi (rad) with friction f1 on the floor, f2 on the wall, and the load's weight at the share chi of the
     length. `ladder` solved for phi: tan phi = chi (1/f1 + f2) - f2. At chi = 1 that is the theorem of 2.2, cot phi =

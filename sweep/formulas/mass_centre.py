@@ -56,7 +56,7 @@ def ball_jacobian(
     m1: Annotated[Scalar, positive("kg", 0.5)],
     m2: Annotated[Scalar, positive("kg", 0.5)],
 ) -> MassCentre:
-    """How the mass centre follows the body of a robot standing on a ball.
+    """Motion of the mass centre per motion of the body, for a robot on a ball.
 
     D of (3.1.1) for a robot that stands on a ball: what the mass centre moves by if the body moves by 1.
 

@@ -40,7 +40,7 @@ def raft_tow(
     k_lin: Friction,
     C: Annotated[Scalar, positive("kg*m^2", 790.0)],
 ) -> TowedRaftMotion:
-    """Speed, tilt and heading's pole of a raft towed by a force fixed in the world.
+    """Speed, tilt and pole of the heading of a raft towed by a force fixed in world axes.
 
     Raft towed by F (N, fixed in the world) at the point (x_s, 0, z_s) (m) of the raft.
 
@@ -84,7 +84,7 @@ def raft_push(
     gamma: WaterWeight,
     k_lin: Friction,
 ) -> PushedRaftMotion:
-    """Steady motion of a raft under a force fixed in its own axes.
+    """Steady motion of a raft under a force fixed in the raft's axes.
 
     The force (N) comes with a moment (N m, none about z).
 

@@ -88,7 +88,7 @@ class Linear(NamedTuple):
 )
 @jax.jit
 def raft_linear(raft: RaftBody) -> Linear:
-    """Forces and moments per small motion of a raft.
+    """Forces and moments on a raft per unit of a small motion.
 
     Coefficients of (4.2.7) about the level raft at rest (SI units).
 
@@ -120,7 +120,7 @@ class Modes(NamedTuple):
     "monograph", "4.1.27", "4.2.12-4.2.15", correction="coefficients of (4.2.8); indices and the factor P in (4.1.27)"
 )
 def raft_modes(raft: RaftBody) -> Modes:
-    """Poles of a raft's small motions, and whether any grows.
+    """Poles of a raft's small motions, and whether any motion grows.
 
     Answers (4.2.10)-(4.2.15) by eigenvalues. Position and heading have poles at 0 (neutral), heave oscillates undamped;
     roll and pitch die out if the raft is stable and the water brakes it (k_lin > 0).

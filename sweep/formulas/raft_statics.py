@@ -167,7 +167,7 @@ def raft_offset_limit(
     d: HalfHeight,
     gamma: WaterWeight,
 ) -> OffsetLimit:
-    """How far a robot may walk from the middle of a raft, for a given tilt.
+    """Largest distance of a robot from the middle of a raft, for a given tilt.
 
     Offsets of a robot of weight P_r (N) that tilt the raft by `tilt` (rad), small angles.
 
