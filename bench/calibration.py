@@ -11,8 +11,8 @@ import time
 import numpy as np
 import shared
 
-from sweep.controllers.calibration import learnable_sizes
 from sweep.engines import devices, make
+from sweep.estimation.calibration import learnable_sizes
 from sweep.metrics.outcome import classify
 from sweep.models.case import Case
 from sweep.study.config import compose

@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from one_run import traced
 
-from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS, Waypoints
 from sweep.controllers.plan import Plan, reference_stance
 from sweep.controllers.posture import joint_targets
 from sweep.core.plot_style import DPI, legend_below, new_figure, plot_style
 from sweep.formulas.leg import SIDE
 from sweep.formulas.thesis import thesis_workspace
+from sweep.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS, Waypoints
 from sweep.models.case import Case
 from sweep.study.config import compose
 from sweep.trace.plots import ACTUAL, REFERENCE, SECOND

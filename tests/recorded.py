@@ -20,13 +20,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from sweep.controllers import tracker
-from sweep.controllers.forces import KNOTS, PlannedForces
 from sweep.controllers.layers import Feedforward
 from sweep.controllers.observation import Observation
 from sweep.core.errors import InputError
 from sweep.fused import eager
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import free_start_state
+from sweep.planning.forces import KNOTS, PlannedForces
 from sweep.study.config import compose
 from sweep.systems.hexapod import replace_parameter
 

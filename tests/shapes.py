@@ -12,7 +12,7 @@ from typing import Any, get_args
 from beartype import beartype
 from jaxtyping import AbstractArray, install_import_hook
 
-ROOMS = "formulas", "models", "dynamics", "controllers"
+ROOMS = "formulas", "models", "dynamics", "controllers", "planning", "manoeuvres", "estimation"
 
 
 def checked[F: Callable](function: F) -> F:

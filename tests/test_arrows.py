@@ -18,8 +18,10 @@ BELOW_RUNS = (
     "models",
     "dynamics",
     "controllers",
+    "planning",
+    "manoeuvres",
+    "estimation",
     "metrics",
-    "tune",
     "engines",
     "systems",
     "study",
@@ -118,7 +120,7 @@ def test_studies_know_systems_by_their_contract(place):
     own = {
         name
         for name in MODULES
-        if room(name) in ("models", "dynamics", "controllers", "metrics", "tune", "engines", "systems")
+        if room(name) in BELOW_RUNS[BELOW_RUNS.index("models") : BELOW_RUNS.index("systems") + 1]
     }
     mine = [name for name in MODULES if room(name) == place]
     assert not [(name, other) for name in mine for other in ARROWS[name] & (own - CONTRACT)]

@@ -6,9 +6,9 @@ from small_study import one_line
 
 from sweep.cli.choices import shipped_choices
 from sweep.cli.main import main
-from sweep.controllers.manoeuvres import MANOEUVRES
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import InputError
+from sweep.manoeuvres import MANOEUVRES
 from sweep.models.obstacles import OBSTACLES
 from sweep.study.config import build_experiment, compose, compose_values
 

@@ -15,9 +15,9 @@ from sweep.cli.main import main
 from sweep.core import project
 from sweep.core.errors import InputError
 from sweep.fused.eager import evaluate_constants
-from sweep.models.plan_table import (
+from sweep.models.plan_numbers import PlanTable
+from sweep.planning.plan_table import (
     GROUP,
-    PlanTable,
     differences,
     evaluate_plan,
     formula_values,

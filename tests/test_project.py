@@ -20,7 +20,7 @@ from sweep.study.config import KINDS, compose
 OWN = """
 from dataclasses import dataclass
 import jax.numpy as jnp
-from sweep.controllers.manoeuvres.walking.walk import Walk
+from sweep.manoeuvres.walking.walk import Walk
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.plane import Plane
 

@@ -14,8 +14,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from sweep.controllers.manoeuvres.walking.walk import level_stance
 from sweep.controllers.posture import joint_targets
+from sweep.manoeuvres.walking.walk import level_stance
 from sweep.models.case import Case
 from sweep.models.contact import Contact
 from sweep.models.obstacles.base import ObstacleDefaults

@@ -18,9 +18,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.frames import Stance
-from sweep.controllers.manoeuvres.walking.walk import level_stance
 from sweep.controllers.posture import joint_targets
 from sweep.core.constants import GRAVITY
+from sweep.manoeuvres.walking.walk import level_stance
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, JOINT_V, N_LEGS

@@ -23,14 +23,10 @@ from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
 from sweep.core.provenance import search_version
 from sweep.engines import devices
-from sweep.models import plan_table
-from sweep.models.case import Case
-from sweep.models.plan_table import SLOPES, Content
-from sweep.runs import store, tuning
-from sweep.study.config import Experiment, compose
-from sweep.study.study import make_points, parameter_columns
-from sweep.systems.base import split_side
-from sweep.tune.score import (
+from sweep.models.case import Case, TabulatedManoeuvre
+from sweep.planning import plan_table
+from sweep.planning.plan_table import SLOPES, Content
+from sweep.planning.score import (
     EQUAL_DEFICIT,
     MANOEUVRE,
     MAX_PHASE_INTERVAL,
@@ -41,13 +37,17 @@ from sweep.tune.score import (
     relative_changes,
     with_draw_axis,
 )
+from sweep.runs import store, tuning
+from sweep.study.config import Experiment, compose
+from sweep.study.study import make_points, parameter_columns
+from sweep.systems.base import split_side
 
 DIGITS, SLOPE_DIGITS = 4, 3  # to which numbers are rounded, and slopes
 DRAWS = ("here", "other draws")
 LEAST = {"population": 4, "generations": 1, "seed": 1}  # of the flags
 ENDS = 2  # moments of a stage, at least
 SLIGHT = 0.05  # first steps by which a number has to follow a size in the farthest draw, or it does not
-EPILOG = """Margins are those of sweep/tune/kinematic_margins.py; draws are the points of the study, known to the
+EPILOG = """Margins are those of sweep/planning/kinematic_margins.py; draws are the points of the study, known to the
 planner. What is found is checked on the draws of the study's next seed. With --follow numbers get slopes, by which they
 follow the sizes that the study draws. With --simulate both draws are run, too, by the plan before and after, in folders
 beside the file. What no number of the plan moves, such as feet on the way to an obstacle, may be moved by numbers of
@@ -69,7 +69,7 @@ def main(argv: list[str]) -> int:
     if why := exp.system.unsupported_commands.get("tune"):
         raise InputError(f"tune is not allowed: {why}")
     case, where = exp.case, Path(exp.out or "")
-    if not isinstance(case.manoeuvre, plan_table.TabulatedManoeuvre):
+    if not isinstance(case.manoeuvre, TabulatedManoeuvre):
         raise InputError(f"manoeuvre.kind = {case.manoeuvre.kind} has no plan file")
     if not args.check and where.suffix != ".yaml":
         raise InputError(f"out = {exp.out or ''} is not allowed: the file of the plan, such as plans/mine.yaml")
@@ -338,7 +338,7 @@ def add_slopes(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes
 
 def plan_file(case: Case, content: Content, head: list[str]) -> str:
     """Text of a plan's file: comments, then its differences to the manoeuvre's own plan."""
-    assert isinstance(case.manoeuvre, plan_table.TabulatedManoeuvre)
+    assert isinstance(case.manoeuvre, TabulatedManoeuvre)
     said = plan_table.differences(plan_table.own_plan_content(case), content)
     own = case.manoeuvre.own_plan
     whole = {"extends": own, **said} if own else said

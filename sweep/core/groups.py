@@ -53,9 +53,9 @@ GROUPS = {
     "study": Group("sweep.study.study:StudySchema", whole=True),
     "robot": Group("sweep.models.robot:Robot", in_case=True),
     "obstacle": Group("sweep.models.obstacles:OBSTACLES", in_case=True, kinds=True),
-    "manoeuvre": Group("sweep.controllers.manoeuvres:MANOEUVRES", in_case=True, kinds=True),
+    "manoeuvre": Group("sweep.manoeuvres:MANOEUVRES", in_case=True, kinds=True),
     "plan": Group(
-        "sweep.models.plan_table:PlanTable", in_case=True, free=True, numbers="sweep.systems.hexapod:plan_numbers"
+        "sweep.models.plan_numbers:PlanTable", in_case=True, free=True, numbers="sweep.systems.hexapod:plan_numbers"
     ),
     "drive": Group("sweep.models.drive:Drive", in_case=True),
     "contact": Group("sweep.models.contact:Contact", in_case=True),

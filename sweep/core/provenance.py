@@ -21,8 +21,8 @@ from sweep.core.version import STARTED
 
 ROOT = Path(__file__).parents[1]
 WORKER = ("sweep.runs.runner",)  # what it imports can change a row
-PROGRAMS = ("sweep.engines", "sweep.controllers.manoeuvres")  # what they import can change a compiled program
-SEARCH = (*WORKER, "sweep.runs.tuning", "sweep.tune.score")  # can change what a search of a plan's numbers finds
+PROGRAMS = ("sweep.engines", "sweep.manoeuvres")  # what they import can change a compiled program
+SEARCH = (*WORKER, "sweep.runs.tuning", "sweep.planning.score")  # can change what a search of a plan's numbers finds
 LIBRARIES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "llvmlite", "numpy", "scipy", "SALib")
 CPU_INFO = Path("/proc/cpuinfo")
 _parsed: dict[str, tuple[list[str], str]] = {}  # see `_read`

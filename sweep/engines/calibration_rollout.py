@@ -11,14 +11,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.calibration import MOVES, PoseMeasurements, learnable_sizes
-from sweep.controllers.calibration_poses import HOLD, MOVE, CalibrationPoses, held_pose_index
 from sweep.core.errors import InputError
 from sweep.core.outcomes import FAILURE, INVALID
 from sweep.engines import batching, devices, pre_rollout
 from sweep.engines.base import Engine, Metrics, NoTrace, Sides, TimeSeriesRequest, Trace
 from sweep.engines.batching import require_trace
 from sweep.engines.settings import EngineSettings
+from sweep.estimation.calibration import MOVES, PoseMeasurements, learnable_sizes
+from sweep.estimation.calibration_poses import HOLD, MOVE, CalibrationPoses, held_pose_index
 from sweep.metrics import calibration, outcome
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers import tracker
-from sweep.controllers.belief_update import LearnedState, initial_obstacle, update_from_touch, updated_belief
 from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Command
 from sweep.controllers.observation import Observation, Sensors, init_sensors, observe, with_contact_detection
@@ -21,6 +20,7 @@ from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.controllers.tracker import TrackerState
 from sweep.core.constants import LOADED
 from sweep.core.rotations import conjugate, multiply, rotate, rotation_about_vertical
+from sweep.estimation.belief_update import LearnedState, initial_obstacle, update_from_touch, updated_belief
 from sweep.metrics import accumulator
 from sweep.metrics.accumulator import RunningMetrics
 from sweep.metrics.metric import GRACE, REST, MetricTick, RolloutStart, Tick

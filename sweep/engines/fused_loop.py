@@ -10,7 +10,6 @@ import numpy as np
 from jax.stages import Compiled
 from jaxtyping import Array
 
-from sweep.controllers.belief_update import LearnedState
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.engines import devices
@@ -18,6 +17,7 @@ from sweep.engines.base import TimeSeriesRequest
 from sweep.engines.planning import Planning
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import select_columns
+from sweep.estimation.belief_update import LearnedState
 from sweep.fused import eager
 from sweep.fused.arrays import Unsupported
 from sweep.fused.eager import NumpyProgram

@@ -12,7 +12,6 @@ from jax.sharding import PartitionSpec
 from jax.stages import Compiled
 from jaxtyping import Array
 
-from sweep.controllers.belief_update import replan_rest
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.progress import timed_part
@@ -40,6 +39,7 @@ from sweep.engines.planning import Planning
 from sweep.engines.pre_rollout import prepare_belief
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import available_columns, select_columns
+from sweep.estimation.belief_update import replan_rest
 from sweep.fused import driver, kernel, launch
 from sweep.fused.eager import NumpyProgram
 from sweep.fused.kernel import Code, Kernel

@@ -15,7 +15,6 @@ from jax.stages import Compiled
 from jaxtyping import Array, Bool, Float
 from mujoco.batch import Batch
 
-from sweep.controllers.belief_update import LearnedState, replan_rest
 from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.layers import Command
 from sweep.controllers.plan import Plan
@@ -45,6 +44,7 @@ from sweep.engines.planning import Planning
 from sweep.engines.pre_rollout import prepare_belief
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import select_columns
+from sweep.estimation.belief_update import LearnedState, replan_rest
 from sweep.fused import kernel
 from sweep.fused.eager import NumpyProgram
 from sweep.fused.kernel import Code, Kernel, Tiles

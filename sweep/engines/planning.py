@@ -16,8 +16,6 @@ import numpy as np
 from jax.stages import Compiled
 from jaxtyping import Array, Float, Shaped
 
-from sweep.controllers import forces
-from sweep.controllers.forces import Bounds, Effort, ForceProblem, SearchState, StaticPose
 from sweep.core.progress import timed_part
 from sweep.engines import devices
 from sweep.fused import eager, kernel
@@ -25,6 +23,8 @@ from sweep.fused.arrays import Unsupported
 from sweep.fused.eager import NumpyProgram
 from sweep.fused.kernel import Code, Kernel
 from sweep.models.legs import N_LEGS
+from sweep.planning import forces
+from sweep.planning.forces import Bounds, Effort, ForceProblem, SearchState, StaticPose
 
 Start = Callable[..., Any]  # function of a rollout's world, belief and random key
 Parts = tuple[NumpyProgram | Compiled, dict[str, Code]]  # of `Planning`, as the cache stores them

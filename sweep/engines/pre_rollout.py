@@ -8,9 +8,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers import calibration, touch
-from sweep.controllers.belief_update import LearnedState, updated_belief
-from sweep.controllers.calibration import HEIGHT, MOVES, CalibrationResult, Ground, PoseMeasurements
 from sweep.controllers.frames import Stance
 from sweep.controllers.observation import draw_biases, draw_body_biases
 from sweep.controllers.plan import Plan
@@ -19,6 +16,9 @@ from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
 from sweep.engines import planning
 from sweep.engines.closed_loop import Start, start_state
+from sweep.estimation import calibration, touch
+from sweep.estimation.belief_update import LearnedState, updated_belief
+from sweep.estimation.calibration import HEIGHT, MOVES, CalibrationResult, Ground, PoseMeasurements
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, N_LEGS
 from sweep.models.obstacles.surface import Surface, body_poses, free_start_state, surface_at

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.calibration import CalibrationResult, learnable_sizes
+from sweep.estimation.calibration import CalibrationResult, learnable_sizes
 from sweep.metrics.metric import Metric, RolloutStart
 
 SIZES = {

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.metrics.geometry import AROUND, edge_distance
 from sweep.metrics.metric import MetricTick, extremes
+from sweep.models.geometry import AROUND, edge_distance
 from sweep.models.obstacles.plane import Plane
 
 

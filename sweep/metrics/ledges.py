@@ -6,8 +6,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.manoeuvres.balancing.ball_ledges import OFF, ON
 from sweep.controllers.plan import is_under_law
+from sweep.manoeuvres.balancing.ball_ledges import OFF, ON
 from sweep.metrics.metric import Cause, Metric, MetricTick, Rollout, goal_cause, initial_state
 from sweep.models.obstacles.ledges import Ledges
 

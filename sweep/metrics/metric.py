@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.belief_update import LearnedState
 from sweep.controllers.frames import Stance
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan
 from sweep.core.parameters import UNITS, quantity
+from sweep.estimation.belief_update import LearnedState
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import BodyPoses, FreeState
 

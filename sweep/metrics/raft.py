@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.manoeuvres.afloat.raft_cross import PUSH, WAIT
 from sweep.controllers.plan import is_under_law
 from sweep.core.rotations import heading, rotate
+from sweep.manoeuvres.afloat.raft_cross import PUSH, WAIT
 from sweep.metrics.metric import Cause, Metric, MetricTick, Rollout, RolloutStart
 from sweep.metrics.slip import FootHold
 from sweep.models.obstacles.raft import CORNERS, Raft

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.constants import LOADED
-from sweep.metrics.geometry import support_margin
 from sweep.metrics.metric import BRIEF, Metric, MetricTick, initial_state
+from sweep.models.geometry import support_margin
 
 
 class Stability(NamedTuple):

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.manoeuvres.balancing.ball_to_ball import OVER
 from sweep.controllers.plan import is_under_law
+from sweep.manoeuvres.balancing.ball_to_ball import OVER
 from sweep.metrics.metric import REST, Metric, MetricTick, PlanTail, Rollout, RolloutStart, goal_cause
 from sweep.models.obstacles.two_balls import TwoBalls
 

@@ -12,7 +12,7 @@ from sweep.models.disturbance import Execution
 from sweep.models.drive import Drive
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import Obstacle
-from sweep.models.plan_table import PlanTable
+from sweep.models.plan_numbers import PlanTable
 from sweep.models.robot import Robot
 
 
@@ -43,6 +43,26 @@ class Manoeuvre(Protocol):
 
         Numbers are nan where no plan exists. Raises `InputError` where plain numbers admit no plan.
         """
+        ...
+
+
+@runtime_checkable
+class TabulatedManoeuvre(Protocol):
+    """A manoeuvre whose plan's numbers are in a file."""
+
+    @property
+    def own_plan(self) -> str:
+        """Name of the file of a case without another one; empty if each case must name a file."""
+        ...
+
+
+@runtime_checkable
+class ReversibleManoeuvre(TabulatedManoeuvre, Protocol):
+    """A manoeuvre whose whole plan can be executed backwards in time."""
+
+    @property
+    def two_way(self) -> bool:
+        """Always True."""
         ...
 
 

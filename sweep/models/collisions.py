@@ -2,7 +2,7 @@
 
 Every leg collides with every other leg, its thigh (from `Robot.hip_clearance` on) and its shin with the base between
 the hips, and these two, from where the knee's fork ends, with each other. Shins end as in
-`sweep.metrics.geometry.capsules`, in a pin that meets the obstacle.
+`sweep.models.geometry.capsules`, in a pin that meets the obstacle.
 """
 
 import mujoco

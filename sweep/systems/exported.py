@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep import metrics
-from sweep.controllers.belief_update import LearnedState
 from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.layers import Feedforward
 from sweep.core.errors import InputError
@@ -33,6 +32,7 @@ from sweep.engines.closed_loop import (
 )
 from sweep.engines.pre_rollout import prepare_belief
 from sweep.engines.settings import EngineSettings
+from sweep.estimation.belief_update import LearnedState
 from sweep.metrics.metric import GOAL, REST, Tick
 from sweep.metrics.outcome import Thresholds, threshold_value
 from sweep.models.case import Case

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweep.controllers.manoeuvres import MANOEUVRES
 from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import build, build_by_kind
@@ -20,16 +19,23 @@ from sweep.engines import devices, run_id
 from sweep.engines.base import Engine
 from sweep.engines.settings import EngineSettings
 from sweep.engines.states import available_columns
+from sweep.manoeuvres import MANOEUVRES
 from sweep.metrics import outcome
 from sweep.metrics.outcome import Thresholds
-from sweep.models import plan_table
-from sweep.models.case import Case, Manoeuvre
+from sweep.models.case import Case, Manoeuvre, ReversibleManoeuvre, TabulatedManoeuvre
 from sweep.models.control import Control
 from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.obstacles.surface import Obstacle
 from sweep.models.obstacles.user_obstacle import check_user_obstacle
-from sweep.models.plan_table import DIRECTIONS, FORTH, WAY, Content, PlanTable, ReversibleManoeuvre, TabulatedManoeuvre
+from sweep.models.plan_numbers import PlanTable
+from sweep.planning import plan_table
+from sweep.planning.plan_table import (
+    DIRECTIONS,
+    FORTH,
+    WAY,
+    Content,
+)
 from sweep.systems.base import SIDES, AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
 
 if TYPE_CHECKING:

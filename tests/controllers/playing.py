@@ -8,7 +8,7 @@ import numpy as np
 
 from sweep.controllers.plan import Plan
 from sweep.models.case import Case
-from sweep.tune.kinematic_margins import planned_margins, planned_stance
+from sweep.planning.kinematic_margins import planned_margins, planned_stance
 
 U = np.linspace(0, 1, 41)
 

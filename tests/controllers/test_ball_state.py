@@ -17,12 +17,12 @@ from sweep.controllers.ball_state import (
     turn_footholds_back,
 )
 from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world, to_frame, to_world
-from sweep.controllers.manoeuvres.balancing.ball import stance_on_ball, stand_pose
-from sweep.controllers.manoeuvres.balancing.ball_turn import BallTurn
 from sweep.controllers.observation import Observation
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.engines.closed_loop import free_body_state, start_state
 from sweep.formulas.mass_centre import ball_jacobian
+from sweep.manoeuvres.balancing.ball import stance_on_ball, stand_pose
+from sweep.manoeuvres.balancing.ball_turn import BallTurn
 from sweep.models import scene
 from sweep.models.frames import WORLD, body_frame, koenig_frame
 from sweep.models.obstacles.surface import FreeState

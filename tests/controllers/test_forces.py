@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from sweep.controllers.forces import Bounds, StaticPose, distribute_forces, joint_torque, static_pose
 from sweep.controllers.frames import Stance
-from sweep.controllers.manoeuvres.walking.walk import Stand
 from sweep.controllers.posture import joint_targets
 from sweep.formulas import corner
 from sweep.formulas.leg import SIDE
+from sweep.manoeuvres.walking.walk import Stand
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
 from sweep.models.contact import Contact
@@ -22,7 +21,8 @@ from sweep.models.noise import Noise
 from sweep.models.obstacles.plane import Plane
 from sweep.models.robot import Robot
 from sweep.models.scene import compile_model
-from sweep.tune.force_reserve import force_reserve
+from sweep.planning.force_reserve import force_reserve
+from sweep.planning.forces import Bounds, StaticPose, distribute_forces, joint_torque, static_pose
 
 ROBOT = Robot()
 UPRIGHT = (0.5**0.5, 0.0, -(0.5**0.5), 0.0)  # x_r up

@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.frames import Stance
-from sweep.controllers.gaits import GAITS, Step, body_advance, initial_foot_offsets, regular_steps
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, swing_progress
+from sweep.planning.compile_plan import compile_plan
+from sweep.planning.gaits import GAITS, Step, body_advance, initial_foot_offsets, regular_steps
 
 STEP = Step(0.105, 0.03, 1.2)
 CENTRES = jnp.asarray(np.random.default_rng(0).normal(size=(6, 3))).at[:, 2].set(0)

@@ -7,13 +7,13 @@ import pytest
 
 from sweep.controllers.frames import Stance, stance_to_world
 from sweep.controllers.plan import Plan, stage_start
-from sweep.controllers.symmetry import reverse_in_time
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, matrix, multiply
 from sweep.models.frames import WORLD, body_frame
 from sweep.models.obstacles.surface import body_poses
+from sweep.planning.kinematic_margins import planned_margins
+from sweep.planning.symmetry import reverse_in_time
 from sweep.study.config import compose
-from sweep.tune.kinematic_margins import planned_margins
 
 CASE = compose(["scenario=ladder_climb"]).case
 FREE = CASE.obstacle.start()

@@ -15,8 +15,8 @@ from sweep.core.rotations import exponential, matrix, rotate
 from sweep.formulas.leg import SIDE
 from sweep.formulas.stepping import LANDING
 from sweep.models.case import Case
-from sweep.models.plan_table import evaluate_plan
 from sweep.models.robot import leg_unit
+from sweep.planning.plan_table import evaluate_plan
 from sweep.study.config import compose
 
 U = np.linspace(0, 1, 41)

@@ -10,8 +10,8 @@ from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan, reference_stance
 from sweep.controllers.posture import joint_targets, mass_centre
 from sweep.core.rotations import matrix, rotate
-from sweep.metrics.geometry import support_margin
 from sweep.models.case import Case
+from sweep.models.geometry import support_margin
 from sweep.study.config import compose
 
 RADIUS, LENGTH = 0.42, 1.05  # m

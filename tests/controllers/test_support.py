@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from sweep.controllers import tracker
-from sweep.controllers.compile_plan import compile_plan
 from sweep.controllers.frames import Stance
-from sweep.controllers.manoeuvres.balancing.ball import stance_on_ball, stand_pose
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import GRIP, KEPT, MEASURED, RESTS, STAYS, TO_POSE, TO_VELOCITY, TOGETHER, Stage, Support
 from sweep.controllers.posture import joint_targets
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion, reference_motion
 from sweep.core.rotations import exponential, logarithm
+from sweep.manoeuvres.balancing.ball import stance_on_ball, stand_pose
 from sweep.models.frames import body_frame, koenig_frame
 from sweep.models.obstacles.surface import FreeState, free_start_state
+from sweep.planning.compile_plan import compile_plan
 from sweep.study.config import compose
 
 CASE = compose(["scenario=ball_balance"]).case

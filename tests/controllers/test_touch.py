@@ -8,20 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.controllers import touch
-from sweep.controllers.belief_update import LearnedState, replan_rest, update_from_touch
-from sweep.controllers.calibration import CalibrationResult
 from sweep.controllers.frames import Stance, stance_to_world
 from sweep.controllers.layers import HeldLegs
 from sweep.controllers.observation import BodyObserver, Observation, with_contact_detection
 from sweep.controllers.plan import reference_stance, stage_start
 from sweep.controllers.posture import joint_targets
-from sweep.controllers.touch import TouchState
 from sweep.controllers.tracker import init
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
 from sweep.engines import make
 from sweep.engines.pre_rollout import measure_body_positions, prepare_belief
+from sweep.estimation import touch
+from sweep.estimation.belief_update import LearnedState, replan_rest, update_from_touch
+from sweep.estimation.calibration import CalibrationResult
+from sweep.estimation.touch import TouchState
 from sweep.models.frames import WORLD
 from sweep.models.noise import Noise
 from sweep.models.obstacles.ball import Ball

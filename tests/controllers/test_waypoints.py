@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from sweep.controllers.frames import Stance
-from sweep.controllers.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS
 from sweep.controllers.plan import Plan, reference_stance
 from sweep.controllers.posture import joint_targets
 from sweep.core.errors import InputError
 from sweep.engines.batching import nominal_plan
+from sweep.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS
 from sweep.models.case import Case
 from sweep.study.config import compose
 

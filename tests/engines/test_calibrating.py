@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sweep.controllers.calibration import learnable_sizes
 from sweep.engines import make
+from sweep.estimation.calibration import learnable_sizes
 from sweep.metrics.outcome import classify
 from sweep.study.config import compose
 

@@ -6,9 +6,9 @@ import jax
 import numpy as np
 import pytest
 
-from sweep.controllers.calibration import learnable_sizes
 from sweep.core.errors import InputError
 from sweep.engines import devices, make, pre_rollout
+from sweep.estimation.calibration import learnable_sizes
 from sweep.study.config import compose
 
 STAND = ["scenario=walk_tripod", "manoeuvre=stand", "control=calibrate"]

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers import forces
 from sweep.engines import devices, planning
 from sweep.engines.planning import Planning
+from sweep.planning import forces
 
 FEET = jnp.array([[-0.5, 0.5], [0.0, 0.5], [0.5, 0.5], [-0.5, -0.5], [0.0, -0.5], [0.5, -0.5]])
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 from scipy.spatial import ConvexHull, QhullError
 
-from sweep.metrics.geometry import (
+from sweep.models.geometry import (
     AROUND,
     base_gap,
     edge_distance,

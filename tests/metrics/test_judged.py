@@ -10,8 +10,8 @@ import pytest
 
 from sweep.core.constants import GRAVITY
 from sweep.metrics import attitude, clearance, depth, drives, free_bodies, rest, shins, slip, solver
-from sweep.metrics.geometry import base_gap, fold_gap
 from sweep.metrics.outcome import GOAL, threshold_value
+from sweep.models.geometry import base_gap, fold_gap
 from sweep.models.obstacles.surface import FreeState, body_poses, no_free_bodies
 from sweep.models.robot import total_mass
 from sweep.study.config import compose

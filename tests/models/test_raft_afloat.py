@@ -10,8 +10,6 @@ from raft_laws import energy, vertical_momentum
 from scipy.linalg import expm
 from validity.simulation import simulate
 
-from sweep.controllers.compile_plan import compile_plan
-from sweep.controllers.manoeuvres.walking.walk import Stand, level_stance
 from sweep.controllers.plan import Plan, Stage
 from sweep.controllers.posture import joint_targets, mass_centre
 from sweep.core.constants import GRAVITY
@@ -22,10 +20,12 @@ from sweep.formulas import evaluate
 from sweep.formulas.raft_dynamics import RaftBody as Formula
 from sweep.formulas.raft_dynamics import raft_linear, raft_modes
 from sweep.formulas.raft_statics import hydro_thick
+from sweep.manoeuvres.walking.walk import Stand, level_stance
 from sweep.models.case import Case
 from sweep.models.obstacles.raft import CORNERS, Raft
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.robot import total_mass
+from sweep.planning.compile_plan import compile_plan
 from sweep.study.config import compose
 
 GAMMA, STEP, SECONDS, SPEED = 9810.0, 2e-3, 21.0, 0.1

@@ -11,9 +11,9 @@ from slab import Slab
 from validity.simulation import simulate
 
 from sweep.controllers.frames import Stance
-from sweep.controllers.manoeuvres.walking.walk import level_stance
 from sweep.controllers.posture import joint_targets
 from sweep.core.rotations import exponential
+from sweep.manoeuvres.walking.walk import level_stance
 from sweep.models import scene
 from sweep.study.config import compose
 

@@ -11,14 +11,14 @@ from sweep.controllers import tracker
 from sweep.controllers.ball_state import centre_of_mass
 from sweep.controllers.frames import Stance
 from sweep.controllers.layers import TickContext
-from sweep.controllers.manoeuvres.balancing.ball import BallDrive
-from sweep.controllers.manoeuvres.balancing.ball_to_ball import BallDocking, Closing
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import MEASURED, stage_end_stances
 from sweep.controllers.posture import feet_in_hip_axes
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.core.errors import InputError
 from sweep.engines import make
+from sweep.manoeuvres.balancing.ball import BallDrive
+from sweep.manoeuvres.balancing.ball_to_ball import BallDocking, Closing
 from sweep.metrics.outcome import classify
 from sweep.models.frames import WORLD
 from sweep.models.obstacles.surface import body_poses

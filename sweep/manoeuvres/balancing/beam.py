@@ -1,0 +1,267 @@
+"""Across a narrow beam by diagonal gait, with the straight middle legs balancing as a flywheel (monograph 2.6).
+
+World axes: the beam lies along y and the robot comes along -y. The book's xi, eta, zeta are x, y, z.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.controllers.flywheel import Gains
+from sweep.controllers.frames import Stance
+from sweep.controllers.plan import BALANCE, CYCLE_B, LEVELLING, LOCKED, SMOOTH, STAND, Plan, Stage
+from sweep.controllers.posture import joint_targets
+from sweep.core.parameters import choice, count, parameters, quantity
+from sweep.formulas.leg import SIDE
+from sweep.manoeuvres.climbing.walking import FACING_MINUS_Y
+from sweep.manoeuvres.goals import ARRIVED, UPRIGHT
+from sweep.models.case import Case
+from sweep.models.legs import LEGS
+from sweep.models.obstacles.beam import Beam
+from sweep.models.obstacles.charts import point
+from sweep.models.robot import Robot, mounts
+from sweep.planning.compile_plan import compile_plan
+from sweep.planning.gaits import TRIPOD, Step, initial_foot_offsets, regular_steps
+
+DIAGONALS = ((1, 6), (2, 5))
+MIDDLE = (3, 4)
+IS_MIDDLE = np.isin(np.array(LEGS), MIDDLE)
+# joint angles of middle legs that are stretched out to the sides
+LEVEL_LEGS = {3: (0.0, np.pi / 2, 0.0), 4: (0.0, np.pi / 2, np.pi)}
+FORWARD = (0.0, -1.0, 0.0)
+
+
+class BeamSite(NamedTuple):
+    """Geometry of robot and beam from which the stages are made; made by `BeamWalk.site`."""
+
+    robot: Robot
+    ground: Array | float  # m, h_1, height of the ledges and the beam's top
+    clearance: Array | float  # m, height of the hips above them
+    track: Array | float  # m, xi_b, the narrow track
+    deepening: Array | float  # m, epsilon
+    step: Step
+
+    def base_at(self, y: Array | float) -> Float[Array, " 3"]:
+        """Return the position of the base (m) at coordinate y along the beam."""
+        return point(0.0, y, self.ground + self.clearance)
+
+    def feet_at(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
+        """Return feet beside their hips (m), each `track` (m) from the middle line, for a base at y."""
+        depth = jnp.full(6, self.ground - self.deepening)
+        return jnp.stack([SIDE * jnp.asarray(track, float), y - mounts(self.robot)[:, 0], depth], axis=-1)
+
+    def swing_stage(self, name: str, legs: Sequence[int], feet: Float[Array, "6 3"], **more) -> Stage:
+        """Return a stage in which some legs step to their places in `feet`."""
+        return Stage(name, self.step.time, by_leg(feet, legs), CYCLE_B, self.step.height, **more)
+
+    def joint_angles(self, y: Array | float, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+        """Return the joint angles (rad) that put the feet there, for a base at y."""
+        return joint_targets(self.robot, Stance(feet, self.base_at(y), jnp.array(FACING_MINUS_Y)))[0]
+
+    def stretched_feet(self, y: Array | float) -> Float[Array, "6 3"]:
+        """Return the feet of straight legs (m), level and out to the sides, for a base at y."""
+        robot = self.robot
+        feet = self.feet_at(y, robot.body_width / 2 + robot.coxa + robot.thigh + robot.shin)
+        return feet.at[:, 2].set(self.ground + self.clearance)
+
+    def angles_beside_hips(self, out: Array | float, down: Array | float) -> Float[Array, "6 3"]:
+        """Return the joint angles (rad) with every foot `out` (m) outward from its hip and `down` (m) below it."""
+        feet = self.feet_at(0.0, self.robot.body_width / 2 + out)
+        return self.joint_angles(0.0, feet.at[:, 2].set(self.ground + self.clearance - down))
+
+
+@parameters
+class BeamWalk:
+    """Walk along the beam, on which the robot starts with its middle legs out. Ratios are to a_r."""
+
+    goal: ClassVar = ARRIVED
+    kind: str = choice("beam_walk", "beam_walk")
+    flywheel: str = choice("on", "on", "off")  # whether the middle legs balance the body; off: they stay as they are
+    steps: int = count(16, at_least=0, at_most=100)  # number of swings of a diagonal pair
+    # distance of the feet from the beam's edges: xi_b is its width less twice that
+    inset: float = quantity(0.0125, "m", at_least=0)
+    half_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.5)  # d_x, half the length of a swing
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, height of a swing
+    height_ratio: float = quantity(0.58, "a_r", above=0, at_most=2)  # height of the hips above the beam
+    rate: float = quantity(6.0, "rad/s", above=0, at_most=20)  # varpi, rate of the swings, which gives their time t*
+    deepening: float = quantity(5e-3, "m", at_least=0, at_most=0.05)  # epsilon, depth of footholds below the beam's top
+    patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
+    c1: float = quantity(5000.0, "N/m")  # force for each metre of the mass centre's distance from its planned line
+    c2: float = quantity(400.0, "N*s/m")  # force against the mass centre's lateral speed
+    c3: float = quantity(-5e4, "N*m/rad", at_most=0)  # torque by which leg 4 follows leg 3, for each radian
+    c4: float = quantity(547.215, "N*m*s/rad", at_least=0)  # printed with a minus, which gives no damping
+    c5: float = quantity(-6.25, "N*m/rad")  # torque on leg 3 towards its rest while four feet stand, for each radian
+    c6: float = quantity(10.067, "N*m*s/rad")  # printed with a minus, which gives no damping
+
+    needs = (Beam,)
+
+    def plan(self, belief: Case) -> Plan:
+        """Return the plan: stand, `steps` swings with base motions between them, a swing that closes the stance, stand.
+
+        At the end the middle legs are held where they are, since the law that levels them takes c_6/-c_5, 1.6 s in
+        print.
+        """
+        site = self.site(belief)
+        start = -belief.robot.body_length / 2 - 2 * site.step.landing
+        stages = [Stage("stand", STAND, posture=LEVEL_LEGS, flywheel=self.flywheel_mode(LEVELLING))]
+        stages += self.diagonal_stages(site, start, 2 * site.step.landing)
+        stages += [Stage("rest", STAND, flywheel=self.flywheel_mode(LEVELLING)), Stage("halt", STAND)]
+        feet = jnp.where(IS_MIDDLE[:, None], site.stretched_feet(start), site.feet_at(start, site.track / 2))
+        stance = Stance(feet, site.base_at(start), jnp.array(FACING_MINUS_Y))
+        return compile_plan(stance, stages, self.patience, self.gains(belief), steered=True)
+
+    def site(self, belief: Case) -> BeamSite:
+        """Return the geometry of robot and beam, as believed."""
+        length = belief.robot.body_length
+        step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
+        track = belief.obstacle_as(Beam).width - 2 * self.inset
+        return BeamSite(
+            belief.robot, belief.obstacle_as(Beam).height, self.height_ratio * length, track, self.deepening, step
+        )
+
+    def gains(self, belief: Case) -> Gains:
+        """Return the gains of the flywheel."""
+        return Gains(self.c1, self.c2, self.c3, self.c4, self.c5, self.c6, belief.drive.back_emf)
+
+    def flywheel_mode(self, wanted: int) -> int:
+        """Return the flywheel's mode: `wanted`, or `LOCKED` if the flywheel is off."""
+        return wanted if self.flywheel == "on" else LOCKED
+
+    def diagonal_stages(self, site: BeamSite, start: Array | float, way: Array | float) -> list[Stage]:
+        """Return the stages of 2.6.2: diagonal pairs swing in turn, and the base follows while four feet stand.
+
+        While a pair swings, the mass centre is over the line of the other two feet, which are beside their hips. While
+        the base moves, the middle legs come to rest.
+
+        Args:
+            site: geometry of robot and beam.
+            start: y of the base at the start (m).
+            way: motion of the base after each swing (m).
+        """
+        stages, y, rest = [], start, self.flywheel_mode(LEVELLING)
+        for k in range(self.steps):
+            pair = DIAGONALS[k % 2]
+            goal = site.feet_at(y - way, site.track / 2)
+            name = f"{k + 1}.{'-'.join(map(str, pair))}"
+            y = y - way
+            stages += [
+                site.swing_stage(name, pair, goal, flywheel=self.flywheel_mode(BALANCE)),
+                Stage(f"{k + 1}.body", 2 * site.step.time, position=site.base_at(y), pace=SMOOTH, flywheel=rest),
+            ]
+        last, goal = DIAGONALS[self.steps % 2], site.feet_at(y, site.track / 2)
+        stages.append(site.swing_stage("close", last, goal, flywheel=self.flywheel_mode(BALANCE)))
+        return stages
+
+
+@parameters
+class BeamCross(BeamWalk):
+    """Cross from one ledge to the other: by tripod to the edge, 2.6.1, the beam, 2.6.3, and on by tripod.
+
+    `steps` swings divide the path on the narrow track evenly, from `margin` before the first edge to `margin` behind
+    the second.
+    """
+
+    goal: ClassVar = UPRIGHT
+    kind: str = choice("beam_cross", "beam_cross")
+    steps: int = count(17, at_least=1, at_most=100)  # number of swings of a diagonal pair on the beam
+    approach: int = count(2, at_least=0, at_most=50)  # number of swings by tripod to the edge
+    walk_step_ratio: float = quantity(0.08, "a_r", above=0, at_most=0.5)  # d_x, half the length of these swings
+    departure: int = count(4, at_least=0, at_most=50)  # number of swings by tripod away from it
+    wide_track: float = quantity(0.7852, "m", above=0)  # 2 x_f, distance between left and right feet on the ledges
+    margin: float = quantity(0.12, "m", at_least=0)  # distance between feet and edge
+    transfer_lift: float = quantity(0.1, "m", above=0)  # lift of feet that change the track
+
+    def plan(self, belief: Case) -> Plan:
+        """Return the plan: stand, approach, narrow track, legs out, across, legs down, wide track, depart, halt."""
+        site = self.site(belief)
+        reach = belief.robot.body_length / 2 + self.margin
+        far = -belief.obstacle_as(Beam).length - reach
+        start, stages = self.walk_up(site, reach)
+        stages += [
+            *change_track_stages(site, reach, site.track, self.transfer_lift, "narrow"),
+            *self.spread_stages(site, reach),
+            *self.diagonal_stages(site, reach, (reach - far) / self.steps),
+            Stage("rest", STAND, flywheel=self.flywheel_mode(LEVELLING)),
+            *self.fold_stages(site, far),
+            *change_track_stages(site, far, self.wide_track, self.transfer_lift, "wide"),
+        ]
+        stance = Stance(site.feet_at(far, self.wide_track / 2), site.base_at(far), jnp.array(FACING_MINUS_Y))
+        departure = self.tripod_stages(self.walking_site(site), stance, self.departure)
+        stages += [replace(stage, name=f"depart.{stage.name}") for stage in departure]
+        return compile_plan(start, [*stages, Stage("halt", STAND)], self.patience, self.gains(belief), steered=True)
+
+    def walk_up(self, site: BeamSite, y: Array | float) -> tuple[Stance, list[Stage]]:
+        """Return the start stance and the stages by tripod to a base at y, with the feet beside the hips in the end."""
+        site, forward = self.walking_site(site), jnp.array(FORWARD)
+        step = site.step
+        first = y + 2 * step.landing * self.approach
+        feet = site.feet_at(first, self.wide_track / 2) + initial_foot_offsets(TRIPOD, step, forward)
+        start = Stance(feet, site.base_at(first), jnp.array(FACING_MINUS_Y))
+        stages = [Stage("stand", STAND), *self.tripod_stages(site, start, self.approach)]
+        goal = site.feet_at(y, self.wide_track / 2)
+        return start, stages + [site.swing_stage(f"place.{'-'.join(map(str, legs))}", legs, goal) for legs in TRIPOD]
+
+    def walking_site(self, site: BeamSite) -> BeamSite:
+        """Return the site with the step of the tripods."""
+        return site._replace(step=site.step._replace(half_length=self.walk_step_ratio * site.robot.body_length))
+
+    def tripod_stages(self, site: BeamSite, start: Stance, number: int) -> list[Stage]:
+        """Return regular swings on the wide track."""
+        centres = site.feet_at(0.0, self.wide_track / 2) - site.base_at(0.0)
+        return regular_steps(TRIPOD, site.step, start, centres, jnp.array(FORWARD), number, 0.0)
+
+    def spread_stages(self, site: BeamSite, y: Array | float) -> list[Stage]:
+        """Return the stages of 2.6.1 in which the middle legs are lifted, moved outward and stretched."""
+        raised, out = self.intermediate_angles(site, y)
+        return [*posture_stages(site, "out", (raised, out)), Stage("out.3", site.step.time, posture=LEVEL_LEGS)]
+
+    def fold_stages(self, site: BeamSite, y: Array | float) -> list[Stage]:
+        """Return the stages of 2.6.3 in which the middle legs go back to the narrow track on the same path."""
+        raised, out = self.intermediate_angles(site, y)
+        feet = site.feet_at(y, site.track / 2)
+        angles = by_leg(site.joint_angles(y, feet), MIDDLE)
+        down = Stage("down.3", site.step.time, by_leg(feet, MIDDLE), posture=angles)
+        return [*posture_stages(site, "down", (out, raised)), down]
+
+    def intermediate_angles(self, site: BeamSite, y: Array | float) -> tuple[Array, Array]:
+        """Return joint angles (6, 3) with feet lifted from the narrow track, and half bent outward of the hips."""
+        lifted = site.feet_at(y, site.track / 2) + jnp.array([0.0, 0.0, 1.0]) * self.transfer_lift
+        reach = site.robot.thigh + site.robot.shin
+        return site.joint_angles(y, lifted), site.angles_beside_hips(0.5 * reach, 0.25 * reach)
+
+
+def change_track_stages(
+    site: BeamSite, y: Array | float, track: Array | float, lift: Array | float, name: str
+) -> list[Stage]:
+    """Return the stages of 2.6.1 and 2.6.3 in which the tripods in turn change their track, in planes across the body.
+
+    The foot passes below its hip, where its place does not determine alpha; it goes there in joint space.
+
+    Args:
+        site: geometry of robot and beam.
+        y: of the base (m).
+        track: distance between left and right feet (m).
+        lift: of the feet (m).
+        name: prefix of the stages' names.
+    """
+    over, goal = site.angles_beside_hips(0.02, site.clearance - lift), site.feet_at(y, track / 2)
+    angles, stages = site.joint_angles(y, goal), []
+    for legs in TRIPOD:
+        label = f"{name}.{'-'.join(map(str, legs))}"
+        stages.append(Stage(f"{label}.over", site.step.time, posture=by_leg(over, legs)))
+        stages.append(Stage(f"{label}.down", site.step.time, by_leg(goal, legs), posture=by_leg(angles, legs)))
+    return stages
+
+
+def posture_stages(site: BeamSite, name: str, angles: Sequence[Array]) -> list[Stage]:
+    """Return stages in which the middle legs go through postures."""
+    return [Stage(f"{name}.{k}", site.step.time, posture=by_leg(a, MIDDLE)) for k, a in enumerate(angles, start=1)]
+
+
+def by_leg(values: Float[Array, "6 3"], legs: Sequence[int]) -> dict[int, Array]:
+    """Return feet or joint angles of some legs, by leg number."""
+    return {leg: values[leg - 1] for leg in legs}

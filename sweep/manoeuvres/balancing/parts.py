@@ -1,0 +1,134 @@
+"""Manoeuvres in parts: stages under a law follow the feedback of that law, the others follow the plan."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from sweep.controllers.layers import TickContext
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import Plan, Stage, Support, is_under_law, reference_stance
+from sweep.controllers.tracker import EndsStages, Guidance, Guided, TrackerState
+from sweep.manoeuvres.balancing.ball import BallDrive, DriveMemory
+from sweep.models.case import Case
+from sweep.models.frames import WORLD, koenig_frame
+from sweep.models.obstacles.surface import FreeState
+
+
+class ByParts(ABC):
+    """Base class of manoeuvres whose stages are guided by the law that each names, or by the plan."""
+
+    @property
+    @abstractmethod
+    def parts(self) -> Mapping[str, Guided]:
+        """The feedback of the stages under each law, by the law's name."""
+
+    def init_memory(self, belief: Case, plan: Plan) -> dict[str, Any]:
+        """Return the states of all parts, by law."""
+        return {name: part.init_memory(belief, plan) for name, part in self.parts.items()}
+
+    def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
+        """Return the guidance of the law of the current part, or of the plan."""
+        plan, stage = ctx.plan, ctx.stage
+        stance, goal = reference_stance(plan, stage, ctx.phase, state.feet, state.position), plan.foothold[stage]
+        memory = dict(state.memory)
+        for name, part in self.parts.items():
+            guidance = part.guide(belief, ctx, state._replace(memory=state.memory[name]))
+            leads, unchanged = is_under_law(plan, stage, name), (stance, goal, state.memory[name])
+            stance, goal, memory[name] = jax.tree.map(partial(jnp.where, leads), tuple(guidance), unchanged)
+        return Guidance(stance, goal, memory)
+
+    def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
+        """Return whether the law of the current part ends the stage."""
+        is_over = jnp.asarray(False)
+        for name, part in self.parts.items():
+            if isinstance(part, EndsStages):
+                part_state = state._replace(memory=state.memory[name])
+                is_over = is_over | (
+                    is_under_law(plan, state.stage, name) & part.is_stage_over(belief, plan, part_state, obs)
+                )
+        return is_over
+
+
+@dataclass(frozen=True)
+class DriveUntil(ABC):
+    """Base class of laws that roll a ball by the steps of a drive until it has arrived."""
+
+    drive: BallDrive
+
+    def init_memory(self, belief: Case, plan: Plan) -> DriveMemory:
+        """Return the state of the drive."""
+        return self.drive.init_memory(belief, plan)
+
+    def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
+        """Run one tick of the drive."""
+        return self.drive_law(belief, ctx.obs.free).guide(belief, ctx, state)
+
+    def drive_law(self, belief: Case, free: FreeState) -> Guided:
+        """Return the law by which the robot drives the ball, with the position at which it stops."""
+        return self.drive
+
+    @abstractmethod
+    def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
+        """Return whether the ball has arrived and needs no further step."""
+
+    def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
+        """End a step at its start if the ball needs none."""
+        has_just_begun = state.clock < 0.05 * plan.duration[state.stage]
+        return has_just_begun & self.has_arrived(belief, obs.free)
+
+
+@dataclass(frozen=True)
+class SettleBall(DriveUntil):
+    """Law that drives a ball until it is nearly at rest at its place."""
+
+    calm: Array | float  # m/s, largest speed of a calm ball
+    within: Array | float  # m, of the drive's place
+
+    def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
+        """Return whether the ball is near its place along x, and nearly at rest."""
+        near = jnp.abs(free.position[0, 0] - self.drive.place) < self.within
+        return near & (jnp.linalg.norm(free.velocity[0]) < self.calm)
+
+
+class SingleBallLaw(NamedTuple):
+    """A law for an obstacle with a single ball, applied to one ball of several."""
+
+    law: Any  # `Guided`, and `EndsStages` if it ends stages
+    ball: int  # index of the ball
+
+    def init_memory(self, belief: Case, plan: Plan) -> Any:
+        """Return the state of the law."""
+        return self.law.init_memory(belief, plan)
+
+    def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
+        """Run one tick of the law, as if there were no other ball."""
+        return self.law.guide(belief, ctx._replace(obs=self._obs_of_ball(ctx.obs)), state)
+
+    def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
+        """Return whether the law ends the stage, as if there were no other ball."""
+        return self.law.is_stage_over(belief, plan, state, self._obs_of_ball(obs))
+
+    def stages_on_ball(self, single_ball_stages: Sequence[Stage]) -> list[Stage]:
+        """Return stages that were made for a single ball, for this ball."""
+
+        def frame_on_ball(frame: int) -> int:
+            return frame if frame == WORLD else frame + koenig_frame(self.ball) - koenig_frame(0)
+
+        return [
+            replace(
+                stage,
+                foot_frames=tuple(map(frame_on_ball, stage.foot_frames)),
+                base_frame=frame_on_ball(stage.base_frame),
+                support=(Support(),) * self.ball + stage.support if stage.support else (),
+            )
+            for stage in single_ball_stages
+        ]
+
+    def _obs_of_ball(self, obs: Observation) -> Observation:
+        return obs._replace(free=jax.tree.map(lambda x: x[self.ball : self.ball + 1], obs.free))

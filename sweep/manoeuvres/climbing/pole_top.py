@@ -1,0 +1,41 @@
+"""From the floor on to a pole, up it, and over its edge on to its top (monograph 2.3.3).
+
+World axes as in `pole`. After the gallop, the plan file has the parts `edge`, `over` and `top`.
+"""
+
+from typing import ClassVar
+
+from sweep.controllers.frames import Stance
+from sweep.controllers.plan import Stage
+from sweep.core.parameters import choice, count, parameters
+from sweep.manoeuvres.climbing.pole import PRESS, PoleClimb
+from sweep.manoeuvres.goals import UPRIGHT
+from sweep.models.case import Case
+from sweep.planning.moves import StandingState, part_stages
+
+
+@parameters
+class PoleTop(PoleClimb):
+    """By tripod to the pole, up it by gallop, and on to its top."""
+
+    goal: ClassVar = UPRIGHT
+    kind: str = choice("pole_top", "pole_top")
+    cycles: int = count(2, at_least=1, at_most=100)  # cycles of the gallop, all alike, of about 3 x* each
+
+    own_plan = "pole_top"
+
+    def top_stages(self, belief: Case) -> tuple[Stance, list[Stage], StandingState]:
+        """Return the start stance, the stages on to the top, and the `StandingState` after them.
+
+        The gallop ends with the front edge of the base x* below the top.
+        """
+        start, climb, standing = self.climb_stages(belief)
+        context, stages = self.move_context(belief), []
+        for part in ("edge", "over", "top"):
+            stages_of_part, standing = part_stages(part, context, standing)
+            stages += [stage for stage in stages_of_part if stage.law != PRESS or self.forces != "planned"]
+        return start, [*climb, *self.with_rests(stages)], standing
+
+    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
+        """Return the start stance and the stages until the robot stands on the top."""
+        return self.top_stages(belief)[:2]

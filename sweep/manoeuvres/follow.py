@@ -1,0 +1,96 @@
+"""Manoeuvre that executes the moves of a plan file, one part after the other."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+
+from sweep.controllers.frames import Stance
+from sweep.controllers.plan import GRIP, RESTS, STAND, STAYS, TOGETHER, Plan, Stage, Support
+from sweep.core.errors import InputError
+from sweep.core.parameters import choice, parameters, quantity
+from sweep.core.rotations import exponential, multiply, rotation_about_vertical
+from sweep.formulas import stepping
+from sweep.manoeuvres.goals import ON_ITS_FEET
+from sweep.models.case import Case
+from sweep.models.obstacles.surface import Obstacle, free_start_state
+from sweep.models.robot import leg_unit
+from sweep.planning.compile_plan import compile_plan
+from sweep.planning.forces import PlannedForces
+from sweep.planning.moves import MoveContext, initial_stance, part_stages
+from sweep.planning.plan_table import BESIDE, plan_content
+from sweep.planning.symmetry import apply_direction
+from sweep.planning.validation import require_within_reach, stances_at_stage_ends
+
+START = "start"  # part that places the robot
+
+
+@parameters
+class Follow(PlannedForces):
+    """Start where the part `start` of the plan file places the robot, then make the moves of its other parts.
+
+    For any obstacle with charts; lengths are in `leg_unit`s. Free bodies may be planned to rest (`rests`), to stay in
+    place (`stays`) or to roll together (`together`).
+    """
+
+    goal: ClassVar = ON_ITS_FEET
+    kind: str = choice("follow", "follow")
+    lift_ratio: float = quantity(0.03, "a_r", above=0, at_most=0.5)  # d_y, height of a swing
+    rate: float = quantity(3.0, "rad/s", above=0, at_most=20)  # varpi, rate of the swings, which gives their time t*
+    # epsilon, depth of footholds inside what they stand on
+    deepening: float = quantity(5e-4, "m", at_least=0, at_most=0.05)
+    # depth of feet on free bodies below where they are measured
+    press: float = quantity(1.6e-3, "m", at_least=0, at_most=0.05)
+    squeeze: float = quantity(0.0, "m", at_least=0, at_most=0.05)  # the same towards the middle plane
+    observer: float = quantity(0.1, "s", at_least=0)  # time constant of the filter of measured poses of free bodies
+    patience: float = quantity(0.5, "s", at_least=0)  # longest wait for a touchdown
+    # how feet press on: by footholds inside the surface, or by planned forces
+    forces: str = choice("deepening", "deepening", "planned")
+
+    needs = (Obstacle,)
+    two_way: ClassVar = True
+    own_plan = ""
+
+    def plan(self, belief: Case) -> Plan:
+        """Return the plan: stand, the moves, halt.
+
+        Raises:
+            InputError: the file lacks something, or a foot is out of reach.
+        """
+        plan = self.route(belief)
+        require_within_reach(
+            belief,
+            lambda: stances_at_stage_ends(self.route(belief), free_start_state(belief.obstacle)),
+            "plan is not allowed: ",
+        )
+        return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
+
+    def route(self, belief: Case) -> Plan:
+        """Return the plan without its forces."""
+        context, stages = self.move_context(belief), []
+        feet, position, standing = initial_stance(START, context)
+        for part in plan_content(belief):
+            if part not in (START, *BESIDE):
+                stages_of_part, standing = part_stages(part, context, standing)
+                stages += stages_of_part
+        if not stages:
+            raise InputError(f"plan is not allowed: manoeuvre.kind = {self.kind} needs a part with moves")
+        x, y = belief.obstacle.forward
+        level = rotation_about_vertical(jnp.asarray(np.arctan2(y, x)))
+        start = Stance(feet, position, multiply(exponential(-jnp.asarray(standing.pitch) * context.left), level))
+        stages = self.with_load_transfer(stages) if self.forces == "planned" else stages
+        plan = compile_plan(start, [Stage("stand", STAND), *stages, Stage("halt", STAND)], self.patience,
+                        free=free_start_state(belief.obstacle))  # fmt: skip
+        return apply_direction(belief, plan)
+
+    def move_context(self, belief: Case) -> MoveContext:
+        """Return the charts and directions that moves of the plan file refer to."""
+        unit, obstacle = leg_unit(belief.robot), belief.obstacle
+        supports = {"free": Support(), "rests": RESTS, "stays": STAYS, "together": Support(TOGETHER)}
+        bodies = len(obstacle.free_bodies)
+        return MoveContext(
+            belief, unit, stepping.swing_time(self.rate), self.lift_ratio * unit,
+            dict.fromkeys(obstacle.charts, self.deepening),
+            supports={name: (support,) * bodies for name, support in supports.items()},
+            stage={"onset": GRIP, "press": (self.press, self.squeeze)} if bodies else {},
+        )  # fmt: skip

@@ -1,0 +1,49 @@
+"""The numbers of a case's plan table as parameters: the content of a file, and changed numbers by path.
+
+`sweep/planning/plan_table.py` reads and evaluates them.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+from jaxtyping import Array
+
+MORE = "+"  # before a path: by how much the number there is more than what its formula says
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PlanTable:
+    """The numbers of a case's plan: content of its file, unless the manoeuvre has its own, and changed numbers.
+
+    The configuration makes it; axes and tuning change it. JAX traces only the changed numbers.
+    """
+
+    text: str = dataclasses.field(default="", metadata={"static": True})  # JSON; empty: as the manoeuvre's own file
+    paths: tuple[str, ...] = dataclasses.field(default=(), metadata={"static": True})  # of numbers that are changed
+    values: tuple[Array | float, ...] = ()
+
+    def with_value(self, path: str, value: Any, formulas: Mapping[str, float] | None = None) -> "PlanTable":
+        """Return a table with another number.
+
+        Args:
+            path: The number's path without `plan.`.
+            value: Its new value.
+            formulas: Values of formulas by path; one of these numbers is raised to `value` and keeps its formula.
+        """
+        if formulas and path in formulas:
+            path, value = MORE + path, value - formulas[path]
+        changes = self.changes | {path: value}
+        return dataclasses.replace(self, paths=tuple(changes), values=tuple(changes.values()))
+
+    def with_increment(self, path: str, increment: Any) -> "PlanTable":
+        """Return a table with `more` added to the number at `path`, on top of its formula and earlier increments."""
+        return self.with_value(MORE + path, self.changes.get(MORE + path, 0.0) + increment)
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """Changed numbers of the plan, by path."""
+        return dict(zip(self.paths, self.values, strict=True))
