@@ -28,7 +28,7 @@ PYPI = "https://pypi.org/project"
 PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
 STUDY, PROJECT = "study", "project"  # folders of the crate: a study's again, and what its system is read from
 PICTURES = ("report.html", "map.png", "map.svg", "draws.png", "draws.svg")  # where the study's folder has them
-CODE = (*all_suffixes(), ".onnx")  # ends of files that can be imported, or are executed by a runtime
+CODE = (*all_suffixes(), ".onnx")  # ends of files that can be imported, or are evaluated as networks
 ENCRYPTED = 1  # bit of a ZIP entry's flags
 # an archive may unpack to SMALL bytes; to more only up to DENSEST times its size, and never beyond LARGEST
 SMALL, LARGEST, DENSEST, MOST_FILES = 100 * 2**20, 64 * 2**30, 100, 100_000

@@ -11,22 +11,20 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import mujoco
-import numpy as np
 
 from sweep.core import project
 from sweep.core.errors import WRONG, InputError, format_user_exception, suggest
 from sweep.core.user_code import describe_user_error, report_silence, run_user_code
 from sweep.models.binary import model_bytes
+from sweep.systems.mujoco_model import onnx_network
 
 ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
-TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}  # of a network's numbers
 FOLDERS = ("meshdir", "texturedir", "assetdir")  # of a model's files, as its compiler's options name them
 FORMS = {  # what a module may say beside its functions
     "PARAMETERS": (Mapping, "numbers by name"),
@@ -137,15 +135,7 @@ def digest_model(compiled: mujoco.MjModel) -> str:
 def load_controller(name: str) -> Policy:
     """Load the controller that `module:function` names, or a network from a file. Raises `InputError`."""
     if name.endswith(ONNX):
-        file = _require_file("controller", name, ONNX)
-        files = sorted(file.parent.glob(f"{file.name}*"))  # a large network's weights
-        policy, folder = _network(name, str(file), max(one.stat().st_mtime_ns for one in files)), project_folder()
-        digest = f"{_digest(files)}-{metadata.version('onnxruntime')}"
-        if not file.with_suffix(".py").is_file():
-            return Policy(policy, tuple(files), digest, batched=True, folder=folder)
-        beside = project.source_files(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
-        digest = f"{digest}-{_digest(beside)}"
-        return Policy(policy, (*files, *beside), digest, True, folder=folder, **_beside(name, module))
+        return _load_network(name)
     module_name, sign, function = name.partition(":")
     if not (sign and module_name and function):
         such = "a module and its function, such as my.walk:policy, or a network, such as walk.onnx"
@@ -170,39 +160,16 @@ def load_controller(name: str) -> Policy:
     return Policy(policy, files, _digest(files), batched, begin, parameters, believes, **more)
 
 
-@functools.lru_cache(maxsize=2)
-def _network(name: str, file: str, changed: int) -> Callable[[np.ndarray], np.ndarray]:
-    """From observations (n, k) to a network's output (n, m), by onnxruntime (extra `onnx`). Raises `InputError`."""
-    told = f"model.controller = {name}"
-    if importlib.util.find_spec("onnxruntime") is None:
-        raise InputError(f"{told} needs onnxruntime: pip install 'insect-sweep[onnx]'")
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    # with several threads a row's last bits depend on where it is in a batch
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # what is wrong is told below
-    try:
-        session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # it has a class of its own for each kind of fault
-        raise InputError(f"{told} is not a readable network: {' '.join(str(error).split())}") from None
-    into, out = session.get_inputs(), session.get_outputs()
-    if len(into) != 1 or len(out) != 1 or into[0].type not in TYPES or len(into[0].shape) != 2:
-        has = ", ".join(f"{one.name} ({', '.join(map(str, one.shape))}) {one.type}" for one in (*into, *out))
-        raise InputError(f"{told} has {has}: allowed are one input (n, k) of numbers and one output (n, m)")
-    rows, size = into[0].shape
-    if rows not in (None, 1) and not isinstance(rows, str):
-        raise InputError(f"{told} takes {rows} rollouts at a time: allowed are any number, or 1")
-
-    def network(seen: np.ndarray) -> np.ndarray:
-        if isinstance(size, int) and size != seen.shape[1]:
-            raise InputError(f"{told} takes {size} numbers: {seen.shape[1]} are observed (model.observe)")
-        seen = seen.astype(TYPES[into[0].type])
-        parts = np.split(seen, len(seen)) if rows == 1 else [seen]
-        parts = [session.run(None, {into[0].name: part})[0] for part in parts]
-        return np.concatenate(parts)  # pyright: ignore[reportArgumentType, reportCallIssue]
-
-    return network
+def _load_network(name: str) -> Policy:
+    """Load a network that maps the observation to the controls. Raises `InputError`."""
+    file = _require_file("controller", name, ONNX)
+    network, files, folder = onnx_network.read_network(name, file), onnx_network.network_files(file), project_folder()
+    policy = onnx_network.make_policy(network)
+    if not file.with_suffix(".py").is_file():
+        return Policy(policy, tuple(files), _digest(files), batched=False, folder=folder)
+    beside = project.source_files(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
+    digest = f"{_digest(files)}-{_digest(beside)}"
+    return Policy(policy, (*files, *beside), digest, False, folder=folder, **_beside(name, module))
 
 
 def _beside(name: str, module: Any) -> dict[str, Any]:

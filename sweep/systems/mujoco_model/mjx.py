@@ -91,7 +91,7 @@ class MjxModelEngine(ModelEngine):
         self._compared = False  # with C MuJoCo
         self._placed: dict[Any, tuple[Any, Any]] = {}  # MJX's model and data of a batch's shape
         if own.controller.batched:
-            raise self._refusal("it cannot compile a NumPy controller or a network", "one of JAX's, ")
+            raise self._refusal("it cannot compile a NumPy controller", "one of JAX's, ")
         with self._within(), report_silence(f"{settings.name}, which traces {self._about},", after=SOON):
             self._check()
         # made once: a function of its own in every run would be traced and compiled anew
