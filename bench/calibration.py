@@ -11,11 +11,11 @@ import time
 import numpy as np
 import shared
 
+from sweep.config.experiment import compose
 from sweep.engines import devices, make
 from sweep.estimation.calibration import learnable_sizes
 from sweep.metrics.outcome import classify
 from sweep.models.case import Case
-from sweep.study.config import compose
 
 ROBOTS, SPREAD = 16, 0.02
 STAND = ("scenario=walk_tripod", "manoeuvre=stand", "manoeuvre.duration=0.1")

@@ -20,11 +20,11 @@ from sweep.analysis.certify import certify as tested
 from sweep.analysis.certify import learn_score, required_rows
 from sweep.analysis.intervals import CONFIDENCE
 from sweep.cli import certify
+from sweep.config.experiment import build_experiment
 from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
 from sweep.report.labels import axis_words
 from sweep.runs import store
-from sweep.study.config import build_experiment
 
 DATA = Path(__file__).parents[1] / "research" / "data"
 LENGTHS = ("body_length", "body_width", "thigh", "shin")

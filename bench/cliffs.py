@@ -20,12 +20,12 @@ import numpy as np
 import pandas as pd
 import shared
 
+from sweep.config.experiment import Experiment
 from sweep.core.constants import LOADED
 from sweep.core.provenance import version_record
 from sweep.engines.base import Trace
 from sweep.report.replays import simulate_again
 from sweep.runs import store
-from sweep.study.config import Experiment
 
 DATA = margins.ROOT / "research" / "data" / "cliffs.json"
 PARTS, ROUNDS = 8, 3  # eighths of a step, and rounds of division

@@ -25,7 +25,7 @@ SCENARIOS = Path(__file__).parent.parent / "conf" / "scenario"
 # functions that are timed, by file and name
 PARTS = {  # by file and name
     ("sweep/cli/main.py", "main"): "command",
-    ("sweep/study/config.py", "compose"): "configuration",
+    ("sweep/config/experiment.py", "compose"): "configuration",
     ("sweep/core/provenance.py", "_version"): "sources",
     ("sweep/engines/devices.py", "start_device_search.<locals>.found"): "device",
     ("sweep/engines/batching.py", "_compute_nominal_plan"): "nominal plan",

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from sweep.config.experiment import compose
 from sweep.engines import devices
 from sweep.engines.mjx import MjxEngine
 from sweep.metrics.outcome import classify
-from sweep.study.config import compose
 
 SCENARIOS = Path(__file__).parent.parent / "conf" / "scenario"
 

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 import shared
 
+from sweep.config.experiment import compose
 from sweep.engines import devices
 from sweep.engines.closed_loop import start_state
 from sweep.formulas import evaluate
@@ -24,7 +25,6 @@ from sweep.models.case import Case
 from sweep.models.drive import Drive
 from sweep.models.legs import JOINT_Q, JOINT_V
 from sweep.models.scene import compile_model
-from sweep.study.config import compose
 
 STEP, TIME, JUMP, AWAY = 1e-5, 0.2, 1e-3, 1e5  # s, s, rad, rad/s^2
 DRIVES = {"as they are": {}, "of the ladder": {"stiffness": 1.5e4, "damping": 335.0},

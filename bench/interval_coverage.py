@@ -20,9 +20,9 @@ from scipy.stats import norm
 
 from sweep.analysis import compare, failing, rare, sampling_units, screening, sensitivity
 from sweep.analysis.sample import pooled_rate
+from sweep.config.experiment import compose_values
 from sweep.core.errors import InputError
 from sweep.study import designs
-from sweep.study.config import compose_values
 from sweep.study.designs import INNER
 from sweep.study.study import Study
 

@@ -12,10 +12,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from sweep.config.experiment import Experiment, compose
 from sweep.engines import devices, program_cache
 from sweep.engines.mjx import MjxEngine
 from sweep.fused import driver, launch
-from sweep.study.config import Experiment, compose
 from sweep.systems.hexapod import replace_parameter
 
 COMPILED, TRANSLATED = launch.compile_to_ptx, driver._translate

@@ -19,10 +19,10 @@ import pandas as pd
 import shared
 from scipy.special import ndtr
 
+from sweep.config.experiment import Experiment, compose
 from sweep.core.provenance import version_record
 from sweep.runs import runner, store
 from sweep.study.adaptive_sampling import Draws
-from sweep.study.config import Experiment, compose
 from sweep.study.study import make_points
 
 ROOT = Path(__file__).parents[1]

@@ -31,8 +31,8 @@ import numpy as np
 from mujoco.rollout import Rollout
 
 from sweep.cli.main import main as sweep
+from sweep.config.experiment import compose
 from sweep.engines.settings import EngineSettings
-from sweep.study.config import compose
 from sweep.systems.mujoco_model import MujocoModel, batch
 
 REPETITIONS = 5

@@ -25,6 +25,7 @@ from scipy.stats import t as student
 
 from sweep.analysis.intervals import CONFIDENCE, clopper_pearson
 from sweep.analysis.rare import SubsetEstimate, WeightedEstimate, estimate_failure_probability
+from sweep.config.experiment import Experiment, build_experiment, compose_values
 from sweep.core.errors import InputError
 from sweep.core.expressions import column, evaluate
 from sweep.core.files import write_atomically
@@ -33,7 +34,6 @@ from sweep.runs import runner
 from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
 from sweep.study import adaptive_designs
 from sweep.study.adaptive_sampling import Draws, summarize_round
-from sweep.study.config import Experiment, build_experiment, compose_values
 from sweep.study.study import make_points
 
 DATA = Path(__file__).parents[1] / "research" / "data" / "rare.json"

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from sweep.config.experiment import build_experiment
 from sweep.runs import store
 from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, summarize_panels
-from sweep.study.config import build_experiment
 
 
 def main(folder: Path, whole: Path) -> None:

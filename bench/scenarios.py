@@ -11,9 +11,9 @@ from dataclasses import replace
 import jax
 import numpy as np
 
+from sweep.config.experiment import compose
 from sweep.engines import devices, program_cache
 from sweep.engines.mjx import MjxEngine
-from sweep.study.config import compose
 
 NAMES = ("walk_tripod", "pole_climb", "ball_balance", "ball_to_ball")
 SECONDS = 5  # simulated seconds, of which the first is not timed

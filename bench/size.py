@@ -22,10 +22,10 @@ import pandas as pd
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import fake_engine  # pyright: ignore
 
+from sweep.config.experiment import compose
 from sweep.runs import manifest, runner, store
 from sweep.runs.manifest import POINTS
 from sweep.study.columns import metric_columns
-from sweep.study.config import compose
 
 ROWS, PLANNED = 1_000_000, 10_000_000  # rollouts of the folder, and of the dry run
 WIDTH, PART = 4096, 8  # rollouts of a batch, batches of a part

@@ -20,9 +20,9 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis.intervals import wilson
+from sweep.config.experiment import compose
 from sweep.runs import store
 from sweep.runs.runner import select_points
-from sweep.study.config import compose
 
 GEOMS = {"walk_map": ["ground"], "pole_map": ["floor", "pole", "ledge"]}
 RADII = (0.35, 0.42, 0.49)  # m

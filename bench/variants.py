@@ -14,12 +14,12 @@ import numpy as np
 from mujoco import mjx
 
 from sweep.cli.bench import measure_seconds
+from sweep.config.experiment import compose
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics
 from sweep.engines import batching, devices
 from sweep.models.case import Case
 from sweep.models.scene import compile_model
-from sweep.study.config import compose
 
 BATCH, ONE_BY_ONE = 65536, 40
 

@@ -15,18 +15,19 @@ from typing import Any
 import sweep
 from sweep import api
 from sweep.cli import commands, exits, export_model, formula, tune, view
+from sweep.config import reference
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import UNITS, format_unit
 from sweep.metrics import CAUSES, METRICS
 from sweep.metrics.metric import Cause
+from sweep.replay import replay
 from sweep.report import crate, replays
 from sweep.runs import manifest, store
-from sweep.study import columns, designs, distributions, reference
+from sweep.study import columns, designs, distributions
 from sweep.study.analytic_limits import KEYS as THEORY_KEYS
 from sweep.study.study import Expectation, StudySchema
 from sweep.systems.mujoco_model import metrics as own_metrics
 from sweep.systems.mujoco_model import outcome as own_outcome
-from sweep.trace import replay
 
 FOLDER = Path(__file__).parent / "reference"
 NOTE = "<!-- written by `python docs/reference_pages.py` -->"

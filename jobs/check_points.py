@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from sweep.config.experiment import build_experiment, compose
 from sweep.runs import runner, store
-from sweep.study.config import build_experiment, compose
 from sweep.study.study import parameter_columns
 
 ROOT = Path(__file__).parents[1]

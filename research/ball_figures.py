@@ -29,9 +29,9 @@ from sweep.manoeuvres.balancing.ball_over import BallOver
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import total_mass
-from sweep.trace.layout import LEG_COLORS
-from sweep.trace.plots import ACTUAL, PLOTS, REFERENCE, SECOND
-from sweep.trace.sampling import base_pose, mass_centres
+from sweep.replay.layout import LEG_COLORS
+from sweep.replay.plots import ACTUAL, PLOTS, REFERENCE, SECOND
+from sweep.replay.sampling import base_pose, mass_centres
 
 FIGURES = Path(__file__).parent / "figures"
 FEET = (1, 3, 5)  # the left ones go alongside

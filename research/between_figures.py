@@ -20,13 +20,13 @@ from sweep.formulas.ball import GRAVITY, ROLLING
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.ledges import Ledges
 from sweep.models.robot import total_mass
+from sweep.replay.layout import LEG_COLORS
+from sweep.replay.plots import ACTUAL, REFERENCE, SECOND
+from sweep.replay.sampling import base_pose, mass_centres
 from sweep.report import maps
 from sweep.report.outcome_style import INK
 from sweep.runs import results
 from sweep.runs.results import Results
-from sweep.trace.layout import LEG_COLORS
-from sweep.trace.plots import ACTUAL, REFERENCE, SECOND
-from sweep.trace.sampling import base_pose, mass_centres
 
 FIGURES = Path(__file__).parent / "figures"
 RUNS = {

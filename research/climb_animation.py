@@ -15,11 +15,11 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from PIL import Image
 
+from sweep.config.experiment import compose
 from sweep.engines.base import Trace
+from sweep.replay.rendering import add_caption, render
+from sweep.replay.sampling import frames_at_times
 from sweep.runs.batches import Batch, make_engine
-from sweep.study.config import compose
-from sweep.trace.rendering import add_caption, render
-from sweep.trace.sampling import frames_at_times
 
 RESEARCH = Path(__file__).parent
 PATH = RESEARCH / "figures" / "climb.gif"

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from one_run import traced
 
+from sweep.config.experiment import compose
 from sweep.controllers.plan import Plan, reference_stance
 from sweep.controllers.posture import joint_targets
 from sweep.core.plot_style import DPI, legend_below, new_figure, plot_style
@@ -18,8 +19,7 @@ from sweep.formulas.leg import SIDE
 from sweep.formulas.thesis import thesis_workspace
 from sweep.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS, Waypoints
 from sweep.models.case import Case
-from sweep.study.config import compose
-from sweep.trace.plots import ACTUAL, REFERENCE, SECOND
+from sweep.replay.plots import ACTUAL, REFERENCE, SECOND
 
 FIGURES = Path(__file__).parent / "figures"
 SCENARIO = "scenario=hexagon_waypoints"

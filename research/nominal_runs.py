@@ -13,11 +13,11 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from sweep.config.experiment import compose
 from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
 from sweep.runs import runner
 from sweep.study.columns import metric_columns
-from sweep.study.config import compose
 
 PATH = Path(__file__).parent / "data" / "nominal.json"
 ONE = ("walk_tripod", "walk_gallop", "walk_slope", "walk_kerb", "stand_push", "pole_climb_held")

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from sweep.config.experiment import Experiment, compose
 from sweep.engines.base import Trace
 from sweep.runs.batches import Batch, make_engine
-from sweep.study.config import Experiment, compose
 
 
 def traced(*words: str) -> tuple[Experiment, Trace]:

@@ -11,9 +11,9 @@ from one_run import traced
 
 from sweep.core.plot_style import legend_below, new_figure, plot_style, save_figure
 from sweep.engines.base import Trace
-from sweep.trace.layout import LEG_COLORS
-from sweep.trace.plots import ACTUAL
-from sweep.trace.sampling import base_pose
+from sweep.replay.layout import LEG_COLORS
+from sweep.replay.plots import ACTUAL
+from sweep.replay.sampling import base_pose
 
 PATH = Path(__file__).parent / "figures" / "raft_crossing.png"
 LINES = {"I": "board", "II": "push", "III": "aboard", "IV": "wait", "V": "squat", "VI": "land"}  # stages begin so

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from sweep.config.experiment import compose
 from sweep.core.spacing import evenly_spaced_indices
+from sweep.replay.rendering import write_strip
+from sweep.replay.sampling import finite_frames
 from sweep.runs.batches import Batch, make_engine
-from sweep.study.config import compose
-from sweep.trace.rendering import write_strip
-from sweep.trace.sampling import finite_frames
 
 FIGURES = Path(__file__).parent / "figures"
 LONG = 45.0  # s

@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Bool
 from one_run import traced
 
+from sweep.config.experiment import Experiment
 from sweep.core.constants import GRAVITY
 from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
 from sweep.engines.base import Trace
 from sweep.models.robot import total_mass
-from sweep.study.config import Experiment
-from sweep.trace.plots import BOOK_TORQUE
+from sweep.replay.plots import BOOK_TORQUE
 
 PATH = Path(__file__).parent / "data" / "traced_tables.json"
 EVENTS = {  # of the book: ours, and where its feet go

@@ -11,19 +11,19 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from sweep.analysis.sample import drop_copies
+from sweep.config.experiment import Experiment, compose
 from sweep.core.errors import InputError
 from sweep.core.expressions import AXES, column, condition_columns, mask
 from sweep.core.plot_style import plot_style
 from sweep.report import draws, maps, page, time_series_plots
 from sweep.report.labels import column_unit
 from sweep.runs import results, store
-from sweep.study.config import Experiment, compose
 from sweep.study.study import name_axes
 
 if TYPE_CHECKING:
     import xarray
 
-    from sweep.trace.replay import Replay
+    from sweep.replay.replay import Replay
 
 
 def run(overrides: list[str]) -> pd.DataFrame:
@@ -146,7 +146,7 @@ class Accessor:
 
         `trace` has what was recorded, `again` its figures and labels, `stored` those of the row. Raises `InputError`.
         """
-        from sweep.trace.replay import replay
+        from sweep.replay.replay import replay
 
         if row not in self._rows.index:
             raise InputError(f"row {row} is not among the rows of {self._folder}: give a label of their index")

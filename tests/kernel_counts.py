@@ -21,11 +21,11 @@ from pathlib import Path
 
 import jax
 
+from sweep.config.experiment import compose
 from sweep.engines import devices
 from sweep.engines.closed_loop import classify_sensing
 from sweep.engines.mjx import MjxEngine
 from sweep.fused import cuda, launch
-from sweep.study.config import compose
 
 PATH = Path(__file__).with_name("data") / "kernel_counts.json"
 SCENARIOS = ("walk_tripod", "pole_climb", "ball_balance", "ball_drive", "raft_stand", "corner_full", "ladder_climb")

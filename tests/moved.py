@@ -3,9 +3,9 @@
 import mujoco
 import numpy as np
 
+from sweep.config.experiment import compose
 from sweep.engines.base import Trace
 from sweep.models import scene
-from sweep.study.config import compose
 
 
 def moved(*overrides):

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sweep.config.experiment import compose
 from sweep.controllers import tracker
 from sweep.controllers.layers import Feedforward
 from sweep.controllers.observation import Observation
@@ -27,7 +28,6 @@ from sweep.fused import eager
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import free_start_state
 from sweep.planning.forces import KNOTS, PlannedForces
-from sweep.study.config import compose
 from sweep.systems.hexapod import replace_parameter
 
 FOLDER = Path(__file__).parent / "data" / "plans"

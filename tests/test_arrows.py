@@ -25,9 +25,10 @@ BELOW_RUNS = (
     "engines",
     "systems",
     "study",
+    "config",
     "analysis",
 )
-ROOMS = (*BELOW_RUNS, "runs", "trace", "report", "cli", "")
+ROOMS = (*BELOW_RUNS, "runs", "replay", "report", "cli", "")
 # a controller and a model of a user's own; one rollout's surfaces; physics measured alone
 JAX_ABOVE_ENGINES = {
     "sweep.systems.mujoco_model.onnx_network",
@@ -37,7 +38,7 @@ JAX_ABOVE_ENGINES = {
     "sweep.systems.exported",
     "sweep.systems.mujoco_model.mjx",
     "sweep.cli.template_model.trot",
-    "sweep.trace.contact_forces",
+    "sweep.replay.contact_forces",
     "sweep.cli.bench",
 }
 # the sources' own text; compiled programs; a study's name for its folder and its table of points; what a system is read
@@ -52,7 +53,7 @@ FILES_BELOW_RUNS = {
     "sweep.core.user_code",
     "sweep.fused.cuda",
     "sweep.engines.program_cache",
-    "sweep.study.config",
+    "sweep.config.experiment",
     "sweep.study.study",
     "sweep.systems.base",
     "sweep.systems.hexapod",
@@ -117,7 +118,7 @@ def test_every_module_has_a_room():
     assert beside == {"sweep", "sweep.api"}
 
 
-@pytest.mark.parametrize("place", ["study", "analysis", "runs", "report"])
+@pytest.mark.parametrize("place", ["study", "config", "analysis", "runs", "report"])
 def test_studies_know_systems_by_their_contract(place):
     """Nothing of a robot, its physics or its judge: another system needs no change here."""
     own = {

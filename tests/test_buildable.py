@@ -8,12 +8,12 @@ from fake_engine import FakeEngine
 from small_study import STUDY, one_line
 
 from sweep.cli.main import main
+from sweep.config.experiment import compose
 from sweep.engines import batching
 from sweep.engines.base import NoTrace
 from sweep.engines.native import NativeEngine
 from sweep.models import scene
 from sweep.report import replays
-from sweep.study.config import compose
 
 COXA = "robot.coxa = 0.05 is not allowed: 0 m, or robot.legs=three_link"
 

@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 import yaml
 
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.core.groups import GROUPS
-from sweep.study.config import compose
 
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / "research"), str(ROOT / "jobs")]

@@ -6,11 +6,11 @@ from small_study import one_line
 
 from sweep.cli.choices import shipped_choices
 from sweep.cli.main import main
+from sweep.config.experiment import build_experiment, compose, compose_values
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import InputError
 from sweep.manoeuvres import MANOEUVRES
 from sweep.models.obstacles import OBSTACLES
-from sweep.study.config import build_experiment, compose, compose_values
 
 TOGETHER = ("obstacle", "manoeuvre")  # which have to fit
 CHOICES = [f"{group}={name}" for group in GROUPS if group not in (*TOGETHER, "plan") for name in shipped_choices(group)]

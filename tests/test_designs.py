@@ -3,9 +3,9 @@ import pytest
 from scipy import stats
 from scipy.stats import kstest, norm, truncnorm
 
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.study import designs
-from sweep.study.config import compose
 from sweep.study.designs import design_warning
 from sweep.study.study import Study, make_points
 

@@ -15,8 +15,8 @@ from fake_engine import FakeEngine
 from sweep.cli import main as cli
 from sweep.cli import view
 from sweep.cli.commands import parser
-from sweep.study.config import compose
-from sweep.trace import replay
+from sweep.config.experiment import compose
+from sweep.replay import replay
 
 ROOT = Path(__file__).parents[1]
 GUIDE = [ROOT / "README.md", ROOT / "results/README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -9,9 +9,9 @@ import pytest
 from small_study import one_line
 
 from sweep.cli.main import main
+from sweep.config.experiment import compose
 from sweep.models.scene import native_model
 from sweep.runs import store
-from sweep.study.config import compose
 from sweep.systems.exported import make_controller
 
 FIELDS = ("body_mass", "body_inertia", "body_pos", "body_quat", "geom_size", "geom_friction", "geom_pos", "site_pos",

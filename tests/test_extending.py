@@ -15,10 +15,10 @@ import jax
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.controllers.plan import stage_end_stances
 from sweep.core.errors import InputError
 from sweep.models.obstacles.surface import no_free_bodies
-from sweep.study.config import compose
 
 ROOT = Path(__file__).parents[1]
 OBSTACLE, MANOEUVRE, PLATFORM, CHART = "write_an_obstacle", "write_a_manoeuvre", "write_a_plan", "write_a_chart"

@@ -10,12 +10,12 @@ from small_study import STUDY, content, one_line
 
 import sweep
 from sweep.cli.main import main
+from sweep.config.experiment import compose
 from sweep.engines.base import TimeSeriesRequest
 from sweep.report import time_series_plots
 from sweep.runs import manifest, results, store, time_series
 from sweep.runs.batches import assign_batches, make_batch, make_engine, make_nominal_batch
 from sweep.runs.runner import select_points
-from sweep.study.config import compose
 
 KEEP = ["study.keep=[tilt_deg,base_z_m]", "study.keep_rate=2", "study.keep_rows=20"]
 BROKEN = ["study.axes.friction.values=[7,0.3]", "study.axes.step.num=17", "study.invalid_max=1"]

@@ -12,10 +12,10 @@ import pytest
 from small_study import BATCHES, STUDY, content, one_line
 
 from sweep.cli.main import main
+from sweep.config.experiment import compose
 from sweep.core import provenance
 from sweep.core.errors import Fault, InputError
 from sweep.runs import manifest, repair, runner, store
-from sweep.study.config import compose
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
 FLIPS = int(os.environ.get("SWEEP_FLIPS", "150"))

@@ -15,10 +15,10 @@ import pandas as pd
 import pytest
 
 from sweep.cli.main import main
+from sweep.config.experiment import compose
 from sweep.engines.settings import EngineSettings
 from sweep.runs import audit, batches, results, store
 from sweep.runs.runner import select_points
-from sweep.study.config import compose
 from sweep.systems.mujoco_model import MujocoModel, fields, mjx
 
 HOPPER = """<mujoco><option timestep="0.002" integrator="Euler"/>
@@ -389,7 +389,7 @@ def policy(seen):
 """
 ELSEWHERE = """import jax, numpy as np
 jax.config.update("jax_default_device", jax.devices()[1])
-from sweep.study.config import compose
+from sweep.config.experiment import compose
 exp = compose(["study=rail.yaml"])
 task = *exp.system.make_sides({}), np.zeros(4, np.int64)
 exp.system.make_engine(exp.settings, *task[:2], None).run(*task)

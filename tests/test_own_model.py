@@ -14,10 +14,10 @@ from mujoco.batch import Batch
 from small_study import content, one_line, wait_for
 
 from sweep.cli.main import main
+from sweep.config.experiment import compose
 from sweep.engines import devices
 from sweep.runs import batches, results, store
 from sweep.runs.runner import select_points
-from sweep.study.config import compose
 from sweep.systems.mujoco_model import batch, fields, outcome
 
 PAGE = (Path(__file__).parents[1] / "docs/own_model.md").read_text(encoding="utf-8")

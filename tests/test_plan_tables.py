@@ -12,6 +12,7 @@ import pytest
 from recorded import without_forces
 
 from sweep.cli.main import main
+from sweep.config.experiment import compose
 from sweep.core import project
 from sweep.core.errors import InputError
 from sweep.fused.eager import evaluate_constants
@@ -27,7 +28,6 @@ from sweep.planning.plan_table import (
     plan_content,
     plan_values,
 )
-from sweep.study.config import compose
 from sweep.study.study import make_points
 from sweep.systems.hexapod import replace_parameter
 

@@ -8,7 +8,7 @@ import pytest
 from fake_engine import FakeEngine
 
 from sweep.cli.main import main
-from sweep.study.config import compose
+from sweep.config.experiment import compose
 from sweep.systems.hexapod import flatten_case
 
 SITES, GEOMS, BELIEFS = 400, 300, 300

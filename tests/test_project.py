@@ -10,12 +10,12 @@ from small_study import one_line
 
 import sweep
 from sweep.cli.main import main
+from sweep.config import reference
+from sweep.config.experiment import KINDS, compose
 from sweep.core import project, provenance
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import InputError
 from sweep.models.case import Case
-from sweep.study import reference
-from sweep.study.config import KINDS, compose
 
 OWN = """
 from dataclasses import dataclass

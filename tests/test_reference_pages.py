@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from sweep.cli.main import main
-from sweep.study.config import compose
+from sweep.config.experiment import compose
 from sweep.systems.mujoco_model.metrics import COLUMNS
 
 DOCS = Path(__file__).parents[1] / "docs"

@@ -8,9 +8,9 @@ from scipy.ndimage import binary_dilation
 
 import sweep.engines
 from sweep.cli.main import main
+from sweep.config.experiment import build_experiment, compose
 from sweep.runs import refine, store
 from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, bisect_cells, fill_cells, leaf_cells
-from sweep.study.config import build_experiment, compose
 
 FRICTION = "study.axes.friction={path: contact.friction, side: world, from: 0.05, to: 1.2, num: 9}"
 STEP = "study.axes.step={path: manoeuvre.half_step_ratio, from: 0.03, to: 0.2, num: 9}"

@@ -9,8 +9,8 @@ from test_docs import AnyEngine
 
 from sweep.cli.choices import shipped_choices
 from sweep.cli.main import main
+from sweep.config.experiment import compose
 from sweep.runs import store
-from sweep.study.config import compose
 
 FOLDER = Path(__file__).parents[1] / "research" / "studies"
 STUDIES = sorted(FOLDER.glob("*.yaml"))

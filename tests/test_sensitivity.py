@@ -6,9 +6,9 @@ import pytest
 
 from sweep.analysis import screening, sensitivity
 from sweep.analysis.stats import rates
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.report.statistics import statistics_sections
-from sweep.study.config import compose
 from sweep.study.study import Study, make_points
 
 SHIN = {"path": "robot.shin", "distribution": {"kind": "uniform", "from": 0.3, "to": 0.4}}

@@ -3,11 +3,11 @@ import pandas as pd
 import pytest
 
 from sweep.cli.main import main
+from sweep.config.experiment import compose
 from sweep.core.expressions import mask
 from sweep.core.parameters import InputError
 from sweep.runs.batches import assign_batches, make_batch, make_nominal_batch, with_delay_buffer
 from sweep.runs.runner import select_points
-from sweep.study.config import compose
 from sweep.study.designs import parse_axes
 from sweep.study.study import make_points
 

@@ -11,6 +11,7 @@ import pytest
 
 from sweep.cli.main import main
 from sweep.cli.tune import drawn_sizes, plan_content
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.planning import plan_table
 from sweep.planning.plan_table import evaluate_plan, numbers_by_path
@@ -26,7 +27,6 @@ from sweep.planning.score import (
 from sweep.planning.score import with_value as moved
 from sweep.runs import tuning
 from sweep.runs.tuning import fit_size_slopes, free_numbers, search_by_cma, search_by_gradients
-from sweep.study.config import compose
 
 STUDIES = Path(__file__).parents[1] / "research" / "studies"
 AT, STEPS = np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.1, 0.02])

@@ -7,9 +7,9 @@ import pytest
 from small_study import one_line
 
 from sweep.cli.main import main
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.core.yaml_check import check_yaml
-from sweep.study.config import compose
 
 
 @pytest.fixture(autouse=True)

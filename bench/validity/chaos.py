@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from sweep.config.experiment import compose
 from sweep.engines import make
 from sweep.engines.base import Trace
 from sweep.engines.batching import require_trace
 from sweep.metrics.outcome import classify
-from sweep.study.config import compose
 from validity.tables import short
 
 NAMES = sorted(path.stem for path in (Path(__file__).parents[2] / "conf" / "scenario").glob("*.yaml"))

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
 from sweep.engines.base import Trace
 from sweep.engines.batching import require_trace
 from sweep.engines.mjx import MjxEngine
 from sweep.metrics.outcome import classify
 from sweep.models.robot import total_mass
-from sweep.study.config import compose
 from validity.tables import short
 
 NAMES = ("walk_tripod", "pole_climb", "corner_climb", "ball_climb", "raft_cross")  # each takes minutes

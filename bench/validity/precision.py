@@ -20,6 +20,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
+from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
 from sweep.engines.batching import require_trace
 from sweep.engines.closed_loop import start_state
@@ -27,7 +28,6 @@ from sweep.engines.mjx import MjxEngine
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, N_LEGS
 from sweep.models.robot import total_mass
-from sweep.study.config import compose
 from sweep.systems import exported
 from sweep.systems.mujoco_model.mjx import CARRIED, CONSTRAINTS, CONTACTS
 from validity import peers, points, robot, simulation

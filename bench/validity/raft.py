@@ -13,13 +13,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential
 from sweep.engines.closed_loop import free_body_state
 from sweep.formulas.raft_dynamics import RaftBody as Formula
 from sweep.formulas.raft_dynamics import raft_linear
 from sweep.models.obstacles.raft import Raft
-from sweep.study.config import compose
 from validity.scenes import Figure
 from validity.simulation import simulate
 

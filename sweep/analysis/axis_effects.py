@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from sweep.config.experiment import Experiment
 from sweep.study.columns import LABELS, metric_columns
-from sweep.study.config import Experiment
 from sweep.study.designs import Axis
 
 

@@ -8,10 +8,10 @@ import pandas as pd
 from sweep.analysis import sampling_units
 from sweep.analysis.intervals import clopper_pearson
 from sweep.analysis.stats import format_percent, rates
+from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
 from sweep.study.columns import LABELS, metric_columns
-from sweep.study.config import Experiment
 from sweep.study.study import identity_columns
 
 BINS = 3  # regions along an axis

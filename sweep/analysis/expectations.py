@@ -7,8 +7,8 @@ from sweep.analysis import rare
 from sweep.analysis.sample import is_sample
 from sweep.analysis.sampling_units import condition_rates
 from sweep.analysis.stats import format_percent
+from sweep.config.experiment import Experiment
 from sweep.core.expressions import mask
-from sweep.study.config import Experiment
 from sweep.study.study import Expectation
 
 

@@ -19,8 +19,8 @@ from sweep.analysis.rare import weights_of_draws_and_failures
 from sweep.analysis.sample import choose_indices
 from sweep.analysis.sampling_units import PLAIN, draw_numbers
 from sweep.analysis.sensitivity import drawn_axes, listed_axes
+from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
-from sweep.study.config import Experiment
 
 MOST, FEWEST = 600, 20  # rows of either outcome that are used
 AXES = 10  # largest number of axes: all their subsets are evaluated

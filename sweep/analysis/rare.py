@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis.intervals import CONFIDENCE
+from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.study import adaptive_designs, importance_sampling
 from sweep.study.adaptive_sampling import replay_search
-from sweep.study.config import Experiment
 from sweep.study.subset_simulation import RunResult
 
 LARGEST = 0.1  # largest share of the sum that one row may carry in a reliable estimate

@@ -9,7 +9,7 @@ import pandas as pd
 from sweep.analysis import sensitivity
 from sweep.analysis.sampling_units import condition_rates
 from sweep.analysis.stats import Rate, rate
-from sweep.study.config import Experiment
+from sweep.config.experiment import Experiment
 from sweep.study.study import parameter_columns
 
 

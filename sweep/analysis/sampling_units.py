@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from sweep.analysis.intervals import Interval, confidence_sequence, student_interval, wilson
 from sweep.analysis.stats import rates
-from sweep.study.config import Experiment
+from sweep.config.experiment import Experiment
 from sweep.study.study import Study, parameter_columns
 
 

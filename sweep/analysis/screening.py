@@ -13,8 +13,8 @@ from sweep.analysis.sensitivity import (
     outcome_values,
     rarer_outcomes,
 )
+from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
-from sweep.study.config import Experiment
 
 LEAST, MOST = 100, 20_000  # rollouts that are asked for, and that are looked at
 SLICES, HARMONICS = 10, 10  # of PAWN; of RBD-FAST

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 from sweep.analysis.intervals import CONFIDENCE, Interval, clopper_pearson, student_interval
 from sweep.analysis.sampling_units import PLAIN, condition_rates, draw_numbers
 from sweep.analysis.stats import rates
+from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
-from sweep.study.config import Experiment
 from sweep.study.designs import INNER, LEVELS, Axis, unit_draws
 
 PERMUTATIONS, PERMUTED = (199, 999), 100_000_000  # of draws, fewer where there are many rows; numbers permuted in all

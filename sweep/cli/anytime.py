@@ -7,10 +7,10 @@ import pandas as pd
 from sweep.analysis import compare, sequential
 from sweep.analysis.intervals import CONFIDENCE
 from sweep.cli.run import report_progress
+from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask
 from sweep.runs import extend, results, store
-from sweep.study.config import Experiment
 from sweep.study.study import name_axes
 
 

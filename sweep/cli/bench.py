@@ -15,12 +15,12 @@ import numpy as np
 from tabulate import tabulate
 
 from sweep.cli.exits import DONE
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.engines import make, program_cache
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
-from sweep.study.config import compose
 from sweep.systems.hexapod import replace_parameter
 
 MOST_NATIVE = 128  # rollouts for the row of C MuJoCo, the slowest

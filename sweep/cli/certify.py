@@ -15,11 +15,11 @@ from sweep.analysis.intervals import clopper_pearson
 from sweep.analysis.sampling_units import Unit, independent_unit
 from sweep.analysis.stats import format_percent
 from sweep.cli.run import report_progress
+from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.errors import InputError
 from sweep.core.files import path_in
 from sweep.report.tables import page_table
 from sweep.runs import extend, results, runner, store
-from sweep.study.config import Experiment, build_experiment
 
 MOST_PARAMETERS = 8
 FRESH, AGAIN = "certify/fresh", "certify/again"  # studies of their own in the folder

@@ -18,12 +18,12 @@ from sweep.core.groups import GROUPS
 from sweep.core.version import VERSION
 
 if TYPE_CHECKING:
-    from sweep.study.config import Experiment
+    from sweep.config.experiment import Experiment
 
 BENCH = ("arrowhead", "mjx", "native")  # rows of `sweep bench`
 WHOLE = {  # commands that parse their own arguments: the modules with their `main`, and what they do
     "view": ("sweep.cli.view", "play a rollout in the browser"),
-    "replay": ("sweep.trace.replay", "simulate one rollout of a study again and record it"),
+    "replay": ("sweep.replay.replay", "simulate one rollout of a study again and record it"),
     "tune": ("sweep.cli.tune", "optimize the numbers of a plan"),
     "export-model": ("sweep.cli.export_model", "export the built-in robot as a MuJoCo model"),
     "formula": ("sweep.cli.formula", "evaluate a closed-form formula from the literature"),

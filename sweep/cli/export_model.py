@@ -6,11 +6,11 @@ from pathlib import Path
 import yaml
 
 from sweep.cli.exits import DONE
+from sweep.config.experiment import compose
 from sweep.core.arguments import Arguments, is_value
 from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
 from sweep.models.binary import model_bytes
-from sweep.study.config import compose
 from sweep.systems import exported
 
 EPILOG = """C MuJoCo and MJX simulate the exported robot with their own physics, a check of this
@@ -25,7 +25,7 @@ from pathlib import Path
 
 import yaml
 
-from sweep.study.config import build_experiment
+from sweep.config.experiment import build_experiment
 from sweep.systems.exported import make_controller
 
 FILES = ["case.yaml"]

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
+    from sweep.config.experiment import Experiment
     from sweep.runs.results import Results
-    from sweep.study.config import Experiment
 
 LICENSE = "https://spdx.org/licenses/CC-BY-4.0"
 

@@ -13,10 +13,10 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from sweep.cli.exits import BAD_INPUT, DONE, FAULT
+from sweep.config import experiment
+from sweep.config.experiment import Experiment
 from sweep.core.arguments import list_flags, make_usage_error
 from sweep.core.errors import Fault, InputError
-from sweep.study import config
-from sweep.study.config import Experiment
 
 ONE_OF = ("run", "multirun", "cfg", "info", "shell_completion")  # of what Hydra does
 COMPLETED = ("install=", "uninstall=", "query=")  # what its completion is told
@@ -28,25 +28,25 @@ def launch(overrides: list[str], work: Callable[[Experiment], int], run_flags: l
     Raises `InputError`; for an unknown flag it names the closest of Hydra's and of our own `run_flags`.
     """
     if not any(one.startswith(("-", "hydra", "+hydra", "~hydra")) for one in overrides):
-        return work(config.compose(overrides))  # Hydra's application would compose it twice
+        return work(experiment.compose(overrides))  # Hydra's application would compose it twice
     check_flags(overrides, run_flags)
-    config.register_schemas()
+    experiment.register_schemas()
     codes = [DONE]
 
     @hydra.main(
-        version_base=config.HYDRA_VERSION,
-        config_path=f"pkg://{config.CONFIG_MODULE}",
-        config_name=config.primary_config(overrides),
+        version_base=experiment.HYDRA_VERSION,
+        config_path=f"pkg://{experiment.CONFIG_MODULE}",
+        config_name=experiment.primary_config(overrides),
     )
     def job(composed: DictConfig) -> None:
         try:
-            codes.append(work(config.build_experiment(config.resolve(composed))))
+            codes.append(work(experiment.build_experiment(experiment.resolve(composed))))
         # Hydra would add lines of its own, and give up a multirun's other jobs
         except Fault as error:
             print(f"sweep: {error}", file=sys.stderr)
             codes.append(FAULT)
         except (InputError, OmegaConfBaseException) as error:
-            line = str(error) if isinstance(error, InputError) else config.format_error(error, overrides)
+            line = str(error) if isinstance(error, InputError) else experiment.format_error(error, overrides)
             print(f"sweep: {line}", file=sys.stderr)
             codes.append(BAD_INPUT)
 
@@ -54,10 +54,10 @@ def launch(overrides: list[str], work: Callable[[Experiment], int], run_flags: l
     sys.argv = ["sweep run", *overrides]
     os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors through to here, where they become one line
     try:
-        config.check_overrides(overrides)
+        experiment.check_overrides(overrides)
         job()
     except (HydraException, OmegaConfBaseException, OverflowError, RecursionError) as error:
-        raise InputError(config.format_error(error, overrides)) from None
+        raise InputError(experiment.format_error(error, overrides)) from None
     finally:
         sys.argv = before
     return max(codes)

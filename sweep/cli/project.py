@@ -126,7 +126,7 @@ def print_choices(named: Mapping[str, str]) -> None:
 
 def describe(args: argparse.Namespace) -> int:
     """Print unit, meaning, bounds and default of parameters, or the meaning of a choice or column."""
-    from sweep.study import reference
+    from sweep.config import reference
 
     try:
         text = reference.parameters_page() if args.name is None else reference.describe(args.name)

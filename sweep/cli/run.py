@@ -17,6 +17,7 @@ from sweep.analysis.expectations import unmet_expectations
 from sweep.analysis.sample import drop_copies, pooled_rate
 from sweep.analysis.stats import cause_lines, rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
+from sweep.config.experiment import Experiment, build_experiment, compose_values
 from sweep.core.errors import InputError
 from sweep.core.progress import (
     compilation_seconds,
@@ -35,7 +36,6 @@ from sweep.runs.batches import make_nominal_batch as nominal_batch
 from sweep.runs.nominal_levels import FailingLevel, find_failing_levels
 from sweep.study import designs
 from sweep.study.clusters import WorkerStatus, connect_lazily
-from sweep.study.config import Experiment, build_experiment, compose_values
 from sweep.study.study import check_expect, name_axes, parameter_columns, unit_of_column
 from sweep.systems import find_kind_by_keys
 

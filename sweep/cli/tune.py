@@ -18,6 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from sweep.analysis.stats import rate
 from sweep.cli.exits import DONE, UNEXPECTED
+from sweep.config.experiment import Experiment, compose
 from sweep.core.arguments import Arguments, is_value
 from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
@@ -38,7 +39,6 @@ from sweep.planning.score import (
     with_draw_axis,
 )
 from sweep.runs import store, tuning
-from sweep.study.config import Experiment, compose
 from sweep.study.study import make_points, parameter_columns
 from sweep.systems.base import split_side
 

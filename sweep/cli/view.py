@@ -12,18 +12,18 @@ from pathlib import Path
 import pandas as pd
 
 from sweep.cli.exits import DONE
+from sweep.config.experiment import Experiment, compose
 from sweep.core import provenance
 from sweep.core.arguments import Arguments
 from sweep.core.errors import InputError
 from sweep.core.files import path_in
 from sweep.core.progress import show_wait
 from sweep.engines.base import Trace
+from sweep.replay.sampling import finite_frames
 from sweep.report import page, replays
 from sweep.report.page.replay_data import ShownReplay, read_shown_replays
 from sweep.runs import batches, device_choice, results, runner, store
 from sweep.runs.results import Results
-from sweep.study.config import Experiment, compose
-from sweep.trace.sampling import finite_frames
 
 SMOOTH, HOLD = 60.0, 1.0  # frames per second in MuJoCo's viewer, and s before it begins again
 PAGES = Path("results") / "view"  # of rollouts that belong to no folder

@@ -3,9 +3,9 @@
 import pandas as pd
 from matplotlib.axes import Axes
 
+from sweep.config.experiment import Experiment
 from sweep.report.cells import Cells, axis_places
 from sweep.study.analytic_limits import AnalyticLimit
-from sweep.study.config import Experiment
 from sweep.systems.base import split_side
 
 STYLES = ("--", "-.", ":")

@@ -5,8 +5,8 @@ import pandas as pd
 
 from sweep.analysis import rare
 from sweep.analysis.sample import pooled_rate
+from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
-from sweep.study.config import Experiment
 
 
 def headline(rows: pd.DataFrame, exp: Experiment) -> str:

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 import pandas as pd
 
+from sweep.config.experiment import Experiment
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import UNITS, format_unit
-from sweep.study.config import Experiment
 from sweep.study.designs import Axis
 from sweep.study.study import unit_of_column
 from sweep.systems.base import split_side

@@ -19,6 +19,7 @@ from matplotlib.path import Path
 from matplotlib.transforms import Affine2D
 
 from sweep.analysis.sample import pooled_rate
+from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.expressions import column
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError
@@ -29,7 +30,6 @@ from sweep.report.headline import count_placed
 from sweep.report.labels import axis_title, label_with_value
 from sweep.report.outcome_style import INVALID, find_look, glyph_ink, marker_path
 from sweep.runs import refine
-from sweep.study.config import Experiment, build_experiment
 
 # cells, with more of which outlines would cover the colours; cells along a panel that have room for a glyph; boxes that
 # hatching may be cut into

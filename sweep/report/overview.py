@@ -6,13 +6,13 @@ from pathlib import Path
 import pandas as pd
 
 from sweep.analysis.stats import format_percent, rate
+from sweep.config.experiment import flatten_values
 from sweep.core.errors import InputError
 from sweep.core.files import path_in, printable_name
 from sweep.report.headline import probability_of_failure
 from sweep.runs import store
 from sweep.runs.results import load_experiment
 from sweep.study.adaptive_sampling import KINDS
-from sweep.study.config import flatten_values
 
 
 def overview_text(folders: list[Path]) -> str:

@@ -11,13 +11,13 @@ from sweep.analysis.axis_effects import compare_along_axes
 from sweep.analysis.sample import drop_copies, pooled_rate
 from sweep.analysis.sampling_units import condition_rates, interval_method
 from sweep.analysis.stats import format_percent
+from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.report.headline import headline
 from sweep.report.labels import heading
 from sweep.report.tables import page_table
 from sweep.runs import refine
 from sweep.runs.results import Results
-from sweep.study.config import Experiment
 
 Analysis = Callable[[pd.DataFrame, Experiment, str | None], pd.DataFrame]
 

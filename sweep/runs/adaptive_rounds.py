@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pandas as pd
 
+from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.runs.runner import Job, prepare_job
 from sweep.study import adaptive_designs
 from sweep.study.adaptive_sampling import Draws, summarize_round
-from sweep.study.config import Experiment
 from sweep.study.study import make_points
 
 

@@ -14,11 +14,11 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import compare
+from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.errors import InputError
 from sweep.core.files import path_in
 from sweep.runs import runner, store
 from sweep.runs.results import Results
-from sweep.study.config import Experiment, build_experiment
 from sweep.study.study import Logger, parameter_columns, replace_settings
 from sweep.systems.base import AuditVariant
 

@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.engines.base import Metrics
 from sweep.runs.axis_effects import find_unread_columns
 from sweep.runs.batches import forget_engine, make_batch, make_engine, make_nominal_batch, with_delay_buffer
-from sweep.study.config import Experiment
 from sweep.study.study import is_static, parameter_columns
 
 MAX_LEVELS = 9  # tried on an axis

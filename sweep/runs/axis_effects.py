@@ -3,8 +3,8 @@
 import pandas as pd
 
 from sweep.analysis.axis_effects import compare_along_axes
+from sweep.config.experiment import Experiment
 from sweep.runs.batches import make_engine, make_nominal_batch, static_values, with_delay_buffer
-from sweep.study.config import Experiment
 from sweep.study.study import parameter_columns
 
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sweep.config.experiment import Experiment
 from sweep.core.errors import Fault, InputError
 from sweep.engines.base import Engine
 from sweep.engines.settings import EngineSettings
-from sweep.study.config import Experiment
 from sweep.study.study import extreme_points, identity_columns, is_static, parameter_columns, replace_settings
 from sweep.systems.base import Limits, System
 

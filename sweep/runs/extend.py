@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
+from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.errors import InputError
 from sweep.runs import runner, store
-from sweep.study.config import Experiment, build_experiment
 
 GROWING = ("monte_carlo", "sobol")  # designs whose first draws stay the same when more are drawn
 

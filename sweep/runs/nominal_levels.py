@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
+from sweep.config.experiment import Experiment
 from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
 from sweep.runs.runner import simulate_batch
-from sweep.study.config import Experiment
 from sweep.study.designs import Axis, Design
 from sweep.study.study import make_points
 

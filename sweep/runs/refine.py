@@ -18,10 +18,10 @@ import pandas as pd
 from sweep.analysis import sensitivity
 from sweep.analysis.intervals import clopper_pearson, confidence_sequence
 from sweep.analysis.stats import Rate, format_percent, rate
+from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.runs.runner import Job, prepare_job
-from sweep.study.config import Experiment
 from sweep.study.designs import MOST, Axis
 from sweep.study.study import Study, make_points
 

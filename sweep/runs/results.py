@@ -10,10 +10,10 @@ import pandas as pd
 
 from sweep.analysis import sensitivity
 from sweep.analysis.sample import drop_copies
+from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.errors import InputError
 from sweep.core.expressions import condition_columns, mask
 from sweep.runs import store
-from sweep.study.config import Experiment, build_experiment
 from sweep.study.study import name_axes, parameter_columns
 
 

@@ -12,6 +12,7 @@ from uuid import uuid4
 import numpy as np
 import pandas as pd
 
+from sweep.config.experiment import Experiment, build_experiment, flatten_values
 from sweep.core import provenance, user_code
 from sweep.core.errors import Fault, InputError
 from sweep.core.expressions import mask
@@ -33,7 +34,6 @@ from sweep.runs.batches import (
 from sweep.runs.manifest import Entry
 from sweep.study.clusters import Dispatch
 from sweep.study.columns import metric_columns
-from sweep.study.config import Experiment, build_experiment, flatten_values
 from sweep.study.study import Logger, make_points, name_axes
 
 # Keys that may differ between runs into one folder: they choose points, or judge rows. The distribution that draws

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.core.outcomes import INVALID
 from sweep.engines.base import Engine, TimeSeriesRequest
@@ -16,7 +17,6 @@ from sweep.engines.settings import EngineSettings
 from sweep.runs import store
 from sweep.runs.batches import Batch, make_engine, make_nominal_batch
 from sweep.runs.manifest import Entry
-from sweep.study.config import Experiment
 from sweep.study.study import identity_columns
 
 MAX_INVALID_ROWS = 10  # of a folder, whose last states are stored

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError, suggest
 from sweep.core.files import append_line, write_atomically
-from sweep.study.config import Experiment
 from sweep.study.study import is_static, make_points, parameter_columns
 
 DEFAULT_STEP = 0.02  # first step of a free number for which none is given

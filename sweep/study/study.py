@@ -230,7 +230,16 @@ def parameter_columns(table: "pd.DataFrame") -> list[str]:
 
 
 def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
-    """Raise `InputError` where `study.keep` names unknown time series, or its rate is not allowed."""
+    """Require that the time series in `study.keep` exist, and that their rate is allowed.
+
+    Args:
+        study: the study.
+        system: the simulated system, which names its time series.
+        settings: has the control period.
+
+    Raises:
+        InputError: a time series is unknown, or the rate is no whole fraction of the control rate.
+    """
     for name in study.keep:
         require_choice(name, system.history_columns, f"study.keep: {name}")
     ticks = 1 / (settings.control_period * study.keep_rate)

@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 
 from sweep.cli.main import main
+from sweep.config import reference
 from sweep.core.terminal import ELSEWHERE, fit_to_width
 from sweep.report.tables import page_table
-from sweep.study import reference
 
 WIDTH = 80
 

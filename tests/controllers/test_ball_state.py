@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.controllers.ball_state import (
     angular_momentum,
     ball_footholds,
@@ -26,7 +27,6 @@ from sweep.manoeuvres.balancing.ball_turn import BallTurn
 from sweep.models import scene
 from sweep.models.frames import WORLD, body_frame, koenig_frame
 from sweep.models.obstacles.surface import FreeState
-from sweep.study.config import compose
 
 CASE = compose(["scenario=ball_balance"]).case
 AHEAD = jnp.array([1.0, 0.0])

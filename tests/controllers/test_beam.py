@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.controllers import flywheel, tracker
 from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.observation import Observation
@@ -12,7 +13,6 @@ from sweep.controllers.plan import BALANCE, LEVELLING, LOCKED
 from sweep.controllers.posture import foot_positions, joint_targets, mass_centre
 from sweep.core.rotations import rotate
 from sweep.models.obstacles.surface import no_free_bodies
-from sweep.study.config import compose
 
 PERIOD = 4e-3
 CASE = compose(["scenario=beam_cross"]).case

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from playing import play_plan, vary_lengths
 
+from sweep.config.experiment import compose
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.rotations import matrix
@@ -13,7 +14,6 @@ from sweep.models.case import Case
 from sweep.models.robot import leg_unit
 from sweep.planning import forces
 from sweep.planning.compile_plan import compile_plan
-from sweep.study.config import compose
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,10 @@ import jax
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.controllers.plan import stage_end_stances
 from sweep.core.errors import InputError
 from sweep.models.obstacles.surface import free_start_state
-from sweep.study.config import compose
 
 SCENARIO = """
 # @package _global_

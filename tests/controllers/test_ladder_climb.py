@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.controllers.frames import Stance, stance_to_world
 from sweep.controllers.plan import Plan, stage_start
 from sweep.core.errors import InputError
@@ -13,7 +14,6 @@ from sweep.models.frames import WORLD, body_frame
 from sweep.models.obstacles.surface import body_poses
 from sweep.planning.kinematic_margins import planned_margins
 from sweep.planning.symmetry import reverse_in_time
-from sweep.study.config import compose
 
 CASE = compose(["scenario=ladder_climb"]).case
 FREE = CASE.obstacle.start()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from playing import play_case, vary_lengths
 
+from sweep.config.experiment import compose
 from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan, arc_point, pace_progress, reference_stance, transform_plan
 from sweep.controllers.posture import joint_targets
@@ -17,7 +18,6 @@ from sweep.formulas.stepping import LANDING
 from sweep.models.case import Case
 from sweep.models.robot import leg_unit
 from sweep.planning.plan_table import evaluate_plan
-from sweep.study.config import compose
 
 U = np.linspace(0, 1, 41)
 RADIUS, HALF, D, D_C = 0.42, 0.525, 0.525, 0.4935  # m: r, a_r / 2, d, d_c

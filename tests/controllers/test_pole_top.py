@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from playing import U, play_case
 
+from sweep.config.experiment import compose
 from sweep.controllers.plan import bezier_point
 from sweep.core.rotations import matrix
 from sweep.models.case import Case
-from sweep.study.config import compose
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.controllers import tracker
 from sweep.controllers.frames import Stance
 from sweep.controllers.observation import Observation
@@ -18,7 +19,6 @@ from sweep.manoeuvres.balancing.ball import stance_on_ball, stand_pose
 from sweep.models.frames import body_frame, koenig_frame
 from sweep.models.obstacles.surface import FreeState, free_start_state
 from sweep.planning.compile_plan import compile_plan
-from sweep.study.config import compose
 
 CASE = compose(["scenario=ball_balance"]).case
 PERIOD, TIME = 4e-3, 2.0

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from test_pole import play_plan
 
+from sweep.config.experiment import compose
 from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan
 from sweep.core.rotations import matrix
 from sweep.models.case import Case
 from sweep.planning.plan_table import evaluate_plan
 from sweep.planning.symmetry import OTHER_SIDE, join_plans, last_stance, mirror_plan, reverse_in_time
-from sweep.study.config import compose
 
 SHORT = ["manoeuvre.steps=0", "manoeuvre.cycles=1", "manoeuvre.down_cycles=0", "obstacle.ledge_height=0.3"]
 NORMAL = np.array([0.6, 0.0, 0.8])

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.controllers.frames import Stance, stance_to_world
 from sweep.controllers.layers import HeldLegs
 from sweep.controllers.observation import BodyObserver, Observation, with_contact_detection
@@ -35,7 +36,6 @@ from sweep.models.obstacles.surface import (
     no_free_bodies,
     state_from_landmarks,
 )
-from sweep.study.config import compose
 
 PERIOD, DEEPENING = 4e-3, 5e-3
 CASE = compose(["scenario=pole_climb", "control.touch=obstacle", "control.replan=touched"]).case

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.engines import make
 from sweep.estimation.calibration import learnable_sizes
 from sweep.metrics.outcome import classify
-from sweep.study.config import compose
 
 STAND = ["scenario=walk_tripod", "manoeuvre=stand", "manoeuvre.duration=0.3", "control=calibrate_simulated"]
 

@@ -6,10 +6,10 @@ import jax
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.engines import devices, make, pre_rollout
 from sweep.estimation.calibration import learnable_sizes
-from sweep.study.config import compose
 
 STAND = ["scenario=walk_tripod", "manoeuvre=stand", "control=calibrate"]
 SENSORS = ["noise=sensors", "noise.delay=0", "noise.joint_bias=0.002", "noise.orientation_bias=0.003"]

@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
 from sweep.engines.mjx import MjxEngine
 from sweep.engines.native import NativeEngine
@@ -15,7 +16,6 @@ from sweep.formulas import stepping
 from sweep.metrics import accumulator
 from sweep.metrics.outcome import Thresholds, classify, least_margins
 from sweep.models.legs import KINDS
-from sweep.study.config import compose
 
 STEPS, WIDTH = 3, 12
 WALK = ["scenario=walk_tripod", f"manoeuvre.steps={STEPS}"]

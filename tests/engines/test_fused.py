@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.engines.mjx import MjxEngine
 from sweep.engines.native import NativeEngine
 from sweep.engines.settings import EngineSettings
 from sweep.fused.arrays import Unsupported
-from sweep.study.config import compose
 
 
 @pytest.fixture(scope="module")

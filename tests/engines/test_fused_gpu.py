@@ -10,13 +10,13 @@ import pytest
 from validity import precision, simulation
 from validity.scenes import kick_on_slope
 
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.engines import program_cache
 from sweep.engines.mjx import MjxEngine
 from sweep.engines.settings import EngineSettings
 from sweep.fused import driver, launch
 from sweep.fused.arrays import Unsupported
-from sweep.study.config import compose
 
 WIDTH = launch.BLOCK
 HOW = pytest.mark.parametrize("few", [False, True], ids=["many", "few"])  # some parts without legs in lanes, or none

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from jaxtyping import Array, Float
 
+from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import parameters, quantity
 from sweep.engines import make
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.surface import FreeState
-from sweep.study.config import compose
 
 HEAVE = 0.1
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.core import files, provenance
 from sweep.core.errors import InputError
 from sweep.engines import fused_loop, program_cache
@@ -22,7 +23,6 @@ from sweep.engines.settings import EngineSettings
 from sweep.fused import driver
 from sweep.fused.arrays import Unsupported
 from sweep.metrics.outcome import Thresholds
-from sweep.study.config import compose
 
 CASE = compose(["scenario=walk_tripod"]).case
 X = jnp.arange(3.0)

@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.engines import make
 from sweep.metrics.outcome import classify
-from sweep.study.config import compose
 
 IMPULSE = 15.0  # N s
 DURATIONS = np.array([0.0001, 0.001, 0.0021, 0.0051, 0.05])  # s, of which the last alone is whole steps of both engines

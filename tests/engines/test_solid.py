@@ -7,10 +7,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.engines import make
 from sweep.models.scene import native_model
-from sweep.study.config import compose
 from sweep.study.study import make_points
 from sweep.systems.base import judge_rollout
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.engines import make
 from sweep.metrics.attitude import tilt_deg
-from sweep.study.config import compose
 
 OFFSETS = np.array([0.0, 0.36, -0.1])  # rad, of the measured orientation about the world's x axis
 FELL = 20.0  # deg, default of outcome.tilt_max_deg

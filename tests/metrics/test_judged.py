@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
 from sweep.metrics import attitude, clearance, depth, drives, free_bodies, rest, shins, slip, solver
 from sweep.metrics.outcome import GOAL, threshold_value
 from sweep.models.geometry import base_gap, fold_gap
 from sweep.models.obstacles.surface import FreeState, body_poses, no_free_bodies
 from sweep.models.robot import total_mass
-from sweep.study.config import compose
 
 EXPERIMENT = compose(["scenario=stand_push"])
 CASE = EXPERIMENT.case

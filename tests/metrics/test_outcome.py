@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from faultless import faultless
 
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.metrics import CAUSES, METRICS
 from sweep.metrics.outcome import (
@@ -21,7 +22,6 @@ from sweep.metrics.outcome import (
     threshold_value,
 )
 from sweep.study.columns import LABELS
-from sweep.study.config import compose
 
 STAGES = ("stand", "walk", "halt")
 STRICT = Thresholds(slip_max_m=0.02, ride_height_min_m=0.5, obstacle_moved_max_m=3.0, saturation_share_max=0.5,

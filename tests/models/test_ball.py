@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from validity.simulation import simulate
 
+from sweep.config.experiment import compose
 from sweep.controllers.frames import Stance
 from sweep.controllers.posture import joint_targets
 from sweep.core.constants import GRAVITY
@@ -17,7 +18,6 @@ from sweep.formulas.leg import SIDE
 from sweep.models import scene
 from sweep.models.obstacles.ball import Ball
 from sweep.models.scene import native_model
-from sweep.study.config import compose
 
 STEP, SECONDS, FALL, PERIOD = 2e-3, 2.0, 1.0, 0.4
 UPRIGHT = jnp.array([1.0, 0, 0, 0])

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import yaml
 
+from sweep.config.experiment import compose
 from sweep.controllers.plan import stage_end_stances
 from sweep.core.rotations import rotate
 from sweep.models.legs import PAIRS
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.obstacles.surface import body_poses, free_start_state, surface_at
-from sweep.study.config import compose
 
 CHARTED = {kind: cls.charts for kind, cls in OBSTACLES.items() if hasattr(cls, "charts")}
 SLOPE = 0.2

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from validity.simulation import simulate
 
+from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
 from sweep.core.rotations import matrix
 from sweep.models.obstacles.ladder import BARS, FLOOR, LEDGE, WALL, Ladder
 from sweep.models.obstacles.surface import landmark_state, state_from_landmarks
 from sweep.models.scene import native_model
-from sweep.study.config import compose
 
 STEP, SECONDS = 2e-3, 5.0
 PLACE, QUAT, MOVES, TURNS = slice(25, 28), slice(28, 32), slice(24, 27), slice(27, 30)  # in q, q, v, v

@@ -10,6 +10,7 @@ from raft_laws import energy, vertical_momentum
 from scipy.linalg import expm
 from validity.simulation import simulate
 
+from sweep.config.experiment import compose
 from sweep.controllers.plan import Plan, Stage
 from sweep.controllers.posture import joint_targets, mass_centre
 from sweep.core.constants import GRAVITY
@@ -26,7 +27,6 @@ from sweep.models.obstacles.raft import CORNERS, Raft
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.robot import total_mass
 from sweep.planning.compile_plan import compile_plan
-from sweep.study.config import compose
 
 GAMMA, STEP, SECONDS, SPEED = 9810.0, 2e-3, 21.0, 0.1
 OPEN = 100.0  # m, far from both banks

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.dynamics import interface, tree
 from sweep.dynamics.step import from_components, state_at_rest, step, to_components
 from sweep.engines import devices, physics
@@ -20,7 +21,6 @@ from sweep.engines.batch_last import batch_last_vmap
 from sweep.models.drive import position_mode
 from sweep.models.obstacles import PoleLedge
 from sweep.models.scene import native_model
-from sweep.study.config import compose
 
 TICK, SAMPLE = 4e-3, 25  # s; ticks between two recorded poses
 SECONDS = 51.2

@@ -11,6 +11,7 @@ import pytest
 from dense import Dense, dense
 from mujoco import mjx
 
+from sweep.config.experiment import compose
 from sweep.controllers.frames import Stance
 from sweep.controllers.posture import joint_targets
 from sweep.core.rotations import rotate
@@ -22,7 +23,6 @@ from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.robot import mount_yaw, mounts
-from sweep.study.config import compose
 
 ROBOTS = ("base", "three_link", "circular", "prototype", "hexagon")
 WIDTH = 3

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from validity.simulation import simulate
 
+from sweep.config.experiment import compose
 from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import joint_targets
 from sweep.core.constants import GRAVITY
 from sweep.engines.closed_loop import start_state
-from sweep.study.config import compose
 
 STEP, FRICTION, DEGREE = 2e-3, 0.7, np.pi / 180
 LIMIT = np.arctan(FRICTION)

@@ -8,10 +8,10 @@ import pytest
 from touching import Rod, TwoBalls
 from validity.simulation import simulate
 
+from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
 from sweep.models.contact import Contact
 from sweep.models.obstacles.geoms import add_contact_pair
-from sweep.study.config import compose
 
 STEP, SECONDS = 2e-4, 0.8
 COLLIDES, DAMPED, BUMPS, SWINGS = range(4)

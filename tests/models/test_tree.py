@@ -10,6 +10,7 @@ import pytest
 from dense import dense
 from slab import Slab
 
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.core.parameters import parameters
 from sweep.dynamics import interface, tree
@@ -17,7 +18,6 @@ from sweep.dynamics.step import from_components, state_at_rest, step, to_compone
 from sweep.engines import physics
 from sweep.models import scene
 from sweep.models.drive import position_mode
-from sweep.study.config import compose
 
 ROBOTS = ("base", "three_link", "hexagon", "prototype")
 STATES, H, ENOUGH = 8, 2e-3, 10

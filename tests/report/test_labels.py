@@ -8,12 +8,12 @@ import pytest
 
 from sweep import load
 from sweep.cli.main import main
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
 from sweep.report.labels import axis_words, unique_headings, unique_words
 from sweep.report.page.data import page_data
 from sweep.runs import results
-from sweep.study.config import compose
 from sweep.study.study import name_axes
 
 DATA = Path(__file__).parents[1] / "data"

@@ -12,11 +12,11 @@ from conftest import simulated
 
 import sweep.engines
 from sweep.cli.main import main
+from sweep.config.experiment import compose
 from sweep.metrics.outcome import GOAL, cause_meanings
 from sweep.report import figures, maps, sections
 from sweep.report.labels import kind_meaning
 from sweep.runs import batches, results
-from sweep.study.config import compose
 
 GAITS = [
     "~study.axes.step", "study.axes.friction.from=0.1", "study.axes.friction.to=0.9", "study.axes.friction.num=6",

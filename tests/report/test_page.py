@@ -12,11 +12,11 @@ from matplotlib.collections import PolyCollection
 from moved import moved
 
 from sweep.cli.main import main
+from sweep.config.experiment import compose
+from sweep.replay import motion
 from sweep.report import figures, page, replay_selection, replays, representative, sections
 from sweep.report.page import data, replay_data, script
 from sweep.runs import results, store
-from sweep.study.config import compose
-from sweep.trace import motion
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "research"))
 import example_pages  # pyright: ignore[reportMissingImports]

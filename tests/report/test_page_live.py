@@ -24,11 +24,11 @@ from scipy.stats import ks_2samp
 
 from sweep.core.expressions import mask
 from sweep.metrics.outcome import FAILURES
+from sweep.replay.contact_forces import measured_contact_forces
+from sweep.replay.motion import FRICTION_LEVELS, MARGIN_LEVELS, describe_bodies, encode_motion
 from sweep.report import page, replays
 from sweep.report.page.replay_data import ShownReplay
 from sweep.runs import results
-from sweep.trace.contact_forces import measured_contact_forces
-from sweep.trace.motion import FRICTION_LEVELS, MARGIN_LEVELS, describe_bodies, encode_motion
 
 pytestmark = [
     pytest.mark.browser,

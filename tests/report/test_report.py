@@ -11,13 +11,13 @@ from matplotlib.patches import Patch
 from sweep.analysis import expectations
 from sweep.analysis.expectations import unmet_expectations
 from sweep.analysis.stats import rate
+from sweep.config.experiment import compose
 from sweep.core.parameters import InputError
 from sweep.core.plot_style import PAGE, legend_below, plot_style, save_figure
 from sweep.metrics.outcome import FAILURES
 from sweep.report import maps, tables
 from sweep.report.cells import Cells
 from sweep.report.outcome_style import marker_path
-from sweep.study.config import compose
 from sweep.study.study import Expectation
 
 EXP = compose(["study=walk_map"])

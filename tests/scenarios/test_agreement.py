@@ -6,9 +6,9 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.engines import make
 from sweep.metrics.outcome import classify
-from sweep.study.config import compose
 
 pytestmark = pytest.mark.slow
 FRICTION = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.2])

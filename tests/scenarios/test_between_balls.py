@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from test_on_ball import outcomes
 
+from sweep.config.experiment import compose
 from sweep.controllers import tracker
 from sweep.controllers.ball_state import centre_of_mass
 from sweep.controllers.frames import Stance
@@ -23,7 +24,6 @@ from sweep.metrics.outcome import classify
 from sweep.models.frames import WORLD
 from sweep.models.obstacles.surface import body_poses
 from sweep.models.obstacles.two_balls import TwoBalls
-from sweep.study.config import compose
 
 
 def test_balls_and_feet_feel_floor_and_balls():

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from test_on_ball import outcomes
 
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.models.obstacles.ledges import Ledges
 from sweep.models.obstacles.surface import body_poses
-from sweep.study.config import compose
 
 
 def test_ball_and_feet_feel_floor_ball_and_ledges():

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.runs.runner import run_single_batch
-from sweep.study.config import compose
 
 
 @pytest.mark.slow

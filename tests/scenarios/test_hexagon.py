@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.engines import make
 from sweep.metrics.outcome import classify
-from sweep.study.config import compose
 
 pytestmark = pytest.mark.slow
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
 from sweep.engines import make
 from sweep.formulas.ball import ROLLING
 from sweep.metrics.outcome import classify
 from sweep.models.obstacles.ball import Ball
-from sweep.study.config import compose
 
 pytestmark = pytest.mark.slow
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from test_on_ball import outcomes
 
+from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.formulas import evaluate
 from sweep.models.obstacles.raft import Raft
-from sweep.study.config import compose
 
 
 @pytest.mark.parametrize(

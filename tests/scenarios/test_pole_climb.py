@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.engines import make
 from sweep.metrics.outcome import classify
 from sweep.models.obstacles.pole_ledge import PoleLedge
-from sweep.study.config import compose
 
 pytestmark = pytest.mark.slow
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.engines import make
 from sweep.metrics.outcome import classify
-from sweep.study.config import compose
 
 TIMES = np.array([1.0, 3.965, 1.0, 1.0])
 IMPULSES = np.array([80.0, 80.0, 15.0, 15.0])

@@ -5,9 +5,9 @@ from importlib.resources import files
 import pandas as pd
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.metrics.outcome import classify
 from sweep.runs.batches import make_batch, make_engine, make_nominal_batch
-from sweep.study.config import compose
 from sweep.study.study import make_points, parameter_columns
 
 pytestmark = pytest.mark.slow

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.engines import make
 from sweep.formulas import stepping
 from sweep.metrics.outcome import Thresholds, classify
-from sweep.study.config import compose
 
 STEPS = 6
 

@@ -23,8 +23,11 @@ from PIL import Image
 from sweep.analysis.expectations import judge_expectations
 from sweep.analysis.sample import pooled_rate
 from sweep.analysis.sampling_units import has_independent_rows, independent_unit, interval_method
+from sweep.config.experiment import Experiment
 from sweep.core.files import path_in, write_atomically
 from sweep.core.plot_style import plot_style
+from sweep.replay.arrows import FORCE_SCALE, FORCE_SHOWN
+from sweep.replay.layout import LEG_COLORS
 from sweep.report import tables
 from sweep.report.figure import StudyFigure
 from sweep.report.figures import list_figures
@@ -38,9 +41,6 @@ from sweep.report.statistics import labelled_sections
 from sweep.runs import audit, store
 from sweep.runs.results import Results
 from sweep.study.columns import LABELS
-from sweep.study.config import Experiment
-from sweep.trace.arrows import FORCE_SCALE, FORCE_SHOWN
-from sweep.trace.layout import LEG_COLORS
 
 ROWS, LINES = 100, 100  # of the table at the end, and of the others
 DPI = 140  # of pictures that are for paper alone

@@ -12,6 +12,7 @@ import pandas as pd
 
 from sweep.analysis.sample import choose_indices
 from sweep.core.files import encode_text
+from sweep.replay.mcap import to_json_value
 from sweep.report import analytic_curves
 from sweep.report.figures import metric_thresholds, metrics_with_threshold_first
 from sweep.report.labels import column_meaning, kind_meaning, outcome_kind, unique_words, words_and_unit
@@ -19,7 +20,6 @@ from sweep.report.outcome_style import FAILURE, GOOD, find_look
 from sweep.runs import refine
 from sweep.runs.results import Results
 from sweep.systems.base import split_side
-from sweep.trace.mcap import to_json_value
 
 ROWS, SAMPLE = 40_000, 20_000  # with more rows than that the page has a sample of them, and maps of densities
 MAX_METRICS = 28  # that are on the page, the ones that outcomes are judged by first

@@ -8,10 +8,10 @@ import pandas as pd
 
 from sweep.core.errors import InputError
 from sweep.core.files import encode_text
+from sweep.replay.motion import thin_motion
 from sweep.report import replays
 from sweep.report.page.data import sample_places
 from sweep.runs.results import Results
-from sweep.trace.motion import thin_motion
 
 THINNEST = 4  # frames of which one is kept at least, where all of them do not fit
 TOLD = ("step", "frames", "scales", "force_scale", "stages", "equal", "of", "why")  # of a replay as it is

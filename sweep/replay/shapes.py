@@ -17,7 +17,7 @@ from foxglove.messages import (
     Vector3,
 )
 
-from sweep.trace.hulls import geom_hull
+from sweep.replay.hulls import geom_hull
 
 Primitive = CubePrimitive | CylinderPrimitive | SpherePrimitive | TriangleListPrimitive
 Geom = mujoco.mjtGeom

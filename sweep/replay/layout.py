@@ -5,8 +5,8 @@ from typing import Any
 
 from sweep.engines.base import Trace
 from sweep.models.legs import KINDS
-from sweep.trace.sampling import base_body_id, joint_names
-from sweep.trace.shapes import body_name
+from sweep.replay.sampling import base_body_id, joint_names
+from sweep.replay.shapes import body_name
 
 _EFFORT = '/joint_states.joints[:]{{name=="{}"}}.effort'
 LEG_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")  # Okabe and Ito, safe when colour-blind

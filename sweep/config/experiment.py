@@ -31,13 +31,14 @@ from omegaconf.errors import (
 )
 
 from sweep import systems
+from sweep.config import hydra_sources
 from sweep.core import project
 from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import build_by_kind, check_value
 from sweep.core.yaml_check import ambiguous_number
 from sweep.engines.settings import EngineSettings
-from sweep.study import designs, hydra_sources
+from sweep.study import designs
 from sweep.study.clusters import Cluster
 from sweep.study.columns import LABELS, PLAN, TIMING
 from sweep.study.designs import rename_on_to_side

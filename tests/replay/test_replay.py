@@ -8,11 +8,11 @@ import pytest
 from faultless import faultless
 from mcap.reader import make_reader
 
+from sweep.config.experiment import compose
 from sweep.core.parameters import InputError
+from sweep.replay import replay as module
+from sweep.replay.replay import main
 from sweep.runs import batches, runner, store
-from sweep.study.config import compose
-from sweep.trace import replay as module
-from sweep.trace.replay import main
 
 WIDTH = 3
 AXIS = "+study.axes.friction={path: contact.friction, side: world, values: [0.2, 0.4, 0.6, 0.8, 1.0]}"

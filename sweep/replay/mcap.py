@@ -30,10 +30,10 @@ from foxglove.messages import (
 from sweep.core.errors import Fault
 from sweep.core.files import descriptor, write_atomically
 from sweep.engines.base import Trace
-from sweep.trace.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
-from sweep.trace.layout import foxglove_layout
-from sweep.trace.sampling import finite_frames, frames_at_rate, joint_names, joint_positions, joint_rates
-from sweep.trace.shapes import WORLD, body_name, foxglove_quaternion, foxglove_vector, moving_body_ids, scene_entities
+from sweep.replay.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
+from sweep.replay.layout import foxglove_layout
+from sweep.replay.sampling import finite_frames, frames_at_rate, joint_names, joint_positions, joint_rates
+from sweep.replay.shapes import WORLD, body_name, foxglove_quaternion, foxglove_vector, moving_body_ids, scene_entities
 
 PICTURE_RATE = 50.0  # Hz, of transforms and arrows; joints and loads are written every tick, so that no peak is lost
 

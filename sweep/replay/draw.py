@@ -1,4 +1,4 @@
-"""Draw frames with MuJoCo in a process of its own: `python -m sweep.trace.draw JOB` writes raw RGB to stdout.
+"""Draw frames with MuJoCo in a process of its own: `python -m sweep.replay.draw JOB` writes raw RGB to stdout.
 
 The OpenGL library is chosen when `mujoco` is imported, and importing it with a missing one fails, so the process that
 draws must not be the one that simulates. It imports nothing that imports `mujoco`.
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.trace.arrows import ARROW_RADIUS, FORCE_COLOR
+from sweep.replay.arrows import ARROW_RADIUS, FORCE_COLOR
 
 NO_OPENGL = 3  # exit status: this OpenGL library does not work here
 MODEL_FILE, ARRAYS_FILE = "model.mjb", "frames.npz"  # files in the folder JOB

@@ -16,19 +16,19 @@ from typing import Any
 import pandas as pd
 
 from sweep import systems
+from sweep.config import experiment
 from sweep.core import project
 from sweep.core.errors import InputError, require_choice, suggest, suggest_nearest
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import UNITS, bounds_text, format_unit
-from sweep.study import config
 from sweep.study.columns import MEANINGS
 
 
 def classes_by_group() -> dict[str, list[type]]:
     """Return the parameter dataclasses of each group, including those of users."""
-    config.register_schemas()
-    kinds = {group: list(kinds.values()) for group, kinds in config.KINDS.items()}
-    return {group: [cls] for group, cls in config.CLASSES.items()} | kinds
+    experiment.register_schemas()
+    kinds = {group: list(kinds.values()) for group, kinds in experiment.KINDS.items()}
+    return {group: [cls] for group, cls in experiment.CLASSES.items()} | kinds
 
 
 def describe(name: str) -> str:
@@ -67,7 +67,7 @@ def describe(name: str) -> str:
         return "\n\n".join(format_class(group, cls) for cls in every[group] if kind in ("", kind_of(cls)))
     group, _, key = name.partition(".")
     if group not in every:
-        hint = config.suggest_paths(name, every)
+        hint = experiment.suggest_paths(name, every)
         paths = [
             f"{one}.{line['parameter']}" for one, own in every.items() for cls in own for line in parameter_rows(cls)
         ]

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.core.parameters import InputError
 from sweep.core.plot_style import save_figure
 from sweep.models import scene
-from sweep.study.config import compose
-from sweep.trace.plots import PLOTS, tilt_deg
+from sweep.replay.plots import PLOTS, tilt_deg
 
 LABELS = {
     "torques": {f"leg {leg}\ntorque (N·m)" for leg in range(1, 7)},

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from sweep.config.experiment import compose
 from sweep.engines.base import Trace
-from sweep.study.config import compose
 
 FRAMES, TICK = 250, 4e-3  # 1 s
 

@@ -10,9 +10,9 @@ from matplotlib.image import imread
 
 from sweep.core.parameters import InputError
 from sweep.core.spacing import evenly_spaced_indices
-from sweep.trace import rendering
-from sweep.trace.arrows import FORCE_SCALE
-from sweep.trace.sampling import base_pose, finite_frames, frames_at_rate, frames_at_times
+from sweep.replay import rendering
+from sweep.replay.arrows import FORCE_SCALE
+from sweep.replay.sampling import base_pose, finite_frames, frames_at_rate, frames_at_times
 
 
 def _arrow_columns(picture: np.ndarray) -> np.ndarray:

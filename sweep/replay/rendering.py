@@ -20,10 +20,10 @@ from sweep.core.files import write_atomically
 from sweep.core.parameters import InputError
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.engines.base import Trace
-from sweep.trace.arrows import arrow_tips
-from sweep.trace.contact_forces import surfaces_under
-from sweep.trace.draw import ARRAYS_FILE, MODEL_FILE, NO_OPENGL
-from sweep.trace.sampling import base_pose, finite_frames, frames_at_rate
+from sweep.replay.arrows import arrow_tips
+from sweep.replay.contact_forces import surfaces_under
+from sweep.replay.draw import ARRAYS_FILE, MODEL_FILE, NO_OPENGL
+from sweep.replay.sampling import base_pose, finite_frames, frames_at_rate
 
 SIZE = (960, 544)  # pixels; video codecs need multiples of 16
 STRIP_PICTURE_SIZE = (424, 240)  # pixels of a picture in a strip
@@ -252,7 +252,7 @@ def _count_hidden_points(trace: Trace, frames: np.ndarray, azimuth: float) -> in
 def _read_pictures(job: str, backend: str) -> Generator[np.ndarray, None, bool]:
     """Yield the pictures of the drawing process; return whether its OpenGL library works."""
     width, height = SIZE
-    command = [sys.executable, "-m", "sweep.trace.draw", job]
+    command = [sys.executable, "-m", "sweep.replay.draw", job]
     environment = {**os.environ, "MUJOCO_GL": backend}
     with tempfile.TemporaryFile("w+") as errors:
         with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=errors) as process:

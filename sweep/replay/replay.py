@@ -12,6 +12,7 @@ import pandas as pd
 from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
 
+from sweep.config.experiment import build_experiment
 from sweep.core.arguments import Arguments
 from sweep.core.files import write_atomically
 from sweep.core.parameters import InputError
@@ -22,17 +23,16 @@ from sweep.engines.settings import EngineSettings
 from sweep.engines.states import available_columns
 from sweep.models import scene
 from sweep.models.case import Case
+from sweep.replay.mcap import write_mcap
+from sweep.replay.plots import PLOTS
+from sweep.replay.rendering import VIDEO_RATE, require_ffmpeg, write_png, write_video
+from sweep.replay.sampling import frames_at_rate
 from sweep.runs import device_choice, results, store
 from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
 from sweep.runs.runner import load_point
 from sweep.study.columns import LABELS
-from sweep.study.config import build_experiment
 from sweep.study.study import parameter_columns
 from sweep.systems.base import judge_rollout
-from sweep.trace.mcap import write_mcap
-from sweep.trace.plots import PLOTS
-from sweep.trace.rendering import VIDEO_RATE, require_ffmpeg, write_png, write_video
-from sweep.trace.sampling import frames_at_rate
 
 FORMAT_OPTIONS = ("mcap", "states", "model", "plot", "png", "video")  # options that a system may not support
 

@@ -14,9 +14,9 @@ from sweep.core.plot_style import LETTERS, PAGE, legend_below, new_figure, plot_
 from sweep.engines.base import Trace
 from sweep.formulas import stepping
 from sweep.models.legs import KINDS, N_LEGS
-from sweep.trace.contact_forces import measured_contact_forces, planned_contact_forces
-from sweep.trace.layout import LEG_COLORS
-from sweep.trace.sampling import base_pose, joint_positions, mass_centres
+from sweep.replay.contact_forces import measured_contact_forces, planned_contact_forces
+from sweep.replay.layout import LEG_COLORS
+from sweep.replay.sampling import base_pose, joint_positions, mass_centres
 
 LEG_ROWS = ((6, 5), (4, 3), (2, 1))
 SYMBOLS = dict(zip(KINDS, ("α", "β", "γ"), strict=True))

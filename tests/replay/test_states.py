@@ -10,7 +10,7 @@ import pytest
 
 from sweep.cli.main import main
 from sweep.core.parameters import InputError
-from sweep.trace import replay
+from sweep.replay import replay
 
 PAGE = Path(__file__).parents[2] / "docs" / "howto" / "use_states_elsewhere.md"
 SHORT = ["scenario=stand_push", "engine=native", "engine.width=1", "engine.solid=true"]

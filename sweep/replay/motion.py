@@ -13,10 +13,10 @@ import numpy as np
 
 from sweep.core.files import decode_text, encode_text
 from sweep.engines.base import Trace, single_joints
-from sweep.trace.contact_forces import measured_contact_forces
-from sweep.trace.hulls import geom_hull
-from sweep.trace.sampling import base_body_id, finite_frames
-from sweep.trace.shapes import VISIBLE_GROUPS, geom_color
+from sweep.replay.contact_forces import measured_contact_forces
+from sweep.replay.hulls import geom_hull
+from sweep.replay.sampling import base_body_id, finite_frames
+from sweep.replay.shapes import VISIBLE_GROUPS, geom_color
 
 MAX_RATE = 10.0  # frames per second, at most
 MAX_CHARACTERS = 40_000  # largest number of characters in the states of a rollout; a longer one gets fewer frames
