@@ -310,9 +310,11 @@ def test_where_mjx_parts_from_c_is_told(here, capsys):
     assert not [*_engine("Euler").known_differences()]
     (line,) = _engine("implicitfast").known_differences()
     assert "model.option.integrator=Euler" in line
-    joints = '<joint joint="hip" coef="1"/>' * 2
+    tail = '<body><joint name="tail" axis="0 1 0"/><geom size="0.02" mass="0.1" contype="0"/></body>'
+    joints = '<joint joint="hip" coef="1"/><joint joint="tail" coef="1"/>'
     tendon = f'<tendon><fixed name="t" armature="0.1">{joints}</fixed></tendon>'
-    Path("coupled.xml").write_text(HOPPER.replace("<actuator>", f"{tendon}<actuator>"))
+    model = HOPPER.replace('<body name="leg"', f'{tail}<body name="leg"')
+    Path("coupled.xml").write_text(model.replace("<actuator>", f"{tendon}<actuator>"))
     (line,) = _engine("Euler", "model.mjcf=coupled.xml").known_differences()
     assert "armature of tendons" in line
 

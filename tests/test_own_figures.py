@@ -191,7 +191,8 @@ def test_every_field_of_a_batch_is_a_path_or_the_page_says_why_not():
     whole_numbers = {name for name in MODEL_FIELDS if fields.field_values(model, name).dtype.kind != "f"}
     for name in MODEL_FIELDS - whole_numbers:
         assert any(fnmatch(name, pattern) for pattern in told) != (name in paths), name
-    assert not [pattern for pattern in told if not any(fnmatch(name, pattern) for name in MODEL_FIELDS)]
+    known = MODEL_FIELDS | {"jnt_springyield"}  # of MuJoCo 4
+    assert not [pattern for pattern in told if not any(fnmatch(name, pattern) for name in known)]
 
 
 URDF = """<robot name="cart"><link name="base"/><link name="trunk">

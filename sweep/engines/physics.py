@@ -3,9 +3,7 @@
 All functions are written for one rollout.
 """
 
-import io
 from collections.abc import Callable
-from contextlib import redirect_stdout
 from functools import reduce
 from operator import add
 from typing import NamedTuple
@@ -24,6 +22,7 @@ from sweep.engines import batching
 from sweep.engines.closed_loop import exact_observation
 from sweep.engines.settings import EngineSettings
 from sweep.metrics.metric import Tick
+from sweep.models import mujoco_versions
 from sweep.models.case import Case
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Servo, interpolate_target
@@ -46,8 +45,8 @@ def make_physics(settings: EngineSettings, top: Topology) -> "TickPhysics":
     """
     if dynamics_name(settings) == "arrowhead":
         return TickPhysics(settings, batching.substeps(settings), tree.tree_dynamics)
-    with redirect_stdout(io.StringIO()):  # MJX prints a message at import
-        from sweep.dynamics import mjx
+    mujoco_versions.require_mjx("engine.dynamics = mjx", "engine.dynamics=auto")
+    from sweep.dynamics import mjx
 
     return TickPhysics(settings, batching.substeps(settings), mjx.mjx_dynamics(top))
 

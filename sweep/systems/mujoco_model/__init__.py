@@ -8,6 +8,7 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from sweep.core.errors import InputError, require_choice
 from sweep.core.parameters import build, check_value, quantity
 from sweep.engines import run_id
 from sweep.engines.settings import EngineSettings
+from sweep.models import mujoco_versions
 from sweep.systems.base import AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
 from sweep.systems.mujoco_model import fields, files, inactive_parameters, metrics, outcome
 from sweep.systems.mujoco_model.engine import ModelEngine, NativeModelEngine, print_note
@@ -174,15 +176,16 @@ class MujocoModel(ModelSpec):
         own = replace(self, config=replace(self.config, option=(*self.config.option, *shared.items())))
         if settings.name == "native":
             return NativeModelEngine(own, settings)
+        mujoco_versions.require_mjx(f"engine.name = {settings.name}", "engine=native")
         from sweep.systems.mujoco_model.mjx import MjxModelEngine  # slow to import
 
         return MjxModelEngine(own, settings)
 
     def run_id(self, settings: EngineSettings) -> str:
         """See `System`: on native nothing of width or threads changes bits."""
-        return run_id.run_id(
-            replace(settings, width=0) if settings.name == "native" else settings, _content_digest(self)
-        )
+        settings = replace(settings, width=0) if settings.name == "native" else settings
+        kernels = (f"warp-lang {metadata.version('warp-lang')}",) if settings.name == "warp" else ()
+        return run_id.run_id(settings, _content_digest(self), *kernels)
 
     def parse_threshold(self, text: str) -> tuple[str, str]:
         """Parse a condition such as `goal=travelled_m >= 1`, see `System`."""

@@ -5,11 +5,12 @@ from typing import Any, NamedTuple
 import jax
 import mujoco
 import numpy as np
-from mujoco.batch import MODEL_FIELDS, Batch
+from mujoco.batch import Batch
 
 from sweep.core.errors import InputError
 from sweep.engines import devices
 from sweep.engines.settings import EngineSettings
+from sweep.models import mujoco_versions
 from sweep.systems.mujoco_model import fields
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 
@@ -24,6 +25,7 @@ class BatchStart(NamedTuple):
     given: dict[str, Any]  # to the controllers, by row
     mass: np.ndarray  # (n,) kg
     limits: dict[str, np.ndarray]  # by field, (n, ..., 2)
+    written: frozenset[str]  # fields of the models that were written
 
     def energy(self, qpos: Any = None, qvel: Any = None) -> np.ndarray:
         """Of each model (n,), potential and kinetic (J), as it is, or where it goes: (n, nq) and (n, nv), if given.
@@ -63,7 +65,8 @@ def start_batch(
     qpos, qvel, sensors = (batch.bind(name) for name in ("qpos", "qvel", "sensordata"))
     # bound before the reset: what is bound after it is zero until the next call
     varied = fields.select_quantities(own.model, world.select_group("model"))
-    fields.write_values(batch, {path: np.broadcast_to(value, (n,)) for path, value in varied.items()}, own.load_source)
+    rows = {path: np.broadcast_to(value, (n,)) for path, value in varied.items()}
+    written = fields.write_values(batch, rows, own.load_source)
     batch.reset(keyframe=own.keyframe_index, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
     inputs = controller_inputs(own, world, belief)
     given = {
@@ -72,7 +75,7 @@ def start_batch(
         "key": np.asarray(jax.random.key_data(devices.noise_keys(streams))),
     }
     limits = {name: batch.expand(name) for name in ("actuator_forcerange", "jnt_range")}
-    return BatchStart(batch, qpos, qvel, sensors, given, batch.expand("body_mass").sum(axis=1), limits)
+    return BatchStart(batch, qpos, qvel, sensors, given, batch.expand("body_mass").sum(axis=1), limits, written)
 
 
 def controller_inputs(own: ModelSpec, world: SideValues, belief: SideValues) -> dict[str, Any]:
@@ -94,11 +97,7 @@ def count_ticks(own: ModelSpec, duration: Any) -> np.ndarray:
     return found.astype(int)
 
 
-def differing_fields(batch: Batch) -> dict[str, np.ndarray]:
-    """The fields in which a batch's models differ from its own, (n, ...): what was written, and what follows."""
-    found = {name: batch._expanded_values(name) for name in MODEL_FIELDS if not name.startswith("opt.")}
-    return {
-        name: rows
-        for name, rows in sorted((batch._expanded | found).items())
-        if rows is not None and rows.dtype.kind == "f" and (rows != fields.field_values(batch.model, name)).any()
-    }
+def differing_fields(begun: BatchStart) -> dict[str, np.ndarray]:
+    """Return the fields in which a batch's models differ from its own, (n, ...): written ones and derived ones."""
+    model, found = begun.batch.model, mujoco_versions.expanded_values(begun.batch, begun.written)
+    return {name: rows for name, rows in sorted(found.items()) if (rows != fields.field_values(model, name)).any()}

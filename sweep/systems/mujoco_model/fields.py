@@ -162,17 +162,19 @@ def with_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> mujoco.MjM
     return changed
 
 
-def write_values(batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.MjSpec]) -> None:
+def write_values(batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.MjSpec]) -> frozenset[str]:
     """Write values into the models of a batch, and recompute what follows from them.
 
     Args:
         batch: The batch of n models.
         values: Values (n,) by path.
         source: Returns what the model was compiled from.
+
+    Returns:
+        Names of the fields that were written.
     """
     made = {path: value for path, value in values.items() if locate_numbers(batch.model, path)[0].compiled}
-    if made:
-        _compile(batch, made, source())
+    written = _compile(batch, made, source()) if made else set()
     for path in values.keys() - made.keys():
         value = np.asarray(values[path])
         for field, flat, sign in locate_numbers(batch.model, path)[1]:
@@ -181,8 +183,10 @@ def write_values(batch: Batch, values: Mapping[str, Any], source: Callable[[], m
                 inertia = batch.expand("body_inertia").reshape(batch.nsim, -1, 3)
                 inertia[:, flat] *= (value / rows[:, flat])[:, None]
             rows[:, flat] = sign * value
+            written |= {field, "body_inertia"} if field == "body_mass" else {field}
     if values:
         batch.set_const()
+    return frozenset(written)
 
 
 def check_variable(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, path: str) -> None:
@@ -207,10 +211,11 @@ def check_variable(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, p
             raise InputError(f"axis {path} is not allowed: {why}")
 
 
-def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> None:
-    """Compile a model for each distinct row of `values`, and copy all fields that differ."""
+def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> set[str]:
+    """Compile a model for each distinct row of `values`, and copy all fields that differ; return their names."""
     model, names = batch.model, sorted(MODEL_FIELDS - {"opt.timestep"})
     rows, which = np.unique(np.stack([*values.values()], axis=1), axis=0, return_inverse=True)
+    written = set()
     for k, row in enumerate(rows):
         spec = source.copy()
         for path, value in zip(values, row, strict=True):
@@ -223,6 +228,8 @@ def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> 
             new = None if name.startswith("opt.") else field_values(other, name)
             if new is not None and new.dtype.kind in "fi" and (new != field_values(model, name)).any():
                 batch.expand(name)[which == k] = new
+                written.add(name)
+    return written
 
 
 def find_element(model: mujoco.MjModel, path: str) -> Element:

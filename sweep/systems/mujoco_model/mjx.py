@@ -25,6 +25,7 @@ from sweep.core.user_code import report_silence
 from sweep.engines import devices
 from sweep.engines.base import Metrics, TimeSeriesRequest
 from sweep.engines.settings import EngineSettings
+from sweep.models import mujoco_versions
 from sweep.systems.mujoco_model import batch, fields, metrics
 from sweep.systems.mujoco_model.engine import (
     RECORDED,
@@ -54,6 +55,7 @@ SILENT = {f"{kind}.{name}": one.field for kind, words in fields.VARIED.items() f
     "option.noslip_iterations": "opt.noslip_iterations",
     "actuator.delay": "actuator_delay",
     "sensor.delay": "sensor_delay",
+    **mujoco_versions.YIELDING,
 }
 # of this what it has a field for and makes no use of: of delays the history is not carried on
 UNUSED = {
@@ -299,7 +301,7 @@ class MjxModelEngine(ModelEngine):
 
     def _put(self, begun: batch.BatchStart) -> tuple[Any, Any, dict[str, Array]]:
         """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""
-        n, rows = begun.batch.nsim, batch.differing_fields(begun.batch)
+        n, rows = begun.batch.nsim, batch.differing_fields(begun)
         most = {name: np.abs(rows[name]).max(axis=0) for name in SHAPING if name in rows}
         shape = n, *((name, values.tobytes()) for name, values in most.items())
         if shape not in self._placed:  # on the device; the last is kept, which mostly is the next one
