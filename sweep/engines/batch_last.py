@@ -133,8 +133,10 @@ def _apply(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
         return _evaluate(_closed(params[CALLS[name]]), args, batch)
     if name == "scan":
         return _scan(eqn, args, batch)
-    if name == "cond" and not args[0].batched:
-        return _cond(eqn, args, batch)
+    if name == "cond":
+        return (_choose_branches if args[0].batched else _cond)(eqn, args, batch)
+    if name == "while":
+        return _while(eqn, args, batch)
     if not any(x.batched for x in args):
         return _results(eqn.primitive.bind(*[x.value for x in args], **params), False)
     cost = sum(x.cost for x in args)
@@ -197,6 +199,42 @@ def _cond(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
         return [_broadcast_batch(x, batch.size) for x in _evaluate(branch, args[1:], batch)]
 
     return _results(lax.switch(args[0].value, [partial(spread, branch) for branch in eqn.params["branches"]]), True)
+
+
+def _choose_branches(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
+    """A branch of each rollout's own. A branch that no rollout takes is not computed."""
+    index, operands = jnp.asarray(args[0].value, jnp.int32), args[1:]
+    chosen = [jnp.zeros((*out.aval.shape, batch.size), out.aval.dtype) for out in eqn.outvars]
+    for k, branch in enumerate(eqn.params["branches"]):
+        mine = index == k
+
+        def take(branch: ClosedJaxpr = branch, mine: Array = mine, others: list[Array] = chosen) -> list[Array]:
+            values = [_broadcast_batch(x, batch.size) for x in _evaluate(branch, operands, batch)]
+            return [jnp.where(mine, value, other) for value, other in zip(values, others, strict=True)]
+
+        chosen = lax.cond(jnp.any(mine), take, lambda others=chosen: others)
+    return _results(chosen, True)
+
+
+def _while(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
+    """A loop that ends when it has ended for all rollouts; one that has ended keeps its values meanwhile."""
+    first, second = eqn.params["cond_nconsts"], eqn.params["body_nconsts"]
+    read_by_test, read_by_body = args[:first], args[first : first + second]
+
+    def goes_on(state: list[Array]) -> Array:
+        (out,) = _evaluate(eqn.params["cond_jaxpr"], [*read_by_test, *(Operand(x, True) for x in state)], batch)
+        return _broadcast_batch(out, batch.size)
+
+    def body(loop: tuple[Array, list[Array]]) -> tuple[Array, list[Array]]:
+        going, state = loop
+        results = _evaluate(eqn.params["body_jaxpr"], [*read_by_body, *(Operand(x, True) for x in state)], batch)
+        values = (_broadcast_batch(x, batch.size) for x in results)
+        state = [jnp.where(going, value, last) for value, last in zip(values, state, strict=True)]
+        return going & goes_on(state), state
+
+    start = [_broadcast_batch(x, batch.size) for x in args[first + second :]]
+    _, last = lax.while_loop(lambda loop: jnp.any(loop[0]), body, (goes_on(start), start))
+    return _results(last, True)
 
 
 def _closed(program: Any) -> ClosedJaxpr:

@@ -40,12 +40,20 @@ def loops(x, m, k, shared):
     return last, rows, branch, shared_branch, noise, jax.lax.fori_loop(0, 3, lambda i, y: jnp.cos(y + i), x)
 
 
+def loops_of_own_length(x, m, k, shared):
+    """Loops and branches that differ between rollouts."""
+    halved = jax.lax.while_loop(lambda now: jnp.sum(now[0] ** 2) > 0.1, lambda now: (now[0] / 2, now[1] + 1), (x, 0))
+    counted = jax.lax.while_loop(lambda n: n < k, lambda n: n + 1, 0)
+    chosen = jax.lax.switch(k, [lambda: (x, 1.0), lambda: (m[0], x[0]), lambda: (shared, 2.0)])
+    return halved, counted, chosen
+
+
 def derivatives(x, m, k, shared):
     return jax.grad(lambda s: jnp.sum(s * shared) + jnp.sum(s * x))(x), jax.jvp(jnp.linalg.norm, (m,), (m**2,))
 
 
 @pytest.mark.parametrize("reuse_from", [1, 1 << 40])
-@pytest.mark.parametrize("function", [arithmetic, algebra, shapes, indices, loops, derivatives])
+@pytest.mark.parametrize("function", [arithmetic, algebra, shapes, indices, loops, loops_of_own_length, derivatives])
 def test_equals_vmap(function, reuse_from):
     rng = np.random.default_rng(0)
     args = (rng.normal(size=(3, B)), rng.normal(size=(3, 3, B)), rng.integers(0, 3, B), rng.normal(size=3))
@@ -70,11 +78,15 @@ def test_no_operation_moves_the_batch():
     """Only indices that differ between rollouts may: elsewhere a transpose costs more than the arithmetic around it."""
 
     def function(x, m):
+        summed = jax.lax.while_loop(lambda y: jnp.sum(y) < 9, lambda y: y + m[0] * jnp.max(x), jnp.abs(x))
+        branch = jax.lax.cond(x[0] > 0, lambda: m @ x, lambda: x)
         written = m.at[TABLE].set(x), m.at[:, 1].add(x), jnp.zeros(6).at[1:4].set(x)
         return (
             m[TABLE],
             m[:, TABLE[:2]],
             *written,
+            summed,
+            branch,
             m @ x,
             jnp.concatenate([m, x[None]]).T,
             jnp.sort(x),
