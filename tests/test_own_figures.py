@@ -262,6 +262,15 @@ def test_a_crate_has_all_that_an_own_model_is_read_from(here, tmp_path_factory, 
     assert main(["export", str(away / "crate/study"), "--crate", "again"]) == 2
 
 
+def test_rollouts_that_end_before_the_first_frame_are_simulated_again(here, capsys):
+    cart()
+    axis = "study.axes={g: {path: model.option.gravity.z, values: [-9, -8]}}"
+    assert main(["run", "study=falls.yaml", "model.duration=0.02", axis, "out=short"]) == 0
+    capsys.readouterr()
+    assert main(["verify", "short", "--simulate", "2"]) == 0
+    assert "2 rollouts simulated again: 2 equal to the last bit" in capsys.readouterr().out
+
+
 def test_a_urdf_and_its_meshes_are_read_as_they_are(here, capsys):
     """It falls as it should."""
     cart()

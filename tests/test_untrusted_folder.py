@@ -166,6 +166,8 @@ def test_nothing_is_written_through_a_hard_link_or_a_prepared_temporary_name(fol
         ("config.study.design", 3, "study.design"),
         ("config.scenario.name", "\x1b[2J", "character"),
         ("commit", "a\x1b]0;title\x07", "character"),
+        ("commit", "\u202egpj.exe", "character"),
+        ("config.study.axes", {"=1+1": {"path": "contact.friction", "values": [1.0]}}, "'=1+1' is not allowed"),
     ],
 )
 def test_a_study_file_with_values_of_other_types_is_one_line(folder, capsys, path, value, words):
@@ -233,6 +235,7 @@ def forged(folder, change):
         (lambda rows: pd.concat([rows, rows.tail(2).assign(slot=[90, 91])]), "2 rows are not planned"),
         (lambda rows: rows.assign(**{rows.columns[0]: 0.123}), "differs in"),
         (lambda rows: rows.drop(columns="stream"), "stream"),
+        (lambda rows: rows.assign(**{"@SUM(1)": 0.0}), "a column called '@SUM"),
     ],
 )
 def test_rows_that_are_not_those_of_the_plan_are_named_and_made_again(folder, whole, capsys, change, words):
@@ -248,9 +251,100 @@ def test_rows_that_are_not_those_of_the_plan_are_named_and_made_again(folder, wh
     pd.testing.assert_frame_equal(content(folder), whole)
 
 
+def test_words_that_a_spreadsheet_computes_are_refused(folder, capsys):
+    forged(folder, lambda rows: rows.assign(stage="=cmd|'/C calc'!A0"))
+    assert main(["table", str(folder), "--format", "csv"]) == 2
+    one_line(capsys.readouterr().err, 'column stage holds "=cmd')
+
+
 def test_verify_counts_planned_rollouts_that_are_not_there(folder, capsys):
     part = store.current_parts(folder)[2]
     manifest.rewrite(folder, [one for one in manifest.read(folder) if one != part])
     (folder / part.file).unlink()
     assert main(["verify", str(folder)]) == 0
     assert "48 of 56 planned rollouts are there" in capsys.readouterr().out
+
+
+MODEL = '<mujoco><worldbody><body><joint/><geom size="1"/></body></worldbody></mujoco>'
+
+
+def give_own_model(folder, model, controller):
+    """Have a folder's configuration name a model and a controller."""
+    content = {key: one for key, one in store.read_study(folder).items() if key != "format"}
+    kept = {key: one for key, one in content["config"].items() if key in ("scenario", "study", "cluster", "out")}
+    own = {"mjcf": str(model), "controller": controller, "duration": 0.2}
+    content["config"] = {
+        **kept,
+        "engine": {"name": "native"},
+        "model": own,
+        "controller": {},
+        "noise": {},
+        "outcome": {"goal": "duration_s > 0"},
+    }
+    store.write_study(folder, content)
+
+
+@pytest.mark.parametrize("place", ["parts", "beside", "crate", "link"])
+def test_code_in_a_folder_of_results_is_not_imported(folder, tmp_path, monkeypatch, capsys, place):
+    monkeypatch.chdir(tmp_path)
+    where = {"parts": "out.parts.evil", "beside": "out.evil", "crate": "crate.project.evil", "link": "linked"}[place]
+    file = tmp_path / ("out/evil.py" if place == "link" else f"{where.replace('.', '/')}.py")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(f"open({str(tmp_path / 'ran')!r}, 'w').close()\npolicy = print\n")
+    if place == "crate":
+        (tmp_path / "crate/ro-crate-metadata.json").write_text("{}")
+    if place == "link":
+        (tmp_path / "linked.py").symlink_to(file)
+    (tmp_path / "model.xml").write_text(MODEL)
+    give_own_model(folder, tmp_path / "model.xml", f"{where}:policy")
+    for command in commands(folder):
+        if command[0] in ("verify", "list", "run"):  # read no configuration of the folder, or are given another
+            continue
+        capsys.readouterr()
+        assert main(command) == 2, command
+        one_line(capsys.readouterr().err, f"model.controller = {where}:policy is not allowed: it lies in {tmp_path}")
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_model_in_a_folder_of_results_and_modules_of_python_are_refused(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for model in (folder / "model.xml", tmp_path / "model.xml"):
+        model.write_text(MODEL)
+    give_own_model(folder, folder / "model.xml", "own:policy")
+    assert main(["stats", str(folder)]) == 2
+    one_line(capsys.readouterr().err, "model.mjcf = ", f"it lies in {folder}")
+    for name in ("antigravity", "os", "sys", "idlelib.idle", "xml.etree.ElementTree"):
+        give_own_model(folder, tmp_path / "model.xml", f"{name}:open")
+        assert main(["stats", str(folder)]) == 2
+        one_line(capsys.readouterr().err, f"{name} is a module of Python itself")
+
+
+def test_a_folder_of_results_is_no_project(folder, tmp_path, monkeypatch):
+    (folder / "evil_of_results.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w').close()\n")
+    (folder / "sweep.yaml").write_text("modules: [evil_of_results]\n")
+    for place in (folder, folder / "parts"):
+        monkeypatch.chdir(place)
+        assert main(["status", str(folder)]) == 0
+        assert main(["list", "study"]) == 0
+    assert not (tmp_path / "ran").exists()
+
+
+def test_names_of_files_are_printed_without_commands_to_a_terminal(folder, capsys):
+    (folder / "parts" / "a\nb\x1b]0;title\x07\u202e").write_bytes(b"")
+    shown = r"a\nb\x1b]0;title\x07\u202e"
+    assert main(["verify", str(folder)]) == 0
+    assert f"{shown} is not in manifest.txt" in capsys.readouterr().out
+    assert main(["run", *STUDY, f"out={folder}"]) == 0
+    assert f"{shown} does not belong to this study" in capsys.readouterr().err
+    assert f"{shown} does not belong" in (folder / store.LOG).read_text()
+
+
+@pytest.mark.parametrize("name", [store.STUDY, manifest.MANIFEST, store.LOG, "replay"])
+def test_a_file_with_a_hole_of_gigabytes_is_not_read(folder, capsys, name):
+    row = store.read_rows(folder).iloc[0]
+    path = folder / (f"replays/{row['run_id']}-{row['point_id']}.json" if name == "replay" else name)
+    path.parent.mkdir(exist_ok=True)
+    with path.open("ab") as file:
+        file.truncate(2**40)  # which takes no room
+    assert main(["report", str(folder)]) == 2
+    one_line(capsys.readouterr().err, path.name)

@@ -43,7 +43,7 @@ exit codes:
 
 def execute(argv: list[str]) -> int:
     """Run the command at the start of `argv` and return its exit code. Raises `InputError`."""
-    if strange := [word for word in argv if printable_name(word) != word]:
+    if strange := [word for word in argv if word.encode(errors="ignore").decode() != word]:
         raise InputError(f"{printable_name(strange[0])} is not allowed: letters in UTF-8")
     if argv and argv[0] == "run":
         return run_command(argv[1:])

@@ -3,7 +3,9 @@
 import re
 from collections.abc import Iterable
 
-CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")  # characters
+# characters that command a terminal, break a line, or change the order in which letters are shown
+COMMANDS = r"\x00-\x08\x0b-\x1f\x7f-\x84\x86-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069"
+CONTROL = re.compile(rf"[{COMMANDS}\t\n\x85]")
 
 
 class InputError(ValueError):
@@ -24,7 +26,7 @@ class Fault(RuntimeError):
 
 
 def escape_control_characters(text: str) -> str:
-    """Escape line breaks and commands to the terminal, which may be part of a file's name or of its content."""
+    """Escape line breaks, commands to a terminal and marks of writing direction, which a file's name may have."""
     return CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 

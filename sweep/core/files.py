@@ -12,13 +12,14 @@ import zlib
 from collections.abc import Buffer, Callable
 from pathlib import Path
 
-from sweep.core.errors import Fault, InputError
+from sweep.core.errors import Fault, InputError, escape_control_characters
 
 # errors of a path, not of the disk
 UNFIT = (errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP,
          errno.EACCES, errno.EPERM, errno.EROFS, errno.EBADF)  # fmt: skip
 LINKS = 40  # longest chain of symbolic links, as on Linux
 MOST_DECODED = 2**28  # bytes that a text of `encode_text` may stand for
+MOST_READ = 2**28  # bytes of a file that is read as a whole
 HIDDEN = ".tmp-"  # prefix of files that are being written
 _unfinished: set[Path] = set()  # hidden files that are being written
 
@@ -100,6 +101,27 @@ def path_in(folder: Path, name: str | Path) -> Path:
     return path
 
 
+def read_limited(path: Path, most: int = MOST_READ) -> bytes:
+    """Read a file of a results folder, which may have holes that take no room on the disk.
+
+    Args:
+        path: The file.
+        most: Largest size (bytes).
+
+    Returns:
+        Its content.
+
+    Raises:
+        InputError: The file is larger.
+        OSError: It cannot be read.
+    """
+    with path.open("rb") as file:
+        content = file.read(most + 1) if os.fstat(file.fileno()).st_size <= most else None
+    if content is None or len(content) > most:
+        raise InputError(f"{path} is not allowed: more than {most:,} bytes")
+    return content
+
+
 def descriptor(path: Path) -> int | None:
     """Return the file descriptor that a path such as /dev/stdout or /dev/fd/3 stands for; None for other paths.
 
@@ -127,8 +149,8 @@ def _pass_on(stream: int, name: str, content: bytes | Callable[[Path], object]) 
 
 
 def printable_name(name: str | Path) -> str:
-    """Return a file name as printable text, with bytes that are not UTF-8 as `\\xe9`."""
-    return str(name).encode(errors="surrogateescape").decode(errors="backslashreplace")
+    """Return a file name as printable text: bytes that are not UTF-8 as `\\xe9`, line breaks and the like escaped."""
+    return escape_control_characters(str(name).encode(errors="surrogateescape").decode(errors="backslashreplace"))
 
 
 def encode_text(content: bytes) -> str:
@@ -160,7 +182,7 @@ def separate_hard_link(path: Path) -> None:
     """
     with contextlib.suppress(FileNotFoundError):
         if path.stat(follow_symlinks=False).st_nlink > 1:
-            write_atomically(path, path.read_bytes())
+            write_atomically(path, read_limited(path))
 
 
 def append_line(path: Path, line: str) -> None:

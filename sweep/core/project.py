@@ -7,7 +7,7 @@ import functools
 import importlib
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
 from importlib import metadata, resources
 from pathlib import Path
 from types import ModuleType
@@ -22,14 +22,62 @@ from sweep.core.yaml_check import PARSER, check_yaml
 SHIPPED, FILE, ENTRY_POINTS = "sweep.conf", "sweep.yaml", "sweep.modules"
 FOLDERS = {group: "studies" if group == "study" else f"{group}s" for group in GROUPS}  # of a project
 KEYS = ("modules",)
+STUDY, CRATE = "study.yaml", "ro-crate-metadata.json"  # that folders of results, and crates, have
+CHECKSUM_PREFIX = "# sha256 of the lines above: "  # of the last line of a study.yaml with results
+CHECKSUM_LENGTH = len(CHECKSUM_PREFIX) + 64 + 1  # of that line
 LOADER = PARSER
+_trusted: set[Path] = set()  # of `trusted_project`
 TRUTHS = ("on", "off", "yes", "no", "true", "false")  # that YAML takes for truths
 
 
 def find_project() -> Path | None:
-    """Find the working project: the nearest folder with a sweep.yaml at or above the working folder; else None."""
+    """Find the working project: the nearest folder with a sweep.yaml at or above the working folder; else None.
+
+    A sweep.yaml in a folder of results or in a crate does not count, as it may come from a stranger.
+    """
     here = Path.cwd()
-    return next((folder for folder in (here, *here.parents) if (folder / FILE).is_file()), None)
+    found = (folder for folder in (here, *here.parents) if (folder / FILE).is_file())
+    return next((folder for folder in found if find_results_around(folder / FILE) is None), None)
+
+
+def find_results_around(file: Path) -> Path | None:
+    """Find the folder of results, or the crate, that a file lies in.
+
+    Nothing in such a folder is run or taken for a project, as it may come from a stranger.
+
+    Args:
+        file: The file. Symbolic links on the way to it are looked at as they are, and where they lead.
+
+    Returns:
+        The folder; None where there is none, or where the file is in the project of a `trusted_project`.
+    """
+    for place in dict.fromkeys((file.absolute(), file.resolve())):
+        for folder in place.parents:
+            if folder in _trusted:
+                break
+            if _ends_with_checksum(folder / STUDY) or (folder / CRATE).exists():
+                return folder
+    return None
+
+
+@contextmanager
+def trusted_project(folder: Path) -> Iterator[None]:
+    """Work in a folder of a crate, whose code the user has allowed to run, within this context."""
+    _trusted.add(place := folder.resolve())
+    try:
+        with chdir(place):
+            yield
+    finally:
+        _trusted.discard(place)
+
+
+def _ends_with_checksum(file: Path) -> bool:
+    """Whether a study.yaml is that of results; a configuration may have the same name."""
+    if not file.is_file():
+        return False
+    with file.open("rb") as content:
+        content.seek(max(0, file.stat().st_size - CHECKSUM_LENGTH))
+        return content.read(CHECKSUM_LENGTH).startswith(CHECKSUM_PREFIX.encode())
 
 
 def project_files(group: str) -> dict[str, Path]:
@@ -65,9 +113,19 @@ def first_comment(file: Any) -> str:
     return next((line[2:] for line in lines if line.startswith("# ") and not line.startswith("# @")), "")
 
 
-def read_settings() -> dict[str, Any]:
-    """Read the settings in the working project's sweep.yaml; empty outside a project. Raises `InputError`."""
-    folder = find_project()
+def read_settings(folder: Path | None = None) -> dict[str, Any]:
+    """Read the settings in a sweep.yaml.
+
+    Args:
+        folder: Folder with the file; the working project by default.
+
+    Returns:
+        `modules`, a list of names; empty outside a project.
+
+    Raises:
+        InputError: The file is not allowed.
+    """
+    folder = folder or find_project()
     if folder is None:
         return {}
     try:

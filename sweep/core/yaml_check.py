@@ -4,13 +4,13 @@ import re
 
 import yaml
 
-from sweep.core.errors import InputError
+from sweep.core.errors import COMMANDS, InputError
 
 PARSER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the fast one where it is built
 # numbers that YAML 1.1 reads otherwise than people do: octal ones, and sexagesimal ones such as 1:30
 LEADING_ZERO = re.compile(r"[-+]?0[0-9_]+")
 SEXAGESIMAL = re.compile(r"[-+]?[0-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?")
-UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x84\x86-\x9f]")  # commands to a terminal; \x85 breaks a line
+UNPRINTABLE = re.compile(f"[{COMMANDS}]")
 MOST_ALIASED, DEEPEST = 100_000, 100  # items that aliases may stand for, in all, and levels of nesting
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from sweep.core import project
 from sweep.core.errors import InputError
-from sweep.core.files import digest, path_in, write_atomically
+from sweep.core.files import digest_file, path_in, printable_name, write_atomically
 from sweep.core.version import VERSION
 from sweep.report.page import run_dates
 from sweep.runs import manifest, store
@@ -169,7 +169,7 @@ def open_crate(path: Path) -> Iterator[Path]:
         folder = path
         if path.is_file():
             unpack(path, folder := Path(room))
-        if not all(path_in(folder, name).exists() for name in ("ro-crate-metadata.json", f"{STUDY}/{store.STUDY}")):
+        if not all(path_in(folder, name).exists() for name in (project.CRATE, f"{STUDY}/{store.STUDY}")):
             raise InputError(f"{path} is not a crate of a study: `sweep export DIR --crate FOLDER` writes one")
         yield folder.resolve()
 
@@ -227,16 +227,18 @@ def code_in(crate: Path) -> list[str]:
     if controller := model.get("controller") if isinstance(model, Mapping) else None:
         lines.append(f"controller {controller}")
     if place.is_dir():
-        with contextlib.chdir(place):
-            lines += [f"module {name}, by {project.FILE}" for name in project.read_settings().get("modules", ())]
+        if path_in(place, project.FILE).is_file():
+            settings = project.read_settings(place)
+            lines += [f"module {name}, by {project.FILE}" for name in settings["modules"]]
         for file in sorted(place.rglob("*")):
-            if file.name.endswith(CODE):
-                content = path_in(crate, file.relative_to(crate)).read_bytes()
-                lines.append(f"{file.relative_to(crate)}, SHA-256 {digest(content)}")
+            path = path_in(crate, file.relative_to(crate))  # which refuses links to code elsewhere
+            if file.name.endswith(CODE) and path.is_file():
+                sha256 = digest_file(path)
+                lines.append(f"{printable_name(file.relative_to(crate))}, SHA-256 {sha256}")
     return lines
 
 
 def working_project(crate: Path) -> contextlib.AbstractContextManager[None]:
     """Make the project of a crate the current one, whose modules can be imported; else keep the present one."""
     place = path_in(crate, PROJECT)
-    return contextlib.chdir(place) if place.is_dir() else contextlib.nullcontext()
+    return project.trusted_project(place) if place.is_dir() else contextlib.nullcontext()

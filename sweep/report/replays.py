@@ -12,7 +12,7 @@ import pandas as pd
 
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
-from sweep.core.files import path_in, write_atomically
+from sweep.core.files import path_in, read_limited, write_atomically
 from sweep.engines import devices
 from sweep.engines.base import NoTrace, Trace, same_bits
 from sweep.replay.motion import MAX_RATE, describe_bodies, encode_motion
@@ -158,7 +158,7 @@ def load_replay(file: Path) -> dict[str, Any]:
         InputError: It is no replay.
     """
     try:
-        replay = json.loads(file.read_text(encoding="utf-8"))
+        replay = json.loads(read_limited(file))
         whole = all(isinstance(replay[name], kind) for name, kind in MEMBERS.items())
         if not whole or not STATES.fullmatch(replay["states"]) or not 1 <= replay["frames"] <= MOST_FRAMES:
             raise ValueError

@@ -110,10 +110,10 @@ def _parse_entry(folder: Path, number: int, text: bytes) -> Entry:
 def _read_when_complete(path: Path) -> bytes:
     """Return the content of the manifest; wait for a last line that another command is still writing."""
     for pause in RETRY_PAUSES:
-        if (content := path.read_bytes()).endswith(b"\n"):
+        if (content := files.read_limited(path)).endswith(b"\n"):
             return content
         time.sleep(pause)
-    return path.read_bytes()
+    return files.read_limited(path)
 
 
 def read(folder: Path) -> list[Entry]:

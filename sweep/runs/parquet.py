@@ -4,6 +4,7 @@ A few kB of Parquet can stand for any number of rows, as repeated values take no
 """
 
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,14 +14,15 @@ import pyarrow.compute
 import pyarrow.parquet as pq
 
 from sweep.core.errors import InputError
-from sweep.study.columns import NAMES, WORDS
+from sweep.study.columns import FORMULA, NAMES, WORDS
 
 pc: Any = pyarrow.compute  # whose functions exist only once it is imported
 # a file may expand to ALWAYS_ALLOWED bytes; to more only up to MAX_RATIO times its size, and never beyond MAX_EXPANSION
 ALWAYS_ALLOWED, MAX_EXPANSION, MAX_RATIO = 256 * 2**20, 64 * 2**30, 1000
 WIDTHS = {"BOOLEAN": 1, "INT32": 4, "FLOAT": 4, "INT64": 8, "DOUBLE": 8, "BYTE_ARRAY": 4}  # bytes; of text its number
 TEXT = "BYTE_ARRAY"
-HEX_NAME, PRINTABLE = "^[0-9a-f]{1,64}$", r"^\PC*$"  # of `NAMES`, and of other words: no control characters
+HEX_NAME = "^[0-9a-f]{1,64}$"  # of `NAMES`
+PRINTABLE = rf"^([^{re.escape(FORMULA)}\pC]\PC*)?$"  # of other words: no control characters, and no formula
 
 
 def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
@@ -74,7 +76,7 @@ def column_names(path: Path, metadata: pq.FileMetaData) -> list[str]:
     names = [metadata.schema.column(k).path for k in range(metadata.num_columns)]
     if list(metadata.schema.names) != names:
         raise InputError(f"{path} is not allowed: it has columns with parts")
-    if odd := next((name for name in names if not name.isprintable() or not name), None):
+    if odd := next((name for name in names if not name.isprintable() or name[:1] in FORMULA), None):
         raise InputError(f"{path} is not allowed: it has a column called {odd[:100]!r}")
     if len({*names}) < len(names):
         twice = next(name for name in names if names.count(name) > 1)

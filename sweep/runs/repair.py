@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 
 from sweep.core import files
 from sweep.core.errors import InputError
-from sweep.core.files import path_in
+from sweep.core.files import path_in, printable_name
 from sweep.runs import manifest, store
 from sweep.runs.manifest import Entry
 from sweep.runs.parquet import read_parquet
@@ -48,7 +48,9 @@ def verify(folder: Path) -> tuple[list[str], list[str], int]:
     recordings = {folder / entry.file: _find_problem(folder, entry) for entry in entries if _is_recording(entry)}
     problems += [f"{path} is damaged ({problem})" for path, problem in {**parts, **recordings}.items() if problem]
     sound = list(parts.values()).count(None)
-    unlisted = [f"{path} is not in {manifest.MANIFEST}: ignored" for path in _unlisted_files(folder, entries)]
+    unlisted = [
+        f"{printable_name(path)} is not in {manifest.MANIFEST}: ignored" for path in _unlisted_files(folder, entries)
+    ]
     return problems, unlisted, sound
 
 
@@ -89,11 +91,11 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
             has_lost_lines if _is_recording(entry) else entry.labels == labels and _belongs(folder, entry, kept, plan)
         ):
             kept.append(entry)
-            lines.append(f"{path} was not in {manifest.MANIFEST}: listed")
+            lines.append(f"{printable_name(path)} was not in {manifest.MANIFEST}: listed")
         elif entry and set(entry.batches) <= {b for listed in kept for b in listed.batches}:
             path.unlink()  # its rows are in another part: a worker or a merge came too late
         else:
-            lines.append(f"{path} does not belong to this study: ignored")
+            lines.append(f"{printable_name(path)} does not belong to this study: ignored")
     if damaged or kept != entries:
         manifest.rewrite(folder, kept)
     for entry in dropped:

@@ -29,14 +29,15 @@ from sweep.runs.plan_check import KEY_COLUMNS, Plan
 
 # reads a million rows in 2 s of CPU time; Arrow's own pool takes 8 s
 pa.set_memory_pool(pa.system_memory_pool())
-STUDY, LOG, LOCK = "study.yaml", "log.txt", ".lock"
+STUDY, LOG, LOCK = project.STUDY, "log.txt", ".lock"
 HISTORIES, LAST_STATES = manifest.HISTORIES, manifest.LAST_STATES
 FORMAT = 2  # of the folder
+MOST_DESCRIBED = 2**24  # bytes of study.yaml
 JOINED = 16  # columns that are joined from all parts at once
 # of study.yaml, beside the format
 STUDY_KEYS = {"config": dict, "rollouts": int, "labels": str, "stages": dict, "devices": list, "code": str,
               "commit": str, "versions": dict}  # fmt: skip
-CHECKSUM_PREFIX = "# sha256 of the lines above: "
+CHECKSUM_PREFIX = project.CHECKSUM_PREFIX
 METADATA_KEY = b"sweep"  # of the Parquet metadata with a part's study, thresholds and batches
 
 
@@ -98,7 +99,7 @@ def read_study(folder: Path) -> dict[str, Any]:
     path = path_in(folder, STUDY)
     damaged = DamagedFile(f"{path} is damaged: repeat the same `sweep run` to repair it")
     try:
-        text, check, given = path.read_bytes().rpartition(CHECKSUM_PREFIX.encode())
+        text, check, given = files.read_limited(path, MOST_DESCRIBED).rpartition(CHECKSUM_PREFIX.encode())
         if check and given != f"{files.digest(text)}\n".encode():
             raise damaged
         body = (text if check else given).decode()

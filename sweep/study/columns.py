@@ -10,6 +10,7 @@ LABELS = ("outcome", "cause", "stage", "t_cause_s", "limit", "margin", "margin_o
 NAMES = ("point_id", "run_id")  # columns of words that files are named by
 WORDS = ("outcome", "cause", "stage", "limit", "margin_of")  # further columns of words; axes may have words or numbers
 TIMING = ("wall_s",)  # differs between runs
+FORMULA = "=+-@"  # signs at the start of a word that a spreadsheet computes when it opens a CSV file
 MEANINGS = {  # of labels and of what places a row in its study
     "outcome": "success, failure, or invalid where the simulation cannot vouch for the rollout",
     "cause": "what ended a rollout that did not succeed; empty for a success",

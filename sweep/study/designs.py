@@ -19,7 +19,14 @@ import numpy as np
 from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.parameters import check_value
 from sweep.study import adaptive_sampling, subset_simulation
-from sweep.study.distributions import Distribution, format_values, parse_number, parse_values, require_keys
+from sweep.study.distributions import (
+    Distribution,
+    format_values,
+    parse_number,
+    parse_values,
+    refuse_formula,
+    require_keys,
+)
 from sweep.study.distributions import parse_distribution as parse_distribution
 from sweep.study.point_ids import text_hash
 from sweep.systems.base import SIDES
@@ -274,6 +281,7 @@ def design_warning(design: Design) -> str | None:
 
 
 def _axis(key: str, name: str, axis_config: Any) -> Axis:
+    refuse_formula("study.axes", name)
     axis_config = require_keys(key, axis_config, tuple(AXIS_KEYS))
     side, path, times, relative = (axis_config.get(word) for word in ("side", "path", "times", "relative"))
     if (side := side or "both") not in ("both", *SIDES):

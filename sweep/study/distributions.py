@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sweep.core.errors import InputError, require_choice, suggest
+from sweep.study.columns import FORMULA
 
 # what each distribution needs, and what it may have besides
 DISTRIBUTIONS = {
@@ -162,7 +163,23 @@ def parse_values(key: str, values: Any) -> list[Any]:
         raise InputError(f"{key} = {values!r} is not allowed: a list with at least one value, each a number or a name")
     if len({(isinstance(one, str), isinstance(one, bool)) for one in values}) > 1:
         raise InputError(f"{key} = {values!r} is not allowed: all numbers, or all names")
+    for name in values:
+        refuse_formula(key, name)
     return values
+
+
+def refuse_formula(key: str, name: Any) -> None:
+    """Refuse a name that a spreadsheet would compute when it opens a table of results.
+
+    Args:
+        key: Path of the name, for messages.
+        name: The name; other values are allowed.
+
+    Raises:
+        InputError: It starts with one of `FORMULA`.
+    """
+    if isinstance(name, str) and name.startswith(tuple(FORMULA)):
+        raise InputError(f"{key}: {name!r} is not allowed: a name that does not start with {' '.join(FORMULA)}")
 
 
 def parse_number(key: str, value: Any) -> float:

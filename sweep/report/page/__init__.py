@@ -24,7 +24,7 @@ from sweep.analysis.expectations import judge_expectations
 from sweep.analysis.sample import pooled_rate
 from sweep.analysis.sampling_units import has_independent_rows, independent_unit, interval_method
 from sweep.config.experiment import Experiment
-from sweep.core.files import path_in, write_atomically
+from sweep.core.files import path_in, read_limited, write_atomically
 from sweep.core.plot_style import plot_style
 from sweep.replay.arrows import FORCE_SCALE, FORCE_SHOWN
 from sweep.replay.layout import LEG_COLORS
@@ -219,7 +219,7 @@ def representative_values(representative: Representative, exp: Experiment) -> It
 
 def picture_url(representative: Representative) -> str:
     """Data URL of a representative rollout's picture; empty if there is none."""
-    return data_url(representative.picture.read_bytes()) if representative.picture.exists() else ""
+    return data_url(read_limited(representative.picture)) if representative.picture.exists() else ""
 
 
 def first_rows_table(rows: pd.DataFrame, exp: Experiment) -> Markup:
@@ -250,7 +250,7 @@ def run_dates(folder: Path) -> tuple[str, str]:
     """First and last time stamp in a study's log; empty without any."""
     stamps = []
     with suppress(OSError):
-        for line in path_in(folder, store.LOG).read_text(encoding="utf-8", errors="replace").splitlines():
+        for line in read_limited(path_in(folder, store.LOG)).decode(errors="replace").splitlines():
             with suppress(ValueError):  # of a line that begins with none
                 datetime.fromisoformat(stamp := line.partition(" ")[0])
                 stamps.append(stamp)

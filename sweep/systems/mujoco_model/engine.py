@@ -120,6 +120,8 @@ class ModelEngine:
         """See `Engine`; of some `slots`, if they are named."""
         slots = range(len(streams)) if slots is None else slots
         found, frames, models = self._simulate(world, belief, streams, slots, every)
+        if not frames:  # all rollouts end before the first one
+            found, frames, models = self._simulate(world, belief, streams, slots, 1)
         time, *recorded = (np.stack(values) for values in zip(*frames, strict=True))
         traces = []
         for k, slot in enumerate(slots):

@@ -9,8 +9,10 @@ import importlib.util
 import inspect
 import re
 import sys
+import sysconfig
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib.machinery import PathFinder
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any, NamedTuple
@@ -32,6 +34,7 @@ FORMS = {  # what a module may say beside its functions
     "FIGURES": (Mapping, "meanings by name"),
     "FILES": ((list, tuple), "a list of names"),
 }
+STANDARD, INSTALLED = sysconfig.get_path("stdlib"), {"site-packages", "dist-packages"}  # of Python's own modules
 _READ: dict[str, tuple[Path, str]] = {}  # of modules by name: the project that they were read in, and their digest
 
 
@@ -69,7 +72,42 @@ def _require_file(key: str, name: str, suffix: str) -> Path:
     if not name or not file.is_file():
         near = [str(f.relative_to(project_folder())) for f in sorted(project_folder().glob(f"**/*{suffix}"))[:50]]
         raise InputError(f"model.{key} = {name!r} is not a file{suggest(name, near) if near else ''}")
+    _refuse_results(key, name, [file])
     return file
+
+
+def _refuse_results(key: str, name: str, found: Iterable[Path]) -> None:
+    """Refuse files of a folder of results or of a crate, which may come from a stranger. Raises `InputError`."""
+    if around := next(filter(None, map(project.find_results_around, found)), None):
+        raise InputError(
+            f"model.{key} = {name} is not allowed: it lies in {around}, which holds results, perhaps of a stranger; to "
+            "trust it, copy it into your project"
+        )
+
+
+def _refuse_foreign_module(told: str, name: str) -> None:
+    """Refuse a module of a folder of results, or of Python itself, before anything of it is imported.
+
+    Args:
+        told: The controller, as the configuration names it.
+        name: The module.
+
+    Raises:
+        InputError: The module, or a package that it is in, is not allowed.
+    """
+    first, *rest = name.split(".")
+    spec = next(filter(None, (finder.find_spec(first, None) for finder in sys.meta_path)), None)
+    while spec is not None:  # else the import reports it
+        origin = str(spec.origin or "")
+        own = origin in ("built-in", "frozen") or (
+            origin.startswith(STANDARD) and not INSTALLED & {*Path(origin).parts}
+        )
+        if own:
+            raise InputError(f"model.controller = {told} is not allowed: {name} is a module of Python itself")
+        path = list(spec.submodule_search_locations or ())
+        _refuse_results("controller", told, [*([Path(origin)] if origin else ()), *(Path(one, "any") for one in path)])
+        # by its last name, as packages around it are not imported yet
+        spec = PathFinder.find_spec(rest.pop(0), path) if rest else None
 
 
 @functools.lru_cache(maxsize=4)
@@ -200,6 +238,7 @@ def _module(told: str, name: str) -> ModuleType:
         for stale in [one for one in sys.modules if one == package or one.startswith(f"{package}.")]:
             del sys.modules[stale]
         importlib.invalidate_caches()
+    _refuse_foreign_module(told, name)
     try:
         with run_user_code(f"{name}, which is imported,", _folder_of_module(name)):
             module = importlib.import_module(name)
