@@ -31,6 +31,7 @@ BELOW_RUNS = (
 ROOMS = (*BELOW_RUNS, "runs", "replay", "report", "cli", "")
 # a controller and a model of a user's own; one rollout's surfaces; physics measured alone
 JAX_ABOVE_ENGINES = {
+    "sweep.systems.mujoco_model.learned_policy",
     "sweep.systems.mujoco_model.onnx_network",
     "sweep.systems.mujoco_model.onnx_operators",
     "sweep.systems.mujoco_model.batch",
@@ -44,6 +45,7 @@ JAX_ABOVE_ENGINES = {
 # the sources' own text; compiled programs; a study's name for its folder and its table of points; what a system is read
 # from, which goes with a study; a command's arguments
 FILES_BELOW_RUNS = {
+    "sweep.systems.mujoco_model.learned_policy",
     "sweep.systems.mujoco_model.onnx_network",
     "sweep.core.arguments",
     "sweep.core.plot_style",

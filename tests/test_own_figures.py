@@ -286,12 +286,13 @@ def test_a_urdf_and_its_meshes_are_read_as_they_are(here, capsys):
 
 def test_a_controller_is_as_its_file_is_now_and_in_this_project(here, monkeypatch):
     """Of a notebook that goes on while a file is edited, or goes on to another project."""
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
     for folder, number in ((here, 1), (here, 22), (here / "other", 333), (here, 4444)):
         folder.mkdir(exist_ok=True)
         (folder / "steered.py").write_text(
             f"def policy(belief, observation, state, key):\n    return {number}, state\n"
         )
         monkeypatch.chdir(folder)
-        found = files.load_controller("steered:policy")
+        found = files.load_controller("steered:policy", model, -1, 0.02)
         assert found.policy({}, None, (), None) == (number, ())
-        assert files.load_controller("steered:policy").policy is found.policy  # and compiled once
+        assert files.load_controller("steered:policy", model, -1, 0.02).policy is found.policy  # and compiled once

@@ -21,7 +21,7 @@ from sweep.engines import run_id
 from sweep.engines.settings import EngineSettings
 from sweep.models import mujoco_versions
 from sweep.systems.base import AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
-from sweep.systems.mujoco_model import fields, files, inactive_parameters, metrics, outcome
+from sweep.systems.mujoco_model import fields, files, inactive_parameters, metrics, outcome, policy_spec
 from sweep.systems.mujoco_model.engine import ModelEngine, NativeModelEngine, print_note
 from sweep.systems.mujoco_model.model_spec import ModelConfig, ModelSpec, Settings, SideValues
 from sweep.systems.mujoco_model.outcome import Condition
@@ -253,6 +253,10 @@ def _parse_model(given: Mapping[str, Any]) -> ModelConfig:
         {f"model.option.{name}": value for name, value in option.items()},
     )
     options = tuple((path, check_value(fields.parameter(model, path), value, path)) for path, value in paths.items())
+    spec = files.read_policy_spec(said.get("controller", ""))
+    if spec and spec.period and said.setdefault("period", spec.period) != spec.period:
+        name, told = said["controller"], f"its {policy_spec.SUFFIX.removeprefix('.')} says {spec.period:g} s"
+        raise InputError(f"model.period = {said['period']} is not allowed for {name}: {told}")
     about = build(ModelConfig, {**said, "direction": along, "option": options}, "model")
     if about.duration < about.period:
         allowed = f"at least model.period, {about.period:g} s"

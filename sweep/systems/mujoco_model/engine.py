@@ -21,6 +21,7 @@ from sweep.engines.base import Metrics, Sides, TimeSeriesRequest, Trace, single_
 from sweep.engines.settings import EngineSettings
 from sweep.fused.dependence import find_unread_columns
 from sweep.systems.mujoco_model import batch, metrics
+from sweep.systems.mujoco_model.actuation import JointControl
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 from sweep.systems.mujoco_model.policy import ControllerBatch, ControllerPrograms
 
@@ -190,8 +191,7 @@ class NativeModelEngine(ModelEngine):
                 before = ctrl if before is None else before
                 controls[:] = before[:, None] + self._shares[:, None] * (ctrl - before)[:, None]
                 before = ctrl
-                out = recorded[k % 2]
-                steps = recorded[k % 2] = begun.batch.rollout(self._substeps, controls, record=RECORDED, out=out)
+                steps = recorded[k % 2] = simulate_steps(begun, own.controller.joint_control, controls, recorded[k % 2])
                 is_current = own.config.sensors == "current"
                 seen = begun.current_sensors() if is_current else steps["sensordata"][:, -1]
                 sofar = aside.submit(measured, sofar.result(), steps, going)
@@ -205,6 +205,32 @@ class NativeModelEngine(ModelEngine):
         gained = begun.energy(last["last"], last["speed"]) - before_all
         found = self._meter.compute(last, begun.mass, gained, broken, full)
         return found | own_figures, frames, [begun.batch.get_model(int(slot)) for slot in slots]
+
+
+def simulate_steps(
+    begun: batch.BatchStart,
+    control: JointControl | None,
+    commands: np.ndarray,
+    out: dict[str, np.ndarray] | None = None,
+) -> dict[str, np.ndarray]:
+    """Simulate the physics steps of a control tick.
+
+    Args:
+        begun: The batch of n rollouts.
+        control: The law that turns commands into controls at every step; None where they are controls.
+        commands: Commands (n, s, nu) of each step.
+        out: Arrays to record into, as an earlier call returned them.
+
+    Returns:
+        What is recorded after each step, (n, s, ...) by name.
+    """
+    if control is None:
+        return begun.batch.rollout(commands.shape[1], commands, record=RECORDED, out=out)
+    parts = []
+    for k in range(commands.shape[1]):
+        controls = control.controls(commands[:, k], begun.qpos, begun.qvel)
+        parts.append(begun.batch.rollout(1, controls[:, None], record=RECORDED))
+    return {name: np.concatenate([one[name] for one in parts], axis=1) for name in RECORDED}
 
 
 def find_unsolved_steps(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) -> np.ndarray:

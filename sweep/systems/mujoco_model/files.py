@@ -24,7 +24,8 @@ from sweep.core import project
 from sweep.core.errors import WRONG, InputError, format_user_exception, suggest
 from sweep.core.user_code import describe_user_error, report_silence, run_user_code
 from sweep.models.binary import model_bytes
-from sweep.systems.mujoco_model import onnx_network
+from sweep.systems.mujoco_model import learned_policy, onnx_network, policy_spec
+from sweep.systems.mujoco_model.actuation import JointControl
 
 ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
 FOLDERS = ("meshdir", "texturedir", "assetdir")  # of a model's files, as its compiler's options name them
@@ -53,6 +54,12 @@ class Policy(NamedTuple):
     measure: Callable[..., Any] | None = None  # what figures are made of, besides, as every tick begins
     observe: Callable[..., Any] | None = None  # what the policy is told, of all that can be observed by name
     folder: Path = Path()  # that its relative paths are from
+    learned: learned_policy.LearnedPolicy | None = None  # of a network with a specification beside it
+
+    @property
+    def joint_control(self) -> JointControl | None:
+        """The law that turns commands into controls at every physics step; None where they are controls."""
+        return self.learned.joint_control if self.learned else None
 
 
 def project_folder() -> Path:
@@ -170,10 +177,23 @@ def digest_model(compiled: mujoco.MjModel) -> str:
     return hashlib.blake2b(model_bytes(compiled), digest_size=8).hexdigest()
 
 
-def load_controller(name: str) -> Policy:
-    """Load the controller that `module:function` names, or a network from a file. Raises `InputError`."""
+def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: float) -> Policy:
+    """Load the controller that `module:function` names, or a network from a file.
+
+    Args:
+        name: `module:function`, or the network's file, from the project's folder.
+        model: The model that it controls.
+        keyframe: Index of the keyframe that rollouts start from; -1 for the model's default pose.
+        period: s of a control tick.
+
+    Returns:
+        The controller.
+
+    Raises:
+        InputError: There is none, or it does not fit the model.
+    """
     if name.endswith(ONNX):
-        return _load_network(name)
+        return _load_network(name, model, keyframe, period)
     module_name, sign, function = name.partition(":")
     if not (sign and module_name and function):
         such = "a module and its function, such as my.walk:policy, or a network, such as walk.onnx"
@@ -198,16 +218,36 @@ def load_controller(name: str) -> Policy:
     return Policy(policy, files, _digest(files), batched, begin, parameters, believes, **more)
 
 
-def _load_network(name: str) -> Policy:
-    """Load a network that maps the observation to the controls. Raises `InputError`."""
+def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float) -> Policy:
+    """Load a network, which maps the observation to controls, or is as its specification says. Raises `InputError`."""
     file = _require_file("controller", name, ONNX)
-    network, files, folder = onnx_network.read_network(name, file), onnx_network.network_files(file), project_folder()
-    policy = onnx_network.make_policy(network)
-    if not file.with_suffix(".py").is_file():
-        return Policy(policy, tuple(files), _digest(files), batched=False, folder=folder)
-    beside = project.source_files(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
-    digest = f"{_digest(files)}-{_digest(beside)}"
-    return Policy(policy, (*files, *beside), digest, False, folder=folder, **_beside(name, module))
+    network, files, learned = onnx_network.read_network(name, file), onnx_network.network_files(file), None
+    about: dict[str, Any] = {"batched": False, "folder": project_folder()}
+    if spec := read_policy_spec(name):
+        told = learned_policy.spec_file(file)
+        files = [*files, told]
+        learned = learned_policy.fit_policy(told.name, spec, network, model, keyframe, period)
+        about |= {"policy": learned.policy, "begin": learned.begin, "observe": learned.observe, "learned": learned,
+                  "parameters": spec.commands}  # fmt: skip
+    else:
+        about["policy"] = onnx_network.make_policy(network)
+    digest = _digest(files)
+    if file.with_suffix(".py").is_file():
+        beside = project.source_files(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
+        said = _beside(name, module)
+        if learned and said.pop("observe"):
+            told = learned_policy.spec_file(file).name
+            raise InputError(f"model.controller = {name}: `observe` is not allowed beside {told}")
+        files, digest, about = [*files, *beside], f"{digest}-{_digest(beside)}", {**about, **said}
+    return Policy(files=tuple(files), digest=digest, **about)
+
+
+def read_policy_spec(name: str) -> policy_spec.PolicySpec | None:
+    """Read the specification beside a network, by the controller's name; None without one. Raises `InputError`."""
+    if not name.endswith(ONNX):
+        return None
+    told = learned_policy.spec_file(file := _require_file("controller", name, ONNX))
+    return learned_policy.read_spec(told, onnx_network.read_network(name, file).metadata) if told.is_file() else None
 
 
 def _beside(name: str, module: Any) -> dict[str, Any]:

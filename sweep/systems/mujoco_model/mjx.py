@@ -28,12 +28,12 @@ from sweep.engines.settings import EngineSettings
 from sweep.models import mujoco_versions
 from sweep.systems.mujoco_model import batch, fields, metrics
 from sweep.systems.mujoco_model.engine import (
-    RECORDED,
     BatchResult,
     ModelEngine,
     TickSample,
     find_unsolved_steps,
     print_note,
+    simulate_steps,
 )
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 
@@ -206,7 +206,7 @@ class MjxModelEngine(ModelEngine):
                 before = ctrl if before is None else before
                 controls = before[:, None] + self._shares[:, None] * (ctrl - before)[:, None]
                 before = ctrl
-                steps = reference.batch.rollout(self._substeps, controls, record=RECORDED)
+                steps = simulate_steps(reference, own.controller.joint_control, controls)
                 ends = np.asarray(carry["now"]["qvel"], float)[rows], np.asarray(steps["qvel"][:, -1], float)
                 solved = ~find_unsolved_steps(self._model, steps).any(axis=1)  # else the solver's error is what differs
                 self._compare(tick, *(((end - qvel) / own.config.period)[solved] for end in ends))
@@ -339,6 +339,10 @@ class MjxModelEngine(ModelEngine):
         def current(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array) -> Array:
             return mjx.forward(template.tree_replace(rows), data.replace(**now, ctrl=ctrl)).sensordata
 
+        def to_controls(command: Array, now: Mapping[str, Array]) -> Array:
+            law = self._own.controller.joint_control
+            return command if law is None else law.controls(command, now["qpos"], now["qvel"])
+
         def tick(carry: Mapping[str, Any]) -> dict[str, Any]:
             going = carry["carried"]["tick"] < carry["carried"]["ticks"]
             ctrl, carried = jax.vmap(self._programs.tick_one)(given, carry["carried"], carry["seen"])
@@ -348,7 +352,8 @@ class MjxModelEngine(ModelEngine):
 
             def step(state: Any, share: Array) -> tuple[Any, None]:
                 now, sofar, full, _ = state
-                now, told = jax.vmap(one)(leaves, now, before + share * (ctrl - before))
+                command = before + share * (ctrl - before)
+                now, told = jax.vmap(one)(leaves, now, to_controls(command, now))
                 full = full | going & told.pop("full")
                 steps = {name: values[:, None] for name, values in told.items()}
                 sofar = self._meter.update(sofar, steps, limits, going)
@@ -358,7 +363,7 @@ class MjxModelEngine(ModelEngine):
             first = carry["now"], carry["sofar"], carry["full"], none
             (now, sofar, full, (sensors, force)), _ = jax.lax.scan(step, first, jnp.asarray(self._shares, float))
             if self._own.config.sensors == "current":
-                sensors = jax.vmap(current)(leaves, now, ctrl)
+                sensors = jax.vmap(current)(leaves, now, to_controls(ctrl, now))
             seen = self._own.observable_state(now["qpos"], now["qvel"], sensors)
             new = {"now": now, "sofar": sofar, "carried": carried, "seen": seen}
             return new | {"wrong": wrong, "full": full, "ctrl": ctrl, "force": force}

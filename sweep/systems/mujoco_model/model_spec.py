@@ -80,7 +80,8 @@ class ModelSpec:
     @cached_property
     def controller(self) -> files.Policy:
         """The loaded controller."""
-        return files.load_controller(self.config.controller)
+        about = self.config
+        return files.load_controller(about.controller, self.model, self.keyframe_index, about.period)
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:

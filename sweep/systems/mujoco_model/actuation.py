@@ -1,0 +1,106 @@
+"""Joint controllers that run at the physics rate: torques from stiffness and damping, as policies were trained with."""
+
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from sweep.core.errors import InputError
+
+JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
+
+class JointControl(NamedTuple):
+    """A proportional-derivative law for each of the nu actuators; those that have none get their command as it is."""
+
+    qpos: np.ndarray  # (nu,) index of the joint's position
+    qvel: np.ndarray  # (nu,) index of the joint's velocity
+    stiffness: np.ndarray  # (nu,) N*m/rad
+    damping: np.ndarray  # (nu,) N*m*s/rad
+    limit: np.ndarray  # (nu,) N*m
+    lever: np.ndarray  # (nu,) N*m of torque for a unit of control
+    active: np.ndarray  # (nu,) whether the actuator has a law
+
+    def controls(self, command: Any, qpos: Any, qvel: Any) -> Any:
+        """Return the controls of one physics step.
+
+        Args:
+            command: Joint targets (n, nu) in rad; of actuators without a law, controls.
+            qpos: Positions (n, nq) as the step begins.
+            qvel: Velocities (n, nv).
+
+        Returns:
+            Controls (n, nu).
+        """
+        xp = qpos.__array_namespace__()
+        torque = self.stiffness * (command - qpos[:, self.qpos]) - self.damping * qvel[:, self.qvel]
+        torque = xp.clip(torque, -self.limit, self.limit)
+        return xp.where(self.active, torque / self.lever, command)
+
+
+def find_actuators(told: str, model: mujoco.MjModel, joints: list[str]) -> np.ndarray:
+    """Return the actuator of each joint. Raises `InputError` where a joint has none, or several.
+
+    Args:
+        told: What messages begin with.
+        model: The model.
+        joints: Names of hinge and slide joints.
+
+    Returns:
+        Indices (n,).
+    """
+    kind, target = model.actuator_trntype, model.actuator_trnid[:, 0]
+    found = []
+    for name in joints:
+        mine = np.flatnonzero(np.isin(kind, JOINT) & (target == model.joint(name).id))
+        if len(mine) != 1:
+            count = "no actuator" if not len(mine) else f"{len(mine)} actuators"
+            raise InputError(f"{told}: joint {name} has {count} in the model: one is wanted")
+        found.append(int(mine[0]))
+    return np.array(found, int)
+
+
+def actuated_joints(model: mujoco.MjModel) -> list[str]:
+    """Return the names of the joints that have actuators, in the order of these."""
+    return [model.joint(j).name for k, j in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
+            if int(k) in JOINT]  # fmt: skip
+
+
+def is_servo(model: mujoco.MjModel) -> np.ndarray:
+    """Return which actuators (nu,) are position servos: their force is kp (command - length) and damping."""
+    gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1]
+    return (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)) & (gain == -bias) & (gain != 0)
+
+
+def make_joint_control(
+    model: mujoco.MjModel, actuators: np.ndarray, stiffness: np.ndarray, damping: np.ndarray, limit: np.ndarray
+) -> JointControl:
+    """Make the law of some actuators, which are motors.
+
+    Args:
+        model: The model.
+        actuators: Indices (k,).
+        stiffness: N*m/rad, (k,).
+        damping: N*m*s/rad, (k,).
+        limit: N*m, (k,).
+
+    Returns:
+        The law of all actuators.
+    """
+
+    def spread(values: Any, usual: float) -> np.ndarray:
+        found = np.full(model.nu, usual)
+        found[actuators] = values
+        return found
+
+    joints = model.actuator_trnid[actuators, 0]
+    lever = model.actuator_gear[actuators, 0] * model.actuator_gainprm[actuators, 0]
+    return JointControl(
+        spread(model.jnt_qposadr[joints], 0).astype(int),
+        spread(model.jnt_dofadr[joints], 0).astype(int),
+        spread(stiffness, 0.0),
+        spread(damping, 0.0),
+        spread(limit, np.inf),
+        spread(lever, 1.0),
+        spread(1.0, 0.0).astype(bool),
+    )

@@ -1,0 +1,381 @@
+"""A learned policy in its place: terms read from the model's state, the network, and controls from its action."""
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import yaml
+
+from sweep.core.errors import InputError, require_choice
+from sweep.core.project import yaml_error_line
+from sweep.core.yaml_check import PARSER, check_yaml
+from sweep.systems.mujoco_model import actuation, policy_spec
+from sweep.systems.mujoco_model.onnx_network import Network
+from sweep.systems.mujoco_model.policy_spec import ActionSpec, PolicySpec, RecurrentSpec, TermSpec
+
+SIZES = {"projected_gravity": 3, "base_linear_velocity": 3, "base_angular_velocity": 3, "base_height": 1,
+         "base_orientation": 4}  # fmt: skip
+SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+
+
+class Term(NamedTuple):
+    """A term of an observation as the model has it."""
+
+    spec: TermSpec
+    size: int
+    unit: str
+    history: int  # ticks
+    raw: slice | None  # place in what is measured; None for a term that is not
+    scale: np.ndarray  # (size,)
+
+
+class LearnedPolicy(NamedTuple):
+    """A learned policy for one model: the functions of a controller, and what it was made from."""
+
+    spec: PolicySpec
+    inputs: Mapping[str, tuple[Term, ...]]  # by the network's input
+    joints: tuple[str, ...]
+    offset: np.ndarray  # (k,) of the action, by joint
+    scale: np.ndarray  # (k,) of the action
+    begin: Callable[..., Any]
+    observe: Callable[..., Any]
+    policy: Callable[..., Any]
+    joint_control: actuation.JointControl | None  # None where controls are constant over a tick
+    assemble: Callable[..., Any]  # (belief, observation, state) -> numbers of each input, by name, and the next state
+
+    @property
+    def measured(self) -> dict[str, Term]:
+        """The terms that are measured, by label: those that sensor errors apply to."""
+        return {one.spec.label: one for terms in self.inputs.values() for one in terms if one.raw is not None}
+
+
+def spec_file(network: Path) -> Path:
+    """Return where the specification of a network is."""
+    return network.with_name(f"{network.stem}{policy_spec.SUFFIX}")
+
+
+def read_spec(file: Path, metadata: Mapping[str, str]) -> PolicySpec:
+    """Read the specification of a policy. Raises `InputError`.
+
+    Args:
+        file: The YAML file.
+        metadata: Metadata of the network.
+    """
+    try:
+        text = file.read_text(encoding="utf-8")
+        check_yaml(text, file.name)
+        given = yaml.load(text, PARSER)
+    except UnicodeDecodeError:
+        raise InputError(f"{file.name} cannot be read: it is not text in UTF-8") from None
+    except yaml.YAMLError as error:
+        raise InputError(f"{file.name} cannot be read: {yaml_error_line(error)}") from None
+    return policy_spec.parse_policy(file.name, given or {}, metadata)
+
+
+def fit_policy(
+    told: str, spec: PolicySpec, network: Network, model: mujoco.MjModel, keyframe: int, period: float
+) -> LearnedPolicy:
+    """Fit a policy to a model: look up joints and sensors, and check all sizes.
+
+    Args:
+        told: What messages begin with, such as `walk.policy.yaml`.
+        spec: The specification.
+        network: The network.
+        model: The model.
+        keyframe: Index of the keyframe that rollouts start from; -1 for the model's default pose.
+        period: s between two calls of the network.
+
+    Returns:
+        The policy.
+
+    Raises:
+        InputError: A name is unknown, or a size differs.
+    """
+    joints = _joint_names(told, spec.joints or actuation.actuated_joints(model), model)
+    pose = model.key_qpos[keyframe] if keyframe >= 0 else model.qpos0
+    places = np.array([model.jnt_qposadr[model.joint(one).id] for one in joints], int)
+    default = (pose[places] if spec.default_pose is None
+               else policy_spec.joint_numbers(f"{told}: default_pose", spec.default_pose, joints))  # fmt: skip
+    defaults = dict(zip(joints, default, strict=True))
+    inputs = _fit_inputs(told, spec, network, model, joints)
+    output = _action_output(told, spec, network)
+    scale, offset, control, actuators = _fit_action(told, spec.action, model, joints, default)
+    size = network.outputs[output][-1] if network.outputs[output] else None
+    if size not in (None, len(joints)):
+        raise InputError(f"{told}: {network.name} gives {size} numbers as {output}: {len(joints)} joints have actions")
+    resting = model.key_ctrl[keyframe] if keyframe >= 0 else np.zeros(model.nu)
+    measured = [one for terms in inputs.values() for one in terms if one.raw is not None]
+    readers = [_make_reader(one, model, joints, defaults, pose) for one in measured]
+
+    def observe(state: Mapping[str, Any]) -> Any:
+        parts = [read(state) for read in readers]
+        return jnp.concatenate(parts) if parts else jnp.zeros(0)
+
+    def begin(belief: Mapping[str, Any], key: Any) -> tuple[None, dict[str, Any], None]:
+        memory = {one.input: jnp.full(_recurrent_shape(network, one), one.start, float) for one in spec.recurrent}
+        past = {}
+        for name, terms in inputs.items():
+            if spec.stacking == "by_tick" and terms[0].history > 1:
+                past[name] = jnp.zeros((terms[0].history, sum(one.size for one in terms)))
+            elif spec.stacking == "by_term":
+                past |= {f"{name}/{one.spec.label}": jnp.zeros((one.history, one.size))
+                         for one in terms if one.history > 1}  # fmt: skip
+        return None, {"tick": jnp.int32(0), "action": jnp.zeros(len(joints)), "past": past, "memory": memory}, None
+
+    def push(past: Any, new: Any, tick: Any) -> Any:
+        later = jnp.concatenate([past[1:], new[None]])
+        if spec.history_start == "zeros":
+            return later
+        return jnp.where(tick == 0, jnp.broadcast_to(new, past.shape), later)
+
+    def assemble(belief: Mapping[str, Any], seen: Any, state: Mapping[str, Any]) -> tuple[dict[str, Any], Any]:
+        tick, past, found = state["tick"], dict(state["past"]), {}
+        for name, terms in inputs.items():
+            parts = []
+            for one in terms:
+                new = seen[one.raw] if one.raw is not None else _compute_term(one, spec, belief, state, period)
+                new = jnp.clip(new, *one.spec.clip) if one.spec.clip else new
+                new = new * one.scale
+                if (key := f"{name}/{one.spec.label}") in past:
+                    past[key] = push(past[key], new, tick)
+                    new = past[key].reshape(-1)
+                parts.append(new)
+            whole = jnp.concatenate(parts)
+            if name in past:
+                past[name] = push(past[name], whole, tick)
+                whole = past[name].reshape(-1)
+            found[name] = whole.astype(float)
+        return found, {**state, "past": past}
+
+    def policy(belief: Mapping[str, Any], seen: Any, state: Any, key: Any) -> tuple[Any, Any]:
+        numbers, state = assemble(belief, seen, state)
+        given = {name: one.reshape(network.input_shape(name)) for name, one in numbers.items()}
+        found = network.evaluate({**given, **state["memory"]})
+        action = found[output].reshape(-1)
+        if action.shape != (len(joints),):
+            raise InputError(f"{told}: {network.name} gives {action.size} numbers as {output}: "
+                             f"{len(joints)} joints have actions")  # fmt: skip
+        action = jnp.clip(action, *spec.action.clip) if spec.action.clip else action
+        controls = jnp.asarray(resting, float).at[actuators].set(offset + scale * action)
+        memory = {one.input: found[one.output].astype(float).reshape(_recurrent_shape(network, one))
+                  for one in spec.recurrent}  # fmt: skip
+        new = {"tick": state["tick"] + 1, "action": action.astype(float), "memory": memory}
+        return controls, {**state, **new}
+
+    return LearnedPolicy(spec, inputs, tuple(joints), offset, scale, begin, observe, policy, control, assemble)
+
+
+def _joint_names(told: str, names: Any, model: mujoco.MjModel) -> list[str]:
+    """Return the names of hinge and slide joints as the model has them. Raises `InputError`."""
+    known = {model.joint(j).name: j for j in range(model.njnt)}
+    for name in names:
+        require_choice(name, [one for one in known if one], f"{told}: joint {name}")
+        if model.jnt_type[known[name]] not in SINGLE:
+            raise InputError(f"{told}: joint {name} is not allowed: a hinge or a slide")
+    if not len(names):
+        raise InputError(f"{told} needs the key joints: the model has no actuators of joints")
+    return list(names)
+
+
+def _fit_inputs(
+    told: str, spec: PolicySpec, network: Network, model: mujoco.MjModel, joints: list[str]
+) -> dict[str, tuple[Term, ...]]:
+    """Fit the terms of each input of the network. Raises `InputError`."""
+    for one in spec.recurrent:
+        require_choice(one.input, network.inputs, f"{told}: recurrent input {one.input}")
+        require_choice(one.output, network.outputs, f"{told}: recurrent output {one.output}")
+    wanted = [name for name in network.inputs if name not in {one.input for one in spec.recurrent}]
+    given = spec.observation
+    if given is None:
+        raise InputError(f"{told} needs the key observation, or a preset")
+    if not isinstance(given, Mapping):
+        if len(wanted) != 1:
+            names = ", ".join(wanted)
+            raise InputError(f"{told}: {network.name} has the inputs {names}: give the terms of each by its name, "
+                             "or name recurrent ones (key recurrent)")  # fmt: skip
+        given = {wanted[0]: given}
+    for name in given:
+        require_choice(name, wanted, f"{told}: observation.{name}")
+    if missing := [name for name in wanted if name not in given]:
+        raise InputError(f"{told}: the network's input {missing[0]} has no terms (key observation.{missing[0]})")
+    at, found = 0, {}
+    for name in wanted:
+        terms = []
+        for one in policy_spec.parse_terms(f"{told}: observation", given[name]):
+            term = _fit_term(told, one, spec, model, joints, at)
+            at += term.size if term.raw is not None else 0
+            terms.append(term)
+        if spec.stacking == "by_tick" and len({one.history for one in terms}) > 1:
+            raise InputError(f"{told}: stacking = by_tick is not allowed: terms have different histories")
+        sizes = [one.size * one.history for one in terms]
+        declared = [one for one in network.input_shape(name) if one != 1]
+        if -1 not in declared and math.prod(declared) != sum(sizes):
+            parts = ", ".join(f"{one.spec.label} {size}" for one, size in zip(terms, sizes, strict=True))
+            raise InputError(f"{told}: {network.name} takes {math.prod(declared)} numbers as {name}: "
+                             f"its terms have {sum(sizes)} ({parts})")  # fmt: skip
+        found[name] = tuple(terms)
+    labels = [one.spec.label for terms in found.values() for one in terms if one.raw is not None]
+    if twice := {one for one in labels if labels.count(one) > 1}:
+        raise InputError(f"{told}: {min(twice)} stands in two inputs: give each a name of its own (key name)")
+    return found
+
+
+def _fit_term(told: str, one: TermSpec, spec: PolicySpec, model: mujoco.MjModel, joints: list[str], at: int) -> Term:
+    """Fit a term whose numbers, if they are measured, begin at the place `at`. Raises `InputError`."""
+    told = f"{told}: {one.label}"
+    sensors = {name: k for k in range(model.nsensor) if (name := model.sensor(k).name)}
+    instead = spec.sensors.get(one.term, "")
+    if not one.sensor and instead in sensors:
+        one = TermSpec(**{**vars(one), "sensor": instead, "name": one.label})
+    if one.sensor:
+        require_choice(one.sensor, sensors, f"{told}: sensor {one.sensor}")
+        size = int(model.sensor_dim[sensors[one.sensor]])
+        if one.term != "sensor" and size != SIZES.get(one.term, size):
+            raise InputError(f"{told}: sensor {one.sensor} has {size} numbers, the term has {SIZES[one.term]}")
+    elif one.term in ("joint_positions", "joint_velocities"):
+        size = len(_joint_names(told, one.joints or joints, model))
+    elif one.term == "last_action":
+        size = len(joints)
+    elif one.term == "command":
+        names = one.commands or tuple(spec.commands)
+        for name in names:
+            require_choice(name, spec.commands, f"{told}: command {name}")
+        size = len(names)
+        if not size:
+            raise InputError(f"{told} needs the key commands, such as {{velocity_x: 1.0}}")
+    elif one.term == "phase":
+        size = 2 * len(one.offsets)
+    elif one.term == "constant":
+        size = len(one.values)
+    else:
+        if not (model.jnt_type == FREE).any():
+            raise InputError(f"{told} is not allowed: the model has no free joint; name a sensor (key sensor)")
+        size = SIZES[one.term]
+    scale = np.asarray(one.scale, float)
+    if scale.shape not in ((), (size,)):
+        raise InputError(f"{told}: scale has {scale.size} numbers: the term has {size}")
+    raw = slice(at, at + size) if one.sensor or one.term in policy_spec.MEASURED else None
+    return Term(
+        one, size, policy_spec.UNITS[one.term], one.history or spec.history, raw, np.broadcast_to(scale, (size,))
+    )
+
+
+def _make_reader(
+    term: Term, model: mujoco.MjModel, joints: list[str], defaults: Mapping[str, float], pose: np.ndarray
+) -> Callable[[Mapping[str, Any]], Any]:
+    """Make the function that reads a measured term from the state by name."""
+    one = term.spec
+    if one.sensor:
+        return lambda state: state[one.sensor]
+    if one.term in ("joint_positions", "joint_velocities"):
+        ids = [model.joint(name).id for name in one.joints or joints]
+        if one.term == "joint_velocities":
+            dofs = model.jnt_dofadr[ids]
+            return lambda state: state["qvel"][dofs]
+        places = model.jnt_qposadr[ids]
+        rest = [defaults.get(name, pose[at]) for name, at in zip(one.joints or joints, places, strict=True)]
+        rest = np.array(rest) if one.relative else np.zeros(len(ids))
+        return lambda state: state["qpos"][places] - rest
+    base = int(np.flatnonzero(model.jnt_type == FREE)[0])
+    at, dof = int(model.jnt_qposadr[base]), int(model.jnt_dofadr[base])
+    turn = slice(at + 3, at + 7)
+    readers: dict[str, Callable[[Mapping[str, Any]], Any]] = {
+        "projected_gravity": lambda state: rotate_into_body(state["qpos"][turn], jnp.array([0.0, 0.0, -1.0])),
+        "base_linear_velocity": lambda state: rotate_into_body(state["qpos"][turn], state["qvel"][dof : dof + 3]),
+        "base_angular_velocity": lambda state: state["qvel"][dof + 3 : dof + 6],  # MuJoCo has it in the body's axes
+        "base_height": lambda state: state["qpos"][at + 2 : at + 3],
+        "base_orientation": lambda state: state["qpos"][turn],
+    }
+    return readers[one.term]
+
+
+def rotate_into_body(quat: Any, vector: Any) -> Any:
+    """Rotate a vector from world axes into those of a body.
+
+    Args:
+        quat: Unit quaternion (4,), body to world.
+        vector: Vector (3,) in world axes.
+
+    Returns:
+        Vector (3,) in the body's axes.
+    """
+    w, axis = quat[0], quat[1:]
+    twice = 2 * jnp.cross(axis, vector)
+    return vector - w * twice + jnp.cross(axis, twice)
+
+
+def _compute_term(
+    term: Term, spec: PolicySpec, belief: Mapping[str, Any], state: Mapping[str, Any], period: float
+) -> Any:
+    """Compute a term that is not measured."""
+    one = term.spec
+    if one.term == "last_action":
+        return state["action"]
+    if one.term == "command":
+        return jnp.stack([jnp.asarray(belief[name], float) for name in one.commands or spec.commands])
+    if one.term == "constant":
+        return jnp.asarray(one.values, float)
+    angle = 2 * math.pi * ((one.frequency * period * state["tick"]) % 1.0) + jnp.asarray(one.offsets)
+    waves = jnp.cos(angle), jnp.sin(angle)
+    return jnp.concatenate(waves if one.order == "cos_sin" else waves[::-1])
+
+
+def _recurrent_shape(network: Network, one: RecurrentSpec) -> tuple[int, ...]:
+    shape = network.input_shape(one.input)
+    if -1 in shape:
+        raise InputError(f"{network.name}: recurrent input {one.input} has no fixed size")
+    return shape
+
+
+def _action_output(told: str, spec: PolicySpec, network: Network) -> str:
+    """Return the name of the output that is the action. Raises `InputError`."""
+    if spec.output:
+        require_choice(spec.output, network.outputs, f"{told}: output = {spec.output}")
+        return spec.output
+    rest = [name for name in network.outputs if name not in {one.output for one in spec.recurrent}]
+    if len(rest) != 1:
+        raise InputError(f"{told}: {network.name} has the outputs {', '.join(network.outputs)}: name the action's "
+                         "(key output), or recurrent ones (key recurrent)")  # fmt: skip
+    return rest[0]
+
+
+def _fit_action(
+    told: str, spec: ActionSpec, model: mujoco.MjModel, joints: list[str], default: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, actuation.JointControl | None, np.ndarray]:
+    """Return scale and offset of the action (k,), the joint controller if there is one, and actuators (k,)."""
+    if spec.clip and (len(spec.clip) != 2 or spec.clip[0] >= spec.clip[1]):
+        raise InputError(f"{told}: action.clip = {list(spec.clip)} is not allowed: the least and the largest value")
+    actuators, numbers = actuation.find_actuators(told, model, joints), policy_spec.joint_numbers
+    scale = numbers(f"{told}: action.scale", spec.scale, joints)
+    offset = (np.array(default, float) if spec.offset == "default_pose" and spec.actuation != "direct" else
+              np.zeros(len(joints)) if spec.offset == "default_pose" else
+              numbers(f"{told}: action.offset", spec.offset, joints))  # fmt: skip
+    servos = actuation.is_servo(model)[actuators]
+    way = spec.actuation
+    if way == "auto":
+        way = "servo" if servos.all() else "pd"
+    if way == "servo":
+        if not servos.all():
+            odd = joints[int(np.argmin(servos))]
+            raise InputError(f"{told}: action.actuation = servo is not allowed: joint {odd} has no position actuator; "
+                             "give pd, with stiffness and damping")  # fmt: skip
+        gear = model.actuator_gear[actuators, 0]
+        return scale * gear, offset * gear, None, actuators
+    if way == "direct":
+        return scale, offset, None, actuators
+    motors = (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE))[actuators]
+    if not motors.all():
+        raise InputError(f"{told}: action.actuation = pd is not allowed: joint {joints[int(np.argmin(motors))]} has an "
+                         "actuator of its own law; give servo or direct")  # fmt: skip
+    if spec.stiffness is None:
+        raise InputError(f"{told} needs the key action.stiffness: the joints have motors, and no position actuators")
+    stiffness = numbers(f"{told}: action.stiffness", spec.stiffness, joints)
+    damping = numbers(f"{told}: action.damping", spec.damping, joints)
+    limit = (np.full(len(joints), np.inf) if spec.torque_limit is None
+             else numbers(f"{told}: action.torque_limit", spec.torque_limit, joints))  # fmt: skip
+    return scale, offset, actuation.make_joint_control(model, actuators, stiffness, damping, limit), actuators

@@ -1,0 +1,330 @@
+"""How a learned policy was trained, as `walk.policy.yaml` beside `walk.onnx` says it: checked dataclasses.
+
+Three sources are read: the file, then the metadata that exporters of mjlab and Isaac Lab write into the network, then
+the preset of a training framework. The first one that has a value wins.
+"""
+
+import dataclasses
+import fnmatch
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sweep.core.errors import InputError, require_choice
+
+SUFFIX = ".policy.yaml"  # of the file beside a network
+UNITS = {  # terms of an observation, with their units
+    "joint_positions": "rad",
+    "joint_velocities": "rad/s",
+    "projected_gravity": "",
+    "base_linear_velocity": "m/s",
+    "base_angular_velocity": "rad/s",
+    "base_height": "m",
+    "base_orientation": "",
+    "sensor": "",
+    "command": "",
+    "last_action": "",
+    "phase": "",
+    "constant": "",
+}
+MEASURED = [name for name in UNITS if name not in ("command", "last_action", "phase", "constant")]  # have errors
+ALIASES = {  # names of training frameworks for terms
+    **dict.fromkeys(("joint_pos", "joint_pos_rel", "joint_angles"), "joint_positions"),
+    **dict.fromkeys(("joint_vel", "joint_vel_rel"), "joint_velocities"),
+    **dict.fromkeys(("gravity", "gravity_vec"), "projected_gravity"),
+    **dict.fromkeys(("base_lin_vel", "linvel", "local_linvel"), "base_linear_velocity"),
+    **dict.fromkeys(("base_ang_vel", "gyro"), "base_angular_velocity"),
+    **dict.fromkeys(("commands", "velocity_commands", "generated_commands", "twist"), "command"),
+    **dict.fromkeys(("actions", "last_act", "last_actions"), "last_action"),
+    "gait_phase": "phase",
+}
+VELOCITY = {"velocity_x": 1.0, "velocity_y": 0.0, "yaw_rate": 0.0}  # m/s, m/s, rad/s
+USUAL_ORDER = ("base_linear_velocity", "base_angular_velocity", "projected_gravity")
+PRESETS: dict[str, dict[str, Any]] = {  # by the documented conventions of the frameworks' velocity tasks
+    "playground": {
+        "observation": [*USUAL_ORDER, "joint_positions", "joint_velocities", "last_action", "command"],
+        "commands": VELOCITY,
+        "action": {"scale": 0.5},
+        "sensors": {"base_linear_velocity": "local_linvel", "base_angular_velocity": "gyro"},
+    },
+    "playground_gait": {
+        "observation": [*USUAL_ORDER, "command", "joint_positions", "joint_velocities", "last_action",
+                        {"term": "phase", "frequency": 1.5, "offsets": [0.0, np.pi]}],
+        "commands": VELOCITY,
+        "action": {"scale": 0.5},
+        "sensors": {"base_linear_velocity": "local_linvel", "base_angular_velocity": "gyro"},
+    },
+    "mjlab": {
+        "observation": [*USUAL_ORDER, "joint_positions", "joint_velocities", "last_action", "command"],
+        "commands": VELOCITY,
+        "action": {"scale": 0.5},
+    },
+    "isaaclab": {
+        "observation": [*USUAL_ORDER, "command", "joint_positions", "joint_velocities", "last_action"],
+        "commands": VELOCITY,
+        "action": {"scale": 0.5},
+    },
+}  # fmt: skip
+Numbers = float | tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class TermSpec:
+    """One term of an observation. Its numbers are clipped, then scaled, then stacked with those of earlier ticks."""
+
+    term: str  # what it is: a key of `UNITS`, or a framework's name for one
+    name: str = ""  # what axes and messages call it; else the term, or the sensor
+    sensor: str = ""  # sensor of the model that it is read from
+    scale: Numbers = 1.0  # factor, or one for each number
+    clip: tuple[float, ...] = ()  # least and largest value, before the scale; none if it is empty
+    history: int = 0  # ticks that are stacked, this one included; 0: as `history` of the policy
+    relative: bool = True  # joint positions count from the default pose
+    joints: tuple[str, ...] = ()  # joints in order, if they are others than the policy's
+    commands: tuple[str, ...] = ()  # commands in order; else all
+    frequency: float = 1.0  # of a phase, Hz
+    offsets: tuple[float, ...] = (0.0,)  # of a phase: one angle (rad) for each leg
+    order: str = "cos_sin"  # of a phase: all cosines, then all sines, or `sin_cos`
+    values: tuple[float, ...] = ()  # of a constant
+
+    @property
+    def label(self) -> str:
+        """Name of the term in axes and messages."""
+        return self.name or self.sensor or self.term
+
+
+@dataclass(frozen=True)
+class ActionSpec:
+    """How the network's output becomes controls: `offset + scale * clipped output`, joint by joint."""
+
+    scale: Any = 1.0  # number, list in the order of `joints`, or numbers by pattern of joint names
+    offset: Any = "default_pose"  # likewise; or the default pose
+    clip: tuple[float, ...] = ()  # least and largest output of the network
+    # servo: targets of the model's position actuators; pd: torques from stiffness and damping at every physics step;
+    # direct: controls as they are; auto: servo where the model has position actuators, else pd
+    actuation: str = "auto"
+    stiffness: Any = None  # of pd, N*m/rad; as scale
+    damping: Any = 0.0  # of pd, N*m*s/rad; as scale
+    torque_limit: Any = None  # of pd, N*m; as scale; beside the model's own limits
+
+
+@dataclass(frozen=True)
+class RecurrentSpec:
+    """An input of the network that is an output of its call one tick before."""
+
+    input: str  # name of the network's input
+    output: str  # name of the network's output
+    start: float = 0.0  # value in the first tick
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """A learned policy as it was trained."""
+
+    preset: str = ""  # conventions of a framework: playground, playground_gait, mjlab or isaaclab
+    period: float = 0.0  # s between two calls of the network; else the scenario's `model.period`
+    joints: tuple[str, ...] = ()  # joints in the order of the network; else those of the actuators, in their order
+    default_pose: Any = (
+        None  # positions by joint, as `action.scale`; else those of the keyframe that rollouts start from
+    )
+    observation: Any = None  # terms in order; or terms in order for each input of the network, by its name
+    history: int = 1  # ticks that each term stacks
+    stacking: str = "by_term"  # oldest first for each term, or `by_tick`: whole observations, oldest first
+    history_start: str = "first"  # what earlier ticks hold at first: the first observation, or `zeros`
+    commands: Mapping[str, float] = field(
+        default_factory=dict
+    )  # numbers that the user asks for; axes `controller.NAME`
+    action: ActionSpec = ActionSpec()
+    output: str = ""  # the network's output that is the action; else the one that is not recurrent
+    recurrent: tuple[RecurrentSpec, ...] = ()
+    sensors: Mapping[str, str] = field(default_factory=dict)  # sensors that replace terms, where the model has them
+
+
+CHOICES = {
+    "actuation": ("auto", "servo", "pd", "direct"),
+    "stacking": ("by_term", "by_tick"),
+    "history_start": ("first", "zeros"),
+    "order": ("cos_sin", "sin_cos"),
+    "preset": ("", *PRESETS),
+}
+
+
+def parse_policy(told: str, given: Mapping[str, Any], metadata: Mapping[str, str]) -> PolicySpec:
+    """Build the specification of a policy from its file, the network's metadata and its preset.
+
+    Args:
+        told: What messages begin with, such as `walk.policy.yaml`.
+        given: Content of the file.
+        metadata: Metadata of the network.
+
+    Returns:
+        The specification, with names, types and choices checked.
+
+    Raises:
+        InputError: A key is unknown, or a value is not allowed.
+    """
+    if not isinstance(given, Mapping):
+        raise InputError(f"{told} is not allowed: keys and values")
+    require_choice(given.get("preset", ""), CHOICES["preset"], f"{told}: preset = {given.get('preset')}")
+    merged = dict(PRESETS.get(given.get("preset", ""), {}))
+    for source in (read_metadata(told, metadata), given):
+        for key, value in source.items():
+            both = key in ("action",) and isinstance(value, Mapping)
+            merged[key] = {**merged.get(key, {}), **value} if both else value
+    return _build(PolicySpec, merged, told)
+
+
+def read_metadata(told: str, metadata: Mapping[str, str]) -> dict[str, Any]:
+    """Read what exporters of mjlab and Isaac Lab write into a network: lists, separated by commas, by name."""
+
+    def words(key: str) -> list[str]:
+        return [one.strip() for one in metadata.get(key, "").split(",") if one.strip()]
+
+    def numbers(key: str) -> list[float] | float | None:
+        try:
+            found = [float(one) for one in words(key)]
+        except ValueError:
+            raise InputError(f"{told}: the network's metadata {key} = {metadata[key]!r:.80} are no numbers") from None
+        return found[0] if len(found) == 1 else found or None
+
+    found: dict[str, Any] = {}
+    if joints := words("joint_names"):
+        found["joints"] = [one.rpartition("/")[2] for one in joints]
+    if (pose := numbers("default_joint_pos")) is not None:
+        found["default_pose"] = pose
+    if terms := words("observation_names"):
+        found["observation"] = terms
+    action = {ours: numbers(theirs) for ours, theirs in
+              (("scale", "action_scale"), ("stiffness", "joint_stiffness"), ("damping", "joint_damping"))}  # fmt: skip
+    if action := {key: value for key, value in action.items() if value is not None}:
+        found["action"] = action
+    return found
+
+
+def parse_terms(told: str, given: Any) -> tuple[TermSpec, ...]:
+    """Build the terms of one input from a list of names and mappings. Raises `InputError`."""
+    if not isinstance(given, list | tuple) or not given:
+        raise InputError(f"{told} is not allowed: a list of terms, such as [projected_gravity, joint_positions]")
+    found = []
+    for k, one in enumerate(given):
+        one = {"term": one} if isinstance(one, str) else one
+        if not isinstance(one, Mapping) or not isinstance(one.get("term"), str):
+            raise InputError(f"{told}[{k}] = {one!r:.80} is not allowed: a term's name, or a mapping with the key term")
+        term = ALIASES.get(one["term"], one["term"])
+        require_choice(term, UNITS, f"{told}[{k}]: {term}")
+        made = _build(TermSpec, {**one, "term": term}, f"{told}[{k}]")
+        if bool(made.sensor) < (made.term == "sensor"):
+            raise InputError(f"{told}[{k}]: a term `sensor` needs the key sensor")
+        if made.term == "constant" and not made.values:
+            raise InputError(f"{told}[{k}]: a term `constant` needs the key values")
+        if made.clip and (len(made.clip) != 2 or made.clip[0] >= made.clip[1]):
+            raise InputError(f"{told}[{k}].clip = {list(made.clip)} is not allowed: the least and the largest value")
+        found.append(made)
+    labels = [one.label for one in found]
+    if twice := {one for one in labels if labels.count(one) > 1}:
+        raise InputError(f"{told}: {min(twice)} stands twice: give each a name of its own (key name)")
+    return tuple(found)
+
+
+def joint_numbers(told: str, given: Any, joints: Sequence[str]) -> np.ndarray:
+    """Return one number for each joint.
+
+    Args:
+        told: Key, for messages.
+        given: A number for all; a list in the order of the joints; or numbers by pattern of names, such as
+            `{"*_knee": 0.5, "*": 0.25}`, of which the first that fits counts.
+        joints: Names of the joints.
+
+    Returns:
+        Numbers (n,).
+
+    Raises:
+        InputError: The value has another form, or a joint has no number, or a pattern no joint.
+    """
+    if isinstance(given, Mapping):
+        for pattern in given:
+            if not fnmatch.filter(joints, str(pattern)):
+                raise InputError(f"{told}: {pattern} fits no joint (joints: {', '.join(joints)})")
+        first = [next((v for k, v in given.items() if fnmatch.fnmatchcase(one, str(k))), None) for one in joints]
+        if None in first:
+            raise InputError(f"{told} has no number for joint {joints[first.index(None)]}")
+        given = first
+    try:
+        found = np.asarray(given, float)
+    except (TypeError, ValueError):
+        found = np.full(0, np.nan)
+    if isinstance(given, bool) or found.shape not in ((), (len(joints),)) or not np.isfinite(found).all():
+        wanted = f"a number, {len(joints)} numbers (one for each joint), or numbers by pattern of joint names"
+        raise InputError(f"{told} = {given!r:.100} is not allowed: {wanted}")
+    return np.broadcast_to(found, (len(joints),)).copy()
+
+
+def _build(cls: Any, given: Any, told: str) -> Any:
+    """Make a dataclass of this module from plain values, checked. Raises `InputError`."""
+    if not isinstance(given, Mapping):
+        raise InputError(f"{told} = {given!r:.80} is not allowed: keys and values")
+    fields = {one.name: one for one in dataclasses.fields(cls)}
+    made: dict[str, Any] = {}
+    for key, value in given.items():
+        require_choice(key, fields, f"{told}: {key}")
+        made[key] = _checked(fields[key], value, f"{told}: {key}")
+    missing = [name for name, one in fields.items() if name not in made and _has_no_default(one)]
+    if missing:
+        raise InputError(f"{told} needs the key {missing[0]}")
+    return cls(**made)
+
+
+def _has_no_default(one: Any) -> bool:
+    return one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING
+
+
+def _checked(one: Any, value: Any, told: str) -> Any:
+    """Return a value of a field in the field's type. Raises `InputError`."""
+
+    def wrong(what: str) -> InputError:
+        return InputError(f"{told} = {value!r:.80} is not allowed: {what}")
+
+    if one.name in CHOICES:
+        require_choice(value, CHOICES[one.name], f"{told} = {value}")
+        return value
+    match one.type:
+        case _ if one.name == "action":
+            return _build(ActionSpec, value, told)
+        case _ if one.name == "recurrent":
+            if not isinstance(value, list | tuple):
+                raise wrong("a list such as [{input: h_in, output: h_out}]")
+            return tuple(_build(RecurrentSpec, each, f"{told}[{k}]") for k, each in enumerate(value))
+        case _ if one.name in ("commands", "sensors"):
+            kind, what = ((int, float), "numbers") if one.name == "commands" else (str, "sensors")
+            if not isinstance(value, Mapping) or not all(isinstance(v, kind) for v in value.values()):
+                raise wrong(f"{what} by name")
+            if odd := next((name for name in value if not str(name).isidentifier()), None):
+                raise InputError(f"{told} has {odd!r}: a name has letters, digits and _")
+            return dict(value)
+        case t if t is str:
+            if not isinstance(value, str):
+                raise wrong("a word")
+        case t if t is bool:
+            if not isinstance(value, bool):
+                raise wrong("true or false")
+        case t if t is int:
+            if type(value) is not int or value < 1:
+                raise wrong("a whole number from 1 on")
+        case t if t is float:
+            if type(value) not in (int, float) or not np.isfinite(value) or (one.name != "start" and value <= 0):
+                raise wrong("a number" if one.name == "start" else "a number above 0")
+        case t if t == Numbers or t == tuple[float, ...]:
+            numbers = value if isinstance(value, list | tuple) else [value] if t == Numbers else None
+            if numbers is None or not all(type(v) in (int, float) and np.isfinite(v) for v in numbers):
+                raise wrong("numbers")
+            return tuple(map(float, numbers)) if isinstance(value, list | tuple) else float(value)
+        case t if t == tuple[str, ...]:
+            if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value):
+                raise wrong("a list of names")
+            if len({*value}) < len(value):
+                raise wrong("each name once")
+            return tuple(value)
+        case _:
+            pass
+    return value

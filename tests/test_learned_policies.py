@@ -1,0 +1,192 @@
+"""Learned policies from a network's file and a specification: equal to a plain loop of MuJoCo, and mistakes."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import onnxruntime
+import pandas as pd
+import pytest
+from onnx.reference import ReferenceEvaluator
+from robots import HOME, save_lstm, save_perceptron, write_project
+from small_study import one_line
+
+from sweep.cli.main import main
+from sweep.config.experiment import compose
+from sweep.core.errors import InputError
+from sweep.runs import batches
+from sweep.runs.runner import select_points
+
+GRAVITY = np.array([0.0, 0.0, -1.0])
+JOYSTICK = "preset: playground\ncommands: {velocity_x: 0.5, velocity_y: 0.0, yaw_rate: 0.1}\n"
+GAIT = """
+observation:
+  - {term: base_angular_velocity, scale: 0.25}
+  - projected_gravity
+  - {term: command, scale: [2.0, 2.0, 0.25]}
+  - {term: joint_positions, history: 3}
+  - {term: joint_velocities, scale: 0.05, clip: [-20, 20]}
+  - last_action
+  - {term: phase, frequency: 2.0, offsets: [0.0, 3.14159]}
+commands: {velocity_x: 0.5, velocity_y: 0.0, yaw_rate: 0.1}
+action: {scale: {"*_roll": 0.1, "*": 0.3}, clip: [-0.8, 0.8]}
+"""
+LSTM = """
+period: 0.02
+joints: [lf_roll, rf_roll, lh_roll, rh_roll, lf_hip, rf_hip, lh_hip, rh_hip, lf_knee, rf_knee, lh_knee, rh_knee]
+observation: {obs: [base_linear_velocity, projected_gravity, joint_positions, joint_velocities, last_action]}
+recurrent: [{input: h_in, output: h_out}, {input: c_in, output: c_out, start: 0.1}]
+action: {scale: 0.25, stiffness: 120, damping: {"*": 2.0}, torque_limit: 30}
+"""
+
+
+class PlainLoop:
+    """What a user would write: MuJoCo's steps, with observations and actions of a tick by hand."""
+
+    def __init__(self):
+        self.model = mujoco.MjModel.from_xml_path("robot.xml")
+        self.data = mujoco.MjData(self.model)
+        mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
+        self.tick, self.action, self.past = 0, np.zeros(self.model.nu), None
+
+    def turned(self, vector):
+        into = np.zeros(9)
+        mujoco.mju_quat2Mat(into, self.data.qpos[3:7])
+        return into.reshape(3, 3).T @ vector
+
+    def joystick(self, network):
+        mujoco.mj_forward(self.model, self.data)
+        linear, gyro = (self.data.sensor(name).data for name in ("local_linvel", "gyro"))
+        seen = [linear, gyro, self.turned(GRAVITY), self.data.qpos[7:] - HOME, self.data.qvel[6:], self.action]
+        (self.action,) = network.run(None, {"obs": np.concatenate([*seen, [0.5, 0.0, 0.1]])[None]})[0]
+        self.data.ctrl = HOME + 0.5 * self.action
+        mujoco.mj_step(self.model, self.data, 10)
+
+    def gait(self, network):
+        joints = self.data.qpos[7:] - HOME
+        self.past = np.tile(joints, (3, 1)) if self.past is None else np.vstack([self.past[1:], joints])
+        angles = 2 * np.pi * 2.0 * 0.02 * self.tick + np.array([0.0, 3.14159])
+        seen = [0.25 * self.data.qvel[3:6], self.turned(GRAVITY), [1.0, 0.0, 0.025], self.past.ravel(),
+                0.05 * np.clip(self.data.qvel[6:], -20, 20), self.action, np.cos(angles), np.sin(angles)]  # fmt: skip
+        (action,) = network.run(None, {"obs": np.concatenate(seen)[None]})[0]
+        self.action = np.clip(action, -0.8, 0.8)
+        self.data.ctrl = HOME + np.tile([0.1, 0.3, 0.3], 4) * self.action
+        mujoco.mj_step(self.model, self.data, 10)
+        self.tick += 1
+
+    def lstm(self, network):
+        order = np.arange(self.model.nu).reshape(-1, 3).T.ravel()  # rolls, hips, knees
+        joints, rates = 7 + order, 6 + order
+        self.past = self.past or [np.zeros((1, 1, 16)), np.full((1, 1, 16), 0.1)]
+        seen = [self.turned(self.data.qvel[:3]), self.turned(GRAVITY), self.data.qpos[joints] - HOME[order],
+                self.data.qvel[rates], self.action]  # fmt: skip
+        given = {"obs": np.concatenate(seen)[None], "h_in": self.past[0], "c_in": self.past[1]}
+        action, *self.past = network.run(None, given)
+        self.action = action[0]
+        target = HOME[order] + 0.25 * self.action
+        for _ in range(10):
+            torque = 120 * (target - self.data.qpos[joints]) - 2.0 * self.data.qvel[rates]
+            self.data.ctrl[order] = np.clip(torque, -30, 30)
+            mujoco.mj_step(self.model, self.data)
+
+
+def simulate(engine):
+    """Positions (ticks, nq) of the nominal rollout on an engine, in double precision."""
+    exp = compose(["study=one", f"engine={engine}", "engine.precision=float64"])
+    rows = select_points(exp)
+    rows = batches.assign_batches(exp, pd.DataFrame(), rows).assign(width=1)
+    task = batches.make_batch(exp, rows)
+    made = exp.system.make_engine(replace(task.settings, cross_check=False), task.world, task.belief, None)
+    return made.trace(task.world, task.belief, task.streams, 0).qpos
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("engine", ["native", pytest.param("mjx", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("shape", ["joystick", "gait", "lstm"])
+def test_a_policy_runs_from_its_files_as_in_a_plain_loop(here, shape, engine):
+    compare_with_plain_loop(here, shape, engine)
+
+
+def test_a_recurrent_policy_runs_on_mjx_as_in_a_plain_loop(here):
+    """A robot of one leg, in the air."""
+    compare_with_plain_loop(here, "lstm", "mjx", legs=1)
+
+
+def compare_with_plain_loop(folder, shape, engine, legs=4):
+    specification = {"joystick": JOYSTICK, "gait": GAIT, "lstm": LSTM}[shape]
+    if legs == 1:
+        specification = re.sub(r"joints: .*", "joints: [lf_roll, lf_hip, lf_knee]", specification)
+    write_project(folder, specification, motors=shape == "lstm", legs=legs)
+    if shape == "lstm":
+        save_lstm("walk.onnx", 6 + 9 * legs, 16, 3 * legs)
+        network = ReferenceEvaluator("walk.onnx")
+    else:
+        save_perceptron("walk.onnx", (48, 128, 64, 12) if shape == "joystick" else (73, 64, 12), 0.5)
+        network = onnxruntime.InferenceSession("walk.onnx", providers=["CPUExecutionProvider"])
+    plain, places = PlainLoop(), []
+    for _ in range(50):
+        getattr(plain, shape)(network)
+        places.append(plain.data.qpos.copy())
+    assert np.abs(np.diff(places, axis=0)[:, 7:]).max() > 0.02  # it moves
+    np.testing.assert_allclose(simulate(engine), places, atol=1e-5)
+
+
+def test_what_exporters_write_into_the_network_counts_unless_the_file_says_otherwise(here):
+    names = [f"{leg}_{part}" for part in ("roll", "hip", "knee") for leg in ("lf", "rf", "lh", "rh")]
+    terms = "base_lin_vel", "base_ang_vel", "projected_gravity", "joint_pos", "joint_vel", "actions", "command"
+    told = {
+        "joint_names": ",".join(names),
+        "default_joint_pos": ",".join(["0.000"] * 4 + ["0.795"] * 4 + ["-1.590"] * 4),
+        "joint_stiffness": ",".join(["90.0"] * 12),
+        "joint_damping": "1.5",
+        "action_scale": "0.125",
+        "observation_names": ",".join(terms),
+    }
+    write_project(here, "preset: mjlab\naction: {damping: 2.5}\n", motors=True)
+    save_perceptron("walk.onnx", (48, 12), **told)
+    learned = compose(["study=one"]).system.controller.learned
+    assert learned.joints == tuple(names)
+    assert [one.spec.term for one in learned.inputs["obs"]][-2:] == ["last_action", "command"]
+    np.testing.assert_array_equal(learned.scale, 0.125)
+    np.testing.assert_array_equal(learned.offset, [0.0] * 4 + [0.795] * 4 + [-1.59] * 4)
+    assert set(learned.joint_control.stiffness) == {90.0}
+    assert set(learned.joint_control.damping) == {2.5}
+    save_perceptron("walk.onnx", (48, 12), **{**told, "observation_names": "base_lin_vel,foot_clock"})
+    with pytest.raises(InputError, match=r"observation\[1\]: foot_clock is unknown"):
+        compose(["study=one"])
+
+
+@pytest.mark.parametrize(("policy", "line"), [
+    ("preset: playgroud", "preset = playgroud is unknown: did you mean playground?"),
+    ("observation: [joint_positions]", "walk.onnx takes 48 numbers as obs: its terms have 12 (joint_positions 12)"),
+    ("observation: [joint_position]", "observation[0]: joint_position is unknown: did you mean joint_positions?"),
+    ("observation: [{term: sensor, sensor: spn}]", "sensor spn is unknown: did you mean spin?"),
+    ("observation: [{term: joint_positions, skale: 2}]", "observation[0]: skale is unknown: did you mean scale?"),
+    ("observation: [last_action, last_action]", "last_action stands twice: give each a name of its own (key name)"),
+    ("observation: {seen: [last_action]}", "observation.seen is unknown (allowed: obs)"),
+    ("observation: [command]", "command needs the key commands"),
+    ("preset: isaaclab\njoints: [lf_rol]", "joint lf_rol is unknown: did you mean lf_roll?"),
+    ("preset: isaaclab\ndefault_pose: {'*_toe': 1}", "default_pose: *_toe fits no joint"),
+    ("preset: isaaclab\ndefault_pose: {'*_hip': 1}", "default_pose has no number for joint lf_roll"),
+    ("preset: isaaclab\naction: {scale: [1, 2]}", "action.scale = [1, 2] is not allowed: a number, 12 numbers"),
+    ("preset: isaaclab\naction: {actuation: pd, stiffness: 1}", "joint lf_roll has an actuator of its own law"),
+    ("preset: isaaclab\naction: {clip: [1, -1]}", "action.clip = [1.0, -1.0] is not allowed"),
+    ("preset: isaaclab\nrecurrent: [{input: h, output: h}]", "recurrent input h is unknown (allowed: obs)"),
+    ("preset: isaaclab\nhistory: 0", "history = 0 is not allowed: a whole number from 1 on"),
+    ("preset: isaaclab\nhistory: 2", "walk.onnx takes 48 numbers as obs: its terms have 96"),
+    ("preset: isaaclab\nperiod: 0.05", "model.period = 0.02 is not allowed for walk.onnx: its policy.yaml says 0.05 s"),
+    ("preset: [isaaclab", "walk.policy.yaml cannot be read: line"),
+])  # fmt: skip
+def test_a_mistake_in_a_specification_is_one_line(here, capsys, policy, line):
+    write_project(here, policy, more=", period: 0.02")
+    save_perceptron("walk.onnx", (48, 12))
+    assert main(["run", "study=one", "out=wrong"]) == 2
+    one_line(capsys.readouterr().err, line)
+    assert not Path("wrong").exists()
