@@ -180,7 +180,7 @@ def test_every_field_of_a_batch_is_a_path_or_the_page_says_why_not():
     simple = mujoco.MjSpec.from_string(ALL.replace(' simple="false"', "")).compile()
     with pytest.raises(InputError, match="MuJoCo simplified the body"):
         fields.check_variable(lambda: spec, simple, "model.body.ball.ipos.x")
-    listed, _, rest = PAGE.partition("**Paths.**")[2].partition("can vary, for these reasons:")
+    listed, _, rest = PAGE.partition("## Paths")[2].partition("can vary, for these reasons:")
     assert not [name for _, numbers in things for name in numbers if f"`{name}`" not in listed]
     table = rest.partition("\n\n`noise")[0]
     told = [
