@@ -11,8 +11,9 @@ import time
 import numpy as np
 import shared
 
+from sweep.backends import devices
 from sweep.config.experiment import compose
-from sweep.engines import devices, make
+from sweep.engines import make
 from sweep.estimation.calibration import learnable_sizes
 from sweep.metrics.outcome import classify
 from sweep.models.case import Case

@@ -21,9 +21,9 @@ import pandas as pd
 import shared
 
 from sweep.config.experiment import Experiment
+from sweep.contract.engine import Trace
 from sweep.core.constants import LOADED
 from sweep.core.provenance import version_record
-from sweep.engines.base import Trace
 from sweep.report.replays import simulate_again
 from sweep.runs import store
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from sweep.backends import devices
 from sweep.config.experiment import compose
-from sweep.engines import devices
 from sweep.engines.mjx import MjxEngine
 from sweep.metrics.outcome import classify
 

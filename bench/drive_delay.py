@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 import shared
 
+from sweep.backends import devices
 from sweep.config.experiment import compose
-from sweep.engines import devices
 from sweep.engines.closed_loop import start_state
 from sweep.formulas import evaluate
 from sweep.models.case import Case

@@ -12,8 +12,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from sweep.backends import devices, program_cache
 from sweep.config.experiment import Experiment, compose
-from sweep.engines import devices, program_cache
 from sweep.engines.mjx import MjxEngine
 from sweep.fused import driver, launch
 from sweep.systems.hexapod import replace_parameter

@@ -32,7 +32,7 @@ from mujoco.rollout import Rollout
 
 from sweep.cli.main import main as sweep
 from sweep.config.experiment import compose
-from sweep.engines.settings import EngineSettings
+from sweep.contract.engine_settings import EngineSettings
 from sweep.systems.mujoco_model import MujocoModel, batch
 
 REPETITIONS = 5

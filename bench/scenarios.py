@@ -11,8 +11,8 @@ from dataclasses import replace
 import jax
 import numpy as np
 
+from sweep.backends import devices, program_cache
 from sweep.config.experiment import compose
-from sweep.engines import devices, program_cache
 from sweep.engines.mjx import MjxEngine
 
 NAMES = ("walk_tripod", "pole_climb", "ball_balance", "ball_to_ball")

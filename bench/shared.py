@@ -8,10 +8,10 @@ from typing import Any
 
 import filelock
 
+from sweep.backends.run_id import describe_device
+from sweep.contract.engine_settings import EngineSettings
 from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
-from sweep.engines.run_id import describe_device
-from sweep.engines.settings import EngineSettings
 
 DATA = Path(__file__).parents[1] / "research" / "data"
 

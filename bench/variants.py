@@ -13,11 +13,12 @@ import jax
 import numpy as np
 from mujoco import mjx
 
+from sweep.backends import devices
 from sweep.cli.bench import measure_seconds
 from sweep.config.experiment import compose
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics
-from sweep.engines import batching, devices
+from sweep.engines import batching
 from sweep.models.case import Case
 from sweep.models.scene import compile_model
 

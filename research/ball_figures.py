@@ -18,9 +18,9 @@ from one_run import traced
 
 from sweep import load
 from sweep.analysis.intervals import wilson
+from sweep.contract.engine import Trace
 from sweep.core.plot_style import legend_below, new_figure, plot_style, save_figure
 from sweep.core.rotations import matrix, rotate
-from sweep.engines.base import Trace
 from sweep.formulas.ball import GRAVITY, ROLLING, lateral_mu
 from sweep.manoeuvres.balancing.ball_aside import BallAside, lateral_gain
 from sweep.manoeuvres.balancing.ball_climb import BallClimb

@@ -13,9 +13,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from one_run import traced
 
+from sweep.contract.engine import Trace
 from sweep.core.plot_style import legend_below, new_figure, plot_style, save_figure
 from sweep.core.rotations import rotate
-from sweep.engines.base import Trace
 from sweep.formulas.ball import GRAVITY, ROLLING
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.ledges import Ledges

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from sweep.config.experiment import compose
-from sweep.engines.base import Trace
+from sweep.contract.engine import Trace
 from sweep.replay.rendering import add_caption, render
 from sweep.replay.sampling import frames_at_times
 from sweep.runs.batches import Batch, make_engine

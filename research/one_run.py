@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from sweep.config.experiment import Experiment, compose
-from sweep.engines.base import Trace
+from sweep.contract.engine import Trace
 from sweep.runs.batches import Batch, make_engine
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from one_run import traced
 
+from sweep.contract.engine import Trace
 from sweep.core.plot_style import legend_below, new_figure, plot_style, save_figure
-from sweep.engines.base import Trace
 from sweep.replay.layout import LEG_COLORS
 from sweep.replay.plots import ACTUAL
 from sweep.replay.sampling import base_pose

@@ -16,10 +16,10 @@ from jaxtyping import Bool
 from one_run import traced
 
 from sweep.config.experiment import Experiment
+from sweep.contract.engine import Trace
 from sweep.core.constants import GRAVITY
 from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
-from sweep.engines.base import Trace
 from sweep.models.robot import total_mass
 from sweep.replay.plots import BOOK_TORQUE
 

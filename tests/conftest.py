@@ -10,8 +10,8 @@ from fake_engine import FakeEngine
 from small_study import STUDY, content
 
 import sweep.engines
+from sweep.backends import devices
 from sweep.cli.main import main
-from sweep.engines import devices
 from sweep.runs import batches
 
 ROOT = Path(__file__).parents[1]

@@ -10,7 +10,7 @@ import numpy as np
 from faultless import faultless
 
 import sweep.engines
-from sweep.systems.base import split_side
+from sweep.contract.system import split_side
 
 
 class FakeEngine:

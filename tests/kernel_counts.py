@@ -21,8 +21,8 @@ from pathlib import Path
 
 import jax
 
+from sweep.backends import devices
 from sweep.config.experiment import compose
-from sweep.engines import devices
 from sweep.engines.closed_loop import classify_sensing
 from sweep.engines.mjx import MjxEngine
 from sweep.fused import cuda, launch

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from sweep.config.experiment import compose
-from sweep.engines.base import Trace
+from sweep.contract.engine import Trace
 from sweep.models import scene
 
 

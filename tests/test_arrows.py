@@ -14,6 +14,8 @@ PACKAGE = Path(__file__).parents[1] / "sweep"
 BELOW_RUNS = (
     "fused",
     "core",
+    "contract",
+    "backends",
     "formulas",
     "models",
     "dynamics",
@@ -54,10 +56,10 @@ FILES_BELOW_RUNS = {
     "sweep.core.provenance",
     "sweep.core.user_code",
     "sweep.fused.cuda",
-    "sweep.engines.program_cache",
+    "sweep.backends.program_cache",
     "sweep.config.experiment",
     "sweep.study.study",
-    "sweep.systems.base",
+    "sweep.contract.system",
     "sweep.systems.hexapod",
     "sweep.systems.mujoco_model",
     "sweep.systems.mujoco_model.files",
@@ -67,10 +69,10 @@ FILES_BELOW_RUNS = {
 # of a system, what every one of them has: engines' protocol, settings and devices, and the choice among systems
 CONTRACT = {
     "sweep.systems",
-    "sweep.systems.base",
-    "sweep.engines.base",
-    "sweep.engines.settings",
-    "sweep.engines.devices",
+    "sweep.contract.system",
+    "sweep.contract.engine",
+    "sweep.contract.engine_settings",
+    "sweep.backends.devices",
 }
 ALIKE = {("ROUNDS", "4"), ("AROUND", "0.05"), ("DIGITS", "12")}  # constants with one name and number, of two things
 

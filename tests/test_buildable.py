@@ -9,8 +9,8 @@ from small_study import STUDY, one_line
 
 from sweep.cli.main import main
 from sweep.config.experiment import compose
+from sweep.contract.engine import NoTrace
 from sweep.engines import batching
-from sweep.engines.base import NoTrace
 from sweep.engines.native import NativeEngine
 from sweep.models import scene
 from sweep.report import replays

@@ -13,8 +13,8 @@ import pandas as pd
 import pytest
 from small_study import BATCHES, STUDY, content, one_line, start, wait_for
 
+from sweep.backends import devices
 from sweep.cli.main import main
-from sweep.engines import devices
 from sweep.runs import store
 
 pytestmark = pytest.mark.usefixtures("fake_engine")

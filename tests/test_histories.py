@@ -11,7 +11,7 @@ from small_study import STUDY, content, one_line
 import sweep
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.engines.base import TimeSeriesRequest
+from sweep.contract.engine import TimeSeriesRequest
 from sweep.report import time_series_plots
 from sweep.runs import manifest, results, store, time_series
 from sweep.runs.batches import assign_batches, make_batch, make_engine, make_nominal_batch

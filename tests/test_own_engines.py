@@ -16,7 +16,7 @@ import pytest
 
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.engines.settings import EngineSettings
+from sweep.contract.engine_settings import EngineSettings
 from sweep.runs import audit, batches, results, store
 from sweep.runs.runner import select_points
 from sweep.systems.mujoco_model import MujocoModel, fields, mjx

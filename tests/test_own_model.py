@@ -13,9 +13,9 @@ import pytest
 from mujoco.batch import Batch
 from small_study import content, one_line, wait_for
 
+from sweep.backends import devices
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.engines import devices
 from sweep.runs import batches, results, store
 from sweep.runs.runner import select_points
 from sweep.systems.mujoco_model import batch, fields, outcome

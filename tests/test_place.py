@@ -4,8 +4,8 @@ import jax
 import pytest
 from small_study import STUDY, without_progress
 
+from sweep.backends import devices
 from sweep.cli.main import main
-from sweep.engines import devices
 from sweep.fused.llvm import LANES
 from sweep.runs import store
 

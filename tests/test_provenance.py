@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 from small_study import STUDY, content
 
+from sweep.backends.run_id import run_id
 from sweep.cli.main import main
+from sweep.contract.engine_settings import EngineSettings
 from sweep.core import provenance
 from sweep.core.provenance import normalize_source
-from sweep.engines.run_id import run_id
-from sweep.engines.settings import EngineSettings
 
 SOURCE = '''"""What it does."""
 def f(x):

@@ -28,10 +28,10 @@ import filelock
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "bench"))
 
+from sweep.backends.run_id import describe_device  # noqa: E402
+from sweep.contract.engine_settings import EngineSettings  # noqa: E402
 from sweep.core.files import write_atomically  # noqa: E402
 from sweep.core.provenance import code_version, version_record  # noqa: E402
-from sweep.engines.run_id import describe_device  # noqa: E402
-from sweep.engines.settings import EngineSettings  # noqa: E402
 from validity import chaos, faults, manoeuvres, order, precision, tables  # noqa: E402
 
 Jobs = Iterator[tuple[str, Callable[[], list[dict[str, Any]]]]]  # names of jobs, and functions that measure their rows

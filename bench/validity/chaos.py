@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from sweep.config.experiment import compose
+from sweep.contract.engine import Trace
 from sweep.engines import make
-from sweep.engines.base import Trace
 from sweep.engines.batching import require_trace
 from sweep.metrics.outcome import classify
 from validity.tables import short

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from sweep.config.experiment import compose
+from sweep.contract.engine import Trace
 from sweep.core.constants import GRAVITY
-from sweep.engines.base import Trace
 from sweep.engines.batching import require_trace
 from sweep.engines.mjx import MjxEngine
 from sweep.metrics.outcome import classify

@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sweep.backends import devices
 from sweep.dynamics import interface, tree
 from sweep.dynamics.step import PhysicsState, from_components, state_at_rest, step, to_components
-from sweep.engines import devices, physics
+from sweep.engines import physics
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.fused import launch
 from sweep.fused.kernel import Kernel, compile_function

@@ -14,11 +14,12 @@ import jax
 import numpy as np
 from tabulate import tabulate
 
+from sweep.backends import program_cache
 from sweep.cli.exits import DONE
 from sweep.config.experiment import compose
+from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
-from sweep.engines import make, program_cache
-from sweep.engines.settings import EngineSettings
+from sweep.engines import make
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
 from sweep.systems.hexapod import replace_parameter

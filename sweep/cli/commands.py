@@ -281,8 +281,8 @@ def run_command(argv: list[str]) -> int:
             raise InputError(f"{group} is chosen twice: {' '.join(chosen)}")
     refuse_unknown(overrides)
     os.environ.setdefault("MUJOCO_GL", "disable")  # a run opens no window; to look for a library takes a tenth second
+    from sweep.backends import devices
     from sweep.cli.launch import launch  # takes a second to import
-    from sweep.engines import devices
 
     if args.points is not None:
         quoted = args.points.replace("\\", "\\\\").replace("'", "\\'")

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import yaml
 
+from sweep.backends.binary import model_bytes
 from sweep.cli.exits import DONE
 from sweep.config.experiment import compose
 from sweep.core.arguments import Arguments, is_value
 from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
-from sweep.models.binary import model_bytes
 from sweep.systems import exported
 
 EPILOG = """C MuJoCo and MJX simulate the exported robot with their own physics, a check of this

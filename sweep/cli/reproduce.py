@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from sweep.cli.exits import DONE, UNEXPECTED
+from sweep.contract.engine import same_bits
 from sweep.core.errors import InputError
 from sweep.core.progress import show_wait
-from sweep.engines.base import same_bits
 from sweep.report import crate, replays
 from sweep.runs import device_choice, repair, results, store
 from sweep.runs.results import Results

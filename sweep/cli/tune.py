@@ -17,13 +17,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sweep.analysis.stats import rate
+from sweep.backends import devices
 from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.config.experiment import Experiment, compose
+from sweep.contract.system import split_side
 from sweep.core.arguments import Arguments, is_value
 from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
 from sweep.core.provenance import search_version
-from sweep.engines import devices
 from sweep.models.case import Case, TabulatedManoeuvre
 from sweep.planning import plan_table
 from sweep.planning.plan_table import SLOPES, Content
@@ -40,7 +41,6 @@ from sweep.planning.score import (
 )
 from sweep.runs import store, tuning
 from sweep.study.study import make_points, parameter_columns
-from sweep.systems.base import split_side
 
 DIGITS, SLOPE_DIGITS = 4, 3  # to which numbers are rounded, and slopes
 DRAWS = ("here", "other draws")

@@ -13,12 +13,12 @@ import pandas as pd
 
 from sweep.cli.exits import DONE
 from sweep.config.experiment import Experiment, compose
+from sweep.contract.engine import Trace
 from sweep.core import provenance
 from sweep.core.arguments import Arguments
 from sweep.core.errors import InputError
 from sweep.core.files import path_in
 from sweep.core.progress import show_wait
-from sweep.engines.base import Trace
 from sweep.replay.sampling import finite_frames
 from sweep.report import page, replays
 from sweep.report.page.replay_data import ShownReplay, read_shown_replays

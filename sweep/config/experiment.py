@@ -32,19 +32,19 @@ from omegaconf.errors import (
 
 from sweep import systems
 from sweep.config import hydra_sources
+from sweep.contract.engine_settings import EngineSettings
+from sweep.contract.system import Limits, System
 from sweep.core import project
 from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import build_by_kind, check_value
 from sweep.core.yaml_check import ambiguous_number
-from sweep.engines.settings import EngineSettings
 from sweep.study import designs
 from sweep.study.clusters import Cluster
 from sweep.study.columns import LABELS, PLAN, TIMING
 from sweep.study.designs import rename_on_to_side
 from sweep.study.distributions import require_keys
 from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep
-from sweep.systems.base import Limits, System
 
 NOT_FINITE = re.compile(r"(?<=[=\[:, ])[-+]?\.(nan|inf)(?=[\]}, ]|$)", re.IGNORECASE)  # of YAML, to Hydra a word
 # whole numbers without quotes in the value of an override

@@ -62,7 +62,7 @@ GROUPS = {
     "noise": Group("sweep.models.noise:Noise", in_case=True),
     "execution": Group("sweep.models.disturbance:Execution", in_case=True),
     "control": Group("sweep.models.control:Control", in_case=True),
-    "engine": Group("sweep.engines.settings:EngineSettings"),
+    "engine": Group("sweep.contract.engine_settings:EngineSettings"),
     "outcome": Group("sweep.metrics.outcome:Thresholds"),
     "cluster": Group("sweep.study.clusters:CLUSTERS", kinds=True),
 }

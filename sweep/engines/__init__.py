@@ -1,7 +1,7 @@
 """Engines simulate batches of rollouts: `mjx`, the primary one, and `native` (C MuJoCo), the independent check."""
 
-from sweep.engines.base import Engine
-from sweep.engines.settings import EngineSettings
+from sweep.contract.engine import Engine
+from sweep.contract.engine_settings import EngineSettings
 from sweep.metrics.outcome import Thresholds
 from sweep.models.case import Case
 

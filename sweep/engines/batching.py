@@ -9,14 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from sweep.backends import devices, program_cache
+from sweep.contract.engine import Metrics, NoTrace, Sides, Trace, count_substeps
+from sweep.contract.engine_settings import EngineSettings
 from sweep.controllers.layers import Command, Feedforward
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
 from sweep.core.progress import timed_part
-from sweep.engines import base, devices, planning, pre_rollout, program_cache
-from sweep.engines.base import Metrics, NoTrace, Sides, Trace
-from sweep.engines.settings import EngineSettings
+from sweep.engines import planning, pre_rollout
 from sweep.fused.dependence import find_unread_columns
 from sweep.metrics import accumulator, outcome
 from sweep.metrics.metric import GRACE, Tick
@@ -55,12 +56,12 @@ def _compute_nominal_plan(belief: Case) -> Plan:
     return plan
 
 
-def substeps(settings: EngineSettings) -> int:
+def physics_steps_per_tick(settings: EngineSettings) -> int:
     """Number of physics steps in a control tick. Raises `InputError` if the period is no whole multiple of the step."""
     key = "native_time_step" if settings.name == "native" else "time_step"
     step, period = settings.step, settings.control_period
     allowed = f"a whole fraction of engine.control_period = {period:g} s"
-    return base.substeps(period, step, f"engine.{key} = {step:g} is not allowed: {allowed}")
+    return count_substeps(period, step, f"engine.{key} = {step:g} is not allowed: {allowed}")
 
 
 def select_row(case: Case, slot: int) -> Case:
@@ -112,7 +113,7 @@ class BatchEngine:
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
         devices.configure()
         self.settings, self.limits, self._nominal = settings, limits or Thresholds(), (world, belief)
-        self.substeps = substeps(settings)
+        self.substeps = physics_steps_per_tick(settings)
         with devices.precision(settings):
             plan = nominal_plan(belief)
             pre_rollout.check_control_settings(world, belief, plan)

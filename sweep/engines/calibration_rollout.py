@@ -11,12 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sweep.backends import devices
+from sweep.contract.engine import Engine, Metrics, NoTrace, Sides, TimeSeriesRequest, Trace
+from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.core.outcomes import FAILURE, INVALID
-from sweep.engines import batching, devices, pre_rollout
-from sweep.engines.base import Engine, Metrics, NoTrace, Sides, TimeSeriesRequest, Trace
+from sweep.engines import batching, pre_rollout
 from sweep.engines.batching import require_trace
-from sweep.engines.settings import EngineSettings
 from sweep.estimation.calibration import MOVES, PoseMeasurements, learnable_sizes
 from sweep.estimation.calibration_poses import HOLD, MOVE, CalibrationPoses, held_pose_index
 from sweep.metrics import calibration, outcome

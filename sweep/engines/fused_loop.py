@@ -10,12 +10,12 @@ import numpy as np
 from jax.stages import Compiled
 from jaxtyping import Array
 
+from sweep.backends import devices
+from sweep.contract.engine import TimeSeriesRequest
+from sweep.contract.engine_settings import EngineSettings
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
-from sweep.engines import devices
-from sweep.engines.base import TimeSeriesRequest
 from sweep.engines.planning import Planning
-from sweep.engines.settings import EngineSettings
 from sweep.engines.states import select_columns
 from sweep.estimation.belief_update import LearnedState
 from sweep.fused import eager

@@ -12,14 +12,17 @@ from jax.sharding import PartitionSpec
 from jax.stages import Compiled
 from jaxtyping import Array
 
+from sweep.backends import devices, program_cache
+from sweep.backends.binary import model_bytes
+from sweep.contract.engine import Metrics, TimeSeriesRequest
+from sweep.contract.engine_settings import EngineSettings
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.progress import timed_part
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics.free_bodies import start_at_rest
 from sweep.dynamics.step import PhysicsState, state_at_rest
-from sweep.engines import batching, devices, fused_loop, physics, planning, program_cache
-from sweep.engines.base import Metrics, TimeSeriesRequest
+from sweep.engines import batching, fused_loop, physics, planning
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.batching import BatchEngine
 from sweep.engines.closed_loop import (
@@ -37,14 +40,12 @@ from sweep.engines.closed_loop import (
 from sweep.engines.fused_loop import FusedPrograms, single_rollout_shapes
 from sweep.engines.planning import Planning
 from sweep.engines.pre_rollout import prepare_belief
-from sweep.engines.settings import EngineSettings
 from sweep.engines.states import available_columns, select_columns
 from sweep.estimation.belief_update import replan_rest
 from sweep.fused import driver, kernel, launch
 from sweep.fused.eager import NumpyProgram
 from sweep.fused.kernel import Code, Kernel
 from sweep.metrics.outcome import Thresholds
-from sweep.models.binary import model_bytes
 from sweep.models.case import Case
 
 

@@ -15,14 +15,17 @@ from jax.stages import Compiled
 from jaxtyping import Array, Bool, Float
 from mujoco.batch import Batch
 
+from sweep.backends import devices, program_cache
+from sweep.backends.binary import model_bytes
+from sweep.contract.engine import Metrics, Sides, TimeSeriesRequest
+from sweep.contract.engine_settings import EngineSettings
 from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.layers import Command
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.progress import timed_part
 from sweep.core.rotations import exponential, multiply
-from sweep.engines import batching, devices, fused_loop, planning, program_cache
-from sweep.engines.base import Metrics, Sides, TimeSeriesRequest
+from sweep.engines import batching, fused_loop, planning
 from sweep.engines.batching import BatchEngine
 from sweep.engines.closed_loop import (
     CHUNK,
@@ -42,7 +45,6 @@ from sweep.engines.closed_loop import (
 from sweep.engines.physics import push_force
 from sweep.engines.planning import Planning
 from sweep.engines.pre_rollout import prepare_belief
-from sweep.engines.settings import EngineSettings
 from sweep.engines.states import select_columns
 from sweep.estimation.belief_update import LearnedState, replan_rest
 from sweep.fused import kernel
@@ -52,7 +54,6 @@ from sweep.metrics import accumulator
 from sweep.metrics.metric import Tick
 from sweep.metrics.outcome import Thresholds
 from sweep.models import scene
-from sweep.models.binary import model_bytes
 from sweep.models.case import Case
 from sweep.models.drive import Servo, interpolate_target
 from sweep.models.legs import JOINT_V, N_JOINTS, N_LEGS

@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sweep.backends import mujoco_versions
+from sweep.contract.engine_settings import EngineSettings
 from sweep.core.vectors import Vector
 from sweep.dynamics import step as dynamics
 from sweep.dynamics import tree
@@ -20,9 +22,7 @@ from sweep.dynamics.spatial import Rates, map_joints
 from sweep.dynamics.step import DriveLimits, PhysicsState, StepReport, StepStart, from_components, to_components
 from sweep.engines import batching
 from sweep.engines.closed_loop import exact_observation
-from sweep.engines.settings import EngineSettings
 from sweep.metrics.metric import Tick
-from sweep.models import mujoco_versions
 from sweep.models.case import Case
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Servo, interpolate_target
@@ -44,11 +44,11 @@ def make_physics(settings: EngineSettings, top: Topology) -> "TickPhysics":
         top: bodies and joints of the nominal model.
     """
     if dynamics_name(settings) == "arrowhead":
-        return TickPhysics(settings, batching.substeps(settings), tree.tree_dynamics)
+        return TickPhysics(settings, batching.physics_steps_per_tick(settings), tree.tree_dynamics)
     mujoco_versions.require_mjx("engine.dynamics = mjx", "engine.dynamics=auto")
     from sweep.dynamics import mjx
 
-    return TickPhysics(settings, batching.substeps(settings), mjx.mjx_dynamics(top))
+    return TickPhysics(settings, batching.physics_steps_per_tick(settings), mjx.mjx_dynamics(top))
 
 
 def execution_limits(world: Case, step: Array, h: float) -> DriveLimits:

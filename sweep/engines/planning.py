@@ -16,8 +16,8 @@ import numpy as np
 from jax.stages import Compiled
 from jaxtyping import Array, Float, Shaped
 
+from sweep.backends import devices
 from sweep.core.progress import timed_part
-from sweep.engines import devices
 from sweep.fused import eager, kernel
 from sweep.fused.arrays import Unsupported
 from sweep.fused.eager import NumpyProgram

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sweep.contract.engine import Trace
 from sweep.controllers.layers import Feedforward, interpolate_moments
 from sweep.core.constants import GRAVITY, LOADED
-from sweep.engines.base import Trace
 from sweep.engines.closed_loop import free_body_state
 from sweep.models.obstacles.surface import Obstacle, Surface, body_poses, surface_at
 from sweep.models.robot import total_mass

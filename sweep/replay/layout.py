@@ -3,7 +3,7 @@
 from itertools import cycle
 from typing import Any
 
-from sweep.engines.base import Trace
+from sweep.contract.engine import Trace
 from sweep.models.legs import KINDS
 from sweep.replay.sampling import base_body_id, joint_names
 from sweep.replay.shapes import body_name

@@ -27,9 +27,9 @@ from foxglove.messages import (
     Timestamp,
 )
 
+from sweep.contract.engine import Trace
 from sweep.core.errors import Fault
 from sweep.core.files import descriptor, write_atomically
-from sweep.engines.base import Trace
 from sweep.replay.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
 from sweep.replay.layout import foxglove_layout
 from sweep.replay.sampling import finite_frames, frames_at_rate, joint_names, joint_positions, joint_rates

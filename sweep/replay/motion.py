@@ -11,8 +11,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from sweep.contract.engine import Trace, single_joints
 from sweep.core.files import decode_text, encode_text
-from sweep.engines.base import Trace, single_joints
 from sweep.replay.contact_forces import measured_contact_forces
 from sweep.replay.hulls import geom_hull
 from sweep.replay.sampling import base_body_id, finite_frames

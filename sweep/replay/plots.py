@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sweep.contract.engine import Trace
 from sweep.core.parameters import InputError
 from sweep.core.plot_style import LETTERS, PAGE, legend_below, new_figure, plot_style, wrap_text
-from sweep.engines.base import Trace
 from sweep.formulas import stepping
 from sweep.models.legs import KINDS, N_LEGS
 from sweep.replay.contact_forces import measured_contact_forces, planned_contact_forces

@@ -16,10 +16,10 @@ import numpy as np
 from matplotlib.image import imsave
 from PIL import Image, ImageDraw, ImageFont
 
+from sweep.contract.engine import Trace
 from sweep.core.files import write_atomically
 from sweep.core.parameters import InputError
 from sweep.core.spacing import evenly_spaced_indices
-from sweep.engines.base import Trace
 from sweep.replay.arrows import arrow_tips
 from sweep.replay.contact_forces import surfaces_under
 from sweep.replay.draw import ARRAYS_FILE, MODEL_FILE, NO_OPENGL

@@ -13,13 +13,14 @@ from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
 
 from sweep.config.experiment import build_experiment
+from sweep.contract.engine import Trace, same_bits
+from sweep.contract.engine_settings import EngineSettings
+from sweep.contract.system import judge_rollout
 from sweep.core.arguments import Arguments
 from sweep.core.files import write_atomically
 from sweep.core.parameters import InputError
 from sweep.core.plot_style import save_figure
 from sweep.core.progress import show_counts, show_wait
-from sweep.engines.base import Trace, same_bits
-from sweep.engines.settings import EngineSettings
 from sweep.engines.states import available_columns
 from sweep.models import scene
 from sweep.models.case import Case
@@ -32,7 +33,6 @@ from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffe
 from sweep.runs.runner import load_point
 from sweep.study.columns import LABELS
 from sweep.study.study import parameter_columns
-from sweep.systems.base import judge_rollout
 
 FORMAT_OPTIONS = ("mcap", "states", "model", "plot", "png", "video")  # options that a system may not support
 

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from sweep.engines.base import Trace, single_joints
+from sweep.contract.engine import Trace, single_joints
 
 BASE = "base"  # name of the robot's trunk in its model
 

@@ -4,9 +4,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from sweep.config.experiment import Experiment
+from sweep.contract.system import split_side
 from sweep.report.cells import Cells, axis_places
 from sweep.study.analytic_limits import AnalyticLimit
-from sweep.systems.base import split_side
 
 STYLES = ("--", "-.", ":")
 

@@ -7,11 +7,11 @@ from collections.abc import Iterable
 import pandas as pd
 
 from sweep.config.experiment import Experiment
+from sweep.contract.system import split_side
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import UNITS, format_unit
 from sweep.study.designs import Axis
 from sweep.study.study import unit_of_column
-from sweep.systems.base import split_side
 
 READ = {end: format_unit(unit) for end, unit in UNITS.items()} | {"deg": "°"}  # units of figures as they are read
 

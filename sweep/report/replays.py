@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sweep.backends import devices
 from sweep.config.experiment import Experiment
+from sweep.contract.engine import NoTrace, Trace, same_bits
+from sweep.contract.system import judge_rollout
 from sweep.core.errors import InputError
 from sweep.core.files import path_in, read_limited, write_atomically
-from sweep.engines import devices
-from sweep.engines.base import NoTrace, Trace, same_bits
 from sweep.replay.motion import MAX_RATE, describe_bodies, encode_motion
 from sweep.runs import batches, store
 from sweep.runs.results import Results
-from sweep.systems.base import judge_rollout
 
 REPLAYS = "replays"  # folder beside the study's parts
 NUMBER = int | float

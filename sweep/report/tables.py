@@ -12,11 +12,11 @@ from pyarrow.csv import WriteOptions, write_csv
 
 from sweep.analysis.stats import cause_lines, format_percent
 from sweep.config.experiment import Experiment
+from sweep.contract.system import split_side
 from sweep.core.expressions import column
 from sweep.report.labels import column_unit, name_and_unit, path_words, unique_headings, unique_words
 from sweep.runs.results import Results
 from sweep.study.columns import LABELS, metric_columns
-from sweep.systems.base import split_side
 
 SIGNS = {"°": r"\textdegree{}", "·": r"$\cdot$", "⁴": r"\textsuperscript{4}", r"a\_r": "$a_r$"}
 SHARES = ("share", "low", "high")  # of tables of rates; without a share, low and high are numbers of their own

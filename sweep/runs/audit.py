@@ -15,12 +15,12 @@ import pandas as pd
 
 from sweep.analysis import compare
 from sweep.config.experiment import Experiment, build_experiment
+from sweep.contract.system import AuditVariant
 from sweep.core.errors import InputError
 from sweep.core.files import path_in
 from sweep.runs import runner, store
 from sweep.runs.results import Results
 from sweep.study.study import Logger, parameter_columns, replace_settings
-from sweep.systems.base import AuditVariant
 
 AUDIT = "audit"
 

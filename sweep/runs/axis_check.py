@@ -16,9 +16,9 @@ import numpy as np
 import pandas as pd
 
 from sweep.config.experiment import Experiment
+from sweep.contract.engine import Metrics
 from sweep.core.errors import InputError
 from sweep.core.spacing import evenly_spaced_indices
-from sweep.engines.base import Metrics
 from sweep.runs.axis_effects import find_unread_columns
 from sweep.runs.batches import forget_engine, make_batch, make_engine, make_nominal_batch, with_delay_buffer
 from sweep.study.study import is_static, parameter_columns

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 
 from sweep.config.experiment import Experiment
+from sweep.contract.engine import Engine
+from sweep.contract.engine_settings import EngineSettings
+from sweep.contract.system import Limits, System
 from sweep.core.errors import Fault, InputError
-from sweep.engines.base import Engine
-from sweep.engines.settings import EngineSettings
 from sweep.study.study import extreme_points, identity_columns, is_static, parameter_columns, replace_settings
-from sweep.systems.base import Limits, System
 
 
 @dataclass(frozen=True)

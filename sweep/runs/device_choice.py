@@ -3,10 +3,10 @@
 import re
 from pathlib import Path
 
+from sweep.backends import devices
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.core.files import path_in
-from sweep.engines import devices
 
 CPU_NAME = re.compile(r"(\d+ x )?cpu\b")  # matches the name of a CPU in study.yaml
 

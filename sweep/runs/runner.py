@@ -13,12 +13,12 @@ import numpy as np
 import pandas as pd
 
 from sweep.config.experiment import Experiment, build_experiment, flatten_values
+from sweep.contract.engine import Engine
 from sweep.core import provenance, user_code
 from sweep.core.errors import Fault, InputError
 from sweep.core.expressions import mask
 from sweep.core.files import path_in
 from sweep.core.outcomes import INVALID
-from sweep.engines.base import Engine
 from sweep.runs import manifest, repair, store, time_series
 from sweep.runs.batches import (
     Batch,

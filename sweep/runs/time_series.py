@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 
 from sweep.config.experiment import Experiment
+from sweep.contract.engine import Engine, TimeSeriesRequest
+from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.core.outcomes import INVALID
-from sweep.engines.base import Engine, TimeSeriesRequest
-from sweep.engines.settings import EngineSettings
 from sweep.runs import store
 from sweep.runs.batches import Batch, make_engine, make_nominal_batch
 from sweep.runs.manifest import Entry

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sweep.contract.system import SIDES
 from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.parameters import check_value
 from sweep.study import adaptive_sampling, subset_simulation
@@ -29,7 +30,6 @@ from sweep.study.distributions import (
 )
 from sweep.study.distributions import parse_distribution as parse_distribution
 from sweep.study.point_ids import text_hash
-from sweep.systems.base import SIDES
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sweep.systems.base import SIDES, System, split_side
+from sweep.contract.system import SIDES, System, split_side
 
 if TYPE_CHECKING:
     import pandas as pd

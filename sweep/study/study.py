@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sweep.contract.engine_settings import EngineSettings
+from sweep.contract.system import Parameter, System, Values
 from sweep.core.errors import InputError, require_choice
 from sweep.core.expressions import AXES, mask
 from sweep.core.parameters import WHOLE, check_value, count, is_within_bounds
-from sweep.engines.settings import EngineSettings
 from sweep.study import adaptive_designs, designs
 from sweep.study.adaptive_sampling import KINDS, Draws
 from sweep.study.analytic_limits import AnalyticLimit
@@ -27,7 +28,6 @@ from sweep.study.columns import LABELS, PLAN, TIMING
 from sweep.study.designs import Axis, Design
 from sweep.study.distributions import require_keys
 from sweep.study.point_ids import DIGITS, point_ids, replicate_streams, row_streams
-from sweep.systems.base import Parameter, System, Values
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from sweep.contract.system import Kinds, Nominal
 from sweep.core.errors import require_choice
 from sweep.core.groups import GROUPS
-from sweep.systems.base import Kinds, Nominal
 
 COMMON = ("scenario", "study", "cluster", "out")  # keys of every configuration
 DERIVED = ("model.content",)  # keys that a stored one has besides

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep import metrics
+from sweep.contract.engine_settings import EngineSettings
 from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.layers import Feedforward
 from sweep.core.errors import InputError
@@ -31,7 +32,6 @@ from sweep.engines.closed_loop import (
     update_metrics,
 )
 from sweep.engines.pre_rollout import prepare_belief
-from sweep.engines.settings import EngineSettings
 from sweep.estimation.belief_update import LearnedState
 from sweep.metrics.metric import GOAL, REST, Tick
 from sweep.metrics.outcome import Thresholds, threshold_value

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sweep.backends import devices, run_id
+from sweep.contract.engine import Engine
+from sweep.contract.engine_settings import EngineSettings
+from sweep.contract.system import SIDES, AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
 from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import build, build_by_kind
-from sweep.engines import devices, run_id
-from sweep.engines.base import Engine
-from sweep.engines.settings import EngineSettings
 from sweep.engines.states import available_columns
 from sweep.manoeuvres import MANOEUVRES
 from sweep.metrics import outcome
@@ -36,7 +37,6 @@ from sweep.planning.plan_table import (
     WAY,
     Content,
 )
-from sweep.systems.base import SIDES, AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
 
 if TYPE_CHECKING:
     import pandas as pd

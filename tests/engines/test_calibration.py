@@ -6,9 +6,10 @@ import jax
 import numpy as np
 import pytest
 
+from sweep.backends import devices
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
-from sweep.engines import devices, make, pre_rollout
+from sweep.engines import make, pre_rollout
 from sweep.estimation.calibration import learnable_sizes
 
 STAND = ["scenario=walk_tripod", "manoeuvre=stand", "control=calibrate"]

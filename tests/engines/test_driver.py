@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.engines import program_cache
+from sweep.backends import program_cache
 from sweep.fused import driver
 from sweep.fused.arrays import Unsupported
 

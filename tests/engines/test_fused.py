@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from sweep.config.experiment import compose
+from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.engines.mjx import MjxEngine
 from sweep.engines.native import NativeEngine
-from sweep.engines.settings import EngineSettings
 from sweep.fused.arrays import Unsupported
 
 
@@ -35,7 +35,7 @@ def test_a_rollout_is_that_of_xla_to_round_off(walks):
 
 
 def test_a_rollouts_bits_depend_neither_on_its_neighbours_nor_on_their_number(walks, monkeypatch):
-    monkeypatch.setattr("sweep.engines.devices.count_cores", lambda: 1)  # twenty take wide tiles, three a narrow one
+    monkeypatch.setattr("sweep.backends.devices.count_cores", lambda: 1)  # twenty take wide tiles, three a narrow one
     whole, part = walks("fused"), walks("fused", 3, slice(16, 19))
     for name, values in part.items():
         np.testing.assert_array_equal(values, whole[name][16:19], err_msg=name)
@@ -64,7 +64,7 @@ def test_under_native_the_controller_is_that_of_xla_which_takes_what_has_no_rule
 
     fused, by_itself = figures()
     monkeypatch.setattr("sweep.fused.kernel.start_compilation", without)
-    monkeypatch.setattr("sweep.engines.program_cache._folder", lambda: None)
+    monkeypatch.setattr("sweep.backends.program_cache._folder", lambda: None)
     xla, still = figures()
     assert by_itself
     assert not still

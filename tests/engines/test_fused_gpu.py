@@ -10,11 +10,11 @@ import pytest
 from validity import precision, simulation
 from validity.scenes import kick_on_slope
 
+from sweep.backends import program_cache
 from sweep.config.experiment import compose
+from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
-from sweep.engines import program_cache
 from sweep.engines.mjx import MjxEngine
-from sweep.engines.settings import EngineSettings
 from sweep.fused import driver, launch
 from sweep.fused.arrays import Unsupported
 

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.engines import devices, planning
+from sweep.backends import devices
+from sweep.engines import planning
 from sweep.engines.planning import Planning
 from sweep.planning import forces
 

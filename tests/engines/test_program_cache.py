@@ -14,12 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sweep.backends import program_cache
 from sweep.config.experiment import compose
+from sweep.contract.engine_settings import EngineSettings
 from sweep.core import files, provenance
 from sweep.core.errors import InputError
-from sweep.engines import fused_loop, program_cache
+from sweep.engines import fused_loop
 from sweep.engines.mjx import MjxEngine
-from sweep.engines.settings import EngineSettings
 from sweep.fused import driver
 from sweep.fused.arrays import Unsupported
 from sweep.metrics.outcome import Thresholds
@@ -71,7 +72,7 @@ def test_what_one_process_compiled_the_next_loads(folder):
 def test_a_program_that_calls_lapack_runs_where_nothing_else_has_called_it(tmp_path):
     code = """if True:
         import sys, jax, jax.numpy as jnp
-        from sweep.engines import program_cache
+        from sweep.backends import program_cache
         jax.config.update("jax_compilation_cache_dir", sys.argv[1])
         compiled = lambda: print("anew") or [jax.jit(jnp.linalg.cholesky).lower(jnp.eye(2)).compile()]
         (program,) = program_cache.load_or_compile("cholesky", jax.devices()[:1], compiled)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from sweep.config.experiment import compose
+from sweep.contract.system import judge_rollout
 from sweep.core.errors import InputError
 from sweep.engines import make
 from sweep.models.scene import native_model
 from sweep.study.study import make_points
-from sweep.systems.base import judge_rollout
 
 OWN = frozenset({"inner_thigh", "outer_shin"})  # of a leg
 FAIL = {"beam_no_flywheel", "ladder_climb"}  # the first as it is meant to

@@ -9,8 +9,8 @@ import pytest
 from mujoco.batch import MODEL_FIELDS, Batch
 from small_study import one_line
 
+from sweep.backends import mujoco_versions
 from sweep.cli.main import main
-from sweep.models import mujoco_versions
 from sweep.systems.mujoco_model import fields
 
 MODEL = """<mujoco><worldbody><camera name="c" mode="trackcom"/><geom name="floor" type="plane" size="0 0 1"/>

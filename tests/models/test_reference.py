@@ -13,10 +13,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from sweep.backends import devices
 from sweep.config.experiment import compose
 from sweep.dynamics import interface, tree
 from sweep.dynamics.step import from_components, state_at_rest, step, to_components
-from sweep.engines import devices, physics
+from sweep.engines import physics
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.models.drive import position_mode
 from sweep.models.obstacles import PoleLedge

@@ -11,13 +11,14 @@ import pytest
 from dense import Dense, dense
 from mujoco import mjx
 
+from sweep.backends import devices
 from sweep.config.experiment import compose
 from sweep.controllers.frames import Stance
 from sweep.controllers.posture import joint_targets
 from sweep.core.rotations import rotate
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics
-from sweep.engines import batching, devices
+from sweep.engines import batching
 from sweep.formulas.leg import SIDE, fk
 from sweep.models import scene
 from sweep.models.case import Case

@@ -6,11 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from sweep.backends import devices
 from sweep.config.experiment import compose
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics
 from sweep.dynamics.step import state_at_rest, step, to_components
-from sweep.engines import devices, physics
+from sweep.engines import physics
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.models.drive import Servo, position_mode
 from sweep.models.scene import native_model

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sweep.config.experiment import compose
-from sweep.engines.base import Trace
+from sweep.contract.engine import Trace
 
 FRAMES, TICK = 250, 4e-3  # 1 s
 

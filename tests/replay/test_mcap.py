@@ -13,8 +13,8 @@ from mcap.stream_reader import StreamReader
 from moved import arm
 from scipy.spatial import ConvexHull
 
+from sweep.contract.engine import Trace
 from sweep.core.errors import Fault
-from sweep.engines.base import Trace
 from sweep.models.legs import KINDS
 from sweep.replay import sampling
 from sweep.replay.arrows import FORCE_SCALE, arrow_tips

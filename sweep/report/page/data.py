@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis.sample import choose_indices
+from sweep.contract.system import split_side
 from sweep.core.files import encode_text
 from sweep.replay.mcap import to_json_value
 from sweep.report import analytic_curves
@@ -19,7 +20,6 @@ from sweep.report.labels import column_meaning, kind_meaning, outcome_kind, uniq
 from sweep.report.outcome_style import FAILURE, GOOD, find_look
 from sweep.runs import refine
 from sweep.runs.results import Results
-from sweep.systems.base import split_side
 
 ROWS, SAMPLE = 40_000, 20_000  # with more rows than that the page has a sample of them, and maps of densities
 MAX_METRICS = 28  # that are on the page, the ones that outcomes are judged by first

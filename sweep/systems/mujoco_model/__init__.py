@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sweep.backends import mujoco_versions, run_id
+from sweep.contract.engine_settings import EngineSettings
+from sweep.contract.system import AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
 from sweep.core.errors import InputError, require_choice
 from sweep.core.parameters import build, check_value, quantity
-from sweep.engines import run_id
-from sweep.engines.settings import EngineSettings
-from sweep.models import mujoco_versions
-from sweep.systems.base import AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
 from sweep.systems.mujoco_model import fields, files, inactive_parameters, metrics, outcome, policy_spec
 from sweep.systems.mujoco_model.engine import ModelEngine, NativeModelEngine, print_note
 from sweep.systems.mujoco_model.model_spec import ModelConfig, ModelSpec, Settings, SideValues

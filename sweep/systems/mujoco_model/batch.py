@@ -7,10 +7,9 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from sweep.backends import devices, mujoco_versions
+from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
-from sweep.engines import devices
-from sweep.engines.settings import EngineSettings
-from sweep.models import mujoco_versions
 from sweep.systems.mujoco_model import fields
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 

@@ -15,10 +15,10 @@ import mujoco
 import numpy as np
 from mujoco.batch import SimulationError
 
+from sweep.backends import devices
+from sweep.contract.engine import Metrics, Sides, TimeSeriesRequest, Trace, count_substeps, single_joints
+from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
-from sweep.engines import devices
-from sweep.engines.base import Metrics, Sides, TimeSeriesRequest, Trace, single_joints, substeps
-from sweep.engines.settings import EngineSettings
 from sweep.fused.dependence import find_unread_columns
 from sweep.systems.mujoco_model import batch, metrics
 from sweep.systems.mujoco_model.actuation import JointControl
@@ -62,7 +62,7 @@ class ModelEngine:
         self.width = settings.width or (devices.CPU_WIDTH if settings.name == "native" else devices.default_width())
         period, step = own.config.period, self._model.opt.timestep
         allowed = f"a multiple of {step:g} s, the model's time step"
-        self._substeps = substeps(period, step, f"model.period = {period:g} is not allowed: {allowed}")
+        self._substeps = count_substeps(period, step, f"model.period = {period:g} is not allowed: {allowed}")
         ramp = (1 + np.arange(self._substeps)) / self._substeps  # what a command counts for, beside the one before
         self._shares = ramp if own.config.command == "ramped" else np.ones(self._substeps)
         self._meter = metrics.MetricAccumulator(own)

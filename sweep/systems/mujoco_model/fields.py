@@ -13,9 +13,9 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 
+from sweep.contract.system import Parameter
 from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.parameters import choice, count, quantity, setting
-from sweep.systems.base import Parameter
 
 XYZ = ("x", "y", "z")
 SOLREF, SOLIMP = ("timeconst", "dampratio"), ("dmin", "dmax", "width", "midpoint", "power")

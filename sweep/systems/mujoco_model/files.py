@@ -20,10 +20,10 @@ from xml.etree import ElementTree
 
 import mujoco
 
+from sweep.backends.binary import model_bytes
 from sweep.core import project
 from sweep.core.errors import WRONG, InputError, format_user_exception, suggest
 from sweep.core.user_code import describe_user_error, report_silence, run_user_code
-from sweep.models.binary import model_bytes
 from sweep.systems.mujoco_model import learned_policy, onnx_network, policy_spec
 from sweep.systems.mujoco_model.actuation import JointControl
 

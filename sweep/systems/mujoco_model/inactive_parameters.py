@@ -5,8 +5,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from sweep.engines.settings import EngineSettings
-from sweep.systems.base import split_side
+from sweep.contract.engine_settings import EngineSettings
+from sweep.contract.system import split_side
 from sweep.systems.mujoco_model import fields
 from sweep.systems.mujoco_model.model_spec import ModelSpec
 

@@ -5,8 +5,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from sweep.contract.engine import Metrics
 from sweep.core.constants import GRAVITY, LOADED
-from sweep.engines.base import Metrics
 from sweep.systems.mujoco_model.model_spec import ModelSpec, angle_deg, array_namespace, cosine_of_tilt
 
 STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")  # what a step tells

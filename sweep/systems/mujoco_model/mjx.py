@@ -20,12 +20,11 @@ import mujoco
 import numpy as np
 from jaxtyping import Array
 
+from sweep.backends import devices, mujoco_versions
+from sweep.contract.engine import Metrics, TimeSeriesRequest
+from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.core.user_code import report_silence
-from sweep.engines import devices
-from sweep.engines.base import Metrics, TimeSeriesRequest
-from sweep.engines.settings import EngineSettings
-from sweep.models import mujoco_versions
 from sweep.systems.mujoco_model import batch, fields, metrics
 from sweep.systems.mujoco_model.engine import (
     BatchResult,

@@ -7,10 +7,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from sweep.contract.engine_settings import EngineSettings
+from sweep.contract.system import Parameter, Values
 from sweep.core.errors import InputError, require_choice
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.engines.settings import EngineSettings
-from sweep.systems.base import Parameter, Values
 from sweep.systems.mujoco_model import fields, files
 
 

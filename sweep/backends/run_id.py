@@ -5,9 +5,9 @@ import os
 
 import jax
 
+from sweep.backends import devices
+from sweep.contract.engine_settings import EngineSettings
 from sweep.core import provenance
-from sweep.engines import devices
-from sweep.engines.settings import EngineSettings
 
 # environment variables that change compiled code or random numbers
 FLAGS = (

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
-from sweep.engines.base import Engine
-from sweep.engines.settings import EngineSettings
+from sweep.contract.engine import Engine
+from sweep.contract.engine_settings import EngineSettings
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -16,9 +16,9 @@ from jax.sharding import NamedSharding, PartitionSpec
 from jax.stages import Compiled
 from jaxtyping import Array
 
+from sweep.contract.engine_settings import EngineSettings
 from sweep.core import files
 from sweep.core.errors import InputError
-from sweep.engines.settings import EngineSettings
 
 BATCH = "batch"
 NEVER = 1 << 40

@@ -62,7 +62,7 @@ def single_joints(model: "mujoco.MjModel") -> np.ndarray:
     return np.flatnonzero(model.jnt_type >= SLIDE)
 
 
-def substeps(period: float, step: float, message: str) -> int:
+def count_substeps(period: float, step: float, message: str) -> int:
     """Number of physics steps in a control tick.
 
     Args:

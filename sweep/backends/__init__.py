@@ -1,0 +1,1 @@
+"""What engines of every system use: devices, stored programs, run ids, and the versions of MuJoCo."""
