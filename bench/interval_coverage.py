@@ -22,8 +22,8 @@ from sweep.analysis import compare, failing, rare, sampling_units, screening, se
 from sweep.analysis.sample import pooled_rate
 from sweep.config.experiment import compose_values
 from sweep.core.errors import InputError
-from sweep.study import designs
-from sweep.study.designs import INNER
+from sweep.study import design_kinds, designs
+from sweep.study.design_kinds.morris import Morris
 from sweep.study.study import Study
 
 NUMBER = 400  # studies of a case
@@ -95,13 +95,14 @@ def sobol_g_indices() -> tuple[np.ndarray, np.ndarray]:
 
 def mean_effects(function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """Return the mean sizes (3,) of the elementary effects of a function on the grid of a Morris design."""
-    low, high = INNER
+    grid = Morris.trajectory_grid
+    low, high = grid.low, grid.high
     values = low + (high - low) * np.arange(4) / 3
     means = []
     for k in range(3):
         base = np.array(list(itertools.product(*(values[:2] if j == k else values for j in range(3)))))
-        moved = base + (high - low) * sensitivity.STEP * (np.arange(3) == k)
-        means.append(np.abs(function(moved).astype(float) - function(base)).mean() / sensitivity.STEP)
+        moved = base + (high - low) * grid.step * (np.arange(3) == k)
+        means.append(np.abs(function(moved).astype(float) - function(base)).mean() / grid.step)
     return np.array(means)
 
 
@@ -239,15 +240,17 @@ class Case(NamedTuple):
 
 
 def _cases() -> Iterable[Case]:
-    for kind in ("monte_carlo", "latin_hypercube", "saltelli"):
-        prints = sensitivity.success_volume if kind == "saltelli" else pooled_rate
+    for kind in design_kinds.list_kinds(lambda kind: kind.gives_rate and not kind.is_low_discrepancy):
+        prints = pooled_rate if design_kinds.KINDS[kind].follows_distributions else sensitivity.success_volume
         yield Case(kind, prints, "rate", "64 draws", rate_hits, {"kind": kind, "cut": 0.8, "replicates": 1, "num": 64})
     for kind, cut in (("monte_carlo", 0.8), ("monte_carlo", 0.985), ("latin_hypercube", 0.8)):
         settings = {"kind": kind, "cut": cut, "replicates": 10, "num": 64}
         yield Case(kind, pooled_rate, "rate", f"64 draws x 10 replicates, P = {cut:g}", rate_hits, settings)
-    for num, scrambles in ((64, 1), (16, 4), (64, 4)):
-        settings = {"kind": "sobol", "cut": 0.985, "replicates": 1, "num": num, "scrambles": scrambles}
-        yield Case("sobol", pooled_rate, "rate", f"{scrambles} x {num} draws, P = 0.985", rate_hits, settings)
+    for kind in design_kinds.list_kinds(lambda kind: kind.is_low_discrepancy):
+        for num, scrambles in ((64, 1), (16, 4), (64, 4)):
+            if scrambles == 1 or "scrambles" in design_kinds.own_settings(design_kinds.KINDS[kind]):
+                settings = {"kind": kind, "cut": 0.985, "replicates": 1, "num": num, "scrambles": scrambles}
+                yield Case(kind, pooled_rate, "rate", f"{scrambles} x {num} draws, P = 0.985", rate_hits, settings)
     for cut in (1.42, 1.4225):
         yield Case(
             "monte_carlo",
@@ -284,7 +287,7 @@ def _cases() -> Iterable[Case]:
         yield Case(
             "saltelli", sensitivity.sobol_indices, "Sobol indices", f"128 blocks, {what}", index_hits, settings | more
         )
-        for kind in ("monte_carlo", "latin_hypercube", "sobol"):
+        for kind in design_kinds.list_kinds(lambda kind: kind.follows_distributions):
             settings = {"method": screening.rbd_fast_indices, "kind": kind, "num": 128, "metric": metric}
             more = {"columns": (("first", "error"),), "truths": truths[:1]}
             yield Case(

@@ -6,7 +6,6 @@ research/data/levels.json, which research/certainty.md cites.
 
 import time
 from collections.abc import Callable
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -14,9 +13,11 @@ import shared
 from scipy.special import ndtri
 from scipy.stats import chi2, norm
 
-from sweep.analysis import rare
 from sweep.study import importance_sampling, subset_simulation
 from sweep.study.adaptive_sampling import RoundSummary
+from sweep.study.design_kinds.base import DrawContext
+from sweep.study.design_kinds.importance import Importance, WeightedEstimate
+from sweep.study.design_kinds.subset import SubsetEstimate
 
 SUMS = ((2, 1e-3), (8, 1e-3), (8, 1e-5), (8, 1e-7), (50, 1e-5))  # number of parameters, and probability of failure
 LEVELS, RUNS, REPETITIONS = subset_simulation.LevelSettings(1000, 0.1, 1e-9), 5, 40
@@ -48,7 +49,7 @@ SHAPES = ((plane, 2, 1e-3), (plane, 8, 1e-3), (plane, 8, 1e-4), (plane, 8, 1e-6)
           (sides, 8, 1e-3), (corner, 8, 1e-3), (ring, 4, 1e-3))  # fmt: skip
 
 
-def run_levels(d: int, truth: float, seed: int) -> rare.SubsetEstimate:
+def run_levels(d: int, truth: float, seed: int) -> SubsetEstimate:
     """Run subset simulation on the sum of `d` normals, whose margin is the distance to its bound."""
     search = subset_simulation.start_search(d, LEVELS, RUNS, seed)
     draws = next(search)
@@ -57,7 +58,7 @@ def run_levels(d: int, truth: float, seed: int) -> rare.SubsetEstimate:
             margin = norm.isf(truth) - ndtri(draws.shares).sum(axis=1) / np.sqrt(d)
             draws = search.send(RoundSummary(margin < 0, margin))
     except StopIteration as end:
-        return rare.SubsetEstimate(LEVELS.target, tuple(end.value))
+        return SubsetEstimate(LEVELS.target, tuple(end.value))
 
 
 def levels_row(d: int, truth: float) -> list[str]:
@@ -71,9 +72,7 @@ def levels_row(d: int, truth: float) -> list[str]:
     return [f"{d}", f"{truth:.0e}", *(f"{v:.2f}" for v in told), f"{hold} of {REPETITIONS}", f"{rollouts:,.0f}"]
 
 
-def run_importance(
-    fails: Callable[[np.ndarray], np.ndarray], d: int, num: int, seed: int
-) -> rare.WeightedEstimate | rare.SubsetEstimate:
+def run_importance(fails: Callable[[np.ndarray], np.ndarray], d: int, num: int, seed: int) -> WeightedEstimate:
     """Return the estimate of a study by importance sampling."""
     search = importance_sampling.start_search(d, num, WIDE, ROUNDS, seed)
     draws = next(search)
@@ -81,8 +80,7 @@ def run_importance(
         draws = search.send(RoundSummary(fails(ndtri(draws.shares)), np.zeros(num)))
     rows = pd.DataFrame({f"axis.{name}": values for name, values in draws.columns.items()})
     rows["outcome"] = np.where(fails(ndtri(draws.shares)), "failure", "success")
-    design = SimpleNamespace(kind="importance", num=num, rounds=ROUNDS)
-    return rare.estimate_failure_probability(rows, SimpleNamespace(study=SimpleNamespace(name="", design=design)))  # pyright: ignore[reportArgumentType]
+    return Importance(num=num, rounds=ROUNDS).estimate_failure(rows, DrawContext((), seed))
 
 
 def importance_row(shape: Callable[..., Callable[[np.ndarray], np.ndarray]], d: int, truth: float) -> list[str]:
@@ -91,7 +89,7 @@ def importance_row(shape: Callable[..., Callable[[np.ndarray], np.ndarray]], d: 
     for num in DRAWS:
         found = [run_importance(shape(d, truth), d, num, seed) for seed in range(REPETITIONS)]
         each = np.array([one.probability for one in found]) / truth
-        hold = sum(one.low <= truth <= one.high for one in found if isinstance(one, rare.WeightedEstimate))
+        hold = sum(one.low <= truth <= one.high for one in found)
         told += [f"{each.mean():.2f}", f"{each.std(ddof=1):.2f}", f"{hold} of {REPETITIONS}",
                  f"{sum(not one.is_reliable for one in found)} of {REPETITIONS}"]  # fmt: skip
     return [shape.__name__, f"{d}", f"{truth:.0e}", *told]

@@ -24,7 +24,7 @@ from scipy.special import ndtri
 from scipy.stats import t as student
 
 from sweep.analysis.intervals import CONFIDENCE, clopper_pearson
-from sweep.analysis.rare import SubsetEstimate, WeightedEstimate, estimate_failure_probability
+from sweep.analysis.rare import estimate_failure_probability
 from sweep.config.experiment import Experiment, build_experiment, compose_values
 from sweep.core.errors import InputError
 from sweep.core.expressions import column, evaluate
@@ -32,8 +32,9 @@ from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
 from sweep.runs import runner
 from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
-from sweep.study import adaptive_designs
-from sweep.study.adaptive_sampling import Draws, summarize_round
+from sweep.study.adaptive_sampling import Draws
+from sweep.study.design_kinds.base import FailureEstimate
+from sweep.study.design_kinds.subset import SubsetEstimate
 from sweep.study.study import make_points
 
 DATA = Path(__file__).parents[1] / "research" / "data" / "rare.json"
@@ -122,12 +123,13 @@ def plain(exp: Experiment, num: int, before: int) -> Draws:
 
 def adaptive_rounds(exp: Experiment) -> Ask:
     """Generate all rounds of an adaptive study."""
-    search = adaptive_designs.make_search(exp.study.axes, exp.study.design, exp.study.seed)
+    design = exp.study.search_design
+    search = design.start_search(exp.study.draw_context)
     draws, every = next(search), []
     while True:
         every.append((yield draws))
         try:
-            draws = search.send(summarize_round(every[-1], draws, exp.study.design.lead))
+            draws = search.send(design.summarize(every[-1], draws))
         except StopIteration:
             return pd.concat(every, ignore_index=True)
 
@@ -169,7 +171,7 @@ def find_scales(robots: Robots, targets: list[float], num: int) -> dict[str, flo
     return {f"{p:g}": min(float(f"{scale:.3g}"), LADDER[0]) for p, scale in zip(targets, found, strict=True)}
 
 
-def finish_studies(robots: Robots, exps: list[Experiment]) -> list[WeightedEstimate | SubsetEstimate]:
+def finish_studies(robots: Robots, exps: list[Experiment]) -> list[FailureEstimate]:
     """Return the estimates of studies that are continued side by side."""
     asks = [adaptive_rounds(exp) for exp in exps]
     draws, rows = [next(ask) for ask in asks], []

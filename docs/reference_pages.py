@@ -23,8 +23,9 @@ from sweep.metrics.metric import Cause
 from sweep.replay import replay
 from sweep.report import crate, replays
 from sweep.runs import manifest, store
-from sweep.study import columns, designs, distributions
+from sweep.study import columns, design_kinds, designs, distributions
 from sweep.study.analytic_limits import KEYS as THEORY_KEYS
+from sweep.study.design_kinds.base import Design
 from sweep.study.study import Expectation, StudySchema
 from sweep.systems.mujoco_model import metrics as own_metrics
 from sweep.systems.mujoco_model import outcome as own_outcome
@@ -252,6 +253,20 @@ def exit_codes_page() -> str:
     return join_parts("# Exit codes", "All commands use the same codes.", table(("code", "meaning", "details"), rows))
 
 
+def design_settings() -> str:
+    """Return the keys of `study.design`, those of single kinds included, as a table."""
+    said = reference.member_comments(Design)
+    counts = [f"of {kind} {cls.num_meaning}" for kind, cls in design_kinds.KINDS.items() if cls.num_meaning]
+    said["num"] = f"{said['num']}; {', '.join(counts)}"
+    for cls in design_kinds.KINDS.values():
+        own = reference.member_comments(cls)
+        said |= {name: own[name] for name in design_kinds.own_settings(cls)}
+    owners = design_kinds.owners_of_settings().items()
+    said |= {name: f"of {' and '.join(kinds)}: {said[name]}" for name, kinds in owners}
+    members = [one for one in dataclasses.fields(design_kinds.make_schema()) if one.name != "correlation"]
+    return table(("key", "default", "meaning"), ((code(f.name), code(f.default), said[f.name]) for f in members))
+
+
 def study_file_page() -> str:
     """Keys of a study file."""
 
@@ -294,8 +309,9 @@ def study_file_page() -> str:
         "Every other `kind` is a continuous distribution of scipy.stats by its name there, with its shapes, `loc` and "
         "`scale`. `from` and `to` truncate it.",
         "## `study.design`",
-        f"Kinds: {', '.join(map(code, designs.DESIGNS))}. Grids: {', '.join(map(code, designs.GRIDS))}.",
-        keys(designs.Design),
+        f"Grids: {', '.join(map(code, designs.GRIDS))}. Kinds:",
+        table(("kind", "use it for"), ((code(kind), cls.meaning) for kind, cls in design_kinds.KINDS.items())),
+        design_settings(),
         "`correlation` is a list of `[axis, axis, coefficient]`: pairs of drawn axes, correlated by a Gaussian copula.",
         "## `study.expect`",
         "A list; exit code 4 says that an entry does not hold. Among the valid rows that match `where`, the "

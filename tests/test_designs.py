@@ -6,7 +6,6 @@ from scipy.stats import kstest, norm, truncnorm
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.study import designs
-from sweep.study.designs import design_warning
 from sweep.study.study import Study, make_points
 
 
@@ -168,7 +167,7 @@ def test_rows_say_which_whole_delays_and_joints_were_drawn(table_of):
         ({"f": FRICTION}, {"num": 4, "kind": "sobl"}, "did you mean sobol?"),
         ({"f": FRICTION}, {"num": 4, "grid": "star"}, "study.design.grid = 'star' is unknown"),
         ({"f": listed("contact.friction", 1, nominal=1)}, {}, "has a nominal value in the configuration"),
-        ({"f": FRICTION}, {"num": 4, "scrambles": 2}, "of kind sobol only"),
+        ({"f": FRICTION}, {"num": 4, "kind": "sobol", "scrambles": 0}, "scrambles = 0 is not allowed: at least 1"),
         ({"f": drawn("contact.friction", "unifrm")}, {}, "did you mean uniform?"),
         ({"f": drawn("contact.friction", from_=1)}, {}, "f.distribution.to is missing"),
         ({"f": drawn("contact.friction", from_=1, to=1)}, {}, "greater than from"),
@@ -195,7 +194,7 @@ def test_a_bad_design_is_refused(table_of, axes, design, message):
 
 def test_a_sobol_design_that_loses_its_balance_is_doubted(nominal):
     def doubt(**design):
-        return design_warning(parse(nominal, {"f": FRICTION}, design=design).design)
+        return parse(nominal, {"f": FRICTION}, design=design).design.warning
 
     assert doubt(kind="sobol", num=64) is None
     assert "not a power of 2" in str(doubt(kind="sobol", num=65))

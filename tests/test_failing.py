@@ -9,6 +9,8 @@ import pytest
 
 from sweep.analysis import failing
 from sweep.core.errors import InputError
+from sweep.study import design_kinds
+from sweep.study.design_kinds.base import DrawContext
 from sweep.study.designs import parse_axes, parse_design
 
 NORMAL = {"kind": "normal", "mean": 0, "std": 1}
@@ -19,9 +21,11 @@ COLUMNS = [f"robot.{name}" for name in "abcd"]
 def told(kind: str = "monte_carlo") -> Any:
     """What of an experiment is asked for."""
     design = parse_design({"kind": kind, "num": 1000}, AXES)
-    sought = kind in ("importance", "subset")
-    study = SimpleNamespace(axes=AXES, design=design, is_adaptive=sought, points=None, replicates=1)
-    return SimpleNamespace(study=study)
+    sought = design_kinds.is_adaptive_kind(kind)
+    search = {"search_design": design, "draw_context": DrawContext(tuple("abcd"), 0)} if sought else {}
+    return SimpleNamespace(
+        study=SimpleNamespace(axes=AXES, design=design, is_adaptive=sought, points=None, replicates=1, **search)
+    )
 
 
 def rows(u: np.ndarray, failed: np.ndarray, **more: Any) -> pd.DataFrame:

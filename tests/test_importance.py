@@ -15,6 +15,8 @@ from sweep.cli.main import main
 from sweep.runs import results, store
 from sweep.study import importance_sampling
 from sweep.study.adaptive_sampling import RoundSummary
+from sweep.study.design_kinds.base import DrawContext
+from sweep.study.design_kinds.importance import Importance, WeightedEstimate
 
 far = pytest.mark.parametrize("fake_engine", [CliffEngine], indirect=True)
 STUDY = [
@@ -28,6 +30,7 @@ def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured(fake_eng
     out = capsys.readouterr().out
     found = results.read(tmp_path)
     told = rare.estimate_failure_probability(found.rows, found.exp)
+    assert isinstance(told, WeightedEstimate)
     truth = norm.cdf(-FAR)
     assert told.low < truth < told.high
     assert told.high / told.low < 2
@@ -90,15 +93,14 @@ def test_its_mean_is_the_truth(d, bounds):
 def test_without_a_failure_there_is_a_bound_and_one_heavy_row_is_told():
     rows = pd.DataFrame({"axis.round": 1.0, "axis.weight": np.ones(300), "outcome": "success", "cause": ""})
 
-    design = SimpleNamespace(kind="importance", num=300, rounds=1)
-    exp = SimpleNamespace(study=SimpleNamespace(name="some", design=design))
-    none = rare.estimate_failure_probability(rows, exp)  # pyright: ignore[reportArgumentType]
+    design, ctx = Importance(num=300, rounds=1), DrawContext((), 0)
+    none = design.estimate_failure(rows, ctx)
     assert none.high == pytest.approx(0.01 / importance_sampling.PLAIN, rel=0.02)
     assert str(none).endswith("try a larger study.design.wide, more draws, or wider distributions")
     rows.loc[:9, "outcome"] = "failure"
     rows.loc[0, "axis.weight"] = 3.0
-    assert "NOT reliable: one row carries 25%" in str(rare.estimate_failure_probability(rows, exp))  # pyright: ignore[reportArgumentType]
-    every = rare.estimate_failure_probability(rows.assign(outcome="failure", **{"axis.weight": 1.3}), exp)  # pyright: ignore[reportArgumentType]
+    assert "NOT reliable: one row carries 25%" in str(design.estimate_failure(rows, ctx))
+    every = design.estimate_failure(rows.assign(outcome="failure", **{"axis.weight": 1.3}), ctx)
     assert (every.low, every.probability, every.high) == (1.0, 1.0, 1.0)  # whatever weights sum to
 
 
@@ -128,7 +130,7 @@ def test_modes_are_apart_however_they_are_caused():
     rows.loc[low, "cause"] = "slipped"
     rows.loc[high & ~low, "cause"] = np.where(rng.random((high & ~low).sum()) < 0.25, "slipped", "fell")
     rows["outcome"] = np.where(low | high, "failure", "success")
-    study = SimpleNamespace(design=SimpleNamespace(kind="importance", rounds=1))
+    study = SimpleNamespace(search_design=Importance(rounds=1), draw_context=DrawContext((), 0))
     study.axes = [SimpleNamespace(name=name, column=name) for name in "abc"]
     found = rare.failure_modes(rows, SimpleNamespace(study=study))  # pyright: ignore[reportArgumentType]
     assert found["share"].tolist() == pytest.approx([0.635, 0.365], abs=0.05)

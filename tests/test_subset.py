@@ -11,6 +11,7 @@ from sweep.cli.main import main
 from sweep.runs import results, store
 from sweep.study import subset_simulation
 from sweep.study.adaptive_sampling import RoundSummary
+from sweep.study.design_kinds.subset import SubsetEstimate
 
 STUDY = [
     "run", "scenario=walk_tripod", "study.name=rare", "study.design.kind=subset", "study.design.num=200",
@@ -25,6 +26,7 @@ def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured_in_parts
     out = capsys.readouterr().out
     found = results.read(tmp_path / "a")
     told = rare.estimate_failure_probability(found.rows, found.exp)
+    assert isinstance(told, SubsetEstimate)
     low, high = told.interval
     assert low < norm.cdf(-FAR) < high
     assert 1 / 3 < told.probability / norm.cdf(-FAR) < 3
@@ -81,7 +83,7 @@ def searched(fails, d, plan, runs, seed):
             margin = fails(ndtri(draws.shares))
             draws = search.send(RoundSummary(margin < 0, margin))
     except StopIteration as end:
-        return rare.SubsetEstimate(plan.target, tuple(end.value))
+        return SubsetEstimate(plan.target, tuple(end.value))
 
 
 def linear(beta):

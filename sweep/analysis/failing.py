@@ -17,7 +17,7 @@ from jaxtyping import Float
 from sweep.analysis.intervals import CONFIDENCE
 from sweep.analysis.rare import weights_of_draws_and_failures
 from sweep.analysis.sample import choose_indices
-from sweep.analysis.sampling_units import PLAIN, draw_numbers
+from sweep.analysis.sampling_units import draw_numbers
 from sweep.analysis.sensitivity import drawn_axes, listed_axes
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
@@ -47,7 +47,7 @@ def failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
             share exceeds its error.
     """
     axes = [axis for axis in (*listed_axes(rows, exp), *drawn_axes(rows, exp)) if axis.along is None]
-    plain_draws = exp.study.design.kind in PLAIN and exp.study.design.num > 0
+    plain_draws = exp.study.design.follows_distributions and exp.study.design.num > 0
     if not (exp.study.is_adaptive or plain_draws) or not 0 < len(axes) <= AXES:
         raise InputError(f"shares of failure need draws of at most {AXES} numbers")
     plain, failing = _weighted(rows, exp)

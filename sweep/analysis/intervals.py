@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-CONFIDENCE = 0.95
+from sweep.core.constants import CONFIDENCE
+
 FEW_UNITS = 5  # with fewer that have the rarer outcome, the variance between them is no estimate
 
 

@@ -59,7 +59,7 @@ def is_sample(rows: pd.DataFrame, exp: Experiment, at: Collection[str] = ()) -> 
     """
     if exp.study.is_adaptive or (exp.study.is_refined and not at):
         return False
-    if exp.study.design.kind in ("saltelli", "morris") and exp.study.design.num:
+    if exp.study.design.num and not exp.study.design.follows_distributions:
         return False
     if exp.study.points:
         return all(c in at or rows[c].nunique() == 1 for c in parameter_columns(rows))

@@ -1,4 +1,4 @@
-"""The independent unit of a design: the rows of a study that count as one observation.
+"""The independent unit of a study: the rows that count as one observation.
 
 Rows of one unit share a draw, a scramble or a trajectory, so that they carry less information than as many independent
 rows. Every interval and p-value takes its units from this module, and whether the rows are a random sample at all: the
@@ -6,7 +6,6 @@ points of a grid were chosen, so that an interval of their success rate has no m
 """
 
 from collections.abc import Callable
-from enum import StrEnum
 
 import numpy as np
 import pandas as pd
@@ -15,40 +14,24 @@ from numpy.typing import ArrayLike
 from sweep.analysis.intervals import Interval, confidence_sequence, student_interval, wilson
 from sweep.analysis.stats import rates
 from sweep.config.experiment import Experiment
+from sweep.study.design_kinds.base import SamplingUnit
+from sweep.study.designs import drawn_names
 from sweep.study.study import Study, parameter_columns
 
-
-class Unit(StrEnum):
-    """What a design draws independently."""
-
-    DRAW = "draw"  # with all its replicates and grid points
-    SCRAMBLE = "scramble"  # of a Sobol sequence, whose draws depend on each other
-    BLOCK = "block"  # of a Saltelli design: d + 2 draws
-    TRAJECTORY = "trajectory"  # of a Morris design: d + 1 draws
-    RUN = "run"  # of subset simulation
-    REPLICATE = "replicate"  # of a grid: its noise is the same at every grid point
-    NONE = "none"  # a grid without noise
+REPLICATE = SamplingUnit("replicate")  # of a grid: its noise is the same at every grid point
+NO_UNIT = SamplingUnit("none")  # of a grid without noise
 
 
-UNITS = {
-    "monte_carlo": Unit.DRAW,
-    "latin_hypercube": Unit.DRAW,
-    "sobol": Unit.SCRAMBLE,
-    "saltelli": Unit.BLOCK,
-    "morris": Unit.TRAJECTORY,
-    "importance": Unit.DRAW,
-    "subset": Unit.RUN,
-}  # by `study.design.kind`
-PLAIN = ("monte_carlo", "latin_hypercube", "sobol")  # designs whose draws follow the distributions of the axes
+def has_draws(study: Study) -> bool:
+    """Return whether the points of a study are draws of its design, rather than of a grid or a file."""
+    return study.design.num > 0 and not study.points
 
 
-def independent_unit(study: Study) -> Unit:
-    """Return which rows of a study count as one independent draw: a row, a scramble, a trajectory, a pair, or none."""
-    if study.points or not study.design.num:
-        return Unit.REPLICATE if study.replicates > 1 else Unit.NONE
-    if study.design.kind == "sobol" and study.design.scrambles == 1:
-        return Unit.DRAW  # one scramble has no spread: independent draws vary more, so that their interval is safe
-    return UNITS[study.design.kind]
+def independent_unit(study: Study) -> SamplingUnit:
+    """Return which rows of a study count as one independent observation: the unit of its design, or a replicate."""
+    if has_draws(study):
+        return study.design.unit
+    return REPLICATE if study.replicates > 1 else NO_UNIT
 
 
 def draw_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
@@ -61,9 +44,7 @@ def draw_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
     Returns:
         Whole numbers (n,), the same for rows of one draw at every grid point.
     """
-    study = exp.study
-    drawn = study.design.num > 0 and not study.points
-    return rows["replicate"].to_numpy() // (study.replicates if drawn else 1)
+    return rows["replicate"].to_numpy() // (exp.study.replicates if has_draws(exp.study) else 1)
 
 
 def unit_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
@@ -78,20 +59,9 @@ def unit_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
         draws, which were placed where earlier ones failed.
     """
     study, draws = exp.study, draw_numbers(rows, exp)
-    length = sum(axis.distribution is not None for axis in study.axes)
-    match independent_unit(study):
-        case Unit.NONE | Unit.RUN:
-            return None
-        case Unit.DRAW if study.design.kind == "importance":
-            return None
-        case Unit.SCRAMBLE:
-            return draws % study.design.scrambles
-        case Unit.BLOCK:
-            return draws // (length + 2)
-        case Unit.TRAJECTORY:
-            return draws // (length + 1)
-        case _:
-            return draws
+    if has_draws(study):
+        return study.design.unit_numbers(draws, len(drawn_names(study.axes)))
+    return draws if study.replicates > 1 else None
 
 
 def pair_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
@@ -102,15 +72,15 @@ def pair_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
         exp: Its experiment.
 
     Returns:
-        As `unit_numbers`, except that each draw of a scramble is a unit of its own: a Sobol sequence spreads them more
-        evenly than independent draws, so that the test is conservative. Also None for replicates of a grid, whose
+        As `unit_numbers`, except that each draw is a unit of its own if the design spreads the draws of a unit more
+        evenly than independent ones, so that the test is conservative. Also None for replicates of a grid, whose
         points were chosen, so that no share of them is an estimate.
     """
     unit = independent_unit(exp.study)
-    if unit == Unit.REPLICATE:
+    if unit == REPLICATE:
         varied = [c for c in parameter_columns(rows) if rows[c].nunique() > 1]
         return None if varied else draw_numbers(rows, exp)
-    return draw_numbers(rows, exp) if unit == Unit.SCRAMBLE else unit_numbers(rows, exp)
+    return draw_numbers(rows, exp) if unit.is_even else unit_numbers(rows, exp)
 
 
 def has_independent_rows(rows: pd.DataFrame, exp: Experiment) -> bool:
@@ -123,24 +93,24 @@ def has_independent_rows(rows: pd.DataFrame, exp: Experiment) -> bool:
         exp: Its experiment.
     """
     study = exp.study
-    if independent_unit(study) == Unit.REPLICATE:
+    if independent_unit(study) == REPLICATE:
         plain = all(rows[c].nunique() <= 1 for c in parameter_columns(rows))
     else:
-        plain = study.design.kind in PLAIN and study.design.num > 0 and not study.points
+        plain = study.design.follows_distributions and has_draws(study)
     return plain and not study.is_refined and len(np.unique(draw_numbers(rows, exp))) == len(rows)
 
 
 def interval_method(study: Study) -> str:
     """Name the method of the intervals of `condition_rates`, for titles and captions."""
-    scrambled = independent_unit(study) == Unit.SCRAMBLE and not study.budget
-    return "Student's t over scrambles" if scrambled else draw_interval_method(study)
+    unit = independent_unit(study)
+    return f"Student's t over {unit.name}s" if unit.is_even and not study.budget else draw_interval_method(study)
 
 
 def draw_interval_method(study: Study) -> str:
     """Name the method of the intervals of `stats.rates` by draw, for captions."""
     if study.budget:
         return "confidence sequence"
-    repeated = study.replicates > 1 and study.design.num > 0 and not study.points
+    repeated = study.replicates > 1 and has_draws(study)
     return "Korn-Graubard, by draw" if repeated else "Wilson"
 
 
@@ -159,16 +129,17 @@ def condition_rates(
         interval: Function of successes and trials to the interval, where every row is a unit of its own.
 
     Returns:
-        The table of `stats.rates`. With a budget the interval is a confidence sequence. With scrambles it is Student's
-        t interval of their rates, or that of independent draws if all rates are equal. Else see `stats.rates`.
+        The table of `stats.rates`. With a budget the interval is a confidence sequence. If the design spreads the
+        draws of a unit evenly, it is Student's t interval of the units' rates, or that of independent draws if all
+        rates are equal. Else see `stats.rates`.
     """
     study, draws = exp.study, draw_numbers(rows, exp)
     if study.budget:
         return rates(rows, by, confidence_sequence, draws)
     table = rates(rows, by, interval, draws)
-    if independent_unit(study) != Unit.SCRAMBLE or table.empty:
+    if not independent_unit(study).is_even or table.empty:
         return table
-    parts = rates(rows.assign(scramble=unit_numbers(rows, exp)), [*by, "scramble"])
+    parts = rates(rows.assign(unit=unit_numbers(rows, exp)), [*by, "unit"])
     ends = parts.groupby(by or (lambda _: 0), observed=True)["share"].agg(
         lambda shares: student_interval(shares.dropna())
     )

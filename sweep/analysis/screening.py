@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis.intervals import CONFIDENCE
-from sweep.analysis.sampling_units import PLAIN, draw_numbers
+from sweep.analysis.sampling_units import draw_numbers
 from sweep.analysis.sensitivity import (
     MIN_RARER,
     drawn_axes,
@@ -15,6 +15,7 @@ from sweep.analysis.sensitivity import (
 )
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
+from sweep.study import design_kinds
 
 LEAST, MOST = 100, 20_000  # rollouts that are asked for, and that are looked at
 SLICES, HARMONICS = 10, 10  # of PAWN; of RBD-FAST
@@ -67,8 +68,8 @@ def rbd_fast_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = N
     """Estimate first-order Sobol indices of success or of a metric by RBD-FAST, with 95 % errors (bootstrap).
 
     The index is the share of the variance that an axis explains alone (Tarantola, Gatelli and Mara 2006). Its error is
-    NaN for Sobol sequences, and for success with fewer than `MIN_RARER` draws of the rarer outcome: it does not hold
-    there.
+    NaN for low-discrepancy sequences, and for success with fewer than `MIN_RARER` draws of the rarer outcome: it does
+    not hold there.
 
     Args:
         rows: Rows of a study with plain, uncorrelated draws at one condition.
@@ -89,7 +90,7 @@ def rbd_fast_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = N
     indices = salib.analyze({"num_vars": len(names), "names": names}, x, y, HARMONICS, seed=0)
     error = indices["S1_conf"]
     too_few = figure is None and rarer_outcomes(y) < MIN_RARER
-    if exp.study.design.kind == "sobol" or too_few:  # the order of a Sobol sequence biases its harmonics
+    if exp.study.design.is_low_discrepancy or too_few:  # the order of a sequence biases its harmonics
         error = np.full(len(names), np.nan)
     table = pd.DataFrame({"axis": names, "first": indices["S1"], "error": error, "draws": len(y)})
     return table.sort_values("first", ascending=False, ignore_index=True)
@@ -100,8 +101,9 @@ def _sample(
 ) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Return the drawn axes, their values (n, d) and the outcome or metric (n,) of valid draws."""
     names = [axis.column for axis in numeric_axes(rows, drawn_axes(rows, exp))]
-    if exp.study.design.kind not in PLAIN or not names:
-        raise InputError(f"{what} a study with draws of design.kind = {', '.join(PLAIN)}")
+    if not exp.study.design.follows_distributions or not names:
+        kinds = design_kinds.list_kinds(lambda kind: kind.follows_distributions)
+        raise InputError(f"{what} a study with draws of design.kind = {', '.join(kinds)}")
     if conditions := listed_axes(rows, exp):
         raise InputError(f"{what} one grid point: choose among {', '.join(a.column for a in conditions)}")
     value = outcome_values(rows, figure)

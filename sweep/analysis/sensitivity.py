@@ -15,17 +15,18 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from sweep.analysis.intervals import CONFIDENCE, Interval, clopper_pearson, student_interval
-from sweep.analysis.sampling_units import PLAIN, condition_rates, draw_numbers
+from sweep.analysis.sampling_units import condition_rates, draw_numbers
 from sweep.analysis.stats import rates
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
-from sweep.study.designs import INNER, LEVELS, Axis, unit_draws
+from sweep.study import design_kinds
+from sweep.study.design_kinds.base import Sensitivity
+from sweep.study.designs import Axis, drawn_names, unit_draws
 
 PERMUTATIONS, PERMUTED = (199, 999), 100_000_000  # of draws, fewer where there are many rows; numbers permuted in all
 MIN_BLOCKS, MIN_RARER = 128, 30  # blocks, and draws of the rarer outcome, below which errors of indices do not hold
-MIN_PATHS = 20  # of a Morris design, below which the errors of a metric's effects do not hold
-STEP = LEVELS / (2 * (LEVELS - 1))  # of an axis in a path of a Morris design, as a share of its range
+MIN_PATHS = 20  # trajectories below which the errors of a metric's effects do not hold
 GOODNESS_TRIALS = 10  # at every value, for a test of how well a fit follows the rates
 
 
@@ -69,14 +70,13 @@ def success_volume(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     The interval is that of `sampling_units.condition_rates`, and Clopper and Pearson's if draws are independent.
 
     Args:
-        rows: Rows of a study with draws; of a Saltelli design only the rows of its base sample count.
+        rows: Rows of a study with draws; only those that its design counts as a plain sample are used.
         exp: Its experiment.
 
     Returns:
         The table of `stats.rates`: a row for each condition.
     """
-    if exp.study.design.kind == "saltelli":  # of the d + 2 rows of a block the first ones are a plain sample
-        rows = rows[draw_numbers(rows, exp) % (sum(a.distribution is not None for a in exp.study.axes) + 2) == 0]
+    rows = rows[exp.study.design.select_rate_draws(draw_numbers(rows, exp), len(drawn_names(exp.study.axes)))]
     return condition_rates(rows, exp, [a.column for a in listed_axes(rows, exp)], clopper_pearson)
 
 
@@ -388,7 +388,7 @@ def regional_sensitivity(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     invalid = int((~good & ~bad).sum())
     draws = draw_numbers(rows, exp)
     repeated = len(np.unique(draws[good | bad])) < (good | bad).sum()
-    plain = exp.study.design.kind in PLAIN
+    plain = exp.study.design.follows_distributions
     lines = []
     for axis in numeric_axes(rows, drawn_axes(rows, exp)):
         good_ones, bad_ones = rows[axis.column][good], rows[axis.column][bad]
@@ -468,19 +468,24 @@ def outcome_values(rows: pd.DataFrame, figure: str | None) -> pd.Series:
 
 
 def _blocks(
-    rows: pd.DataFrame, exp: Experiment, figure: str | None, kind: str, what: str, more: int
+    rows: pd.DataFrame, exp: Experiment, figure: str | None, wanted: Sensitivity, what: str
 ) -> tuple[list[Axis], np.ndarray]:
-    """Return the drawn axes of a design, and the values of its blocks (blocks, d + more); NaN for invalid rows.
+    """Return the drawn axes of a design, and the values of its blocks (blocks, draws of one); NaN for invalid rows.
 
     Raises:
         InputError: The design is another one, or rows have several conditions.
     """
     axes = [a for a in exp.study.axes if a.distribution is not None]
-    if exp.study.design.kind != kind or not axes:
-        raise InputError(f"{what} need a study with design.kind = {kind}")
+    if exp.study.design.sensitivity != wanted or not axes:
+        kinds = design_kinds.list_kinds(lambda kind: kind.sensitivity == wanted)
+        raise InputError(f"{what} need a study with design.kind = {' or '.join(kinds)}")
     if conditions := listed_axes(rows, exp):
         raise InputError(f"{what} need one grid point: choose among {', '.join(a.column for a in conditions)}")
-    value, draw, length = outcome_values(rows, figure), rows["replicate"] // exp.study.replicates, len(axes) + more
+    value, draw, length = (
+        outcome_values(rows, figure),
+        rows["replicate"] // exp.study.replicates,
+        exp.study.design.block_size(len(axes)),
+    )
     mean = value.groupby(draw).mean().where(value.notna().groupby(draw).any())
     return axes, mean.reindex(range(exp.study.design.num * length)).to_numpy().reshape(-1, length)
 
@@ -493,7 +498,7 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
     block of d + 2 rows with an invalid one is left out.
 
     Args:
-        rows: Rows of a study with `design.kind=saltelli` at one condition.
+        rows: Rows of a study whose design is made for Sobol indices, at one condition.
         exp: Its experiment.
         figure: Column of a metric; None: success.
 
@@ -506,7 +511,7 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
     """
     from SALib.analyze import sobol
 
-    axes, whole = _blocks(rows, exp, figure, "saltelli", "Sobol indices", 2)
+    axes, whole = _blocks(rows, exp, figure, Sensitivity.SOBOL_INDICES, "Sobol indices")
     whole = whole[~np.isnan(whole).any(axis=1)]
     if len(whole) < 2 or whole.std() == 0:
         raise InputError(f"Sobol indices need values that vary: {len(whole)} complete blocks of {whole.shape[1]} draws")
@@ -547,11 +552,11 @@ def _binomial_error(changes: np.ndarray, largest: float | None) -> np.ndarray:
     return np.maximum(high - share, share - low) * largest
 
 
-def _path_effects(shares: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _path_effects(shares: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
     """Return the sizes (paths, d) of the elementary effects of values (paths, d + 1) at shares (paths, d + 1, d)."""
     steps = np.diff(shares, axis=1)
     axis = np.abs(steps).argmax(axis=2)
-    sizes = np.abs(np.diff(values, axis=1)) / STEP
+    sizes = np.abs(np.diff(values, axis=1)) / step
     effects = np.empty_like(sizes)
     np.put_along_axis(effects, axis, sizes, axis=1)
     return effects
@@ -564,7 +569,7 @@ def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None =
     is NaN for a metric with fewer than `MIN_PATHS` paths. A path with an invalid rollout is left out.
 
     Args:
-        rows: Rows of a study with `design.kind=morris` at one condition.
+        rows: Rows of a study whose design is made for elementary effects, at one condition.
         exp: Its experiment.
         figure: Column of a metric; None: success.
 
@@ -578,19 +583,22 @@ def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None =
     """
     from SALib.analyze import morris
 
-    axes, mean = _blocks(rows, exp, figure, "morris", "elementary effects", 1)
+    axes, mean = _blocks(rows, exp, figure, Sensitivity.ELEMENTARY_EFFECTS, "elementary effects")
     whole, length = ~np.isnan(mean).any(axis=1), mean.shape[1]
     if whole.sum() < 2:
         raise InputError(f"elementary effects need two complete paths of {length} draws, here: {whole.sum()}")
     chosen = np.repeat(whole, length)
     shares = unit_draws(exp.study.axes, exp.study.design, exp.study.seed)[chosen]
-    problem = {"num_vars": len(axes), "names": [a.column for a in axes], "bounds": [[*INNER]] * len(axes)}
-    result = morris.analyze(problem, shares, mean[whole].ravel(), num_levels=LEVELS, seed=0)
+    grid = exp.study.design.trajectory_grid
+    assert grid is not None  # every design for elementary effects has one
+    bounds = [[grid.low, grid.high]] * len(axes)
+    problem = {"num_vars": len(axes), "names": [a.column for a in axes], "bounds": bounds}
+    result = morris.analyze(problem, shares, mean[whole].ravel(), num_levels=grid.levels, seed=0)
     columns = {"mean_size": "mu_star", "mean": "mu", "spread": "sigma"}
     labels = {name: result[key] for name, key in columns.items()}
-    effects = _path_effects(shares.reshape(-1, length, len(axes)), mean[whole])
+    effects = _path_effects(shares.reshape(-1, length, len(axes)), mean[whole], grid.step)
     low, high = np.array([student_interval(sizes) for sizes in effects.T]).T
-    least = _binomial_error(effects, 1 / STEP if figure is None else None)
+    least = _binomial_error(effects, 1 / grid.step if figure is None else None)
     error = np.fmax((high - low) / 2, least)
     holds = figure is None or len(effects) >= MIN_PATHS
     labels["error"] = np.where((error > 0) & holds, error, np.nan)

@@ -12,7 +12,7 @@ import pandas as pd
 
 from sweep.analysis import certify, sensitivity
 from sweep.analysis.intervals import clopper_pearson
-from sweep.analysis.sampling_units import Unit, independent_unit
+from sweep.analysis.sampling_units import has_draws
 from sweep.analysis.stats import format_percent
 from sweep.cli.run import report_progress
 from sweep.config.experiment import Experiment, build_experiment
@@ -20,6 +20,7 @@ from sweep.core.errors import InputError
 from sweep.core.files import path_in
 from sweep.report.tables import page_table
 from sweep.runs import extend, results, runner, store
+from sweep.study import design_kinds
 
 MOST_PARAMETERS = 8
 FRESH, AGAIN = "certify/fresh", "certify/again"  # studies of their own in the folder
@@ -71,10 +72,10 @@ def check_arguments(args: argparse.Namespace) -> None:
 def drawn_parameters(exp: Experiment, rows: pd.DataFrame) -> list[str]:
     """Columns of the drawn axes. Raises `InputError` where rows are not independent draws of a few numbers."""
     own = exp.study
-    unit = independent_unit(own)
-    if unit != Unit.DRAW or own.design.kind != "monte_carlo" or own.replicates > 1 or own.is_refined:
+    if not (has_draws(own) and own.design.has_independent_draws) or own.replicates > 1 or own.is_refined:
+        kinds = " or ".join(design_kinds.list_kinds(lambda kind: kind.has_independent_draws))
         raise InputError(
-            f"{own.name} has no independent draws: certify needs study.design.kind = monte_carlo, replicates = 1"
+            f"{own.name} has no independent draws: certify needs study.design.kind = {kinds}, replicates = 1"
         )
     if listed := sensitivity.listed_axes(rows, exp):
         raise InputError(f"axis {listed[0].name} has listed values: certify needs a distribution for every axis")

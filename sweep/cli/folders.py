@@ -171,6 +171,7 @@ def show_statistics(args: argparse.Namespace) -> int:
     from sweep.core.expressions import column
     from sweep.report import statistics
     from sweep.runs import results
+    from sweep.study import design_kinds
     from sweep.study.columns import metric_columns
 
     exp = results.load_experiment(args.dir)
@@ -180,8 +181,9 @@ def show_statistics(args: argparse.Namespace) -> int:
     rows = read_matching_rows(args.dir, args.where, [c for c in empty.columns if c not in measured] + figures)
     if not 0 < args.level < 1:
         raise InputError(f"--level = {args.level:g} is not allowed: between 0 and 1")
-    if args.figure and exp.study.design.kind not in ("saltelli", "morris"):
-        raise InputError("--figure is for sensitivity: it needs a study with study.design.kind=saltelli or morris")
+    if args.figure and not exp.study.design.sensitivity.needs_own_design:
+        kinds = " or ".join(design_kinds.list_kinds(lambda kind: kind.sensitivity.needs_own_design))
+        raise InputError(f"--figure is for sensitivity: it needs a study with study.design.kind={kinds}")
     terminal.print_markdown(
         statistics.render_statistics(rows, exp, args.level, args.figure), required=("share", "low", "high")
     )

@@ -34,7 +34,6 @@ from sweep.runs import adaptive_rounds, axis_check, axis_effects, refine, runner
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import make_nominal_batch as nominal_batch
 from sweep.runs.nominal_levels import FailingLevel, find_failing_levels
-from sweep.study import designs
 from sweep.study.clusters import WorkerStatus, connect_lazily
 from sweep.study.study import check_expect, name_axes, parameter_columns, unit_of_column
 from sweep.systems import find_kind_by_keys
@@ -83,7 +82,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
     whole = flags.where is None and flags.limit is None
     if exp.study.is_refined:
         refine.check(exp.study, first)
-    if line := designs.design_warning(exp.study.design):
+    if line := exp.study.design.warning:
         print(f"sweep: {line}", file=sys.stderr)
     if flags.dry_run:
         job = runner.prepare_job(exp, folder, first)

@@ -39,7 +39,7 @@ from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import build_by_kind, check_value
 from sweep.core.yaml_check import ambiguous_number
-from sweep.study import designs
+from sweep.study import design_kinds, designs
 from sweep.study.clusters import Cluster
 from sweep.study.columns import LABELS, PLAN, TIMING
 from sweep.study.designs import rename_on_to_side
@@ -85,22 +85,34 @@ class Experiment:
 def register_schemas() -> None:
     """Register configuration files and schemas with Hydra, including those of user modules. Raises `InputError`."""
     add_user_classes(project.import_user_modules())
-    _register()
+    _register_classes()
+    _register_systems(tuple(design_kinds.KINDS))
     for group, kinds in KINDS.items():
         hydra_sources.SCHEMAS[group] = {kind: partial(_schema, cls) for kind, cls in kinds.items()}
 
 
 @functools.cache
-def _register() -> None:
+def _register_classes() -> None:
     hydra_sources.register_sources()
     for group, cls in CLASSES.items():
         hydra_sources.SCHEMAS[group] = {group: partial(_schema, cls)}
+
+
+@functools.lru_cache(maxsize=1)
+def _register_systems(design_names: tuple[str, ...]) -> None:
+    """Register the schemas of systems, whose studies have the settings of all designs."""
+    design = design_kinds.make_schema()
+    typed = [("design", design, field(default_factory=design))]
+    whole_types = {
+        **WHOLE,
+        "study": dataclasses.make_dataclass("StudySchema", typed, bases=(StudySchema,), frozen=True),
+    }
     # the whole configuration of a system; what stands open in it is merged in by schemas of its own
     for kind in systems.SYSTEMS.values():
         every = {*systems.COMMON, *kind.keys} - {"out"}
         names = [*(n for n in GROUPS if n in every), *(n for n in kind.keys if n not in GROUPS)]
-        made = {**WHOLE, **dict.fromkeys(kind.open, dict)}
-        parts = [(n, WHOLE.get(n, Any), field(default_factory=made[n]) if n in made else None) for n in names]
+        made = {**whole_types, **dict.fromkeys(kind.open, dict)}
+        parts = [(n, whole_types.get(n, Any), field(default_factory=made[n]) if n in made else None) for n in names]
         whole = _schema(dataclasses.make_dataclass("ExperimentSchema", [*parts, ("out", str | None, None)]))
         for node in (whole.study.axes, *(whole[n] for n in kind.open)):
             OmegaConf.set_struct(node, False)  # their parts are named freely
@@ -108,9 +120,10 @@ def _register() -> None:
 
 
 def add_user_classes(modules: tuple[ModuleType, ...]) -> None:
-    """Add the obstacles and manoeuvres of user modules to the built-in ones. Raises `InputError`."""
+    """Add the obstacles, manoeuvres and designs of user modules to the built-in ones. Raises `InputError`."""
     tables = {name: group.table for name, group in GROUPS.items() if group.in_case and group.kinds}
     for module in modules:
+        design_kinds.add_designs(module)
         for group, name in tables.items():
             if not isinstance(own := getattr(module, name, {}), Mapping):
                 raise InputError(f"module {module.__name__}: {name} = {own} is not allowed: classes by kind")

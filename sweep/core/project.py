@@ -160,10 +160,10 @@ def yaml_error_line(error: yaml.YAMLError) -> str:
 
 
 def import_user_modules() -> tuple[ModuleType, ...]:
-    """Import the user modules with obstacles and manoeuvres: the project's, then those of installed packages.
+    """Import the user modules, which add obstacles, manoeuvres and designs: the project's, then those of packages.
 
-    The `OBSTACLES` and `MANOEUVRES` of a module map kinds to classes. An installed package announces a module as an
-    entry point of the group `sweep.modules`. Raises `InputError` where a module cannot be imported.
+    The `OBSTACLES`, `MANOEUVRES` and `DESIGNS` of a module map kinds to classes. An installed package announces a
+    module as an entry point of the group `sweep.modules`. Raises `InputError` where a module cannot be imported.
     """
     return _imported(find_project() if read_settings().get("modules") else None, user_module_names())
 

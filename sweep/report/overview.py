@@ -12,7 +12,7 @@ from sweep.core.files import path_in, printable_name
 from sweep.report.headline import probability_of_failure
 from sweep.runs import store
 from sweep.runs.results import load_experiment
-from sweep.study.adaptive_sampling import KINDS
+from sweep.study.design_kinds import is_adaptive_kind
 
 
 def overview_text(folders: list[Path]) -> str:
@@ -40,7 +40,7 @@ def describe_folder(folder: Path) -> dict[str, str]:
         return {"folder": name, **empty, "study": printable_name(str(error).split(":")[0].removeprefix(f"{folder}/"))}
     found, config = rate(outcome), flatten_values(stored["config"])
     succeed = format_percent(found.share) if found.valid else ""
-    if config.get("study.design.kind") in KINDS and config.get("study.design.num"):
+    if is_adaptive_kind(config.get("study.design.kind")) and config.get("study.design.num"):
         succeed = probability_of_failure(store.read_rows(folder), load_experiment(folder)) if found.total else ""
     return {
         "folder": name,

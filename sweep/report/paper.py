@@ -26,6 +26,7 @@ from sweep.report.labels import heading
 from sweep.runs import audit
 from sweep.runs.results import Results
 from sweep.study.columns import metric_columns
+from sweep.study.design_kinds.base import FailureEstimate
 
 LINES = 40  # of a table; longer ones are data only
 CSV_ROWS = 5_000  # more rows than this are kept as parquet
@@ -188,7 +189,7 @@ def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
             yield f"statistics-{number}", escape_latex(title) + ".", content
 
 
-def quotable_numbers(results: Results, failure: rare.WeightedEstimate | rare.SubsetEstimate | None) -> Iterator[Number]:
+def quotable_numbers(results: Results, failure: FailureEstimate | None) -> Iterator[Number]:
     """Yield every number of the text, and those that a paper about the study is likely to quote.
 
     Args:
@@ -234,7 +235,7 @@ def quotable_numbers(results: Results, failure: rare.WeightedEstimate | rare.Sub
             yield Number(start + macro_name(figure) + word, float(value), f"{value:.4g}", what, 'outcome == "success"')
 
 
-def caveat(results: Results, failure: rare.WeightedEstimate | rare.SubsetEstimate | None) -> str:
+def caveat(results: Results, failure: FailureEstimate | None) -> str:
     """Sentence that has to accompany the numbers if earlier rows decided which points were run."""
     if results.exp.study.is_refined:
         return "Most rollouts were placed next to the boundary, so this is not the share of the region."

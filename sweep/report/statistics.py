@@ -18,6 +18,7 @@ from sweep.report.labels import heading
 from sweep.report.tables import page_table
 from sweep.runs import refine
 from sweep.runs.results import Results
+from sweep.study.design_kinds.base import Sensitivity
 
 Analysis = Callable[[pd.DataFrame, Experiment, str | None], pd.DataFrame]
 
@@ -48,7 +49,7 @@ def statistics_sections(
     if one_at_a_time:
         sure = f" ({interval_method(exp.study)}, 95 %)" if exp.study.has_repeats else ""
         yield f"Rate along each axis, the others nominal{sure}", sensitivity.one_at_a_time_rates(rows, exp)
-    elif drawn and exp.study.design.kind != "morris":
+    elif drawn and exp.study.design.gives_rate:
         method = interval_method(exp.study).replace("Wilson", "Clopper-Pearson")
         yield f"Share of the draws that succeed ({method}, 95 %)", sensitivity.success_volume(rows, exp)
     elif several and listed:
@@ -108,20 +109,25 @@ def _sensitivity_tables(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[s
         )
 
 
-def sensitivity_methods(exp: Experiment, size: int) -> dict[str, Analysis]:
-    """The methods of SALib that fit a study's design and its number of draws, by title."""
-    match exp.study.design.kind:
-        case "saltelli":
+def sensitivity_methods(exp: Experiment, draws: int) -> dict[str, Analysis]:
+    """Return the methods that fit a study's design, by title.
+
+    Args:
+        exp: experiment of the study.
+        draws: number of draws among its rows.
+    """
+    match exp.study.design.sensitivity:
+        case Sensitivity.SOBOL_INDICES:
             return {"Sobol indices": sensitivity.sobol_indices}
-        case "morris":
+        case Sensitivity.ELEMENTARY_EFFECTS:
             return {"Elementary effects (Morris)": sensitivity.elementary_effects}
-        case _ if size < screening.LEAST:
-            return {}
-        case _:
+        case Sensitivity.GIVEN_DATA if draws >= screening.LEAST:
             return {
                 "PAWN indices": screening.pawn_indices,
                 "First Sobol indices (RBD-FAST)": screening.rbd_fast_indices,
             }
+        case _:
+            return {}
 
 
 def render_statistics(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None) -> str:

@@ -13,8 +13,7 @@ from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.runs.runner import Job, prepare_job
-from sweep.study import adaptive_designs
-from sweep.study.adaptive_sampling import Draws, summarize_round
+from sweep.study.adaptive_sampling import Draws
 from sweep.study.study import make_points
 
 
@@ -33,22 +32,19 @@ def iter_jobs(exp: Experiment, folder: Path) -> Iterator[Job]:
     Raises:
         InputError: Rounds in the folder were drawn from other outcomes than its rows have now.
     """
-    study, search = exp.study, adaptive_designs.make_search(exp.study.axes, exp.study.design, exp.study.seed)
+    study, design = exp.study, exp.study.search_design
+    search = design.start_search(study.draw_context)
     draws: Draws = next(search)
     while True:
         table = make_points(study, exp.system, exp.settings, round_=draws)
         planned = store.read_points(folder)
         _refuse_other_rounds(folder, planned, table)
         if not exp.settings.width:
-            design = study.design
-            smallest = table.head(
-                design.runs * design.level_settings.chain_count if design.kind == "subset" else design.num
-            )
-            first = planned if len(planned) else prepare_job(exp, folder, smallest).table
+            first = planned if len(planned) else prepare_job(exp, folder, table.head(design.smallest_round)).table
             exp = replace(exp, settings=replace(exp.settings, width=int(first["width"].iloc[-1])))
         yield prepare_job(exp, folder, table)
         try:
-            draws = search.send(summarize_round(store.read_rows(folder), draws, study.design.lead))
+            draws = search.send(design.summarize(store.read_rows(folder), draws))
         except StopIteration:
             return
 

@@ -6,8 +6,7 @@ from typing import Any
 from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.errors import InputError
 from sweep.runs import runner, store
-
-GROWING = ("monte_carlo", "sobol")  # designs whose first draws stay the same when more are drawn
+from sweep.study import design_kinds
 
 
 def count_draws(exp: Experiment) -> int:
@@ -28,8 +27,8 @@ def check_extendable(exp: Experiment, folder: Path) -> None:
     """
     if exp.study.points or exp.study.is_refined:
         raise InputError(f"{folder} cannot be extended: its points come from a file, or a search chooses them")
-    if exp.study.design.num and exp.study.design.kind not in GROWING:
-        allowed = " or ".join(GROWING)
+    if exp.study.design.num and not exp.study.design.can_add_draws:
+        allowed = " or ".join(design_kinds.list_kinds(lambda kind: kind.can_add_draws))
         raise InputError(
             f"{folder} cannot be extended: study.design.kind = {exp.study.design.kind} (allowed: {allowed})"
         )

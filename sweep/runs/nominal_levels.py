@@ -7,7 +7,7 @@ from typing import NamedTuple
 from sweep.config.experiment import Experiment
 from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
 from sweep.runs.runner import simulate_batch
-from sweep.study.designs import Axis, Design
+from sweep.study.designs import Axis
 from sweep.study.study import make_points
 
 MAX_LEVELS = 12  # tried on an axis, as each level compiles a program
@@ -52,7 +52,8 @@ def _is_categorical(axis: Axis) -> bool:
 
 def _iter_failing(exp: Experiment, axis: Axis) -> Iterator[FailingLevel]:
     axis = replace(axis, values=(axis.values or ())[:MAX_LEVELS])
-    alone = {"axes": (axis,), "design": Design(), "replicates": 1, "where": None, "resolution": 0.0, "budget": 0}
+    nominal = replace(exp.study.design, grid="full", num=0, correlation=())
+    alone = {"axes": (axis,), "design": nominal, "replicates": 1, "where": None, "resolution": 0.0, "budget": 0}
     exp = replace(exp, study=replace(exp.study, **alone, keep=()))
     table = make_points(exp.study, exp.system, exp.settings).assign(width=1)
     exp = with_delay_buffer(exp, table)

@@ -22,7 +22,7 @@ from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.runs.runner import Job, prepare_job
-from sweep.study.designs import MOST, Axis
+from sweep.study.designs import MOST, Axis, drawn_names
 from sweep.study.study import Study, make_points
 
 MISSING, INVALID, FAILS, SUCCEEDS = -2, -1, 0, 1
@@ -64,7 +64,7 @@ def make_lattice(study: Study) -> Lattice:
     values = [np.unique(np.asarray(a.values, dtype=float)) for a in axes]
     if not axes or min(map(len, values)) < 2:
         raise InputError("refinement needs axes of numbers, with at least 2 values each")
-    if study.has_repeats and study.design.kind not in ("monte_carlo", "sobol"):
+    if study.has_repeats and not study.design.can_add_draws:
         raise InputError(
             f"refinement needs draws that can be extended: study.design.kind = {study.design.kind} has none"
         )
@@ -153,7 +153,7 @@ def next_points(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
         InputError: See `make_lattice`.
     """
     study, grid = exp.study, make_lattice(exp.study)
-    first = max(study.design.num * study.design.scrambles, 1) * study.replicates
+    first = max(study.design.count_draws(len(drawn_names(study.axes))), 1) * study.replicates
     tables = []
     room = study.budget - len(rows) if study.budget else math.inf
     for names, part in iter_panels(study, rows):
@@ -177,8 +177,8 @@ def _point_rollouts(
     """Return rollouts for the points in the mask `asked`, up to a number of `upto` at each."""
     study, most = exp.study, int(upto[asked].max())
     if study.design.num:
-        draws = -(-most // (study.replicates * study.design.scrambles))
-        study = replace(study, design=replace(study.design, num=draws))
+        draws = -(-most // study.replicates)
+        study = replace(study, design=study.design.with_draws(draws, len(drawn_names(study.axes))))
     else:
         study = replace(study, replicates=most)
     at = np.nonzero(asked)

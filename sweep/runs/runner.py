@@ -32,13 +32,14 @@ from sweep.runs.batches import (
     with_delay_buffer,
 )
 from sweep.runs.manifest import Entry
+from sweep.study import design_kinds
 from sweep.study.clusters import Dispatch
 from sweep.study.columns import metric_columns
 from sweep.study.study import Logger, make_points, name_axes
 
 # Keys that may differ between runs into one folder: they choose points, or judge rows. The distribution that draws
-# follow may not change.
-MUTABLE_KEYS = ("study.axes.", "study.design.num", "study.design.runs", "study.points", "study.where",
+# follow may not change, and of a design only settings that let it grow.
+MUTABLE_KEYS = ("study.axes.", "study.points", "study.where",
                 "study.replicates", "study.resolution", "study.level", "study.budget", "study.audit",
                 "study.invalid_max", "study.expect", "study.theory", "scenario.expect", "outcome", "cluster",
                 "out")  # fmt: skip
@@ -244,14 +245,13 @@ def describe_changed_axes(exp: Experiment, folder: Path) -> list[str]:
 
 def immutable_settings(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings, by dotted path, that may not change between runs into one folder."""
-    redraws_all = values["study"]["design"]["kind"] == "latin_hypercube"  # another number of draws changes every draw
+    growing = design_kinds.find_kind(values["study"]["design"]["kind"]).growing_settings
     return {
         key: value
         for key, value in flatten_values(values).items()
-        if not key.startswith(MUTABLE_KEYS)
+        if not (key.startswith(MUTABLE_KEYS) or key in {f"study.design.{name}" for name in growing})
         or ".distribution" in key
         or key.endswith(".relative")
-        or (redraws_all and key == "study.design.num")
     }
 
 

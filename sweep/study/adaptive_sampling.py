@@ -17,7 +17,6 @@ from sweep.core.expressions import column, evaluate
 if TYPE_CHECKING:
     import pandas as pd
 
-KINDS = ("importance", "subset")
 DIGITS = 6  # decimals of proposals, so that draws are equal on machines whose last bits differ
 EDGE = 2.0**-32  # of quantiles, so that none is infinite
 LEAD = "margin"  # column that subset simulation follows by default
@@ -68,23 +67,3 @@ def summarize_round(rows: "pd.DataFrame", draws: Draws, lead: str) -> RoundSumma
     except (SyntaxError, TypeError, ValueError):
         raise InputError(f"study.design.lead = {lead!r} is not allowed: a column of numbers, such as {LEAD}") from None
     return RoundSummary((here["outcome"] != "success").to_numpy(), found)
-
-
-def replay_search(search: Search, rows: "pd.DataFrame", lead: str) -> Any:
-    """Run a search again on stored rows, without simulating anything.
-
-    Args:
-        search: A new search with the study's seed.
-        rows: Finished rows of the study.
-        lead: As in `summarize_round`.
-
-    Returns:
-        The result of the search; None where rows of a round are missing.
-    """
-    try:
-        draws = next(search)
-        while np.isin(draws.numbers, rows["replicate"]).all():
-            draws = search.send(summarize_round(rows, draws, lead))
-    except StopIteration as end:
-        return end.value
-    return None

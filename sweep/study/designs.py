@@ -9,7 +9,6 @@ Every axis gives a number n, listed or drawn, and turns it into a value of its p
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,8 @@ import numpy as np
 from sweep.contract.system import SIDES
 from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.parameters import check_value
-from sweep.study import adaptive_sampling, subset_simulation
+from sweep.study import adaptive_sampling, design_kinds
+from sweep.study.design_kinds.base import Design, DrawContext
 from sweep.study.distributions import (
     Distribution,
     format_values,
@@ -29,16 +29,11 @@ from sweep.study.distributions import (
     require_keys,
 )
 from sweep.study.distributions import parse_distribution as parse_distribution
-from sweep.study.point_ids import text_hash
 
 if TYPE_CHECKING:
     import pandas as pd
 
-DESIGNS = ("monte_carlo", "latin_hypercube", "sobol", "saltelli", "morris", *adaptive_sampling.KINDS)
-LEVELS, INNER = 4, (0.005, 0.995)  # of a morris design: values of an axis, and the shares that they lie between
 MOST = 20_000_000  # rollouts of a study, whose plan takes 10 GB
-KIND_OF = {"wide": "importance", "rounds": "importance", "share": "subset", "target": "subset", "runs": "subset",
-           "lead": "subset"}  # of the designs that have a number or a name of their own  # fmt: skip
 GRIDS = ("full", "one_at_a_time")
 AXIS_KEYS = {  # meaning of each key of an axis
     "path": "parameter that varies, such as contact.friction; without it the axis is a number that other axes refer to",
@@ -107,31 +102,6 @@ class Axis:
         return f"{what}, times {self.times}" if self.times else what
 
 
-@dataclass(frozen=True)
-class Design:
-    """How listed axes are combined, and how axes with a distribution are sampled."""
-
-    grid: str = "full"  # of listed axes: every combination, or each axis alone with the others nominal
-    kind: str = "monte_carlo"  # how drawn axes are sampled
-    # draws; of sobol those of one scramble, of saltelli the base sample N of N (d + 2), of morris paths, of importance
-    # those of a round, of subset those of a level
-    num: int = 0
-    scrambles: int = 1  # independent repetitions of sobol, which tell its error
-    wide: float = 2.0  # of importance: how many times as wide the first round's normals are
-    rounds: int = 2  # of importance, of `num` draws each, after the first
-    share: float = 0.1  # of subset: of a level's rows that the next one begins with
-    target: float = 1e-7  # of subset: the least probability that is looked for
-    runs: int = 5  # of subset: independent repetitions, which tell its error
-    lead: str = adaptive_sampling.LEAD  # of subset: column, or sum of some, that shrinks before anything breaks
-    # one, other, coefficient: of pairs of drawn axes, by the normals of a Gaussian copula
-    correlation: tuple[Any, ...] = ()
-
-    @property
-    def level_settings(self) -> subset_simulation.LevelSettings:
-        """Settings of the levels of subset simulation."""
-        return subset_simulation.LevelSettings(self.num, self.share, self.target)
-
-
 def refuse_ignored_settings(study: Mapping[str, Any]) -> None:
     """Raise `InputError` where a newly composed study sets values that its design ignores.
 
@@ -142,11 +112,14 @@ def refuse_ignored_settings(study: Mapping[str, Any]) -> None:
     design = study.get("design")
     if not isinstance(design, Mapping):
         return  # which is refused by what reads it
-    for key, kind in KIND_OF.items():
-        usual, value = getattr(Design, key), design[key]
-        if design["kind"] != kind and value != usual:
-            other = f"not allowed with study.design.kind = {design['kind']}: it needs kind = {kind} (default {usual})"
-            raise InputError(f"study.design.{key} = {value} is {other}")
+    defaults = dataclasses.asdict(design_kinds.make_schema()())
+    for key, kinds in design_kinds.owners_of_settings().items():
+        usual, value = defaults[key], design[key]
+        if design["kind"] not in kinds and value != usual:
+            needs = f"it needs kind = {' or '.join(kinds)} (default {usual})"
+            raise InputError(
+                f"study.design.{key} = {value} is not allowed with study.design.kind = {design['kind']}: {needs}"
+            )
 
 
 def rename_on_to_side(axes: Mapping[str, Any]) -> dict[str, Any]:
@@ -223,25 +196,24 @@ def parse_design(values: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     Raises:
         InputError: A setting is not allowed, or does not fit the axes.
     """
-    fields = {member.name: member for member in dataclasses.fields(Design)}
+    fields = {member.name: member for member in dataclasses.fields(design_kinds.make_schema())}
     values = require_keys("study.design", values, tuple(fields))
     values = {key: check_value(fields[key], value, f"study.design.{key}") for key, value in values.items()}
-    drawn = [a.name for a in axes if a.distribution]
+    drawn = list(drawn_names(axes))
     values["correlation"] = _correlation("study.design.correlation", values.get("correlation") or [], drawn)
-    design = Design(**values)
-    for key, allowed in (("kind", DESIGNS), ("grid", GRIDS)):
-        require_choice(value := getattr(design, key), allowed, f"study.design.{key} = {value!r}")
-    if design.correlation and design.kind in ("saltelli", "morris"):
-        raise InputError(f"study.design.correlation is not allowed with {design.kind}, which varies one axis at a time")
-    least = 1 if drawn else 0
-    if design.num < least:
-        of = f" for {', '.join(drawn)}" if drawn else ""
-        raise InputError(f"study.design.num = {design.num} is not allowed: at least {least}{of}")
-    if design.num and not drawn:
-        raise InputError(f"study.design.num = {design.num} is not allowed: no axis has a distribution")
-    if design.scrambles < 1 or (design.scrambles > 1 and design.kind != "sobol"):
-        raise InputError(f"study.design.scrambles = {design.scrambles} is not allowed: at least 1, of kind sobol only")
+    kind = design_kinds.find_kind(values.get("kind", design_kinds.DEFAULT))
+    require_choice(grid := values.get("grid", kind.grid), GRIDS, f"study.design.grid = {grid!r}")
+    own = {member.name: member for member in dataclasses.fields(kind)}
+    design = kind(
+        **{key: check_value(own[key], value, f"study.design.{key}") for key, value in values.items() if key in own}
+    )
+    design.check(drawn, [a.name for a in axes if a.values is not None])
     return design
+
+
+def drawn_names(axes: tuple[Axis, ...]) -> tuple[str, ...]:
+    """Return the names of the axes that have a distribution."""
+    return tuple(axis.name for axis in axes if axis.distribution is not None)
 
 
 def _correlation(key: str, pairs_config: Any, drawn: list[str]) -> tuple[tuple[str, str, float], ...]:
@@ -271,13 +243,6 @@ def _matrix(pairs: tuple[tuple[str, str, float], ...], names: list[str]) -> np.n
         i, j = names.index(a), names.index(b)
         matrix[i, j] = matrix[j, i] = share
     return matrix
-
-
-def design_warning(design: Design) -> str | None:
-    """Return a warning about a design whose statistics suffer, or None."""
-    if design.kind in ("sobol", "saltelli") and design.num & (design.num - 1):
-        return f"study.design.num = {design.num} is not a power of 2: estimates from Sobol draws get less precise"
-    return None
 
 
 def _axis(key: str, name: str, axis_config: Any) -> Axis:
@@ -347,7 +312,7 @@ def make_design_table(
         seed: Seed of the draws.
         nominal_of: Returns the nominal value of a parameter path.
         grid: Numbers of the listed axes by name; those of the design by default.
-        round_: Draws of a round of an adaptive design, which draws none by itself.
+        round_: Draws of a round of an adaptive design, in place of those of its first round.
 
     Returns:
         One row for each draw at each grid point: the columns of the axes, and `draw`, the number of the draw.
@@ -383,11 +348,7 @@ def count_points(axes: tuple[Axis, ...], design: Design) -> int:
         Number of grid points times number of draws; the largest number for adaptive designs.
     """
     lengths = [len(a.values) for a in axes if a.values is not None and a.along is None]
-    drawn = sum(a.distribution is not None for a in axes)
-    more = {"saltelli": drawn + 2, "morris": drawn + 1, "importance": design.rounds + 1}
-    draws = design.num * more.get(design.kind, design.scrambles)
-    if design.kind == "subset" and design.num:
-        draws = design.runs * design.level_settings.max_rollouts
+    draws = design.count_draws(len(drawn_names(axes)))
     return (sum(lengths) if design.grid == "one_at_a_time" else math.prod(lengths)) * max(draws, 1)
 
 
@@ -427,50 +388,19 @@ def unit_draws(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:
     drawn = [a for a in axes if a.distribution]
     if not drawn:
         return np.empty((0, 0))
-    # scipy is slow to import, and a listing needs none of it
-    match design.kind:
-        case "monte_carlo":  # a stream for each axis: one more axis or more draws leave the others as they are
-            rngs = [np.random.default_rng([seed, int(text_hash(a.name))]) for a in drawn]
-            shares = np.stack([rng.random(design.num) for rng in rngs], axis=1)
-        case "latin_hypercube":
-            from scipy.stats import qmc
+    return _spread(design.sample(DrawContext(drawn_names(axes), seed)), drawn, design)
 
-            shares = qmc.LatinHypercube(len(drawn), rng=np.random.default_rng([seed])).random(design.num)
-        case "sobol":
-            from scipy.stats import qmc
 
-            with warnings.catch_warnings(action="ignore", category=UserWarning):  # its balance: see `caution`
-                parts = [
-                    qmc.Sobol(len(drawn), rng=np.random.default_rng([seed, k])).random(design.num)
-                    for k in range(design.scrambles)
-                ]
-            shares = np.stack(parts, axis=1).reshape(-1, len(drawn))  # more draws come last
-        case "morris":  # of paths that change one axis after the other; scaled, as 0 and 1 are infinitely far for some
-            from SALib.sample import morris
-
-            problem = {"num_vars": len(drawn), "names": [a.name for a in drawn], "bounds": [[*INNER]] * len(drawn)}
-            shares = morris.sample(problem, design.num, num_levels=LEVELS, seed=seed)
-        case _:
-            from SALib.sample import sobol
-
-            problem = {"num_vars": len(drawn), "names": [a.name for a in drawn], "bounds": [[0.0, 1.0]] * len(drawn)}
-            with warnings.catch_warnings(action="ignore", category=UserWarning):
-                shares = sobol.sample(problem, design.num, calc_second_order=False, seed=seed)
-    return _spread(shares, drawn, design)
+def extreme_draws(axes: tuple[Axis, ...]) -> adaptive_sampling.Draws:
+    """Return two draws with all drawn axes at the lower, and at the upper ends of their ranges."""
+    return adaptive_sampling.Draws(np.repeat([[0.0], [1.0]], len(drawn_names(axes)), axis=1), np.arange(2), {})
 
 
 def _spread(shares: np.ndarray, axes: list[Axis], design: Design) -> np.ndarray:
     """Give independent quantiles the correlations of the design (a Gaussian copula)."""
     shares = np.clip(shares, adaptive_sampling.EDGE, 1 - adaptive_sampling.EDGE)
     if design.correlation:
-        from scipy.special import ndtr, ndtri
-
-        root = np.linalg.cholesky(_matrix(design.correlation, [a.name for a in axes]))
-        normals = ndtri(shares) @ root.T
-        if design.kind == "latin_hypercube":  # by order alone (Iman and Conover 1982), so that strata keep their draw
-            places = np.argsort(np.argsort(normals, axis=0), axis=0)
-            return np.take_along_axis(np.sort(shares, axis=0), places, axis=0)
-        shares = np.clip(ndtr(normals), adaptive_sampling.EDGE, 1 - adaptive_sampling.EDGE)
+        return design.correlate(shares, np.linalg.cholesky(_matrix(design.correlation, [a.name for a in axes])))
     return shares
 
 

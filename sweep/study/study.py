@@ -20,12 +20,13 @@ from sweep.contract.system import Parameter, System, Values
 from sweep.core.errors import InputError, require_choice
 from sweep.core.expressions import AXES, mask
 from sweep.core.parameters import WHOLE, check_value, count, is_within_bounds
-from sweep.study import adaptive_designs, designs
-from sweep.study.adaptive_sampling import KINDS, Draws
+from sweep.study import design_kinds, designs
+from sweep.study.adaptive_sampling import Draws
 from sweep.study.analytic_limits import AnalyticLimit
 from sweep.study.analytic_limits import parse_limit as parse_theory
 from sweep.study.columns import LABELS, PLAN, TIMING
-from sweep.study.designs import Axis, Design
+from sweep.study.design_kinds.base import AdaptiveDesign, Design, DrawContext
+from sweep.study.designs import Axis
 from sweep.study.distributions import require_keys
 from sweep.study.point_ids import DIGITS, point_ids, replicate_streams, row_streams
 
@@ -77,7 +78,7 @@ class StudySchema(_PlainSettings):
     """Hydra schema of a study, which varies parameters of a scenario; `Study.parse` reads it."""
 
     axes: dict[str, Any] = field(default_factory=dict)
-    design: Design = field(default_factory=Design)
+    design: Any = field(default_factory=lambda: design_kinds.make_schema()())  # its keys: see `config`
     expect: list[Any] = field(default_factory=list)
     theory: list[Any] = field(default_factory=list)
     keep: list[Any] = field(default_factory=list)
@@ -102,7 +103,19 @@ class Study(_PlainSettings):
     @property
     def is_adaptive(self) -> bool:
         """Whether the study samples failures adaptively."""
-        return self.design.kind in KINDS and self.design.num > 0
+        return isinstance(self.design, AdaptiveDesign) and self.design.num > 0
+
+    @property
+    def search_design(self) -> AdaptiveDesign:
+        """The design of a study that samples failures adaptively. Raises `TypeError` for others."""
+        if not isinstance(self.design, AdaptiveDesign):
+            raise TypeError(f"{self.design.kind} is no adaptive design")
+        return self.design
+
+    @property
+    def draw_context(self) -> DrawContext:
+        """What the design receives of the study."""
+        return DrawContext(designs.drawn_names(self.axes), self.seed, self.name)
 
     @property
     def is_sequential(self) -> bool:
@@ -153,8 +166,7 @@ class Study(_PlainSettings):
         axes = designs.parse_axes(values["axes"])
         design = designs.parse_design(values["design"], axes)
         source = "scenario" if single else "study"
-        if design.kind in KINDS:
-            adaptive_designs.check_design(design, axes)
+        if isinstance(design, AdaptiveDesign):
             beside = {"where": values["where"], "points": values["points"], "replicates": values["replicates"] > 1}
             for key in (key for key, value in beside.items() if value):
                 raise InputError(f"study.{key} is not allowed with study.design.kind = {design.kind}")
@@ -308,7 +320,7 @@ def make_points(
         told = partial(system.nominal, settings=settings)
         if study.is_adaptive and round_ is None:
             _check_ends(study, system, settings)
-            round_ = next(adaptive_designs.make_search(study.axes, study.design, study.seed))
+            round_ = next(study.search_design.start_search(study.draw_context))
         design = designs.make_design_table(study.axes, study.design, study.seed, told, grid, round_)
     draw = design.pop("draw") if not study.points else 0
     fields = {c: system.parameter(c, settings) for c in design.columns if not c.startswith("axis.")}
@@ -378,7 +390,7 @@ def extreme_points(study: Study, system: System, settings: EngineSettings) -> "p
     """
     told = partial(system.nominal, settings=settings)
     return designs.make_design_table(
-        study.axes, study.design, study.seed, told, round_=adaptive_designs.extreme_draws(study.axes)
+        study.axes, study.design, study.seed, told, round_=designs.extreme_draws(study.axes)
     )
 
 

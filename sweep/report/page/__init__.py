@@ -153,7 +153,7 @@ def render_page(
         headline=headline(rows, results.exp) if results.exp.study.is_adaptive else "",
         sure=rate.has_interval,
         independent=independent,
-        unit=independent_unit(results.exp.study),
+        unit=independent_unit(results.exp.study).name,
         refined_effects=bool(about["effects"]),
         method=interval_method(results.exp.study),
         came=str(outcome_kind(rows).iloc[0]).replace("_", " ") if len(rows) else "",

@@ -1,0 +1,115 @@
+"""The kinds of study designs: one module each, and those of user modules.
+
+A module of this package, or a user module, lists its designs as `DESIGNS`, a table of classes by kind.
+"""
+
+import dataclasses
+import pkgutil
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+from sweep.core.errors import InputError, require_choice
+from sweep.study.design_kinds.base import AdaptiveDesign, Design, Sensitivity
+
+KINDS: dict[str, type[Design]] = {}  # by name, in the order of lists
+DEFAULT = "monte_carlo"  # kind of a study that names none
+TABLE = "DESIGNS"  # name of a module's table
+
+
+def add_designs(module: ModuleType) -> None:
+    """Add the designs of a module to the table of kinds.
+
+    Args:
+        module: A module of this package, or of a user. Its `DESIGNS`, if any, are classes by kind.
+
+    Raises:
+        InputError: The table is none, a class is no complete design, a kind exists already, or a setting differs from
+            that of another kind.
+    """
+    if not isinstance(own := getattr(module, TABLE, {}), Mapping):
+        raise InputError(f"module {module.__name__}: {TABLE} = {own} is not allowed: classes by kind")
+    for kind, cls in own.items():
+        if KINDS.get(kind) is cls:
+            continue
+        wrong = f"module {module.__name__}: {TABLE} has {kind}: {cls}, "
+        if not isinstance(cls, type) or not issubclass(cls, Design):
+            raise InputError(f"{wrong}not a subclass of Design")
+        if getattr(cls, "kind", None) != kind:
+            raise InputError(f"{wrong}whose kind is {getattr(cls, 'kind', 'missing')!r}")
+        required = ("meaning", "columns") if issubclass(cls, AdaptiveDesign) else ("meaning",)
+        wanted = [*cls.__abstractmethods__, *(name for name in required if not hasattr(cls, name))]
+        if cls.sensitivity == Sensitivity.ELEMENTARY_EFFECTS and cls.trajectory_grid is None:
+            wanted.append("trajectory_grid")
+        if wanted:
+            raise InputError(f"module {module.__name__}: design {kind} has no {min(wanted)}")
+        if kind in KINDS:
+            raise InputError(f"module {module.__name__}: design {kind} exists already: choose another name")
+        _check_settings(module, kind, cls)
+        KINDS[kind] = cls
+    ordered = sorted(KINDS.items(), key=lambda one: (one[1].position, one[0]))
+    KINDS.clear()
+    KINDS.update(ordered)
+
+
+def own_settings(cls: type[Design]) -> dict[str, "dataclasses.Field[Any]"]:
+    """Return the settings of a kind that not all kinds have, by name."""
+    common = {member.name for member in dataclasses.fields(Design)}
+    return {member.name: member for member in dataclasses.fields(cls) if member.name not in common}
+
+
+def _check_settings(module: ModuleType, kind: str, cls: type[Design]) -> None:
+    known = {name: member for other in KINDS.values() for name, member in own_settings(other).items()}
+    for name, member in own_settings(cls).items():
+        if member.default is dataclasses.MISSING:
+            raise InputError(f"module {module.__name__}: setting {name} of design {kind} has no default")
+        if name in known and (member.type, member.default) != (known[name].type, known[name].default):
+            has = f"has another type or default than {name} of another kind"
+            raise InputError(f"module {module.__name__}: setting {name} of design {kind} {has}")
+
+
+def find_kind(kind: Any) -> type[Design]:
+    """Find the class of a value of `study.design.kind`. Raises `InputError`."""
+    require_choice(kind, KINDS, f"study.design.kind = {kind!r}")
+    return KINDS[kind]
+
+
+def is_adaptive_kind(kind: Any) -> bool:
+    """Return whether a value of `study.design.kind` names a design that searches for failures."""
+    return issubclass(KINDS.get(kind, Design), AdaptiveDesign)
+
+
+def list_kinds(matches: Callable[[type[Design]], bool]) -> list[str]:
+    """List the kinds whose class matches, for messages about what is allowed."""
+    return [kind for kind, cls in KINDS.items() if matches(cls)]
+
+
+def owners_of_settings() -> dict[str, list[str]]:
+    """Return the kinds that have each setting that not all kinds have, by its name."""
+    found: dict[str, list[str]] = {}
+    for kind, cls in KINDS.items():
+        for name in own_settings(cls):
+            found.setdefault(name, []).append(kind)
+    return found
+
+
+def make_schema() -> type:
+    """Make the Hydra schema of `study.design`: a frozen dataclass with the settings of all kinds."""
+    own = {name: member for cls in KINDS.values() for name, member in own_settings(cls).items()}
+    common = {member.name: member for member in dataclasses.fields(Design)}
+    grid, num, correlation = (common[name] for name in ("grid", "num", "correlation"))
+    members = [(member.name, member.type, member.default) for member in (num, *own.values(), correlation)]
+    return dataclasses.make_dataclass(
+        "DesignSchema",
+        [
+            (grid.name, grid.type, dataclasses.field(default=grid.default)),
+            ("kind", str, dataclasses.field(default=DEFAULT)),
+            *((name, type_, dataclasses.field(default=default)) for name, type_, default in members),
+        ],
+        frozen=True,
+    )
+
+
+for _found in pkgutil.iter_modules(__path__):
+    add_designs(import_module(f"{__name__}.{_found.name}"))

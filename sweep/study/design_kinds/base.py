@@ -1,0 +1,301 @@
+"""The protocol of study designs: how axes are drawn, and what the rows of a study then say.
+
+A design is a subclass of `Design`, or of `AdaptiveDesign` if it decides about its next points from finished rows. Its
+dataclass fields are settings of its own under `study.design`. All other rooms ask the design of a study, and name none.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from sweep.core.errors import InputError
+from sweep.study.adaptive_sampling import EDGE, LEAD, Draws, RoundSummary, Search, summarize_round
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class SamplingUnit(NamedTuple):
+    """What a design draws independently: the rows of one unit count as one observation."""
+
+    name: str
+    # whether draws of a unit are spread more evenly than independent ones: intervals then follow from the spread
+    # between units, and a test that takes draws for independent is safe
+    is_even: bool = False
+
+
+DRAW = SamplingUnit("draw")  # with all its replicates and grid points
+
+
+class Sensitivity(StrEnum):
+    """Which sensitivity indices the draws of a design allow."""
+
+    GIVEN_DATA = "from any draws that follow the distributions: PAWN, RBD-FAST"
+    SOBOL_INDICES = "Sobol indices, from blocks A, A with one column of B for each axis, B"
+    ELEMENTARY_EFFECTS = "elementary effects, from trajectories that change one axis after the other"
+    NONE = "none"
+
+    @property
+    def needs_own_design(self) -> bool:
+        """Whether only draws that were made for these indices allow them."""
+        return self in (Sensitivity.SOBOL_INDICES, Sensitivity.ELEMENTARY_EFFECTS)
+
+
+class TrajectoryGrid(NamedTuple):
+    """Grid of quantiles on which trajectories for elementary effects move."""
+
+    levels: int  # values of an axis
+    low: float  # smallest quantile
+    high: float  # largest quantile
+
+    @property
+    def step(self) -> float:
+        """Length of a move, as a share of the range."""
+        return self.levels / (2 * (self.levels - 1))
+
+
+class DrawContext(NamedTuple):
+    """What a design receives of its study."""
+
+    axes: tuple[str, ...]  # names of the drawn axes
+    seed: int  # of all draws
+    study: str = ""  # its name, for messages
+
+
+class FailureEstimate(Protocol):
+    """An estimated probability of failure; its text is one line with numbers of rows and advice."""
+
+    @property
+    def probability(self) -> float:
+        """The estimate."""
+        ...
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Lower and upper end of the 95 % interval; NaN where it is unknown."""
+        ...
+
+    @property
+    def is_reliable(self) -> bool:
+        """Whether the estimate can be trusted; the text says why not."""
+        ...
+
+
+@dataclass(frozen=True)
+class Design(ABC):
+    """How listed axes are combined, and how axes with a distribution are drawn."""
+
+    kind: ClassVar[str]  # how drawn axes are sampled
+    meaning: ClassVar[str]  # in one line: what to use it for
+    num_meaning: ClassVar[str] = ""  # what `num` counts, if not draws
+    position: ClassVar[int] = 100  # in lists of kinds; kinds of one position are sorted by name
+
+    # what the draws allow
+    follows_distributions: ClassVar[bool] = True  # whether every draw follows the distributions of the axes
+    has_independent_draws: ClassVar[bool] = False  # whether, besides, draws do not depend on each other
+    is_low_discrepancy: ClassVar[bool] = False  # whether draws form a sequence that fills space evenly
+    gives_rate: ClassVar[bool] = True  # whether some draws are a plain sample, see `select_rate_draws`
+    allows_correlation: ClassVar[bool] = True  # whether `study.design.correlation` may relate axes
+    sensitivity: ClassVar[Sensitivity] = Sensitivity.GIVEN_DATA
+    trajectory_grid: ClassVar[TrajectoryGrid | None] = None  # of designs for elementary effects
+
+    # how a stored study can be extended
+    can_add_draws: ClassVar[bool] = False  # whether a larger `num` leaves the first draws as they are
+    growing_settings: ClassVar[tuple[str, ...]] = ("num",)  # settings that may change between runs into one folder
+
+    grid: str = "full"  # of listed axes: every combination, or each axis alone with the others nominal
+    num: int = 0  # draws
+    # one, other, coefficient: of pairs of drawn axes, by the normals of a Gaussian copula
+    correlation: tuple[Any, ...] = ()
+
+    def check(self, drawn: Sequence[str], listed: Sequence[str]) -> None:
+        """Raise `InputError` where a setting of the design is not allowed, or does not fit the axes.
+
+        Args:
+            drawn: Names of the axes with a distribution.
+            listed: Names of the axes with listed values.
+        """
+        if self.correlation and not self.allows_correlation:
+            raise InputError(
+                f"study.design.correlation is not allowed with {self.kind}, which varies one axis at a time"
+            )
+        least = 1 if drawn else 0
+        if self.num < least:
+            of = f" for {', '.join(drawn)}" if drawn else ""
+            raise InputError(f"study.design.num = {self.num} is not allowed: at least {least}{of}")
+        if self.num and not drawn:
+            raise InputError(f"study.design.num = {self.num} is not allowed: no axis has a distribution")
+
+    @property
+    def warning(self) -> str | None:
+        """A warning where statistics of the design suffer from its settings, or None."""
+        return None
+
+    @property
+    def unit(self) -> SamplingUnit:
+        """What the design draws independently."""
+        return DRAW
+
+    def block_size(self, d: int) -> int:
+        """Return the number of consecutive draws that depend on each other, with `d` drawn axes."""
+        return 1
+
+    def count_draws(self, d: int) -> int:
+        """Count the draws with `d` drawn axes; the largest number for adaptive designs."""
+        return self.num * self.block_size(d)
+
+    def unit_numbers(self, draws: Int[np.ndarray, " n"], d: int) -> Int[np.ndarray, " n"] | None:
+        """Return the number of the independent unit of each draw.
+
+        Args:
+            draws: Numbers of draws.
+            d: Number of drawn axes.
+
+        Returns:
+            The same number for draws that depend on each other; None if the draws are no random sample.
+        """
+        return draws // self.block_size(d)
+
+    def select_rate_draws(self, draws: Int[np.ndarray, " n"], d: int) -> Bool[np.ndarray, " n"]:
+        """Return which draws are a plain sample, whose share of successes is a rate.
+
+        Args:
+            draws: Numbers of draws.
+            d: Number of drawn axes.
+        """
+        return np.full(len(draws), self.gives_rate)
+
+    def with_draws(self, least: int, d: int) -> Self:
+        """Return the design with the smallest `num` that makes at least `least` draws of `d` axes."""
+        return replace(self, num=-(-least // replace(self, num=1).count_draws(d)))
+
+    @abstractmethod
+    def sample(self, ctx: DrawContext) -> Float[np.ndarray, "n d"]:
+        """Draw independent uniform numbers from 0 to 1.
+
+        Args:
+            ctx: Axes and seed. Take all randomness from the seed.
+
+        Returns:
+            A row for each of the n = `count_draws` draws and a column for each axis.
+        """
+
+    def correlate(self, shares: Float[np.ndarray, "n d"], root: Float[np.ndarray, "d d"]) -> Float[np.ndarray, "n d"]:
+        """Correlate independent quantiles by a Gaussian copula.
+
+        Args:
+            shares: Quantiles.
+            root: Lower Cholesky root of the correlation matrix.
+
+        Returns:
+            The quantiles of the correlated axes.
+        """
+        from scipy.special import ndtr, ndtri  # slow to import
+
+        return np.clip(ndtr(ndtri(shares) @ root.T), EDGE, 1 - EDGE)
+
+
+class AdaptiveDesign(Design):
+    """A design that searches for failures: each round of draws depends on the rows of earlier rounds."""
+
+    columns: ClassVar[tuple[str, ...]]  # what it stores of each draw, as `axis.NAME`
+    follows_distributions: ClassVar[bool] = False
+    gives_rate: ClassVar[bool] = False
+    sensitivity: ClassVar[Sensitivity] = Sensitivity.NONE
+
+    def check(self, drawn: Sequence[str], listed: Sequence[str]) -> None:
+        """Raise `InputError` where an axis is listed or has the name of a column of the design.
+
+        Args:
+            drawn: Names of the axes with a distribution.
+            listed: Names of the axes with listed values.
+        """
+        super().check(drawn, listed)
+        if listed:
+            raise InputError(f"study.design.kind = {self.kind} is not allowed with listed axes: {', '.join(listed)}")
+        if taken := {*drawn} & {*self.columns}:
+            raise InputError(f"study.axes.{min(taken)} is not allowed: {self.kind} has a column of that name")
+
+    def unit_numbers(self, draws: Int[np.ndarray, " n"], d: int) -> None:
+        """Return None: the draws were placed where earlier ones failed."""
+
+    def sample(self, ctx: DrawContext) -> Float[np.ndarray, "n d"]:
+        """Return the draws of the first round."""
+        return next(self.start_search(ctx)).shares
+
+    @abstractmethod
+    def start_search(self, ctx: DrawContext) -> Search:
+        """Start the search, a generator of rounds of draws; see `sweep.study.adaptive_sampling`."""
+
+    @property
+    @abstractmethod
+    def smallest_round(self) -> int:
+        """Number of rollouts of the smallest round, from which the width of batches follows."""
+
+    @abstractmethod
+    def estimate_failure(self, rows: "pd.DataFrame", ctx: DrawContext) -> FailureEstimate:
+        """Estimate the probability of failure.
+
+        Args:
+            rows: All rows of the study.
+            ctx: Axes and seed of the study.
+
+        Raises:
+            InputError: The search is not finished.
+        """
+
+    @abstractmethod
+    def weigh_rows(
+        self, rows: "pd.DataFrame", ctx: DrawContext
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Return the weight of each row as a plain draw, and as a failure.
+
+        Args:
+            rows: All rows of the study.
+            ctx: Axes and seed of the study.
+
+        Returns:
+            Weights as plain draws; and weights of failures, which sum to the failure probability up to a factor.
+
+        Raises:
+            InputError: The search is not finished.
+        """
+
+    def summarize(self, rows: "pd.DataFrame", draws: Draws) -> RoundSummary:
+        """Summarize the rows of a round for the search.
+
+        Args:
+            rows: Finished rows of the study, including those of the round.
+            draws: The draws of the round.
+
+        Returns:
+            Failures, and the column that shrinks towards failure.
+
+        Raises:
+            InputError: The column is no number of the rows.
+        """
+        return summarize_round(rows, draws, LEAD)
+
+    def replay_search(self, rows: "pd.DataFrame", ctx: DrawContext) -> Any:
+        """Run the search again on stored rows, without simulating anything.
+
+        Args:
+            rows: Finished rows of the study.
+            ctx: Axes and seed of the study.
+
+        Returns:
+            The result of the search; None where rows of a round are missing.
+        """
+        search = self.start_search(ctx)
+        try:
+            draws = next(search)
+            while np.isin(draws.numbers, rows["replicate"]).all():
+                draws = search.send(self.summarize(rows, draws))
+        except StopIteration as end:
+            return end.value
+        return None

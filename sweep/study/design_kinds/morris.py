@@ -1,0 +1,41 @@
+"""Morris' design for elementary effects: trajectories that change one axis after the other."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from sweep.study.design_kinds.base import Design, DrawContext, SamplingUnit, Sensitivity, TrajectoryGrid
+
+
+class Morris(Design):
+    """Trajectories of d + 1 draws, on a grid that leaves out 0 and 1: some distributions are infinite there."""
+
+    kind: ClassVar[str] = "morris"
+    meaning: ClassVar[str] = "screening of many axes"
+    num_meaning: ClassVar[str] = "paths"
+    position: ClassVar[int] = 4
+    follows_distributions: ClassVar[bool] = False
+    gives_rate: ClassVar[bool] = False
+    allows_correlation: ClassVar[bool] = False
+    sensitivity: ClassVar[Sensitivity] = Sensitivity.ELEMENTARY_EFFECTS
+    trajectory_grid: ClassVar[TrajectoryGrid] = TrajectoryGrid(4, 0.005, 0.995)
+
+    @property
+    def unit(self) -> SamplingUnit:
+        """Return the trajectory."""
+        return SamplingUnit("trajectory")
+
+    def block_size(self, d: int) -> int:
+        """Return d + 1."""
+        return d + 1
+
+    def sample(self, ctx: DrawContext) -> np.ndarray:
+        """Draw the trajectories."""
+        from SALib.sample import morris  # slow to import
+
+        grid = self.trajectory_grid
+        problem = {"num_vars": len(ctx.axes), "names": [*ctx.axes], "bounds": [[grid.low, grid.high]] * len(ctx.axes)}
+        return morris.sample(problem, self.num, num_levels=grid.levels, seed=ctx.seed)
+
+
+DESIGNS = {"morris": Morris}

@@ -1,0 +1,50 @@
+"""Saltelli's design for Sobol indices: blocks of d + 2 draws that share the coordinates of two samples, A and B."""
+
+import warnings
+from typing import ClassVar
+
+import numpy as np
+
+from sweep.study.design_kinds.base import Design, DrawContext, SamplingUnit, Sensitivity
+from sweep.study.design_kinds.sobol import warn_of_unbalanced_draws
+
+
+class Saltelli(Design):
+    """Blocks of a draw of A, that draw with one coordinate of B for each axis, and a draw of B."""
+
+    kind: ClassVar[str] = "saltelli"
+    meaning: ClassVar[str] = "Sobol indices"
+    num_meaning: ClassVar[str] = "the base sample N of N (d + 2)"
+    position: ClassVar[int] = 3
+    follows_distributions: ClassVar[bool] = False
+    allows_correlation: ClassVar[bool] = False
+    sensitivity: ClassVar[Sensitivity] = Sensitivity.SOBOL_INDICES
+
+    @property
+    def warning(self) -> str | None:
+        """A warning where `num` is not a power of 2."""
+        return warn_of_unbalanced_draws(self.num)
+
+    @property
+    def unit(self) -> SamplingUnit:
+        """Return the block."""
+        return SamplingUnit("block")
+
+    def block_size(self, d: int) -> int:
+        """Return d + 2."""
+        return d + 2
+
+    def select_rate_draws(self, draws: np.ndarray, d: int) -> np.ndarray:
+        """Return which draws (n,) are of A, the first ones of their blocks, by the numbers of the draws (n,)."""
+        return draws % self.block_size(d) == 0
+
+    def sample(self, ctx: DrawContext) -> np.ndarray:
+        """Draw the blocks from a Sobol sequence."""
+        from SALib.sample import sobol  # slow to import
+
+        problem = {"num_vars": len(ctx.axes), "names": [*ctx.axes], "bounds": [[0.0, 1.0]] * len(ctx.axes)}
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # of its balance: see `warning`
+            return sobol.sample(problem, self.num, calc_second_order=False, seed=ctx.seed)
+
+
+DESIGNS = {"saltelli": Saltelli}

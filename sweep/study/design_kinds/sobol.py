@@ -1,0 +1,86 @@
+"""Scrambled Sobol sequences: draws that fill space evenly."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sweep.core.errors import InputError
+from sweep.study.design_kinds.base import DRAW, Design, DrawContext, SamplingUnit
+
+SCRAMBLE = SamplingUnit("scramble", is_even=True)
+
+
+@dataclass(frozen=True)
+class Sobol(Design):
+    """Sobol sequences with independent scrambles, whose draws alternate; more draws come last."""
+
+    kind: ClassVar[str] = "sobol"
+    meaning: ClassVar[str] = (
+        "means of smooth columns with the least scatter; `num` a power of 2, with several `scrambles`"
+    )
+    num_meaning: ClassVar[str] = "those of one scramble"
+    position: ClassVar[int] = 2
+    is_low_discrepancy: ClassVar[bool] = True
+    can_add_draws: ClassVar[bool] = True
+
+    scrambles: int = 1  # independent repetitions, which tell its error
+
+    def check(self, drawn: Sequence[str], listed: Sequence[str]) -> None:
+        """Raise `InputError` without a scramble.
+
+        Args:
+            drawn: Names of the axes with a distribution.
+            listed: Names of the axes with listed values.
+        """
+        super().check(drawn, listed)
+        if self.scrambles < 1:
+            raise InputError(f"study.design.scrambles = {self.scrambles} is not allowed: at least 1")
+
+    @property
+    def warning(self) -> str | None:
+        """A warning where `num` is not a power of 2."""
+        return warn_of_unbalanced_draws(self.num)
+
+    @property
+    def unit(self) -> SamplingUnit:
+        """Return the scramble.
+
+        One scramble has no spread. Independent draws vary more, so that their interval is safe.
+        """
+        return SCRAMBLE if self.scrambles > 1 else DRAW
+
+    def count_draws(self, d: int) -> int:
+        """Count the draws of all scrambles."""
+        return self.num * self.scrambles
+
+    def unit_numbers(self, draws: np.ndarray, d: int) -> np.ndarray:
+        """Return the number of the scramble of each draw (n,), or of the draw if there is one scramble.
+
+        Args:
+            draws: Numbers of draws (n,).
+            d: Number of drawn axes.
+        """
+        return draws % self.scrambles if self.scrambles > 1 else draws
+
+    def sample(self, ctx: DrawContext) -> np.ndarray:
+        """Draw from all scrambles in turn."""
+        from scipy.stats import qmc  # slow to import
+
+        d = len(ctx.axes)
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # of its balance: see `warning`
+            rngs = [np.random.default_rng([ctx.seed, k]) for k in range(self.scrambles)]
+            parts = [qmc.Sobol(d, rng=rng).random(self.num) for rng in rngs]
+        return np.stack(parts, axis=1).reshape(-1, d)
+
+
+def warn_of_unbalanced_draws(num: int) -> str | None:
+    """Return a warning where `num` draws of a Sobol sequence are not balanced, or None."""
+    if num & (num - 1):
+        return f"study.design.num = {num} is not a power of 2: estimates from Sobol draws get less precise"
+    return None
+
+
+DESIGNS = {"sobol": Sobol}

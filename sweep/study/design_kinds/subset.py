@@ -1,0 +1,189 @@
+"""Subset simulation of rare failures, see `sweep.study.subset_simulation`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from sweep.core.constants import CONFIDENCE
+from sweep.core.errors import InputError
+from sweep.study import subset_simulation
+from sweep.study.adaptive_sampling import EDGE, LEAD, Draws, RoundSummary, Search, summarize_round
+from sweep.study.design_kinds.base import AdaptiveDesign, DrawContext, SamplingUnit
+from sweep.study.design_kinds.importance import Importance
+from sweep.study.design_kinds.monte_carlo import advise_plain_draws
+from sweep.study.subset_simulation import LevelSettings, RunResult
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+INSTEAD = f"try another study.design.lead, study.design.kind={Importance.kind}, or wider distributions"
+
+
+@dataclass(frozen=True)
+class Subset(AdaptiveDesign):
+    """Subset simulation: independent runs follow a metric level by level to the failures."""
+
+    kind: ClassVar[str] = "subset"
+    meaning: ClassVar[str] = "failure probabilities below 1e-5, where a metric leads to the failures"
+    num_meaning: ClassVar[str] = "those of a level"
+    position: ClassVar[int] = 6
+    columns: ClassVar[tuple[str, ...]] = ("run", "level", "step", "chain")
+    growing_settings: ClassVar[tuple[str, ...]] = ("num", "runs")
+
+    share: float = 0.1  # share of a level's rows that the next one begins with
+    target: float = 1e-7  # the least probability that is looked for
+    runs: int = 5  # independent repetitions, which tell its error
+    lead: str = LEAD  # column, or sum of some, that shrinks before anything breaks
+
+    @property
+    def level_settings(self) -> LevelSettings:
+        """Settings of the levels of a run."""
+        return LevelSettings(self.num, self.share, self.target)
+
+    def check(self, drawn: Sequence[str], listed: Sequence[str]) -> None:
+        """Raise `InputError` where a setting is not allowed, or an axis is.
+
+        Args:
+            drawn: Names of the axes with a distribution.
+            listed: Names of the axes with listed values.
+        """
+        super().check(drawn, listed)
+        if self.runs < 1:
+            raise InputError(f"study.design.runs = {self.runs} is not allowed: at least 1")
+        if not EDGE < self.target < 1:
+            raise InputError(f"study.design.target = {self.target:g} is not allowed: above {EDGE:.2g} and below 1")
+        steps = 1 / self.share if self.share > 0 else 0
+        if not 0 < self.share <= 0.5 or abs(steps - round(steps)) > 1e-9:
+            raise InputError(
+                f"study.design.share = {self.share:g} is not allowed: 1 divided by a whole number of at least 2"
+            )
+        if self.num < subset_simulation.FEWEST * steps or self.num % round(steps):
+            least = f"a multiple of {steps:.0f}, at least {subset_simulation.FEWEST * steps:.0f}"
+            raise InputError(
+                f"study.design.num = {self.num} is not allowed: {least} with study.design.share = {self.share:g}"
+            )
+
+    @property
+    def unit(self) -> SamplingUnit:
+        """Return the run."""
+        return SamplingUnit("run")
+
+    @property
+    def smallest_round(self) -> int:
+        """Number of rollouts of a round, one for each chain of all runs."""
+        return self.runs * self.level_settings.chain_count
+
+    def count_draws(self, d: int) -> int:
+        """Count the draws of all runs if each takes all levels."""
+        return self.runs * self.level_settings.max_rollouts if self.num else 0
+
+    def start_search(self, ctx: DrawContext) -> Search:
+        """Start the search, whose result is a list of `RunResult`."""
+        return subset_simulation.start_search(len(ctx.axes), self.level_settings, self.runs, ctx.seed)
+
+    def summarize(self, rows: "pd.DataFrame", draws: Draws) -> RoundSummary:
+        """Summarize the rows of a round by the column or expression `lead`.
+
+        Args:
+            rows: Finished rows of the study, including those of the round.
+            draws: The draws of the round.
+        """
+        return summarize_round(rows, draws, self.lead)
+
+    def estimate_failure(self, rows: "pd.DataFrame", ctx: DrawContext) -> "SubsetEstimate":
+        """Estimate the probability of failure by the mean of the runs.
+
+        Args:
+            rows: All rows of the study.
+            ctx: Axes and seed of the study.
+
+        Raises:
+            InputError: A run is not finished.
+        """
+        runs = self.replay_search(rows, ctx)
+        if runs is None:
+            raise InputError(f"the runs of {ctx.study} are not finished: run the rest first")
+        return SubsetEstimate(self.target, tuple(runs))
+
+    def weigh_rows(self, rows: "pd.DataFrame", ctx: DrawContext) -> tuple[np.ndarray, np.ndarray]:
+        """Return the weight of each row as a plain draw (n,), 1 in the first level; and as a failure (n,).
+
+        Args:
+            rows: All rows of the study.
+            ctx: Axes and seed of the study.
+
+        Raises:
+            InputError: A run is not finished.
+        """
+        import pandas as pd
+
+        failing, places = np.zeros(len(rows)), pd.Index(rows["replicate"])
+        for run in self.estimate_failure(rows, ctx).runs:
+            number = run.level.number[run.level.failed]  # a row counts as often as its chain stayed there
+            np.add.at(failing, places.get_indexer(pd.Index(number)), run.probability / max(len(number), 1))
+        return (rows["axis.level"] == 0).to_numpy(float), failing
+
+
+@dataclass(frozen=True)
+class SubsetEstimate:
+    """A failure probability by independent runs of subset simulation, whose spread gives the error."""
+
+    target: float
+    runs: tuple[RunResult, ...]
+
+    @property
+    def run_probabilities(self) -> np.ndarray:
+        """The failure probability that each run estimates (runs,)."""
+        return np.array([run.probability for run in self.runs])
+
+    @property
+    def probability(self) -> float:
+        """The mean over runs."""
+        return float(self.run_probabilities.mean())
+
+    @property
+    def stuck_runs(self) -> tuple[RunResult, ...]:
+        """The runs that stopped before they reached the failure region."""
+        return tuple(run for run in self.runs if run.why)
+
+    @property
+    def variation(self) -> float:
+        """Coefficient of variation of the mean; NaN for a single run."""
+        each = self.run_probabilities
+        return float(each.std(ddof=1) / np.sqrt(len(each)) / each.mean()) if len(each) > 1 and each.any() else np.nan
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval: log-normal, with Student's t for the number of runs; NaN for a single run."""
+        from scipy.stats import t
+
+        width = t.ppf(0.5 + CONFIDENCE / 2, max(len(self.runs) - 1, 1)) * np.sqrt(np.log1p(self.variation**2))
+        return float(self.probability * np.exp(-width)), float(min(self.probability * np.exp(width), 1.0))
+
+    @property
+    def is_reliable(self) -> bool:
+        """Whether every run reached the failure region."""
+        return not self.stuck_runs
+
+    def __str__(self) -> str:
+        count, rollouts = len(self.runs), sum(run.rollouts for run in self.runs)
+        if not self.probability:
+            return f"none of {count} runs reached a failure in {rollouts:,} rollouts: {self.runs[0].why}; {INSTEAD}"
+        spread = "a single run gives no interval"
+        if count > 1:
+            low, high = self.interval
+            spread = f"{low:.2g} to {high:.2g} (95 %, by the spread of {count} runs: "
+            spread += ", ".join(f"{one:.2g}" for one in sorted(self.run_probabilities)) + ")"
+        taken = [share for run in self.runs for share in run.accepted]
+        text = f"P(failure) = {self.probability:.3g}, {spread}, {rollouts:,} rollouts"
+        if taken:
+            text += f"; {min(taken):.0%} to {max(taken):.0%} of a level's proposals were accepted"
+        if self.stuck_runs:
+            early = f"{len(self.stuck_runs)} of {count} runs ended early: {self.stuck_runs[0].why}"
+            text += f"; NOT reliable: {early}; {INSTEAD}"
+        return text + advise_plain_draws(self.probability)
+
+
+DESIGNS = {"subset": Subset}
