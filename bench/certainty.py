@@ -19,7 +19,7 @@ from sweep.analysis import failing
 from sweep.analysis.certify import certify as tested
 from sweep.analysis.certify import learn_score, required_rows
 from sweep.analysis.intervals import CONFIDENCE
-from sweep.cli import certify
+from sweep.cli import certification
 from sweep.config.experiment import build_experiment
 from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
@@ -76,11 +76,14 @@ def phases(failures: str, root: Path) -> Iterator[list[str]]:
     """Yield how the time of each study's regions splits into rollouts and the rest, which is run once more."""
     for k, promise in enumerate(ASKED[failures][-1]):
         folder = root / f"{k}"
-        parts = [folder, folder / certify.FRESH, folder / certify.AGAIN]
+        parts = [folder, folder / certification.FRESH, folder / certification.AGAIN]
         rows = [store.read_rows(part) for part in parts if part.exists()]  # nothing is checked where nothing is found
         learning, fresh = rows[:2]
-        names = certify.drawn_parameters(build_experiment(store.read_study(folder)["config"]), learning)
-        known, new = certify.parameters_and_failures(learning, names), certify.parameters_and_failures(fresh, names)
+        names = certification.drawn_parameters(build_experiment(store.read_study(folder)["config"]), learning)
+        known, new = (
+            certification.parameters_and_failures(learning, names),
+            certification.parameters_and_failures(fresh, names),
+        )
         most, least = float(failures), required_rows(float(failures), CONFIDENCE) / len(fresh)
         times = [time.perf_counter()]
         score = learn_score(promise.shapes[0], *known, least)

@@ -14,7 +14,7 @@ import numpy as np
 from mujoco import mjx
 
 from sweep.backends import devices
-from sweep.cli.bench import measure_seconds
+from sweep.cli.commands.bench import measure_seconds
 from sweep.config.experiment import compose
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics

@@ -8,13 +8,13 @@ import dataclasses
 import inspect
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import sweep
 from sweep import api
-from sweep.cli import commands, exits, export_model, formula, tune, view
+from sweep.cli import commands, exits
 from sweep.config import reference
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import UNITS, format_unit
@@ -32,14 +32,6 @@ from sweep.systems.mujoco_model import outcome as own_outcome
 
 FOLDER = Path(__file__).parent / "reference"
 NOTE = "<!-- written by `python docs/reference_pages.py` -->"
-PARSERS: dict[str, Callable[[], argparse.ArgumentParser]] = {  # of commands that parse their own words
-    "run": commands.run_parser,
-    "view": view.parser,
-    "replay": replay._parser,
-    "tune": tune.parser,
-    "export-model": export_model.parser,
-    "formula": formula._parser,
-}
 WHEN = {"start": "before the first tick", "tick": "in the tick that crosses it", "end": "at the end"}
 EXITS = {  # what a reader of an exit code needs besides its meaning
     exits.DONE: "",
@@ -182,14 +174,16 @@ def causes_page() -> str:
 
 def cli_page() -> str:
     """Every subcommand with its arguments."""
-    top = commands.parser()
-    (sub,) = (action for action in top._actions if isinstance(action, argparse._SubParsersAction))
-    helps = {action.dest: action.help or "" for action in sub._choices_actions}
     parts = []
-    for name, parser in sub.choices.items():
-        own = PARSERS[name]() if name in PARSERS else parser
-        text = helps[name].partition("; see `sweep")[0]
-        parts += [f"## sweep {name}", f"{text[0].upper()}{text[1:]}.", usage(name, own), arguments(own), epilog(own)]
+    for name in commands.shipped_names():
+        parser, text = commands.make_parser(name), commands.load_command(name).COMMAND.help
+        parts += [
+            f"## sweep {name}",
+            f"{text[0].upper()}{text[1:]}.",
+            usage(name, parser),
+            arguments(parser),
+            epilog(parser),
+        ]
     return join_parts(
         "# Command line",
         "`sweep COMMAND --help` prints one section of this page. [Exit codes](exit_codes.md) are the same "

@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 
 def run(overrides: list[str]) -> pd.DataFrame:
     """Rows of a run, see `sweep.run`."""
-    from sweep.cli import run as app
+    from sweep.cli.execution import Flags, execute
     from sweep.runs import runner
 
     exp = compose(overrides)
     if exp.study.single and not exp.out:
         return _tidy(runner.run_single_batch(exp), exp)
-    app.execute(exp, app.Flags())
+    execute(exp, Flags())
     return load(exp.folder)
 
 

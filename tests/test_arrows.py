@@ -42,7 +42,7 @@ JAX_ABOVE_ENGINES = {
     "sweep.systems.mujoco_model.mjx",
     "sweep.cli.template_model.trot",
     "sweep.replay.contact_forces",
-    "sweep.cli.bench",
+    "sweep.cli.commands.bench",
 }
 # the sources' own text; compiled programs; a study's name for its folder and its table of points; what a system is read
 # from, which goes with a study; a command's arguments

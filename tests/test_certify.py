@@ -8,7 +8,7 @@ from fake_engine import FakeEngine
 from scipy.stats import binom
 
 from sweep.analysis import certify
-from sweep.cli.certify import format_certificate
+from sweep.cli.certification import format_certificate
 from sweep.cli.main import main
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask

@@ -1,6 +1,5 @@
 """What README and docs show is what works: every command is run, every study is loaded, every link leads somewhere."""
 
-import argparse
 import re
 import shlex
 import shutil
@@ -13,10 +12,8 @@ import test_extending
 from fake_engine import FakeEngine
 
 from sweep.cli import main as cli
-from sweep.cli import view
-from sweep.cli.commands import parser
+from sweep.cli.commands import command_names, make_parser
 from sweep.config.experiment import compose
-from sweep.replay import replay
 
 ROOT = Path(__file__).parents[1]
 GUIDE = [ROOT / "README.md", ROOT / "results/README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -93,12 +90,8 @@ def test_every_command_of_a_page_works(page, fake_engine, monkeypatch, tmp_path,
                     shutil.copytree("results/walk_map", folder)
         words = [word for word in words if word != "--pictures"]  # for which OpenGL would be needed
         try:
-            if words[0] == "replay":
-                code = replay._parser().parse_args(words[1:]) and 0
-            elif words[0] == "view":
-                code = view.parser().parse_args(words[1:]) and 0
-            elif words[0] == "bench" or "1e-5" in words:  # which takes a third of a million rollouts
-                code = parser().parse_args(words) and 0
+            if words[0] in ("replay", "view", "bench") or "1e-5" in words:  # which takes a third of a million rollouts
+                code = make_parser(words[0]).parse_args(words[1:]) and 0
             else:
                 code = cli.main([*words, "--dry-run"] if any(word.startswith("cluster=") for word in words) else words)
         except SystemExit as end:
@@ -130,10 +123,8 @@ def test_every_link_and_file_of_a_page_is_there(page):
 
 
 def test_every_command_has_help_and_is_in_the_tour(capsys):
-    actions = parser()._actions
-    (names,) = [action.choices for action in actions if isinstance(action, argparse._SubParsersAction)]
     tour = (ROOT / "docs" / "tour.md").read_text()
-    for name in names:
+    for name in command_names():
         with pytest.raises(SystemExit) as end:
             cli.main([name, "--help"])
         assert end.value.code == 0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sweep.cli.main import main
-from sweep.cli.tune import drawn_sizes, plan_content
+from sweep.cli.plan_search import drawn_sizes, plan_content
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.planning import plan_table

@@ -6,7 +6,7 @@ import pandas as pd
 
 from sweep.analysis import compare, sequential
 from sweep.analysis.intervals import CONFIDENCE
-from sweep.cli.run import report_progress
+from sweep.cli.run_progress import report_progress
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.core.expressions import mask

@@ -1,40 +1,26 @@
 """`sweep replay DIR POINT`: simulate one stored rollout again and show it."""
 
-import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.backend_bases import FigureCanvasBase
 from tabulate import tabulate
 
 from sweep.config.experiment import build_experiment
 from sweep.contract.engine import Trace, same_bits
 from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import judge_rollout
-from sweep.core.arguments import Arguments
-from sweep.core.files import write_atomically
-from sweep.core.parameters import InputError
-from sweep.core.plot_style import save_figure
-from sweep.core.progress import show_counts, show_wait
 from sweep.engines.states import available_columns
 from sweep.models import scene
 from sweep.models.case import Case
-from sweep.replay.mcap import write_mcap
-from sweep.replay.plots import PLOTS
-from sweep.replay.rendering import VIDEO_RATE, require_ffmpeg, write_png, write_video
-from sweep.replay.sampling import frames_at_rate
-from sweep.runs import device_choice, results, store
+from sweep.runs import store
 from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
 from sweep.runs.runner import load_point
 from sweep.study.columns import LABELS
 from sweep.study.study import parameter_columns
-
-FORMAT_OPTIONS = ("mcap", "states", "model", "plot", "png", "video")  # options that a system may not support
 
 
 @dataclass(frozen=True)
@@ -47,44 +33,6 @@ class Replay:
     settings: EngineSettings  # settings of the engine
     config: dict[str, Any]  # resolved configuration of the study, and the point's own values
     other_run: str | None  # a note where code, libraries or device differ from those of the stored row
-
-
-def main(args: list[str]) -> int:
-    """Run `sweep replay` with the arguments after the verb; return the exit status. Raises `InputError`."""
-    options = _parser().parse_args(args)
-    _check_options(options)
-    system = results.load_experiment(options.folder).system
-    for name in FORMAT_OPTIONS:
-        if getattr(options, name) and name not in system.replay_formats:
-            shown = ", ".join(f"--{one}" for one in sorted(system.replay_formats))
-            raise InputError(
-                f"--{name} is not allowed: rollouts of this system are shown by {shown}, and what study.keep keeps"
-            )
-    device_choice.choose_device_for_folder(options.folder)
-    with show_wait(f"simulating {options.point} of {options.folder} in its batch"):
-        result = replay(options.folder, options.point)
-    print(format_comparison(result))
-    for path in (options.mcap, options.video, options.output, options.states, options.model):
-        if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-    if options.mcap:
-        outcome = {"point_id": result.stored["point_id"], **result.again}
-        write_mcap(options.mcap, result.trace, result.config, outcome)
-    if options.states:
-        write_atomically(options.states, partial(state_table(result.trace).to_parquet, index=False))
-    if options.model:
-        write_atomically(options.model, model_xml(result.trace.world, result.settings).encode())
-    for name in options.plot:
-        beside = options.output.with_stem(f"{options.output.stem}-{name}")
-        save_figure(PLOTS[name](result.trace), beside if len(options.plot) > 1 else options.output)
-    came = str(result.again["cause"] or result.again["outcome"]).replace("_", " ")
-    if options.png:
-        write_png(options.png, result.trace, came)
-    if options.video:
-        pictures = len(frames_at_rate(result.trace, VIDEO_RATE))
-        with show_counts(lambda done, of: f"{done} of {of} pictures drawn", 0, pictures) as report:
-            write_video(options.video, result.trace, f"row {result.stored.name}", came, report)
-    return 0
 
 
 def replay(folder: Path, point: str) -> Replay:
@@ -161,34 +109,3 @@ def format_comparison(result: Replay) -> str:
 
 def _format_value(value: Any) -> str:
     return value if isinstance(value, str) else f"{value:.9g}"
-
-
-def _parser() -> Arguments:
-    parser = Arguments(prog="sweep replay", description="Simulate one stored rollout again and show it.")
-    parser.add_argument("folder", metavar="DIR", type=Path, help="result folder of a study")
-    parser.add_argument("point", metavar="POINT", help="row number, or the beginning of a point_id")
-    parser.add_argument("--mcap", metavar="FILE", type=Path, help="write a trace for Foxglove, and a layout beside it")
-    parser.add_argument("--states", metavar="FILE", type=Path, help="write every tick's state as a Parquet table")
-    parser.add_argument("--model", metavar="FILE", type=Path, help="write the MuJoCo model of these states as XML")
-    parser.add_argument("--png", metavar="DIR", type=Path, help="write a few pictures")
-    parser.add_argument("--video", metavar="FILE", type=Path, help="write an MP4 in real time")
-    parser.add_argument("--plot", metavar="NAME", nargs="+", choices=PLOTS, default=[], help=", ".join(PLOTS))
-    parser.add_argument("-o", "--output", metavar="FILE", type=Path, help="file of the plots (png, svg, pdf)")
-    return parser
-
-
-def _check_options(options: argparse.Namespace) -> None:
-    """Refuse options that would fail after the simulation."""
-    if bool(options.plot) != (options.output is not None):
-        raise InputError("--plot NAME ... and -o FILE go together")
-    kinds = FigureCanvasBase.get_supported_filetypes()
-    if options.output and options.output.suffix[1:] not in kinds:
-        raise InputError(f"-o {options.output} is not allowed: a file that ends in {', '.join(sorted(kinds))}")
-    for option, ending in (("states", ".parquet"), ("model", ".xml")):
-        path = getattr(options, option)
-        if path and path.suffix != ending:
-            raise InputError(f"--{option} {path} is not allowed: a file that ends in {ending[1:]}")
-    if options.video:
-        if options.video.suffix != ".mp4":
-            raise InputError(f"--video {options.video} is not allowed: a file that ends in mp4")
-        require_ffmpeg()

@@ -34,7 +34,15 @@ def frames_at_times(trace: Trace, times: np.ndarray) -> np.ndarray:
 
 
 def frames_at_rate(trace: Trace, rate: float) -> np.ndarray:
-    """Return indices of finite frames, `rate` of them per simulated second, or of all frames if there are fewer."""
+    """Choose frames of a trace at an even rate.
+
+    Args:
+        trace: The rollout's states over time.
+        rate: Frames per simulated second.
+
+    Returns:
+        Indices of the chosen finite frames, in order; all of them where the trace has fewer.
+    """
     start, end = trace.time[0], trace.time[finite_frames(trace) - 1]
     return np.unique(frames_at_times(trace, start + np.arange(int((end - start) * rate + 1e-6) + 1) / rate))
 

@@ -6,7 +6,7 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from sweep.cli import run
+from sweep.cli import run_progress
 from sweep.core import progress
 
 
@@ -18,7 +18,7 @@ def clock(monkeypatch):
 
 
 def test_the_remaining_time_is_known_after_the_first_batch_and_counts_down(clock):
-    pace = run.Pace(40)
+    pace = run_progress.Pace(40)
     assert pace.remaining() is None
     assert pace.remaining_text() == "-:-- left"
     with progress.timed_compilation():
@@ -38,8 +38,10 @@ def test_the_remaining_time_is_known_after_the_first_batch_and_counts_down(clock
 def test_numbers_come_first_in_eighty_columns(monkeypatch):
     screen = StringIO()
     narrow = Console(file=screen, force_terminal=True, width=80)
-    monkeypatch.setattr(run, "Console", lambda **_: narrow)
-    with run.report_progress("a_study_whose_name_is_long", 96, "a_scenario for batches of a_study on an_engine" * 2):
+    monkeypatch.setattr(run_progress, "Console", lambda **_: narrow)
+    with run_progress.report_progress(
+        "a_study_whose_name_is_long", 96, "a_scenario for batches of a_study on an_engine" * 2
+    ):
         pass
     line = next(line for line in screen.getvalue().splitlines() if "0/96" in line)
     assert line.index("0/96") < line.index("-:-- left") < line.index("a_study")

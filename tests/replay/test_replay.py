@@ -8,10 +8,10 @@ import pytest
 from faultless import faultless
 from mcap.reader import make_reader
 
+from sweep.cli.commands import execute
 from sweep.config.experiment import compose
 from sweep.core.parameters import InputError
 from sweep.replay import replay as module
-from sweep.replay.replay import main
 from sweep.runs import batches, runner, store
 
 WIDTH = 3
@@ -63,7 +63,7 @@ def test_every_point_is_found_in_its_slot(folder, number, capsys):
     friction = row["world.contact.friction"]
     assert result.again["outcome"] == row["outcome"] == ("failure" if friction < 0.5 else "success")
     assert result.config["point"]["world.contact.friction"] == friction
-    assert main([str(folder), str(number)]) == 0
+    assert execute(["replay", str(folder), str(number)]) == 0
     shown = capsys.readouterr().out
     assert row["point_id"] in shown
     assert "metrics are equal to the last bit" in shown
@@ -77,7 +77,7 @@ def test_what_differs_is_shown(folder, trace, monkeypatch, capsys):
 
     monkeypatch.setattr(module, "make_engine", lambda *_: Other(trace))
     monkeypatch.setattr("sweep.core.provenance.code_version", lambda: "another")
-    main([str(folder), "4"])
+    execute(["replay", str(folder), "4"])
     lines = capsys.readouterr().out.splitlines()
     assert [line.split() for line in lines if line.startswith(("outcome", "tilt"))] == [
         ["outcome", "success", "failure"],
@@ -88,7 +88,7 @@ def test_what_differs_is_shown(folder, trace, monkeypatch, capsys):
 
 def test_files(folder, tmp_path):
     out = tmp_path / "new" / "walk"
-    main([str(folder), "1", "--mcap", f"{out}.mcap", "--plot", "base", "feet", "-o", f"{out}.svg"])
+    execute(["replay", str(folder), "1", "--mcap", f"{out}.mcap", "--plot", "base", "feet", "-o", f"{out}.svg"])
     assert {f.name for f in out.parent.iterdir()} == {"walk.mcap", "walk.layout.json", "walk-base.svg", "walk-feet.svg"}
     with out.with_suffix(".mcap").open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
@@ -100,7 +100,7 @@ def test_files(folder, tmp_path):
 
 
 def test_one_plot_has_the_name_given(folder, tmp_path):
-    main([str(folder), "0", "--plot", "joints", "-o", str(tmp_path / "angles.png")])
+    execute(["replay", str(folder), "0", "--plot", "joints", "-o", str(tmp_path / "angles.png")])
     assert (tmp_path / "angles.png").exists()
 
 
@@ -116,10 +116,10 @@ def test_one_plot_has_the_name_given(folder, tmp_path):
 )
 def test_bad_arguments_are_one_line(folder, args, message):
     with pytest.raises(InputError, match=message) as error:
-        main([str(folder), *args])
+        execute(["replay", str(folder), *args])
     assert "\n" not in str(error.value)
 
 
 def test_folder_without_results(tmp_path):
     with pytest.raises(InputError, match="not a folder of results"):
-        main([str(tmp_path), "0"])
+        execute(["replay", str(tmp_path), "0"])

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from sweep.cli.commands import execute
 from sweep.cli.main import main
 from sweep.core.parameters import InputError
-from sweep.replay import replay
 
 PAGE = Path(__file__).parents[2] / "docs" / "howto" / "use_states_elsewhere.md"
 SHORT = ["scenario=stand_push", "engine=native", "engine.width=1", "engine.solid=true"]
@@ -57,4 +57,4 @@ def test_velocities_are_those_of_the_positions(folder):
 @pytest.mark.parametrize("options", [["--states", "walk.csv"], ["--model", "walk.mjb"]])
 def test_other_files_are_refused(options):
     with pytest.raises(InputError, match="is not allowed: a file that ends in"):
-        replay.main(["results", "0", *options])
+        execute(["replay", "results", "0", *options])

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from fake_engine import FakeEngine
 
-from sweep.cli.folders import save_pictures
+from sweep.cli.commands.report import save_pictures
 from sweep.cli.main import main
 from sweep.report import draws, figures, maps, sections
 from sweep.report.page import data

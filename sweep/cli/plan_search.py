@@ -1,4 +1,4 @@
-"""`sweep tune`: optimise the numbers of a plan for a robot, an obstacle and a study's draws."""
+"""Optimise the numbers of a plan for `sweep tune`: search, check on other draws, and the plan's file."""
 
 import argparse
 import dataclasses
@@ -18,10 +18,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from sweep.analysis.stats import rate
 from sweep.backends import devices
+from sweep.cli.execution import Flags, execute
 from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.config.experiment import Experiment, compose
 from sweep.contract.system import split_side
-from sweep.core.arguments import Arguments, is_value
 from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
 from sweep.core.provenance import search_version
@@ -31,8 +31,6 @@ from sweep.planning.plan_table import SLOPES, Content
 from sweep.planning.score import (
     EQUAL_DEFICIT,
     MANOEUVRE,
-    MAX_PHASE_INTERVAL,
-    MIN_PHASES,
     Aim,
     Score,
     least_margins,
@@ -44,27 +42,14 @@ from sweep.study.study import make_points, parameter_columns
 
 DIGITS, SLOPE_DIGITS = 4, 3  # to which numbers are rounded, and slopes
 DRAWS = ("here", "other draws")
-LEAST = {"population": 4, "generations": 1, "seed": 1}  # of the flags
 ENDS = 2  # moments of a stage, at least
 SLIGHT = 0.05  # first steps by which a number has to follow a size in the farthest draw, or it does not
-EPILOG = """Margins are those of sweep/planning/kinematic_margins.py; draws are the points of the study, known to the
-planner. What is found is checked on the draws of the study's next seed. With --follow numbers get slopes, by which they
-follow the sizes that the study draws. With --simulate both draws are run, too, by the plan before and after, in folders
-beside the file. What no number of the plan moves, such as feet on the way to an obstacle, may be moved by numbers of
-the manoeuvre (--free manoeuvre.NAME): the file says with which of them its plan is to be run.
-examples:
-  sweep tune scenario=pole_top robot=mine study=pole_sizes out=plans/mine.yaml --free 'top.*' --stages 'top.*'
-  sweep tune scenario=pole_top study=pole_sizes out=plans/any.yaml --follow --simulate
-  sweep tune scenario=pole_top plan=plans/mine.yaml study=pole_sizes --check"""
 
 
-def main(argv: list[str]) -> int:
-    """Run the command with the arguments after `tune`; return the exit code. Raises `InputError`."""
+def tune_plan(args: argparse.Namespace) -> int:
+    """Optimise a plan with the arguments of `sweep tune`; return the exit code. Raises `InputError`."""
     devices.configure()
-    args, overrides = parser().parse_known_args(argv)
-    for flag, least in LEAST.items():
-        if getattr(args, flag) < least:
-            raise InputError(f"--{flag} = {getattr(args, flag)} is not allowed: at least {least}")
+    overrides: list[str] = args.overrides
     exp = compose(overrides)
     if why := exp.system.unsupported_commands.get("tune"):
         raise InputError(f"tune is not allowed: {why}")
@@ -122,8 +107,8 @@ def main(argv: list[str]) -> int:
         print(f"sweep: no better plan was found; {where} is unchanged", file=sys.stderr)
         return UNEXPECTED
     head = [f"{len(steps)} numbers searched for by {method}: score {was:.4g} before, {now:.4g} after",
-            f"sweep tune {shlex.join(argv)}", f"least margins over draws of seed {exp.study.seed}, and over others of "
-            f"seed {exp.study.seed + 1}:", *told.splitlines()]  # fmt: skip
+            f"sweep tune {shlex.join(args.words)}", f"least margins over draws of seed {exp.study.seed}, and over "
+            f"others of seed {exp.study.seed + 1}:", *told.splitlines()]  # fmt: skip
     found = dict(zip(steps, best.tolist(), strict=True))
     settings = [f"{path}={found.pop(path):g}" for path in own if path in found]
     head += ["to be run with " + " ".join(settings)] if settings else []
@@ -215,58 +200,14 @@ def compare_plans(overrides: list[str], file: Path, settings: list[str], seed: i
 
     Results are stored beside the plan's file.
     """
-    from sweep.cli import run  # slow to import
-
     words, rates = [text for text in overrides if not text.startswith("out=")], {}
     for when, more in (("before", []), ("after", [f"plan={file}", *settings])):
         kept = [text for text in words if not (more and text.startswith("plan="))]
         folder = file.with_suffix(".draws") / f"{when}-{seed}"
-        run.execute(compose([*kept, *more, f"study.seed={seed}", f"out={folder}"]), run.Flags())
+        execute(compose([*kept, *more, f"study.seed={seed}", f"out={folder}"]), Flags())
         rates[when] = rate(store.read_rows(folder)["outcome"])
     before, after = (f"{found.success} of {found.valid}" for found in rates.values())
     return f"simulated draws of seed {seed} that succeed: {before} before, {after} after"
-
-
-def parser() -> Arguments:
-    """Parser of the flags of `sweep tune`."""
-    made = Arguments(
-        prog="sweep tune", others=is_value, allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter,
-        usage="sweep tune [group=choice ...] [group.name=value ...] out=FILE.yaml [flags]", epilog=EPILOG,
-        description="Optimize the numbers of a plan until its margins reach their targets in all draws of a study.",
-    )  # fmt: skip
-    made.add_argument(
-        "--free",
-        action="append",
-        metavar="PATTERN[=STEP]",
-        help="numbers to optimize (default: all but formulas) and first step size",
-    )
-    made.add_argument("--stages", action="append", metavar="PATTERN", help="stages to evaluate (default: all)")
-    made.add_argument(
-        "--need", action="append", default=[], metavar="MARGIN[@STAGES]=VALUE", help="target value of a margin"
-    )
-    made.add_argument("--forces", action="store_true", help="also search for contact forces that hold the robot")
-    way = made.add_mutually_exclusive_group()
-    way.add_argument(
-        "--gradients", action="store_true", help="optimize by gradients instead of CMA-ES, for many numbers"
-    )
-    way.add_argument(
-        "--follow", action="store_true", help="make numbers depend linearly on the sizes that the study draws"
-    )
-    made.add_argument(
-        "--simulate", action="store_true", help="also simulate both sets of draws with the plans before and after"
-    )
-    made.add_argument("--check", action="store_true", help="only print the margins of the plan as it is")
-    made.add_argument(
-        "--moments",
-        action="append",
-        default=[],
-        metavar="[STAGES=]N",
-        help=f"of each stage, or of some ({MIN_PHASES}, and no more than {MAX_PHASE_INTERVAL} s apart)",
-    )
-    made.add_argument("--population", type=int, default=16, help="plans in a generation of CMA-ES (16)")
-    made.add_argument("--generations", type=int, default=200, help="at most (200); steps of gradients, linear programs")
-    made.add_argument("--seed", type=int, default=1, help="seed of the search, at least 1")
-    return made
 
 
 def parse_aim(text: str) -> Aim:

@@ -6,32 +6,26 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
 from sweep.core.arguments import Arguments
+from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
-from sweep.core.parameters import InputError
-from sweep.formulas import FORMULAS, Formula, Input, NoSolution, find, find_by_equation
 
+if TYPE_CHECKING:
+    from sweep.formulas import Formula, Input
+
+COMMAND = Command(Section.LOOK_UP, "evaluate a closed-form formula from the literature")
 PICTURES = (".pdf", ".png", ".svg")
 
 
-def main(argv: list[str]) -> int:
-    """Run the command with the arguments after `formula`; return the exit code. Raises `InputError`."""
-    for line in _evaluate_command(_parser().parse_args(argv)):
-        print(line)
-    return DONE
-
-
-def _parser() -> Arguments:
-    parser = Arguments(
-        prog="sweep formula",
-        description="Evaluate a closed-form formula from the literature. Without a name, list all formulas.",
-        epilog="Elements of a vector are set together (r_s=0.1,0,0.05) or one by one (r_s.0=0.1).",
-    )
+def add_arguments(parser: Arguments) -> None:
+    """Add the formula, values of its inputs, and the form of the output."""
+    parser.formatter_class = argparse.HelpFormatter  # wraps the epilog
+    parser.description = "Evaluate a closed-form formula from the literature. Without a name, list all formulas."
+    parser.epilog = "Elements of a vector are set together (r_s=0.1,0,0.05) or one by one (r_s.0=0.1)."
     parser.add_argument("name", nargs="?", help="name of a formula, or an equation number such as 2.1.6 to search for")
     parser.add_argument(
         "values", nargs="*", metavar="key=value", help="values of inputs; other inputs keep their defaults"
@@ -39,10 +33,18 @@ def _parser() -> Arguments:
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--sweep", metavar="key=lo:hi:n", help="print a table over n values of one input")
     parser.add_argument("--plot", metavar="FILE", type=Path, help="plot the table of --sweep")
-    return parser
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print a formula's values, a table or all formulas. Raises `InputError`."""
+    for line in _evaluate_command(args):
+        print(line)
+    return DONE
 
 
 def _evaluate_command(args: argparse.Namespace) -> Iterator[str]:
+    from sweep.formulas import FORMULAS, find, find_by_equation
+
     if args.plot and not args.sweep:
         raise InputError("--plot needs --sweep key=lo:hi:n, whose table it plots")
     if args.name is None:
@@ -73,7 +75,7 @@ def _format_listing(formulas: Any, as_json: bool) -> Iterator[str]:
         yield f"{formula.name:22} {formula.summary}: {units}. {formula.reference}"
 
 
-def _parse_inputs(formula: Formula, assignments: Sequence[str]) -> dict[str, Any]:
+def _parse_inputs(formula: "Formula", assignments: Sequence[str]) -> dict[str, Any]:
     """Parse `key=value` assignments to checked inputs by flat name, with defaults for the others."""
     values = formula.complete({})
     for assignment in assignments:
@@ -84,7 +86,7 @@ def _parse_inputs(formula: Formula, assignments: Sequence[str]) -> dict[str, Any
     return values
 
 
-def _assign(formula: Formula, values: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
+def _assign(formula: "Formula", values: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
     """Set input `key`, or element name.index of a vector, to a checked value."""
     name, _, index = key.rpartition(".")
     vector = values.get(name)
@@ -105,8 +107,10 @@ def _parse_value(text: str) -> Any:
     return text
 
 
-def _parse_range(formula: Formula, text: str) -> tuple[str, list[float]]:
+def _parse_range(formula: "Formula", text: str) -> tuple[str, list[float]]:
     """Parse `key=lo:hi:n` to an input and its values."""
+    import numpy as np
+
     match, key = re.fullmatch(r"[^=]+=([^:]+):([^:]+):(\d+)", text), text.partition("=")[0]
     try:
         low, high, count = match.groups()  # pyright: ignore[reportOptionalMemberAccess]
@@ -119,9 +123,11 @@ def _parse_range(formula: Formula, text: str) -> tuple[str, list[float]]:
 
 
 def _evaluate_over(
-    formula: Formula, values: Mapping[str, Any], key: str, points: Sequence[float]
+    formula: "Formula", values: Mapping[str, Any], key: str, points: Sequence[float]
 ) -> list[dict[str, Any]]:
     """Evaluate a formula over values of one input: a row each, None where there is no solution."""
+    from sweep.formulas import NoSolution
+
     rows: list[dict[str, Any]] = []
     for point in points:
         inputs = _assign(formula, values, key, point)
@@ -151,7 +157,7 @@ def _table_lines(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         yield "  ".join(f"{'-' if value is None else _text(value):>{width}}" for value in row.values())
 
 
-def _report(formula: Formula, values: Mapping[str, Any]) -> dict[str, Any]:
+def _report(formula: "Formula", values: Mapping[str, Any]) -> dict[str, Any]:
     outputs = formula.evaluate(values)
     return {
         "formula": formula.name,
@@ -167,7 +173,7 @@ def _report(formula: Formula, values: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _report_lines(formula: Formula, report: Mapping[str, Any]) -> Iterator[str]:
+def _report_lines(formula: "Formula", report: Mapping[str, Any]) -> Iterator[str]:
     yield f"{formula.name}: {formula.summary}"
     yield f"source: {formula.reference}"
     yield f"corrected: {formula.correction or 'no, as printed'}"
@@ -193,11 +199,12 @@ def _text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _plot(formula: Formula, rows: Sequence[Mapping[str, Any]], key: str, file: Path) -> None:
+def _plot(formula: "Formula", rows: Sequence[Mapping[str, Any]], key: str, file: Path) -> None:
     """Plot every output against `key`, one panel for each unit."""
     if file.suffix not in PICTURES or not file.parent.is_dir():
         raise InputError(f"--plot {file} is not allowed: a {', '.join(PICTURES)} file in a folder that exists")
-    from matplotlib.figure import Figure  # slow to load, and wanted only here
+    import numpy as np
+    from matplotlib.figure import Figure
 
     names = [name for name in rows[0] if name != key]
     units = dict.fromkeys(formula.outputs[name.partition(".")[0]] for name in names)
@@ -215,7 +222,7 @@ def _plot(formula: Formula, rows: Sequence[Mapping[str, Any]], key: str, file: P
     write_atomically(file, partial(figure.savefig, dpi=120))
 
 
-def _unit(inputs: Sequence[Input], key: str) -> str:
+def _unit(inputs: "Sequence[Input]", key: str) -> str:
     """Unit of input `key`, or of the vector to which it belongs."""
     units = {entry.name: entry.unit for entry in inputs}
     return units[key] if key in units else units[key.rpartition(".")[0]]

@@ -1,26 +1,22 @@
-"""`sweep run` after the configuration is checked: runner, progress and summary."""
+"""Run an experiment whose configuration is checked: runner, progress and summary of `sweep run`."""
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pandas as pd
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TimeElapsedColumn
-from rich.text import Text
 
 from sweep.analysis import rare
 from sweep.analysis.expectations import unmet_expectations
 from sweep.analysis.sample import drop_copies, pooled_rate
 from sweep.analysis.stats import cause_lines, rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
+from sweep.cli.run_progress import report_progress
 from sweep.config.experiment import Experiment, build_experiment, compose_values
 from sweep.core.errors import InputError
 from sweep.core.progress import (
-    compilation_seconds,
     format_compile_estimate,
     format_last_duration,
     format_running_parts,
@@ -307,86 +303,3 @@ def program_text(exp: Experiment) -> str:
     """Description of the program that is compiled before the first batch."""
     kind = exp.settings.name if exp.study.single else f"batches of {exp.study.name} on {exp.settings.name}"
     return f"{exp.scenario} for {kind}"
-
-
-class Pace:
-    """Estimate of a run's remaining time from its finished batches, without compile time."""
-
-    def __init__(self, total: int):
-        self.total, self.done = total, 0
-        self.start = self.last = time.perf_counter()
-        self._compiled, self._first = compilation_seconds(), (0, 0.0)
-
-    def count(self, rollouts: int) -> None:
-        """Add finished rollouts."""
-        self.done, self.last = self.done + rollouts, time.perf_counter()
-        if not self._first[0]:
-            self._first = rollouts, self.last
-
-    def remaining(self) -> float | None:
-        """Return the remaining time (s); None before the first batch is finished."""
-        first, since = self._first
-        if not first:
-            return None
-        if self.done > first:
-            seconds = (self.last - since) / (self.done - first)
-        else:
-            seconds = max(0.0, since - self.start - (compilation_seconds() - self._compiled)) / first
-        return max(0.0, seconds * (self.total - self.done) - (time.perf_counter() - self.last))
-
-    def remaining_text(self) -> str:
-        """Format the remaining time as minutes and seconds, or dashes while it is unknown."""
-        seconds = self.remaining()
-        return "-:-- left" if seconds is None else f"{int(seconds) // 60}:{int(seconds) % 60:02d} left"
-
-
-class LiveColumn(ProgressColumn):
-    """Column of a progress bar whose text is updated every second."""
-
-    max_refresh = 1.0  # s
-
-    def __init__(self, text: Callable[[], str]):
-        super().__init__()
-        self.text = text
-
-    def render(self, task: Task) -> Text:
-        """Return the present text."""
-        return Text(self.text(), no_wrap=True)
-
-
-@contextmanager
-def report_progress(
-    name: str, total: int, program: str, watched: WorkerStatus | None = None
-) -> Iterator[runner.Progress]:
-    """Show progress: a bar on a terminal, else a line from time to time."""
-    console = Console(stderr=True)
-    start, done, good, pace = time.perf_counter(), 0, 0, Pace(total)
-    # numbers first: a narrow terminal cuts the end of the line off
-    columns = (
-        MofNCompleteColumn(),
-        LiveColumn(pace.remaining_text),
-        TimeElapsedColumn(),
-        BarColumn(bar_width=10),
-        LiveColumn(lambda: f"{name}: {note()}"),
-    )
-
-    def note() -> str:
-        if not done:
-            return f"compiling {program}{format_last_duration(program)}{format_running_parts(program)}"
-        left = f", about {pace.remaining():.0f} s left" if not console.is_terminal else ""
-        workers = f", {watched.workers} workers" if watched and watched.workers is not None else ""
-        return f"{done / (time.perf_counter() - start):.1f} rollouts/s, {good / done:.0%} succeed{left}{workers}"
-
-    silent = nullcontext() if console.is_terminal else show_wait(lambda: f"{name}: {done} of {total}, {note()}")
-    with silent, Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(name, total=total)
-
-        def report(rows: pd.DataFrame) -> None:
-            nonlocal done, good
-            if not done:
-                remember_duration(program, time.perf_counter() - start)
-            pace.count(len(rows))
-            done, good = done + len(rows), good + int((rows["outcome"] == "success").sum())
-            bar.update(task, completed=done)
-
-        yield report

@@ -3,16 +3,13 @@
 import argparse
 from pathlib import Path
 
-import yaml
-
-from sweep.backends.binary import model_bytes
+from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
-from sweep.config.experiment import compose
 from sweep.core.arguments import Arguments, is_value
 from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
-from sweep.systems import exported
 
+COMMAND = Command(Section.SHARE, "export the built-in robot as a MuJoCo model")
 EPILOG = """C MuJoCo and MJX simulate the exported robot with their own physics, a check of this
 package's. The folder is a project.
 MuJoCo reads robot.mjb, which has all digits; robot.xml is the same to read, to six.
@@ -34,9 +31,23 @@ begin, policy, figures, PARAMETERS, FIGURES = make_controller(exp.case, exp.sett
 '''
 
 
-def main(args: list[str]) -> int:
-    """Run `sweep export-model` with the arguments after its name; return the exit code. Raises `InputError`."""
-    exp = compose(parser().parse_known_args(args)[1])
+def add_arguments(parser: Arguments) -> None:
+    """Add no flags: all words are values of the configuration."""
+    parser.others = is_value
+    parser.usage = "sweep export-model scenario=NAME [group.name=value ...] out=DIR"
+    parser.description = __doc__
+    parser.epilog = EPILOG
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the project's files. Raises `InputError` where the scenario cannot be exported or a file is there."""
+    import yaml
+
+    from sweep.backends.binary import model_bytes
+    from sweep.config.experiment import compose
+    from sweep.systems import exported
+
+    exp = compose(args.overrides)
     if why := exp.system.unsupported_commands.get("export-model"):
         raise InputError(f"export-model is not allowed: {why}")
     if not exp.study.single:
@@ -66,15 +77,3 @@ def main(args: list[str]) -> int:
         write_atomically(folder / name, text.encode())
     print(f"{folder}: cd {folder}; sweep run scenario=own")
     return DONE
-
-
-def parser() -> Arguments:
-    """Parser of the arguments of `sweep export-model`."""
-    return Arguments(
-        others=is_value,
-        prog="sweep export-model",
-        usage="sweep export-model scenario=NAME [group.name=value ...] out=DIR",
-        description=__doc__,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )

@@ -1,87 +1,25 @@
-"""`sweep view`: watch one rollout, or two side by side, on the page or in MuJoCo's viewer."""
+"""Simulate what `sweep view` shows, one rollout or two side by side, and play it in MuJoCo's viewer."""
 
-import argparse
 import os
-import sys
 import time
-import webbrowser
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 
-from sweep.cli.exits import DONE
 from sweep.config.experiment import Experiment, compose
 from sweep.contract.engine import Trace
 from sweep.core import provenance
-from sweep.core.arguments import Arguments
 from sweep.core.errors import InputError
-from sweep.core.files import path_in
 from sweep.core.progress import show_wait
 from sweep.replay.sampling import finite_frames
-from sweep.report import page, replays
+from sweep.report import replays
 from sweep.report.page.replay_data import ShownReplay, read_shown_replays
 from sweep.runs import batches, device_choice, results, runner, store
 from sweep.runs.results import Results
 
 SMOOTH, HOLD = 60.0, 1.0  # frames per second in MuJoCo's viewer, and s before it begins again
-PAGES = Path("results") / "view"  # of rollouts that belong to no folder
-
-
-def main(args: list[str]) -> int:
-    """Run `sweep view` with the arguments after its name; return the exit code. Raises `InputError`."""
-    options = parser().parse_args(args)
-    for name in (options.what[0], *options.beside[:-1][:1]):  # one word alone is a row of the same folder
-        if "=" not in name and store.STUDY not in file_names(name):
-            raise InputError(f"{name} is neither a folder of results nor group.name=value")
-    if options.mujoco:
-        if not has_screen():
-            raise InputError("--mujoco needs a screen: DISPLAY is not set; without --mujoco the page shows the same")
-        with show_wait(f"simulating {' '.join(options.what)}"):
-            trace = next(record_traces(options.what), None)
-        if trace is None:
-            raise InputError(f"{' '.join(options.what)} cannot be shown")
-        play(trace)
-        return DONE
-    of_folder = store.STUDY in file_names(options.what[0])
-    found, shown = (open_study if of_folder else simulate_configuration)(options.what, options.beside)
-    path = options.output or (
-        path_in(Path(options.what[0]), "view.html") if of_folder else PAGES / f"{found.exp.scenario}.html"
-    )
-    print(page.write_page(found, path, shown=shown, opened=1 + bool(options.beside)))
-    if has_screen():
-        webbrowser.open(path.resolve().as_uri())
-    return DONE
-
-
-def parser() -> Arguments:
-    """Parser of the arguments of `sweep view`."""
-    made = Arguments(
-        prog="sweep view",
-        description="Simulate a rollout and play it in the browser.",
-        epilog="examples:\n  sweep view scenario=pole_climb contact.friction=0.5\n  sweep view results/walk_map 42\n"
-        "  sweep view scenario=pole_climb --with engine=native\n  sweep view results/before 42 --with results/after",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    kinds = "DIR ID | group.name=value"
-    made.add_argument("what", metavar=kinds, nargs="+", help="a row of a study, or a configuration")
-    made.add_argument(
-        "--with",
-        dest="beside",
-        metavar=kinds,
-        nargs="+",
-        default=[],
-        help="a second rollout to play beside it: another row, the same row of another folder, or other values",
-    )
-    made.add_argument("--mujoco", action="store_true", help="show MuJoCo's own viewer instead of the page")
-    made.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page's file")
-    return made
-
-
-def has_screen() -> bool:
-    """Whether a display is available."""
-    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def play(trace: Trace) -> None:

@@ -8,28 +8,36 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import jax
-import numpy as np
-from tabulate import tabulate
-
-from sweep.backends import program_cache
+from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
-from sweep.config.experiment import compose
-from sweep.contract.engine_settings import EngineSettings
+from sweep.core.arguments import Arguments
 from sweep.core.errors import InputError
-from sweep.engines import make
-from sweep.metrics.outcome import Thresholds
-from sweep.models.case import Case
-from sweep.systems.hexapod import replace_parameter
 
+if TYPE_CHECKING:
+    from sweep.contract.engine_settings import EngineSettings
+    from sweep.models.case import Case
+
+COMMAND = Command(Section.SIMULATE, "measure the simulation speed of this machine by engine and dynamics")
+ROWS = ("arrowhead", "mjx", "native")
 MOST_NATIVE = 128  # rollouts for the row of C MuJoCo, the slowest
 MEASURED = "walk_tripod over walk_map: controller, physics and metrics of whole rollouts; env-steps are physics steps"
 
 
-def run_bench(args: argparse.Namespace) -> int:
+def add_arguments(parser: Arguments) -> None:
+    """Add the size of the measurement, and which rows of the table are measured."""
+    parser.add_argument("--rollouts", type=int, default=0, help="rollouts for each row of the table; 0: one batch")
+    parser.add_argument("--width", type=int, default=0, help="rollouts in a batch; 0: best for the device")
+    parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS), help="which of them")
+
+
+def run(args: argparse.Namespace) -> int:
     """Measure the speed of engines, and print each line as soon as it is measured, then a table."""
+    from tabulate import tabulate
+
+    from sweep.config.experiment import compose
+
     for name in ("rollouts", "width"):
         if getattr(args, name) < 0:
             raise InputError(f"--{name} = {getattr(args, name)} is not allowed: at least 0")
@@ -42,8 +50,11 @@ def run_bench(args: argparse.Namespace) -> int:
     return DONE
 
 
-def measure_rows(nominal: Case, rollouts: int, width: int, rows: tuple[str, ...]) -> Iterator[dict[str, Any]]:
+def measure_rows(nominal: "Case", rollouts: int, width: int, rows: tuple[str, ...]) -> Iterator[dict[str, Any]]:
     """Yield a result for each of `rows`; width 0 selects the device's best, rollouts 0 one batch."""
+    from sweep.backends import program_cache
+    from sweep.contract.engine_settings import EngineSettings
+
     for name in rows:
         settings = EngineSettings(
             width=width if name != "native" else 0,
@@ -55,8 +66,12 @@ def measure_rows(nominal: Case, rollouts: int, width: int, rows: tuple[str, ...]
         yield line
 
 
-def walk_map_batches(nominal: Case, rollouts: int, width: int) -> list[tuple[Case, Case]]:
+def walk_map_batches(nominal: "Case", rollouts: int, width: int) -> "list[tuple[Case, Case]]":
     """Make batches of `width` (worlds, beliefs) over the grid of walk_map, for at least `rollouts` points."""
+    import numpy as np
+
+    from sweep.systems.hexapod import replace_parameter
+
     rows = max(1, round((rollouts * 17 / 33) ** 0.5))
     friction, ratio = np.meshgrid(np.linspace(0.05, 1.2, -(-rollouts // rows)), np.linspace(0.03, 0.2, rows))
     slots = np.minimum(np.arange(-(-rollouts // width) * width), rollouts - 1).reshape(-1, width)
@@ -68,8 +83,14 @@ def walk_map_batches(nominal: Case, rollouts: int, width: int) -> list[tuple[Cas
     return batches
 
 
-def _engine(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str, Any]:
+def _engine(settings: "EngineSettings", nominal: "Case", rollouts: int) -> dict[str, Any]:
     """Make a function that measures whole rollouts on one engine."""
+    import jax
+    import numpy as np
+
+    from sweep.engines import make
+    from sweep.metrics.outcome import Thresholds
+
     engine = make(settings, nominal, nominal, Thresholds())
     rollouts = rollouts or engine.width
     if settings.name == "native":
@@ -77,7 +98,7 @@ def _engine(settings: EngineSettings, nominal: Case, rollouts: int) -> dict[str,
     batches = walk_map_batches(nominal, rollouts, engine.width)
     streams = np.zeros(engine.width, int)
 
-    def simulate(batch: tuple[Case, Case]) -> float:
+    def simulate(batch: "tuple[Case, Case]") -> float:
         return float(np.max(engine.run(*batch, streams)["duration_s"]))
 
     first = measure_seconds(lambda: simulate(batches[0]))

@@ -1,6 +1,5 @@
-"""`sweep reproduce CRATE` and `sweep verify --simulate N`: simulate stored rows again and compare them."""
+"""Simulate stored rows again and compare them, for `sweep reproduce` and `sweep verify --simulate`."""
 
-import argparse
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,37 +8,14 @@ import pandas as pd
 
 from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.contract.engine import same_bits
-from sweep.core.errors import InputError
 from sweep.core.progress import show_wait
-from sweep.report import crate, replays
-from sweep.runs import device_choice, repair, results, store
+from sweep.report import replays
+from sweep.runs import device_choice, store
 from sweep.runs.results import Results
 from sweep.study.columns import metric_columns
 
 TOLERANCE = 1e-3  # relative, within which metrics count as reproduced
 SHOWN = 3  # metrics of a row that are named
-
-
-def reproduce_crate(args: argparse.Namespace) -> int:
-    """Simulate rows of a crate again; exit code 4 if an outcome or metric changed. Raises `InputError`.
-
-    A crate that has code runs only with `--trust`; without it the code is listed.
-    """
-    if args.rows < 1:
-        raise InputError(f"--rows = {args.rows} is not allowed: at least 1")
-    if not args.tolerance >= 0:
-        raise InputError(f"--tolerance = {args.tolerance:g} is not allowed: at least 0")
-    if not 0 <= args.seed < 2**32:
-        raise InputError(f"--seed = {args.seed} is not allowed: at least 0 and below 2^32")
-    with crate.open_crate(args.crate) as folder:
-        if (code := crate.code_in(folder)) and not args.trust:
-            print("\n".join(code))
-            raise InputError(f"{args.crate} contains code, listed above: read it, then give --trust to run it")
-        with crate.working_project(folder):
-            if problems := repair.verify(folder / crate.STUDY)[0]:
-                raise InputError(problems[0])
-            found = results.read(folder / crate.STUDY)
-            return report_simulated_again(found, args.rows, args.seed, args.tolerance)
 
 
 def report_simulated_again(results: Results, number: int, seed: int = 0, tolerance: float = TOLERANCE) -> int:

@@ -1,4 +1,4 @@
-"""`sweep certify`: find the largest region of a study's parameters in which failures are guaranteed to be rare."""
+"""Certify the largest region of drawn parameters in which failures are guaranteed to be rare, for `sweep certify`."""
 
 import argparse
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +14,7 @@ from sweep.analysis import certify, sensitivity
 from sweep.analysis.intervals import clopper_pearson
 from sweep.analysis.sampling_units import has_draws
 from sweep.analysis.stats import format_percent
-from sweep.cli.run import report_progress
+from sweep.cli.run_progress import report_progress
 from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.errors import InputError
 from sweep.core.files import path_in

@@ -1,0 +1,37 @@
+"""`sweep describe`: describe parameters, choices and columns."""
+
+import argparse
+
+from sweep.cli.choices import outside_of_project
+from sweep.cli.command import Command, Section
+from sweep.cli.exits import DONE
+from sweep.core import terminal
+from sweep.core.arguments import Arguments
+from sweep.core.errors import InputError
+
+COMMAND = Command(
+    Section.LOOK_UP,
+    "describe parameters: unit, meaning, bounds, default",
+    "sweep describe robot; sweep describe drive.torque_limit",
+)
+
+
+def add_arguments(parser: Arguments) -> None:
+    """Add the name of what is described."""
+    parser.add_argument(
+        "name",
+        nargs="?",
+        help="a group, a choice such as obstacle=ball, a parameter or a column (default: all parameters)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print unit, meaning, bounds and default of parameters, or the meaning of a choice or column."""
+    from sweep.config import reference
+
+    try:
+        text = reference.parameters_page() if args.name is None else reference.describe(args.name)
+    except InputError as error:
+        raise InputError(f"{error}{outside_of_project() if '=' in (args.name or '') else ''}") from None
+    terminal.print_markdown(text + "\n", required=("meaning",))
+    return DONE

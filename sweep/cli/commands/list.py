@@ -1,0 +1,94 @@
+"""`sweep list`: list choices of the configuration groups, or folders of results."""
+
+import argparse
+import shutil
+import textwrap
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from sweep.cli.choices import shipped_choices
+from sweep.cli.command import Command, Section
+from sweep.cli.exits import DONE
+from sweep.core import project, terminal
+from sweep.core.arguments import Arguments
+from sweep.core.errors import InputError
+from sweep.core.groups import GROUPS
+
+COMMAND = Command(
+    Section.LOOK_UP,
+    "list scenarios, studies, robots and other choices, or folders of results",
+    "sweep list study map; sweep list robot; sweep list ball; sweep list results/",
+)
+
+
+def add_arguments(parser: Arguments) -> None:
+    """Add the words that select what is listed."""
+    wanted = "a group and words to filter its choices, or folders of results such as results/"
+    parser.add_argument("what", nargs="*", help=wanted)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the choices of all groups, of one group, or those that match words; a line for each results folder.
+
+    Raises `InputError` where nothing matches.
+    """
+    if any(word not in GROUPS and ("/" in word or Path(word).exists()) for word in args.what):
+        from sweep.report import overview
+
+        terminal.print_markdown(overview.overview_text([Path(word) for word in args.what]) + "\n")
+        return DONE
+    group, words = (args.what[0], args.what[1:]) if args.what and args.what[0] in GROUPS else ("", args.what)
+    groups = [group] if group else list(GROUPS)
+    shipped = {name: matching_choices(shipped_choices(name), words) for name in groups}
+    own = {
+        name: matching_choices(
+            {k: project.first_comment(file) for k, file in project.project_files(name).items()}, words
+        )
+        for name in groups
+    }
+    if not any(shipped.values()) and not any(own.values()):
+        where = f"{group} that matches {' '.join(words)}" if group else f"group or choice called {' '.join(words)}"
+        raise InputError(f"there is no {where}, and no folder: `sweep list` shows the groups")
+    print_groups(shipped, brief=not args.what)
+    if any(own.values()):
+        print(f"\nof this project, {project.find_project()}")
+        print_groups(own)
+    if not args.what:
+        print(
+            "\nsweep list GROUP [WORD ...]   what each choice is, or those that match all words: sweep list study map"
+        )
+    return DONE
+
+
+def matching_choices(choices: Mapping[str, str], words: Sequence[str]) -> dict[str, str]:
+    """Return the choices whose name or description contains all of `words`, ignoring case."""
+    return {
+        name: text for name, text in choices.items() if all(word.lower() in f"{name} {text}".lower() for word in words)
+    }
+
+
+def print_groups(groups: Mapping[str, Mapping[str, str]], brief: bool = False) -> None:
+    """Print choices by group, leaving out empty groups.
+
+    Args:
+        groups: For each group the names of choices and their descriptions.
+        brief: Print only the names, but of studies, and cut each description to a line.
+    """
+    width = shutil.get_terminal_size((100, 0)).columns
+    for group, named in groups.items():
+        if not named:
+            continue
+        print(f"{group}=")
+        if brief and group != "study":
+            print(textwrap.fill(", ".join(named), width, initial_indent="  ", subsequent_indent="  "))
+        elif brief:
+            lines = (f"{name:20} {text}" for name, text in named.items())
+            print(*(f"  {one if len(one) <= width - 2 else one[: width - 5] + '...'}" for one in lines), sep="\n")
+        else:
+            print_choices(named)
+
+
+def print_choices(named: Mapping[str, str]) -> None:
+    """Print names and descriptions of choices."""
+    for name, text in named.items():
+        terminal.print_markdown(f"  {name:20} {text}".rstrip() + "\n")

@@ -1,0 +1,37 @@
+"""`sweep relabel`: apply other thresholds to stored rollouts."""
+
+import argparse
+
+from sweep.cli.arguments import add_folder
+from sweep.cli.command import Command, Section
+from sweep.cli.exits import DONE
+from sweep.core.arguments import Arguments
+from sweep.core.errors import InputError
+
+COMMAND = Command(
+    Section.READ,
+    "apply other thresholds to stored rollouts without simulating",
+    "sweep relabel results/walk_map 'slip_max_m<0.02' 'tilt_max_deg<15'",
+)
+
+
+def add_arguments(parser: Arguments) -> None:
+    """Add the folder and the thresholds."""
+    add_folder(parser)
+    wanted = "such as 'slip_max_m<0.02'; for a MuJoCo model, a condition such as 'goal=travelled_m >= 1'"
+    parser.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help=wanted)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Apply new thresholds or conditions to the stored metrics."""
+    from sweep.report.headline import headline
+    from sweep.runs import results, runner, store
+
+    exp = results.load_experiment(args.dir)
+    changes = dict(map(exp.system.parse_threshold, args.thresholds))
+    if len(changes) < len(args.thresholds):
+        raise InputError(f"a threshold is given twice: {' '.join(args.thresholds)}")
+    with store.lock_folder(args.dir):
+        runner.relabel(args.dir, {**exp.values["outcome"], **changes})
+    print(headline(store.read_rows(args.dir), exp))
+    return DONE

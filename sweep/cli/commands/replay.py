@@ -1,0 +1,101 @@
+"""`sweep replay`: simulate one stored rollout again and record it."""
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+from sweep.cli.command import Command, Section
+from sweep.cli.exits import DONE
+from sweep.core.arguments import Arguments
+from sweep.core.errors import InputError
+from sweep.core.files import write_atomically
+
+COMMAND = Command(Section.WATCH, "simulate one rollout of a study again and record it")
+FORMAT_OPTIONS = ("mcap", "states", "model", "plot", "png", "video")  # options that a system may not support
+# keys of sweep.replay.plots.PLOTS, which is slow to import
+PLOT_NAMES = ("torques", "joints", "base", "feet", "margin", "paths", "ball", "flywheel", "forces")
+
+
+def add_arguments(parser: Arguments) -> None:
+    """Add the stored rollout, and what is recorded."""
+    parser.description = "Simulate one stored rollout again and show it."
+    parser.add_argument("folder", metavar="DIR", type=Path, help="result folder of a study")
+    parser.add_argument("point", metavar="POINT", help="row number, or the beginning of a point_id")
+    parser.add_argument("--mcap", metavar="FILE", type=Path, help="write a trace for Foxglove, and a layout beside it")
+    parser.add_argument("--states", metavar="FILE", type=Path, help="write every tick's state as a Parquet table")
+    parser.add_argument("--model", metavar="FILE", type=Path, help="write the MuJoCo model of these states as XML")
+    parser.add_argument("--png", metavar="DIR", type=Path, help="write a few pictures")
+    parser.add_argument("--video", metavar="FILE", type=Path, help="write an MP4 in real time")
+    parser.add_argument("--plot", metavar="NAME", nargs="+", choices=PLOT_NAMES, default=[], help=", ".join(PLOT_NAMES))
+    parser.add_argument("-o", "--output", metavar="FILE", type=Path, help="file of the plots (png, svg, pdf)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate the rollout, compare it with its row, and write what is asked for. Raises `InputError`."""
+    check_options(args)
+    from sweep.core.plot_style import save_figure
+    from sweep.core.progress import show_counts, show_wait
+    from sweep.replay.mcap import write_mcap
+    from sweep.replay.plots import PLOTS
+    from sweep.replay.rendering import VIDEO_RATE, write_png, write_video
+    from sweep.replay.replay import format_comparison, model_xml, replay, state_table
+    from sweep.replay.sampling import frames_at_rate
+    from sweep.runs import device_choice, results
+
+    system = results.load_experiment(args.folder).system
+    for name in FORMAT_OPTIONS:
+        if getattr(args, name) and name not in system.replay_formats:
+            shown = ", ".join(f"--{one}" for one in sorted(system.replay_formats))
+            raise InputError(
+                f"--{name} is not allowed: rollouts of this system are shown by {shown}, and what study.keep keeps"
+            )
+    device_choice.choose_device_for_folder(args.folder)
+    with show_wait(f"simulating {args.point} of {args.folder} in its batch"):
+        result = replay(args.folder, args.point)
+    print(format_comparison(result))
+    for path in (args.mcap, args.video, args.output, args.states, args.model):
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+    if args.mcap:
+        outcome = {"point_id": result.stored["point_id"], **result.again}
+        write_mcap(args.mcap, result.trace, result.config, outcome)
+    if args.states:
+        write_atomically(args.states, partial(state_table(result.trace).to_parquet, index=False))
+    if args.model:
+        write_atomically(args.model, model_xml(result.trace.world, result.settings).encode())
+    for name in args.plot:
+        beside = args.output.with_stem(f"{args.output.stem}-{name}")
+        save_figure(PLOTS[name](result.trace), beside if len(args.plot) > 1 else args.output)
+    came = str(result.again["cause"] or result.again["outcome"]).replace("_", " ")
+    if args.png:
+        write_png(args.png, result.trace, came)
+    if args.video:
+        pictures = len(frames_at_rate(result.trace, VIDEO_RATE))
+        with show_counts(lambda done, of: f"{done} of {of} pictures drawn", 0, pictures) as report:
+            write_video(args.video, result.trace, f"row {result.stored.name}", came, report)
+    return DONE
+
+
+def check_options(args: argparse.Namespace) -> None:
+    """Refuse options that would fail after the simulation."""
+    if bool(args.plot) != (args.output is not None):
+        raise InputError("--plot NAME ... and -o FILE go together")
+    if args.output and args.output.suffix[1:] not in (kinds := picture_kinds()):
+        raise InputError(f"-o {args.output} is not allowed: a file that ends in {', '.join(sorted(kinds))}")
+    for option, ending in (("states", ".parquet"), ("model", ".xml")):
+        path = getattr(args, option)
+        if path and path.suffix != ending:
+            raise InputError(f"--{option} {path} is not allowed: a file that ends in {ending[1:]}")
+    if args.video:
+        if args.video.suffix != ".mp4":
+            raise InputError(f"--video {args.video} is not allowed: a file that ends in mp4")
+        from sweep.replay.rendering import require_ffmpeg
+
+        require_ffmpeg()
+
+
+def picture_kinds() -> dict[str, str]:
+    """Endings of picture files that Matplotlib writes, with their meanings."""
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    return FigureCanvasBase.get_supported_filetypes()

@@ -1,0 +1,36 @@
+"""`sweep status`: show progress and outcomes of a study."""
+
+import argparse
+
+from sweep.cli.arguments import add_folder
+from sweep.cli.command import Command, Section
+from sweep.cli.exits import DONE
+from sweep.core.arguments import Arguments
+
+COMMAND = Command(Section.READ, "show progress and outcomes of a study")
+
+
+def add_arguments(parser: Arguments) -> None:
+    """Add the folder."""
+    add_folder(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print how many rollouts are planned and done, and their outcomes."""
+    from sweep.analysis.stats import cause_lines
+    from sweep.report.headline import headline
+    from sweep.runs import results, store
+
+    stored = store.read_study(args.dir)
+    _, done = store.count_rollouts(args.dir)
+    print(f"{args.dir}: {done} of {stored['rollouts']} rollouts done, code {stored['commit'] or stored['code']}")
+    if done:
+        exp = results.load_experiment(args.dir)
+        rows = store.read_rows(args.dir, None if exp.study.is_adaptive else ["outcome", "cause"])
+        meanings = exp.system.cause_meanings(exp.thresholds)
+        if exp.study.is_adaptive:
+            print(headline(rows, exp))
+        print(", ".join(f"{number} {outcome}" for outcome, number in rows["outcome"].value_counts().items()))
+        for line in cause_lines(rows["cause"], meanings):
+            print(f"  {line}")
+    return DONE

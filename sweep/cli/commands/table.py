@@ -1,0 +1,78 @@
+"""`sweep table`: print the rows of a study."""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from sweep.cli.arguments import add_folder, add_output, add_where, parse_names
+from sweep.cli.command import Command, Section
+from sweep.cli.exits import DONE
+from sweep.core import terminal
+from sweep.core.arguments import Arguments
+from sweep.core.errors import InputError
+
+if TYPE_CHECKING:
+    from sweep.config.experiment import Experiment
+
+COMMAND = Command(Section.READ, "print the rows of a study as a table")
+
+
+def add_arguments(parser: Arguments) -> None:
+    """Add the folder, the selection of rows and columns, and the format."""
+    add_folder(parser)
+    parser.add_argument(
+        "--format",
+        choices=("csv", "markdown", "latex", "parquet"),
+        default="markdown",
+        help="format of the table (markdown)",
+    )
+    add_where(parser, "only rows that match, such as 'friction > 0.8 and outcome == \"failure\"'")
+    parser.add_argument("--columns", help="only these columns, separated by commas")
+    add_output(parser, "write to this file instead of the standard output")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print or write rows as CSV, Markdown, LaTeX or Parquet."""
+    from sweep.cli.rows import read_matching_rows, save_output
+    from sweep.report import tables
+    from sweep.runs import results
+
+    if args.format == "parquet" and not args.output:
+        raise InputError("--format parquet needs a file: -o FILE")
+    exp = results.load_experiment(args.dir)
+    empty, names = results.empty_rows(args.dir, exp), parse_names(args.columns)
+    chosen = tables.choose_columns(empty, args.format, names)
+    if args.format == "csv":
+        write_csv_table(args, exp, chosen)
+        return DONE
+    rows = read_matching_rows(args.dir, args.where, [*chosen, "replicate"])  # by which a page chooses columns
+    content = tables.render_table(rows, args.format, chosen if args.format == "parquet" else names, exp)
+    if args.output:
+        save_output(args.output, content)
+    elif args.format != "markdown":  # data for another program, whose lines must stay whole
+        sys.stdout.write(content.decode())
+    else:
+        kept, elsewhere = ("outcome", "cause"), "use `--columns` to choose columns, or -o FILE for all"
+        terminal.print_markdown(content.decode(), kept, elsewhere)
+    return DONE
+
+
+def write_csv_table(args: argparse.Namespace, exp: "Experiment", columns: Sequence[str]) -> None:
+    """Write columns of the rows as CSV, with no more than a part of the folder in memory."""
+    from sweep.cli.rows import save_output, warn_of_no_match
+    from sweep.report import tables
+    from sweep.runs import results
+
+    def pieces() -> Iterator[bytes]:
+        total, matching = 0, 0
+        for rows, number in results.iterate_matching_rows(args.dir, exp, columns, args.where):
+            yield tables.csv_bytes(rows, header=not total)
+            total, matching = total + number, matching + len(rows)
+        if not matching:
+            warn_of_no_match(args.dir, args.where, total)
+
+    if args.output:
+        save_output(args.output, pieces())
+    else:
+        sys.stdout.writelines(piece.decode() for piece in pieces())
