@@ -25,7 +25,7 @@ from sweep.formulas.ball import GRAVITY, ROLLING, lateral_mu
 from sweep.manoeuvres.balancing.ball_aside import BallAside, lateral_gain
 from sweep.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.manoeuvres.balancing.ball_descend import BallDescend
-from sweep.manoeuvres.balancing.ball_over import BallOver
+from sweep.manoeuvres.balancing.ball_over import BallCrossing
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import total_mass
@@ -52,7 +52,7 @@ def draw(name: str) -> Path:
     exp, trace = traced(*RUNS[name], "engine=native")
     path = FIGURES / f"{name}.png"
     match exp.case.manoeuvre:
-        case BallDescend() | BallOver():
+        case BallDescend() | BallCrossing():
             figure = descent(trace)
         case BallClimb():
             figure = draw_way(trace)

@@ -351,7 +351,7 @@ def test_described_plans_say_where_their_numbers_come_from(capsys):
 )
 def test_numbers_are_described_by_the_paths_they_are_varied_by(scenario, capsys):
     case = compose([f"scenario={scenario}"]).case
-    assert main(["describe", f"plan.{case.manoeuvre.own_plan}"]) == 0
+    assert main(["describe", f"plan.{case.manoeuvre.default_plan_name}"]) == 0
     said = {word.removeprefix("plan.") for word in capsys.readouterr().out.split() if word.startswith("plan.")}
     known = numbers_by_path(plan_content(case), case.obstacle.charts)
     assert said == set(known)

@@ -280,8 +280,8 @@ def add_slopes(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes
 def plan_file(case: Case, content: Content, head: list[str]) -> str:
     """Text of a plan's file: comments, then its differences to the manoeuvre's own plan."""
     assert isinstance(case.manoeuvre, TabulatedManoeuvre)
-    said = plan_table.differences(plan_table.own_plan_content(case), content)
-    own = case.manoeuvre.own_plan
+    said = plan_table.differences(plan_table.default_plan_content(case), content)
+    own = case.manoeuvre.default_plan_name
     whole = {"extends": own, **said} if own else said
     text = yaml.safe_dump(whole, sort_keys=False, default_flow_style=None, width=1000)
     return "".join(f"# {line}\n" for line in head) + text

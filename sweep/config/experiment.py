@@ -283,7 +283,7 @@ def _numbers(system: System, settings: EngineSettings, start: str) -> list[str]:
     """List the paths of a system's quantities that begin with `start` and are not nominally zero."""
     floats = [
         path
-        for path, value in system.physical_inputs(())
+        for path, value in system.iterate_physical_inputs(())
         if path.startswith(start) and isinstance(value, float) and value
     ]
     return [path for path in floats if system.parameter(path, settings).metadata.get("role") == "quantity"]

@@ -37,8 +37,8 @@ class EngineSettings:
             raise InputError("engine.compiler = fused is not allowed with engine.dynamics = mjx: auto or xla")
 
     @property
-    def step(self) -> float:
-        """Physics time step of the engine (s)."""
+    def time_step_s(self) -> float:
+        """Time step of the chosen engine (s): `native_time_step` or `time_step`."""
         return self.native_time_step if self.name == "native" else self.time_step
 
     @property

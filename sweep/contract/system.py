@@ -75,8 +75,8 @@ class System(Protocol):
         ...
 
     @property
-    def history_columns(self) -> Collection[str]:
-        """Columns of time series."""
+    def recordable_columns(self) -> Collection[str]:
+        """Columns that can be recorded over time (`study.keep`)."""
         ...
 
     @property
@@ -110,7 +110,7 @@ class System(Protocol):
         """Return the nominal value of a parameter. Raises `InputError` where `column` names none."""
         ...
 
-    def physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    def iterate_physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Yield all physical inputs of a rollout, by path and nominal value.
 
         Args:
@@ -126,7 +126,7 @@ class System(Protocol):
         """
         ...
 
-    def inactive_reason(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
+    def explain_inactive_column(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
         """Explain why a column may change nothing; empty where no reason is known."""
         ...
 

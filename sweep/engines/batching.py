@@ -59,7 +59,7 @@ def _compute_nominal_plan(belief: Case) -> Plan:
 def physics_steps_per_tick(settings: EngineSettings) -> int:
     """Number of physics steps in a control tick. Raises `InputError` if the period is no whole multiple of the step."""
     key = "native_time_step" if settings.name == "native" else "time_step"
-    step, period = settings.step, settings.control_period
+    step, period = settings.time_step_s, settings.control_period
     allowed = f"a whole fraction of engine.control_period = {period:g} s"
     return count_substeps(period, step, f"engine.{key} = {step:g} is not allowed: {allowed}")
 

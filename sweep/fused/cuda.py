@@ -93,7 +93,7 @@ class GpuPrinter(LlvmText):
         self.kept: dict[int | Place, StoredValue] = {}  # values that parts pass on
         self.home: dict[int | Place, Part] = {}
         (loop,) = (item for item in top.items if isinstance(item, Loop))
-        before = [item for item in lanes.order_depth_first(top, needed) if item is not loop]
+        before = [item for item in lanes.items_depth_first(top, needed) if item is not loop]
         flag = next((s.region for s in loop.body.stores if s.region.place == is_over and not s.region.record), None)
         parts = [
             Part(before, top.stores, False),
@@ -181,7 +181,7 @@ class GpuPrinter(LlvmText):
         self._stores([store for store in alone.stores if id(store) not in done], part)
 
     def _block(self, block: Block) -> None:
-        self._items(block.items if self.alone else lanes.order_depth_first(block, self.needed))
+        self._items(block.items if self.alone else lanes.items_depth_first(block, self.needed))
         self._stores(block.stores)
 
     def _start(self, label: str) -> None:
@@ -607,7 +607,7 @@ class GpuPrinter(LlvmText):
         itself = self.emit(f"and i1 {odd}, {self.emit(f'fcmp oge float {x}, {ZERO}')}")
         return self.emit(f"select i1 {itself}, float {x}, float {root}")
 
-    def extreme(self, op: str, dtype: str, args: list[str]) -> str:
+    def max_or_min(self, op: str, dtype: str, args: list[str]) -> str:
         """Print a maximum or minimum of two; NaN if either is NaN.
 
         Args:

@@ -34,8 +34,8 @@ class Part(NamedTuple):
     legs_in_lanes: bool  # whether lanes of a warp have the legs; else each thread has a rollout with all legs
 
 
-def order_depth_first(block: Block, needed: set[int]) -> Iterator[Any]:
-    """Items of a block in an order that computes each value shortly before its use, so that few are alive at a time."""
+def items_depth_first(block: Block, needed: set[int]) -> Iterator[Any]:
+    """Yield the items of a block so that each value is computed shortly before its use, and few are alive at a time."""
     straight: dict[int, Node] = {}
     for item in [*block.items, None]:
         if isinstance(item, Node):
@@ -165,7 +165,7 @@ def _merge_leg_stores(stores: Sequence[Store], rows: Rows, group: int) -> list[S
 
 def _cut_at_loops(block: Block, needed: set[int]) -> list[Part]:
     made, begun = [Part([], [], False)], []
-    for item in order_depth_first(Block(block.depth, _around_branches(block, needed)), needed):
+    for item in items_depth_first(Block(block.depth, _around_branches(block, needed)), needed):
         if isinstance(item, Store):  # the start of a loop's carry; operations may lie between it and the loop
             begun.append(item)
         elif isinstance(item, Loop):
@@ -371,7 +371,7 @@ class ThreadPart:
 
     def _block(self, block: Block, needed: set[int]) -> Block:
         made = Block(block.depth)
-        made.items = [x for item in order_depth_first(block, needed) for x in self._item(item, needed)]
+        made.items = [x for item in items_depth_first(block, needed) for x in self._item(item, needed)]
         made.stores = [x for store in block.stores for x in self._store(store)]
         return made
 

@@ -134,7 +134,7 @@ class LlvmText:
             case "abs":
                 return self.call("fabs", of, args) if floating else self.call("abs", of, args, ", i1 false")
             case "max" | "min" if floating:
-                return self.extreme(op, of, args)
+                return self.max_or_min(op, of, args)
             case "max" | "min":
                 sign = "u" if of.startswith("u") or of == "bool" else "s"
                 return self.call(f"{sign}{op}", of, args)
@@ -151,7 +151,7 @@ class LlvmText:
                 unsigned = {"sdiv": "udiv", "srem": "urem"} if of.startswith("u") else {}
                 return self.emit(f"{unsigned.get(WHOLE[op], WHOLE[op])} {vector} {args[0]}, {args[1]}")
 
-    def extreme(self, op: str, dtype: str, args: list[str]) -> str:
+    def max_or_min(self, op: str, dtype: str, args: list[str]) -> str:
         """Print a maximum or minimum of two; NaN if either is NaN.
 
         Args:

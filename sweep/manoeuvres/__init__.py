@@ -7,7 +7,7 @@ from sweep.manoeuvres.balancing.ball_aside import BallAside
 from sweep.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.manoeuvres.balancing.ball_ledges import BallLedges
-from sweep.manoeuvres.balancing.ball_over import BallOver
+from sweep.manoeuvres.balancing.ball_over import BallCrossing
 from sweep.manoeuvres.balancing.ball_to_ball import BallToBall
 from sweep.manoeuvres.balancing.ball_turn import BallTurn
 from sweep.manoeuvres.balancing.beam import BeamCross, BeamWalk
@@ -26,5 +26,5 @@ from sweep.manoeuvres.walking.waypoints import Waypoints
 MANOEUVRES = {cls.kind: cls for cls in (
     Follow, Walk, Stand, Waypoints, WalkKerb, PoleClimb, PoleTop, PoleToLedge, PoleRound, BeamWalk, BeamCross,
     LadderClimb, CornerClimb, CornerRoof, CornerFull, BallBalance, BallDrive, BallTurn, BallAside, BallClimb,
-    BallDescend, BallOver, BallLedges, BallToBall, RaftCross, RaftStand,
+    BallDescend, BallCrossing, BallLedges, BallToBall, RaftCross, RaftStand,
 )}  # fmt: skip

@@ -49,7 +49,7 @@ class Follow(PlannedForces):
 
     needs = (Obstacle,)
     two_way: ClassVar = True
-    own_plan = ""
+    default_plan_name = ""
 
     def plan(self, belief: Case) -> Plan:
         """Return the plan: stand, the moves, halt.

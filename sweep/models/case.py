@@ -51,7 +51,7 @@ class TabulatedManoeuvre(Protocol):
     """A manoeuvre whose plan's numbers are in a file."""
 
     @property
-    def own_plan(self) -> str:
+    def default_plan_name(self) -> str:
         """Name of the file of a case without another one; empty if each case must name a file."""
         ...
 

@@ -232,7 +232,7 @@ def suggest_path(path: str, paths: Iterable[str], prefix: str = "plan.") -> str:
 
 def _file_content(case: Any) -> Content:
     """Content of a case's plan table as in its file."""
-    return json.loads(case.plan.text) if case.plan.text else own_plan_content(case)
+    return json.loads(case.plan.text) if case.plan.text else default_plan_content(case)
 
 
 def parameter_value(case: Any, path: str, label: str = "", groups: Names = SIZED) -> Any:
@@ -254,11 +254,11 @@ def parameter_value(case: Any, path: str, label: str = "", groups: Names = SIZED
     return getattr(getattr(case, group), name)
 
 
-def own_plan_content(case: Any) -> Content:
+def default_plan_content(case: Any) -> Content:
     """Content of the manoeuvre's own plan file; empty if it has none."""
     return (
-        load_shipped_plan(case.manoeuvre.own_plan)
-        if isinstance(case.manoeuvre, TabulatedManoeuvre) and case.manoeuvre.own_plan
+        load_shipped_plan(case.manoeuvre.default_plan_name)
+        if isinstance(case.manoeuvre, TabulatedManoeuvre) and case.manoeuvre.default_plan_name
         else {}
     )
 

@@ -86,7 +86,7 @@ def model_xml(world: Case, settings: EngineSettings) -> str:
         spec = scene.native_spec(world, settings.native_time_step, settings.solid)
     else:
         spec = scene.build_spec(world)
-        spec.option.timestep = settings.step
+        spec.option.timestep = settings.time_step_s
     spec.compile()
     return spec.to_xml()
 

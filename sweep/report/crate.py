@@ -153,8 +153,8 @@ def describe_file(name: str, meaning: str = "") -> dict[str, Any]:
 
 
 @contextlib.contextmanager
-def open_crate(path: Path) -> Iterator[Path]:
-    """Unpack a crate if it is an archive; nothing in it is imported.
+def unpack_crate(path: Path) -> Iterator[Path]:
+    """Yield the folder of a crate; an archive is unpacked for the time of this context, and nothing in it is imported.
 
     Args:
         path: A crate, a folder or a ZIP archive, which may come from a stranger.

@@ -62,7 +62,7 @@ class AxisCheckReport:
                 "without effect cannot be found"
             )
         for (column, first, last, whole), engines in self.inactive.items():
-            why = exp.system.inactive_reason(column, replace(exp.settings, name=engines[0]), (first, last))
+            why = exp.system.explain_inactive_column(column, replace(exp.settings, name=engines[0]), (first, last))
             why = why or ("it does not enter the simulation" if column in self.unread else "")
             between = f"from {_format_value(first)} to {_format_value(last)}"
             says = f"{column} changes nothing" + (

@@ -1,4 +1,4 @@
-"""Check a folder against its manifest and its plan, and repair it as far as the rest of it tells how."""
+"""Check a folder against its manifest and its points table, and repair it as far as the rest of it tells how."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -14,7 +14,7 @@ from sweep.core.files import path_in, printable_name
 from sweep.runs import manifest, store
 from sweep.runs.manifest import Entry
 from sweep.runs.parquet import read_parquet
-from sweep.runs.plan_check import Plan
+from sweep.runs.points_check import AssignedPoints
 
 SMALL_PART_ROWS, MAX_PART_ROWS = (
     4096,
@@ -41,10 +41,10 @@ def verify(folder: Path) -> tuple[list[str], list[str], int]:
         if not path_in(folder, store.PARTS).is_dir():
             raise
         problems.append(str(error))
-    plan = _read_sound_plan(folder, entries)
-    if plan is None:
+    points = _read_sound_points(folder, entries)
+    if points is None:
         problems.append(f"{folder / store.POINTS} is lost or damaged")
-    parts = {folder / entry.file: _find_problem(folder, entry, plan) for entry in entries if entry.batches}
+    parts = {folder / entry.file: _find_problem(folder, entry, points) for entry in entries if entry.batches}
     recordings = {folder / entry.file: _find_problem(folder, entry) for entry in entries if _is_recording(entry)}
     problems += [f"{path} is damaged ({problem})" for path, problem in {**parts, **recordings}.items() if problem]
     sound = list(parts.values()).count(None)
@@ -55,7 +55,7 @@ def verify(folder: Path) -> tuple[list[str], list[str], int]:
 
 
 def repair_files(folder: Path, study: str, labels: str) -> list[str]:
-    """Repair a folder: drop damaged files from the manifest, list sound parts that it lacks, rebuild a lost plan.
+    """Repair a folder: drop damaged files from the manifest, list sound parts that it lacks, rebuild lost points.
 
     The caller holds the folder's lock.
 
@@ -75,20 +75,20 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
     kept = [entry for entry in entries if entry.file == store.POINTS]
     # parts of a killed `relabel`, then damaged files; deleted below
     dropped = [entry for entry in entries if entry.batches and entry.labels != labels]
-    plan = _read_sound_plan(folder, entries)
+    points = _read_sound_points(folder, entries)
     for entry in (*manifest.select_current_parts(entries, labels), *filter(_is_recording, entries)):
-        if problem := _find_problem(folder, entry, plan):
+        if problem := _find_problem(folder, entry, points):
             remedy = "its rollouts are simulated again" if entry.batches else "`sweep replay` shows its rollouts again"
             lines.append(f"{folder / entry.file} is damaged ({problem}): {remedy}")
             dropped.append(entry)
         else:
             kept.append(entry)
-    plan, has_lost_lines = _read_sound_plan(folder, kept), bool(damaged) or not entries
+    points, has_lost_lines = _read_sound_points(folder, kept), bool(damaged) or not entries
     for path in _unlisted_files(folder, entries):
         entry = _entry_from_metadata(folder, path)
         entry = entry if entry and entry.study == study else None
         if entry and (
-            has_lost_lines if _is_recording(entry) else entry.labels == labels and _belongs(folder, entry, kept, plan)
+            has_lost_lines if _is_recording(entry) else entry.labels == labels and _belongs(folder, entry, kept, points)
         ):
             kept.append(entry)
             lines.append(f"{printable_name(path)} was not in {manifest.MANIFEST}: listed")
@@ -101,43 +101,43 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
     for entry in dropped:
         path_in(folder, entry.file).unlink(missing_ok=True)
     parts = [entry for entry in kept if entry.batches]
-    if plan is None and (parts or path_in(folder, store.POINTS).exists()):
+    if points is None and (parts or path_in(folder, store.POINTS).exists()):
         lines.append(f"{folder / store.POINTS} was missing or damaged: rebuilt from the parts")
         path_in(folder, store.POINTS).unlink(missing_ok=True)
         if parts:
-            store.write_points(folder, rebuild_plan(folder, parts))
+            store.write_points(folder, rebuild_points(folder, parts))
     return lines
 
 
-def rebuild_plan(folder: Path, parts: Sequence[Entry]) -> pd.DataFrame:
-    """Return the planned points of `parts`, from the leading columns of their rows."""
+def rebuild_points(folder: Path, parts: Sequence[Entry]) -> pd.DataFrame:
+    """Return the assigned points of `parts`, from the leading columns of their rows."""
     rows = pd.concat([store.read_part(folder, entry) for entry in parts], ignore_index=True)
     return rows[list(rows.columns[: rows.columns.get_loc("run_id")])]
 
 
-def _read_sound_plan(folder: Path, listed: Sequence[Entry]) -> Plan | None:
-    """Return the plan, or None where it is damaged or lacks batches of the listed parts."""
+def _read_sound_points(folder: Path, listed: Sequence[Entry]) -> AssignedPoints | None:
+    """Return the points table, or None where it is damaged or lacks batches of the listed parts."""
     path = path_in(folder, store.POINTS)
     if not path.exists() or not any(e.file == store.POINTS and not _find_problem(folder, e) for e in listed):
         return None
-    plan = Plan(store.to_frame(read_parquet(path)), str(path))
-    return plan if {b for e in listed for b in e.batches} <= plan.batches() else None
+    points = AssignedPoints(store.to_frame(read_parquet(path)), str(path))
+    return points if {b for e in listed for b in e.batches} <= points.batches() else None
 
 
-def _find_problem(folder: Path, entry: Entry, plan: Plan | None = None) -> str | None:
-    """Describe what is wrong with a listed file, or return None; with a plan, its rows are compared too."""
+def _find_problem(folder: Path, entry: Entry, points: AssignedPoints | None = None) -> str | None:
+    """Describe what is wrong with a listed file, or return None; with a points table, its rows are compared too."""
     path = path_in(folder, entry.file)
     try:
         problem = entry.find_problem(path)
     except OSError as error:
         return files.os_error_text(error)
-    if problem or plan is None or not entry.batches:
+    if problem or points is None or not entry.batches:
         return problem
     try:
-        rows = store.to_frame(read_parquet(path, list(plan.rows.columns)))
+        rows = store.to_frame(read_parquet(path, list(points.rows.columns)))
     except InputError as error:
         return str(error)
-    return "; ".join(plan.differences(rows, entry.batches)) or None
+    return "; ".join(points.differences(rows, entry.batches)) or None
 
 
 def _unlisted_files(folder: Path, entries: Sequence[Entry]) -> Iterator[Path]:
@@ -166,18 +166,18 @@ def _entry_from_metadata(folder: Path, path: Path) -> Entry | None:
         return None
 
 
-def _belongs(folder: Path, entry: Entry, kept: Sequence[Entry], plan: Plan | None) -> bool:
-    """Whether a part that is not listed belongs to the plan and holds no batch of a listed part.
+def _belongs(folder: Path, entry: Entry, kept: Sequence[Entry], points: AssignedPoints | None) -> bool:
+    """Whether a part that is not listed belongs to the points table and holds no batch of a listed part.
 
-    Without a plan, none of its points may be in a listed part.
+    Without a points table, none of its points may be in a listed part.
     """
     if set(entry.batches) & {batch for listed in kept for batch in listed.batches}:
         return False
     rows = store.read_part(folder, entry)
-    if plan is not None:
-        return plan.rows_of(entry.batches)[0]["point_id"].tolist() == rows["point_id"].tolist()
+    if points is not None:
+        return points.rows_of(entry.batches)[0]["point_id"].tolist() == rows["point_id"].tolist()
     parts = [listed for listed in kept if listed.batches]
-    return not parts or not rows["point_id"].isin(rebuild_plan(folder, parts)["point_id"]).any()
+    return not parts or not rows["point_id"].isin(rebuild_points(folder, parts)["point_id"]).any()
 
 
 def remove_parts(folder: Path, entries: Sequence[Entry]) -> None:
@@ -194,7 +194,7 @@ def merge_small_parts(folder: Path, planned: pd.DataFrame) -> None:
 
     Args:
         folder: Folder of the study.
-        planned: Its plan.
+        planned: Its assigned points.
 
     Raises:
         Fault: The disk refuses a write.
@@ -208,16 +208,16 @@ def merge_small_parts(folder: Path, planned: pd.DataFrame) -> None:
             merged |= dict.fromkeys((entry.file for entry in run[1:]), None)
     if merged:
         listed = manifest.read(folder)
-        plan = [entry for entry in listed if entry.file == store.POINTS]
+        points = [entry for entry in listed if entry.file == store.POINTS]
         kept = [merged.get(entry.file, entry) for entry in parts]
         recordings = filter(_is_recording, listed)
-        manifest.rewrite(folder, [*plan[-1:], *recordings, *(entry for entry in kept if entry)])
+        manifest.rewrite(folder, [*points[-1:], *recordings, *(entry for entry in kept if entry)])
         for file in merged:
             path_in(folder, file).unlink(missing_ok=True)
 
 
 def _mergeable_runs(parts: Sequence[Entry], planned: pd.DataFrame) -> Iterator[list[Entry]]:
-    """Yield runs of small parts that are neighbours in the plan and share a group, up to MAX_PART_ROWS rows a run."""
+    """Yield runs of small parts whose batches are neighbours and share a group, up to MAX_PART_ROWS rows a run."""
     batches = planned.groupby("batch")["group"].agg(["first", "size"])
     place = {batch: k for k, batch in enumerate(batches.index)}
     run: list[Entry] = []

@@ -25,7 +25,7 @@ from sweep.core.yaml_check import check_yaml
 from sweep.runs import manifest
 from sweep.runs.manifest import PARTS, POINTS, SUBFOLDERS, Entry
 from sweep.runs.parquet import check_expansion, column_names, read_parquet
-from sweep.runs.plan_check import KEY_COLUMNS, Plan
+from sweep.runs.points_check import KEY_COLUMNS, AssignedPoints
 
 # reads a million rows in 2 s of CPU time; Arrow's own pool takes 8 s
 pa.set_memory_pool(pa.system_memory_pool())
@@ -137,14 +137,14 @@ def write_points(folder: Path, points: pd.DataFrame) -> None:
     """Write all points of a study, with their group, batch and slot. Raises `Fault` if the disk refuses it."""
     content = _to_parquet(pa.Table.from_pandas(points, preserve_index=False), {})
     entry = Entry(POINTS, len(content), files.digest(content))
-    # listed before it is written: any listed plan counts as sound, so a kill in between does no harm
+    # listed before it is written: any listed points table counts as sound, so a kill in between does no harm
     if entry not in manifest.read(folder):
         manifest.add(folder, entry)
     files.write_atomically(path_in(folder, POINTS), content)
 
 
 def read_points(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """Read the plan.
+    """Read the points table.
 
     Args:
         folder: Results folder of a study.
@@ -154,7 +154,7 @@ def read_points(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFr
         A row for each planned rollout; an empty table where nothing is planned yet.
 
     Raises:
-        InputError: The plan is damaged, or not allowed.
+        InputError: The points table is damaged, or not allowed.
     """
     path = path_in(folder, POINTS)
     if not path.exists():
@@ -314,10 +314,10 @@ def read_rows(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFram
     Args:
         folder: Results folder of a study.
         columns: Names of the columns to read, in this order; None for all. No other columns are decoded, except for
-            the two that place a row in the plan.
+            the two that place a row in its batch.
 
     Raises:
-        InputError: There are no rows, they are not those of the plan, or a column is unknown.
+        InputError: There are no rows, they are not those of the points table, or a column is unknown.
     """
     tables: list[pa.Table] = []
     total = 0
@@ -360,14 +360,14 @@ def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterato
             out of it.
 
     Raises:
-        InputError: There are no rows, a part is damaged, or its rows are not those of the plan.
+        InputError: There are no rows, a part is damaged, or its rows are not those of the points table.
     """
     read_study(folder)
     wanted = None if columns is None else [*dict.fromkeys([*columns, *KEY_COLUMNS])]
     parts = current_parts(folder)
     if not parts:
         raise InputError(f"{folder} has no finished rollouts yet")
-    plan, todo = _read_plan(folder, wanted), {batch for entry in parts for batch in entry.batches}
+    points, todo = _read_points_table(folder, wanted), {batch for entry in parts for batch in entry.batches}
     while todo:
         entry = parts[0]
         try:
@@ -376,10 +376,10 @@ def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterato
             now = [one for one in current_parts(folder) if todo.intersection(one.batches)]
             if now == parts:
                 raise
-            parts, plan = now, _read_plan(folder, wanted)
+            parts, points = now, _read_points_table(folder, wanted)
             continue
-        planned = [name for name in plan.rows.columns if name in table.column_names]
-        if problems := plan.differences(to_frame(table.select(planned)), entry.batches):
+        planned = [name for name in points.rows.columns if name in table.column_names]
+        if problems := points.differences(to_frame(table.select(planned)), entry.batches):
             raise InputError(
                 f"{folder} does not hold the rows of its {POINTS}: {problems[0]}; `sweep verify` names all"
             )
@@ -390,12 +390,12 @@ def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterato
         yield table
 
 
-def _read_plan(folder: Path, columns: Sequence[str] | None) -> Plan:
+def _read_points_table(folder: Path, columns: Sequence[str] | None) -> AssignedPoints:
     # after the parts are listed: a run that goes on plans its batches before it finishes them
     planned = read_points(folder, columns)
     if planned.empty:
         raise DamagedFile(f"{folder / POINTS} is missing: repeat the same `sweep run` to repair it")
-    return Plan(planned, str(folder / POINTS))
+    return AssignedPoints(planned, str(folder / POINTS))
 
 
 def list_columns(folder: Path) -> list[str]:

@@ -121,7 +121,7 @@ def simulate_last_states(
         A table for each recorded row, see `to_table`.
     """
     slots = np.flatnonzero(finished["outcome"] == INVALID)[:limit]
-    watched = TimeSeriesRequest(tuple(exp.system.history_columns), 1, MAX_INVALID_ROWS)
+    watched = TimeSeriesRequest(tuple(exp.system.recordable_columns), 1, MAX_INVALID_ROWS)
     _, samples = engine.run_with_time_series(task.world, task.belief, task.streams, slots, watched)
     period = task.settings.control_period
     time, tables = period * (1 + np.arange(len(samples))), []

@@ -49,7 +49,7 @@ def point_ids(table: "pd.DataFrame", system: System) -> np.ndarray:
         Ids (n,) of 16 hexadecimal digits.
     """
     paths = [path for side, path in map(split_side, table.columns) if path.partition(".")[0] in system.groups]
-    nominal = {f"{side}.{path}": value for side in SIDES for path, value in system.physical_inputs(paths)}
+    nominal = {f"{side}.{path}": value for side in SIDES for path, value in system.iterate_physical_inputs(paths)}
     varied: dict[str, str] = {}
     for column in sorted(table.columns, key=lambda c: c.startswith(tuple(f"{s}." for s in SIDES))):  # a side's own win
         side = column.partition(".")[0]

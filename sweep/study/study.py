@@ -253,7 +253,7 @@ def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
         InputError: a time series is unknown, or the rate is no whole fraction of the control rate.
     """
     for name in study.keep:
-        require_choice(name, system.history_columns, f"study.keep: {name}")
+        require_choice(name, system.recordable_columns, f"study.keep: {name}")
     ticks = 1 / (settings.control_period * study.keep_rate)
     if study.keep and (round(ticks) < 1 or abs(ticks - round(ticks)) > 1e-6):
         rate = f"a whole fraction of the control rate, {1 / settings.control_period:g} a second"

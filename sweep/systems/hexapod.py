@@ -88,7 +88,7 @@ class Hexapod:
     explain_cause = staticmethod(outcome.explain_cause)
 
     @property
-    def history_columns(self) -> tuple[str, ...]:
+    def recordable_columns(self) -> tuple[str, ...]:
         """Columns of time series, see `System`."""
         return tuple(available_columns(self.case))
 
@@ -99,7 +99,7 @@ class Hexapod:
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
         """Summarize manoeuvre, obstacle, engine, time step and precision, see `System`."""
         about = {"manoeuvre": self.case.manoeuvre.kind, "obstacle": self.case.obstacle.kind, "engine": settings.name}
-        return {**about, "step": f"{1000 * settings.step:g} ms", "precision": settings.precision}
+        return {**about, "step": f"{1000 * settings.time_step_s:g} ms", "precision": settings.precision}
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
         """Return the field of a case, of engine settings, or of a plan's number, see `System`."""
@@ -139,7 +139,7 @@ class Hexapod:
                     raise InputError(f"axis {column} names nothing: {name} has no parts")
         return owner, last
 
-    def physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    def iterate_physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Yield all fields of the case and all numbers of the plan, see `System`."""
         yield from flatten_case(self.case, "")
         yield from _plan_inputs(self.case, plan_table.plan_content(self.case))
@@ -151,7 +151,7 @@ class Hexapod:
         """
         yield from flatten_case(Control(), "control")
         yield from ((path, value) for path, value in flatten_case(Noise(), "noise") if path.startswith(LATER))
-        yield from _plan_inputs(self.case, plan_table.own_plan_content(self.case))
+        yield from _plan_inputs(self.case, plan_table.default_plan_content(self.case))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
         """Refuse sizes of a wrong unit, robots that MuJoCo cannot compile, and too long time steps, see `System`."""
@@ -208,7 +208,7 @@ class Hexapod:
 
         return LANES * devices.count_cores() if settings.fusible else 0
 
-    def inactive_reason(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
+    def explain_inactive_column(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
         """Explain parameters that only the other side, or another engine, uses; see `System`."""
         side, path = split_side(column)
         if side == "world" and path.startswith(("manoeuvre.", "control.")):
@@ -326,7 +326,7 @@ def _table(given: Any, manoeuvre: Any) -> PlanTable:
     """Return the plan table of a configuration; empty where the manoeuvre's default plan is used."""
     kind = manoeuvre.kind
     if not given:
-        if isinstance(manoeuvre, TabulatedManoeuvre) and not manoeuvre.own_plan:
+        if isinstance(manoeuvre, TabulatedManoeuvre) and not manoeuvre.default_plan_name:
             raise InputError(f"plan is missing: manoeuvre.kind = {kind} has no default plan")
         return PlanTable()
     if not isinstance(given, Mapping):

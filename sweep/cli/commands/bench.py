@@ -114,7 +114,7 @@ def _engine(settings: "EngineSettings", nominal: "Case", rollouts: int) -> dict[
         "dynamics": engine.dynamics,
         "device": f"{share} x {device.device_kind}",
         "width": engine.width,
-        "env-steps/s": engine.width * seconds / settings.step / wall,
+        "env-steps/s": engine.width * seconds / settings.time_step_s / wall,
         "rollouts/s": rollouts / wall,
         # lost beside a long run whose speed is not even
         "compile and first launch s": compile_s if compile_s > 0 else None,

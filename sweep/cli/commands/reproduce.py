@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--tolerance = {args.tolerance:g} is not allowed: at least 0")
     if not 0 <= args.seed < 2**32:
         raise InputError(f"--seed = {args.seed} is not allowed: at least 0 and below 2^32")
-    with crate.open_crate(args.crate) as folder:
+    with crate.unpack_crate(args.crate) as folder:
         if (code := crate.code_in(folder)) and not args.trust:
             print("\n".join(code))
             raise InputError(f"{args.crate} contains code, listed above: read it, then give --trust to run it")

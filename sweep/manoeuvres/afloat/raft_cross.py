@@ -84,7 +84,7 @@ class RaftCross:
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (Raft,)
-    own_plan = "raft_cross"  # in a_r
+    default_plan_name = "raft_cross"  # in a_r
 
     def plan(self, belief: Case) -> Plan:
         """Return the plan of the whole crossing.

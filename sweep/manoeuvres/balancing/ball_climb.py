@@ -51,7 +51,7 @@ class BallClimb(BesideBall):
     centring: float = quantity(1.52, "s", above=0)
     lean: float = quantity(2.5, "s", at_least=0)  # lean of the base against the ball's lateral speed, in the ride
 
-    own_plan = "ball_climb"  # in R
+    default_plan_name = "ball_climb"  # in R
 
     def plan(self, belief: Case) -> Plan:
         """Return the plan: feet to the ball, base to its tangent, push, ride, stand on top, stop the ball.

@@ -108,7 +108,7 @@ class BallDescend(BesideBall):
     rate: float = quantity(1.0, "-", above=0, at_most=10)
     rest: float = quantity(3.5, "s", above=0)  # final time on the floor
 
-    own_plan = "ball_descend"  # in R
+    default_plan_name = "ball_descend"  # in R
 
     def stand_pose(self, belief: Case) -> StandPose:
         """Return the pose on top of the ball, on the plan file's circle of footholds."""

@@ -85,7 +85,7 @@ class BallLedges(OnBall, ByParts):
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (Ledges,)
-    own_plan = "ball_ledges"
+    default_plan_name = "ball_ledges"
 
     def plan(self, belief: Case) -> Plan:
         """Return the plan: on to the ball, over to the other ledge, off.

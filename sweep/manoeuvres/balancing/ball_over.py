@@ -26,7 +26,7 @@ DRIVE = "drive"
 
 
 @parameters
-class BallOver(BesideBall):
+class BallCrossing(BesideBall):
     """Climb a free ball as `BallClimb`, roll it as `BallDrive`, descend as `BallDescend`, and walk away by tripod.
 
     Ratios are to the body's length a_r.
@@ -47,7 +47,7 @@ class BallOver(BesideBall):
     # varpi, rate of these swings, which gives their time t*
     turning: float = quantity(3.0, "rad/s", above=0, at_most=20)
 
-    own_plan = "ball_over"  # in R
+    default_plan_name = "ball_over"  # in R
 
     @property
     def climb(self) -> BallClimb:

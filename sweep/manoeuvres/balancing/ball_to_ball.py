@@ -149,7 +149,7 @@ class BallToBall(OnBall, ByParts):
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     needs = (TwoBalls,)
-    own_plan = "ball_to_ball"
+    default_plan_name = "ball_to_ball"
 
     def plan(self, belief: Case) -> Plan:
         """Return the plan: roll, go over, stop the second ball, and get off it if asked for.

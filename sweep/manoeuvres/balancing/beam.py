@@ -107,9 +107,9 @@ class BeamWalk:
         """
         site = self.site(belief)
         start = -belief.robot.body_length / 2 - 2 * site.step.landing
-        stages = [Stage("stand", STAND, posture=LEVEL_LEGS, flywheel=self.flywheel_mode(LEVELLING))]
+        stages = [Stage("stand", STAND, posture=LEVEL_LEGS, flywheel=self.select_flywheel_mode(LEVELLING))]
         stages += self.diagonal_stages(site, start, 2 * site.step.landing)
-        stages += [Stage("rest", STAND, flywheel=self.flywheel_mode(LEVELLING)), Stage("halt", STAND)]
+        stages += [Stage("rest", STAND, flywheel=self.select_flywheel_mode(LEVELLING)), Stage("halt", STAND)]
         feet = jnp.where(IS_MIDDLE[:, None], site.stretched_feet(start), site.feet_at(start, site.track / 2))
         stance = Stance(feet, site.base_at(start), jnp.array(FACING_MINUS_Y))
         return compile_plan(stance, stages, self.patience, self.gains(belief), steered=True)
@@ -127,7 +127,7 @@ class BeamWalk:
         """Return the gains of the flywheel."""
         return Gains(self.c1, self.c2, self.c3, self.c4, self.c5, self.c6, belief.drive.back_emf)
 
-    def flywheel_mode(self, wanted: int) -> int:
+    def select_flywheel_mode(self, wanted: int) -> int:
         """Return the flywheel's mode: `wanted`, or `LOCKED` if the flywheel is off."""
         return wanted if self.flywheel == "on" else LOCKED
 
@@ -142,18 +142,18 @@ class BeamWalk:
             start: y of the base at the start (m).
             way: motion of the base after each swing (m).
         """
-        stages, y, rest = [], start, self.flywheel_mode(LEVELLING)
+        stages, y, rest = [], start, self.select_flywheel_mode(LEVELLING)
         for k in range(self.steps):
             pair = DIAGONALS[k % 2]
             goal = site.feet_at(y - way, site.track / 2)
             name = f"{k + 1}.{'-'.join(map(str, pair))}"
             y = y - way
             stages += [
-                site.swing_stage(name, pair, goal, flywheel=self.flywheel_mode(BALANCE)),
+                site.swing_stage(name, pair, goal, flywheel=self.select_flywheel_mode(BALANCE)),
                 Stage(f"{k + 1}.body", 2 * site.step.time, position=site.base_at(y), pace=SMOOTH, flywheel=rest),
             ]
         last, goal = DIAGONALS[self.steps % 2], site.feet_at(y, site.track / 2)
-        stages.append(site.swing_stage("close", last, goal, flywheel=self.flywheel_mode(BALANCE)))
+        stages.append(site.swing_stage("close", last, goal, flywheel=self.select_flywheel_mode(BALANCE)))
         return stages
 
 
@@ -185,7 +185,7 @@ class BeamCross(BeamWalk):
             *change_track_stages(site, reach, site.track, self.transfer_lift, "narrow"),
             *self.spread_stages(site, reach),
             *self.diagonal_stages(site, reach, (reach - far) / self.steps),
-            Stage("rest", STAND, flywheel=self.flywheel_mode(LEVELLING)),
+            Stage("rest", STAND, flywheel=self.select_flywheel_mode(LEVELLING)),
             *self.fold_stages(site, far),
             *change_track_stages(site, far, self.wide_track, self.transfer_lift, "wide"),
         ]

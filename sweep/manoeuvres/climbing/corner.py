@@ -55,7 +55,7 @@ class OnCorner(PlannedForces):
 
     needs = (Corner,)
     two_way: ClassVar = True
-    own_plan = "corner"
+    default_plan_name = "corner"
 
     def move_context(self, belief: Case) -> MoveContext:
         """Return the charts and directions that moves of the plan file refer to.

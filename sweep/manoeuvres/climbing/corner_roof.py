@@ -46,7 +46,7 @@ class CornerRoof(OnCorner):
     kind: str = choice("corner_roof", "corner_roof")
     cycles: int = count(2, at_least=1, at_most=100)  # cycles of the gallop, which rises to the height of the house
 
-    own_plan = "corner_roof"
+    default_plan_name = "corner_roof"
 
     def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the stages: climb until the front feet are below the edge, and get over it.

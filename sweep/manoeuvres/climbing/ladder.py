@@ -60,7 +60,7 @@ class LadderClimb(PlannedForces):
 
     needs = (Ladder,)
     two_way: ClassVar = True
-    own_plan = "ladder_climb"  # in leg units
+    default_plan_name = "ladder_climb"  # in leg units
 
     def plan(self, belief: Case) -> Plan:
         """Return the plan: wait, walk up, climb, walk away, halt.

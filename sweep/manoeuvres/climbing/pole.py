@@ -28,7 +28,7 @@ PRESS = "press"  # law of moves that press feet in, which are left out where pla
 
 
 @parameters
-class OnPole(PlannedForces):
+class PoleManoeuvre(PlannedForces):
     """Base class of manoeuvres on a pole: by tripod to it, on to it, and up it by gallop. Ratios are to a_r.
 
     Feet press on the pole by footholds inside it, as printed, or by planned forces.
@@ -64,7 +64,7 @@ class OnPole(PlannedForces):
     forces: str = choice("deepening", "deepening", "planned")
 
     needs = (PoleLedge,)
-    own_plan = "pole"
+    default_plan_name = "pole"
 
     def regular_step(self, belief: Case) -> Step:
         """Return the step of the approach; swings on the pole are as long and as high."""
@@ -103,7 +103,7 @@ class OnPole(PlannedForces):
 
 
 @parameters
-class PoleClimb(OnPole):
+class PoleClimb(PoleManoeuvre):
     """By tripod to the pole, on to it, and up it by gallop."""
 
     goal: ClassVar = ON_ITS_FEET

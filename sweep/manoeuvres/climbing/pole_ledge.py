@@ -46,7 +46,7 @@ class PoleToLedge(PoleTop):
     steps_away: int = count(3, at_least=0, at_most=100)  # number of swings on the ledge, 2 x* each
 
     @property
-    def own_plan(self) -> str:
+    def default_plan_name(self) -> str:
         """Name of the plan file for a ledge level with the top, above or below it."""
         return f"pole_ledge_{self.across}"
 

@@ -14,7 +14,7 @@ from sweep.controllers.frames import Stance
 from sweep.controllers.plan import CYCLE_B, STAND, Plan, Stage, transform_plan
 from sweep.core.parameters import choice, count, parameters
 from sweep.core.rotations import exponential, rotate
-from sweep.manoeuvres.climbing.pole import OnPole
+from sweep.manoeuvres.climbing.pole import PoleManoeuvre
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
@@ -30,7 +30,7 @@ HALF_TURN = (0.0, 0.0, np.pi)  # rotation vector of the half turn to the ledge's
 
 
 @parameters
-class PoleRound(OnPole):
+class PoleRound(PoleManoeuvre):
     """By tripod to the pole, up it, half-way round it by gallop, backwards down on to the ledge and away.
 
     The way down is the climb backwards in time, from the other side and above the ledge's height. The book calls it the

@@ -22,7 +22,7 @@ class PoleTop(PoleClimb):
     kind: str = choice("pole_top", "pole_top")
     cycles: int = count(2, at_least=1, at_most=100)  # cycles of the gallop, all alike, of about 3 x* each
 
-    own_plan = "pole_top"
+    default_plan_name = "pole_top"
 
     def top_stages(self, belief: Case) -> tuple[Stance, list[Stage], StandingState]:
         """Return the start stance, the stages on to the top, and the `StandingState` after them.

@@ -61,7 +61,7 @@ class MujocoModel(ModelSpec):
     )
     audit_variants = MappingProxyType(WAYS)
     device = staticmethod(run_id.describe_device)
-    inactive_reason = inactive_parameters.explain_inactive
+    explain_inactive_column = inactive_parameters.explain_inactive
     judge = staticmethod(outcome.judge)
 
     @property
@@ -79,7 +79,7 @@ class MujocoModel(ModelSpec):
         return (*metrics.metric_names(self), *self.controller.measured)
 
     @property
-    def history_columns(self) -> tuple[str, ...]:
+    def recordable_columns(self) -> tuple[str, ...]:
         """Columns of time series: positions and velocities, see `System`."""
         return tuple(self.time_series_columns(self.model.qpos0[None], np.zeros((1, self.model.nv))))
 
@@ -118,7 +118,7 @@ class MujocoModel(ModelSpec):
         root, _, name = column.partition(".")
         return getattr(settings, name) if root == "engine" else self.parameter(column, settings).default
 
-    def physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    def iterate_physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """See `System`: the model as a whole, and what is varied of it."""
         about = self.config
         yield from self.controller_values

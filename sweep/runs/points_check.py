@@ -1,4 +1,4 @@
-"""Comparison of finished rows with the plan: a folder may come from a stranger, or have been edited."""
+"""Comparison of finished rows with the points table: a folder may come from a stranger, or have been edited."""
 
 from collections.abc import Collection
 
@@ -7,47 +7,47 @@ import pandas as pd
 
 from sweep.core.errors import InputError
 
-KEY_COLUMNS = ["batch", "slot"]  # columns that identify a row of the plan
+KEY_COLUMNS = ["batch", "slot"]  # columns that identify a row of the points table
 INTEGER_COLUMNS = ("replicate", "stream", "group", "batch", "slot", "width")  # with whole numbers
 MOST_BATCHES, MOST_SLOTS = 2**31, 2**32  # upper bounds of batch and slot numbers in a key
 WIDEST = 20_000_000  # rollouts of a batch: as many as a study may have
 
 
-class Plan:
-    """Planned rows of a folder, indexed by batch."""
+class AssignedPoints:
+    """Points of a folder with their batches and slots (`points.parquet`), indexed by batch."""
 
-    def __init__(self, planned: pd.DataFrame, name: str):
-        """Check the planned rows, and sort them by batch and slot.
+    def __init__(self, assigned: pd.DataFrame, name: str):
+        """Check the assigned points, and sort them by batch and slot.
 
         Args:
-            planned: Some or all columns of `points.parquet`, `batch` and `slot` among them; one row for each rollout.
+            assigned: Some or all columns of `points.parquet`, `batch` and `slot` among them; one row for each rollout.
             name: The file, for messages.
 
         Raises:
             InputError: A column that places rows holds no whole numbers, or impossible ones.
         """
         for column in KEY_COLUMNS:
-            if column not in planned:
+            if column not in assigned:
                 raise InputError(f"{name} has no column {column}")
         for column in INTEGER_COLUMNS:
-            if column in planned and planned[column].dtype.kind not in "iu":
+            if column in assigned and assigned[column].dtype.kind not in "iu":
                 raise InputError(f"{name} is not allowed: column {column} holds no whole numbers")
         for column, least, most in (("batch", 0, MOST_BATCHES), ("slot", 0, WIDEST), ("width", 1, WIDEST + 1)):
-            if column in planned and len(odd := planned[column][~planned[column].between(least, most - 1)]):
+            if column in assigned and len(odd := assigned[column][~assigned[column].between(least, most - 1)]):
                 raise InputError(f"{name} is not allowed: {column} = {odd.iloc[0]}, from {least} to {most - 1}")
-        keys = place_keys(planned)
+        keys = place_keys(assigned)
         if not _is_increasing(keys):
             order = np.argsort(keys, kind="stable")
-            planned, keys = planned.iloc[order], keys[order]
-        self.rows, self.keys = planned, keys
-        self._batches = planned["batch"].to_numpy()
+            assigned, keys = assigned.iloc[order], keys[order]
+        self.rows, self.keys = assigned, keys
+        self._batches = assigned["batch"].to_numpy()
 
     def batches(self) -> set[int]:
-        """Return the numbers of all planned batches."""
+        """Return the numbers of all assigned batches."""
         return set(np.unique(self._batches).tolist())
 
     def rows_of(self, batches: Collection[int]) -> tuple[pd.DataFrame, np.ndarray]:
-        """Return the planned rows of some batches by batch and slot, and their keys, see `place_keys`."""
+        """Return the points of some batches by batch and slot, and their keys, see `place_keys`."""
         numbers = np.sort(np.fromiter(batches, dtype=np.int64, count=len(batches)))
         first, last = (np.searchsorted(self._batches, numbers, side) for side in ("left", "right"))
         if len(numbers) and (first[1:] == last[:-1]).all():  # one after the other
@@ -57,15 +57,15 @@ class Plan:
         return self.rows.iloc[places], self.keys[places]
 
     def differences(self, rows: pd.DataFrame, batches: Collection[int]) -> list[str]:
-        """List the differences between finished rows and the planned points.
+        """List the differences between finished rows and the assigned points.
 
         Args:
-            rows: Finished rows, with all columns that this plan has.
+            rows: Finished rows, with all columns that the points table has.
             batches: Numbers of the batches that `rows` should hold in full.
 
         Returns:
             A phrase for each of: missing columns, repeated, surplus and missing rows, inputs that differ; empty where
-            the rows are as planned.
+            the rows are as assigned.
         """
         if lacking := [name for name in self.rows.columns if name not in rows]:
             return [f"column {lacking[0]} is missing"]
@@ -76,20 +76,20 @@ class Plan:
         expected, wanted = self.rows_of(batches)
         if _is_increasing(wanted) and np.array_equal(there, wanted):
             return _differing_inputs(rows, expected)
-        found, here, planned = [], pd.Index(there), pd.Index(wanted)
+        found, here, assigned = [], pd.Index(there), pd.Index(wanted)
         parts = (
             (rows[here.duplicated()], "repeated"),
-            (rows[~here.isin(planned)], "not planned"),
-            (expected[~planned.isin(here)], "missing"),
+            (rows[~here.isin(assigned)], "not planned"),
+            (expected[~assigned.isin(here)], "missing"),
         )
         for part, words in parts:
             if len(part):
                 verb = "row is" if len(part) == 1 else "rows are"
                 found.append(f"{len(part)} {verb} {words}, such as {_describe_row(part.iloc[0])}")
-        if not planned.is_unique:
+        if not assigned.is_unique:
             return [*found, "rows are planned twice"]
-        both = here.isin(planned) & ~here.duplicated()
-        return found + _differing_inputs(rows[both], expected.iloc[planned.get_indexer(here[both])])
+        both = here.isin(assigned) & ~here.duplicated()
+        return found + _differing_inputs(rows[both], expected.iloc[assigned.get_indexer(here[both])])
 
 
 def place_keys(rows: pd.DataFrame) -> np.ndarray:
@@ -103,15 +103,15 @@ def _is_increasing(keys: np.ndarray) -> bool:
     return bool((np.diff(keys) > 0).all())
 
 
-def _differing_inputs(rows: pd.DataFrame, planned: pd.DataFrame) -> list[str]:
-    """A phrase for each planned column in which rows, paired by their order, differ."""
+def _differing_inputs(rows: pd.DataFrame, assigned: pd.DataFrame) -> list[str]:
+    """A phrase for each column of the points in which rows, paired by their order, differ."""
     found = []
-    for name in planned.columns if len(planned) else ():
-        a, b = rows[name].array, planned[name].array
+    for name in assigned.columns if len(assigned) else ():
+        a, b = rows[name].array, assigned[name].array
         differ = np.flatnonzero(np.asarray(a != b, dtype=bool))
         differ = differ[~(pd.isna(a[differ]) & pd.isna(b[differ]))] if len(differ) else differ
         if len(differ):
-            number, point = differ[0], _describe_row(planned.iloc[differ[0]])
+            number, point = differ[0], _describe_row(assigned.iloc[differ[0]])
             found.append(f"{name} differs in {len(differ)} rows, such as {point}: {a[number]} instead of {b[number]}")
     return found
 
