@@ -19,7 +19,7 @@ from sweep.core.errors import InputError, require_choice
 PLAIN: Mapping[Any, str] = {str: "a word", int: "a whole number", float: "a number", bool: "true or false"}
 LARGEST = 10**18  # of whole numbers, which 64 bits hold
 TICKS = "ticks"  # unit of delays: whole control ticks
-WHOLE = (TICKS, "index")  # units of numbers that are whole, and rounded where they are drawn
+WHOLE = (TICKS, "steps", "index")  # units of numbers that are whole, and rounded where they are drawn
 # of figures, by the ends of their names
 UNITS = {"m": "m", "s": "s", "deg": "deg", "rad": "rad", "n": "N", "nm": "N*m", "j": "J", "mps": "m/s", "kg": "kg"}
 

@@ -45,9 +45,9 @@ class SystemKind(NamedTuple):
 SYSTEMS = {
     "mujoco": SystemKind(
         "mujoco",
-        ("model", "controller", "noise", "engine", "outcome"),
-        ("controller", "noise"),
-        ("model", "controller", "noise", "outcome"),
+        ("model", "controller", "noise", "push", "engine", "outcome"),
+        ("controller", "noise", "push"),
+        ("model", "controller", "noise", "push", "outcome"),
     ),
     "hexapod": SystemKind(
         "config",

@@ -20,7 +20,7 @@ from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
 from sweep.core.errors import InputError, require_choice
 from sweep.core.parameters import build, check_value, quantity
-from sweep.systems.mujoco_model import fields, files, inactive_parameters, metrics, outcome, policy_spec
+from sweep.systems.mujoco_model import disturbances, fields, files, inactive_parameters, metrics, outcome, policy_spec
 from sweep.systems.mujoco_model.engine import ModelEngine, NativeModelEngine, print_note
 from sweep.systems.mujoco_model.model_spec import ModelConfig, ModelSpec, Settings, SideValues
 from sweep.systems.mujoco_model.outcome import Condition
@@ -49,7 +49,7 @@ class MujocoModel(ModelSpec):
     conditions: tuple[Condition, ...] = ()
 
     case = SideValues()
-    groups = ("model", "controller", "noise")
+    groups = ("model", "controller", "noise", "push")
     invalid_causes = (*outcome.INVALID_CAUSES, outcome.UNTRUSTED)
     bookkeeping_metrics = frozenset(outcome.INVALID_CAUSES)
     replay_formats = ("mcap", "png", "video")
@@ -126,7 +126,9 @@ class MujocoModel(ModelSpec):
         sensors = () if about.sensors == ModelConfig.sensors else (about.sensors,)  # ids of before stay as they are
         rollout = (about.period, about.duration, about.keyframe, about.observe, about.command, *sensors)
         yield "model.rollout", repr(rollout)
-        yield from self.default_inputs(paths)
+        yield from self._varied_numbers(paths)
+        if self.pushes:
+            yield "push", repr([tuple(one) for one in self.pushes])
 
     def cpu_threshold(self, settings: EngineSettings) -> int:
         """Return 0: no number of rollouts is known below which a CPU is faster than a GPU."""
@@ -134,6 +136,10 @@ class MujocoModel(ModelSpec):
 
     def default_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """See `System`: a model's number that is varied counts where it is not that of the model."""
+        yield from self._varied_numbers(paths)
+        yield "noise.action_delay", 0.0
+
+    def _varied_numbers(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         yield from ((path, self.nominal_value(path)) for path in paths if path.startswith("model."))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
@@ -163,8 +169,12 @@ class MujocoModel(ModelSpec):
 
     def with_delay_buffer(self, table: "pd.DataFrame") -> "MujocoModel":
         """Return this system with an observation buffer for the longest delay of a table, see `System`."""
-        varied = [table[c].max() for c in table.columns if split_side(c)[1] == "noise.delay"]
-        return replace(self, delay_buffer=math.ceil(max([self.nominal_value("noise.delay"), *varied])))
+
+        def longest(path: str) -> int:
+            varied = [table[c].max() for c in table.columns if split_side(c)[1] == path]
+            return math.ceil(max([self.nominal_value(path), *varied]))
+
+        return replace(self, delay_buffer=longest("noise.delay"), action_buffer=longest("noise.action_delay"))
 
     def make_engine(self, settings: EngineSettings, world: SideValues, belief: SideValues, limits: Any) -> ModelEngine:
         """Compile an engine on C MuJoCo or MJX, see `System`."""
@@ -213,7 +223,10 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
         if field.name not in ALLOWED and getattr(settings, field.name) != getattr(usual, field.name):
             raise InputError(f"engine.{field.name} is not allowed: the model's file sets it")
     own, groups = MujocoModel(about, ()), {group: values.get(group) or {} for group in ("noise", "controller")}
-    asked = {f"{group}.{name}": value for group, given in groups.items() for name, value in given.items()}
+    bodies = [own.model.body(k).name for k in range(1, own.model.nbody)]
+    pushes, pushed = disturbances.parse_pushes(values.get("push") or {}, bodies)
+    own = replace(own, pushes=pushes)
+    asked = {f"{group}.{name}": value for group, given in groups.items() for name, value in given.items()} | pushed
     for path in asked:
         require_choice(path, own.parameters, path)
     numbers = tuple(

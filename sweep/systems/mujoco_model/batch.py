@@ -10,8 +10,11 @@ from mujoco.batch import Batch
 from sweep.backends import devices, mujoco_versions
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
-from sweep.systems.mujoco_model import fields
+from sweep.systems.mujoco_model import disturbances, fields
+from sweep.systems.mujoco_model.disturbances import TickForces
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
+
+PUSH_KEY = 2**31 - 1  # of the times of pushes; controllers have those from 0 on
 
 
 class BatchStart(NamedTuple):
@@ -24,6 +27,7 @@ class BatchStart(NamedTuple):
     given: dict[str, Any]  # to the controllers, by row
     mass: np.ndarray  # (n,) kg
     limits: dict[str, np.ndarray]  # by field, (n, ..., 2)
+    acting: TickForces  # pushes and delays of commands
     written: frozenset[str]  # fields of the models that were written
 
     def energy(self, qpos: Any = None, qvel: Any = None) -> np.ndarray:
@@ -74,14 +78,29 @@ def start_batch(
         "key": np.asarray(jax.random.key_data(devices.noise_keys(streams))),
     }
     limits = {name: batch.expand(name) for name in ("actuator_forcerange", "jnt_range")}
-    return BatchStart(batch, qpos, qvel, sensors, given, batch.expand("body_mass").sum(axis=1), limits, written)
+    acting = disturbances.make_forces(own.pushes, world_numbers(own, world), draw_push_times(own, streams))
+    mass = batch.expand("body_mass").sum(axis=1)
+    return BatchStart(batch, qpos, qvel, sensors, given, mass, limits, acting, written)
+
+
+def draw_push_times(own: ModelSpec, streams: np.ndarray) -> np.ndarray:
+    """Draw even random numbers (n, p) from 0 to 1 for the pushes of n rollouts, from their noise streams."""
+    if not own.pushes:
+        return np.zeros((len(streams), 0))
+    keys = jax.vmap(lambda key: jax.random.fold_in(key, PUSH_KEY))(devices.noise_keys(streams))
+    return np.asarray(jax.vmap(lambda key: jax.random.uniform(key, (len(own.pushes),), jax.numpy.float32))(keys), float)
 
 
 def controller_inputs(own: ModelSpec, world: SideValues, belief: SideValues) -> dict[str, Any]:
     """What controllers are given of two sides: `belief` by name, and `delay`, `white` and `bias` of observations."""
-    noise = {**dict(own.controller_values), **world.select_group("noise")}
+    noise = world_numbers(own, world)
     told = own.believed_values({**belief.select_group("model"), **belief.select_group("controller")})
     return {"belief": told, **{name: noise[f"noise.{name}"] for name in ("delay", "white", "bias")}}
+
+
+def world_numbers(own: ModelSpec, world: SideValues) -> dict[str, Any]:
+    """Return the numbers of noise and pushes by path, as they are in the world."""
+    return {**dict(own.controller_values), **world.select_group("noise"), **world.select_group("push")}
 
 
 def count_ticks(own: ModelSpec, duration: Any) -> np.ndarray:

@@ -21,7 +21,7 @@ from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.fused.dependence import find_unread_columns
 from sweep.systems.mujoco_model import batch, metrics
-from sweep.systems.mujoco_model.actuation import JointControl
+from sweep.systems.mujoco_model.disturbances import delay_commands
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 from sweep.systems.mujoco_model.policy import ControllerBatch, ControllerPrograms
 
@@ -180,18 +180,15 @@ class NativeModelEngine(ModelEngine):
                 steps = {**steps, "unsolved": find_unsolved_steps(self._model, steps)}
                 return self._meter.update(sofar, steps, begun.limits, going)
 
-            broken, frames, before = np.zeros(n, dtype=bool), [], None
+            broken, frames = np.zeros(n, dtype=bool), []
             recorded: list[Any] = [None, None]  # of this tick and the one before
-            controls = np.zeros((n, self._substeps, self._model.nu))
+            stepper = TickStepper(own, begun, self._shares)
             for k in range(int(ticks.max(initial=0))):
                 going = k < ticks
                 ctrl = rollouts.tick(own.observable_state(qpos, qvel, seen))
                 broken |= going & ~np.isfinite(ctrl).all(axis=1)
                 ctrl = np.nan_to_num(ctrl)
-                before = ctrl if before is None else before
-                controls[:] = before[:, None] + self._shares[:, None] * (ctrl - before)[:, None]
-                before = ctrl
-                steps = recorded[k % 2] = simulate_steps(begun, own.controller.joint_control, controls, recorded[k % 2])
+                steps = recorded[k % 2] = stepper.advance(ctrl, recorded[k % 2])
                 is_current = own.config.sensors == "current"
                 seen = begun.current_sensors() if is_current else steps["sensordata"][:, -1]
                 sofar = aside.submit(measured, sofar.result(), steps, going)
@@ -207,30 +204,74 @@ class NativeModelEngine(ModelEngine):
         return found | own_figures, frames, [begun.batch.get_model(int(slot)) for slot in slots]
 
 
-def simulate_steps(
-    begun: batch.BatchStart,
-    control: JointControl | None,
-    commands: np.ndarray,
-    out: dict[str, np.ndarray] | None = None,
-) -> dict[str, np.ndarray]:
-    """Simulate the physics steps of a control tick.
+class TickStepper:
+    """Simulates the control ticks of a batch on C MuJoCo, one after the other.
 
     Args:
+        own: The model with its controller.
         begun: The batch of n rollouts.
-        control: The law that turns commands into controls at every step; None where they are controls.
-        commands: Commands (n, s, nu) of each step.
-        out: Arrays to record into, as an earlier call returned them.
-
-    Returns:
-        What is recorded after each step, (n, s, ...) by name.
+        shares: How much of a new command counts in each physics step of a tick, beside the one before, (s,).
     """
-    if control is None:
-        return begun.batch.rollout(commands.shape[1], commands, record=RECORDED, out=out)
-    parts = []
-    for k in range(commands.shape[1]):
-        controls = control.controls(commands[:, k], begun.qpos, begun.qvel)
-        parts.append(begun.batch.rollout(1, controls[:, None], record=RECORDED))
-    return {name: np.concatenate([one[name] for one in parts], axis=1) for name in RECORDED}
+
+    def __init__(self, own: ModelSpec, begun: batch.BatchStart, shares: np.ndarray):
+        self._own, self._begun, self._shares = own, begun, shares
+        n, model = begun.batch.nsim, own.model
+        self._control, self._bodies = own.controller.joint_control, own.pushed_bodies
+        self._commands = np.zeros((n, len(shares), model.nu))
+        self._before: np.ndarray | None = None
+        self._past = np.zeros((n, own.action_buffer, model.nu))  # commands of the steps before
+        self._first = 0  # number of the next step
+        self._pushed: tuple[np.ndarray, np.ndarray] | None = None  # places as two steps began, last force
+
+    def advance(self, ctrl: np.ndarray, out: dict[str, np.ndarray] | None = None) -> dict[str, np.ndarray]:
+        """Simulate a tick.
+
+        Args:
+            ctrl: Commands (n, nu) of the controllers.
+            out: Arrays to record into, as an earlier call returned them.
+
+        Returns:
+            What is recorded after each step, (n, s, ...) by name; with pushes their work `push_work` (n,) in J, up to
+            the last step but one.
+        """
+        before, self._before = ctrl if self._before is None else self._before, ctrl
+        commands = self._commands
+        commands[:] = before[:, None] + self._shares[:, None] * (ctrl - before)[:, None]
+        if room := self._past.shape[1]:
+            self._past = np.repeat(ctrl[:, None], room, axis=1) if not self._first else self._past
+            commands, self._past = delay_commands(self._past, commands, self._begun.acting.delay)
+        step, count = self._own.model.opt.timestep, len(self._shares)
+        forces = self._begun.acting.forces(np.asarray(self._first), count, step) if len(self._bodies) else None
+        self._first += count
+        return self._simulate(commands, forces, out)
+
+    def _simulate(self, commands: np.ndarray, forces: Any, out: Any) -> dict[str, np.ndarray]:
+        simulate, record, spec = self._begun.batch.rollout, RECORDED, int(mujoco.mjtState.mjSTATE_CTRL)
+        beside = np.zeros((*commands.shape[:2], 0))
+        if forces is not None:
+            wrench = np.zeros((*commands.shape[:2], self._own.model.nbody, 6))
+            for k, body in enumerate(self._bodies):
+                wrench[:, :, body, :3] += forces[:, :, k]
+            beside, spec = wrench.reshape(*commands.shape[:2], -1), spec | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
+            record = (*RECORDED, "xipos")
+        if self._control is None:
+            inputs = commands if forces is None else np.concatenate([commands, beside], axis=2)
+            steps = simulate(commands.shape[1], inputs, spec, record=record, out=out)
+        else:
+            parts = []
+            for k in range(commands.shape[1]):
+                controls = self._control.controls(commands[:, k], self._begun.qpos, self._begun.qvel)
+                inputs = np.concatenate([controls, beside[:, k]], axis=1)[:, None]
+                parts.append(simulate(1, inputs, spec, record=record))
+            steps = {name: np.concatenate([one[name] for one in parts], axis=1) for name in record}
+        if forces is None:
+            return steps
+        places = steps["xipos"][:, :, self._bodies]  # as each step began
+        last = self._pushed or (places[:, [0, 0]], np.zeros_like(places[:, :1]))
+        places, forces = (np.concatenate(both, axis=1) for both in zip(last, (places, forces), strict=True))
+        self._pushed = places[:, -2:], forces[:, -1:]
+        way = (places[:, 2:] - places[:, :-2]) / 2  # at the mean of the speeds before and after a step
+        return {**steps, "push_work": (forces[:, :-1] * way).sum(axis=(1, 2, 3))}
 
 
 def find_unsolved_steps(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -20,6 +20,8 @@ def explain_inactive(own: ModelSpec, column: str, settings: EngineSettings, ends
     root = path.partition(".")[0]
     if root == "noise":
         return "sensor errors are part of the world" if side == "belief" else ""
+    if root == "push":
+        return _push(own, path, ends) if side != "belief" else "pushes are part of the world"
     if root == "controller":
         return "controller parameters are part of the belief" if side == "world" else ""
     if root != "model":
@@ -32,6 +34,12 @@ def explain_inactive(own: ModelSpec, column: str, settings: EngineSettings, ends
     if kind == "geom":
         return _geom(own.model, number, what, ends)
     return _other(own.model, kind, number, what.partition(".")[0])
+
+
+def _push(own: ModelSpec, path: str, ends: tuple[Any, Any]) -> str:
+    if path.endswith(".start") and min(ends) >= own.config.duration:
+        return f"rollouts end at {own.config.duration:g} s"
+    return ""
 
 
 def _option(model: mujoco.MjModel, what: str) -> str:

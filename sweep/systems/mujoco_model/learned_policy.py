@@ -49,7 +49,7 @@ class LearnedPolicy(NamedTuple):
     assemble: Callable[..., Any]  # (belief, observation, state) -> numbers of each input, by name, and the next state
 
     @property
-    def measured(self) -> dict[str, Term]:
+    def measured_terms(self) -> dict[str, Term]:
         """The terms that are measured, by label: those that sensor errors apply to."""
         return {one.spec.label: one for terms in self.inputs.values() for one in terms if one.raw is not None}
 

@@ -27,7 +27,7 @@ COLUMNS = {  # what each metric means; those of a base, feet, collisions or limi
     "joint_limit_share": "share of the steps, over all joints with a range, at an end of it",
     "unsolved_share": "share of the steps that the contact solver left unsolved",
     "energy_j": "positive work of the actuators",
-    "energy_gained_j": "growth of mechanical energy beyond the work of the actuators",
+    "energy_gained_j": "growth of mechanical energy beyond the work of actuators and pushes",
     "duration_s": "simulated time",
     "not_finite": "1 where a number was not finite",
     "buffer_full": "1 where MuJoCo's buffer for contacts or constraints was full",
@@ -64,7 +64,20 @@ class MetricAccumulator:
         """
         xp, n, feet = array_namespace(qpos), len(qpos), len(self._sites)
         none = xp.zeros_like(qpos[:, 0])
-        sums = "steps", "power", "work", "tilt", "slip", "load", "full", "ends", "unsolved", "touched", "impulse"
+        sums = (
+            "steps",
+            "power",
+            "work",
+            "tilt",
+            "slip",
+            "load",
+            "full",
+            "ends",
+            "unsolved",
+            "touched",
+            "impulse",
+            "pushed",
+        )
         down = {"down": xp.zeros((n, feet, 2), qpos.dtype), "loaded": xp.zeros((n, feet), bool)}
         poses = {"start": qpos, "last": qpos, "speed": qvel, "depth": none - np.inf, "finite": xp.ones(n, bool)}
         return dict.fromkeys(sums, none) | down | poses
@@ -81,6 +94,8 @@ class MetricAccumulator:
         most, sums, new = {}, {"steps": number, "unsolved": steps["unsolved"].sum(axis=1)}, {}
         finite = xp.isfinite(qpos.sum(axis=(1, 2)) + steps["qvel"].sum(axis=(1, 2)))
         power = force * steps["actuator_velocity"]
+        if "push_work" in steps:
+            sums["pushed"] = steps["push_work"]  # J
         sums |= {"power": xp.maximum(power, 0.0).sum(axis=(1, 2)), "work": power.sum(axis=(1, 2))}
         if at is not None:
             upright = slice(at + 3, at + 7)
@@ -134,7 +149,10 @@ class MetricAccumulator:
         if len(self._joints):
             found["joint_limit_share"] = sofar["ends"] / steps
         found |= {"unsolved_share": sofar["unsolved"] / steps, "energy_j": energy}
-        found |= {"energy_gained_j": gained - sofar["work"] * step, "duration_s": sofar["steps"] * step}
+        found |= {
+            "energy_gained_j": gained - sofar["work"] * step - sofar["pushed"],
+            "duration_s": sofar["steps"] * step,
+        }
         finite = sofar["finite"] & np.isfinite(np.stack(list(found.values()))).all(axis=0) & ~broken
         return {**found, "not_finite": (~finite).astype(float), "buffer_full": full.astype(float)}
 

@@ -25,14 +25,14 @@ from sweep.contract.engine import Metrics, TimeSeriesRequest
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.core.user_code import report_silence
-from sweep.systems.mujoco_model import batch, fields, metrics
+from sweep.systems.mujoco_model import batch, disturbances, fields, metrics
 from sweep.systems.mujoco_model.engine import (
     BatchResult,
     ModelEngine,
     TickSample,
+    TickStepper,
     find_unsolved_steps,
     print_note,
-    simulate_steps,
 )
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 
@@ -196,16 +196,13 @@ class MjxModelEngine(ModelEngine):
             reference = batch.start_batch(own, self._settings, few[0], few[1], streams[rows])
             activation = reference.batch.bind("act")
             _, fixed, carry, _, _ = self._start(world, belief, streams)
-            before = None
+            stepper = TickStepper(own, reference, self._shares)
             for tick in range(COMPARED):
                 qpos, qvel, act = (np.asarray(carry["now"][name], float)[rows] for name in ("qpos", "qvel", "act"))
                 reference.qpos[:], reference.qvel[:], activation[:] = qpos, qvel, act
                 carry = self._advance(fixed, tick, 1, carry)
                 ctrl = np.asarray(carry["ctrl"], float)[rows]
-                before = ctrl if before is None else before
-                controls = before[:, None] + self._shares[:, None] * (ctrl - before)[:, None]
-                before = ctrl
-                steps = simulate_steps(reference, own.controller.joint_control, controls)
+                steps = stepper.advance(ctrl)
                 ends = np.asarray(carry["now"]["qvel"], float)[rows], np.asarray(steps["qvel"][:, -1], float)
                 solved = ~find_unsolved_steps(self._model, steps).any(axis=1)  # else the solver's error is what differs
                 self._compare(tick, *(((end - qvel) / own.config.period)[solved] for end in ends))
@@ -282,10 +279,25 @@ class MjxModelEngine(ModelEngine):
             "full": jnp.zeros(n, bool),
             "ctrl": jnp.full((n, self._model.nu), jnp.nan),  # of the tick before, none at first
             "force": jnp.zeros((n, self._model.nu)),
+            "acting": self._start_acting(n),
         }
         carry = jax.tree.map(jnp.copy, carry)  # its buffers are given away, and some are there twice
         limits = {name: jnp.asarray(rows, float) for name, rows in begun.limits.items()}
-        return begun, (template, data, leaves, given, limits), carry, ticks, at_first
+        acting = jax.tree.map(lambda one: jnp.asarray(one, float if one.dtype.kind == "f" else int), begun.acting)
+        return begun, (template, data, leaves, given, limits, acting), carry, ticks, at_first
+
+    def _start_acting(self, n: int) -> dict[str, Array]:
+        """What pushes and delays of commands carry from step to step at first: nothing where there are none."""
+        own, found = self._own, {}
+        if own.action_buffer:
+            found["past"] = jnp.full((n, own.action_buffer, self._model.nu), jnp.nan)  # commands of the steps before
+        if len(own.pushed_bodies):
+            found["wrench"] = jnp.zeros((n, self._model.nbody, 6))  # in the last step
+            # of the bodies, as the last two steps began
+            found["places"] = jnp.full((n, 2, len(own.pushed_bodies), 3), jnp.nan)
+        if own.action_buffer or own.controller.joint_control:
+            found["controls"] = jnp.zeros((n, self._model.nu))  # in the last step
+        return found
 
     def _advance(self, fixed: tuple[Any, ...], first: int, count: int, carry: Mapping[str, Any]) -> dict[str, Any]:
         """What goes on after `count` more ticks from the tick `first` on, see `_run_ticks`."""
@@ -323,24 +335,27 @@ class MjxModelEngine(ModelEngine):
     def _run_ticks(self, fixed: tuple[Any, ...], count: Array, carry: Mapping[str, Any]) -> dict[str, Any]:
         """What goes on after `count` more ticks: states, figures, and controls and forces (n, nu) of the last one.
 
-        What is `fixed` are MJX's model and data, leaves by row, what controllers are given, and limits (n, ..., 2).
+        What is `fixed` are MJX's model and data, leaves by row, what controllers are given, limits (n, ..., 2), and
+        pushes and delays of commands.
         """
-        template, data, leaves, given, limits = fixed
+        template, data, leaves, given, limits, acting = fixed
+        bodies, time_step, law = self._own.pushed_bodies, self._model.opt.timestep, self._own.controller.joint_control
 
-        def one(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array) -> tuple[Any, Any]:
+        def inputs(ctrl: Array, wrench: Array | None) -> dict[str, Array]:
+            return {"ctrl": ctrl} if wrench is None else {"ctrl": ctrl, "xfrc_applied": wrench}
+
+        def one(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array, wrench: Any) -> tuple[Any, Any]:
             model = template.tree_replace(rows)
-            after = mjx.step(model, data.replace(**now, ctrl=ctrl))
+            after = mjx.step(model, data.replace(**now, **inputs(ctrl, wrench)))
             own = {"actuator_velocity": after._impl}
             told = {name: getattr(own.get(name, after), name) for name in metrics.STEPS}
+            if wrench is not None:
+                told["places"] = after.xipos[bodies]  # as the step began
             told["full"], told["unsolved"] = self._invalid_flags(model, after)
             return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED}, told
 
-        def current(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array) -> Array:
-            return mjx.forward(template.tree_replace(rows), data.replace(**now, ctrl=ctrl)).sensordata
-
-        def to_controls(command: Array, now: Mapping[str, Array]) -> Array:
-            law = self._own.controller.joint_control
-            return command if law is None else law.controls(command, now["qpos"], now["qvel"])
+        def current(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array, wrench: Any) -> Array:
+            return mjx.forward(template.tree_replace(rows), data.replace(**now, **inputs(ctrl, wrench))).sensordata
 
         def tick(carry: Mapping[str, Any]) -> dict[str, Any]:
             going = carry["carried"]["tick"] < carry["carried"]["ticks"]
@@ -348,23 +363,46 @@ class MjxModelEngine(ModelEngine):
             wrong = carry["wrong"] | going & ~jnp.isfinite(ctrl).all(axis=1)
             ctrl = jnp.nan_to_num(ctrl)
             before = jnp.where(jnp.isnan(carry["ctrl"]), ctrl, carry["ctrl"])
+            shares, extra, late = jnp.asarray(self._shares, float), dict(carry["acting"]), None
+            if "past" in extra:
+                past = jnp.where(jnp.isnan(extra["past"]), ctrl[:, None], extra["past"])
+                commands = before[:, None] + shares[:, None] * (ctrl - before)[:, None]
+                late, extra["past"] = disturbances.delay_commands(past, commands, acting.delay)
+                late = jnp.moveaxis(late, 1, 0)
+            first_step = carry["carried"]["tick"] * len(self._shares)
 
-            def step(state: Any, share: Array) -> tuple[Any, None]:
-                now, sofar, full, _ = state
-                command = before + share * (ctrl - before)
-                now, told = jax.vmap(one)(leaves, now, to_controls(command, now))
+            def step(state: Any, given_step: Any) -> tuple[Any, None]:
+                now, sofar, full, extra, _ = state
+                (share, number, command), extra = given_step, dict(extra)
+                command = before + share * (ctrl - before) if command is None else command
+                controls = command if law is None else law.controls(command, now["qpos"], now["qvel"])
+                wrench = None
+                if len(bodies):
+                    forces = acting.forces(first_step + number, 1, time_step)[:, 0]
+                    wrench = jnp.zeros_like(extra["wrench"]).at[:, bodies, :3].add(forces)
+                now, told = jax.vmap(one)(leaves, now, controls, wrench)
+                if wrench is not None:
+                    places = told.pop("places")
+                    last = jnp.where(jnp.isnan(extra["places"]), places[:, None], extra["places"])
+                    way = (places - last[:, 0]) / 2  # at the mean of the speeds before and after a step
+                    told["push_work"] = (extra["wrench"][:, bodies, :3] * way).sum(axis=(1, 2))
+                    extra |= {"wrench": wrench, "places": jnp.stack([last[:, 1], places], axis=1)}
+                if "controls" in extra:
+                    extra["controls"] = controls
                 full = full | going & told.pop("full")
+                work = {name: told.pop(name) for name in ("push_work",) if name in told}
                 steps = {name: values[:, None] for name, values in told.items()}
-                sofar = self._meter.update(sofar, steps, limits, going)
-                return (now, sofar, full, (told["sensordata"], told["actuator_force"])), None
+                sofar = self._meter.update(sofar, {**steps, **work}, limits, going)
+                return (now, sofar, full, extra, (told["sensordata"], told["actuator_force"])), None
 
             none = jnp.zeros((len(ctrl), self._model.nsensordata)), carry["force"]
-            first = carry["now"], carry["sofar"], carry["full"], none
-            (now, sofar, full, (sensors, force)), _ = jax.lax.scan(step, first, jnp.asarray(self._shares, float))
+            first = carry["now"], carry["sofar"], carry["full"], extra, none
+            each = shares, jnp.arange(len(self._shares)), late
+            (now, sofar, full, extra, (sensors, force)), _ = jax.lax.scan(step, first, each)
             if self._own.config.sensors == "current":
-                sensors = jax.vmap(current)(leaves, now, to_controls(ctrl, now))
+                sensors = jax.vmap(current)(leaves, now, extra.get("controls", ctrl), extra.get("wrench"))
             seen = self._own.observable_state(now["qpos"], now["qvel"], sensors)
-            new = {"now": now, "sofar": sofar, "carried": carried, "seen": seen}
+            new = {"now": now, "sofar": sofar, "carried": carried, "seen": seen, "acting": extra}
             return new | {"wrong": wrong, "full": full, "ctrl": ctrl, "force": force}
 
         return jax.lax.fori_loop(0, count, lambda _, carry: tick(carry), carry)

@@ -12,6 +12,7 @@ from sweep.contract.system import Parameter, Values
 from sweep.core.errors import InputError, require_choice
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.systems.mujoco_model import fields, files
+from sweep.systems.mujoco_model.disturbances import PUSH, PushedBody
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ NOISE = {  # errors of what the controller observes, alike in all components, in
     "noise.white": quantity(0.0, "", at_least=0),  # deviation, drawn anew at every tick
     "noise.bias": quantity(0.0, "", at_least=0),  # deviation of the constant error
     "noise.delay": quantity(0.0, "ticks", at_least=0, at_most=50),  # whole control ticks that it is late by
+    "noise.action_delay": quantity(0.0, "steps", at_least=0, at_most=1000),  # physics steps that commands are late by
 }
 
 
@@ -67,6 +69,8 @@ class ModelSpec:
     config: ModelConfig
     controller_values: tuple[tuple[str, float], ...]  # `noise.*` and `controller.*` by path
     delay_buffer: int = 0  # ticks of delay
+    action_buffer: int = 0  # physics steps of delay of the commands
+    pushes: tuple[PushedBody, ...] = ()
 
     @cached_property
     def model(self) -> mujoco.MjModel:
@@ -86,7 +90,14 @@ class ModelSpec:
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
         """Fields of the noise and controller parameters, by path."""
-        return NOISE | {f"controller.{name}": quantity(value, "") for name, value in self.controller.parameters.items()}
+        pushes = {f"push.{one.name}.{key}": about for one in self.pushes for key, about in PUSH.items()}
+        own = {f"controller.{name}": quantity(value, "") for name, value in self.controller.parameters.items()}
+        return NOISE | pushes | own
+
+    @cached_property
+    def pushed_bodies(self) -> np.ndarray:
+        """Indices (p,) of the bodies that pushes act on."""
+        return np.array([self.model.body(one.body).id for one in self.pushes], int)
 
     @property
     def base_address(self) -> int | None:

@@ -1,0 +1,111 @@
+"""Errors of execution of own models: pushes on bodies, and commands that reach the actuators late."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sweep.contract.system import Parameter
+from sweep.core.errors import InputError, require_choice
+from sweep.core.parameters import quantity
+
+PUSH: Mapping[str, Parameter] = {  # numbers of a push
+    "impulse": quantity(0.0, "N*s"),  # delivered evenly within `length`
+    "force": quantity(0.0, "N"),  # beside it, for as long
+    "direction": quantity(0.0, "rad"),  # in the horizontal plane, from the world's x axis
+    "elevation": quantity(0.0, "rad"),  # above the horizontal plane
+    "start": quantity(1.0, "s", at_least=0),  # from the start of the rollout
+    "length": quantity(0.05, "s", above=0),
+    "spread": quantity(0.0, "s", at_least=0),  # the start is drawn evenly from as long a time after `start`
+}
+
+
+class PushedBody(NamedTuple):
+    """A push of a scenario: its name, and the body whose centre of mass it acts on."""
+
+    name: str
+    body: str
+
+
+class TickForces(NamedTuple):
+    """What acts on rollouts beside their actuators, by row."""
+
+    delay: Any  # (n,) physics steps by which commands are late, whole
+    force: Any  # (n, p, 3) N, of each push
+    start: Any  # (n, p) s
+    end: Any  # (n, p) s
+
+    def forces(self, first: Any, count: int, step: float) -> Any:
+        """Return the forces of physics steps, each its mean over the step, so that impulses are exact.
+
+        Args:
+            first: Number of the first step: one, or one for each rollout (n,).
+            count: Number of steps s.
+            step: Length of a step, s.
+
+        Returns:
+            Forces (n, s, p, 3) in N, in world axes.
+        """
+        xp = self.force.__array_namespace__()
+        begin = step * (xp.asarray(first)[..., None] + xp.arange(count))[..., None]
+        start, end = self.start[:, None], self.end[:, None]
+        share = xp.clip(xp.minimum(end, begin + step) - xp.maximum(start, begin), 0, step) / step
+        return share[..., None] * self.force[:, None]
+
+
+def parse_pushes(given: Any, bodies: list[str]) -> tuple[tuple[PushedBody, ...], dict[str, Any]]:
+    """Return the pushes of a configuration, and their numbers by path. Raises `InputError`.
+
+    Args:
+        given: For each name a mapping with `body` and keys of `PUSH`.
+        bodies: Bodies of the model.
+    """
+    if not isinstance(given, Mapping) or not all(isinstance(one, Mapping) for one in given.values()):
+        raise InputError(f"push = {given!r:.80} is not allowed: pushes by name, such as {{kick: {{body: trunk}}}}")
+    pushes, numbers = [], {}
+    for name, said in given.items():
+        if not str(name).isidentifier():
+            raise InputError(f"push.{name} is not allowed: a name has letters, digits and _")
+        if "body" not in said:
+            raise InputError(f"push.{name} needs the key body")
+        require_choice(said["body"], bodies, f"push.{name}.body: {said['body']}")
+        for key in said:
+            require_choice(key, ("body", *PUSH), f"push.{name}: {key}")
+        pushes.append(PushedBody(str(name), str(said["body"])))
+        numbers |= {f"push.{name}.{key}": value for key, value in said.items() if key != "body"}
+    return tuple(pushes), numbers
+
+
+def make_forces(pushes: tuple[PushedBody, ...], values: Mapping[str, Any], luck: np.ndarray) -> TickForces:
+    """Return what acts on n rollouts.
+
+    Args:
+        pushes: The pushes of the scenario.
+        values: `noise.action_delay`, and the numbers of the pushes by path; numbers, or arrays (n,).
+        luck: Even random numbers (n, p) from 0 to 1.
+    """
+    n = len(luck)
+
+    def rows(name: str) -> np.ndarray:  # (n, p)
+        every = [np.broadcast_to(values[f"push.{one.name}.{name}"], (n,)) for one in pushes]
+        return np.stack(every, axis=1).astype(float) if every else np.zeros((n, 0))
+
+    turn, rise, start = rows("direction"), rows("elevation"), rows("start") + rows("spread") * luck
+    size = rows("force") + rows("impulse") / rows("length")
+    along = np.stack([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)], axis=-1)
+    delay = np.broadcast_to(np.rint(values["noise.action_delay"]).astype(np.int32), (n,))
+    return TickForces(delay, size[..., None] * along, start, start + rows("length"))
+
+
+def delay_commands(past: Any, commands: Any, delay: Any) -> tuple[Any, Any]:
+    """Return the commands that reach the actuators in the physics steps of a tick, and the last ones of all.
+
+    Args:
+        past: Commands (n, d, nu) of the d steps before, the last one last.
+        commands: Commands (n, s, nu) of the tick.
+        delay: Whole steps (n,), at most d.
+    """
+    xp = commands.__array_namespace__()
+    every, room, steps = xp.concatenate([past, commands], axis=1), past.shape[1], commands.shape[1]
+    index = room + xp.arange(steps)[None] - delay[:, None]
+    return xp.take_along_axis(every, index[..., None], axis=1), every[:, steps:]
