@@ -25,7 +25,7 @@ from sweep.contract.system import split_side
 from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
 from sweep.core.provenance import search_version
-from sweep.models.case import Case, TabulatedManoeuvre
+from sweep.models.case import Case
 from sweep.planning import plan_table
 from sweep.planning.plan_table import SLOPES, Content
 from sweep.planning.score import (
@@ -54,7 +54,7 @@ def tune_plan(args: argparse.Namespace) -> int:
     if why := exp.system.unsupported_commands.get("tune"):
         raise InputError(f"tune is not allowed: {why}")
     case, where = exp.case, Path(exp.out or "")
-    if not isinstance(case.manoeuvre, TabulatedManoeuvre):
+    if case.manoeuvre.default_plan_name is None:
         raise InputError(f"manoeuvre.kind = {case.manoeuvre.kind} has no plan file")
     if not args.check and where.suffix != ".yaml":
         raise InputError(f"out = {exp.out or ''} is not allowed: the file of the plan, such as plans/mine.yaml")
@@ -279,7 +279,6 @@ def add_slopes(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes
 
 def plan_file(case: Case, content: Content, head: list[str]) -> str:
     """Text of a plan's file: comments, then its differences to the manoeuvre's own plan."""
-    assert isinstance(case.manoeuvre, TabulatedManoeuvre)
     said = plan_table.differences(plan_table.default_plan_content(case), content)
     own = case.manoeuvre.default_plan_name
     whole = {"extends": own, **said} if own else said

@@ -1,7 +1,7 @@
 """The controller: follows a plan stage by stage and turns feet and base into joint targets (monograph 1.3, 1.4)."""
 
 from functools import partial
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference_s
 from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, nearest_equivalent_angle, rotate
 from sweep.formulas.leg import SIDE
-from sweep.models.case import Case, Riding
+from sweep.models.case import Case
 from sweep.models.obstacles.surface import FreeState, Surface, body_poses, free_start_state, surface_at
 
 LEFT = np.array([0.0, 1.0, 0.0], np.float32)  # left of the base, base axes
@@ -60,9 +60,10 @@ class Guidance(NamedTuple):
     memory: Any  # new state of the feedback
 
 
-@runtime_checkable
-class Guided(Protocol):
-    """Protocol of manoeuvres with feedback of their own, which replan each tick from measurements."""
+class FeedbackLaw(Protocol):
+    """Feedback that replans each tick from measurements: of a guided manoeuvre, or of one of its stages."""
+
+    ends_stages: ClassVar[bool]  # whether it may end a stage early; `duration` of a stage is then its longest time
 
     def init_memory(self, belief: Case, plan: Plan) -> Any:
         """Return the state of the feedback before the first tick."""
@@ -78,13 +79,8 @@ class Guided(Protocol):
         """
         ...
 
-
-@runtime_checkable
-class EndsStages(Protocol):
-    """Protocol of manoeuvres that may end a stage early; `duration` of a stage is then its longest time."""
-
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """Return whether the event that the current stage waits for has occurred."""
+        """Return whether the event that the current stage waits for has occurred; called if it `ends_stages`."""
         ...
 
 
@@ -101,7 +97,6 @@ def init(belief: Case, plan: Plan, exact: bool = True) -> TrackerState:
     manoeuvre = belief.manoeuvre
     free = free_start_state(belief.obstacle)
     joints, _ = joint_targets(belief.robot, plan.start)
-    memory = manoeuvre.init_memory(belief, plan) if isinstance(manoeuvre, Guided) else None
     start = stance_to_frame(plan.start, plan.foot_frame[0], plan.base_frame[0], free)
     return TrackerState(
         stage=jnp.int32(0),
@@ -112,9 +107,9 @@ def init(belief: Case, plan: Plan, exact: bool = True) -> TrackerState:
         joints=joints,
         finished=jnp.asarray(False),
         goal=start.feet,
-        memory=memory,
-        observer=BodyObserver(free, free) if isinstance(manoeuvre, Riding) else None,
-        last_target=start if isinstance(manoeuvre, EndsStages) else None,
+        memory=manoeuvre.init_memory(belief, plan),
+        observer=None if manoeuvre.observer is None else BodyObserver(free, free),
+        last_target=start if manoeuvre.ends_stages else None,
         layer_states=tuple(layer.init_state(start, joints, free) for layer in plan.layers),
         true_error=None if exact else PoseError(zeros, zeros),
     )
@@ -145,7 +140,7 @@ def step(
         The new state and the command for the drives.
     """
     previous, manoeuvre = state, belief.manoeuvre
-    if isinstance(manoeuvre, Riding) and state.observer is not None:
+    if manoeuvre.observer is not None and state.observer is not None:
         observer = filter_body_pose(state.observer, obs.free, manoeuvre.observer, period)
         state, obs = state._replace(observer=observer), obs._replace(free=observer.second)
     state = _advance(belief, plan, state._replace(clock=state.clock + period), obs, period, foothold_offset, truth)
@@ -159,7 +154,7 @@ def step(
     frames = plan.foot_frame[state.stage], plan.base_frame[state.stage]
     for layer in plan.layers:
         state = state._replace(feet=layer.update_footholds(ctx, state.feet))
-    if isinstance(manoeuvre, Guided):
+    if manoeuvre.is_guided:
         stance, to, memory = manoeuvre.guide(belief, ctx, state)
         state = state._replace(goal=to, memory=memory)
     else:
@@ -205,17 +200,17 @@ def _advance(
 ) -> TrackerState:
     """Go to the next stage when its time is over and all swinging feet have touched down, or patience has run out.
 
-    A manoeuvre that `EndsStages` may end a stage earlier, with feet and base wherever they are by then.
+    A manoeuvre that `ends_stages` may end a stage earlier, with feet and base wherever they are by then.
     """
     stage, manoeuvre = state.stage, belief.manoeuvre
     over = state.clock - plan.duration[stage]
     landed = jnp.all(obs.loaded | ~plan.swing[stage])
     ends = (over >= 0) & (landed | (over >= plan.patience)) & ~state.finished
     planned = plan.foothold[stage] if foothold_offset is None else plan.foothold[stage] + foothold_offset
-    goal = state.goal if isinstance(manoeuvre, Guided) else planned
+    goal = state.goal if manoeuvre.is_guided else planned
     wanted = multiply(exponential(plan.turn[stage]), plan.quat[stage])
     reached = Stance(jnp.where(plan.swing[stage][:, None], goal, state.feet), plan.position[stage], wanted)
-    if isinstance(manoeuvre, EndsStages) and state.last_target is not None:
+    if state.last_target is not None:
         ends = ends | (manoeuvre.is_stage_over(belief, plan, state, obs) & ~state.finished)
         early = (over < 0) & plan.swing[stage][:, None]
         reached = Stance(jnp.where(early, state.last_target.feet, reached.feet), *state.last_target[1:])

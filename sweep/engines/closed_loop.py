@@ -25,7 +25,7 @@ from sweep.metrics import accumulator
 from sweep.metrics.accumulator import RunningMetrics
 from sweep.metrics.metric import GRACE, REST, MetricTick, RolloutStart, Tick
 from sweep.metrics.outcome import Thresholds
-from sweep.models.case import Case, Driving
+from sweep.models.case import Case
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Servo, position_mode
 from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS, N_LEGS
@@ -309,7 +309,7 @@ def update_metrics(
     )
     running, judged = accumulator.update(loop.running, now, limits, number)
     late = running.time - running.rested >= GRACE * jnp.sum(plan.duration)
-    rest = 0.0 if isinstance(world.manoeuvre, Driving) else REST
+    rest = 0.0 if world.manoeuvre.drives_body else REST
     rested = state.finished & (running.rested > rest - period / 2)
     running = running._replace(over=running.over | rested | late)
     return loop._replace(running=running, actual=tick.truth), judged

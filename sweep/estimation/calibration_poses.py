@@ -17,11 +17,10 @@ MOVE, HOLD = 1.0, 0.6  # s, from one pose to the next, and at rest in each; soft
 
 
 @parameters
-class CalibrationPoses:
+class CalibrationPoses(Manoeuvre):
     """Manoeuvre that goes through the base poses of the calibration and back to the start; made by the engines."""
 
     goal: ClassVar = ON_ITS_FEET
-    needs: ClassVar = ()
     next_manoeuvre: Manoeuvre  # manoeuvre that follows, in whose start stance the robot stands
     kind: str = choice("poses", "poses")
 

@@ -8,7 +8,6 @@ from jaxtyping import Array, Float
 
 from sweep.core.rotations import conjugate, logarithm, multiply
 from sweep.metrics.metric import REST, Cause, Metric, MetricTick, PlanTail, Rollout, RolloutStart, goal_cause
-from sweep.models.case import Driving
 
 TAIL = 12.0  # s of the plan, its last, over which the speed of a body that is left in motion is taken
 
@@ -49,7 +48,6 @@ def update(state: BodiesMotion, ctx: MetricTick) -> BodiesMotion:
     upright = jnp.where(ctx.stage == 0, quat, state.quat)
     turn = jnp.linalg.norm(logarithm(multiply(quat, conjugate(upright))), axis=-1)
     here, manoeuvre = PlanTail(place, ctx.time), ctx.world.manoeuvre
-    aside = manoeuvre.lateral_offset if isinstance(manoeuvre, Driving) else lambda way: jnp.abs(way[1])
     return BodiesMotion(
         start=state.start,
         settled=settled,
@@ -60,7 +58,7 @@ def update(state: BodiesMotion, ctx: MetricTick) -> BodiesMotion:
         moved=jnp.maximum(state.moved, jnp.max(jnp.linalg.norm(way, axis=-1))),
         shifted=jnp.maximum(state.shifted, jnp.max(jnp.linalg.norm(place - settled, axis=-1))),
         turned=jnp.maximum(state.turned, jnp.max(turn)),
-        aside=jnp.maximum(state.aside, aside(way[0])),
+        aside=jnp.maximum(state.aside, manoeuvre.lateral_offset(way[0])),
         ride_height=jnp.minimum(state.ride_height, ctx.tick.truth.position[2] - place[0, 2]),
     )
 
@@ -68,7 +66,7 @@ def update(state: BodiesMotion, ctx: MetricTick) -> BodiesMotion:
 def compute(state: BodiesMotion, rollout: Rollout) -> dict[str, Array]:
     """Displacements so far, and speeds over the last part of the plan."""
     manoeuvre = rollout.world.manoeuvre
-    if isinstance(manoeuvre, Driving):
+    if manoeuvre.drives_body:
         aim, velocity = manoeuvre.obstacle_speed(jnp.sum(rollout.plan.duration)), state.tail.mean_velocity(*state.ended)
     else:
         aim, velocity = 0.0, state.ended.mean_velocity(state.place, rollout.time)

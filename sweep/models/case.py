@@ -1,9 +1,11 @@
 """All parameters of one rollout. A rollout has two cases: the world is simulated, the belief goes to the planner."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol, runtime_checkable
+from types import MappingProxyType
+from typing import Any, ClassVar
 
-from jaxtyping import Array
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from sweep.core.parameters import parameters
 from sweep.models.contact import Contact
@@ -16,77 +18,74 @@ from sweep.models.plan_numbers import PlanTable
 from sweep.models.robot import Robot
 
 
-class Manoeuvre(Protocol):
-    """A parameter dataclass that describes what the robot does, such as climbing a pole.
+class Manoeuvre:
+    """Base class of manoeuvres: parameter dataclasses that describe what the robot does, such as climbing a pole.
 
-    A manoeuvre with feedback of its own, beyond the tracking of its plan, also implements
-    `sweep.controllers.tracker.Guided`.
+    Engines, metrics and commands read these fields; a class states those that differ from the defaults. Fields that
+    follow from the methods of a class are set when the class is made.
     """
 
-    @property
-    def kind(self) -> str:
-        """Its name in the configuration."""
-        ...
+    kind: str  # its name in the configuration
+    # classes of obstacles that it supports; `Obstacle` stands for all with charts
+    needs: tuple[type, ...] = ()
+    goal: Mapping[str, float] = MappingProxyType({})  # thresholds that it sets for its metrics, by name in `outcome`
+    # name of the plan file of a case that names none; empty: each case must name one; None: it has no plan file
+    default_plan_name: str | None = None
+    two_way: bool = False  # whether its plan can be executed backwards in time
+    # time constant (s) of the filter of the free bodies' measured poses; None: it uses no free body
+    observer: Array | float | None = None
+    plans_forces: ClassVar[bool] = False  # whether it is a `sweep.planning.forces.PlannedForces`
+    is_guided: ClassVar[bool] = False  # whether it has feedback of its own: `guide`
+    ends_stages: ClassVar[bool] = False  # whether it may end a stage early: `is_stage_over`
+    # whether it moves a free body along a path and may leave it in motion: `obstacle_speed`
+    drives_body: ClassVar[bool] = False
 
-    @property
-    def needs(self) -> tuple[type, ...]:
-        """Classes of obstacles that the manoeuvre supports; `Obstacle` stands for all with charts."""
-        ...
-
-    @property
-    def goal(self) -> Mapping[str, float]:
-        """Thresholds that the manoeuvre sets for its metrics, by their names in `outcome`."""
-        ...
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Set the fields that follow from the methods of the class."""
+        super().__init_subclass__(**kwargs)
+        complete_manoeuvre(cls)
 
     def plan(self, belief: "Case") -> Any:
         """Make the `sweep.controllers.plan.Plan` for the believed case, traced by JAX.
 
         Numbers are nan where no plan exists. Raises `InputError` where plain numbers admit no plan.
         """
-        ...
+        raise NotImplementedError
 
+    def init_memory(self, belief: "Case", plan: Any) -> Any:
+        """Return the state of the feedback before the first tick, see `sweep.controllers.tracker.FeedbackLaw`."""
+        return None
 
-@runtime_checkable
-class TabulatedManoeuvre(Protocol):
-    """A manoeuvre whose plan's numbers are in a file."""
+    def guide(self, belief: "Case", ctx: Any, state: Any) -> Any:
+        """Return the guidance of the feedback in one tick, see `sweep.controllers.tracker.FeedbackLaw`."""
+        raise NotImplementedError
 
-    @property
-    def default_plan_name(self) -> str:
-        """Name of the file of a case without another one; empty if each case must name a file."""
-        ...
-
-
-@runtime_checkable
-class ReversibleManoeuvre(TabulatedManoeuvre, Protocol):
-    """A manoeuvre whose whole plan can be executed backwards in time."""
-
-    @property
-    def two_way(self) -> bool:
-        """Always True."""
-        ...
-
-
-@runtime_checkable
-class Riding(Protocol):
-    """A manoeuvre on free bodies, which the robot observes."""
-
-    @property
-    def observer(self) -> Array | float:
-        """Time constant (s) of the filter of the bodies' measured poses."""
-        ...
-
-
-@runtime_checkable
-class Driving(Protocol):
-    """A manoeuvre that moves a free body along a path and may leave it in motion."""
+    def is_stage_over(self, belief: "Case", plan: Any, state: Any, obs: Any) -> Any:
+        """Return whether the event has occurred that the current stage waits for; `duration` is its longest time."""
+        raise NotImplementedError
 
     def obstacle_speed(self, duration: Array) -> Array:
-        """Reference speed (m/s) of the body at the end of a plan of `duration` (s)."""
-        ...
+        """Return the reference speed (m/s) of the driven body at the end of a plan of `duration` (s)."""
+        raise NotImplementedError
 
-    def lateral_offset(self, way: Array) -> Array:
-        """Distance (m) of the body from its reference path after a displacement `way` (3,) (m, world axes)."""
-        ...
+    def lateral_offset(self, way: Float[Array, " 3"]) -> Array:
+        """Return the distance (m) of the body from its path after a displacement `way` (m, world axes)."""
+        return jnp.abs(way[1])
+
+
+DERIVED_FIELDS = {"is_guided": "guide", "ends_stages": "is_stage_over", "drives_body": "obstacle_speed"}  # from methods
+
+
+def complete_manoeuvre(cls: type) -> None:
+    """Set the fields of `Manoeuvre` that follow from the methods of a class.
+
+    A class of a user module that does not inherit from `Manoeuvre` gets its other members as well.
+    """
+    for name, member in vars(Manoeuvre).items():
+        if not name.startswith("_") and not hasattr(cls, name):
+            setattr(cls, name, member)
+    for name, method in DERIVED_FIELDS.items():
+        setattr(cls, name, getattr(cls, method) is not getattr(Manoeuvre, method))
 
 
 @parameters

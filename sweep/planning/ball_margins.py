@@ -104,7 +104,7 @@ def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> PlayedPlan:
                              _contacts_at(case, command.target.feet, free), contacts)  # fmt: skip
         feet = to_world(contacts.feet, contacts.frame, free)
         joints = joint_targets(case.robot, command.target._replace(feet=feet))[0]
-        goal = state.goal if isinstance(case.manoeuvre, tracker.Guided) else plan.foothold[stage]
+        goal = state.goal if case.manoeuvre.is_guided else plan.foothold[stage]
         starts, goal = (to_world(at, plan.foot_frame[stage], free) for at in (state.feet, goal))
         rates = wrap_angle(joints - observation.angles) / h
         swing = Swing(swings, starts, goal)

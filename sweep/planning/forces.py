@@ -6,7 +6,7 @@ near-optimal forces rather than an extreme one, so that it changes smoothly with
 """
 
 from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple, cast
+from typing import ClassVar, Literal, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from sweep.controllers.posture import foot_positions, joint_targets, mass_centre
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import rotate
-from sweep.models.case import Case
+from sweep.models.case import Case, Manoeuvre
 from sweep.models.obstacles.surface import free_start_state
 from sweep.models.robot import Robot, total_mass
 
@@ -376,8 +376,10 @@ def plan_forces(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> Forc
 
 
 @parameters
-class PlannedForces:
+class PlannedForces(Manoeuvre):
     """Base class with the parameters of manoeuvres that hold on by planned foot forces."""
+
+    plans_forces: ClassVar = True
 
     effort: str = choice("friction", "friction", "torque", "normal")  # which effort the planned forces minimise
     load_time: float = quantity(0.4, "s", above=0, at_most=10)  # time of the load transfer between feet before a swing

@@ -23,7 +23,6 @@ from sweep.core import project
 from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.expressions import evaluate
 from sweep.core.parameters import check_value, quantity
-from sweep.models.case import TabulatedManoeuvre
 from sweep.models.legs import GROUPS
 from sweep.models.obstacles.charts import Chart
 from sweep.models.plan_numbers import MORE
@@ -256,11 +255,7 @@ def parameter_value(case: Any, path: str, label: str = "", groups: Names = SIZED
 
 def default_plan_content(case: Any) -> Content:
     """Content of the manoeuvre's own plan file; empty if it has none."""
-    return (
-        load_shipped_plan(case.manoeuvre.default_plan_name)
-        if isinstance(case.manoeuvre, TabulatedManoeuvre) and case.manoeuvre.default_plan_name
-        else {}
-    )
+    return load_shipped_plan(case.manoeuvre.default_plan_name) if case.manoeuvre.default_plan_name else {}
 
 
 def numbers_by_path(content: Content, charts: Mapping[str, Chart]) -> dict[str, float | str]:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from fnmatch import fnmatchcase
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -106,7 +106,7 @@ class Score:
             if not any(fnmatchcase(name, pattern) for name in judged):
                 raise InputError(f"{flag} = {pattern} names no stage of {', '.join(judged)}")
         self._is_on_ball = type(case.obstacle) is Ball  # a ball that leans on something is taken to rest
-        if hold and not isinstance(case.manoeuvre, PlannedForces):
+        if hold and not case.manoeuvre.plans_forces:
             raise InputError(f"--forces is not allowed: manoeuvre.kind = {case.manoeuvre.kind} plans none")
         if hold and self._is_on_ball:
             raise InputError("--forces is not allowed: plans on a ball have no static contact forces")
@@ -263,8 +263,8 @@ class Score:
 
         margins = worst_phases(lambda k, u: kinematic_margins.planned_margins(belief, plan, k, u)._asdict(), moments)
         if hold:
-            assert isinstance(belief.manoeuvre, PlannedForces)
-            bounds, knots = belief.manoeuvre.force_bounds(belief), np.full(len(chosen), forces.KNOTS)
+            bounds = cast(PlannedForces, belief.manoeuvre).force_bounds(belief)
+            knots = np.full(len(chosen), forces.KNOTS)
             margins |= worst_phases(
                 lambda k, u: {"hold": kinematic_margins.planned_force_reserve(belief, plan, k, u, bounds)}, knots
             )

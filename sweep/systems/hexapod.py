@@ -23,7 +23,7 @@ from sweep.engines.states import available_columns
 from sweep.manoeuvres import MANOEUVRES
 from sweep.metrics import outcome
 from sweep.metrics.outcome import Thresholds
-from sweep.models.case import Case, Manoeuvre, ReversibleManoeuvre, TabulatedManoeuvre
+from sweep.models.case import Case, Manoeuvre, complete_manoeuvre
 from sweep.models.control import Control
 from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
@@ -276,6 +276,7 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     parts = {group: build(cls, values[group], group) for group, cls in classes.items()}
     settings, given = parts.pop("engine"), dataclasses.asdict(parts.pop("outcome"))
     parts |= {group: build_by_kind(kinds[group], values[group], group) for group in ("obstacle", "manoeuvre")}
+    complete_manoeuvre(type(parts["manoeuvre"]))  # a class of a user module may not inherit from `Manoeuvre`
     case = Case(**parts, plan=_table(values["plan"], parts["manoeuvre"]))
     if not _suits(type(case.obstacle), case.manoeuvre):
         needed = " or ".join(kind for kind, cls in OBSTACLES.items() if _suits(cls, case.manoeuvre))
@@ -326,16 +327,16 @@ def _table(given: Any, manoeuvre: Any) -> PlanTable:
     """Return the plan table of a configuration; empty where the manoeuvre's default plan is used."""
     kind = manoeuvre.kind
     if not given:
-        if isinstance(manoeuvre, TabulatedManoeuvre) and not manoeuvre.default_plan_name:
+        if manoeuvre.default_plan_name == "":
             raise InputError(f"plan is missing: manoeuvre.kind = {kind} has no default plan")
         return PlanTable()
     if not isinstance(given, Mapping):
         raise InputError(f"plan = {given} is not allowed: `sweep list` shows the choices")
-    if not isinstance(manoeuvre, TabulatedManoeuvre):
+    if manoeuvre.default_plan_name is None:
         raise InputError(f"plan is not allowed: manoeuvre.kind = {kind} has no plan file")
     plan_table.refuse_malformed(given)
     require_choice(way := given.get(WAY, FORTH), DIRECTIONS, f"plan.{WAY} = {way}")
-    if way != FORTH and not isinstance(manoeuvre, ReversibleManoeuvre):
+    if way != FORTH and not manoeuvre.two_way:
         raise InputError(f"plan.{WAY} = {way} is not allowed: manoeuvre.kind = {kind} goes {FORTH} only")
     return PlanTable(json.dumps(given))
 

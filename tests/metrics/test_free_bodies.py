@@ -9,9 +9,8 @@ import pytest
 from sweep.metrics import free_bodies
 from sweep.models.obstacles.surface import FreeState
 
-WORLD = SimpleNamespace(
-    manoeuvre=SimpleNamespace(obstacle_speed=lambda duration: 0.1, lateral_offset=lambda way: abs(way[1]))
-)
+DRIVE = SimpleNamespace(drives_body=True, obstacle_speed=lambda duration: 0.1, lateral_offset=lambda way: abs(way[1]))
+WORLD = SimpleNamespace(manoeuvre=DRIVE)
 
 
 def moment(time: float, stage: int, phase: float, duration: list[float]) -> Any:
@@ -30,8 +29,5 @@ def test_the_final_speed_of_what_is_driven_is_told_although_a_stage_ends_before_
     found = free_bodies.begin(cast(Any, moment(0.0, 0, 0.0, duration).tick.truth))
     for stage, time in ((0, 1.0), *((1, 1.0 + k) for k in range(15))):
         found = free_bodies.update(found, moment(time, stage, (time - 1) / 14, duration))
-    world = SimpleNamespace(
-        manoeuvre=SimpleNamespace(obstacle_speed=lambda duration: 0.1, lateral_offset=lambda way: abs(way[1]))
-    )
-    at = SimpleNamespace(world=world, time=15.0, plan=SimpleNamespace(duration=jnp.array(duration)))
+    at = SimpleNamespace(world=WORLD, time=15.0, plan=SimpleNamespace(duration=jnp.array(duration)))
     assert free_bodies.compute(found, cast(Any, at))["obstacle_speed_mps"] == pytest.approx(0.1, rel=0.01)

@@ -31,7 +31,7 @@ from sweep.core.rotations import IDENTITY, rotate
 from sweep.formulas.crossing import Crossing, crossing
 from sweep.manoeuvres.afloat.statics import require_floating
 from sweep.manoeuvres.goals import ON_ITS_FEET
-from sweep.models.case import Case
+from sweep.models.case import Case, Manoeuvre
 from sweep.models.frames import WORLD, body_frame
 from sweep.models.legs import LEGS, NAMES
 from sweep.models.obstacles.charts import Chart, Number, point
@@ -52,7 +52,7 @@ PUSH, WAIT, REACH, PULL, ASHORE = "push", "wait", "reach", "pull", "ashore"
 
 
 @parameters
-class RaftCross:
+class RaftCross(Manoeuvre):
     """Cross from one bank to the other on the raft, and walk on. Ratios are to the body length a_r."""
 
     goal: ClassVar = ON_ITS_FEET

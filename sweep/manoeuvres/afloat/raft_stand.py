@@ -10,7 +10,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.manoeuvres.afloat.statics import require_floating
 from sweep.manoeuvres.goals import ON_ITS_FEET
 from sweep.manoeuvres.walking.walk import level_stance
-from sweep.models.case import Case
+from sweep.models.case import Case, Manoeuvre
 from sweep.models.frames import body_frame
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.raft import Raft
@@ -21,7 +21,7 @@ DECK = (body_frame(0),) * 6
 
 
 @parameters
-class RaftStand:
+class RaftStand(Manoeuvre):
     """Walk by tripods from the raft's middle to a place beside it, and stand there.
 
     Ratios are to the body length a_r.

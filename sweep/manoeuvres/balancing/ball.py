@@ -35,7 +35,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, conjugate, rotate
 from sweep.formulas.ball import ROLLING, stabilise_delta
 from sweep.manoeuvres.goals import ON_ITS_FEET
-from sweep.models.case import Case
+from sweep.models.case import Case, Manoeuvre
 from sweep.models.frames import body_frame, koenig_frame
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
@@ -58,7 +58,7 @@ class StandPose(NamedTuple):
 
 
 @parameters
-class OnBall:
+class OnBall(Manoeuvre):
     """Base class of manoeuvres on top of a ball. Ratios are to the length a_r unless said otherwise."""
 
     circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1, radius of the circle of footholds on the ball
@@ -317,7 +317,7 @@ class BallDrive(OnBall):
         return jnp.where(self.speed * duration > self.place, 0.0, self.speed)
 
     def lateral_offset(self, way: Float[Array, " 3"]) -> Array:
-        """Return the ball's lateral distance (m) from its path, see `Driving`."""
+        """Return the ball's lateral distance (m) from its path, see `Manoeuvre`."""
         return jnp.abs(self.track(way).left_offset)
 
     def plan(self, belief: Case) -> Plan:

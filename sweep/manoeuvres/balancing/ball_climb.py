@@ -8,7 +8,7 @@ from jaxtyping import Array
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.plan import RESTS, TO_VELOCITY, Plan, Stage, Support
-from sweep.controllers.tracker import Guided
+from sweep.controllers.tracker import FeedbackLaw
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import IDENTITY
@@ -115,7 +115,7 @@ class BallClimb(BesideBall):
             )
 
     @property
-    def parts(self) -> Mapping[str, Guided]:
+    def parts(self) -> Mapping[str, FeedbackLaw]:
         """The feedback laws of the ride up and of the steps that stop the ball."""
         return {
             RIDE: Ride(self.gain, self.least_rate, self.most_rate, self.braking, self.centring, self.lean),

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool
 
 from sweep.controllers.frames import Stance
 from sweep.controllers.plan import LEVEL, RESTS, Plan, Support
-from sweep.controllers.tracker import Guided
+from sweep.controllers.tracker import FeedbackLaw
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.manoeuvres.balancing.ball import (
     BallDrive,
@@ -50,7 +50,7 @@ class WallDocking(DriveUntil):
     near: Array | float  # m, largest remaining distance to the wall
     calm: Array | float  # m/s, largest speed of a ball that rests there
 
-    def drive_law(self, belief: Case, free: FreeState) -> Guided:
+    def drive_law(self, belief: Case, free: FreeState) -> FeedbackLaw:
         """Return the drive to a place so far behind the wall that the docking speed remains at the wall."""
         return replace(self.drive, place=belief.obstacle_as(Ledges).far_wall_x + self.speed / self.drive.brake)
 
@@ -123,6 +123,6 @@ class BallLedges(OnBall, ByParts):
                            brake=self.brake)  # fmt: skip
 
     @property
-    def parts(self) -> Mapping[str, Guided]:
+    def parts(self) -> Mapping[str, FeedbackLaw]:
         """The feedback law of the steps that roll the ball."""
         return {ROLLS: WallDocking(self.roll_drive, self.docking, self.near, self.calm_speed)}

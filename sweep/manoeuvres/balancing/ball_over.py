@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 from typing import ClassVar
 
 from sweep.controllers.plan import CYCLE_B, REGRIP, STAYS, Plan, Stage
-from sweep.controllers.tracker import Guided
+from sweep.controllers.tracker import FeedbackLaw
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.manoeuvres.balancing.ball import BallDrive
 from sweep.manoeuvres.balancing.ball_climb import BallClimb
@@ -69,7 +69,7 @@ class BallCrossing(BesideBall):
         return replace(self.calm_drive, steps=self.drive, speed=self.speed, place=self.place, brake=self.brake)
 
     @property
-    def parts(self) -> Mapping[str, Guided]:
+    def parts(self) -> Mapping[str, FeedbackLaw]:
         """The feedback laws of riding up, stopping the ball, and rolling it."""
         return {**self.climb.parts, DRIVE: SettleBall(self.travel_drive, self.calm_speed, self.near)}
 

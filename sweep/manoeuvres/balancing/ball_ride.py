@@ -1,6 +1,7 @@
 """The ride up on a ball that rolls in the robot's direction (monograph 3.1.4, 3.3.2)."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -33,7 +34,8 @@ class RideMemory(NamedTuple):
     time: Float[Array, ""]  # s, since the ride started
 
 
-class Ride(NamedTuple):
+@dataclass(frozen=True)
+class Ride:
     """Law that rides up on a rolling ball, at the rate with which it stops when the top is reached: (3.1.13)-(3.1.16).
 
     If feet slip more on one side, the ball rolls sideways; the base leans the other way to slow that down, though not
@@ -47,6 +49,7 @@ class Ride(NamedTuple):
     braking: Array | float  # rad/s^2, of the rate towards the top
     centring: Array | float  # s, in which the base first moves to the point of tangency
     lean: Array | float  # s, lateral lean over the ball's lateral speed
+    ends_stages: ClassVar = True
 
     def init_memory(self, belief: Case, plan: Plan) -> RideMemory:
         """Return the initial state of the ride."""

@@ -16,7 +16,7 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import TOGETHER, Plan, Stage, Support, reference_stance, stage_end_stances
 from sweep.controllers.posture import leg_points
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion
-from sweep.controllers.tracker import Guidance, Guided, TrackerState
+from sweep.controllers.tracker import FeedbackLaw, Guidance, TrackerState
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
@@ -56,7 +56,7 @@ class BallDocking(DriveUntil):
 
     speed: Array | float  # m/s, on arrival
 
-    def drive_law(self, belief: Case, free: FreeState) -> Guided:
+    def drive_law(self, belief: Case, free: FreeState) -> FeedbackLaw:
         """Return the drive to a place so far behind the second ball that the docking speed remains there."""
         place = free.position[0, 0] + ball_gap(belief.obstacle_as(TwoBalls), free) + self.speed / self.drive.brake
         return SingleBallLaw(replace(self.drive, place=place), 0)
@@ -72,7 +72,8 @@ class ClosingMemory(NamedTuple):
     gap: Float[Array, ""]  # m, delta at the start of the stage
 
 
-class Closing(NamedTuple):
+@dataclass(frozen=True)
+class Closing:
     """Law that follows the plan, but feet on the second ball move it to the first and press it there: after (3.5.2).
 
     The book turns the feet by the motion over R_n; the ball rolls it over R.
@@ -80,6 +81,7 @@ class Closing(NamedTuple):
 
     press: Array | float  # m, epsilon
     straight: Array | float  # longest leg over thigh and shin before the base stops
+    ends_stages: ClassVar = True
 
     def init_memory(self, belief: Case, plan: Plan) -> ClosingMemory:
         """Return the state before the first stage."""
@@ -215,7 +217,7 @@ class BallToBall(OnBall, ByParts):
         return BallDescend(calm=self.calm, calm_speed=self.calm_speed)
 
     @property
-    def parts(self) -> Mapping[str, Guided]:
+    def parts(self) -> Mapping[str, FeedbackLaw]:
         """The feedback laws of all parts: rolling, the transfer, and those of the second ball."""
         return {
             ROLLS: BallDocking(self.roll_drive, self.docking),

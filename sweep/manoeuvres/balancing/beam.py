@@ -19,7 +19,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.leg import SIDE
 from sweep.manoeuvres.climbing.walking import FACING_MINUS_Y
 from sweep.manoeuvres.goals import ARRIVED, UPRIGHT
-from sweep.models.case import Case
+from sweep.models.case import Case, Manoeuvre
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.beam import Beam
 from sweep.models.obstacles.charts import point
@@ -75,7 +75,7 @@ class BeamSite(NamedTuple):
 
 
 @parameters
-class BeamWalk:
+class BeamWalk(Manoeuvre):
     """Walk along the beam, on which the robot starts with its middle legs out. Ratios are to a_r."""
 
     goal: ClassVar = ARRIVED

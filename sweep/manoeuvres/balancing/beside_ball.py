@@ -7,7 +7,7 @@ frame and in units of its radius R.
 import math
 from collections.abc import Mapping
 
-from sweep.controllers.tracker import Guided
+from sweep.controllers.tracker import FeedbackLaw
 from sweep.core.parameters import count, parameters, quantity
 from sweep.manoeuvres.balancing.ball import BallDrive, OnBall
 from sweep.manoeuvres.balancing.parts import ByParts, SettleBall
@@ -42,6 +42,6 @@ class BesideBall(OnBall, ByParts):
                            aside_gain=self.aside_gain, aside_gain_before=self.aside_gain_before)  # fmt: skip
 
     @property
-    def parts(self) -> Mapping[str, Guided]:
+    def parts(self) -> Mapping[str, FeedbackLaw]:
         """The feedback law that stops the ball."""
         return {CALM: SettleBall(self.calm_drive, self.calm_speed, math.inf)}

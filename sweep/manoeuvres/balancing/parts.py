@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -13,19 +13,19 @@ from jaxtyping import Array, Bool
 from sweep.controllers.layers import TickContext
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, Stage, Support, is_under_law, reference_stance
-from sweep.controllers.tracker import EndsStages, Guidance, Guided, TrackerState
+from sweep.controllers.tracker import FeedbackLaw, Guidance, TrackerState
 from sweep.manoeuvres.balancing.ball import BallDrive, DriveMemory
-from sweep.models.case import Case
+from sweep.models.case import Case, Manoeuvre
 from sweep.models.frames import WORLD, koenig_frame
 from sweep.models.obstacles.surface import FreeState
 
 
-class ByParts(ABC):
+class ByParts(Manoeuvre, ABC):
     """Base class of manoeuvres whose stages are guided by the law that each names, or by the plan."""
 
     @property
     @abstractmethod
-    def parts(self) -> Mapping[str, Guided]:
+    def parts(self) -> Mapping[str, FeedbackLaw]:
         """The feedback of the stages under each law, by the law's name."""
 
     def init_memory(self, belief: Case, plan: Plan) -> dict[str, Any]:
@@ -47,7 +47,7 @@ class ByParts(ABC):
         """Return whether the law of the current part ends the stage."""
         is_over = jnp.asarray(False)
         for name, part in self.parts.items():
-            if isinstance(part, EndsStages):
+            if part.ends_stages:
                 part_state = state._replace(memory=state.memory[name])
                 is_over = is_over | (
                     is_under_law(plan, state.stage, name) & part.is_stage_over(belief, plan, part_state, obs)
@@ -60,6 +60,7 @@ class DriveUntil(ABC):
     """Base class of laws that roll a ball by the steps of a drive until it has arrived."""
 
     drive: BallDrive
+    ends_stages: ClassVar = True
 
     def init_memory(self, belief: Case, plan: Plan) -> DriveMemory:
         """Return the state of the drive."""
@@ -69,7 +70,7 @@ class DriveUntil(ABC):
         """Run one tick of the drive."""
         return self.drive_law(belief, ctx.obs.free).guide(belief, ctx, state)
 
-    def drive_law(self, belief: Case, free: FreeState) -> Guided:
+    def drive_law(self, belief: Case, free: FreeState) -> FeedbackLaw:
         """Return the law by which the robot drives the ball, with the position at which it stops."""
         return self.drive
 
@@ -96,11 +97,13 @@ class SettleBall(DriveUntil):
         return near & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 
 
-class SingleBallLaw(NamedTuple):
+@dataclass(frozen=True)
+class SingleBallLaw:
     """A law for an obstacle with a single ball, applied to one ball of several."""
 
-    law: Any  # `Guided`, and `EndsStages` if it ends stages
+    law: FeedbackLaw
     ball: int  # index of the ball
+    ends_stages: ClassVar = True
 
     def init_memory(self, belief: Case, plan: Plan) -> Any:
         """Return the state of the law."""

@@ -12,14 +12,14 @@ from sweep.controllers.posture import foot_centres
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, exponential
 from sweep.manoeuvres.goals import ON_ITS_FEET
-from sweep.models.case import Case
+from sweep.models.case import Case, Manoeuvre
 from sweep.models.obstacles.plane import Plane
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.gaits import GAITS, MEANINGS, Step, initial_foot_offsets, regular_steps
 
 
 @parameters
-class Walk:
+class Walk(Manoeuvre):
     """Walk straight along the world's x axis, uphill on a slope. Ratios are to the body length a_r."""
 
     goal: ClassVar = ON_ITS_FEET
@@ -59,7 +59,7 @@ class Walk:
 
 
 @parameters
-class Stand:
+class Stand(Manoeuvre):
     """Stand still; the basis of scenarios with pushes."""
 
     goal: ClassVar = ON_ITS_FEET

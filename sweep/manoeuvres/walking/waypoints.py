@@ -14,7 +14,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.thesis import thesis_fk, thesis_step, thesis_workspace
 from sweep.manoeuvres.goals import ON_ITS_FEET
 from sweep.manoeuvres.walking.walk import lay_on_ground, level_stance
-from sweep.models.case import Case
+from sweep.models.case import Case, Manoeuvre
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.plane import Plane
 from sweep.models.robot import Robot
@@ -28,7 +28,7 @@ IDLE = 0.02  # s, phase of a cycle after arrival, without step or lift
 
 
 @parameters
-class Waypoints:
+class Waypoints(Manoeuvre):
     """Walk straight from one of `WAYPOINTS` to the next without turning: thesis, chapter 3.
 
     A cycle has two phases of one step each. In the first, one tripod swings from home to one step ahead in body axes
