@@ -105,9 +105,9 @@ def test_a_worker_that_hangs_is_named_and_its_batch_goes_to_another(tmp_path, wh
     import dask.config
 
     monkeypatch.setenv("FAKE_STOP", str(tmp_path / "stopped"))
-    monkeypatch.setattr(clusters, "LEAST", 4.0)
-    monkeypatch.setattr(clusters, "FIRST", 20.0)  # which another machine's load must not reach
-    monkeypatch.setattr(clusters, "GIVE_UP", 10.0)
+    monkeypatch.setattr(clusters, "MIN_TIME_LIMIT_S", 4.0)
+    monkeypatch.setattr(clusters, "FIRST_BATCH_LIMIT_S", 20.0)  # which another machine's load must not reach
+    monkeypatch.setattr(clusters, "RESTART_TIMEOUT_S", 10.0)
     with dask.config.set({"distributed.worker.preload": ["fake_engine"]}):
         assert main(["run", *STUDY, *WORKERS, f"out={tmp_path / 'out'}"]) == 0
     assert (tmp_path / "stopped").exists()
@@ -146,8 +146,8 @@ def test_jobs_of_slurm_are_given_keys_that_only_this_user_can_read(tmp_path, mon
 
 
 def test_a_cluster_without_workers_and_a_lost_scheduler_are_told(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(clusters, "JOIN", 1.0)
-    monkeypatch.setattr(clusters, "GIVE_UP", 2.0)
+    monkeypatch.setattr(clusters, "JOIN_TIMEOUT_S", 1.0)
+    monkeypatch.setattr(clusters, "RESTART_TIMEOUT_S", 2.0)
     file, log = tmp_path / "scheduler.json", tmp_path / "out" / store.LOG
 
     def wait_for_text(path: Path, text: str) -> None:

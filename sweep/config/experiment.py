@@ -53,7 +53,7 @@ WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "
          list: "a list", tuple: "a list", dict: "keys and values"}  # what values of a type are  # fmt: skip
 CONFIG_MODULE, HYDRA_VERSION = "sweep.conf", "1.3"
 MEMBERS = {"obstacle": ("surface", "solids", "charts"), "manoeuvre": ("plan", "needs", "goal")}  # of classes
-WHOLE: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.whole}
+WHOLE: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.is_global}
 KINDS: dict[str, dict[str, type]] = {name: group.load() for name, group in GROUPS.items() if group.kinds}
 CLASSES: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.one_class}
 

@@ -27,10 +27,10 @@ from sweep.core.errors import InputError, suggest
 from sweep.core.files import os_error_text
 from sweep.core.groups import GROUPS
 from sweep.core.yaml_check import check_yaml
-from sweep.systems import USUAL
+from sweep.systems import DEFAULT_SYSTEM
 
 SCHEME, SYSTEM = "sweep", "system"
-# of each group, what makes the schema of a class, by its kind or by the group's own name; made when it is asked for
+# functions that make the schema of a class, by group and kind (or name of the group)
 SCHEMAS: dict[str, dict[str, Callable[[], DictConfig]]] = {}
 
 
@@ -67,19 +67,21 @@ class GroupFiles(ConfigSource):
     def load_config(self, config_path: str) -> ConfigResult:
         """Load a file and translate it to Hydra's syntax. Raises `InputError`."""
         group, _, name = config_path.partition("/")
-        if project.find_file(group, name) is None and (made := find_schema(group, name)):
-            return ConfigResult(self.provider, self.full_path(), made(), {"package": None})
+        if project.find_file(group, name) is None and (make_schema := find_schema(group, name)):
+            return ConfigResult(self.provider, self.full_path(), make_schema(), {"package": None})
         file = project.find_file(group, name)
-        content = read_config_file(file, words=GROUPS[group].free)
+        content = read_config_file(file, quotes_words=GROUPS[group].free)
         header = ConfigSource._get_header_dict(file.read_text(encoding="utf-8")[:512])
         refuse_code_keys(config_path, content, str(header.get("package")))
-        if GROUPS[group].whole:
+        if GROUPS[group].is_global:
             header["package"] = header.get("package") or "_global_"
         for other, choice in referenced_files(group, content):
             refuse_cycle(other, file, choice, (file,))
         if "defaults" not in content:
             content = (
-                global_fragment(group, file, content) if GROUPS[group].whole else group_fragment(group, file, content)
+                global_fragment(group, file, content)
+                if GROUPS[group].is_global
+                else group_fragment(group, file, content)
             )
         return ConfigResult(self.provider, self.full_path(), OmegaConf.create(content), header)
 
@@ -150,16 +152,16 @@ class SearchPath(SearchPathPlugin):
 def register_sources() -> None:
     """Register both sources with Hydra."""
     for plugin in (GroupFiles, SearchPath):
-        Plugins.instance().register(plugin)  # which puts Hydra's own source of files in the place of ours
+        Plugins.instance().register(plugin)  # this replaces our source of files by Hydra's
     SourcesRegistry.instance().types[UserFiles.scheme()] = UserFiles
 
 
-def read_config_file(file: Any, words: bool = False) -> dict[str, Any]:
+def read_config_file(file: Any, quotes_words: bool = False) -> dict[str, Any]:
     """Read the keys and values of a configuration file.
 
     Args:
         file: The file.
-        words: Whether unquoted `on`, `off` and similar words are names, as in plans.
+        quotes_words: Whether unquoted `on`, `off` and similar words are names and not truth values, as in plans.
 
     Returns:
         Plain values, interpolations as text.
@@ -175,10 +177,10 @@ def read_config_file(file: Any, words: bool = False) -> dict[str, Any]:
         raise InputError(f"{file} cannot be read: {os_error_text(error)}") from None
     try:
         check_yaml(text, str(file))
-        content = OmegaConf.load(io.StringIO(project.quote_truth_words(text) if words else text))
+        content = OmegaConf.load(io.StringIO(project.quote_truth_words(text) if quotes_words else text))
     except yaml.YAMLError as error:
         raise InputError(f"{file} cannot be read: {project.yaml_error_line(error)}") from None
-    except OSError:  # as OmegaConf tells of a word
+    except OSError:  # OmegaConf raises it for a file with a single word
         content = None
     if not isinstance(content, DictConfig):
         raise InputError(f"{file} is not a configuration: it needs keys and values, such as `study:`")
@@ -211,13 +213,13 @@ def global_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[s
     about = values.pop(group, None) or {}
     if not isinstance(about, Mapping):
         raise InputError(f"{file}: {group} = {about!r} is not allowed: keys and values")
-    for key in ("extends", SYSTEM):  # the latter has been read, see `system`
+    for key in ("extends", SYSTEM):  # `system` has been read, see `find_system_name`
         values.pop(key, None)
     return {"defaults": [*defaults, "_self_"], **values, group: {"name": str(file.name).removesuffix(".yaml"), **about}}
 
 
 def find_system_name(chosen: Mapping[str, str]) -> str:
-    """Find the system that choices of a scenario or study select; `USUAL` by default.
+    """Find the system that choices of a scenario or study select; `DEFAULT_SYSTEM` by default.
 
     Args:
         chosen: Chosen names by group.
@@ -236,7 +238,7 @@ def find_system_name(chosen: Mapping[str, str]) -> str:
         scenario = scenario.get("extends") if isinstance(scenario, Mapping) else scenario
         group, name = ("scenario", scenario) if group == "study" and scenario else (group, content.get("extends"))
         name = resolve_beside(file, name)
-    return USUAL
+    return DEFAULT_SYSTEM
 
 
 def group_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
@@ -255,8 +257,8 @@ def group_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[st
     """
     free, kind = GROUPS[group].free, content.get("kind")
     if "extends" not in content and GROUPS[group].kinds and kind not in _kinds(group):
-        told = "kind is missing" if kind is None else f"kind = {kind} is unknown"
-        raise InputError(f"{file}: {group}.{told}{suggest(str(kind or ''), _kinds(group))}")
+        problem = "kind is missing" if kind is None else f"kind = {kind} is unknown"
+        raise InputError(f"{file}: {group}.{problem}{suggest(str(kind or ''), _kinds(group))}")
     start = extended_defaults(group, file, content) or ([] if free else [f"/{group}/{kind or group}_schema@_here_"])
     return {"defaults": [*start, "_self_"], **{k: v for k, v in content.items() if k != "extends"}}
 
@@ -264,7 +266,7 @@ def group_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[st
 def extended_defaults(group: str, file: Any, content: Mapping[str, Any]) -> list[Any]:
     """Return the files that a file extends, as entries of Hydra's list of defaults. Raises `InputError`."""
     names = [require_choice_of_group(file, group, name) for name in extended_names(group, content)]
-    return [f"/{group}/{name}@{'_global_' if GROUPS[group].whole else '_here_'}" for name in names]
+    return [f"/{group}/{name}@{'_global_' if GROUPS[group].is_global else '_here_'}" for name in names]
 
 
 def extended_names(group: str, content: Mapping[str, Any]) -> list[Any]:
@@ -306,7 +308,7 @@ def refuse_cycle(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> Non
         raise InputError(f"{' extends '.join(map(str, (*ring, above)))}: a file cannot extend itself")
     if above in ring:  # a ring beyond this file, which is refused where it is read
         return
-    for other, more in referenced_files(group, read_config_file(above, words=GROUPS[group].free)):
+    for other, more in referenced_files(group, read_config_file(above, quotes_words=GROUPS[group].free)):
         refuse_cycle(other, file, more, (*ring, above))
 
 

@@ -15,9 +15,9 @@ class Group(NamedTuple):
     classes: str  # module:name of its parameter dataclass, or of all of them by their `kind`
     in_case: bool = False  # whether a rollout's world and belief have it
     kinds: bool = False  # whether `kind` chooses among classes
-    whole: bool = False  # whether its files speak of the whole configuration
-    free: bool = False  # whether its parts are named freely; it may be left out
-    numbers: str = ""  # module:function that tells the numbers of one of its files by path
+    is_global: bool = False  # whether its files set other groups, too
+    free: bool = False  # whether users choose the names of its keys, as in plans
+    numbers: str = ""  # module:function that lists the numbers of one of its files by path
 
     @property
     def sources(self) -> str:
@@ -32,7 +32,7 @@ class Group(NamedTuple):
     @property
     def one_class(self) -> bool:
         """Whether a single parameter dataclass is the group's schema."""
-        return not (self.kinds or self.whole or self.free)
+        return not (self.kinds or self.is_global or self.free)
 
     def numbers_of(self, file: str, read: Callable[[str], str]) -> dict[str, float | str]:
         """Return the numbers and formulas in one of the group's files, by path.
@@ -49,8 +49,8 @@ class Group(NamedTuple):
 
 
 GROUPS = {
-    "scenario": Group("sweep.study.study:ScenarioSchema", whole=True),
-    "study": Group("sweep.study.study:StudySchema", whole=True),
+    "scenario": Group("sweep.study.study:ScenarioSchema", is_global=True),
+    "study": Group("sweep.study.study:StudySchema", is_global=True),
     "robot": Group("sweep.models.robot:Robot", in_case=True),
     "obstacle": Group("sweep.models.obstacles:OBSTACLES", in_case=True, kinds=True),
     "manoeuvre": Group("sweep.manoeuvres:MANOEUVRES", in_case=True, kinds=True),

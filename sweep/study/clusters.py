@@ -32,8 +32,8 @@ Dispatch = Callable[[Work, Iterable[int]], Iterator[Any]]  # results in the orde
 class WorkerStatus:
     """State of the workers while batches run, for progress messages."""
 
-    on_message: Callable[[str], None]  # what a user should know, in one line
-    workers: int | None = None  # alive; None where there are none but this process
+    on_message: Callable[[str], None]  # prints one line for the user
+    workers: int | None = None  # alive; None if batches run in this process
 
 
 @dataclass(frozen=True)
@@ -66,12 +66,12 @@ class DaskLocal:
         with distributed.LocalCluster(**options, **QUIET) as cluster, distributed.Client(cluster) as client:
             client.register_worker_callbacks(setup=_ignore_interrupt)
             # Dask starts a lost worker again, but not one that is lost before it has said that it started
-            mend = PeriodicCallback(lambda: cluster.scale(self.workers), MEND)
-            cluster.loop.add_callback(mend.start)
+            restart_lost = PeriodicCallback(lambda: cluster.scale(self.workers), RESTART_PERIOD_MS)
+            cluster.loop.add_callback(restart_lost.start)
             try:
                 yield partial(_distribute, client, status)
             finally:
-                cluster.loop.add_callback(mend.stop)
+                cluster.loop.add_callback(restart_lost.stop)
 
 
 @dataclass(frozen=True)
@@ -161,13 +161,14 @@ def connect_lazily(cluster: "Cluster", status: WorkerStatus) -> Iterator[Dispatc
 
 CLUSTERS = {"local": Local, "dask_local": DaskLocal, "dask_address": DaskAddress, "slurm": Slurm}
 Cluster = Local | DaskLocal | DaskAddress | Slurm
-MEND = 5000  # ms between two looks for workers that are lost
-LEAST, TIMES = 60.0, 10  # s, and medians, that a batch may take before its worker is given up
-POLL = 0.05  # s, between two looks for results
-FETCH = 5.0  # s, for a result, of a few hundred bytes
-JOIN, AGAIN = 20.0, 60.0  # s, without a worker, until that is said, and until it is said again
-GIVE_UP = 30.0  # s, for a worker to end and start again
-FIRST = 600.0  # s, of a worker's first batch, for which it compiles
+RESTART_PERIOD_MS = 5000  # between two searches for lost workers
+# a worker is restarted if its batch takes longer than both, the second in median durations of a batch
+MIN_TIME_LIMIT_S, MEDIANS_PER_LIMIT = 60.0, 10
+POLL_PERIOD_S = 0.05  # between two polls for results
+FETCH_TIMEOUT_S = 5.0  # for a result of a few hundred bytes
+JOIN_TIMEOUT_S, REPEAT_AFTER_S = 20.0, 60.0  # without a worker: until the message, and between two messages
+RESTART_TIMEOUT_S = 30.0  # for a worker to end and start again
+FIRST_BATCH_LIMIT_S = 600.0  # of a worker's first batch, for which it compiles
 QUIET_SCHEDULER: dict[str, Any] = {"dashboard": False, "dashboard_address": "localhost:0"}  # where no port is taken
 QUIET: dict[str, Any] = {"scheduler_kwargs": QUIET_SCHEDULER, "silence_logs": logging.CRITICAL}
 
@@ -234,11 +235,11 @@ def _collect_results(client: Any, status: WorkerStatus, work: Work, batches: Ite
     while ready.count():
         if not ready.has_ready():
             watch.poll()
-            time.sleep(POLL)
+            time.sleep(POLL_PERIOD_S)
             continue
         future = next(ready)
         try:
-            seconds, result = future.result(timeout=FETCH)
+            seconds, result = future.result(timeout=FETCH_TIMEOUT_S)
         except TimeoutError:  # it is on a worker that hangs over another batch
             ready.add(future)
             watch.report_unfetched(future)
@@ -247,7 +248,7 @@ def _collect_results(client: Any, status: WorkerStatus, work: Work, batches: Ite
         except KilledWorker as error:
             lost.append(error.task)
         else:
-            watch.took.append(seconds)
+            watch.durations_s.append(seconds)
             yield result
         future.release()
     if lost:
@@ -266,82 +267,82 @@ class _WorkerWatch:
     """Restarts workers that take too long for a batch, so that other workers get their batches."""
 
     client: Any
-    watched: WorkerStatus
+    status: WorkerStatus
     numbers: Mapping[str, int]  # of batches, by the key of their task
     address: str  # of the scheduler
-    took: list[float] = field(default_factory=list)  # s, of finished batches
-    tasks: dict[str, set[str]] = field(default_factory=dict)  # that each worker has, the first of them running
-    since: dict[str, float] = field(default_factory=dict)  # s, when that one began, as far as is seen from here
-    warm: set[str] = field(default_factory=set)  # workers that have finished a batch
-    asked: dict[str, float] = field(default_factory=dict)  # s, when a result was first asked for in vain, by task
-    last: float = -math.inf  # s, when this looked
-    alone: float | None = None  # s, since when there is no worker
-    cut_off: float | None = None  # s, since when the scheduler does not answer
+    durations_s: list[float] = field(default_factory=list)  # of finished batches
+    tasks: dict[str, set[str]] = field(default_factory=dict)  # keys of the tasks that each worker has
+    started_s: dict[str, float] = field(default_factory=dict)  # when each worker's running task began
+    warm_workers: set[str] = field(default_factory=set)  # those that have finished a batch, and so have compiled
+    first_asked_s: dict[str, float] = field(default_factory=dict)  # time of the first failed fetch of a result, by task
+    last_poll_s: float = -math.inf  # time of the last poll
+    no_worker_since_s: float | None = None  # None while there are workers
+    no_scheduler_since_s: float | None = None  # None while the scheduler answers
 
     def poll(self) -> None:
         """Check all workers, at most once a second, and restart those over their time limit."""
         now = time.monotonic()
-        if now < self.last + 1:
+        if now < self.last_poll_s + 1:
             return
-        self.last = now
+        self.last_poll_s = now
         try:
             tasks = {worker: set(keys) for worker, keys in self.client.processing().items()}
-            self.watched.workers = len(tasks)
+            self.status.workers = len(tasks)
             self.report_missing_workers(bool(tasks), now)
         except (OSError, TimeoutError):  # which Dask tries to mend
-            self.cut_off = self.cut_off or now
-            if now - self.cut_off > GIVE_UP:
+            self.no_scheduler_since_s = self.no_scheduler_since_s or now
+            if now - self.no_scheduler_since_s > RESTART_TIMEOUT_S:
                 raise Fault(f"the scheduler {self.address} is lost") from None
             return
-        self.cut_off = None
+        self.no_scheduler_since_s = None
         for worker, keys in tasks.items():
             before = self.tasks.get(worker, set())
             if not before <= keys:
-                self.warm.add(worker)
+                self.warm_workers.add(worker)
             if not before or not before <= keys:
-                self.since[worker] = now
-            if keys and now - self.since[worker] > self.time_limit_s(worker):
-                self.restart_worker(worker, min(self.numbers[key] for key in keys), now - self.since[worker])
+                self.started_s[worker] = now
+            if keys and now - self.started_s[worker] > self.time_limit_s(worker):
+                self.restart_worker(worker, min(self.numbers[key] for key in keys), now - self.started_s[worker])
         self.tasks = tasks
 
     def report_missing_workers(self, is_any: bool, now: float) -> None:
-        """Say that no worker has joined, and what the scheduler warned of last, after `JOIN` and each minute.
+        """Say that no worker has joined, and what the scheduler warned of last, after `JOIN_TIMEOUT_S` and each minute.
 
         Args:
             is_any: whether there is a worker.
             now: time, in s.
         """
-        self.alone = None if is_any else self.alone or now
-        if self.alone is None or now - self.alone < JOIN:
+        self.no_worker_since_s = None if is_any else self.no_worker_since_s or now
+        if self.no_worker_since_s is None or now - self.no_worker_since_s < JOIN_TIMEOUT_S:
             return
         warned = [text for level, text in self.client.get_scheduler_logs() if level in ("WARNING", "ERROR", "CRITICAL")]
         why = f"; its last warning: {' '.join(warned[-1].split())}" if warned else "; its log has no warning"
-        self.watched.on_message(f"no worker has joined the scheduler {self.address} for {JOIN:.0f} s{why}")
-        self.alone = now + AGAIN - JOIN
+        self.status.on_message(f"no worker has joined the scheduler {self.address} for {JOIN_TIMEOUT_S:.0f} s{why}")
+        self.no_worker_since_s = now + REPEAT_AFTER_S - JOIN_TIMEOUT_S
 
     def report_unfetched(self, future: Any) -> None:
         """Restart the worker that holds a result but does not send it."""
         now = time.monotonic()
-        waited = now - self.asked.setdefault(future.key, now)
-        if waited > LEAST:
+        waited_s = now - self.first_asked_s.setdefault(future.key, now)
+        if waited_s > MIN_TIME_LIMIT_S:
             for worker in self.client.who_has([future])[future.key]:
-                self.restart_worker(worker, self.numbers[future.key], waited)
+                self.restart_worker(worker, self.numbers[future.key], waited_s)
 
-    def restart_worker(self, worker: str, number: int, waited: float) -> None:
+    def restart_worker(self, worker: str, number: int, waited_s: float) -> None:
         """Restart a worker, so that its batches go to other workers.
 
         Args:
             worker: Address of the worker.
             number: Number of the batch that it has had for too long.
-            waited: How long, in s.
+            waited_s: How long it has had this batch.
         """
-        self.watched.on_message(
-            f"batch {number} has occupied worker {worker} for {waited:.0f} s: it is given to another worker"
+        self.status.on_message(
+            f"batch {number} has occupied worker {worker} for {waited_s:.0f} s: it is given to another worker"
         )
-        self.client.restart_workers([worker], timeout=GIVE_UP, raise_for_error=False)
-        self.since[worker] = time.monotonic()
+        self.client.restart_workers([worker], timeout=RESTART_TIMEOUT_S, raise_for_error=False)
+        self.started_s[worker] = time.monotonic()
 
     def time_limit_s(self, worker: str) -> float:
         """Return how long a worker may take for a batch, in s."""
-        usual = TIMES * statistics.median(self.took) if self.took else 0.0
-        return max(usual, LEAST if worker in self.warm else FIRST)
+        usual = MEDIANS_PER_LIMIT * statistics.median(self.durations_s) if self.durations_s else 0.0
+        return max(usual, MIN_TIME_LIMIT_S if worker in self.warm_workers else FIRST_BATCH_LIMIT_S)

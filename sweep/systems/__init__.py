@@ -10,7 +10,7 @@ from sweep.core.groups import GROUPS
 COMMON = ("scenario", "study", "cluster", "out")  # keys of every configuration
 DERIVED = ("model.content",)  # keys that a stored one has besides
 
-USUAL = "hexapod"  # the system of a scenario that names none
+DEFAULT_SYSTEM = "hexapod"  # the system of a scenario that names none
 FORMER_NAMES = {"own": "mujoco"}  # words for a system that older scenarios have
 
 
@@ -66,11 +66,11 @@ def find_kind_by_name(name: str) -> SystemKind:
 
 def find_kind_by_keys(values: Mapping[str, Any]) -> SystemKind:
     """Return the system to which the keys of a plain configuration belong."""
-    return next((kind for kind in SYSTEMS.values() if kind.keys[0] in values), SYSTEMS[USUAL])
+    return next((kind for kind in SYSTEMS.values() if kind.keys[0] in values), SYSTEMS[DEFAULT_SYSTEM])
 
 
 def describe_columns() -> dict[str, str]:
-    """Return the meaning of each metric by column: of the built-in robot, and those that only own models have."""
+    """Return the meaning of each metric by column: of the built-in robot, and those that only user models have."""
     from sweep.metrics import outcome
     from sweep.systems.mujoco_model import metrics
 

@@ -1,4 +1,4 @@
-"""`sweep export-model`: the six-legged robot, its plan and its metrics as a project with a user's own model."""
+"""`sweep export-model`: the six-legged robot, its plan and its metrics as a project with a user model."""
 
 import argparse
 from pathlib import Path
@@ -16,7 +16,7 @@ MuJoCo reads robot.mjb, which has all digits; robot.xml is the same to read, to 
 example:
   sweep export-model scenario=pole_climb out=pole
   cd pole; sweep run scenario=own; sweep run scenario=own engine=mjx"""
-POLICY = '''"""Plan, tracker and judge of {scenario} for an own model; written by `sweep export-model`."""
+POLICY = '''"""Plan, tracker and metrics of {scenario} for a user model; written by `sweep export-model`."""
 
 from pathlib import Path
 
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     model, case = spec.compile(), {key: value for key, value in exp.values.items() if key != "out"}
     texts = {
         "sweep.yaml": "# A sweep project, written by `sweep export-model`\nmodules: []\n",
-        "scenarios/own.yaml": f"# {exp.scenario} as an own model\n{yaml.safe_dump(about, sort_keys=False, width=110)}",
+        "scenarios/own.yaml": f"# {exp.scenario} as a user model\n{yaml.safe_dump(about, sort_keys=False, width=110)}",
         "case.yaml": yaml.safe_dump({**case, "out": None}, sort_keys=False),
         f"{module}.py": POLICY.format(scenario=exp.scenario),
         "robot.xml": spec.to_xml(),
