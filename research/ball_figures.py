@@ -19,7 +19,8 @@ from one_run import traced
 from sweep import load
 from sweep.analysis.intervals import wilson
 from sweep.contract.engine import Trace
-from sweep.core.plot_style import legend_below, new_figure, plot_style, save_figure
+from sweep.contract.trace_frames import base_pose, mass_centres
+from sweep.core.plot_style import LEG_COLORS, legend_below, new_figure, plot_style, save_figure
 from sweep.core.rotations import matrix, rotate
 from sweep.formulas.ball import GRAVITY, ROLLING, lateral_mu
 from sweep.manoeuvres.balancing.ball_aside import BallAside, lateral_gain
@@ -29,9 +30,7 @@ from sweep.manoeuvres.balancing.ball_over import BallCrossing
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import total_mass
-from sweep.replay.layout import LEG_COLORS
-from sweep.replay.plots import ACTUAL, PLOTS, REFERENCE, SECOND
-from sweep.replay.sampling import base_pose, mass_centres
+from sweep.systems.hexapod.plots import ACTUAL, PLOTS, REFERENCE, SECOND
 
 FIGURES = Path(__file__).parent / "figures"
 FEET = (1, 3, 5)  # the left ones go alongside

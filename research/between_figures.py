@@ -14,19 +14,18 @@ from matplotlib.figure import Figure
 from one_run import traced
 
 from sweep.contract.engine import Trace
-from sweep.core.plot_style import legend_below, new_figure, plot_style, save_figure
+from sweep.contract.trace_frames import base_pose, mass_centres
+from sweep.core.plot_style import LEG_COLORS, legend_below, new_figure, plot_style, save_figure
 from sweep.core.rotations import rotate
 from sweep.formulas.ball import GRAVITY, ROLLING
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.ledges import Ledges
 from sweep.models.robot import total_mass
-from sweep.replay.layout import LEG_COLORS
-from sweep.replay.plots import ACTUAL, REFERENCE, SECOND
-from sweep.replay.sampling import base_pose, mass_centres
 from sweep.report import maps
 from sweep.report.outcome_style import INK
 from sweep.runs import results
 from sweep.runs.results import Results
+from sweep.systems.hexapod.plots import ACTUAL, REFERENCE, SECOND
 
 FIGURES = Path(__file__).parent / "figures"
 RUNS = {

@@ -17,8 +17,8 @@ from PIL import Image
 
 from sweep.config.experiment import compose
 from sweep.contract.engine import Trace
+from sweep.contract.trace_frames import frames_at_times
 from sweep.replay.rendering import add_caption, render
-from sweep.replay.sampling import frames_at_times
 from sweep.runs.batches import Batch, make_engine
 
 RESEARCH = Path(__file__).parent

@@ -14,7 +14,7 @@ from sweep.formulas.ball_reach import max_ball
 from sweep.formulas.corner import corner_balanced, corner_equalN, corner_least_friction, corner_min_squeeze
 from sweep.formulas.raft_statics import raft_equilibrium, raft_offset_limit
 from sweep.formulas.thesis import thesis_step, thesis_workspace
-from sweep.replay.plots import ACTUAL, REFERENCE, SECOND
+from sweep.systems.hexapod.plots import ACTUAL, REFERENCE, SECOND
 
 FIGURES = Path(__file__).parent / "figures"
 LEG = {"l1": 1.0, "l2": 1.0, "l3": 2.0}

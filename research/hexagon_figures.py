@@ -19,7 +19,7 @@ from sweep.formulas.leg import SIDE
 from sweep.formulas.thesis import thesis_workspace
 from sweep.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS, Waypoints
 from sweep.models.case import Case
-from sweep.replay.plots import ACTUAL, REFERENCE, SECOND
+from sweep.systems.hexapod.plots import ACTUAL, REFERENCE, SECOND
 
 FIGURES = Path(__file__).parent / "figures"
 SCENARIO = "scenario=hexagon_waypoints"

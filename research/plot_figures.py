@@ -9,7 +9,7 @@ from pathlib import Path
 from one_run import traced
 
 from sweep.core.plot_style import save_figure
-from sweep.replay.plots import PLOTS
+from sweep.systems.hexapod.plots import PLOTS
 
 FIGURES = Path(__file__).parent / "figures"
 RUNS = {

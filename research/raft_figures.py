@@ -10,10 +10,9 @@ from matplotlib.figure import Figure
 from one_run import traced
 
 from sweep.contract.engine import Trace
-from sweep.core.plot_style import legend_below, new_figure, plot_style, save_figure
-from sweep.replay.layout import LEG_COLORS
-from sweep.replay.plots import ACTUAL
-from sweep.replay.sampling import base_pose
+from sweep.contract.trace_frames import base_pose
+from sweep.core.plot_style import LEG_COLORS, legend_below, new_figure, plot_style, save_figure
+from sweep.systems.hexapod.plots import ACTUAL
 
 PATH = Path(__file__).parent / "figures" / "raft_crossing.png"
 LINES = {"I": "board", "II": "push", "III": "aboard", "IV": "wait", "V": "squat", "VI": "land"}  # stages begin so

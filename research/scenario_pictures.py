@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from sweep.config.experiment import compose
+from sweep.contract.trace_frames import finite_frames
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.replay.rendering import write_strip
-from sweep.replay.sampling import finite_frames
 from sweep.runs.batches import Batch, make_engine
 
 FIGURES = Path(__file__).parent / "figures"

@@ -21,7 +21,7 @@ from sweep.core.constants import GRAVITY
 from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
 from sweep.models.robot import total_mass
-from sweep.replay.plots import BOOK_TORQUE
+from sweep.systems.hexapod.plots import BOOK_TORQUE
 
 PATH = Path(__file__).parent / "data" / "traced_tables.json"
 EVENTS = {  # of the book: ours, and where its feet go

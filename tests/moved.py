@@ -5,6 +5,7 @@ import numpy as np
 
 from sweep.config.experiment import compose
 from sweep.contract.engine import Trace
+from sweep.engines.contact_forces import SurfaceContacts
 from sweep.models import scene
 
 
@@ -23,7 +24,7 @@ def moved(*overrides):
         world=case, belief=case, model=model, time=time, qpos=qpos, qvel=np.zeros((frames, model.nv)),
         joint_target=none, joint_torque=none, foot_position=force, foot_target=force, foot_force=force,
         base_target=qpos[:, :7], stage=(time > 2).astype(int), stages=("stand", "walk"), metrics={},
-        margin=1 - 0.4 * time, margin_of=np.where(time > 3, "slip_max", "fallen_tilt"),
+        margin=1 - 0.4 * time, margin_of=np.where(time > 3, "slip_max", "fallen_tilt"), contacts=SurfaceContacts(),
     )  # fmt: skip
 
 

@@ -38,10 +38,9 @@ JAX_ABOVE_ENGINES = {
     "sweep.systems.mujoco_model.onnx_operators",
     "sweep.systems.mujoco_model.batch",
     "sweep.systems.mujoco_model.policy",
-    "sweep.systems.exported",
+    "sweep.systems.hexapod.exported",
     "sweep.systems.mujoco_model.mjx",
     "sweep.cli.template_model.trot",
-    "sweep.replay.contact_forces",
     "sweep.cli.commands.bench",
 }
 # the sources' own text; compiled programs; a study's name for its folder and its table of points; what a system is read
@@ -64,6 +63,16 @@ FILES_BELOW_RUNS = {
     "sweep.systems.mujoco_model",
     "sweep.systems.mujoco_model.files",
 }
+
+
+# the built-in robot: what knows it of the other modules is the table of systems
+ROBOT = ("formulas", "models", "dynamics", "controllers", "planning", "manoeuvres", "estimation", "metrics", "engines")
+TABLE = "sweep.systems"
+# its own subcommands, which the command line finds by their files
+ROBOT_COMMANDS = (
+    "sweep.cli.plan_search",
+    *(f"sweep.cli.commands.{name}" for name in ("bench", "export_model", "formula", "tune")),
+)
 
 
 # of a system, what every one of them has: engines' protocol, settings and devices, and the choice among systems
@@ -111,6 +120,21 @@ def above(place):
 def test_no_room_knows_one_above_it(place):
     arrows = [(name, other) for name in MODULES if room(name) == place for other in ARROWS[name] & set(MODULES)]
     assert not [(name, other) for name, other in arrows if room(other) in above(place)]
+
+
+def is_robots_own(module):
+    """Whether a module belongs to the built-in robot, its physics or its judge."""
+    return room(module) in ROBOT or module.startswith("sweep.systems.hexapod") or module in ROBOT_COMMANDS
+
+
+def test_the_runner_knows_the_built_in_robot_by_the_table_of_systems_alone():
+    """Who reads the runner for another robot need not read this one."""
+    arrows = {
+        name: {other for other in ARROWS[name] & set(MODULES) if is_robots_own(other)}
+        for name in MODULES
+        if not is_robots_own(name) and name != TABLE
+    }
+    assert not {name: others for name, others in arrows.items() if others}
 
 
 def test_no_module_needs_itself():

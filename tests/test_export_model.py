@@ -12,7 +12,7 @@ from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.models.scene import native_model
 from sweep.runs import store
-from sweep.systems.exported import make_controller
+from sweep.systems.hexapod.exported import make_controller
 
 FIELDS = ("body_mass", "body_inertia", "body_pos", "body_quat", "geom_size", "geom_friction", "geom_pos", "site_pos",
           "dof_armature", "dof_damping", "actuator_biasprm", "actuator_forcerange")  # fmt: skip

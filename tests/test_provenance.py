@@ -62,7 +62,12 @@ def test_every_module_that_a_worker_runs_is_in_the_version_of_the_code(monkeypat
     assert {Path(file) for file in loaded if not file.endswith("conf/__init__.py")} <= set(sources)
     named = {file.relative_to(provenance.ROOT).as_posix() for file in sources}
     assert {"study/study.py", "study/point_ids.py", "runs/batches.py", "study/clusters.py"} <= named
-    assert {"systems/hexapod.py", "systems/mujoco_model/mjx.py", "metrics/slip.py", "engines/native.py"} <= named
+    assert {
+        "systems/hexapod/__init__.py",
+        "systems/mujoco_model/mjx.py",
+        "metrics/slip.py",
+        "engines/native.py",
+    } <= named
     assert not [name for name in named if name.startswith(("cli", "report", "replay"))]
     real, version = provenance._read, provenance.code_version()
     for edited in sources:

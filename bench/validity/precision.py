@@ -28,7 +28,7 @@ from sweep.engines.mjx import MjxEngine
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, N_LEGS
 from sweep.models.robot import total_mass
-from sweep.systems import exported
+from sweep.systems.hexapod import exported
 from sweep.systems.mujoco_model.mjx import CARRIED, CONSTRAINTS, CONTACTS
 from validity import peers, points, robot, simulation
 from validity.scenes import History, Scene, error, kick_on_slope, slides_then_rolls

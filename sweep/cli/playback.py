@@ -10,10 +10,10 @@ import pandas as pd
 
 from sweep.config.experiment import Experiment, compose
 from sweep.contract.engine import Trace
+from sweep.contract.trace_frames import finite_frames
 from sweep.core import provenance
 from sweep.core.errors import InputError
 from sweep.core.progress import show_wait
-from sweep.replay.sampling import finite_frames
 from sweep.report import replays
 from sweep.report.page.replay_data import ShownReplay, read_shown_replays
 from sweep.runs import batches, device_choice, results, runner, store

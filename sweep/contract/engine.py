@@ -24,6 +24,27 @@ class TimeSeriesRequest(NamedTuple):
     max_rollouts: int  # largest number of rollouts recorded at a time, so that one program serves all requests
 
 
+class FootContacts(Protocol):
+    """Ground under the feet of a trace, as the system that made the trace computes it."""
+
+    def friction_share(self, trace: "Trace") -> np.ndarray:
+        """Return how much of its friction each foot uses, (F, N): 1 where it slips, NaN where it carries nothing."""
+        ...
+
+    def depth(self, trace: "Trace", points: np.ndarray, frames: np.ndarray) -> np.ndarray:
+        """Return how deep points lie inside the obstacle (m), negative outside.
+
+        Args:
+            trace: the rollout.
+            points: points (K, n, 3), m, world axes.
+            frames: indices (K,) of the frames of the trace to which the points belong.
+
+        Returns:
+            Depths (K, n).
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class Trace:
     """Time series of one simulated rollout, made by `Engine.trace` and `Engine.traces`.
@@ -49,6 +70,7 @@ class Trace:
     stages: tuple[str, ...]
     metrics: dict[str, Any]  # the row's metrics, as from `run`
     torque_limit: float | None = None  # N m, if it is the same for all joints
+    contacts: FootContacts | None = None  # None for models without known feet
 
 
 class NoTrace(NamedTuple):

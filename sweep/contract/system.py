@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
-from sweep.contract.engine import Engine
+from sweep.contract.engine import Engine, Trace
 from sweep.contract.engine_settings import EngineSettings
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 SIDES = "world", "belief"  # what is simulated, and what the controller is told
 Parameter = dataclasses.Field[Any]  # with role, unit and bounds: see `sweep.core.parameters`
@@ -82,6 +83,24 @@ class System(Protocol):
     @property
     def replay_formats(self) -> Collection[str]:
         """Options of `sweep replay` that this system supports."""
+        ...
+
+    @property
+    def replay_plots(self) -> Mapping[str, Callable[[Trace], "Figure"]]:
+        """Plots of a trace over time, by name."""
+        ...
+
+    def state_columns(self, trace: Trace) -> Mapping[str, np.ndarray]:
+        """Return the numbers (F,) of a trace's states by column, for systems that support `replay --states`."""
+        ...
+
+    def model_xml(self, trace: Trace, settings: EngineSettings) -> str:
+        """Return the MuJoCo model of a trace's world as MJCF, for systems that support `replay --model`.
+
+        Args:
+            trace: The rollout.
+            settings: Settings of the engine, which give the time step.
+        """
         ...
 
     @property

@@ -21,6 +21,7 @@ from sweep.core.files import write_atomically
 COLUMN, PAGE = 84 / 25.4, 174 / 25.4  # in, as most journals have them
 TALL = 7.2  # in, as a page has room for above a caption: a taller figure would be shrunk, and its letters
 LETTERS = 8  # points
+LEG_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")  # Okabe and Ito, safe when colour-blind
 DPI = 150  # of a picture in pixels
 SERIF = ["STIX Two Text", "Times New Roman", "STIXGeneral", "DejaVu Serif"]  # the one but last comes with matplotlib
 # where letters come from that are in none of those: the first that is there

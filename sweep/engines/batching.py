@@ -18,6 +18,7 @@ from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
 from sweep.core.progress import timed_part
 from sweep.engines import planning, pre_rollout
+from sweep.engines.contact_forces import SurfaceContacts
 from sweep.fused.dependence import find_unread_columns
 from sweep.metrics import accumulator, outcome
 from sweep.metrics.metric import GRACE, Tick
@@ -218,6 +219,7 @@ def to_traces(
                 margin_of=margin_of,
                 metrics=row,
                 torque_limit=float(np.max(world.drive.torque_limit)),
+                contacts=SurfaceContacts(),
                 **kept,
             )
         )

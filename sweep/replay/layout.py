@@ -4,12 +4,11 @@ from itertools import cycle
 from typing import Any
 
 from sweep.contract.engine import Trace
-from sweep.models.legs import KINDS
-from sweep.replay.sampling import base_body_id, joint_names
+from sweep.contract.trace_frames import base_body_id, joint_names
+from sweep.core.plot_style import LEG_COLORS
 from sweep.replay.shapes import body_name
 
 _EFFORT = '/joint_states.joints[:]{{name=="{}"}}.effort'
-LEG_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")  # Okabe and Ito, safe when colour-blind
 
 
 def foxglove_layout(trace: Trace) -> dict[str, Any]:
@@ -20,7 +19,8 @@ def foxglove_layout(trace: Trace) -> dict[str, Any]:
     legs = [str(leg + 1) for leg in range(trace.foot_position.shape[1])]
     plots = {"Plot!torque": _plot("torque of joints (N·m)", _EFFORT.format("{}"), joint_names(trace.model))}
     if legs:
-        plots = {f"Plot!{kind}": _plot(f"torque of {kind} (N·m)", _EFFORT.format(kind + "{}"), legs) for kind in KINDS}
+        kinds = dict.fromkeys(name.rstrip("0123456789") for name in joint_names(trace.model))
+        plots = {f"Plot!{kind}": _plot(f"torque of {kind} (N·m)", _EFFORT.format(kind + "{}"), legs) for kind in kinds}
         plots["Plot!load"] = _plot("load of feet (N)", "/foot_load.foot{}", legs)
     panels = {
         "3D!robot": _view(body_name(trace.model, base_body_id(trace.model))),

@@ -28,11 +28,11 @@ from foxglove.messages import (
 )
 
 from sweep.contract.engine import Trace
+from sweep.contract.trace_frames import finite_frames, frames_at_rate, joint_names, joint_positions, joint_rates
 from sweep.core.errors import Fault
 from sweep.core.files import descriptor, write_atomically
 from sweep.replay.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
 from sweep.replay.layout import foxglove_layout
-from sweep.replay.sampling import finite_frames, frames_at_rate, joint_names, joint_positions, joint_rates
 from sweep.replay.shapes import WORLD, body_name, foxglove_quaternion, foxglove_vector, moving_body_ids, scene_entities
 
 PICTURE_RATE = 50.0  # Hz, of transforms and arrows; joints and loads are written every tick, so that no peak is lost

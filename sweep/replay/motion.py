@@ -12,10 +12,9 @@ import mujoco
 import numpy as np
 
 from sweep.contract.engine import Trace, single_joints
+from sweep.contract.trace_frames import base_body_id, finite_frames
 from sweep.core.files import decode_text, encode_text
-from sweep.replay.contact_forces import measured_contact_forces
 from sweep.replay.hulls import geom_hull
-from sweep.replay.sampling import base_body_id, finite_frames
 from sweep.replay.shapes import VISIBLE_GROUPS, geom_color
 
 MAX_RATE = 10.0  # frames per second, at most
@@ -61,10 +60,9 @@ def encode_motion(trace: Trace) -> dict[str, Any]:
     if known:
         margin = np.nan_to_num(trace.margin[:frames], nan=-1.0).clip(-1.0, 1.0)
         small += [np.round(MARGIN_LEVELS * margin), np.searchsorted(limits, trace.margin_of[:frames])]
-    if force.size:
-        small.append(
-            np.round(FRICTION_LEVELS * np.nan_to_num(measured_contact_forces(trace).share[:frames])).clip(0, INT8)
-        )
+    if trace.contacts:
+        share = np.nan_to_num(trace.contacts.friction_share(trace)[:frames])
+        small.append(np.round(FRICTION_LEVELS * share).clip(0, INT8))
     whole = {
         "step": float(trace.time[0]),
         "frames": frames,

@@ -17,13 +17,12 @@ from matplotlib.image import imsave
 from PIL import Image, ImageDraw, ImageFont
 
 from sweep.contract.engine import Trace
+from sweep.contract.trace_frames import base_pose, finite_frames, frames_at_rate
 from sweep.core.files import write_atomically
 from sweep.core.parameters import InputError
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.replay.arrows import arrow_tips
-from sweep.replay.contact_forces import surfaces_under
 from sweep.replay.draw import ARRAYS_FILE, MODEL_FILE, NO_OPENGL
-from sweep.replay.sampling import base_pose, finite_frames, frames_at_rate
 
 SIZE = (960, 544)  # pixels; video codecs need multiples of 16
 STRIP_PICTURE_SIZE = (424, 240)  # pixels of a picture in a strip
@@ -241,12 +240,12 @@ def _camera_distance(trace: Trace, frames: np.ndarray, azimuth: float) -> float:
 
 def _count_hidden_points(trace: Trace, frames: np.ndarray, azimuth: float) -> int:
     """Count sampled points between the camera and base or feet that lie inside the obstacle, over all frames."""
-    if not trace.foot_position.shape[1]:  # nor is an obstacle
+    if trace.contacts is None:
         return 0
     way = _camera_distance(trace, frames, azimuth) * np.linspace(0.2, 1, 9)[:, None] * _camera_axes(azimuth)[2]
     seen = np.concatenate([base_pose(trace)[frames, None, :3], trace.foot_position[frames]], axis=1)
     points = (seen[:, :, None] + way).reshape(len(frames), -1, 3)
-    return int(np.sum(np.asarray(surfaces_under(trace, points, frames).depth) > 0))
+    return int(np.sum(trace.contacts.depth(trace, points, frames) > 0))
 
 
 def _read_pictures(job: str, backend: str) -> Generator[np.ndarray, None, bool]:

@@ -5,17 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from tabulate import tabulate
 
 from sweep.config.experiment import build_experiment
 from sweep.contract.engine import Trace, same_bits
 from sweep.contract.engine_settings import EngineSettings
-from sweep.contract.system import judge_rollout
-from sweep.engines.states import available_columns
-from sweep.models import scene
-from sweep.models.case import Case
+from sweep.contract.system import System, judge_rollout
 from sweep.runs import store
 from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
 from sweep.runs.runner import load_point
@@ -66,29 +62,15 @@ def replay(folder: Path, point: str) -> Replay:
     return Replay(row, again, trace, task.settings, {**config, "point": values}, other_run)
 
 
-def state_table(trace: Trace) -> pd.DataFrame:
-    """Return a trace as a table: a row for each control tick, a column for each number of the state."""
-    record = {name: np.moveaxis(getattr(trace, name), 0, -1) for name in ("qpos", "qvel", "joint_torque", "foot_force")}
-    columns = {name: np.asarray(column(record)) for name, column in available_columns(trace.world).items()}
-    return pd.DataFrame({"time_s": trace.time, "stage": [trace.stages[k] for k in trace.stage], **columns})
-
-
-def model_xml(world: Case, settings: EngineSettings) -> str:
-    """Return the world's MuJoCo model as MJCF, to six digits.
-
-    The contact of the `mjx` engine is its own and not part of the model.
+def state_table(system: System, trace: Trace) -> pd.DataFrame:
+    """Return a trace as a table: a row for each control tick, a column for each number of the state.
 
     Args:
-        world: The simulated case.
-        settings: Settings of the engine, which give the time step.
+        system: The system that was simulated.
+        trace: The rollout.
     """
-    if settings.name == "native":
-        spec = scene.native_spec(world, settings.native_time_step, settings.solid)
-    else:
-        spec = scene.build_spec(world)
-        spec.option.timestep = settings.time_step_s
-    spec.compile()
-    return spec.to_xml()
+    columns = system.state_columns(trace)
+    return pd.DataFrame({"time_s": trace.time, "stage": [trace.stages[k] for k in trace.stage], **columns})
 
 
 def format_comparison(result: Replay) -> str:

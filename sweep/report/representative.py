@@ -74,8 +74,8 @@ def draw_pictures(results: Results) -> list[Path]:
     They run in a batch of their own, so that any machine can draw them. A rollout that ends differently gets no
     picture, but a line on the standard error. Raises `InputError` without OpenGL.
     """
+    from sweep.contract.trace_frames import frames_at_times
     from sweep.replay.rendering import write_strip
-    from sweep.replay.sampling import frames_at_times
 
     wanted = {one.row.name: one for one in find_representatives(results) if not one.picture.exists()}
     rows, drawn = pd.DataFrame([one.row for one in wanted.values()]).infer_objects(), []

@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sweep import formulas
 from sweep.core.errors import InputError, require_choice
 from sweep.core.expressions import evaluate
 from sweep.study.distributions import require_keys
+from sweep.systems import find_formula
 
 KEYS = ("label", "formula", "output", "of", "inputs", "measured")
 
@@ -41,7 +41,7 @@ class AnalyticLimit:
         Raises:
             InputError: An input is not allowed.
         """
-        outputs = formulas.find(self.formula).compute(self.formula_inputs(value_of))
+        outputs = find_formula(self.formula).compute(self.formula_inputs(value_of))
         return float(outputs[self.output])
 
     def formula_inputs(self, value_of: Callable[[str], Any]) -> dict[str, Any]:
@@ -63,7 +63,7 @@ class AnalyticLimit:
             except (SyntaxError, TypeError, ValueError) as error:
                 reason = error if isinstance(error, InputError) else "a number or an expression of parameters"
                 raise InputError(f"study.theory.inputs.{name} = {value!r} is not allowed: {reason}") from None
-        return formulas.find(self.formula).complete(given)
+        return find_formula(self.formula).complete(given)
 
 
 def parse_limit(key: str, values: Any) -> AnalyticLimit:
@@ -83,7 +83,7 @@ def parse_limit(key: str, values: Any) -> AnalyticLimit:
     for needed in ("formula", "output", "of"):
         if needed not in values:
             raise InputError(f"{key}.{needed} is missing")
-    formula = formulas.find(values["formula"])
+    formula = find_formula(values["formula"])
     require_choice(values["output"], formula.outputs, f"{key}.output = {values['output']}")
     inputs = require_keys(f"{key}.inputs", values.get("inputs", {}), tuple(entry.name for entry in formula.inputs))
     return AnalyticLimit(

@@ -1,11 +1,14 @@
 """The systems that studies can simulate. Other rooms use them through the contract in `base` only."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sweep.contract.system import Kinds, Nominal
 from sweep.core.errors import require_choice
 from sweep.core.groups import GROUPS
+
+if TYPE_CHECKING:
+    from sweep.formulas import Formula
 
 COMMON = ("scenario", "study", "cluster", "out")  # keys of every configuration
 DERIVED = ("model.content",)  # keys that a stored one has besides
@@ -67,6 +70,13 @@ def find_kind_by_name(name: str) -> SystemKind:
 def find_kind_by_keys(values: Mapping[str, Any]) -> SystemKind:
     """Return the system to which the keys of a plain configuration belong."""
     return next((kind for kind in SYSTEMS.values() if kind.keys[0] in values), SYSTEMS[DEFAULT_SYSTEM])
+
+
+def find_formula(name: str) -> "Formula":
+    """Return a closed-form formula of the built-in robot by name. Raises `InputError`."""
+    from sweep import formulas  # slow to import
+
+    return formulas.find(name)
 
 
 def describe_columns() -> dict[str, str]:

@@ -10,7 +10,7 @@ from sweep.cli.command import Section
 from sweep.cli.commands import replay, tune
 from sweep.cli.main import main
 from sweep.planning import score
-from sweep.replay.plots import PLOTS
+from sweep.systems.hexapod.plots import PLOTS
 
 DISK = '''"""`sweep disk`: count the files of a folder."""
 
@@ -128,5 +128,5 @@ print("imported", *(name for name in {slow} if name in sys.modules))"""
 
 
 def test_names_that_are_written_twice_to_import_nothing_slow_are_equal():
-    assert tuple(PLOTS) == replay.PLOT_NAMES
+    assert tuple(PLOTS) == replay.REPLAY_PLOTS
     assert (score.MIN_PHASES, score.MAX_PHASE_INTERVAL) == (tune.LEAST_MOMENTS, tune.MOST_SECONDS)

@@ -6,6 +6,7 @@ import pytest
 
 from sweep.config.experiment import compose
 from sweep.contract.engine import Trace
+from sweep.engines.contact_forces import SurfaceContacts
 
 FRAMES, TICK = 250, 4e-3  # 1 s
 
@@ -74,6 +75,7 @@ def _trace() -> Trace:
         margin=np.full(FRAMES, 0.5),
         margin_of=np.full(FRAMES, "slip_max"),
         metrics={"slip_max_m": np.float32(0.001)},
+        contacts=SurfaceContacts(),
     )
 
 

@@ -13,10 +13,10 @@ from mcap.stream_reader import StreamReader
 from moved import arm
 from scipy.spatial import ConvexHull
 
+from sweep.contract import trace_frames
 from sweep.contract.engine import Trace
 from sweep.core.errors import Fault
 from sweep.models.legs import KINDS
-from sweep.replay import sampling
 from sweep.replay.arrows import FORCE_SCALE, arrow_tips
 from sweep.replay.hulls import geom_hull
 from sweep.replay.mcap import rotation_from_x_axis, to_json_value, write_mcap
@@ -87,8 +87,8 @@ def test_joints_are_numbers_of_foxgloves_own_schema(written, trace):
     """Name, angle, rate and torque of each joint, in the order of the fields of `foxglove.JointState`."""
     message = _messages(written)["/joint_states"][100][1].data
     angle, rate, torque = (
-        sampling.joint_positions(trace)[100],
-        sampling.joint_rates(trace)[100],
+        trace_frames.joint_positions(trace)[100],
+        trace_frames.joint_rates(trace)[100],
         trace.joint_torque[100],
     )
     for k, name in enumerate(f"{kind}{leg}" for leg in range(1, 7) for kind in KINDS):

@@ -9,7 +9,7 @@ from sweep.config.experiment import compose
 from sweep.core.parameters import InputError
 from sweep.core.plot_style import save_figure
 from sweep.models import scene
-from sweep.replay.plots import PLOTS, tilt_deg
+from sweep.systems.hexapod.plots import PLOTS, tilt_deg
 
 LABELS = {
     "torques": {f"leg {leg}\ntorque (N·m)" for leg in range(1, 7)},

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from sweep.contract.trace_frames import base_pose, finite_frames, frames_at_rate, frames_at_times
 from sweep.core.parameters import InputError
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.replay import rendering
 from sweep.replay.arrows import FORCE_SCALE
-from sweep.replay.sampling import base_pose, finite_frames, frames_at_rate, frames_at_times
 
 
 def _arrow_columns(picture: np.ndarray) -> np.ndarray:

@@ -23,8 +23,8 @@ from PIL import Image
 from scipy.stats import ks_2samp
 
 from sweep.core.expressions import mask
+from sweep.engines.contact_forces import measured_contact_forces
 from sweep.metrics.outcome import FAILURES
-from sweep.replay.contact_forces import measured_contact_forces
 from sweep.replay.motion import FRICTION_LEVELS, MARGIN_LEVELS, describe_bodies, encode_motion
 from sweep.report import page, replays
 from sweep.report.page.replay_data import ShownReplay

@@ -23,7 +23,7 @@ from pathlib import Path
 import yaml
 
 from sweep.config.experiment import build_experiment
-from sweep.systems.exported import make_controller
+from sweep.systems.hexapod.exported import make_controller
 
 FILES = ["case.yaml"]
 exp = build_experiment(yaml.safe_load(Path(__file__).with_name(FILES[0]).read_text(encoding="utf-8")))
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
     from sweep.backends.binary import model_bytes
     from sweep.config.experiment import compose
-    from sweep.systems import exported
+    from sweep.systems.hexapod import exported
 
     exp = compose(args.overrides)
     if why := exp.system.unsupported_commands.get("export-model"):

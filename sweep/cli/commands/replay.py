@@ -11,9 +11,9 @@ from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
 
 COMMAND = Command(Section.WATCH, "simulate one rollout of a study again and record it")
+# names of the plots that a system may have, which are slow to import
+REPLAY_PLOTS = ("torques", "joints", "base", "feet", "margin", "paths", "ball", "flywheel", "forces")
 FORMAT_OPTIONS = ("mcap", "states", "model", "plot", "png", "video")  # options that a system may not support
-# keys of sweep.replay.plots.PLOTS, which is slow to import
-PLOT_NAMES = ("torques", "joints", "base", "feet", "margin", "paths", "ball", "flywheel", "forces")
 
 
 def add_arguments(parser: Arguments) -> None:
@@ -26,20 +26,20 @@ def add_arguments(parser: Arguments) -> None:
     parser.add_argument("--model", metavar="FILE", type=Path, help="write the MuJoCo model of these states as XML")
     parser.add_argument("--png", metavar="DIR", type=Path, help="write a few pictures")
     parser.add_argument("--video", metavar="FILE", type=Path, help="write an MP4 in real time")
-    parser.add_argument("--plot", metavar="NAME", nargs="+", choices=PLOT_NAMES, default=[], help=", ".join(PLOT_NAMES))
+    names = ", ".join(REPLAY_PLOTS)
+    parser.add_argument("--plot", metavar="NAME", nargs="+", choices=REPLAY_PLOTS, default=[], help=names)
     parser.add_argument("-o", "--output", metavar="FILE", type=Path, help="file of the plots (png, svg, pdf)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Simulate the rollout, compare it with its row, and write what is asked for. Raises `InputError`."""
     check_options(args)
+    from sweep.contract.trace_frames import frames_at_rate
     from sweep.core.plot_style import save_figure
     from sweep.core.progress import show_counts, show_wait
     from sweep.replay.mcap import write_mcap
-    from sweep.replay.plots import PLOTS
     from sweep.replay.rendering import VIDEO_RATE, write_png, write_video
-    from sweep.replay.replay import format_comparison, model_xml, replay, state_table
-    from sweep.replay.sampling import frames_at_rate
+    from sweep.replay.replay import format_comparison, replay, state_table
     from sweep.runs import device_choice, results
 
     system = results.load_experiment(args.folder).system
@@ -60,12 +60,12 @@ def run(args: argparse.Namespace) -> int:
         outcome = {"point_id": result.stored["point_id"], **result.again}
         write_mcap(args.mcap, result.trace, result.config, outcome)
     if args.states:
-        write_atomically(args.states, partial(state_table(result.trace).to_parquet, index=False))
+        write_atomically(args.states, partial(state_table(system, result.trace).to_parquet, index=False))
     if args.model:
-        write_atomically(args.model, model_xml(result.trace.world, result.settings).encode())
+        write_atomically(args.model, system.model_xml(result.trace, result.settings).encode())
     for name in args.plot:
         beside = args.output.with_stem(f"{args.output.stem}-{name}")
-        save_figure(PLOTS[name](result.trace), beside if len(args.plot) > 1 else args.output)
+        save_figure(system.replay_plots[name](result.trace), beside if len(args.plot) > 1 else args.output)
     came = str(result.again["cause"] or result.again["outcome"]).replace("_", " ")
     if args.png:
         write_png(args.png, result.trace, came)

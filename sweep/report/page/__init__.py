@@ -25,9 +25,8 @@ from sweep.analysis.sample import pooled_rate
 from sweep.analysis.sampling_units import has_independent_rows, independent_unit, interval_method
 from sweep.config.experiment import Experiment
 from sweep.core.files import path_in, read_limited, write_atomically
-from sweep.core.plot_style import plot_style
+from sweep.core.plot_style import LEG_COLORS, plot_style
 from sweep.replay.arrows import FORCE_SCALE, FORCE_SHOWN
-from sweep.replay.layout import LEG_COLORS
 from sweep.report import tables
 from sweep.report.figure import StudyFigure
 from sweep.report.figures import list_figures

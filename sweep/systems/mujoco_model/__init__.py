@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.backends import mujoco_versions, run_id
+from sweep.contract.engine import Trace
 from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
 from sweep.core.errors import InputError, require_choice
@@ -52,7 +53,8 @@ class MujocoModel(ModelSpec):
     groups = ("model", "controller", "noise", "push")
     invalid_causes = (*outcome.INVALID_CAUSES, outcome.UNTRUSTED)
     bookkeeping_metrics = frozenset(outcome.INVALID_CAUSES)
-    replay_formats = ("mcap", "png", "video")
+    replay_formats = ("mcap", "states", "png", "video")
+    replay_plots = MappingProxyType({})
     unsupported_commands = MappingProxyType(
         {
             "tune": "vary the controller's parameters as axes instead (controller.*)",
@@ -77,6 +79,14 @@ class MujocoModel(ModelSpec):
     def metric_names(self) -> tuple[str, ...]:
         """Metrics of any MuJoCo model, and those of its controller, see `System`."""
         return (*metrics.metric_names(self), *self.controller.measured)
+
+    def state_columns(self, trace: Trace) -> dict[str, np.ndarray]:
+        """Return positions and velocities at every sample of a trace, by column, see `System`."""
+        return self.time_series_columns(trace.qpos, trace.qvel)
+
+    def model_xml(self, trace: Trace, settings: EngineSettings) -> str:
+        """Refuse, see `System`: the model is a file of the project."""
+        raise InputError("--model is not allowed: the model is a file of the project")
 
     @property
     def recordable_columns(self) -> tuple[str, ...]:

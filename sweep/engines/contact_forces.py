@@ -25,6 +25,18 @@ class ContactForces(NamedTuple):
     share: np.ndarray  # (F, 6), `friction` over the friction coefficient, 1 where the foot slips; nan likewise
 
 
+class SurfaceContacts:
+    """Contacts of the feet with the obstacle of a trace's world, see `sweep.contract.engine.FootContacts`."""
+
+    def friction_share(self, trace: Trace) -> np.ndarray:
+        """Return how much of its friction each foot uses, (F, 6): 1 where it slips, NaN where it carries nothing."""
+        return measured_contact_forces(trace).share
+
+    def depth(self, trace: Trace, points: np.ndarray, frames: np.ndarray) -> np.ndarray:
+        """Return how deep points (K, n, 3) lie inside the obstacle, (K, n), m, at frames (K,) of the trace."""
+        return np.asarray(surfaces_under(trace, points, frames).depth)
+
+
 def measured_contact_forces(trace: Trace) -> ContactForces:
     """Return the simulated contact forces of a trace."""
     return _contact_forces(trace, trace.foot_force)

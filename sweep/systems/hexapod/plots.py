@@ -10,13 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sweep.contract.engine import Trace
+from sweep.contract.trace_frames import base_pose, joint_positions, mass_centres
 from sweep.core.parameters import InputError
-from sweep.core.plot_style import LETTERS, PAGE, legend_below, new_figure, plot_style, wrap_text
+from sweep.core.plot_style import LEG_COLORS, LETTERS, PAGE, legend_below, new_figure, plot_style, wrap_text
+from sweep.engines.contact_forces import measured_contact_forces, planned_contact_forces
 from sweep.formulas import stepping
 from sweep.models.legs import KINDS, N_LEGS
-from sweep.replay.contact_forces import measured_contact_forces, planned_contact_forces
-from sweep.replay.layout import LEG_COLORS
-from sweep.replay.sampling import base_pose, joint_positions, mass_centres
 
 LEG_ROWS = ((6, 5), (4, 3), (2, 1))
 SYMBOLS = dict(zip(KINDS, ("α", "β", "γ"), strict=True))

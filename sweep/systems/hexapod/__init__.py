@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.backends import devices, run_id
-from sweep.contract.engine import Engine
+from sweep.contract.engine import Engine, Trace
 from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import SIDES, AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
 from sweep.core.errors import InputError, require_choice, suggest
@@ -23,6 +23,7 @@ from sweep.engines.states import available_columns
 from sweep.manoeuvres import MANOEUVRES
 from sweep.metrics import outcome
 from sweep.metrics.outcome import Thresholds
+from sweep.models import scene
 from sweep.models.case import Case, Manoeuvre, complete_manoeuvre
 from sweep.models.control import Control
 from sweep.models.noise import Noise
@@ -40,6 +41,7 @@ from sweep.planning.plan_table import (
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 VARIED = "quantity", "count", "choice"
 LONGEST_DELAY = 100  # ticks: of what is measured and of the load, each at most 50
@@ -86,6 +88,36 @@ class Hexapod:
     run_id = staticmethod(run_id.run_id)
     judge = staticmethod(outcome.classify)
     explain_cause = staticmethod(outcome.explain_cause)
+
+    @property
+    def replay_plots(self) -> "dict[str, Callable[[Trace], Figure]]":
+        """Plots of a trace by name, see `System`."""
+        from sweep.systems.hexapod.plots import PLOTS  # slow to import
+
+        return PLOTS
+
+    def state_columns(self, trace: Trace) -> dict[str, np.ndarray]:
+        """Return the columns that can be recorded over time, at every sample of a trace."""
+        names = "qpos", "qvel", "joint_torque", "foot_force"
+        record = {name: np.moveaxis(getattr(trace, name), 0, -1) for name in names}
+        return {name: np.asarray(column(record)) for name, column in available_columns(trace.world).items()}
+
+    def model_xml(self, trace: Trace, settings: EngineSettings) -> str:
+        """Return the MuJoCo model of a trace's world as MJCF, to six digits.
+
+        The contact of the `mjx` engine is its own and not part of the model.
+
+        Args:
+            trace: The rollout.
+            settings: Settings of the engine, which give the time step.
+        """
+        if settings.name == "native":
+            spec = scene.native_spec(trace.world, settings.native_time_step, settings.solid)
+        else:
+            spec = scene.build_spec(trace.world)
+            spec.option.timestep = settings.time_step_s
+        spec.compile()
+        return spec.to_xml()
 
     @property
     def recordable_columns(self) -> tuple[str, ...]:
