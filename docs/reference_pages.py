@@ -7,19 +7,19 @@ import argparse
 import dataclasses
 import inspect
 import re
-import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import sweep
-from sweep import api
+from sweep import api, metrics
 from sweep.cli import commands, exits
 from sweep.config import reference
+from sweep.core import conditions, shared_metrics
 from sweep.core.groups import GROUPS
+from sweep.core.metric import Cause, Metric, merge_columns
+from sweep.core.outcomes import MISSED
 from sweep.core.parameters import UNITS, format_unit
-from sweep.metrics import CAUSES, METRICS
-from sweep.metrics.metric import Cause
 from sweep.replay import replay
 from sweep.report import crate, replays
 from sweep.runs import manifest, store
@@ -28,7 +28,6 @@ from sweep.study.analytic_limits import KEYS as THEORY_KEYS
 from sweep.study.design_kinds.base import Design
 from sweep.study.study import Expectation, StudySchema
 from sweep.systems.mujoco_model import metrics as own_metrics
-from sweep.systems.mujoco_model import outcome as own_outcome
 
 FOLDER = Path(__file__).parent / "reference"
 NOTE = "<!-- written by `python docs/reference_pages.py` -->"
@@ -91,21 +90,18 @@ def fields_table(cls: Any, head: str) -> str:
 def columns_page() -> str:
     """Every column of a row with its unit and meaning."""
 
-    def of(meanings: dict[str, str]) -> str:
+    def of(meanings: Mapping[str, str]) -> str:
         return table(
             ("column", "unit", "meaning"), ((code(name), unit_of(name), text) for name, text in meanings.items())
         )
 
-    built_in = []
-    for metric in METRICS:
-        if metric.columns:
-            module = sys.modules[metric.compute.__module__]
-            name = module.__name__.rpartition(".")[2]
-            if name == "metric":  # made by one of its helpers
-                name = next(
-                    n.rpartition(".")[2] for n, m in sys.modules.items() if getattr(m, "METRIC", None) is metric
-                )
-            built_in += [f"### {name.replace('_', ' ')}", of(dict(metric.columns))]
+    def by_module(found: Mapping[str, Metric[Any]], known: Collection[str]) -> Iterator[str]:
+        for name, metric in found.items():
+            if new := {column: text for column, text in metric.columns.items() if column not in known}:
+                yield from (f"### {name.replace('_', ' ')}", of(new))
+
+    shared = merge_columns(shared_metrics.METRICS.values())
+    left_out = [column for name in metrics.LEFT_OUT for column in shared_metrics.METRICS[name].columns]
     labels = {name: columns.MEANINGS[name] for name in columns.LABELS}
     places = {name: columns.MEANINGS[name] for name in (*columns.PLAN, *columns.TIMING)}
     return join_parts(
@@ -122,16 +118,22 @@ def columns_page() -> str:
         of(labels),
         "## Place in the study",
         of(places),
+        "## Metrics of every system",
+        "The built-in robot has all of them, but for "
+        f"{', '.join(map(code, left_out))}. A model of your own has those whose parts it has: a free "
+        "joint (its first one is the base), hinge joints, drives of hinge joints, and touch sensors that `model.feet` "
+        "lists.",
+        *by_module(shared_metrics.METRICS, ()),
         "## Metrics of the built-in robot",
         "A scenario has the metrics that apply to its manoeuvre and obstacle.",
-        *built_in,
+        *by_module(metrics.OWN, shared),
         "### When causes occurred",
         "Each [cause](causes.md) that is known during a rollout has a column `CAUSE_time_s`, the time at "
         "which it first held "
         "(infinite if never), and a column `CAUSE_stage`, the number of the stage.",
         "## Metrics of a model of your own",
         "A controller adds columns by `FIGURES`.",
-        of(own_metrics.COLUMNS),
+        of(merge_columns(own_metrics.OWN.values())),
     )
 
 
@@ -158,17 +160,17 @@ def causes_page() -> str:
         "`sweep relabel` applies other thresholds to stored rows.",
         "## Causes of `invalid`",
         "The simulation cannot vouch for such a rollout. It counts neither as success nor as failure.",
-        table(heads, (row(cause) for cause in CAUSES if cause.invalid)),
+        table(heads, (row(cause) for cause in metrics.CAUSES if cause.invalid)),
         "## Causes of `failure`",
         "A threshold whose default is the manoeuvre's goal is judged only for manoeuvres that set it.",
-        table(heads, (row(cause) for cause in CAUSES if not cause.invalid)),
+        table(heads, (row(cause) for cause in metrics.CAUSES if not cause.invalid)),
         "## Causes of a model of your own",
-        f"Conditions under `outcome:` of the scenario name the causes of failure. `{own_outcome.GOAL}` must "
+        f"Conditions under `outcome:` of the scenario name the causes of failure. `{conditions.GOAL}` must "
         "hold at the end; "
-        f"if it does not, the cause is `{own_outcome.MISSED}`. A row for which the condition `invalid` holds "
+        f"if it does not, the cause is `{MISSED}`. A row for which the condition `invalid` holds "
         "has the cause "
-        f"`{own_outcome.UNTRUSTED}`. Two causes of `invalid` are always there:",
-        table(("cause", "meaning"), ((code(name), text) for name, text in own_outcome.INVALID_CAUSES.items())),
+        f"`{conditions.UNTRUSTED}`. Two causes of `invalid` are always there:",
+        table(("cause", "meaning"), ((code(cause.name), cause.sentence) for cause in own_metrics.CAUSES)),
     )
 
 

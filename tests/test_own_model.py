@@ -16,9 +16,10 @@ from small_study import content, one_line, wait_for
 from sweep.backends import devices
 from sweep.cli.main import main
 from sweep.config.experiment import compose
+from sweep.core.conditions import parse_conditions
 from sweep.runs import batches, results, store
 from sweep.runs.runner import select_points
-from sweep.systems.mujoco_model import batch, fields, outcome
+from sweep.systems.mujoco_model import batch, fields, judge
 
 PAGE = (Path(__file__).parents[1] / "docs/own_model.md").read_text(encoding="utf-8")
 POLICY = (Path(__file__).parents[1] / "docs/howto/write_a_policy.md").read_text(encoding="utf-8")
@@ -234,12 +235,12 @@ def test_figures_of_a_fall_are_those_of_mechanics(tmp_path, monkeypatch):
 
 def test_outcomes_are_told_by_what_holds_first():
     names = ("height_m", "way_m")
-    conditions = outcome.parse_conditions(
-        {"goal": "way_m >= 2", "fell": "height_m < 0.2", "late": "way_m < 1 and height_m > 0"}, names
+    conditions = parse_conditions(
+        {"goal": "way_m >= 2", "fell": "height_m < 0.2", "late": "way_m < 1 and height_m > 0"}, names, ()
     )
     figures = {"height_m": np.array([0.3, 0.1, 0.3, 0.1, 0.3]), "way_m": np.array([3.0, 3.0, 1.5, 0.5, 0.5]),
                "not_finite": np.zeros(5), "buffer_full": np.array([0.0, 1, 0, 0, 0])}  # fmt: skip
-    labels = outcome.judge(figures, conditions, ["run"])
+    labels = judge(figures, conditions, ["run"])
     assert list(labels["outcome"]) == ["success", "invalid", "failure", "failure", "failure"]
     assert list(labels["cause"]) == ["", "buffer_full", "goal_missed", "fell", "late"]
     np.testing.assert_allclose(labels["margin"], [0.5, -0.5, -0.25, -0.75, -0.75])

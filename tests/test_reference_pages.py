@@ -7,7 +7,8 @@ import pytest
 
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.systems.mujoco_model.metrics import COLUMNS
+from sweep.core.metric import merge_columns
+from sweep.systems.mujoco_model.metrics import METRICS
 
 DOCS = Path(__file__).parents[1] / "docs"
 sys.path.append(str(DOCS))
@@ -37,4 +38,4 @@ def test_no_entry_is_without_a_meaning(made):
 def test_metrics_of_an_own_model_are_described(monkeypatch, tmp_path):
     assert main(["init", "--model", str(tmp_path / "quad")]) == 0
     monkeypatch.chdir(tmp_path / "quad")
-    assert {*compose(["study=grip"]).system.metric_names} <= {*COLUMNS}
+    assert {*compose(["study=grip"]).system.metric_names} <= {*merge_columns(METRICS)}

@@ -21,8 +21,8 @@ from sweep.engines import planning, pre_rollout
 from sweep.engines.contact_forces import SurfaceContacts
 from sweep.fused.dependence import find_unread_columns
 from sweep.metrics import accumulator, outcome
-from sweep.metrics.metric import GRACE, Tick
 from sweep.metrics.outcome import Thresholds
+from sweep.metrics.tick import GRACE, Tick
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import N_JOINTS

@@ -23,8 +23,8 @@ from sweep.core.rotations import conjugate, multiply, rotate, rotation_about_ver
 from sweep.estimation.belief_update import LearnedState, initial_obstacle, update_from_touch, updated_belief
 from sweep.metrics import accumulator
 from sweep.metrics.accumulator import RunningMetrics
-from sweep.metrics.metric import GRACE, REST, MetricTick, RolloutStart, Tick
 from sweep.metrics.outcome import Thresholds
+from sweep.metrics.tick import GRACE, REST, MetricTick, RolloutStart, Tick
 from sweep.models.case import Case
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Servo, position_mode

@@ -51,8 +51,8 @@ from sweep.fused import kernel
 from sweep.fused.eager import NumpyProgram
 from sweep.fused.kernel import Code, Kernel, Tiles
 from sweep.metrics import accumulator
-from sweep.metrics.metric import Tick
 from sweep.metrics.outcome import Thresholds
+from sweep.metrics.tick import Tick
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.drive import Servo, interpolate_target

@@ -22,7 +22,7 @@ from sweep.dynamics.spatial import Rates, map_joints
 from sweep.dynamics.step import DriveLimits, PhysicsState, StepReport, StepStart, from_components, to_components
 from sweep.engines import batching
 from sweep.engines.closed_loop import exact_observation
-from sweep.metrics.metric import Tick
+from sweep.metrics.tick import Tick
 from sweep.models.case import Case
 from sweep.models.disturbance import Execution
 from sweep.models.drive import Servo, interpolate_target

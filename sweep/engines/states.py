@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.metrics.attitude import tilt_deg
+from sweep.core.shared_metrics.attitude import tilt_deg
 from sweep.models.case import Case
 from sweep.models.legs import JOINTS, LEGS, N_JOINTS
 
@@ -25,7 +25,7 @@ def available_columns(world: Case) -> dict[str, Column]:
     """
     bodies = len(world.obstacle.free_bodies)
     columns: dict[str, Column] = {f"base_{axis}_m": partial(_component, "qpos", (k,)) for k, axis in enumerate("xyz")}
-    columns["tilt_deg"] = lambda record: tilt_deg(record["qpos"][3:7])
+    columns["tilt_deg"] = lambda record: tilt_deg(record["qpos"][3:7], jnp)
     columns |= {f"qpos_{k}": partial(_component, "qpos", (k,)) for k in range(7 + N_JOINTS + 7 * bodies)}
     columns |= {f"qvel_{k}": partial(_component, "qvel", (k,)) for k in range(6 + N_JOINTS + 6 * bodies)}
     columns |= {f"torque_peak_{name}_nm": partial(_component, "joint_torque", (k,)) for k, name in enumerate(JOINTS)}

@@ -1,66 +1,55 @@
-"""Metrics of a rollout, and the causes of failure that follow from them."""
+"""Metrics of the robot, and the causes of failure that follow from them.
 
-from sweep.metrics import (
-    attitude,
-    calibration,
-    calibration_poses,
-    clearance,
-    depth,
-    drives,
-    edges,
-    footholds,
-    free_bodies,
-    landing,
-    ledges,
-    load,
-    planned_forces,
-    progress,
-    raft,
-    reach,
-    replanning,
-    rest,
-    shins,
-    slip,
-    solver,
-    support,
-    touch,
-    two_balls,
-)
-from sweep.metrics.metric import Cause, Metric
+Each module of this folder that defines a `METRIC` is one metric; a new one is found by itself. Some extend a metric of
+`sweep.core.shared_metrics`, which is not computed twice.
+"""
+
+from sweep.core import shared_metrics
+from sweep.core.metric import Cause, Metric, find_metrics, select_metrics
 from sweep.models.case import Case
 
-METRICS: tuple[Metric, ...] = tuple(
-    module.METRIC
-    for module in (
-        progress,
-        attitude,
-        rest,
-        slip,
-        depth,
-        reach,
-        replanning,
-        shins,
-        clearance,
-        planned_forces,
-        free_bodies,
-        raft,
-        ledges,
-        two_balls,
-        drives,
-        footholds,
-        landing,
-        edges,
-        support,
-        load,
-        calibration,
-        calibration_poses,
-        touch,
-        solver,
-    )
-)
+ORDER = (
+    "progress",
+    "attitude",
+    "rest",
+    "slip",
+    "depth",
+    "reach",
+    "replanning",
+    "shins",
+    "clearance",
+    "planned_forces",
+    "free_bodies",
+    "raft",
+    "ledges",
+    "two_balls",
+    "drives",
+    "footholds",
+    "landing",
+    "edges",
+    "support",
+    "load",
+    "calibration",
+    "calibration_poses",
+    "touch",
+    "solver",
+)  # of causes at the same time the first decides; a new module comes after these
+OTHERS = "accumulator", "outcome", "tick"  # modules that are no metric
+PARTS = "base", "hinges", "hinge_drives", "feet"  # of what shared metrics need
+# shared metrics that the robot leaves out: each would enlarge its GPU kernels
+LEFT_OUT = "base_height", "path_length"
+
+OWN = find_metrics(__name__, ORDER, OTHERS)
+_KNOWN = {column for metric in OWN.values() for column in metric.columns}
+_SHARED = {
+    name: metric
+    for name, metric in shared_metrics.METRICS.items()
+    if name not in LEFT_OUT and not _KNOWN & {*metric.columns}
+}
+METRICS: tuple[Metric, ...] = (*OWN.values(), *_SHARED.values())
 CAUSES: tuple[Cause, ...] = tuple(cause for metric in METRICS for cause in metric.causes)
 
 
 def applicable_metrics(case: Case) -> tuple[Metric, ...]:
     """Select the metrics that apply to a kind of world; numbers of the world do not matter."""
-    return tuple(metric for metric in METRICS if metric.applies(case))
+    return select_metrics(METRICS, PARTS, case)

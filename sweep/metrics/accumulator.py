@@ -8,9 +8,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep import metrics
 from sweep.controllers.plan import Plan
+from sweep.core.metric import Cause, Metric, compute_columns
 from sweep.metrics import solver
-from sweep.metrics.metric import Cause, Metric, MetricTick, Rollout, RolloutStart
 from sweep.metrics.outcome import Thresholds, threshold_value
+from sweep.metrics.tick import MetricTick, Rollout, RolloutStart
 from sweep.models.case import Case
 
 OVERTURNED = 60.0  # deg of tilt: nothing after it tells anything of the manoeuvre
@@ -129,8 +130,4 @@ def compute(world: Case, plan: Plan, running: RunningMetrics, stage: Int[Array, 
 
 
 def _compute_metrics(rollout: Rollout, states: tuple[Any, ...]) -> dict[str, Array]:
-    parts = (
-        metric.compute(state, rollout)
-        for metric, state in zip(metrics.applicable_metrics(rollout.world), states, strict=True)
-    )
-    return {name: value for part in parts for name, value in part.items()}
+    return compute_columns(metrics.applicable_metrics(rollout.world), states, rollout)

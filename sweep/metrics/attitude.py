@@ -3,52 +3,51 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.core.rotations import conjugate, multiply
-from sweep.metrics.metric import Cause, Metric, MetricTick, Rollout, goal_cause, initial_state
+from sweep.core.metric import Cause, Metric
+from sweep.core.shared_metrics import attitude
+from sweep.core.shared_metrics.attitude import Tilt
+from sweep.metrics.tick import MetricTick, Rollout, RolloutStart, goal_cause
 
 
 class Attitude(NamedTuple):
-    """Largest attitude errors so far (deg), and the base's last orientation."""
+    """Largest tilt and turn about the commanded vertical so far (deg), and the base's last orientation.
+
+    The order is that of the kernels' text: another one makes `ptxas` spill other numbers.
+    """
 
     tilt: Float[Array, ""]
     heading: Float[Array, ""]
     quat: Float[Array, " 4"]
 
 
+def begin(start: RolloutStart) -> Attitude:
+    """Initial state, before the first tick."""
+    tilt = attitude.METRIC.begin(start)
+    return Attitude(tilt.largest, start.constant(0.0), tilt.quat)
+
+
 def update(state: Attitude, ctx: MetricTick) -> Attitude:
     """Update the largest tilt from the commanded vertical, and the largest turn about it."""
-    off = multiply(conjugate(ctx.reference.quat), ctx.tick.truth.quat)
-    w, _, _, z = off
+    w, _, _, z = ctx.attitude_error
     heading = jnp.degrees(jnp.abs(2 * jnp.arctan2(z * jnp.sign(w), jnp.abs(w))))
-    tilt = jnp.maximum(state.tilt, tilt_deg(off))
-    return Attitude(tilt, jnp.maximum(state.heading, heading), ctx.tick.truth.quat)
-
-
-def tilt_deg(quat: Float[Array, " 4"]) -> Float[Array, ""]:
-    """Angle by which a rotation tilts the vertical (deg)."""
-    w, x, y, z = quat
-    return jnp.degrees(jnp.arctan2(jnp.sqrt(x**2 + y**2 + 1e-14), jnp.sqrt(w**2 + z**2 + 1e-14)) * 2)
+    tilt = attitude.METRIC.update(Tilt(state.tilt, state.quat), ctx)
+    return Attitude(tilt.largest, jnp.maximum(state.heading, heading), tilt.quat)
 
 
 def compute(state: Attitude, rollout: Rollout) -> dict[str, Array]:
     """Largest attitude errors, and the final tilt."""
-    return {
-        "tilt_max_deg": state.tilt,
-        "end_tilt_deg": tilt_deg(state.quat),
-        "heading_error_max_deg": state.heading,
-    }
+    tilt = attitude.METRIC.compute(Tilt(state.tilt, state.quat), rollout)
+    return {**tilt, "heading_error_max_deg": state.heading}
 
 
 METRIC = Metric(
-    initial_state(Attitude, 0.0, 0.0, np.zeros(4)),
+    begin,
     update,
     compute,
     {
-        "tilt_max_deg": "largest tilt of the base from its commanded vertical",
-        "end_tilt_deg": "tilt of the base from the vertical at the end",
+        **attitude.METRIC.columns,
         "heading_error_max_deg": "largest turn of the base about its commanded vertical",
     },
     (

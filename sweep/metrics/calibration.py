@@ -3,8 +3,9 @@
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from sweep.core.metric import Metric
 from sweep.estimation.calibration import CalibrationResult, learnable_sizes
-from sweep.metrics.metric import Metric, RolloutStart
+from sweep.metrics.tick import RolloutStart
 
 SIZES = {
     "body_length": "length of the body",

@@ -1,6 +1,6 @@
 """Metrics of the poses of a simulated calibration; see `sweep.engines.calibration_rollout`."""
 
-from sweep.metrics.metric import Cause, Metric
+from sweep.core.metric import Cause, Metric
 
 METRIC = Metric(
     lambda start: (),

@@ -5,8 +5,9 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sweep.core.metric import Cause, extremes
 from sweep.core.rotations import matrix
-from sweep.metrics.metric import Cause, MetricTick, extremes
+from sweep.metrics.tick import MetricTick
 from sweep.models.geometry import base_gap, fold_gap, leg_gap, link_capsules
 from sweep.models.robot import half_size
 from sweep.models.solids import distance_to_box

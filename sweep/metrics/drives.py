@@ -6,7 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.metrics.metric import BRIEF, Cause, Metric, MetricTick, Rollout, initial_state
+from sweep.core.metric import Cause, Metric
+from sweep.core.shared_metrics import joint_speed, joint_torque, work
+from sweep.metrics.tick import BRIEF, MetricTick, Rollout, RolloutStart
 from sweep.models.legs import KINDS
 
 
@@ -21,10 +23,17 @@ class Drives(NamedTuple):
     saturated: Float[Array, " 3"]
     effort: Float[Array, ""]
     turn: Float[Array, ""]
-    rate: Float[Array, ""]
+    rate: tuple[Float[Array, ""]]
     power: Float[Array, ""]
     use: Float[Array, " 3"]
     reserve: Float[Array, ""]
+
+
+def begin(start: RolloutStart) -> Drives:
+    """Initial state, before the first tick."""
+    torque, effort, speed = (part.METRIC.begin(start) for part in (joint_torque, work, joint_speed))
+    zero, kinds = start.constant(0.0), start.constant(np.zeros(3))
+    return Drives(torque, kinds, effort, zero, speed, zero, kinds, start.constant(1.0))
 
 
 def update(state: Drives, ctx: MetricTick) -> Drives:
@@ -34,11 +43,11 @@ def update(state: Drives, ctx: MetricTick) -> Drives:
     use = jnp.mean(tick.torque_peak, axis=0) / jnp.maximum(limit, 1e-9)
     use = state.use + min(1.0, ctx.period / BRIEF) * (use - state.use)
     return Drives(
-        jnp.maximum(state.torque, jnp.max(tick.torque_peak, axis=0)),
+        joint_torque.METRIC.update(state.torque, ctx),
         state.saturated + ctx.period * jnp.mean(tick.saturated, axis=0),
-        state.effort + tick.effort,
+        work.METRIC.update(state.effort, ctx),
         jnp.maximum(state.turn, jnp.max(jnp.abs(tick.truth.angles[:, 0]))),
-        jnp.maximum(state.rate, jnp.max(jnp.abs(tick.truth.rates))),
+        joint_speed.METRIC.update(state.rate, ctx),
         jnp.maximum(state.power, jnp.max(jnp.abs(tick.power))),
         use,
         jnp.minimum(state.reserve, 1 - jnp.max(use)),
@@ -48,33 +57,37 @@ def update(state: Drives, ctx: MetricTick) -> Drives:
 def compute(state: Drives, rollout: Rollout) -> dict[str, Array]:
     """Torque peaks, shares of time in saturation, and positive work."""
     share = state.saturated / jnp.maximum(rollout.time, 1e-9)
-    torques = {f"torque_peak_{joint}_nm": state.torque[k] for k, joint in enumerate(KINDS)}
-    shares = {f"saturation_share_{joint}": share[k] for k, joint in enumerate(KINDS)}
+    speed = joint_speed.METRIC.compute(state.rate, rollout)
     drive = rollout.world.drive
-    limits = {
+    return {
+        **work.METRIC.compute(state.effort, rollout),
+        **{f"torque_peak_{joint}_nm": state.torque[k] for k, joint in enumerate(KINDS)},
+        **joint_torque.METRIC.compute(state.torque, rollout),
+        **{f"saturation_share_{joint}": share[k] for k, joint in enumerate(KINDS)},
+        "saturation_share_max": jnp.max(share),
+        "torque_reserve_min": state.reserve,
         "turn_over_limit": state.turn / drive.turn_limit,
-        "joint_speed_max_radps": state.rate,
-        "joint_speed_over_limit": state.rate / drive.speed_limit,
+        **speed,
+        "joint_speed_over_limit": speed["joint_speed_max_radps"] / drive.speed_limit,
         "joint_power_max_w": state.power,
         "joint_power_over_limit": state.power / drive.power_limit,
     }
-    return {"energy_j": state.effort, **torques, **shares, "saturation_share_max": jnp.max(share),
-            "torque_reserve_min": state.reserve, **limits}  # fmt: skip
 
 
 METRIC = Metric(
-    initial_state(Drives, np.zeros(3), np.zeros(3), 0.0, 0.0, 0.0, 0.0, np.zeros(3), 1.0),
+    begin,
     update,
     compute,
     {
-        "energy_j": "positive work of the drives",
+        **work.METRIC.columns,
         **{f"torque_peak_{joint}_nm": f"largest torque of a {joint} joint" for joint in KINDS},
+        **joint_torque.METRIC.columns,
         **{f"saturation_share_{joint}": f"share of time at the torque limit of {joint} joints" for joint in KINDS},
         "saturation_share_max": "largest of the saturation shares of alpha, beta and gamma joints",
         "torque_reserve_min": "smallest value of 1 minus torque over limit, averaged over all legs and 50 ms, among "
         "alpha, beta and gamma joints",
         "turn_over_limit": "largest absolute alpha angle over drive.turn_limit",
-        "joint_speed_max_radps": "largest rate of a joint",
+        **joint_speed.METRIC.columns,
         "joint_speed_over_limit": "largest rate of a joint over drive.speed_limit",
         "joint_power_max_w": "largest absolute mechanical power of a joint, tick mean",
         "joint_power_over_limit": "largest absolute mechanical power of a joint over drive.power_limit",

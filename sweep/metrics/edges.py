@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.metrics.metric import MetricTick, extremes
+from sweep.core.metric import extremes
+from sweep.metrics.tick import MetricTick
 from sweep.models.geometry import AROUND, edge_distance
 from sweep.models.obstacles.plane import Plane
 

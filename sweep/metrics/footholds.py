@@ -4,7 +4,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.frames import to_world
-from sweep.metrics.metric import ContinuousTwin, Metric, MetricTick, Rollout, RolloutStart, goal_cause
+from sweep.core.metric import ContinuousTwin, Metric
+from sweep.metrics.tick import MetricTick, Rollout, RolloutStart, goal_cause
 from sweep.models.obstacles.surface import FreeState, body_poses, surface_at
 
 # m, within which a foot that may hover, since others carry, is at a face: what a base off by 2 degrees makes of the

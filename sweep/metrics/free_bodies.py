@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from sweep.core.metric import Cause, Metric
 from sweep.core.rotations import conjugate, logarithm, multiply
-from sweep.metrics.metric import REST, Cause, Metric, MetricTick, PlanTail, Rollout, RolloutStart, goal_cause
+from sweep.metrics.tick import REST, MetricTick, PlanTail, Rollout, RolloutStart, goal_cause
 
 TAIL = 12.0  # s of the plan, its last, over which the speed of a body that is left in motion is taken
 

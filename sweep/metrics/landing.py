@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from sweep.core.metric import Metric, initial_state
 from sweep.metrics.footholds import AT_FACE
-from sweep.metrics.metric import Metric, MetricTick, initial_state
+from sweep.metrics.tick import MetricTick
 from sweep.models.obstacles.surface import surface_at
 
 

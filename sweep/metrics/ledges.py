@@ -7,8 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.plan import is_under_law
+from sweep.core.metric import Cause, Metric, initial_state
 from sweep.manoeuvres.balancing.ball_ledges import OFF, ON
-from sweep.metrics.metric import Cause, Metric, MetricTick, Rollout, goal_cause, initial_state
+from sweep.metrics.tick import MetricTick, Rollout, goal_cause
 from sweep.models.obstacles.ledges import Ledges
 
 THERE = 4e-3  # m, of a ball that has come to the far wall

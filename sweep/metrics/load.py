@@ -6,7 +6,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.constants import GRAVITY, LOADED
-from sweep.metrics.metric import BRIEF, Metric, MetricTick, Rollout, initial_state
+from sweep.core.metric import Metric, initial_state
+from sweep.metrics.tick import BRIEF, MetricTick, Rollout
 from sweep.models.obstacles.surface import surface_at
 from sweep.models.robot import total_mass
 

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from sweep.core.errors import InputError
-from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
-from sweep.core.parameters import UNITS, format_unit, parameters
+from sweep.core.metric import Cause, column_unit, merge_columns
+from sweep.core.outcomes import MISSED, JudgedCause, cause_margin, classify_rows, find_least_margins, judge_cause
+from sweep.core.parameters import format_unit, parameters
 from sweep.metrics import CAUSES, METRICS, applicable_metrics
-from sweep.metrics.metric import GOAL, Cause
 from sweep.models.case import Case
 
 _MEANING = {cause.name: cause.sentence for cause in CAUSES} | {
-    GOAL: "the manoeuvre's goal was missed; the column `limit` says which part of it"
+    MISSED: "the manoeuvre's goal was missed; the column `limit` says which part of it"
 }
 FAILURES = {cause.name: _MEANING[cause.name] for cause in CAUSES if not cause.invalid}
 INVALID_CAUSES = {cause.name: _MEANING[cause.name] for cause in CAUSES if cause.invalid}
 MEANING = {**FAILURES, **INVALID_CAUSES}
-COLUMNS = {name: meaning for metric in METRICS for name, meaning in metric.columns.items()}
+COLUMNS = merge_columns(METRICS)
 BOOKKEEPING = {f"{cause.name}_{what}" for cause in CAUSES for what in ("time_s", "stage")}  # when causes were met
 
 
@@ -75,7 +75,7 @@ def cause_meanings(limits: Thresholds) -> dict[str, str]:
         Sentence by name of the cause: `a standing foot slipped by more than 0.02 m (slip_max_m)`.
     """
     return MEANING | {cause.name: f"{sentence} ({cause.threshold})" if sentence != cause.sentence else sentence
-                      for cause in CAUSES if cause.name != GOAL
+                      for cause in CAUSES if cause.name != MISSED
                       for sentence in [sentence_with_limit(cause, limits)]}  # fmt: skip
 
 
@@ -83,7 +83,7 @@ def sentence_with_limit(cause: Cause, limits: Thresholds) -> str:
     """The sentence of a cause with the value and unit of its threshold, where it has one, in place of its key."""
     if not cause.threshold or not np.isfinite(limit := threshold_value(cause, limits)):
         return cause.sentence
-    unit = format_unit(UNITS.get(cause.threshold.rpartition("_")[2], "-"))
+    unit = format_unit(column_unit(cause.threshold))
     value = f"{limit:.4g} {unit}".strip().replace(" deg", "°")
     return re.sub(rf"\b{cause.threshold}\b", value, cause.sentence)
 
@@ -98,8 +98,7 @@ def threshold_value(cause: Cause, limits: Thresholds) -> float:
     Returns:
         The threshold in the metric's unit; infinite where there is none, so that the cause never holds.
     """
-    value = getattr(limits, cause.threshold) if cause.threshold else cause.default
-    return (-np.inf if cause.below else np.inf) if value is None else value
+    return cause.limit(getattr(limits, cause.threshold) if cause.threshold else cause.default)
 
 
 def classify(figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequence[str]) -> dict[str, np.ndarray]:
@@ -121,25 +120,7 @@ def classify(figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequ
     """
     f = {key: np.asarray(value) for key, value in figures.items()}
     causes = sorted((c for c in CAUSES if c.metric in f), key=lambda c: not c.invalid)
-    holds = np.stack([_holds(c, f, threshold_value(c, limits)) for c in causes])
-    times = np.where(holds, np.stack([_time(c, f) for c in causes]), np.nan)
-    any_holds = holds.any(axis=0)
-    first = np.argmin(np.nan_to_num(times, nan=np.inf, posinf=np.finfo(float).max), axis=0)
-    time = np.take_along_axis(times, first[None], axis=0)[0]
-    stage = np.take_along_axis(np.stack([_stage(c, f) for c in causes]), first[None], axis=0)[0]
-    stage = np.where(np.isfinite(time), stage, f["end_stage"]).astype(int)
-    verdict = np.array([INVALID if c.invalid else FAILURE for c in causes], dtype=object)[first]
-    labels = np.array([*stages, ""], dtype=object)
-    margin, margin_of = least_margins(causes, f, limits)
-    return {
-        "outcome": np.where(any_holds, verdict, SUCCESS),
-        "cause": np.where(any_holds, np.array([c.name for c in causes], dtype=object)[first], ""),
-        "stage": np.where(any_holds, labels[np.clip(stage, -1, len(stages) - 1)], ""),
-        "t_cause_s": np.where(any_holds & np.isfinite(time), time, np.nan),
-        "limit": np.where(any_holds, np.array([c.threshold for c in causes], dtype=object)[first], ""),
-        "margin": margin,
-        "margin_of": margin_of,
-    }
+    return classify_rows([_judge_cause(c, f, limits) for c in causes], f["end_stage"], stages)
 
 
 def least_margins(
@@ -157,21 +138,8 @@ def least_margins(
     Returns:
         The least margin (n,), and the key of its threshold (n,), or the cause's name if it has no threshold.
     """
-    judged = [
-        (cause, limit)
-        for cause in causes
-        if not cause.invalid
-        and (cause.threshold or cause.twin)
-        and np.isfinite(limit := threshold_value(cause, limits))
-    ]
-
-    def value(name: str) -> np.ndarray | None:
-        return np.asarray(figures[name], float) if name in figures else None
-
-    margins = np.stack([c.margin(value(c.metric), limit, value(c.companion)) for c, limit in judged])
-    nearest = np.argmin(np.nan_to_num(margins, nan=-np.inf), axis=0)
-    names = np.array([cause.threshold or cause.name for cause, _ in judged], dtype=object)
-    return np.take_along_axis(margins, nearest[None], axis=0)[0], names[nearest]
+    margins = {c.threshold or c.name: cause_margin(c, figures, threshold_value(c, limits)) for c in causes}
+    return find_least_margins({key: margin for key, margin in margins.items() if margin is not None})
 
 
 def explain_cause(row: Mapping[str, Any], limits: Thresholds) -> str:
@@ -194,23 +162,10 @@ def explain_cause(row: Mapping[str, Any], limits: Thresholds) -> str:
     return MEANING.get(str(row["cause"]), "")
 
 
-def _holds(cause: Cause, f: Mapping[str, np.ndarray], limit: float) -> np.ndarray:
-    """A comparison with NaN is false, hence the explicit check of every figure."""
-    holds = np.asarray(cause.holds(f[cause.metric], limit))
+def _judge_cause(cause: Cause, f: Mapping[str, np.ndarray], limits: Thresholds) -> JudgedCause:
+    """Judge rows by a cause. A comparison with NaN is false, hence the explicit check of every figure."""
+    judged = judge_cause(cause, f, threshold_value(cause, limits), f["end_stage"])
     if cause.name != "not_finite":
-        return holds
-    return holds | np.any([np.isnan(v.astype(float)) for key, v in f.items() if key not in BOOKKEEPING], axis=0)
-
-
-def _time(cause: Cause, f: Mapping[str, np.ndarray]) -> np.ndarray:
-    match cause.known_at:
-        case "start":
-            return np.zeros(f["end_stage"].shape)
-        case "tick":
-            return np.nan_to_num(f[f"{cause.name}_time_s"].astype(float), nan=np.inf)
-        case _:
-            return np.full(f["end_stage"].shape, np.inf)
-
-
-def _stage(cause: Cause, f: Mapping[str, np.ndarray]) -> np.ndarray:
-    return f["end_stage"] if cause.known_at == "end" else f[f"{cause.name}_stage"]
+        return judged
+    unknown = np.any([np.isnan(v.astype(float)) for key, v in f.items() if key not in BOOKKEEPING], axis=0)
+    return dataclasses.replace(judged, holds=judged.holds | unknown)

@@ -5,7 +5,8 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.layers import Feedforward
 from sweep.controllers.plan import Plan
-from sweep.metrics.metric import Cause, Metric, Rollout
+from sweep.core.metric import Cause, Metric
+from sweep.metrics.tick import Rollout
 
 
 def compute(state: None, rollout: Rollout) -> dict[str, Array]:

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.plan import is_under_law
+from sweep.core.metric import Cause, Metric
 from sweep.core.rotations import heading, rotate
 from sweep.manoeuvres.afloat.raft_cross import PUSH, WAIT
-from sweep.metrics.metric import Cause, Metric, MetricTick, Rollout, RolloutStart
-from sweep.metrics.slip import FootHold
+from sweep.metrics.tick import FootHold, MetricTick, Rollout, RolloutStart
 from sweep.models.obstacles.raft import CORNERS, Raft
 
 

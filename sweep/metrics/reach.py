@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.metrics.metric import Cause, MetricTick, extremes
+from sweep.core.metric import Cause, extremes
+from sweep.metrics.tick import MetricTick
 
 
 def reach_values(ctx: MetricTick) -> Iterator[Float[Array, ""]]:

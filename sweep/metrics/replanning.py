@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 from jaxtyping import Array, Float
 
-from sweep.metrics.metric import Cause, MetricTick, extremes
+from sweep.core.metric import Cause, extremes
+from sweep.metrics.tick import MetricTick
 
 
 def plan_shortfall(ctx: MetricTick) -> Iterator[Float[Array, ""]]:

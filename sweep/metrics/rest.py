@@ -5,8 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from sweep.core.metric import Cause, Metric
 from sweep.core.rotations import matrix
-from sweep.metrics.metric import REST, Cause, Metric, MetricTick, RolloutStart
+from sweep.metrics.tick import REST, MetricTick, RolloutStart
 
 
 class Resting(NamedTuple):

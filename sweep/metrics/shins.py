@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.metrics.metric import Cause, Metric, MetricTick, initial_state
+from sweep.core.metric import Cause, Metric, initial_state
+from sweep.metrics.tick import MetricTick
 from sweep.models.geometry import shin_slopes
 from sweep.models.obstacles.surface import surface_at
 

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.core.constants import GRAVITY
-from sweep.metrics.metric import Cause, Metric, MetricTick, Rollout, RolloutStart
+from sweep.core.metric import Cause, Metric
+from sweep.metrics.tick import MetricTick, Rollout, RolloutStart
 from sweep.models.robot import total_mass
 
 # The bounds are from 1,500 rollouts with sizes wrong by up to 2 %, each again at half the time step: below 0.4 of the

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.constants import LOADED
-from sweep.metrics.metric import BRIEF, Metric, MetricTick, initial_state
+from sweep.core.metric import Metric, initial_state
+from sweep.metrics.tick import BRIEF, MetricTick
 from sweep.models.geometry import support_margin
 
 

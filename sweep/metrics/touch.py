@@ -5,8 +5,9 @@ import dataclasses
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from sweep.core.metric import Metric
 from sweep.estimation.touch import TouchState, learnable_sizes
-from sweep.metrics.metric import Metric, MetricTick, Rollout, RolloutStart
+from sweep.metrics.tick import MetricTick, Rollout, RolloutStart
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.obstacles.surface import Obstacle
 

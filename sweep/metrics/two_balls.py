@@ -7,8 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.plan import is_under_law
+from sweep.core.metric import Metric
 from sweep.manoeuvres.balancing.ball_to_ball import OVER
-from sweep.metrics.metric import REST, Metric, MetricTick, PlanTail, Rollout, RolloutStart, goal_cause
+from sweep.metrics.tick import REST, MetricTick, PlanTail, Rollout, RolloutStart, goal_cause
 from sweep.models.obstacles.two_balls import TwoBalls
 
 NEAR = 4e-3  # m, between balls that touch

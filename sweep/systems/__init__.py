@@ -81,7 +81,8 @@ def find_formula(name: str) -> "Formula":
 
 def describe_columns() -> dict[str, str]:
     """Return the meaning of each metric by column: of the built-in robot, and those that only user models have."""
+    from sweep.core.metric import merge_columns
     from sweep.metrics import outcome
     from sweep.systems.mujoco_model import metrics
 
-    return {**metrics.COLUMNS, **outcome.COLUMNS}
+    return merge_columns(metrics.METRICS) | outcome.COLUMNS

@@ -5,7 +5,7 @@ import kernel_counts
 import pytest
 
 from sweep import metrics
-from sweep.metrics.metric import Metric
+from sweep.core.metric import Metric
 
 RENEW = "\nIf that is meant, renew the counts and say why in the commit: make kernels"
 DEFAULT = "walk_tripod"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sweep.config.experiment import compose
+from sweep.core.shared_metrics.attitude import tilt_deg
 from sweep.engines import make
-from sweep.metrics.attitude import tilt_deg
 
 OFFSETS = np.array([0.0, 0.36, -0.1])  # rad, of the measured orientation about the world's x axis
 FELL = 20.0  # deg, default of outcome.tilt_max_deg
@@ -24,7 +24,7 @@ def test_a_tilted_sensor_makes_no_fall_of_a_level_robot(engine):
         trial.thresholds,
     )
     for trace in simulation.traces(world, trial.case, np.zeros(len(OFFSETS), int), 1):
-        true_tilt = np.asarray(tilt_deg(trace.qpos[:, 3:7].T))
+        true_tilt = tilt_deg(trace.qpos[:, 3:7].T, np)
         tilt, fell = float(trace.metrics["tilt_max_deg"]), float(trace.metrics["fell_time_s"])
         # the plan is level, and an error at a stage's start fades: the true command is never farther from the true pose
         assert tilt <= true_tilt.max() + 0.01

@@ -10,8 +10,10 @@ import pytest
 
 from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
+from sweep.core.outcomes import MISSED
 from sweep.metrics import attitude, clearance, depth, drives, free_bodies, rest, shins, slip, solver
-from sweep.metrics.outcome import GOAL, threshold_value
+from sweep.metrics.outcome import threshold_value
+from sweep.metrics.tick import MetricTick, Rollout, RolloutStart
 from sweep.models.geometry import base_gap, fold_gap
 from sweep.models.obstacles.surface import FreeState, body_poses, no_free_bodies
 from sweep.models.robot import total_mass
@@ -40,25 +42,25 @@ def moment(time: float = 0.0, legs: np.ndarray = LEGS, free: FreeState | None = 
         "reference": SimpleNamespace(position=BASE, quat=UPRIGHT), "finished": jnp.asarray(False), "period": 0.02,
         "world": CASE, "stage": jnp.int32(0), "time": time, "phase": jnp.asarray(1.0),
         "plan": SimpleNamespace(duration=jnp.array([1.0]), swing=jnp.zeros((1, 6), bool)),
+        "stage_start": BASE, "shortfall": jnp.zeros(()),
     }  # fmt: skip
     tick, truth, now = ({name: changes.get(name, value) for name, value in part.items()} for part in (tick, truth, now))
-    return SimpleNamespace(tick=SimpleNamespace(truth=SimpleNamespace(**truth), **tick), **now)
+    return MetricTick(**now, tick=SimpleNamespace(truth=SimpleNamespace(**truth), **tick))
 
 
 def judged(metric: Any, moments: list[Any], experiment: Any = EXPERIMENT) -> tuple[dict[str, float], set[str]]:
     """Its figures of a way, and the names of the causes that hold, a goal's by its threshold."""
     world, limits, first = experiment.case, experiment.thresholds, moments[0].tick
-    start = SimpleNamespace(
-        world=world, feet=jnp.asarray(LEGS[:, -1]), free=first.truth.free, quat=UPRIGHT, energy=first.energy
+    start = RolloutStart(
+        world, moments[0].plan, BASE, UPRIGHT, jnp.asarray(LEGS[:, -1]), first.truth.free, first.energy
     )
     state = metric.METRIC.begin(start)
     for now in moments:
-        now.world = world
-        state = metric.METRIC.update(state, now)
-    end = SimpleNamespace(world=world, time=jnp.asarray(moments[-1].time), plan=moments[-1].plan)
+        state = metric.METRIC.update(state, now._replace(world=world))
+    end = Rollout(world, moments[-1].plan, jnp.asarray(moments[-1].time), jnp.int32(0))
     found = {name: float(value) for name, value in metric.METRIC.compute(state, end).items()}
     met = {c for c in metric.METRIC.causes if c.holds(found[c.metric], threshold_value(c, limits))}
-    return found, {c.threshold if c.name == GOAL else c.name for c in met}
+    return found, {c.threshold if c.name == MISSED else c.name for c in met}
 
 
 def turned(degrees: float, axis: int) -> Any:

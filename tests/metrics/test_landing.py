@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sweep.metrics import landing
-from sweep.metrics.metric import RolloutStart
+from sweep.metrics.tick import RolloutStart
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.surface import body_poses, no_free_bodies
 

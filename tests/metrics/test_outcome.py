@@ -10,10 +10,10 @@ from faultless import faultless
 
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
+from sweep.core.outcomes import MISSED
 from sweep.metrics import CAUSES, METRICS
 from sweep.metrics.outcome import (
     COLUMNS,
-    GOAL,
     MEANING,
     Thresholds,
     classify,
@@ -176,6 +176,6 @@ def test_the_page_of_success_has_every_condition_with_its_limit_and_its_test():
         assert cause.default is None or not cause.threshold or float(default.split()[0]) == cause.default
         assert len(reason) > 3
         test = broken_by.strip("|` ")
-        tells = {cause.name, cause.threshold, cause.metric} - {"", GOAL}
+        tells = {cause.name, cause.threshold, cause.metric} - {"", MISSED}
         named = any(re.search(rf"\b{name}\b", tests[test]) for name in tells)
         assert named or test == test_every_threshold_has_its_cause.__name__, (cause.name, test)

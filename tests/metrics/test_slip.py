@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sweep.metrics import slip
-from sweep.metrics.metric import RolloutStart
+from sweep.metrics.tick import RolloutStart
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.surface import body_poses, no_free_bodies, surface_at
@@ -19,13 +19,13 @@ FEET = np.array([[0.3 * leg, 0.2, 0.0] for leg in range(6)])
 def rollout(ticks, world=WORLD, free=no_free_bodies):
     """Largest slip of ticks of (feet, loaded, legs that swing, phase), free bodies being as in `free()`."""
     start = RolloutStart(world, None, jnp.zeros(3), jnp.array([1.0, 0, 0, 0]), jnp.asarray(FEET), free(), jnp.zeros(()))
-    state = slip.begin(start)
+    state = slip.METRIC.begin(start)
     for feet, loaded, swing, phase in ticks:
         truth = SimpleNamespace(loaded=jnp.asarray(loaded))
         tick = SimpleNamespace(joints=jnp.asarray(feet)[:, None], truth=truth, bodies=body_poses(free()))
         plan = SimpleNamespace(swing=jnp.asarray(swing)[None])
         now = SimpleNamespace(world=world, plan=plan, stage=0, finished=jnp.asarray(False), phase=phase, tick=tick)
-        state = slip.update(state, now)
+        state = slip.METRIC.update(state, now)
     return float(state.largest)
 
 

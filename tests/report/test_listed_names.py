@@ -13,7 +13,8 @@ from conftest import simulated
 import sweep.engines
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.metrics.outcome import GOAL, cause_meanings
+from sweep.core.outcomes import MISSED
+from sweep.metrics.outcome import cause_meanings
 from sweep.report import figures, maps, sections
 from sweep.report.labels import kind_meaning
 from sweep.runs import batches, results
@@ -116,7 +117,7 @@ def test_causes_print_the_values_of_their_thresholds():
     exp = compose(["scenario=walk_tripod", "outcome.slip_max_m=0.03"])
     assert kind_meaning("slipped", exp) == "a standing foot slipped by more than 0.03 m (slip_max_m)"
     said = cause_meanings(exp.thresholds)
-    keyed = [words for cause, words in said.items() if re.search(r"\b\w+_(max|min)\b", words) and cause != GOAL]
+    keyed = [words for cause, words in said.items() if re.search(r"\b\w+_(max|min)\b", words) and cause != MISSED]
     assert all(re.search(r"\d.*\(\w+\)$", words) for words in keyed), keyed
     assert said["fell"] == "the base tilted beyond 20° (tilt_max_deg)"
 

@@ -19,6 +19,7 @@ from sweep.contract.engine_settings import EngineSettings
 from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.layers import Feedforward
 from sweep.core.errors import InputError
+from sweep.core.outcomes import MISSED
 from sweep.core.parameters import LARGEST
 from sweep.engines.batching import nominal_plan
 from sweep.engines.closed_loop import (
@@ -33,8 +34,8 @@ from sweep.engines.closed_loop import (
 )
 from sweep.engines.pre_rollout import prepare_belief
 from sweep.estimation.belief_update import LearnedState
-from sweep.metrics.metric import GOAL, REST, Tick
 from sweep.metrics.outcome import Thresholds, threshold_value
+from sweep.metrics.tick import REST, Tick
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_V, JOINTS, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import body_poses, surface_at
@@ -140,7 +141,7 @@ def _conditions(case: Case, limits: Thresholds) -> Iterator[tuple[str, str]]:
     for cause in sorted(every, key=lambda cause: cause.known_at == "end"):
         limit = threshold_value(cause, limits)
         if math.isfinite(limit):
-            name = cause.name if cause.name != GOAL else f"missed_{cause.threshold}"
+            name = cause.name if cause.name != MISSED else f"missed_{cause.threshold}"
             yield name, f"{cause.metric} {'<' if cause.below else '>'} {limit!r}"
 
 

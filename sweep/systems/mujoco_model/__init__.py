@@ -19,12 +19,15 @@ from sweep.backends import mujoco_versions, run_id
 from sweep.contract.engine import Trace
 from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
+from sweep.core.conditions import UNTRUSTED, Condition, parse_conditions
 from sweep.core.errors import InputError, require_choice
+from sweep.core.outcomes import classify_rows, judge_cause
 from sweep.core.parameters import build, check_value, quantity
-from sweep.systems.mujoco_model import disturbances, fields, files, inactive_parameters, metrics, outcome, policy_spec
+from sweep.systems.mujoco_model import disturbances, fields, files, inactive_parameters, policy_spec
+from sweep.systems.mujoco_model.accumulator import MetricAccumulator
 from sweep.systems.mujoco_model.engine import ModelEngine, NativeModelEngine, print_note
+from sweep.systems.mujoco_model.metrics import CAUSES
 from sweep.systems.mujoco_model.model_spec import ModelConfig, ModelSpec, Settings, SideValues
-from sweep.systems.mujoco_model.outcome import Condition
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,6 +44,18 @@ WAYS = {
     ),
     "other_cone": AuditVariant("with the other friction cone", columns={"model.option.cone": OTHER.get}),
 }
+INVALID = tuple(cause.name for cause in CAUSES if cause.invalid)
+MEANINGS = {cause.name: cause.sentence for cause in CAUSES}
+
+
+def judge(
+    figures: Mapping[str, np.ndarray], limits: tuple[Condition, ...], stages: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """Label rows: the causes that every model has first, then the first condition that holds; see `System.judge`."""
+    none = np.zeros(len(next(iter(figures.values()))), int)
+    causes = [judge_cause(cause, figures, cause.limit(cause.default), none) for cause in CAUSES]
+    causes += [condition.judge(figures) for condition in limits]
+    return classify_rows(causes, none, stages, unknown_margin=np.inf)
 
 
 @dataclass(frozen=True)
@@ -51,8 +66,8 @@ class MujocoModel(ModelSpec):
 
     case = SideValues()
     groups = ("model", "controller", "noise", "push")
-    invalid_causes = (*outcome.INVALID_CAUSES, outcome.UNTRUSTED)
-    bookkeeping_metrics = frozenset(outcome.INVALID_CAUSES)
+    invalid_causes = (*INVALID, UNTRUSTED)
+    bookkeeping_metrics = frozenset(INVALID)
     replay_formats = ("mcap", "states", "png", "video")
     replay_plots = MappingProxyType({})
     unsupported_commands = MappingProxyType(
@@ -64,21 +79,21 @@ class MujocoModel(ModelSpec):
     audit_variants = MappingProxyType(WAYS)
     device = staticmethod(run_id.describe_device)
     explain_inactive_column = inactive_parameters.explain_inactive
-    judge = staticmethod(outcome.judge)
+    judge = staticmethod(judge)
 
     @property
     def causes(self) -> dict[str, str]:
         """Meaning of each cause: conditions of the scenario, and causes of invalidity, see `System`."""
-        return {one.cause: one.meaning for one in self.conditions} | outcome.INVALID_CAUSES
+        return {one.cause: one.meaning for one in self.conditions} | MEANINGS
 
     def cause_meanings(self, limits: tuple[Condition, ...]) -> dict[str, str]:
         """Return the meaning of each cause, whose conditions contain their thresholds, see `System`."""
-        return {one.cause: one.meaning for one in limits} | outcome.INVALID_CAUSES
+        return {one.cause: one.meaning for one in limits} | MEANINGS
 
     @property
     def metric_names(self) -> tuple[str, ...]:
         """Metrics of any MuJoCo model, and those of its controller, see `System`."""
-        return (*metrics.metric_names(self), *self.controller.measured)
+        return (*MetricAccumulator(self).columns, *self.controller.measured)
 
     def state_columns(self, trace: Trace) -> dict[str, np.ndarray]:
         """Return positions and velocities at every sample of a trace, by column, see `System`."""
@@ -243,7 +258,7 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
         (path, check_value(one, asked.get(path, one.default), path)) for path, one in own.parameters.items()
     )
     _ = own.observed_slices, own.keyframe_index  # which refuse unknown names
-    conditions = outcome.parse_conditions(values.get("outcome") or {}, own.metric_names)
+    conditions = parse_conditions(values.get("outcome") or {}, own.metric_names, MEANINGS)
     content = about.content or _content_digest(own)
     own = replace(own, config=replace(about, content=content), controller_values=numbers, conditions=conditions)
     settings, told = replace(settings, control_period=about.period), {**values["model"], "content": content}

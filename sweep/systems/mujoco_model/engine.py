@@ -20,13 +20,16 @@ from sweep.contract.engine import Metrics, Sides, TimeSeriesRequest, Trace, coun
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.fused.dependence import find_unread_columns
-from sweep.systems.mujoco_model import batch, metrics
+from sweep.systems.mujoco_model import batch
+from sweep.systems.mujoco_model.accumulator import MetricAccumulator, ModelMetrics
 from sweep.systems.mujoco_model.disturbances import delay_commands
+from sweep.systems.mujoco_model.metrics.unsolved import BALANCE, is_unbalanced
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 from sweep.systems.mujoco_model.policy import ControllerBatch, ControllerPrograms
+from sweep.systems.mujoco_model.tick import STEPS
 
 FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]  # others are worse
-RECORDED = (*metrics.STEPS, "solver_niter", "M", *metrics.BALANCE)
+RECORDED = (*STEPS, "solver_niter", "M", *BALANCE)
 
 
 class TickSample(NamedTuple):
@@ -65,7 +68,7 @@ class ModelEngine:
         self._substeps = count_substeps(period, step, f"model.period = {period:g} is not allowed: {allowed}")
         ramp = (1 + np.arange(self._substeps)) / self._substeps  # what a command counts for, beside the one before
         self._shares = ramp if own.config.command == "ramped" else np.ones(self._substeps)
-        self._meter = metrics.MetricAccumulator(own)
+        self._meter = MetricAccumulator(own)
         belief = {name: np.dtype(settings.precision).type(value) for name, value in own.believed_values({}).items()}
         with self._within():
             self._programs = ControllerPrograms(own, belief)
@@ -176,7 +179,7 @@ class NativeModelEngine(ModelEngine):
             rollouts.enter(own.observable_state(qpos, qvel, seen), ticks)
             sofar = aside.submit(self._meter.start, qpos.copy(), qvel.copy())
 
-            def measured(sofar: Any, steps: Any, going: np.ndarray) -> dict[str, Any]:
+            def measured(sofar: Any, steps: Any, going: np.ndarray) -> ModelMetrics:
                 steps = {**steps, "unsolved": find_unsolved_steps(self._model, steps)}
                 return self._meter.update(sofar, steps, begun.limits, going)
 
@@ -199,7 +202,7 @@ class NativeModelEngine(ModelEngine):
         warned = begun.batch.warning[:, :, 0] > 0
         full, broken = warned[:, FULL].any(axis=1), broken | np.delete(warned, FULL, axis=1).any(axis=1)
         last = sofar.result()
-        gained = begun.energy(last["last"], last["speed"]) - before_all
+        gained = begun.energy(last.last, last.speed) - before_all
         found = self._meter.compute(last, begun.mass, gained, broken, full)
         return found | own_figures, frames, [begun.batch.get_model(int(slot)) for slot in slots]
 
@@ -281,9 +284,9 @@ def find_unsolved_steps(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) 
     """
     found = steps["solver_niter"].reshape(*steps["M"].shape[:2], -1).max(axis=2) >= model.opt.iterations
     if found.any() and model.opt.solver != int(mujoco.mjtSolver.mjSOL_PGS) and not model.opt.noslip_iterations:
-        inertia, *forces = (steps[name][found] for name in ("M", *metrics.BALANCE))
+        inertia, *forces = (steps[name][found] for name in ("M", *BALANCE))
         row, column = np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind
         mass = np.zeros((len(inertia), model.nv, model.nv))  # of which the lower triangle is recorded
         mass[:, row, column] = mass[:, column, row] = inertia
-        found[found] = metrics.is_unbalanced(mass, *forces)
+        found[found] = is_unbalanced(mass, *forces)
     return found

@@ -25,7 +25,7 @@ from sweep.contract.engine import Metrics, TimeSeriesRequest
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.core.user_code import report_silence
-from sweep.systems.mujoco_model import batch, disturbances, fields, metrics
+from sweep.systems.mujoco_model import batch, disturbances, fields
 from sweep.systems.mujoco_model.engine import (
     BatchResult,
     ModelEngine,
@@ -34,7 +34,9 @@ from sweep.systems.mujoco_model.engine import (
     find_unsolved_steps,
     print_note,
 )
+from sweep.systems.mujoco_model.metrics.unsolved import BALANCE, is_unbalanced
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
+from sweep.systems.mujoco_model.tick import STEPS
 
 with redirect_stdout(io.StringIO()):  # it prints which of its parts are not installed
     from mujoco import mjx
@@ -247,8 +249,9 @@ class MjxModelEngine(ModelEngine):
                     frames.append(TickSample((k + every) * own.config.period, *(np.asarray(x)[slots] for x in last)))
             measured = self._call(self._finish, given, carry["carried"], carry["seen"])
         measured = {name: np.asarray(values, float) for name, values in measured.items()}
-        last, (wrong, full) = carry["sofar"], (np.asarray(carry[name]) for name in ("wrong", "full"))
-        gained = begun.energy(last["last"], last["speed"]) - at_first
+        last = jax.tree.map(np.asarray, carry["sofar"])
+        wrong, full = (np.asarray(carry[name]) for name in ("wrong", "full"))
+        gained = begun.energy(last.last, last.speed) - at_first
         found = self._meter.compute(last, begun.mass, gained, wrong, full) | measured
         return found, frames, [begun.batch.get_model(int(slot)) for slot in slots]
 
@@ -348,7 +351,7 @@ class MjxModelEngine(ModelEngine):
             model = template.tree_replace(rows)
             after = mjx.step(model, data.replace(**now, **inputs(ctrl, wrench)))
             own = {"actuator_velocity": after._impl}
-            told = {name: getattr(own.get(name, after), name) for name in metrics.STEPS}
+            told = {name: getattr(own.get(name, after), name) for name in STEPS}
             if wrench is not None:
                 told["places"] = after.xipos[bodies]  # as the step began
             told["full"], told["unsolved"] = self._invalid_flags(model, after)
@@ -415,10 +418,10 @@ class MjxModelEngine(ModelEngine):
             lacking = OverflowType.ALL & ~OverflowType.ITERATIONS & ~OverflowType.LS_ITERATIONS
             full = jnp.any(data._impl.overflow & int(lacking) > 0)
             return full, jnp.max(data._impl.solver_niter) >= self._model.opt.iterations
-        contact, forces = data._impl.contact, (getattr(data, name) for name in metrics.BALANCE)
+        contact, forces = data._impl.contact, (getattr(data, name) for name in BALANCE)
         near = contact.dist < contact.includemargin
         full = jnp.array([False, *(near[np.asarray(contact.dim) == dim].all() for dim in self._limited)]).any()
-        return full, metrics.is_unbalanced(mjx.full_m(model, data), *forces)
+        return full, is_unbalanced(mjx.full_m(model, data), *forces)
 
 
 def custom_numeric(model: mujoco.MjModel, name: str) -> np.ndarray | None:

@@ -10,6 +10,7 @@ import numpy as np
 from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import Parameter, Values
 from sweep.core.errors import InputError, require_choice
+from sweep.core.metric import array_namespace
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.systems.mujoco_model import fields, files
 from sweep.systems.mujoco_model.disturbances import PUSH, PushedBody
@@ -180,11 +181,6 @@ class ModelSpec:
             columns["tilt_deg"] = angle_deg(cosine_of_tilt(qpos[:, at + 3 : at + 7], upright))
         columns |= {f"qpos_{k}": qpos[:, k] for k in range(self.model.nq)}
         return columns | {f"qvel_{k}": qvel[:, k] for k in range(self.model.nv)}
-
-
-def array_namespace(array: Any) -> Any:
-    """Return the module, NumPy or jax.numpy, to which an array belongs."""
-    return array.__array_namespace__()
 
 
 def cosine_of_tilt(quat: Any, start: Any) -> Any:

@@ -8,7 +8,7 @@ NumPy's is called with a whole tile, whose width never changes.
 import contextlib
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.core.errors import WRONG, InputError, format_user_exception
+from sweep.core.metric import Metric
 from sweep.core.user_code import describe_user_error, run_user_code
 from sweep.fused.numbers import evaluate_constants
 from sweep.systems.mujoco_model import files
@@ -29,6 +30,27 @@ logging.getLogger("jax._src.callback").setLevel(logging.CRITICAL)  # it prints t
 def _draw_normal(key: Array, like: Array) -> Array:
     """Normal numbers, the same in any precision."""
     return jax.random.normal(key, like.shape, jnp.float32).astype(like.dtype)
+
+
+class ControllerEnd(NamedTuple):
+    """What the metric of a user's controller computes its columns from, beside what it has measured."""
+
+    belief: Mapping[str, Any]
+    state: Any  # of the controller
+
+
+def make_user_metric(control: files.Policy) -> Metric[Any]:
+    """Make a metric of a controller's `measure` and `figures`: its columns are those of `FIGURES`.
+
+    It begins with, and is updated by, all that can be observed by name.
+    """
+    measure, figures = control.measure, control.figures
+
+    def compute(sofar: Any, end: ControllerEnd) -> dict[str, Array]:
+        return figures(*end, *([sofar] if measure else [])) if figures else {}
+
+    begin = (lambda told: measure(None, told)) if measure else (lambda told: ())
+    return Metric(begin, measure or (lambda sofar, told: ()), compute, control.measured)
 
 
 class ControllerPrograms:
@@ -47,9 +69,7 @@ class ControllerPrograms:
         self._begin = control.begin or (lambda belief, key: (None, (), None))
         # what is batched is called with what this gives
         self._policy = (lambda belief, told, state, key: (told, state)) if control.batched else control.policy
-        self._measure = control.measure or (lambda sofar, told: ())
-        figures = control.figures or (lambda *given: {})
-        self._figures = figures if control.measure else lambda belief, state, sofar: figures(belief, state)
+        self._metric = make_user_metric(control)
         self.call_user_code(self._check, belief)
 
         def each(one: Callable[..., Any]) -> Callable[..., Any]:  # of a tile's rollouts
@@ -68,7 +88,7 @@ class ControllerPrograms:
         """What one rollout carries from tick to tick, of its `state` and the model's (s,) at first."""
         key, seen = jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 1), self._own.observe_state(now)
         bias, late = given["bias"] * _draw_normal(key, seen), jnp.tile(seen, (self._own.delay_buffer + 1, 1))
-        sofar = self._measure(None, self._own.split_state(now))
+        sofar = self._metric.begin(self._own.split_state(now))
         return {"state": state, "late": late, "bias": bias, "tick": jnp.int32(0), "ticks": ticks, "sofar": sofar}
 
     def tick_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> tuple[Array, Any]:
@@ -84,7 +104,7 @@ class ControllerPrograms:
 
     def finish_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> dict[str, Array]:
         """The controller's own figures of one rollout that ends with a state (s,), by name."""
-        return self._figures(given["belief"], carried["state"], self._measured(carried, now))
+        return self._metric.compute(self._measured(carried, now), ControllerEnd(given["belief"], carried["state"]))
 
     def rollout_outputs(self, world: SideValues, belief: SideValues, key: Array) -> Any:
         """What the controller gives, and what reaches MuJoCo's model, of one rollout: to be traced, not to be run."""
@@ -104,7 +124,7 @@ class ControllerPrograms:
 
     def _measured(self, carried: Any, now: Array) -> Any:
         """What is measured so far; a rollout that is over has its end in it already."""
-        new = self._measure(carried["sofar"], self._own.split_state(now))
+        new = self._metric.update(carried["sofar"], self._own.split_state(now))
         within = (carried["tick"] > 0) & (carried["tick"] <= carried["ticks"])  # the start is in it
         return _freeze_ended(within, new, carried["sofar"])
 
@@ -188,9 +208,9 @@ class ControllerPrograms:
         start, state, duration = jax.eval_shape(self._begin, belief, key)
         seen = jax.eval_shape(own.observe_state, now)
         ctrl, after = jax.eval_shape(self._policy, belief, seen, state, key)
-        sofar = jax.eval_shape(lambda: self._measure(None, own.split_state(now)))
-        more = jax.eval_shape(self._measure, sofar, own.split_state(now))
-        found = jax.eval_shape(self._figures, belief, after, sofar)
+        sofar = jax.eval_shape(lambda: self._metric.begin(own.split_state(now)))
+        more = jax.eval_shape(self._metric.update, sofar, own.split_state(now))
+        found = jax.eval_shape(self._metric.compute, sofar, ControllerEnd(belief, after))
         shape = getattr(ctrl, "shape", type(ctrl).__name__)
 
         def differ(*trees: Any) -> bool:

@@ -1,0 +1,56 @@
+"""Tilt of the base."""
+
+from typing import Any, NamedTuple
+
+from sweep.core.metric import Array, CommonRollout, CommonStart, CommonTick, Metric, array_namespace
+
+
+class Tilt(NamedTuple):
+    """Largest tilt so far (deg), and the base's last orientation."""
+
+    largest: Array
+    quat: Array
+
+
+def begin(start: CommonStart) -> Tilt:
+    """Initial state, before the first report."""
+    return Tilt(start.constant(0.0), start.base_quat)
+
+
+def update(state: Tilt, ctx: CommonTick) -> Tilt:
+    """Update the largest tilt."""
+    tilt = ctx.tilt_deg
+    return Tilt(array_namespace(tilt).maximum(state.largest, tilt), ctx.base_quat[..., -1, :])
+
+
+def tilt_deg(quat: Array, xp: Any) -> Array:
+    """Return the angles (...) by which rotations tilt the vertical.
+
+    Args:
+        quat: Unit quaternions (4, ...): their components first.
+        xp: NumPy or jax.numpy, which computes them.
+
+    Returns:
+        Angles in deg.
+    """
+    w, x, y, z = quat
+    return xp.degrees(xp.arctan2(xp.sqrt(x**2 + y**2 + 1e-14), xp.sqrt(w**2 + z**2 + 1e-14)) * 2)
+
+
+def compute(state: Tilt, rollout: CommonRollout) -> dict[str, Array]:
+    """Largest and final tilt."""
+    xp = array_namespace(state.quat)
+    return {"tilt_max_deg": state.largest, "end_tilt_deg": tilt_deg(xp.moveaxis(state.quat, -1, 0), xp)}
+
+
+METRIC = Metric(
+    begin,
+    update,
+    compute,
+    {
+        "tilt_max_deg": "largest tilt of the base from its commanded vertical, or from that of the start where "
+        "nothing commands one",
+        "end_tilt_deg": "tilt of the base from the vertical at the end",
+    },
+    needs=("base",),
+)

@@ -1,0 +1,14 @@
+"""Height of the base."""
+
+from collections.abc import Iterator
+
+from sweep.core.metric import Array, CommonTick, array_namespace, extremes
+
+
+def least_height(ctx: CommonTick) -> Iterator[Array]:
+    """Least height of the base's origin (m)."""
+    height = ctx.base_position[..., 2]
+    yield array_namespace(height).min(height, axis=-1)
+
+
+METRIC = extremes(least_height, {"base_height_min_m": "least height of the base in world axes"}, needs=("base",))

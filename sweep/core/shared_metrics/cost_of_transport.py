@@ -1,0 +1,19 @@
+"""Energy that a way costs."""
+
+from sweep.core.metric import Array, CommonRollout, Metric, array_namespace, initial_state
+
+
+def compute(state: tuple[()], rollout: CommonRollout) -> dict[str, Array]:
+    """Energy over weight and way, from the columns of other metrics."""
+    way = rollout.columns["travelled_m"]
+    xp = array_namespace(way)
+    return {"cost_of_transport": rollout.columns["energy_j"] / (rollout.weight * xp.maximum(xp.abs(way), 1e-9))}
+
+
+METRIC = Metric(
+    initial_state(lambda: ()),
+    lambda state, ctx: state,
+    compute,
+    {"cost_of_transport": "positive work of the drives over weight and way along the commanded direction"},
+    reads=("travelled_m", "energy_j"),
+)

@@ -1,0 +1,15 @@
+"""Speed of the joints."""
+
+from collections.abc import Iterator
+
+from sweep.core.metric import Array, CommonTick, array_namespace, extremes
+
+
+def largest_rate(ctx: CommonTick) -> Iterator[Array]:
+    """Largest rate of a joint (rad/s)."""
+    rates = ctx.joint_rates
+    xp = array_namespace(rates)
+    yield xp.max(xp.abs(rates), axis=(-2, -1))
+
+
+METRIC = extremes(largest_rate, {"joint_speed_max_radps": "largest rate of a hinge joint"}, needs=("hinges",))

@@ -1,0 +1,34 @@
+"""Length of the path of the base."""
+
+from typing import NamedTuple
+
+from sweep.core.metric import Array, CommonStart, CommonTick, Metric, array_namespace
+
+
+class Path(NamedTuple):
+    """Position of the base now, and the length of its path so far (m)."""
+
+    position: Array
+    length: Array
+
+
+def begin(start: CommonStart) -> Path:
+    """Initial state, before the first report."""
+    return Path(start.base_position, start.constant(0.0))
+
+
+def update(state: Path, ctx: CommonTick) -> Path:
+    """Add the distances between successive samples."""
+    samples = ctx.base_position
+    xp = array_namespace(samples)
+    steps = samples - xp.concatenate([state.position[..., None, :], samples[..., :-1, :]], axis=-2)
+    return Path(samples[..., -1, :], state.length + xp.linalg.norm(steps, axis=-1).sum(axis=-1))
+
+
+METRIC = Metric(
+    begin,
+    update,
+    lambda state, rollout: {"path_length_m": state.length},
+    {"path_length_m": "length of the path of the base, sway included"},
+    needs=("base",),
+)

@@ -1,0 +1,55 @@
+"""How far and how fast the base moves."""
+
+from typing import NamedTuple
+
+from sweep.core.metric import Array, CommonRollout, CommonStart, CommonTick, Metric, array_namespace
+
+
+class Travel(NamedTuple):
+    """Positions of the base at the start and now (m), way along the commanded direction (m), time of its motion.
+
+    The way is None where the direction never changes: it follows from the two positions, without a sum's rounding.
+    """
+
+    start: Array
+    position: Array
+    way: Array | None
+    moving: Array
+
+
+def begin(start: CommonStart) -> Travel:
+    """Initial state, before the first report."""
+    zero = start.constant(0.0)
+    return Travel(start.base_position, start.base_position, zero if start.direction_varies else None, zero)
+
+
+def update(state: Travel, ctx: CommonTick) -> Travel:
+    """Add the way along the commanded direction."""
+    way, moving = ctx.motion_along(state.position)
+    total = None if state.way is None else state.way + way
+    return Travel(state.start, ctx.base_position[..., -1, :], total, state.moving + moving)
+
+
+def compute(state: Travel, rollout: CommonRollout) -> dict[str, Array]:
+    """Ways, and the mean speed."""
+    between = state.position - state.start
+    xp = array_namespace(between)
+    way = rollout.displacement_along(between) if state.way is None else state.way
+    return {
+        "distance_m": xp.linalg.norm(between[..., :2], axis=-1),
+        "travelled_m": way,
+        "speed_mps": way / xp.maximum(rollout.integral(state.moving), 1e-9),
+    }
+
+
+METRIC = Metric(
+    begin,
+    update,
+    compute,
+    {
+        "distance_m": "horizontal distance between the first and last position of the base",
+        "travelled_m": "way of the base along the commanded direction",
+        "speed_mps": "mean speed along the commanded direction while the command moves the base",
+    },
+    needs=("base",),
+)

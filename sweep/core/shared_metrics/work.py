@@ -1,0 +1,16 @@
+"""Work of the drives."""
+
+from sweep.core.metric import Array, CommonRollout, CommonTick, Metric, initial_state
+
+
+def update(state: Array, ctx: CommonTick) -> Array:
+    """Add the positive work of a report."""
+    return state + ctx.positive_work
+
+
+def compute(state: Array, rollout: CommonRollout) -> dict[str, Array]:
+    """Positive work in J."""
+    return {"energy_j": rollout.integral(state)}
+
+
+METRIC = Metric(initial_state(lambda work: work, 0.0), update, compute, {"energy_j": "positive work of the drives"})

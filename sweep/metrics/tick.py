@@ -1,0 +1,258 @@
+"""What the robot's engines report to metrics: the rollout before its first tick, each tick, and the rollout at its end.
+
+All of them offer what every system offers (see `sweep.core.metric`), so that shared metrics need nothing else, and the
+robot's own report beside it.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from sweep.controllers.frames import Stance
+from sweep.controllers.observation import Observation
+from sweep.controllers.plan import Plan
+from sweep.core.constants import GRAVITY
+from sweep.core.metric import Cause
+from sweep.core.outcomes import MISSED
+from sweep.core.rotations import conjugate, multiply
+from sweep.core.shared_metrics.attitude import tilt_deg
+from sweep.dynamics.contacts import to_body, to_world
+from sweep.estimation.belief_update import LearnedState
+from sweep.models.case import Case
+from sweep.models.legs import KINDS
+from sweep.models.obstacles.surface import BodyPoses, FreeState, surface_at
+from sweep.models.robot import total_mass
+
+# s; a rollout continues for this time after its plan has ended, and nothing may change then
+REST = 1.0
+# a rollout is stopped when this multiple of its plan's duration has passed
+GRACE = 1.2
+# s; forces are averaged over it, so that a bounce of the feet is neither a fall nor a slip
+BRIEF = 0.05
+
+
+class Tick(NamedTuple):
+    """An engine's report of one control tick. World axes; k points along a leg."""
+
+    torque_peak: Float[Array, "6 3"]  # N m, absolute
+    saturated: Float[Array, "6 3"]  # share of the tick
+    force: Float[Array, "6 3"]  # N, mean, on the feet
+    normal: Float[Array, " 6"]  # N, mean
+    tangential: Float[Array, " 6"]  # N, size of the mean
+    residual: Float[Array, ""]  # N, largest of the solver
+    work: Float[Array, ""]  # J, of drives and pushes
+    effort: Float[Array, ""]  # J, positive drive work only
+    power: Float[Array, "6 3"]  # W, of the drives, mean
+    energy: Float[Array, ""]  # J, kinetic and potential, at the end
+    truth: Observation  # of exact sensors, at the end
+    centre_of_mass: Float[Array, " 3"]  # m, of the robot
+    joints: Float[Array, "6 k 3"]  # m, along each leg: hip, ..., knee, foot
+    bodies: BodyPoses
+
+
+class RolloutStart(NamedTuple):
+    """A rollout before its first tick; engines make it, and metrics begin with it."""
+
+    world: Case
+    plan: Plan
+    position: Float[Array, " 3"]  # m, of the base
+    quat: Float[Array, " 4"]
+    feet: Float[Array, "6 3"]  # m, actual positions
+    free: FreeState
+    energy: Float[Array, ""]  # J
+    learned: LearnedState = LearnedState()
+
+    direction_varies = True
+    torque_groups = len(KINDS)
+
+    @property
+    def base_position(self) -> Float[Array, " 3"]:
+        """See `CommonStart`."""
+        return self.position
+
+    @property
+    def base_quat(self) -> Float[Array, " 4"]:
+        """See `CommonStart`."""
+        return self.quat
+
+    def constant(self, value: Any) -> Array:
+        """Return a constant as a state, floats in the rollout's precision."""
+        return jnp.asarray(value, self.feet.dtype if np.asarray(value).dtype.kind == "f" else None)
+
+    def foot_holds(self) -> "FootHold":
+        """See `CommonStart`."""
+        return FootHold.at_start(self)
+
+
+class MetricTick(NamedTuple):
+    """The context in which metrics are updated: the control tick that has just passed; engines make it."""
+
+    world: Case
+    plan: Plan
+    stage: Int[Array, ""]
+    phase: Float[Array, ""]  # of the stage, 0 to 1
+    finished: Bool[Array, ""]  # the plan
+    stage_start: Float[Array, " 3"]  # m, planned base when the stage began, in its frame
+    target: Stance  # that the tracker commanded
+    reference: Stance  # `target` with the base where exact sensors would have it: the true command, see `Command`
+    shortfall: Float[Array, ""]  # m, of targets beyond the legs' reach
+    tick: Tick
+    period: float  # s, of a tick
+    time: Float[Array, ""]  # s, at its end
+    learned: LearnedState = LearnedState()
+
+    @property
+    def sample_period(self) -> float:
+        """Length of a control tick (s): one sample is at the end of each."""
+        return self.period
+
+    @property
+    def base_position(self) -> Float[Array, "1 3"]:
+        """See `CommonTick`."""
+        return self.tick.truth.position[None]
+
+    @property
+    def base_quat(self) -> Float[Array, "1 4"]:
+        """See `CommonTick`."""
+        return self.tick.truth.quat[None]
+
+    @property
+    def base_velocity(self) -> Float[Array, "1 3"]:
+        """See `CommonTick`."""
+        return self.tick.truth.velocity[None]
+
+    @property
+    def attitude_error(self) -> Float[Array, " 4"]:
+        """Turn of the base from its reference, in the axes of the reference."""
+        return multiply(conjugate(self.reference.quat), self.tick.truth.quat)
+
+    @property
+    def tilt_deg(self) -> Float[Array, ""]:
+        """Tilt of the base from its commanded vertical (deg)."""
+        return tilt_deg(self.attitude_error, jnp)
+
+    @property
+    def joint_rates(self) -> Float[Array, "6 3"]:
+        """Rates (rad/s) at the end of the tick, of six joints in each of the groups alpha, beta and gamma."""
+        return self.tick.truth.rates
+
+    @property
+    def joint_torques(self) -> Float[Array, "6 3"]:
+        """Largest torques (N m) of the tick, of six joints in each of the groups alpha, beta and gamma."""
+        return self.tick.torque_peak
+
+    @property
+    def positive_work(self) -> Float[Array, ""]:
+        """Positive work of the drives (J)."""
+        return self.tick.effort
+
+    def motion_along(self, before: Float[Array, " 3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Return the way (m) along the stage's planned direction, and the time (s) if the plan moves the base."""
+        way = self.plan.position[self.stage] - self.stage_start
+        length = jnp.linalg.norm(way)
+        moving = (length > 1e-6) & ~self.finished
+        step = (self.tick.truth.position - before) @ (way / jnp.maximum(length, 1e-6))
+        return jnp.where(moving, step, 0.0), jnp.where(moving, self.period, 0.0)
+
+
+def time_left(ctx: MetricTick) -> Float[Array, ""]:
+    """Remaining duration of the plan (s); stages may have ended before their time."""
+    duration = ctx.plan.duration
+    later = jnp.sum(jnp.where(jnp.arange(len(duration)) > ctx.stage, duration, 0.0))
+    return later + (1 - ctx.phase) * duration[ctx.stage]
+
+
+class FootHold(NamedTuple):
+    """Where feet took hold (m), in the axes of the body under them, which body that is, and which feet hold.
+
+    A foot that slides from one body to another without a swing keeps the point on the first one.
+    """
+
+    place: Float[Array, "6 3"]
+    body: Int[Array, " 6"] | None  # -1 is fixed ground; None where there is nothing else
+    holds: Bool[Array, " 6"]
+
+    @classmethod
+    def at_start(cls, start: RolloutStart) -> "FootHold":
+        """State of feet that have not been loaded yet."""
+        body = jnp.full(6, -1, jnp.int32) if len(start.free.position) else None
+        return cls(jnp.zeros_like(start.feet), body, jnp.zeros(6, bool))
+
+    def update(self, ctx: MetricTick) -> tuple["FootHold", Float[Array, " 6"]]:
+        """Update after a tick, and return the distance of each loaded foot from where it took hold (m).
+
+        A foot takes hold at its actual position when it is first loaded: after the start, or in the second half of a
+        swing. A standing foot that is unloaded for a moment keeps its point, so that chattering does not hide a slip.
+        """
+        tick = ctx.tick
+        feet = tick.joints[:, -1]
+        swings = ctx.plan.swing[ctx.stage] & ~ctx.finished
+        holds = jnp.where(swings, tick.truth.loaded & (ctx.phase > 0.5), self.holds | tick.truth.loaded)
+        held = holds & self.holds
+        here = surface_at(ctx.world.obstacle, feet, tick.bodies).body.astype(jnp.int32)
+        body = here if self.body is None else jnp.where(held, self.body, here)
+        place = jnp.where(held[:, None], self.place, to_body(feet, body, tick.bodies))
+        way = jnp.linalg.norm(feet - to_world(place, body, tick.bodies), axis=-1)
+        return FootHold(place, None if self.body is None else body, holds), jnp.where(
+            holds & tick.truth.loaded, way, 0.0
+        )
+
+
+class PlanTail(NamedTuple):
+    """Positions (m) and time (s) at the start of the plan's last part, for mean velocities since then."""
+
+    place: Float[Array, "*k 3"]
+    time: Float[Array, ""]
+
+    def update(self, ctx: MetricTick, place: Float[Array, "*k 3"], length: float) -> "PlanTail":
+        """Follow positions until the last `length` seconds of the plan begin.
+
+        Args:
+            ctx: The tick.
+            place: Positions at its end (m).
+            length: Duration of the last part (s).
+        """
+        before = time_left(ctx) > length
+        return PlanTail(jnp.where(before, place, self.place), jnp.where(before, ctx.time, self.time))
+
+    def mean_velocity(self, place: Float[Array, "*k 3"], time: Array) -> Float[Array, "*k 3"]:
+        """Mean velocity (m/s) from the start of the last part to positions `place` (m) at `time` (s)."""
+        return (place - self.place) / jnp.maximum(time - self.time, 1e-9)
+
+
+class Rollout(NamedTuple):
+    """A rollout up to the last tick, from which metrics are computed."""
+
+    world: Case
+    plan: Plan
+    time: Float[Array, ""]  # s
+    stage: Int[Array, ""]
+    columns: Mapping[str, Array] = MappingProxyType({})  # of the metrics before
+
+    @property
+    def weight(self) -> Array | float:
+        """Weight of the robot (N)."""
+        return GRAVITY * total_mass(self.world.robot)
+
+    def integral(self, total: Array) -> Array:
+        """Return the sum as it is: the engines report integrals over a tick."""
+        return total
+
+    def displacement_along(self, way: Array) -> Array:
+        """Refuse: the planned direction changes from stage to stage."""
+        raise NotImplementedError
+
+
+def goal_cause(sentence: str, metric: str, **options: Any) -> Cause:
+    """Make a cause for a part of the goal, judged at the end, if the manoeuvre's goal has a threshold for it.
+
+    Args:
+        sentence: What happened, for messages.
+        metric: Name of the metric.
+        options: Fields of `Cause`.
+    """
+    return Cause(MISSED, sentence, metric, None, known_at="end", **options)

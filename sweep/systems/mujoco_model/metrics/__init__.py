@@ -1,0 +1,14 @@
+"""Metrics of MuJoCo models that the built-in robot does not have; each module is one, and a new one is found by itself.
+
+Those of `sweep.core.shared_metrics` exist for models as well. Their causes do not: a scenario defines its own.
+"""
+
+from sweep.core import shared_metrics
+from sweep.core.metric import Cause, Metric, find_metrics
+
+OWN = find_metrics(__name__)
+METRICS: tuple[Metric, ...] = (*shared_metrics.METRICS.values(), *OWN.values())
+# every model has them; those of invalidity decide before others
+CAUSES: tuple[Cause, ...] = tuple(
+    sorted((cause for metric in OWN.values() for cause in metric.causes), key=lambda cause: not cause.invalid)
+)

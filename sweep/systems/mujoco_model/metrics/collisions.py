@@ -1,0 +1,36 @@
+"""Touches of parts that should touch nothing."""
+
+from typing import NamedTuple
+
+from sweep.core.metric import Metric, initial_state
+from sweep.systems.mujoco_model.tick import Array, ModelRollout, ModelTick
+
+
+class Collisions(NamedTuple):
+    """Number of steps with a touch, and loads added up over steps (N)."""
+
+    touched: Array
+    load: Array
+
+
+def update(state: Collisions, ctx: ModelTick) -> Collisions:
+    """Add the touches of a report."""
+    touch = ctx.steps["sensordata"][..., ctx.parts.collision_sensors].sum(axis=2)
+    return Collisions(state.touched + (touch > 0).sum(axis=1), state.load + touch.sum(axis=1))
+
+
+def compute(state: Collisions, rollout: ModelRollout) -> dict[str, Array]:
+    """Share of the steps with a touch, and the impulse."""
+    return {"collision_share": rollout.share(state.touched), "collision_impulse_ns": rollout.integral(state.load)}
+
+
+METRIC = Metric(
+    initial_state(Collisions, 0.0, 0.0),
+    update,
+    compute,
+    {
+        "collision_share": "share of the steps in which a sensor of `collisions` touched",
+        "collision_impulse_ns": "load of the sensors of `collisions`, added up over time",
+    },
+    needs=("collisions",),
+)

@@ -1,0 +1,19 @@
+"""Way of the base to the side."""
+
+from sweep.core.metric import Metric, initial_state
+from sweep.systems.mujoco_model.tick import Array, ModelRollout
+
+
+def compute(state: tuple[()], rollout: ModelRollout) -> dict[str, Array]:
+    """Way to the left of the commanded direction."""
+    way = (rollout.last - rollout.start)[:, rollout.parts.base_position]
+    return {"drift_m": way @ rollout.parts.left}
+
+
+METRIC = Metric(
+    initial_state(lambda: ()),
+    lambda state, ctx: state,
+    compute,
+    {"drift_m": "way of the base to the left of `direction`"},
+    needs=("base",),
+)

@@ -1,0 +1,14 @@
+"""Loads of the feet."""
+
+from collections.abc import Iterator
+
+from sweep.core.metric import extremes
+from sweep.systems.mujoco_model.tick import Array, ModelTick
+
+
+def largest_load(ctx: ModelTick) -> Iterator[Array]:
+    """Largest load of a foot (N)."""
+    yield ctx.foot_loads.max(axis=(1, 2))
+
+
+METRIC = extremes(largest_load, {"load_max_n": "largest load of a foot"}, needs=("feet",))

@@ -1,0 +1,42 @@
+"""Steps that the contact solver left unsolved."""
+
+import numpy as np
+
+from sweep.core.metric import Metric, array_namespace, initial_state
+from sweep.systems.mujoco_model.tick import Array, ModelTick
+
+BALANCE = ("qacc", "qfrc_smooth", "qfrc_constraint")  # recorded of each step for `is_unbalanced`, beside M
+BALANCED = 0.01  # share of the forces, up to which those of a step are in balance
+
+
+def update(state: Array, ctx: ModelTick) -> Array:
+    """Add the unsolved steps of a report."""
+    return state + ctx.steps["unsolved"].sum(axis=1)
+
+
+@np.errstate(invalid="ignore", over="ignore")
+def is_unbalanced(mass: Array, qacc: Array, smooth: Array, constraint: Array) -> Array:
+    """Return which steps a solver left unsolved: of M a = f + Jᵀλ more than a small share does not hold.
+
+    Each component counts by its own inertia, M's diagonal, so that forces and moments are both in √kg m/s². What is
+    left over is the gradient of what the solver minimizes, and 0 at its minimum.
+
+    Args:
+        mass: M (..., nv, nv).
+        qacc: Accelerations a (..., nv).
+        smooth: Forces f (..., nv).
+        constraint: Forces of constraints Jᵀλ (..., nv).
+    """
+    xp = array_namespace(mass)
+    left = (mass @ qacc[..., None])[..., 0] - smooth - constraint
+    inertia = xp.diagonal(mass, axis1=-2, axis2=-1)
+    left, smooth, constraint = (xp.sqrt((one**2 / inertia).sum(axis=-1)) for one in (left, smooth, constraint))
+    return left > BALANCED * (smooth + constraint)
+
+
+METRIC = Metric(
+    initial_state(lambda count: count, 0.0),
+    update,
+    lambda state, rollout: {"unsolved_share": rollout.share(state)},
+    {"unsolved_share": "share of the steps that the contact solver left unsolved"},
+)

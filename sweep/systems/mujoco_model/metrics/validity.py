@@ -1,0 +1,38 @@
+"""What makes a rollout invalid: numbers that are not finite, and full buffers."""
+
+import numpy as np
+
+from sweep.core.metric import EVERY_COLUMN, Cause, Metric, array_namespace, initial_state
+from sweep.systems.mujoco_model.tick import Array, ModelRollout, ModelTick
+
+
+def update(state: Array, ctx: ModelTick) -> Array:
+    """Update whether positions and velocities were finite in all steps."""
+    total = ctx.steps["qpos"].sum(axis=(1, 2)) + ctx.steps["qvel"].sum(axis=(1, 2))
+    return state & array_namespace(total).isfinite(total)
+
+
+def compute(state: Array, rollout: ModelRollout) -> dict[str, Array]:
+    """Return 1 where the rollout is invalid; any column that is not finite makes it so."""
+    finite = state & np.isfinite(np.stack([*rollout.columns.values()])).all(axis=0) & ~rollout.broken
+    return {"not_finite": (~finite).astype(float), "buffer_full": rollout.full.astype(float)}
+
+
+def _invalid(name: str, sentence: str) -> Cause:
+    return Cause(name, sentence, name, 0.0, key="", known_at="end", invalid=True)
+
+
+METRIC = Metric(
+    initial_state(lambda finite: finite, True),
+    update,
+    compute,
+    {
+        "not_finite": "1 where a number was not finite",
+        "buffer_full": "1 where MuJoCo's buffer for contacts or constraints was full",
+    },
+    causes=(
+        _invalid("not_finite", "a number of the simulation or controller was not finite"),
+        _invalid("buffer_full", "MuJoCo's buffer for contacts or constraints was full"),
+    ),
+    reads=(EVERY_COLUMN,),
+)

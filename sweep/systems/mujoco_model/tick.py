@@ -1,0 +1,240 @@
+"""What engines of MuJoCo models report to metrics: the rollouts of a batch before, during and after their ticks.
+
+All of them offer what every system offers (see `sweep.core.metric`), and what MuJoCo recorded of each physics step
+beside it. Arrays have the rollouts first: (n, ...), those of a report (n, s, ...) for s physics steps.
+"""
+
+from collections.abc import Mapping
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from sweep.core.constants import GRAVITY, LOADED
+from sweep.core.metric import Array, array_namespace
+from sweep.systems.mujoco_model.model_spec import ModelSpec, angle_deg, cosine_of_tilt
+
+STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")  # recorded of each step
+LIMITED = 0.999  # share of a limit, from which an actuator or a joint is at it
+
+
+class ModelParts:
+    """Where the parts of a model, of which metrics are made, are in MuJoCo's arrays."""
+
+    def __init__(self, own: ModelSpec):
+        model = own.model
+        self.timestep = model.opt.timestep
+        self.has_base = own.base_address is not None
+        first = own.base_address or 0
+        self.base_position, self.base_quat = slice(first, first + 3), slice(first + 3, first + 7)  # in qpos
+        free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
+        dof = int(model.jnt_dofadr[free[0]]) if len(free) else 0
+        self.base_velocity = slice(dof, dof + 3)  # in qvel
+        self.direction = np.array(own.config.direction) / np.linalg.norm(own.config.direction)
+        ahead = self.direction
+        self.left = np.cross([0.0, 0.0, 1.0], ahead) if ahead[:2].any() else np.array([0.0, 1.0, 0.0])
+        self.left /= np.linalg.norm(self.left)
+        hinges = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE))
+        self.hinge_dofs = model.jnt_dofadr[hinges]
+        on_joints = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
+        self.hinge_drives = np.flatnonzero(on_joints & np.isin(model.actuator_trnid[:, 0], hinges))
+        self.hinge_gears = np.abs(model.actuator_gear[self.hinge_drives, 0])
+        self.force_limited = np.flatnonzero(model.actuator_forcelimited)
+        slides = model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
+        self.limited_joints = np.flatnonzero(model.jnt_limited.astype(bool) & slides)
+        self.limited_positions = model.jnt_qposadr[self.limited_joints]
+        self.foot_sensors = model.sensor_adr[feet := own.touch_sensors("feet")]
+        self.foot_sites = model.sensor_objid[feet]
+        self.collision_sensors = model.sensor_adr[own.touch_sensors("collisions")]
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Parts that the model has, of those that `Metric.needs` names."""
+        has = {
+            "base": self.has_base,
+            "hinges": len(self.hinge_dofs),
+            "hinge_drives": len(self.hinge_drives),
+            "force_limits": len(self.force_limited),
+            "joint_limits": len(self.limited_joints),
+            "feet": len(self.foot_sites),
+            "collisions": len(self.collision_sensors),
+        }
+        return frozenset(name for name, there in has.items() if there)
+
+
+class ModelStart(NamedTuple):
+    """The rollouts of a batch before their first tick."""
+
+    parts: ModelParts
+    qpos: Array  # (n, nq)
+
+    direction_varies = False
+
+    @property
+    def torque_groups(self) -> int:
+        """Number of drives of hinge joints: each is a group of its own."""
+        return len(self.parts.hinge_drives)
+
+    @property
+    def base_position(self) -> Array:
+        """See `CommonStart`; of the first free joint."""
+        return self.qpos[:, self.parts.base_position]
+
+    @property
+    def base_quat(self) -> Array:
+        """See `CommonStart`; of the first free joint."""
+        return self.qpos[:, self.parts.base_quat]
+
+    def constant(self, value: Any) -> Array:
+        """Return a constant for each rollout, floats in the rollouts' precision."""
+        xp, value = array_namespace(self.qpos), np.asarray(value)
+        dtype = self.qpos.dtype if value.dtype.kind == "f" else value.dtype
+        return xp.broadcast_to(xp.asarray(value, dtype), (len(self.qpos), *value.shape))
+
+    def foot_holds(self) -> "TouchHolds":
+        """See `CommonStart`."""
+        feet = len(self.parts.foot_sites)
+        return TouchHolds(self.constant(np.zeros((feet, 2))), self.constant(np.zeros(feet, bool)))
+
+
+class ModelTick:
+    """Physics steps that were simulated since the report before, of all rollouts of a batch.
+
+    Args:
+        parts: Places of the model's parts.
+        steps: Recorded values (n, s, ...) by MuJoCo's name, and `unsolved` (n, s); with pushes `push_work` (n,) in J.
+        limits: The models' own limits, `actuator_forcerange` and `jnt_range`, (n, ..., 2).
+        start: Positions (n, nq) before the first tick.
+    """
+
+    def __init__(self, parts: ModelParts, steps: Mapping[str, Array], limits: Mapping[str, Array], start: Array):
+        self.parts, self.steps, self.limits, self.start = parts, steps, limits, start
+        self.number = steps["qpos"].shape[1]  # of steps
+
+    @property
+    def sample_period(self) -> float:
+        """Physics time step (s)."""
+        return self.parts.timestep
+
+    @property
+    def base_position(self) -> Array:
+        """See `CommonTick`; of the first free joint."""
+        return self.steps["qpos"][..., self.parts.base_position]
+
+    @property
+    def base_quat(self) -> Array:
+        """See `CommonTick`; of the first free joint."""
+        return self.steps["qpos"][..., self.parts.base_quat]
+
+    @property
+    def base_velocity(self) -> Array:
+        """See `CommonTick`; of the first free joint."""
+        return self.steps["qvel"][..., self.parts.base_velocity]
+
+    @property
+    def tilt_deg(self) -> Array:
+        """Largest angle (n,) of the first free joint's body from how it stood at the start."""
+        start = self.start[:, None, self.parts.base_quat]
+        return angle_deg(cosine_of_tilt(self.base_quat, start).min(axis=1))
+
+    @property
+    def joint_rates(self) -> Array:
+        """See `CommonTick`."""
+        return self.steps["qvel"][..., self.parts.hinge_dofs]
+
+    @property
+    def joint_torques(self) -> Array:
+        """Absolute torque (n, s, k) in N m of each drive of a hinge joint, at the joint."""
+        force = self.steps["actuator_force"][..., self.parts.hinge_drives]
+        return array_namespace(force).abs(force) * self.parts.hinge_gears
+
+    @cached_property
+    def power(self) -> Array:
+        """Mechanical power (n, s, nu) of each actuator in W."""
+        return self.steps["actuator_force"] * self.steps["actuator_velocity"]
+
+    @property
+    def positive_work(self) -> Array:
+        """Positive power of the actuators, summed over steps (n,), in W."""
+        return array_namespace(self.power).maximum(self.power, 0.0).sum(axis=(1, 2))
+
+    @cached_property
+    def foot_loads(self) -> Array:
+        """Load (n, s, feet) of each foot in N."""
+        return self.steps["sensordata"][..., self.parts.foot_sensors]
+
+    def motion_along(self, before: Array) -> tuple[None, int]:
+        """Return no way, since the direction never changes, and the number of steps."""
+        return None, self.number
+
+
+class TouchHolds(NamedTuple):
+    """Where each foot touched the ground last, in the ground's plane (m), and which feet are loaded."""
+
+    place: Array  # (n, feet, 2)
+    loaded: Array  # (n, feet)
+
+    def update(self, ctx: ModelTick) -> tuple["TouchHolds", Array]:
+        """Return the state after a report, and the farthest that each foot was from there while loaded (n, feet)."""
+        loaded, place = ctx.foot_loads > LOADED, ctx.steps["site_xpos"][:, :, ctx.parts.foot_sites, :2]
+        xp = array_namespace(place)
+        before = xp.concatenate([self.loaded[:, None], loaded[:, :-1]], axis=1)
+        landed = xp.where(loaded & ~before, xp.arange(ctx.number)[:, None], -1)
+        when = xp.maximum.accumulate(landed, axis=1)[..., None]  # the last step at which it came down
+        there = xp.take_along_axis(place, xp.maximum(when, 0), axis=1)
+        down = xp.where(when >= 0, there, self.place[:, None])
+        moved = xp.hypot(*xp.moveaxis(place - down, -1, 0)) * loaded
+        return TouchHolds(down[:, -1], loaded[:, -1]), moved.max(axis=1)
+
+
+class ModelRollout(NamedTuple):
+    """The rollouts of a batch after their last tick, in NumPy's arrays (n, ...)."""
+
+    parts: ModelParts
+    steps: np.ndarray  # number of physics steps
+    start: np.ndarray  # positions (n, nq)
+    last: np.ndarray  # likewise
+    mass: np.ndarray  # kg
+    gained: np.ndarray  # J, energy at the end less that at the start
+    broken: np.ndarray  # whether the engine found a number that is not finite
+    full: np.ndarray  # whether a buffer was full
+    columns: Mapping[str, np.ndarray] = MappingProxyType({})  # of the metrics before
+
+    @property
+    def time(self) -> np.ndarray:
+        """Simulated time (s)."""
+        return self.steps * self.parts.timestep
+
+    @property
+    def weight(self) -> np.ndarray:
+        """Weight of the model (N)."""
+        return self.mass * GRAVITY
+
+    def integral(self, total: np.ndarray) -> np.ndarray:
+        """Return the integral over time of what was summed over physics steps."""
+        return total * self.parts.timestep
+
+    def share(self, count: np.ndarray) -> np.ndarray:
+        """Return the share of the physics steps that a count of them is."""
+        return count / np.maximum(self.steps, 1)
+
+    def displacement_along(self, way: np.ndarray) -> np.ndarray:
+        """Return the part of displacements (n, 3) along `model.direction`."""
+        return way @ self.parts.direction
+
+
+def share_at_limit(values: Array, limits: Array) -> Array:
+    """Return shares of numbers at an end of their range, summed over steps.
+
+    Args:
+        values: Numbers (n, s, k).
+        limits: Their ranges (n, k, 2).
+
+    Returns:
+        Sums over s of the shares of the k numbers, (n,).
+    """
+    low, high = array_namespace(values).moveaxis(limits[:, None], -1, 0)
+    room = (1 - LIMITED) * (high - low)
+    return ((values <= low + room) | (values >= high - room)).mean(axis=2).sum(axis=1)
