@@ -23,6 +23,7 @@ ROOT = Path(__file__).parents[1]
 WORKER = ("sweep.runs.runner",)  # what it imports can change a row
 PROGRAMS = ("sweep.engines", "sweep.manoeuvres")  # what they import can change a compiled program
 SEARCH = (*WORKER, "sweep.runs.tuning", "sweep.planning.score")  # can change what a search of a plan's numbers finds
+WHOLE = ("sweep.study.design_kinds",)  # packages that import each of their modules, without naming them
 LIBRARIES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "llvmlite", "numpy", "scipy", "SALib")
 CPU_INFO = Path("/proc/cpuinfo")
 _parsed: dict[str, tuple[list[str], str]] = {}  # see `_read`
@@ -114,6 +115,8 @@ def list_source_files(modules: tuple[str, ...]) -> tuple[Path, ...]:
             if name not in found and (file := _file(name)):
                 found[name] = file
                 todo += _read(file)[0]
+                if name in WHOLE:
+                    todo += [f"{name}.{module.stem}" for module in file.parent.glob("*.py") if module != file]
     return tuple(sorted(found.values()))
 
 
