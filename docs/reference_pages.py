@@ -28,6 +28,7 @@ from sweep.study.analytic_limits import KEYS as THEORY_KEYS
 from sweep.study.design_kinds.base import Design
 from sweep.study.study import Expectation, StudySchema
 from sweep.systems.mujoco_model import metrics as own_metrics
+from sweep.systems.mujoco_model import onnx_operators, policy_spec
 
 FOLDER = Path(__file__).parent / "reference"
 NOTE = "<!-- written by `python docs/reference_pages.py` -->"
@@ -52,6 +53,7 @@ def pages() -> dict[str, str]:
         "cli.md": cli_page(),
         "exit_codes.md": exit_codes_page(),
         "study_file.md": study_file_page(),
+        "policy_file.md": policy_file_page(),
         "python.md": python_page(),
         "formats.md": formats_page(),
     }
@@ -261,6 +263,49 @@ def design_settings() -> str:
     said |= {name: f"of {' and '.join(kinds)}: {said[name]}" for name, kinds in owners}
     members = [one for one in dataclasses.fields(design_kinds.make_schema()) if one.name != "correlation"]
     return table(("key", "default", "meaning"), ((code(f.name), code(f.default), said[f.name]) for f in members))
+
+
+def policy_file_page() -> str:
+    """Keys of a specification of a learned policy."""
+
+    def keys(cls: type) -> str:
+        said = reference.member_comments(cls)
+        rows = ((code(f.name), said[f.name]) for f in dataclasses.fields(cls))
+        return table(("key", "meaning"), rows)
+
+    terms = ((code(name), format_unit(unit), ", ".join(code(k) for k, v in policy_spec.ALIASES.items() if v == name))
+             for name, unit in policy_spec.UNITS.items())  # fmt: skip
+    presets = ((code(name), ", ".join(one if isinstance(one, str) else one["term"] for one in about["observation"]))
+               for name, about in policy_spec.PRESETS.items())  # fmt: skip
+    return join_parts(
+        "# Policy file",
+        "`walk.policy.yaml` beside `walk.onnx` says how a learned policy was trained. "
+        "[Run a learned policy](../howto/run_a_learned_policy.md) shows how to write one. A key of the file wins over "
+        "the network's metadata, and these over the preset.",
+        "## Keys",
+        keys(policy_spec.PolicySpec),
+        "## `observation[]`",
+        "A term is its name, or a mapping with these keys. Errors of measurement come first, then `clip`, then "
+        "`scale`, then earlier ticks.",
+        keys(policy_spec.TermSpec),
+        table(("term", "unit", "also called"), terms),
+        "`base_*` and `projected_gravity` are those of the first free joint's body, in its axes. With the key `sensor` "
+        "a term is read from a sensor instead, such as a height scan from rangefinders.",
+        "## `action`",
+        "The command of a joint is `offset + scale * clip(output)`.",
+        keys(policy_spec.ActionSpec),
+        "## `recurrent[]`",
+        keys(policy_spec.RecurrentSpec),
+        "## Presets",
+        "All have the commands `velocity_x`, `velocity_y`, `yaw_rate` and an action scale of 0.5.",
+        table(("preset", "terms in order"), presets),
+        "## Metadata of the network",
+        "`joint_names`, `default_joint_pos`, `joint_stiffness`, `joint_damping`, `action_scale` and "
+        "`observation_names` are read, as exporters of mjlab and Isaac Lab write them: words or numbers "
+        "with commas between.",
+        "## Operators of the network",
+        ", ".join(map(code, sorted([*onnx_operators.OPERATORS, "Constant"]))) + ".",
+    )
 
 
 def study_file_page() -> str:

@@ -27,6 +27,7 @@ TUNED = {
     "robot": ["scenario=pole_top", "study=pole_sizes", "study.design.num=2"],
     "own": ["scenario=own"],
 }
+CHECKED = {"robot": "walk_tripod", "own": "own"}
 EXPORTED = {"robot": ["scenario=walk_tripod"], "own": ["scenario=own"]}
 
 
@@ -79,6 +80,7 @@ def lines(system):
         "replay --mcap": ["replay", "a", "1", "--mcap", "r.mcap"],
         "replay --states": ["replay", "a", "1", "--states", "states.parquet"],
         "view": ["view", "a", "1", "-o", "v.html"],
+        "policy check": ["policy", "check", CHECKED[system]],
         "tune": ["tune", *TUNED[system], "--check"],
         "export-model": ["export-model", *EXPORTED[system], "out=exported"],
     }

@@ -20,7 +20,11 @@ GUIDE = [ROOT / "README.md", ROOT / "results/README.md", *sorted((ROOT / "docs")
 EVIDENCE = sorted((ROOT / "research").rglob("*.md"))
 PAGES = [*GUIDE, *EVIDENCE]
 # followed to the letter by tests of their own
-FOLLOWED = {ROOT / "docs/own_model.md", *(ROOT / f"docs/howto/{name}.md" for name in test_extending.SAID)}
+FOLLOWED = {
+    ROOT / "docs/own_model.md",
+    ROOT / "docs/howto/run_a_learned_policy.md",
+    *(ROOT / f"docs/howto/{name}.md" for name in test_extending.SAID),
+}
 BLOCK = re.compile(r"(?:^    .*\n|^\n(?=    ))+", re.MULTILINE)
 FENCE = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
 

@@ -9,6 +9,7 @@ import numpy as np
 import onnxruntime
 import pandas as pd
 import pytest
+import yaml
 from onnx.reference import ReferenceEvaluator
 from robots import HOME, save_lstm, save_perceptron, write_project
 from small_study import one_line
@@ -16,9 +17,11 @@ from small_study import one_line
 from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
-from sweep.runs import batches
+from sweep.runs import batches, store
 from sweep.runs.runner import select_points
+from sweep.systems.mujoco_model import policy_spec
 
+PAGE = Path(__file__).parents[1] / "docs/howto/run_a_learned_policy.md"
 GRAVITY = np.array([0.0, 0.0, -1.0])
 JOYSTICK = "preset: playground\ncommands: {velocity_x: 0.5, velocity_y: 0.0, yaw_rate: 0.1}\n"
 GAIT = """
@@ -190,3 +193,48 @@ def test_a_mistake_in_a_specification_is_one_line(here, capsys, policy, line):
     assert main(["run", "study=one", "out=wrong"]) == 2
     one_line(capsys.readouterr().err, line)
     assert not Path("wrong").exists()
+
+
+def test_the_first_tick_is_printed_term_by_term(here, capsys):
+    write_project(here, GAIT)
+    save_perceptron("walk.onnx", (73, 64, 12), 0.5)
+    assert main(["policy", "check", "own", "controller.velocity_x=0.25"]) == 0
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert "| command | | 0.5 0 0.025 |" in lines
+    assert "| projected_gravity | | 0 0 -1 |" in lines
+    network = onnxruntime.InferenceSession("walk.onnx", providers=["CPUExecutionProvider"])
+    seen = np.concatenate([np.zeros(5), [-1, 0.5, 0, 0.025], np.zeros(60), [1, np.cos(3.14159), 0, np.sin(3.14159)]])
+    (action,) = network.run(None, {"obs": seen[None]})[0]
+    assert f"| lf_hip | {action[1]:.4g} | {0.795 + 0.3 * action[1]:.4g} |" in lines
+
+
+def test_the_page_as_it_stands(here, monkeypatch):
+    write_project(here, JOYSTICK)
+    save_perceptron("walk.onnx", (48, 12), 0.1)
+    Path("walk.policy.yaml").unlink()
+    text = PAGE.read_text()
+    init, check, run, report = (line.split()[1:] for line in re.findall(r"^    (sweep .*)$", text, re.MULTILINE))
+    assert main(init) == 0
+    monkeypatch.chdir("walk")
+    assert main(check) == 0
+    assert main([*run, "model.duration=0.1"]) == 0
+    assert main(report) == 0
+    rows = store.read_rows(Path("results/push_delay"))
+    assert len(rows) == 6 * 5
+    assert set(rows["world.noise.action_delay"]) == {0, 5, 10, 15, 20}
+    (sample,) = re.findall(r"(?:^    (?!sweep).*\n)+", text, re.MULTILINE)
+    spec = policy_spec.parse_policy("walk.policy.yaml", yaml.safe_load(sample), {})
+    assert len(policy_spec.parse_terms("", spec.observation)) == 6
+
+
+@pytest.mark.parametrize(("words", "line"), [
+    (["--policy", "walk.onnx"], "--policy and --mjcf are wanted together"),
+    (["--policy", "run.onnx", "--mjcf", "robot.xml"], "--policy run.onnx is not a file"),
+    (["--policy", "walk.onnx", "--mjcf", "robot.xml", "--preset", "isaacgym"], "--preset isaacgym is unknown"),
+])  # fmt: skip
+def test_a_project_that_cannot_be_made_is_one_line(here, capsys, words, line):
+    write_project(here, JOYSTICK)
+    save_perceptron("walk.onnx", (48, 12))
+    assert main(["init", *words, "made"]) == 2
+    one_line(capsys.readouterr().err, line)
+    assert not Path("made").exists()

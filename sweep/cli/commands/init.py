@@ -23,6 +23,11 @@ def add_arguments(parser: Arguments) -> None:
     parser.add_argument(
         "--model", action="store_true", help="with an example MuJoCo model and controller, see docs/own_model.md"
     )
+    parser.add_argument("--policy", metavar="FILE", help="with a learned policy: a network such as walk.onnx")
+    parser.add_argument("--mjcf", metavar="FILE", help="the MuJoCo model that the policy controls")
+    parser.add_argument("--preset", metavar="NAME", default="playground",
+                        help="the framework that trained it: playground, playground_gait, mjlab or isaaclab "
+                             "(default: playground)")  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,24 +38,29 @@ def run(args: argparse.Namespace) -> int:
     if not str(args.dir).strip():
         raise InputError(f"dir = {str(args.dir)!r} is not allowed: a new or empty folder")
     folder = Path(args.dir)
-    source, study = ("template_model", "grip") if args.model else ("template", "first")
-    wanted = [(file, folder / Path(*path)) for file, path in template_files(files("sweep.cli") / source)]
-    there = {path for _, path in wanted if path.exists()}
-    others = [path for file, path in wanted if path in there and not has_content_of(path, file)]
+    if bool(args.policy) != bool(args.mjcf) or (args.policy and args.model):
+        raise InputError("--policy and --mjcf are wanted together, without --model")
+    if args.policy:
+        from sweep.cli import policy_project
+
+        contents, study = policy_project.project_files(Path(args.policy), Path(args.mjcf), args.preset), "push_delay"
+    else:
+        source, study = ("template_model", "grip") if args.model else ("template", "first")
+        every = template_files(files("sweep.cli") / source)
+        contents = {str(Path(*path)): file.read_bytes() for file, path in every}
+    wanted = {folder / name: content for name, content in contents.items()}
+    there = {path for path in wanted if path.exists()}
+    others = [path for path in there if not (path.is_file() and path.read_bytes() == wanted[path])]
     if others or len(there) == len(wanted):
-        raise InputError(f"{(others or sorted(there))[0]} is there already: choose an empty folder")
-    for file, path in wanted:
+        raise InputError(f"{min(others or there)} is there already: choose an empty folder")
+    for path, content in wanted.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         if path not in there:
-            write_atomically(path, file.read_bytes())
+            write_atomically(path, content)
         print(path)
-    print(f"next: cd {shlex.quote(str(folder))}; sweep run study={study}")
+    check = "sweep policy check own; " if args.policy else ""
+    print(f"next: cd {shlex.quote(str(folder))}; {check}sweep run study={study}")
     return DONE
-
-
-def has_content_of(path: Path, file: Traversable) -> bool:
-    """Whether a file has the same content as one of the package."""
-    return path.is_file() and path.read_bytes() == file.read_bytes()
 
 
 def template_files(folder: Traversable, above: tuple[str, ...] = ()) -> Iterator[tuple[Traversable, tuple[str, ...]]]:

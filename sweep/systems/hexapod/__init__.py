@@ -82,7 +82,7 @@ class Hexapod:
     metric_names = frozenset({*outcome.COLUMNS, *outcome.BOOKKEEPING})
     bookkeeping_metrics = frozenset(outcome.BOOKKEEPING | {"finite", "finished", "end_stage"})
     replay_formats = ("mcap", "states", "model", "plot", "png", "video")
-    unsupported_commands = MappingProxyType({})
+    unsupported_commands = MappingProxyType({"policy": "its controllers are built in"})
     audit_variants = WAYS
     device = staticmethod(run_id.describe_device)
     run_id = staticmethod(run_id.run_id)

@@ -25,7 +25,7 @@ from sweep.systems.mujoco_model.accumulator import MetricAccumulator, ModelMetri
 from sweep.systems.mujoco_model.disturbances import delay_commands
 from sweep.systems.mujoco_model.metrics.unsolved import BALANCE, is_unbalanced
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
-from sweep.systems.mujoco_model.policy import ControllerBatch, ControllerPrograms
+from sweep.systems.mujoco_model.policy import ControllerBatch, ControllerPrograms, FirstTick
 from sweep.systems.mujoco_model.tick import STEPS
 
 FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]  # others are worse
@@ -88,6 +88,12 @@ class ModelEngine:
         begun = batch.start_batch(self._own, self._settings, SideValues(), SideValues(), np.zeros(1, np.int64))
         with self._within():
             self._programs.check_start(begun)
+
+    def evaluate_first_tick(self) -> FirstTick:
+        """Evaluate the controller at the nominal start. Raises `InputError` where it fails."""
+        begun = batch.start_batch(self._own, self._settings, SideValues(), SideValues(), np.zeros(1, np.int64))
+        with self._within():
+            return self._programs.evaluate_first_tick(begun)
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
         """Raise `InputError` where models cannot differ in what `paths` name; what is to be known before, as lines."""

@@ -45,8 +45,28 @@ class LearnedPolicy(NamedTuple):
     begin: Callable[..., Any]
     observe: Callable[..., Any]
     policy: Callable[..., Any]
+    actuators: np.ndarray  # (k,) index of the actuator of each joint
     joint_control: actuation.JointControl | None  # None where controls are constant over a tick
     assemble: Callable[..., Any]  # (belief, observation, state) -> numbers of each input, by name, and the next state
+
+    def split_terms(self, numbers: Mapping[str, Any]) -> dict[str, list[tuple[str, str, np.ndarray]]]:
+        """Split the numbers of each input into its terms: name, unit and numbers; of stacked ticks the last one.
+
+        Args:
+            numbers: Numbers of each input, by its name.
+        """
+        found: dict[str, list[tuple[str, str, np.ndarray]]] = {}
+        for name, terms in self.inputs.items():
+            sizes = [one.size for one in terms]
+            if self.spec.stacking == "by_term":
+                ends = np.cumsum([one.size * one.history for one in terms])
+            else:
+                ends = len(numbers[name]) - sum(sizes) + np.cumsum(sizes)
+            found[name] = [
+                (one.spec.label, one.unit, np.asarray(numbers[name][end - one.size : end]))
+                for one, end in zip(terms, ends, strict=True)
+            ]
+        return found
 
     @property
     def measured_terms(self) -> dict[str, Term]:
@@ -167,7 +187,9 @@ def fit_policy(
         new = {"tick": state["tick"] + 1, "action": action.astype(float), "memory": memory}
         return controls, {**state, **new}
 
-    return LearnedPolicy(spec, inputs, tuple(joints), offset, scale, begin, observe, policy, control, assemble)
+    return LearnedPolicy(
+        spec, inputs, tuple(joints), offset, scale, begin, observe, policy, actuators, control, assemble
+    )
 
 
 def _joint_names(told: str, names: Any, model: mujoco.MjModel) -> list[str]:

@@ -53,6 +53,13 @@ def make_user_metric(control: files.Policy) -> Metric[Any]:
     return Metric(begin, measure or (lambda sofar, told: ()), compute, control.measured)
 
 
+class FirstTick(NamedTuple):
+    """What a controller observes and commands at the nominal start, without errors."""
+
+    inputs: dict[str, list[tuple[str, str, np.ndarray]]]  # terms of each input: name, unit and numbers
+    commands: list[tuple[str, float, float]]  # actuator, number of the network (NaN without one), command
+
+
 class ControllerPrograms:
     """The controller of an own model for any number of rollouts. Raises `InputError` where it is none.
 
@@ -161,6 +168,32 @@ class ControllerPrograms:
                 "variable that keeps a state, or draws random numbers, mixes rollouts. A JAX controller has a state "
                 "for each rollout: policy(belief, observation, state, key) -> (controls, state)"
             )
+
+    def evaluate_first_tick(self, begun: BatchStart) -> FirstTick:
+        """Evaluate the controller at the nominal start. Raises `InputError` where it fails.
+
+        Args:
+            begun: A batch whose first rollout is nominal.
+        """
+        own, model = self._own, self._own.model
+        first = jax.tree.map(lambda rows: jnp.asarray(rows[0]), begun.given)
+        start, state, _ = self.call_user_code(self.begin_one, first)
+        begun.energy(start)
+        now = jnp.asarray(own.observable_state(begun.qpos, begun.qvel, begun.sensors)[0], float)
+        carried = self.call_user_code(self.start_rollout, first, state, now, np.int32(1))
+        seen = own.observe_state(now)
+        ctrl, carried = self.call_user_code(self.tick_one, first, carried, now)
+        controls = np.array(self.compute_controls(np.tile(ctrl, (TILE, 1))))[0]
+        names = [model.actuator(k).name or f"actuator {k}" for k in range(model.nu)]
+        learned, numbers = own.controller.learned, np.full(model.nu, np.nan)
+        if learned is None:
+            parts = own.config.observe or ("observation",)
+            every = [now[own.state_slices[name]] for name in own.config.observe] or [seen]
+            inputs = {"observation": [(name, "", np.asarray(one)) for name, one in zip(parts, every, strict=True)]}
+        else:
+            numbers[learned.actuators] = carried["state"]["action"]
+            inputs = learned.split_terms(learned.assemble(first["belief"], seen, state)[0])
+        return FirstTick(inputs, list(zip(names, numbers.tolist(), controls.tolist(), strict=True)))
 
     def _error(self, what: str) -> InputError:
         """One line that says what a controller does wrong."""

@@ -74,7 +74,7 @@ Numbers = float | tuple[float, ...]
 class TermSpec:
     """One term of an observation. Its numbers are clipped, then scaled, then stacked with those of earlier ticks."""
 
-    term: str  # what it is: a key of `UNITS`, or a framework's name for one
+    term: str  # what it is, see the table
     name: str = ""  # what axes and messages call it; else the term, or the sensor
     sensor: str = ""  # sensor of the model that it is read from
     scale: Numbers = 1.0  # factor, or one for each number
@@ -125,9 +125,8 @@ class PolicySpec:
     preset: str = ""  # conventions of a framework: playground, playground_gait, mjlab or isaaclab
     period: float = 0.0  # s between two calls of the network; else the scenario's `model.period`
     joints: tuple[str, ...] = ()  # joints in the order of the network; else those of the actuators, in their order
-    default_pose: Any = (
-        None  # positions by joint, as `action.scale`; else those of the keyframe that rollouts start from
-    )
+    # positions by joint, as `action.scale`; else those of the keyframe that rollouts start from
+    default_pose: Any = None
     observation: Any = None  # terms in order; or terms in order for each input of the network, by its name
     history: int = 1  # ticks that each term stacks
     stacking: str = "by_term"  # oldest first for each term, or `by_tick`: whole observations, oldest first
@@ -135,9 +134,9 @@ class PolicySpec:
     commands: Mapping[str, float] = field(
         default_factory=dict
     )  # numbers that the user asks for; axes `controller.NAME`
-    action: ActionSpec = ActionSpec()
+    action: ActionSpec = ActionSpec()  # how the network's output becomes controls, see below
     output: str = ""  # the network's output that is the action; else the one that is not recurrent
-    recurrent: tuple[RecurrentSpec, ...] = ()
+    recurrent: tuple[RecurrentSpec, ...] = ()  # inputs that are outputs of the tick before, see below
     sensors: Mapping[str, str] = field(default_factory=dict)  # sensors that replace terms, where the model has them
 
 

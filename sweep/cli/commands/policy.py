@@ -1,0 +1,46 @@
+"""`sweep policy check`: what a policy observes and commands in its first tick, number by number."""
+
+import argparse
+from typing import TYPE_CHECKING, cast
+
+from sweep.cli.command import Command, Section
+from sweep.cli.exits import DONE
+from sweep.core.arguments import Arguments, is_value
+from sweep.core.errors import InputError
+
+if TYPE_CHECKING:
+    from sweep.systems.mujoco_model.engine import ModelEngine
+
+COMMAND = Command(
+    Section.LOOK_UP, "print the first observation of a policy, term by term, and its action", "sweep policy check own"
+)
+
+
+def add_arguments(parser: Arguments) -> None:
+    """Add the scenario whose policy is checked."""
+    parser.others = is_value
+    parser.add_argument("what", choices=["check"], help="evaluate the policy once, at the nominal start")
+    parser.add_argument("scenario", help="scenario of the project, whose model has the policy")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the first observation and action of a policy. Raises `InputError`."""
+    from tabulate import tabulate
+
+    from sweep.config.experiment import compose
+
+    exp = compose([f"scenario={args.scenario}", *args.overrides])
+    if why := exp.system.unsupported_commands.get("policy"):
+        raise InputError(f"policy is not allowed: {why}")
+    engine = exp.system.make_engine(exp.settings, exp.system.case, exp.system.case, None)
+    found = cast("ModelEngine", engine).evaluate_first_tick()
+    summary = exp.system.settings_summary(exp.settings)
+    print(f"{summary['controller']} on {summary['model']}, a call every {1000 * exp.settings.control_period:g} ms")
+    for name, terms in found.inputs.items():
+        print(f"\n{name}: {sum(len(numbers) for _, _, numbers in terms)} numbers in this tick\n")
+        rows = [(term, unit, " ".join(f"{one:.4g}" for one in numbers)) for term, unit, numbers in terms]
+        print(tabulate(rows, headers=("term", "unit", "numbers"), tablefmt="github", disable_numparse=True))
+    rows = [(actuator, f"{output:.4g}", f"{command:.4g}") for actuator, output, command in found.commands]
+    print(f"\naction: {len(rows)} commands\n")
+    print(tabulate(rows, headers=("actuator", "network", "command"), tablefmt="github", disable_numparse=True))
+    return DONE

@@ -1,0 +1,105 @@
+"""Files of a project that evaluates a learned policy: `sweep init --policy walk.onnx --mjcf robot.xml`."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from sweep.core.errors import InputError, require_choice
+from sweep.systems.mujoco_model import files, onnx_network
+from sweep.systems.mujoco_model.learned_policy import spec_file
+from sweep.systems.mujoco_model.policy_spec import PRESETS
+
+PERIOD, DURATION = 0.02, 4.0  # s, of a policy whose file says nothing
+KICK = 1.0  # m/s that the strongest push of the study adds to the whole robot
+SPECIFICATION = """# How the policy was trained: docs/reference/policy_file.md lists the keys
+preset: {preset}
+period: {period:g}  # s between two calls of the network
+"""
+SCENARIO = """# {network} on {mjcf}: what is simulated, and when it fails
+system: mujoco
+model:
+  mjcf: {mjcf}
+  controller: {network}
+  duration: {duration:g}
+  sensors: current
+{keyframe}push:
+  kick: {{body: {body}, start: 1.0, length: 0.1}}
+outcome:
+  fell: {fell}
+  invalid: energy_gained_j > {energy:.3g} or unsolved_share > 0.1
+"""
+STUDY = """# How strong a push, and how late an action, does the policy survive?
+scenario: own
+study:
+  axes:
+    push: {{path: push.kick.impulse, side: world, from: 0, to: {most:.3g}, num: 6}}
+    delay: {{path: noise.action_delay, side: world, values: {delays}}}
+"""
+
+
+def project_files(policy: Path, mjcf: Path, preset: str) -> dict[str, bytes]:
+    """Return the content of each file of the project, by its path there.
+
+    Args:
+        policy: The network's file.
+        mjcf: The model's file; what it refers to is copied, too.
+        preset: Conventions of the policy where no specification lies beside it.
+
+    Raises:
+        InputError: A file is missing, or lies in no folder below that of the model.
+    """
+    require_choice(preset, PRESETS, f"--preset {preset}")
+    for flag, file in (("policy", policy), ("mjcf", mjcf)):
+        if not file.is_file():
+            raise InputError(f"--{flag} {file} is not a file")
+    if policy.suffix != files.ONNX:
+        raise InputError(f"--policy {policy} is not allowed: a network in a file .onnx")
+    mjcf = mjcf.resolve()
+    model, folder = files.load_model(str(mjcf)), mjcf.parent
+    found: dict[str, bytes] = {}
+    for file in files.list_files(str(mjcf)):
+        if not file.resolve().is_relative_to(folder):
+            raise InputError(f"--mjcf {mjcf.name} refers to {file}, which is not in the model's folder: copy it there")
+        found[str(file.resolve().relative_to(folder))] = file.read_bytes()
+    found |= {file.name: file.read_bytes() for file in onnx_network.network_files(policy)}
+    beside = spec_file(policy)
+    specification = (
+        beside.read_bytes() if beside.is_file() else SPECIFICATION.format(preset=preset, period=PERIOD).encode()
+    )
+    return found | {
+        beside.name: specification,
+        "scenarios/own.yaml": _scenario(policy.name, mjcf.name, model).encode(),
+        "studies/push_delay.yaml": _study(model).encode(),
+        "sweep.yaml": b"# A sweep project: studies/ and scenarios/ are read from here\nmodules: []\n",
+        ".gitignore": b"results/\n",
+    }
+
+
+def _scenario(network: str, mjcf: str, model: mujoco.MjModel) -> str:
+    """Return the text of the scenario: a fall is half the height of the start, or a tilt."""
+    keyframe = model.key(0).name if model.nkey else ""
+    free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
+    body = model.body(int(model.jnt_bodyid[free[0] if len(free) else 0])).name
+    if not body:
+        raise InputError(f"--mjcf {mjcf} is not allowed: the first body with a joint has no name, which pushes need")
+    pose = model.key_qpos[0] if keyframe else model.qpos0
+    fell = "joint_limit_share > 0.5"
+    if len(free):
+        fell = f"base_height_min_m < {pose[model.jnt_qposadr[free[0]] + 2] / 2:.3g} or tilt_max_deg > 60"
+    return SCENARIO.format(
+        network=network,
+        mjcf=mjcf,
+        duration=DURATION,
+        keyframe=f"  keyframe: {keyframe}\n" if keyframe else "",
+        body=body,
+        fell=fell,
+        energy=0.1 * model.body_mass.sum() * KICK**2,
+    )
+
+
+def _study(model: mujoco.MjModel) -> str:
+    """Return the text of a study over impulse and delay, up to two calls of the policy."""
+    steps = max(round(PERIOD / model.opt.timestep), 1)
+    delays = sorted({round(steps * share / 2) for share in range(5)})
+    return STUDY.format(most=KICK * model.body_mass.sum(), delays=delays)
