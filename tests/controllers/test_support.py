@@ -16,6 +16,7 @@ from sweep.controllers.posture import joint_targets
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion, reference_motion
 from sweep.core.rotations import exponential, logarithm
 from sweep.manoeuvres.balancing.ball import stance_on_ball, stand_pose
+from sweep.models.case import Manoeuvre
 from sweep.models.frames import body_frame, koenig_frame
 from sweep.models.obstacles.surface import FreeState, free_start_state
 from sweep.planning.compile_plan import compile_plan
@@ -105,7 +106,7 @@ def test_feet_that_grip_are_pressed_in_and_inward(standing):
     np.testing.assert_allclose(feet, stance.feet - depth[:, None] * normal + inward, atol=1e-5)
 
 
-class Waits:
+class Waits(Manoeuvre):
     """A manoeuvre whose first stage ends when the ball has gone 0.1 m."""
 
     observer = 0.0
