@@ -155,8 +155,8 @@ def step(
     for layer in plan.layers:
         state = state._replace(feet=layer.update_footholds(ctx, state.feet))
     if manoeuvre.is_guided:
-        stance, to, memory = manoeuvre.guide(belief, ctx, state)
-        state = state._replace(goal=to, memory=memory)
+        stance, goal, memory = manoeuvre.guide(belief, ctx, state)
+        state = state._replace(goal=goal, memory=memory)
     else:
         goal = plan.foothold[state.stage]
         if foothold_offset is not None:
@@ -203,45 +203,44 @@ def _advance(
     A manoeuvre that `ends_stages` may end a stage earlier, with feet and base wherever they are by then.
     """
     stage, manoeuvre = state.stage, belief.manoeuvre
-    over = state.clock - plan.duration[stage]
+    overtime = state.clock - plan.duration[stage]
     landed = jnp.all(obs.loaded | ~plan.swing[stage])
-    ends = (over >= 0) & (landed | (over >= plan.patience)) & ~state.finished
-    planned = plan.foothold[stage] if foothold_offset is None else plan.foothold[stage] + foothold_offset
-    goal = state.goal if manoeuvre.is_guided else planned
-    wanted = multiply(exponential(plan.turn[stage]), plan.quat[stage])
-    reached = Stance(jnp.where(plan.swing[stage][:, None], goal, state.feet), plan.position[stage], wanted)
+    ends = (overtime >= 0) & (landed | (overtime >= plan.patience)) & ~state.finished
+    goal = plan.foothold[stage] if foothold_offset is None else plan.foothold[stage] + foothold_offset
+    goal = state.goal if manoeuvre.is_guided else goal
+    end_quat = multiply(exponential(plan.turn[stage]), plan.quat[stage])
+    end_in_frames = Stance(jnp.where(plan.swing[stage][:, None], goal, state.feet), plan.position[stage], end_quat)
     if state.last_target is not None:
         ends = ends | (manoeuvre.is_stage_over(belief, plan, state, obs) & ~state.finished)
-        early = (over < 0) & plan.swing[stage][:, None]
-        reached = Stance(jnp.where(early, state.last_target.feet, reached.feet), *state.last_target[1:])
+        early = (overtime < 0) & plan.swing[stage][:, None]
+        end_in_frames = Stance(jnp.where(early, state.last_target.feet, end_in_frames.feet), *state.last_target[1:])
     last = stage == plan.duration.shape[0] - 1
-    following = jnp.where(last, stage, stage + 1)
+    next_stage = jnp.where(last, stage, stage + 1)
     reference_free, ignores_pose = reference_body_state(plan, state, obs.free)
-    ended = stance_to_world(reached, plan.foot_frame[stage], plan.base_frame[stage], reference_free)
+    end = stance_to_world(end_in_frames, plan.foot_frame[stage], plan.base_frame[stage], reference_free)
     load_delay = foot_load_delay_s(belief.noise, period)
     for layer, layer_state in zip(plan.layers, state.layer_states, strict=True):
-        ended = ended._replace(
-            feet=layer.advance_late_feet(plan, layer_state, stage, state.clock, ended.feet, load_delay)
-        )
+        end = end._replace(feet=layer.advance_late_feet(plan, layer_state, stage, state.clock, end.feet, load_delay))
 
-    def begin(obs: Observation, earlier: PoseError) -> StageStart:
-        start = start_stage(belief, plan, following, ended, obs)
+    def start_next_stage(obs: Observation, earlier: PoseError) -> StageStart:
+        start = start_stage(belief, plan, next_stage, end, obs)
         if ignores_pose is False:
             return start
         # the base pose says nothing about the feet: keep the earlier error
-        return jax.tree.map(partial(jnp.where, ignores_pose), StageStart(ended.feet, earlier), start)
+        return jax.tree.map(partial(jnp.where, ignores_pose), StageStart(end.feet, earlier), start)
 
-    start, true_error = begin(obs, state.error), state.true_error
+    start, true_error = start_next_stage(obs, state.error), state.true_error
     if true_error is not None and truth is not None:
-        true_error = begin(obs._replace(position=truth.position, quat=truth.quat), true_error).error
-    frames, free, states = (plan.foot_frame[following], plan.base_frame[following]), obs.free, list(state.layer_states)
+        true_error = start_next_stage(obs._replace(position=truth.position, quat=truth.quat), true_error).error
+    frames = plan.foot_frame[next_stage], plan.base_frame[next_stage]
+    free, states = obs.free, list(state.layer_states)
     feet = to_frame(start.feet, frames[0], free)
     for k, layer in enumerate(plan.layers):
-        states[k], free = layer.on_stage_enter(following, states[k], reference_free, free)
+        states[k], free = layer.on_stage_enter(next_stage, states[k], reference_free, free)
     if free.position.shape[0]:  # the difference to the attitude in another frame fades like the error
-        wanted = stance_to_world(ended._replace(quat=plan.quat[following]), *frames, free).quat
-        turn_between = multiply(ended.quat, conjugate(wanted))
-        stays = plan.base_frame[stage] == plan.base_frame[following]
+        quat_in_next_frame = stance_to_world(end._replace(quat=plan.quat[next_stage]), *frames, free).quat
+        turn_between = multiply(end.quat, conjugate(quat_in_next_frame))
+        stays = plan.base_frame[stage] == plan.base_frame[next_stage]
 
         def with_frame_turn(error: PoseError) -> PoseError:
             turn = logarithm(multiply(exponential(error.turn), turn_between))
@@ -249,11 +248,11 @@ def _advance(
 
         start = start._replace(error=with_frame_turn(start.error))
         true_error = true_error and with_frame_turn(true_error)
-    shifted = state._replace(
-        stage=following,
-        clock=jnp.where(last, state.clock, jnp.minimum(jnp.maximum(over, 0.0), period)),
+    advanced = state._replace(
+        stage=next_stage,
+        clock=jnp.where(last, state.clock, jnp.minimum(jnp.maximum(overtime, 0.0), period)),
         feet=feet,
-        position=to_frame(ended.position[None], frames[1][None], free)[0],
+        position=to_frame(end.position[None], frames[1][None], free)[0],
         error=start.error,
         finished=last,
         layer_states=tuple(states),
@@ -261,7 +260,7 @@ def _advance(
     )
     stays_in_stage = last | ~ends
     unchanged = state._replace(finished=state.finished | (ends & last))
-    return jax.tree.map(partial(jnp.where, stays_in_stage), unchanged, shifted)
+    return jax.tree.map(partial(jnp.where, stays_in_stage), unchanged, advanced)
 
 
 class StageStart(NamedTuple):
@@ -271,8 +270,8 @@ class StageStart(NamedTuple):
     error: PoseError  # of the base
 
 
-def start_stage(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:
-    """Return the footholds and base error with which stage `following` starts, by the onset that its plan names.
+def start_stage(belief: Case, plan: Plan, next_stage: Int[Array, ""], end: Stance, obs: Observation) -> StageStart:
+    """Return the footholds and base error with which stage `next_stage` starts, by the onset that its plan names.
 
     The onset (`REZERO`, `REGRIP`, `GRIP` or `KEEP`, see `sweep/controllers/plan.py`) starts from the commanded feet
     rather than from the measured ones: that keeps the pressure on the ground.
@@ -280,43 +279,43 @@ def start_stage(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stan
     Args:
         belief: believed parameters.
         plan: the plan to follow.
-        following: number of the stage that starts.
-        ended: stance in which the stage before should have ended, as planned, world axes.
+        next_stage: number of the stage that starts.
+        end: stance in which the stage before should have ended, as planned, world axes.
         obs: measurement of this tick.
     """
     first, *others = sorted(set(plan.onset))
-    start = STAGE_STARTS[first](belief, plan, following, ended, obs)
+    start = STAGE_STARTS[first](belief, plan, next_stage, end, obs)
     for name in others:
-        uses = jnp.asarray(np.array(plan.onset) == name)[following]
-        start = jax.tree.map(partial(jnp.where, uses), STAGE_STARTS[name](belief, plan, following, ended, obs), start)
+        uses = jnp.asarray(np.array(plan.onset) == name)[next_stage]
+        start = jax.tree.map(partial(jnp.where, uses), STAGE_STARTS[name](belief, plan, next_stage, end, obs), start)
     return start
 
 
-def _keep_commanded(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:
+def _keep_commanded(belief: Case, plan: Plan, next_stage: Int[Array, ""], end: Stance, obs: Observation) -> StageStart:
     """Start a stage from the commanded feet, without base error."""
-    zero = jnp.zeros(3, ended.feet.dtype)
-    return StageStart(ended.feet, PoseError(zero, zero))
+    zero = jnp.zeros(3, end.feet.dtype)
+    return StageStart(end.feet, PoseError(zero, zero))
 
 
-def _regrip(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:
+def _regrip(belief: Case, plan: Plan, next_stage: Int[Array, ""], end: Stance, obs: Observation) -> StageStart:
     """Start a stage with the feet at their measured positions along the surface, at the commanded depth.
 
     This includes feet that have not touched down yet: their foothold would be off by the base error, and each step
     would hand that error on to the next.
     """
     measured, surface = _measured_feet(belief, obs)
-    deep = jnp.sum((ended.feet - measured) * surface.normal, axis=-1, keepdims=True)
-    return _keep_commanded(belief, plan, following, ended._replace(feet=measured + deep * surface.normal), obs)
+    deep = jnp.sum((end.feet - measured) * surface.normal, axis=-1, keepdims=True)
+    return _keep_commanded(belief, plan, next_stage, end._replace(feet=measured + deep * surface.normal), obs)
 
 
-def _grip(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:
+def _grip(belief: Case, plan: Plan, next_stage: Int[Array, ""], end: Stance, obs: Observation) -> StageStart:
     """Start a stage with feet on free bodies pressed deeper and inward; regrip all other feet.
 
     A foot without load keeps its commanded depth: pressed from where it hangs, it would stay in the air.
     """
-    (measured, surface), press = _measured_feet(belief, obs), plan.press[following]
+    (measured, surface), press = _measured_feet(belief, obs), plan.press[next_stage]
     inward = -SIDE[:, None] * rotate(obs.quat, jnp.asarray(LEFT))
-    regripped = _regrip(belief, plan, following, ended, obs)
+    regripped = _regrip(belief, plan, next_stage, end, obs)
     deep = jnp.where(obs.loaded[:, None], measured - press[0] * surface.normal, regripped.feet)
     on_body = (surface.body >= 0)[:, None]
     return regripped._replace(feet=jnp.where(on_body, deep + press[1] * inward, regripped.feet))
@@ -328,20 +327,20 @@ def _measured_feet(belief: Case, obs: Observation) -> tuple[Float[Array, "6 3"],
     return feet, surface_at(belief.obstacle, feet, body_poses(obs.free))
 
 
-def _rezero(belief: Case, plan: Plan, following: Int[Array, ""], ended: Stance, obs: Observation) -> StageStart:
+def _rezero(belief: Case, plan: Plan, next_stage: Int[Array, ""], end: Stance, obs: Observation) -> StageStart:
     """Start a stage with the feet shifted by the base error, which avoids internal forces; the error then fades.
 
     If the plan is steered, only position in the plane and heading count: standing feet would correct the rest of the
     error while landing feet do not, which would put the diagonals at different heights.
     """
-    error = obs.position - ended.position
-    off = multiply(obs.quat, conjugate(ended.quat))
+    error = obs.position - end.position
+    off = multiply(obs.quat, conjugate(end.quat))
     turn = logarithm(off)
     if plan.steered:
         error, turn = error.at[2].set(0.0), jnp.zeros(3).at[2].set(heading(off))
-    moved = ended.position + error + rotate(exponential(turn)[None], ended.feet - ended.position)
+    moved = end.position + error + rotate(exponential(turn)[None], end.feet - end.position)
     anchored = any(layer.anchors_feet for layer in plan.layers)
-    return StageStart(ended.feet if anchored else moved, PoseError(error, turn))
+    return StageStart(end.feet if anchored else moved, PoseError(error, turn))
 
 
 STAGE_STARTS = {KEEP: _keep_commanded, REGRIP: _regrip, GRIP: _grip, REZERO: _rezero}  # by the name of the onset

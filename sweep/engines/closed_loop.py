@@ -214,16 +214,16 @@ def init_loop(
         learned: estimates made before the start.
         sensing: which sensor errors are simulated, see `classify_sensing`.
     """
-    seen = exact_observation(start.qpos, start.qvel, len(world.obstacle.free_bodies), jnp.full(N_LEGS, jnp.inf))
+    obs = exact_observation(start.qpos, start.qvel, len(world.obstacle.free_bodies), jnp.full(N_LEGS, jnp.inf))
     bias_key, key = jax.random.split(key)
     sensors = None
     if sensing != "exact":
-        marked = seen._replace(free=surface.landmark_state(world.obstacle, seen.free))
+        marked = obs._replace(free=surface.landmark_state(world.obstacle, obs.free))
         sensors = init_sensors(world.noise, bias_key, marked, has_errors=sensing == "noisy")
-    feet = feet_in_world(world.robot, seen.position, seen.quat, seen.angles)
-    running = accumulator.begin(RolloutStart(world, plan, seen.position, seen.quat, feet, seen.free, energy, learned))
-    servo = position_mode(world.drive, seen.angles)
-    return ClosedLoop(tracker.init(belief, plan, exact=sensing == "exact"), sensors, running, seen, servo, key, learned)
+    feet = feet_in_world(world.robot, obs.position, obs.quat, obs.angles)
+    running = accumulator.begin(RolloutStart(world, plan, obs.position, obs.quat, feet, obs.free, energy, learned))
+    servo = position_mode(world.drive, obs.angles)
+    return ClosedLoop(tracker.init(belief, plan, exact=sensing == "exact"), sensors, running, obs, servo, key, learned)
 
 
 def run_controller(
@@ -245,19 +245,26 @@ def run_controller(
     Returns:
         The state of the closed loop with the new drive target, and the command.
     """
-    sensors, seen = loop.sensors, loop.actual._replace(free=surface.landmark_state(world.obstacle, loop.actual.free))
+    sensors, obs, has_bodies = loop.sensors, loop.actual, bool(world.obstacle.free_bodies)
+    if has_bodies:
+        obs = obs._replace(free=surface.landmark_state(world.obstacle, obs.free))
     if sensors is not None:
-        sensors, seen = observe(world.noise, sensors, seen, jax.random.fold_in(loop.key, tick), tick)
-    free = surface.state_from_landmarks(initial_obstacle(belief, loop.learned), seen.free)
-    seen = with_contact_detection(world.control, belief.noise, seen._replace(free=free))
-    state, followed, beside, learned = update_from_touch(world, belief, plan, loop.tracker, loop.learned, seen, period)
-    exact = None if sensors is None else loop.actual
-    state, command = tracker.step(updated_belief(belief, learned), followed, state, seen, period, beside, exact)
-    servo = position_mode(world.drive, command.joints - seen.joint_error)
+        sensors, obs = observe(world.noise, sensors, obs, jax.random.fold_in(loop.key, tick), tick)
+    if has_bodies:
+        obs = obs._replace(free=surface.state_from_landmarks(initial_obstacle(belief, loop.learned), obs.free))
+    obs = with_contact_detection(world.control, belief.noise, obs)
+    state, current_plan, foothold_offset, learned = update_from_touch(
+        world, belief, plan, loop.tracker, loop.learned, obs, period
+    )
+    truth = None if sensors is None else loop.actual
+    state, command = tracker.step(
+        updated_belief(belief, learned), current_plan, state, obs, period, foothold_offset, truth
+    )
+    servo = position_mode(world.drive, command.joints - obs.joint_error)
     if command.servo is not None:
-        owned, own = command.servo
-        own = own._replace(target=own.target - seen.joint_error)
-        servo = Servo(*[jnp.where(owned, a, b) for a, b in zip(own, servo, strict=True)])
+        has_law, law = command.servo
+        law = law._replace(target=law.target - obs.joint_error)
+        servo = Servo(*[jnp.where(has_law, a, b) for a, b in zip(law, servo, strict=True)])
     return loop._replace(tracker=state, sensors=sensors, servo=servo, learned=learned), command
 
 
