@@ -82,6 +82,10 @@ def test_too_little_is_told():
     u = np.random.default_rng(4).standard_normal((100, 4))
     with pytest.raises(InputError, match="need 20 failures and successes, here: 3 and 97"):
         failing.failure_shares(rows(u, np.arange(100) < 3), told())
+    exp = told()
+    exp.study.replicates = 10
+    with pytest.raises(InputError, match="need 20 failures and successes, here: 3 and 7"):
+        failing.failure_shares(rows(u, np.arange(100) < 30), exp)
 
 
 def test_a_listed_name_counts_and_draws_that_it_shares_count_once():

@@ -222,3 +222,13 @@ def test_any_draws_tell_which_axes_matter(study):
     assert titles[-2:] == ["PAWN indices of success", "First Sobol indices (RBD-FAST) of success"]
     with pytest.raises(InputError, match="need 100 valid draws"):
         screening.pawn_indices(rows.head(50), exp)
+
+
+@pytest.mark.parametrize(("draws", "offered"), [(20, False), (100, True)])
+def test_indices_need_draws_and_not_rows(study, draws, offered):
+    """Twenty draws at five grid points are a hundred rows, and no hundred draws."""
+    friction = {"path": "contact.friction", "values": [0.2, 0.4, 0.6, 0.8, 1.0]}
+    exp, rows = study({"f": friction, "shin": SHIN}, lambda t: t["robot.shin"] > 0.35, design={"num": draws})
+    assert len(rows) == 5 * draws
+    titles = [title for title, _ in statistics_sections(rows, exp)]
+    assert ("PAWN indices" in titles) == offered

@@ -22,7 +22,7 @@ from sweep.analysis.sensitivity import drawn_axes, listed_axes
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 
-MOST, FEWEST = 600, 20  # rows of either outcome that are used
+MOST, FEWEST = 600, 20  # rows of either outcome that are used, and draws that have them
 AXES = 10  # largest number of axes: all their subsets are evaluated
 LEAST = 1e-4  # smallest share that is reported: that of a listed axis without influence is a rounding error
 GROUPS = 10  # groups of the jackknife
@@ -43,7 +43,7 @@ def failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
         axis has on its own; the numbers of `failures` and `successes` that were used.
 
     Raises:
-        InputError: The rows are not random draws, there are too many axes or too few rows of either outcome, or no
+        InputError: The rows are not random draws, there are too many axes or too few draws of either outcome, or no
             share exceeds its error.
     """
     axes = [axis for axis in (*listed_axes(rows, exp), *drawn_axes(rows, exp)) if axis.along is None]
@@ -52,12 +52,13 @@ def failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
         raise InputError(f"shares of failure need draws of at most {AXES} numbers")
     plain, failing = _weighted(rows, exp)
     bad, good = (_chosen(weight) for weight in (failing, np.where(rows["outcome"] == "success", plain, 0.0)))
-    if min(len(bad), len(good)) < FEWEST:
-        raise InputError(f"shares of failure need {FEWEST} failures and successes, here: {len(bad)} and {len(good)}")
     used = np.concatenate([bad, good])
-    kernels = np.stack([_kernel(rows[axis.column], plain, used) for axis in axes], axis=2)
     # rows of one draw are no evidence of their likeness
     unit = np.arange(len(used)) if exp.study.is_adaptive else draw_numbers(rows, exp)[used]
+    draws = [len(np.unique(part)) for part in np.split(unit, [len(bad)])]
+    if min(draws) < FEWEST:
+        raise InputError(f"shares of failure need {FEWEST} failures and successes, here: {draws[0]} and {draws[1]}")
+    kernels = np.stack([_kernel(rows[axis.column], plain, used) for axis in axes], axis=2)
     left_out = _left_out(np.concatenate([failing[bad], plain[good]]), unit)
     apart = dict(_distances(kernels, left_out[: len(bad)], left_out[len(bad) :], unit))
     shapley = np.stack([_shapley(apart, k, len(axes)) for k in range(len(axes))])

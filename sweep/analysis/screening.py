@@ -17,7 +17,7 @@ from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.study import design_kinds
 
-LEAST, MOST = 100, 20_000  # rollouts that are asked for, and that are looked at
+LEAST, MOST = 100, 20_000  # draws that are needed, and that are used
 SLICES, HARMONICS = 10, 10  # of PAWN; of RBD-FAST
 PERMUTATIONS = 199  # for the index of an axis without influence
 

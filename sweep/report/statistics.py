@@ -4,12 +4,13 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
 
+import numpy as np
 import pandas as pd
 
 from sweep.analysis import failing, rare, screening, sensitivity
 from sweep.analysis.axis_effects import compare_along_axes
 from sweep.analysis.sample import drop_copies, pooled_rate
-from sweep.analysis.sampling_units import condition_rates, interval_method
+from sweep.analysis.sampling_units import condition_rates, draw_numbers, interval_method
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
@@ -88,7 +89,8 @@ def statistics_sections(
             sensitivity.regional_sensitivity(rows, exp),
         )
         yield from _sensitivity_tables(rows, exp)
-    for title, function in sensitivity_methods(exp, len(rows)).items() if drawn else ():
+    draws = len(np.unique(draw_numbers(rows, exp)))
+    for title, function in sensitivity_methods(exp, draws).items() if drawn else ():
         try:
             yield f"{title} of {figure or 'success'}", function(rows, exp, figure)
         except InputError as error:
@@ -114,7 +116,7 @@ def sensitivity_methods(exp: Experiment, draws: int) -> dict[str, Analysis]:
 
     Args:
         exp: experiment of the study.
-        draws: number of draws among its rows.
+        draws: number of draws among its rows; replicates and grid points of a draw count once.
     """
     match exp.study.design.sensitivity:
         case Sensitivity.SOBOL_INDICES:
