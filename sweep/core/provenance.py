@@ -23,7 +23,12 @@ ROOT = Path(__file__).parents[1]
 WORKER = ("sweep.runs.runner",)  # what it imports can change a row
 PROGRAMS = ("sweep.engines", "sweep.manoeuvres")  # what they import can change a compiled program
 SEARCH = (*WORKER, "sweep.runs.tuning", "sweep.planning.score")  # can change what a search of a plan's numbers finds
-WHOLE = ("sweep.study.design_kinds",)  # packages that import each of their modules, without naming them
+WHOLE = (  # packages that import each of their modules, without naming them
+    "sweep.core.shared_metrics",
+    "sweep.metrics",
+    "sweep.study.design_kinds",
+    "sweep.systems.mujoco_model.metrics",
+)
 LIBRARIES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "llvmlite", "numpy", "scipy", "SALib")
 CPU_INFO = Path("/proc/cpuinfo")
 _parsed: dict[str, tuple[list[str], str]] = {}  # see `_read`
