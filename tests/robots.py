@@ -10,6 +10,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 HOME = np.tile([0.0, 0.795, -1.59], 4)
+JOINTS = tuple(f"{leg}_{part}" for leg in ("lf", "rf", "lh", "rh") for part in ("roll", "hip", "knee"))
 STUDY = """scenario: own
 study:
   axes:

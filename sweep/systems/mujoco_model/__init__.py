@@ -176,6 +176,9 @@ class MujocoModel(ModelSpec):
         shaping = [c for c in columns if self.parameter(c, settings).metadata["role"] != "quantity"]
         distinct: list[Any] = table[shaping].drop_duplicates().to_dict("records") if shaping else [{}]
         varied = {path for side, path in map(split_side, columns) if side != "belief" and path.startswith("model.")}
+        for path in sorted(path for path in varied if fields.is_group(path)):
+            members = fields.group_members(self.model, path)
+            print_note(f"{path} moves {len(members)} numbers, {members[0]} to {members[-1]}")
         for values in distinct:
             ways = {c.removeprefix("engine."): value for c, value in values.items() if c.startswith("engine.")}
             made = self.make_engine(replace(settings, **ways), *self.make_sides(values), limits=None)

@@ -5,6 +5,8 @@ for `stat.meaninertia`, which scales the solver's tolerance. What MuJoCo's compi
 geoms (inertia, bounding volumes) is taken from models that are compiled for each value.
 """
 
+import fnmatch
+import re
 from collections.abc import Callable, Mapping
 from copy import copy
 from typing import Any, NamedTuple
@@ -31,6 +33,7 @@ class NumberSpec(NamedTuple):
     names: tuple[str, ...] = ()  # of its components
     compiled: bool = False  # whether MuJoCo's compiler makes more of it
     field: str = ""  # of MjModel
+    factor: bool = False  # whether values multiply what the model has
 
 
 class NumberLocation(NamedTuple):
@@ -132,11 +135,15 @@ SERVO = {  # what is written of a position servo: gain and bias together, or its
     "kp": (("actuator_gainprm", 0, 1.0), ("actuator_biasprm", 1, -1.0)),
     "kv": (("actuator_biasprm", 2, -1.0),),
 }
+STRENGTH = "strength"  # factor of the forces of an actuator, its limit included
+RELATIVE = ".relative"  # end of a path of a group whose values are factors
 SETTINGS = {name: NumberSpec(names=("",), field=f"opt.{name}") for name in (*CHOSEN, *COUNTED, TIMESTEP)}
 
 
 def parameter(model: mujoco.MjModel, path: str) -> Parameter:
     """Return the field that describes the parameter of a path, with its nominal value. Raises `InputError`."""
+    if is_group(path):
+        return _group_parameter(model, path)
     if (name := path.removeprefix(f"{ROOT}.{OPTION}.")) in CHOSEN:
         return choice(CHOSEN[name][getattr(model.opt, name)], *CHOSEN[name])
     if name in COUNTED:
@@ -144,6 +151,8 @@ def parameter(model: mujoco.MjModel, path: str) -> Parameter:
     if name == TIMESTEP:
         return setting(model.opt.timestep, "s", above=0, at_most=0.1)
     numbers, places = locate_numbers(model, path)
+    if numbers.factor:
+        return quantity(1.0, numbers.unit, at_least=numbers.at_least)
     value = places[0].sign * float(field_values(model, numbers.field).flat[places[0].flat])
     return quantity(value, numbers.unit, at_least=numbers.at_least)
 
@@ -173,12 +182,18 @@ def write_values(batch: Batch, values: Mapping[str, Any], source: Callable[[], m
     Returns:
         Names of the fields that were written.
     """
+    values = _expand_groups(batch.model, values)
     made = {path: value for path, value in values.items() if locate_numbers(batch.model, path)[0].compiled}
     written = _compile(batch, made, source()) if made else set()
-    for path in values.keys() - made.keys():
+    factors = [path for path in values if locate_numbers(batch.model, path)[0].factor]  # of what the others wrote
+    for path in [*(path for path in values if path not in (*made, *factors)), *factors]:
         value = np.asarray(values[path])
         for field, flat, sign in locate_numbers(batch.model, path)[1]:
             rows = batch.expand(field).reshape(batch.nsim, -1)
+            if path in factors:
+                rows[:, flat] *= value
+                written |= {field}
+                continue
             if field == "body_mass":
                 inertia = batch.expand("body_inertia").reshape(batch.nsim, -1, 3)
                 inertia[:, flat] *= (value / rows[:, flat])[:, None]
@@ -197,6 +212,10 @@ def check_variable(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, p
         model: The compiled model.
         path: Path of the parameter.
     """
+    if is_group(path):
+        for member in group_members(model, path):
+            check_variable(source, model, member)
+        return
     kind, number, name, what = find_element(model, path)
     geom = source().geom(name) if locate_numbers(model, path)[0].compiled else None
     for wrong, why in (
@@ -252,7 +271,12 @@ def find_element(model: mujoco.MjModel, path: str) -> Element:
 
 def locate_numbers(model: mujoco.MjModel, path: str) -> tuple[NumberSpec, list[NumberLocation]]:
     """Return what a path varies, and where its numbers are in the model. Raises `InputError`."""
+    if is_group(path):
+        every = [locate_numbers(model, member) for member in group_members(model, path)]
+        return every[0][0], [place for _, places in every for place in places]
     kind, number, _, what = find_element(model, path)
+    if kind == "actuator" and what == STRENGTH:
+        return _strength(model, number)
     if kind == "actuator" and what in SERVO:
         return _servo(model, path, what, number)
     varied = OPTIONS | SETTINGS if kind == OPTION else VARIED[kind]
@@ -294,6 +318,72 @@ def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[Nu
         NumberLocation(field, number * field_values(model, field)[0].size + k, sign) for field, k, sign in SERVO[word]
     ]
     return NumberSpec("", 0.0, field=places[0].field), places
+
+
+def _strength(model: mujoco.MjModel, number: int) -> tuple[NumberSpec, list[NumberLocation]]:
+    """Gain, bias and limit of force of an actuator, all of which its strength multiplies."""
+    width, gains = model.actuator_gainprm.shape[1], range(3)  # of a fixed or affine law
+    places = [
+        NumberLocation(field, width * number + k) for field in ("actuator_gainprm", "actuator_biasprm") for k in gains
+    ]
+    places += [NumberLocation("actuator_forcerange", 2 * number + k) for k in range(2)]
+    return NumberSpec("", 0.0, field="actuator_gainprm", factor=True), places
+
+
+def is_group(path: str) -> bool:
+    """Return whether a path names several elements by a pattern, such as `model.actuator.*.kp`."""
+    return path.startswith(f"{ROOT}.") and any(sign in path for sign in "*?[{")
+
+
+def group_members(model: mujoco.MjModel, path: str) -> list[str]:
+    """Return the paths that a group stands for, in the order of the model. Raises `InputError` where there are none.
+
+    Args:
+        model: The model.
+        path: A path whose name is a pattern: `*`, `?`, `[ab]`, `{lf,rf}`; `.relative` at its end is left out.
+    """
+    kind, _, rest = path.removeprefix(f"{ROOT}.").removesuffix(RELATIVE).partition(".")
+    require_choice(kind, VARIED, f"axis {path} names nothing: {kind}")
+    count = len(field_values(model, next(iter(VARIED[kind].values())).field if kind != "joint" else "jnt_type"))
+    first = int(kind == "body")  # the world is a body, too
+    names = [name for k in range(first, count) if (name := mujoco.mj_id2name(model, KINDS[kind], k))]
+    parts = rest.split(".")
+    for k in range(len(parts) - 1, 0, -1):  # names may have points in them
+        patterns = _alternatives(".".join(parts[:k]))
+        if found := [name for name in names if any(fnmatch.fnmatchcase(name, one) for one in patterns)]:
+            return [f"{ROOT}.{kind}.{name}.{'.'.join(parts[k:])}" for name in found]
+    raise InputError(f"axis {path} names nothing: no {kind} fits {parts[0]} (names: {', '.join(names)})")
+
+
+def _alternatives(pattern: str) -> list[str]:
+    """Return the patterns without braces that one with braces stands for."""
+    if not (found := re.search(r"\{([^{}]*)\}", pattern)):
+        return [pattern]
+    every = (pattern[: found.start()] + one + pattern[found.end() :] for one in found[1].split(","))
+    return [one for each in every for one in _alternatives(each)]
+
+
+def _group_parameter(model: mujoco.MjModel, path: str) -> Parameter:
+    """Return the field that describes a group: one value for all, or a factor. Raises `InputError`."""
+    members = group_members(model, path)
+    about = [parameter(model, member) for member in members]
+    if path.endswith(RELATIVE):
+        return quantity(1.0, f"of {len(members)} numbers", at_least=0)
+    values = [one.default for one in about]
+    if max(values) != min(values):
+        differ = f"{len(values)} numbers from {min(values):g} to {max(values):g} differ"
+        raise InputError(f"axis {path} has no nominal value, {differ}: multiply them by {path}{RELATIVE}")
+    return about[0]
+
+
+def _expand_groups(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values by path of single numbers; those of groups come first, so that single ones replace them."""
+    found: dict[str, Any] = {}
+    for path in sorted(values, key=is_group, reverse=True):
+        for member in group_members(model, path) if is_group(path) else [path]:
+            value = np.asarray(values[path])
+            found[member] = value * parameter(model, member).default if path.endswith(RELATIVE) else value
+    return found
 
 
 def locate_field(model: Any, field: str) -> tuple[Any, str]:

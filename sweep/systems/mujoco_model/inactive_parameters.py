@@ -28,6 +28,9 @@ def explain_inactive(own: ModelSpec, column: str, settings: EngineSettings, ends
         return ""
     if side == "belief":
         return "" if path in own.controller.believes.values() else "the controller's BELIEVES does not name it"
+    if fields.is_group(path):
+        why = [explain_inactive(own, one, settings, ends) for one in fields.group_members(own.model, path)]
+        return why[0] if all(why) else ""
     kind, number, _, what = fields.find_element(own.model, path)
     if kind == fields.OPTION:
         return _option(own.model, what)
