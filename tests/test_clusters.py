@@ -166,8 +166,19 @@ def test_a_cluster_without_workers_and_a_lost_scheduler_are_told(tmp_path, monke
         assert main(run) == 5
         killer.join()
     told = without_progress(capsys.readouterr().err).splitlines()
-    assert told[0].startswith(f"sweep: no worker has joined the scheduler {address} for 1 s")
+    assert told[0].startswith(f"sweep: no worker has joined the scheduler {address} for 1 s: its log has no warning")
     assert told[1:] == [f"sweep: the scheduler {address} is lost; finished rollouts are kept, repeat the command"]
+
+
+def test_a_refused_worker_is_named_with_the_reason():
+    """The first two texts are those of Dask's scheduler, whose log `distributed.comm.tcp` writes."""
+    failed = "Listener on 'tls://10.0.0.1:8786': TLS handshake failed with remote 'tls://10.0.0.7:4242': "
+    reason = "[SSL: CERTIFICATE_VERIFY_FAILED] certificate verify failed (_ssl.c:1000)"
+    line = clusters.explain_scheduler_warning(f"{failed}{reason}\n")
+    assert line.startswith("it refused the worker at 10.0.0.7:4242, which has other TLS keys or none")
+    assert reason in line
+    other = clusters.explain_scheduler_warning("Worker tried to connect with a duplicate name: \n 3")
+    assert other == "its last warning is: Worker tried to connect with a duplicate name: 3"
 
 
 def test_what_a_cluster_needs_is_said_before_anything_runs(tmp_path, monkeypatch, capsys):

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,6 +21,7 @@ from sweep.contract.engine_settings import EngineSettings
 from sweep.runs import audit, batches, results, store
 from sweep.runs.runner import select_points
 from sweep.systems.mujoco_model import MujocoModel, fields, mjx
+from sweep.systems.mujoco_model.engine import print_note
 
 HOPPER = """<mujoco><option timestep="0.002" integrator="Euler"/>
 <worldbody>
@@ -304,6 +306,23 @@ def test_what_mjx_has_no_field_for_is_no_axis_of_its(here, capsys):
     told = capsys.readouterr().err.splitlines()[-1]
     assert "fluid drag (model.option.integrator=Euler, or engine=native)" in told
     assert not Path("lacking").exists()
+
+
+def test_what_mjx_warns_of_is_one_note(here, monkeypatch, capsys, recwarn):
+    put = mjx.mjx.put_model
+
+    def put_with_warnings(*args, **options):
+        for text in ("the solver is\n  slow", "the solver is\n  slow", "another"):
+            warnings.warn(text, stacklevel=1)
+        return put(*args, **options)
+
+    monkeypatch.setattr(mjx.mjx, "put_model", put_with_warnings)
+    print_note.cache_clear()
+    for _ in range(2):
+        _engine("Euler")
+    notes = [line for line in capsys.readouterr().err.splitlines() if "warns" in line]
+    assert notes == ["sweep: note: mjx warns of hopper.xml: the solver is slow (and 1 more)"]
+    assert not [one for one in recwarn if "slow" in str(one.message)]
 
 
 def test_where_mjx_parts_from_c_is_told(here, capsys):

@@ -1,7 +1,9 @@
 """Markdown for a terminal: tables drop columns, and lines break between words."""
 
 import io
+import os
 import re
+import subprocess
 import sys
 import textwrap
 from collections.abc import Collection, Iterator
@@ -12,19 +14,40 @@ GAP = 2  # letters between columns
 ELSEWHERE = "use a wider terminal, or -o FILE for all"
 
 
-def print_markdown(text: str, required: Collection[str] = (), elsewhere: str = ELSEWHERE) -> None:
+def print_markdown(
+    text: str, required: Collection[str] = (), elsewhere: str = ELSEWHERE, is_paged: bool = False
+) -> None:
     """Print Markdown to the standard output, fitted to the terminal's width if it is a terminal.
 
     Args:
         text: Markdown.
-        kept: Columns of tables that are never dropped.
+        required: Columns of tables that are never dropped.
         elsewhere: Where a reader finds dropped columns, for a note.
+        is_paged: Whether a terminal shows a text that is longer than its screen in a pager.
     """
     if sys.stdout.isatty():
         from rich.console import Console
 
-        text = fit_to_width(text, Console().width, required, elsewhere)
+        console = Console()
+        text = fit_to_width(text, console.width, required, elsewhere)
+        if is_paged and text.count("\n") >= console.height and show_in_pager(text):
+            return
     sys.stdout.write(text)
+
+
+def show_in_pager(text: str) -> bool:
+    """Show a text in the program that `PAGER` names, `less` by default; return whether there was one.
+
+    As git does: `LESS` is FRX unless it is set, so that `less` ends with the text if it fits the screen. An empty
+    `PAGER`, or `cat`, turns the pager off.
+    """
+    command = os.environ.get("PAGER", "less")
+    if command.strip() in ("", "cat"):
+        return False
+    sys.stdout.flush()
+    environment = {"LESS": "FRX", **os.environ}
+    done = subprocess.run(command, shell=True, input=text.encode(), env=environment, check=False)
+    return done.returncode not in (126, 127)  # of a shell that finds no such program
 
 
 def fit_to_width(text: str, width: int, required: Collection[str] = (), elsewhere: str = ELSEWHERE) -> str:

@@ -5,8 +5,10 @@ import pandas as pd
 
 from sweep.analysis import rare
 from sweep.analysis.sample import pooled_rate
+from sweep.analysis.sampling_units import independent_unit, unit_numbers
+from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
-from sweep.core.errors import InputError
+from sweep.core.errors import InputError, escape_control_characters
 
 
 def headline(rows: pd.DataFrame, exp: Experiment) -> str:
@@ -23,6 +25,37 @@ def headline(rows: pd.DataFrame, exp: Experiment) -> str:
     if not exp.study.is_adaptive:
         return str(pooled_rate(rows, exp))
     return f"{probability_of_failure(rows, exp)}; {count_placed(rows)}"
+
+
+def largest_failure(rows: pd.DataFrame, exp: Experiment) -> str:
+    """Name what fails most: the most frequent cause, or the largest mode of a study that searches for failures.
+
+    Args:
+        rows: Finished rows of the study.
+        exp: Its experiment.
+    """
+    if exp.study.is_adaptive:
+        modes = rare.failure_modes(rows, exp)
+        if modes.empty:
+            return "no rollout failed"
+        cause, share = escape_control_characters(str(modes["cause"].iloc[0])), float(modes["share"].iloc[0])
+        return f"largest failure mode: {cause} ({format_percent(share)} of P(failure))"
+    causes = rows.loc[rows["outcome"] == "failure", "cause"].value_counts()
+    if causes.empty:
+        return "no rollout failed"
+    name, number, total = str(causes.index[0]), int(causes.iloc[0]), int(causes.sum())
+    meaning = exp.system.cause_meanings(exp.thresholds).get(name, "unknown cause")
+    share = f"{number:,} of {total:,} failures, {format_percent(number / total)}"
+    return f"most frequent failure: {escape_control_characters(name)} ({share}): {meaning}"
+
+
+def sample_size(rows: pd.DataFrame, exp: Experiment) -> str:
+    """Say how many independent units the rows of a study are, or that they are no random sample."""
+    units = unit_numbers(rows, exp)
+    number = 0 if units is None else len(np.unique(units))
+    if number <= 1:  # one replicate of a grid is the grid
+        return "the points were chosen: no random sample" if len(rows) > 1 else "a single rollout"
+    return f"{number:,} independent {independent_unit(exp.study).name}s"
 
 
 def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:

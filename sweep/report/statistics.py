@@ -14,7 +14,7 @@ from sweep.analysis.sampling_units import condition_rates, draw_numbers, interva
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
-from sweep.report.headline import headline
+from sweep.report.headline import headline, largest_failure, sample_size
 from sweep.report.labels import heading
 from sweep.report.tables import page_table
 from sweep.runs import refine
@@ -133,7 +133,7 @@ def sensitivity_methods(exp: Experiment, draws: int) -> dict[str, Analysis]:
 
 
 def render_statistics(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None) -> str:
-    """The statistics of a study as Markdown.
+    """The statistics of a study as Markdown: the answer in two lines, then titled tables.
 
     Args:
         rows: rows of the study.
@@ -141,8 +141,11 @@ def render_statistics(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, f
         level: probability of success for the tolerance to errors.
         figure: metric for sensitivity indices; success by default.
     """
-    parts = []
-    for title, content in statistics_sections(rows, exp, level, figure):
+    (_, answer), *sections = statistics_sections(rows, exp, level, figure)
+    if not exp.study.is_adaptive:
+        answer = f"{answer}; {sample_size(drop_copies(rows, exp)[0], exp)}"
+    parts = [f"{exp.study.name}: {answer}\n{largest_failure(rows, exp)}\n"]
+    for title, content in sections:
         if isinstance(content, pd.DataFrame):
             content = page_table(content, exp)
         parts.append(f"## {title}\n\n{content}\n")

@@ -7,6 +7,7 @@ TLS with temporary keys, because whoever reaches a Dask scheduler can run code o
 import logging
 import math
 import os
+import re
 import signal
 import statistics
 import subprocess
@@ -200,6 +201,17 @@ def _ignore_interrupt() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+def explain_scheduler_warning(text: str) -> str:
+    """Explain a warning of a Dask scheduler in one line: a worker that it refused, with the reason, or the warning."""
+    line = " ".join(text.split())
+    if found := re.search(r"TLS handshake failed with remote '?(?:\w+://)?([^\s']+?)'?: (.*)", line):
+        return (
+            f"it refused the worker at {found[1]}, which has other TLS keys or none; workers need the keys of this "
+            f"scheduler ({found[2]})"
+        )
+    return f"its last warning is: {line}"
+
+
 def _security() -> Any:
     """Make temporary TLS keys for one scheduler and its workers."""
     from distributed.security import Security
@@ -316,8 +328,8 @@ class _WorkerWatch:
         if self.no_worker_since_s is None or now - self.no_worker_since_s < JOIN_TIMEOUT_S:
             return
         warned = [text for level, text in self.client.get_scheduler_logs() if level in ("WARNING", "ERROR", "CRITICAL")]
-        why = f"; its last warning: {' '.join(warned[-1].split())}" if warned else "; its log has no warning"
-        self.status.on_message(f"no worker has joined the scheduler {self.address} for {JOIN_TIMEOUT_S:.0f} s{why}")
+        why = explain_scheduler_warning(warned[-1]) if warned else "its log has no warning"
+        self.status.on_message(f"no worker has joined the scheduler {self.address} for {JOIN_TIMEOUT_S:.0f} s: {why}")
         self.no_worker_since_s = now + REPEAT_AFTER_S - JOIN_TIMEOUT_S
 
     def report_unfetched(self, future: Any) -> None:

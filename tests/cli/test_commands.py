@@ -70,6 +70,10 @@ def test_a_study_from_run_to_table_and_map(capsys, tmp_path):
     assert "slip max [m]" in capsys.readouterr().out
     assert main(["stats", "results/walk_map"]) == 0
     statistics = capsys.readouterr().out
+    first, second, _, title = statistics.splitlines()[:4]
+    assert first == "walk_map: 6 of 12 succeed (50.0 %), 0 invalid (0.0 %); the points were chosen: no random sample"
+    assert second.startswith("most frequent failure: fell (6 of 6 failures, 100.0 %): the base tilted beyond 20°")
+    assert title.startswith("## ")
     assert "Share of the grid's volume that succeeds" in statistics
     # success where friction > 5 ratio, of ratios 0.03, 0.115, 0.2; 0.8167 is the friction nearest to the nominal one
     assert "| manoeuvre.half_step_ratio | above  | 0.1       | 0.115      | 0.2        | 0.015    | 2 " in statistics
@@ -264,7 +268,9 @@ def test_copies_and_choices_are_not_taken_for_evidence(capsys):
     assert "6 of 12 succeed (50.0 %), 0 invalid" in out  # of a grid: no sample, no interval
     assert "48 duplicate noise-free rollouts are counted once" in out
     assert main(["stats", "results/walk_map"]) == 0
-    assert "| 60 " not in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "| 60 " not in told
+    assert "48 duplicate noise-free rollouts are counted once; the points were chosen" in told.splitlines()[0]
     assert main(["run", "study.replicates=5", "out=noisy", "noise.position_noise=0.001"]) == 0
     assert "5 of 5 succeed (100.0 %, 95 % interval 56.6 % to 100.0 %)" in capsys.readouterr().out
 
@@ -424,7 +430,9 @@ def test_a_grid_of_other_values_is_added_and_told(capsys):
     assert "note" not in capsys.readouterr().err
 
 
-def test_rollouts_are_replayed_on_the_page_and_watched(capsys, tmp_path):
+def test_rollouts_are_replayed_on_the_page_and_watched(capsys, tmp_path, monkeypatch):
+    for screen in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(screen, raising=False)
     assert main(["run", *SMALL, "study.expect=[]"]) == 0
     assert main(["report", "results/walk_map", "--replays", "5"]) == 0
     kept = {file.stem.partition("-")[2] for file in (tmp_path / "results/walk_map/replays").iterdir()}
@@ -436,7 +444,15 @@ def test_rollouts_are_replayed_on_the_page_and_watched(capsys, tmp_path):
     assert main(["view", "scenario=walk_tripod", "--with", "contact.friction=0.3"]) == 0
     page = (tmp_path / "results/view/walk_tripod.html").read_text()
     assert "contact.friction=0.3: <strong>fell</strong>" in page
-    capsys.readouterr()
+    assert "sweep: there is no display (DISPLAY is not set): open two.html in a browser" in capsys.readouterr().err
+    monkeypatch.setenv("DISPLAY", ":9")
+    opened = []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or len(opened) < 2)
+    for _ in range(2):
+        assert main(["view", "results/walk_map", "3", "-o", "one.html"]) == 0
+    assert opened == [(tmp_path / "one.html").resolve().as_uri()] * 2
+    assert capsys.readouterr().err.count("no browser opens it: open one.html in a browser") == 1
+    monkeypatch.delenv("DISPLAY")
     refused = {
         "study=walk_map": "walk_map is a study",
         "results/walk_map": "add a row number",

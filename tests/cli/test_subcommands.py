@@ -12,7 +12,7 @@ from sweep.cli.main import main
 from sweep.planning import score
 from sweep.systems.hexapod.plots import PLOTS
 
-DISK = '''"""`sweep disk`: count the files of a folder."""
+DISK = '''"""`sweep used_elsewhere`: count the files of a folder."""
 
 from pathlib import Path
 
@@ -54,32 +54,33 @@ def install(tmp_path, monkeypatch):
 
 
 def test_an_installed_package_adds_a_subcommand(install, tmp_path, capsys):
-    install(DISK, disk="disk_usage")
+    install(DISK, used_elsewhere="disk_usage")
     (tmp_path / "full").mkdir()
     (tmp_path / "full/file").touch()
-    assert main(["disk", str(tmp_path / "full")]) == 0
+    assert main(["used_elsewhere", str(tmp_path / "full")]) == 0
     assert capsys.readouterr().out == "1 files\n"
-    assert main(["disk", str(tmp_path / "full"), "--all"]) == 4
-    assert main(["dsk"]) == 2
-    assert "did you mean disk?" in capsys.readouterr().err
-    assert main(["completion", "--line", "sweep disk --"]) == 0
+    assert main(["used_elsewhere", str(tmp_path / "full"), "--all"]) == 4
+    assert main(["usage_elsewere"]) == 2
+    assert "did you mean used_elsewhere?" in capsys.readouterr().err
+    assert main(["completion", "--line", "sweep used_elsewhere --"]) == 0
     assert "--all" in capsys.readouterr().out
 
 
 def test_help_names_an_installed_subcommand_without_running_its_code(install, capsys):
-    install("raise SystemExit('ran')", disk="disk_usage")
+    install("raise SystemExit('ran')", used_elsewhere="disk_usage")
     with pytest.raises(SystemExit) as end:
         main(["--help"])
     assert end.value.code == 0
-    assert "  disk          disk-usage\n" in capsys.readouterr().out
-    assert main(["disk"]) == 2
-    assert capsys.readouterr().err == "sweep: subcommand disk of disk-usage cannot be imported: SystemExit: ran\n"
+    assert "  used_elsewhere disk-usage\n" in capsys.readouterr().out
+    assert main(["used_elsewhere"]) == 2
+    said = "sweep: subcommand used_elsewhere of disk-usage cannot be imported: SystemExit: ran\n"
+    assert capsys.readouterr().err == said
 
 
 def test_a_module_that_is_no_subcommand_is_one_line(install, capsys):
-    install("COMMAND = None\nadd_arguments = None\n", disk="disk_usage")
-    assert main(["disk", "."]) == 2
-    assert capsys.readouterr().err == "sweep: subcommand disk of disk-usage: disk_usage does not define run\n"
+    install("COMMAND = None\nadd_arguments = None\n", used_elsewhere="disk_usage")
+    assert main(["used_elsewhere", "."]) == 2
+    assert capsys.readouterr().err == "sweep: subcommand used_elsewhere of disk-usage: disk_usage does not define run\n"
 
 
 def test_an_installed_package_cannot_replace_a_subcommand(install, capsys):
@@ -89,18 +90,18 @@ def test_an_installed_package_cannot_replace_a_subcommand(install, capsys):
     assert commands.command_names().count("status") == 1
 
 
-@pytest.mark.parametrize("place", ["disk.py", "sweep/cli/commands/disk.py", "commands/disk.py"])
-def test_files_of_a_folder_are_no_subcommands(place, tmp_path):
+@pytest.mark.parametrize("folder", [".", "sweep/cli/commands", "commands"])
+def test_files_of_a_folder_are_no_subcommands(folder, tmp_path):
     """Neither a project nor a folder of results that somebody sent can add code by a subcommand's name."""
-    file = tmp_path / place
+    file = tmp_path / folder / "used_elsewhere.py"
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text("raise SystemExit('ran')")
     (tmp_path / "sweep.yaml").write_text("modules: []\n")
     (tmp_path / "study.yaml").touch()
-    code = "import sys; from sweep.cli.main import main; sys.exit(main(['disk', '.']))"
+    code = "import sys; from sweep.cli.main import main; sys.exit(main(['used_elsewhere', '.']))"
     done = subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr.startswith("sweep: command = disk is unknown")
+    assert done.stderr.startswith("sweep: command = used_elsewhere is unknown")
 
 
 def test_every_subcommand_has_a_section_and_a_line():

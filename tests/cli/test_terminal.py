@@ -65,15 +65,43 @@ def test_a_share_comes_with_its_interval(fake_engine, tmp_path, capsys, monkeypa
     assert re.search(r"^axis .* share +low +high", told, re.MULTILINE)
 
 
-def test_the_command_knows_that_it_writes_to_a_terminal():
+def run_in_terminal(*words: str, **environment: str) -> str:
+    """What a command prints to a terminal of 80 columns."""
     reader, writer = pty.openpty()
-    command = [sys.executable, "-m", "sweep.cli", "describe", "outcome"]
-    with subprocess.Popen(command, stdout=writer, env={**os.environ, "COLUMNS": str(WIDTH)}) as process:
+    command = [sys.executable, "-m", "sweep.cli", *words]
+    with subprocess.Popen(command, stdout=writer, env={**os.environ, "COLUMNS": str(WIDTH), **environment}) as process:
         os.close(writer)
+        text = b""
         with suppress(OSError), os.fdopen(reader, "rb", buffering=0) as stream:  # the other end closes
-            text = b""
             while part := stream.read(1 << 16):
                 text += part
     assert process.returncode == 0
-    assert max(map(len, text.decode().splitlines())) <= WIDTH
-    assert "─" in text.decode()
+    return text.decode()
+
+
+def test_the_command_knows_that_it_writes_to_a_terminal():
+    text = run_in_terminal("describe", "outcome")
+    assert max(map(len, text.splitlines())) <= WIDTH
+    assert "─" in text
+
+
+@pytest.mark.parametrize(
+    ("lines", "pager", "is_paged"),
+    [("24", "sed s/^/paged:/", True), ("400", "sed s/^/paged:/", False), ("24", "", False), ("24", "cat", False),
+     ("24", "no-such-pager-here 2> /dev/null", False)],
+)  # fmt: skip
+def test_a_list_that_is_longer_than_the_screen_is_paged(lines, pager, is_paged):
+    shown = run_in_terminal("list", LINES=lines, PAGER=pager).replace("\r\n", "\n")
+    whole = shown.replace("paged:", "")
+    assert shown.count("paged:") == (len(whole.splitlines()) if is_paged else 0)
+    assert whole.startswith("scenario=\n  ")
+    assert whole.endswith("sweep list study map\n")
+    assert max(map(len, whole.splitlines())) <= WIDTH
+
+
+def test_a_piped_list_is_not_paged():
+    command = [sys.executable, "-m", "sweep.cli", "list"]
+    environment = {**os.environ, "LINES": "5", "PAGER": "sed s/^/paged:/"}
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.startswith("scenario=\n")
+    assert "paged:" not in done.stdout

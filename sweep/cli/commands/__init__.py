@@ -139,4 +139,6 @@ def list_commands(width: int) -> str:
 def entry(name: str, text: str, width: int) -> str:
     """Format a subcommand and its help for a list."""
     indent = " " * (NAME_WIDTH + 2)
-    return textwrap.fill(text, max(width - 2, 40), initial_indent=f"  {name:{NAME_WIDTH}}", subsequent_indent=indent)
+    return textwrap.fill(
+        text, max(width - 2, 40), initial_indent=f"  {name:{NAME_WIDTH - 1}} ", subsequent_indent=indent
+    )

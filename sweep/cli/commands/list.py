@@ -49,14 +49,15 @@ def run(args: argparse.Namespace) -> int:
     if not any(shipped.values()) and not any(own.values()):
         where = f"{group} that matches {' '.join(words)}" if group else f"group or choice called {' '.join(words)}"
         raise InputError(f"there is no {where}, and no folder: `sweep list` shows the groups")
-    print_groups(shipped, brief=not args.what)
+    lines = format_groups(shipped, brief=not args.what)
     if any(own.values()):
-        print(f"\nof this project, {project.find_project()}")
-        print_groups(own)
+        lines += ["", f"of this project, {project.find_project()}", *format_groups(own)]
     if not args.what:
-        print(
-            "\nsweep list GROUP [WORD ...]   what each choice is, or those that match all words: sweep list study map"
-        )
+        lines += [
+            "",
+            "sweep list GROUP [WORD ...]   what each choice is, or those that match all words: sweep list study map",
+        ]
+    terminal.print_markdown("\n".join(lines) + "\n", is_paged=True)
     return DONE
 
 
@@ -67,28 +68,24 @@ def matching_choices(choices: Mapping[str, str], words: Sequence[str]) -> dict[s
     }
 
 
-def print_groups(groups: Mapping[str, Mapping[str, str]], brief: bool = False) -> None:
-    """Print choices by group, leaving out empty groups.
+def format_groups(groups: Mapping[str, Mapping[str, str]], brief: bool = False) -> list[str]:
+    """Format choices by group as lines, leaving out empty groups.
 
     Args:
         groups: For each group the names of choices and their descriptions.
-        brief: Print only the names, but of studies, and cut each description to a line.
+        brief: Only the names, except those of studies, and each description cut to a line.
+
+    Returns:
+        The lines.
     """
-    width = shutil.get_terminal_size((100, 0)).columns
+    width, lines = shutil.get_terminal_size((100, 0)).columns, []
     for group, named in groups.items():
         if not named:
             continue
-        print(f"{group}=")
+        lines.append(f"{group}=")
         if brief and group != "study":
-            print(textwrap.fill(", ".join(named), width, initial_indent="  ", subsequent_indent="  "))
-        elif brief:
-            lines = (f"{name:20} {text}" for name, text in named.items())
-            print(*(f"  {one if len(one) <= width - 2 else one[: width - 5] + '...'}" for one in lines), sep="\n")
-        else:
-            print_choices(named)
-
-
-def print_choices(named: Mapping[str, str]) -> None:
-    """Print names and descriptions of choices."""
-    for name, text in named.items():
-        terminal.print_markdown(f"  {name:20} {text}".rstrip() + "\n")
+            lines += textwrap.wrap(", ".join(named), width, initial_indent="  ", subsequent_indent="  ")
+            continue
+        described = [f"  {name:20} {text}".rstrip() for name, text in named.items()]
+        lines += [one if len(one) <= width else f"{one[: width - 3]}..." for one in described] if brief else described
+    return lines

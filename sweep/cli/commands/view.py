@@ -64,8 +64,9 @@ def run(args: argparse.Namespace) -> int:
         path_in(Path(args.what[0]), "view.html") if of_folder else PAGES / f"{found.exp.scenario}.html"
     )
     print(page.write_page(found, path, shown=shown, opened=1 + bool(args.beside)))
-    if has_screen():
-        webbrowser.open(path.resolve().as_uri())
+    if not (has_screen() and webbrowser.open(path.resolve().as_uri())):
+        why = "no browser opens it" if has_screen() else "there is no display (DISPLAY is not set)"
+        print(f"sweep: {why}: open {path} in a browser", file=sys.stderr)
     return DONE
 
 
