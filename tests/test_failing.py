@@ -106,3 +106,14 @@ def test_a_listed_name_counts_and_draws_that_it_shares_count_once():
     idle = found[found.index == "robot.b"]
     assert idle["share"].isna().all()
     assert (idle["high"] < 0.1).all()
+
+
+def test_shares_lie_between_their_ends_and_within_0_and_1():
+    """One number decides alone: its unbiased estimate may exceed 1."""
+    for seed in range(8):
+        u = np.random.default_rng(seed).standard_normal((128, 4))
+        found = failing.failure_shares(rows(u, u[:, 0] > 0.8), told())
+        known = found[found["share"].notna()]
+        assert ((known["low"] <= known["share"]) & (known["share"] <= known["high"])).all()
+        assert known["share"].between(0, 1).all()
+        assert (found["low"] < found["high"]).all()

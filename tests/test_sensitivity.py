@@ -232,3 +232,24 @@ def test_indices_need_draws_and_not_rows(study, draws, offered):
     assert len(rows) == 5 * draws
     titles = [title for title, _ in statistics_sections(rows, exp)]
     assert ("PAWN indices" in titles) == offered
+
+
+def test_a_number_is_printed_once_and_an_index_with_its_error(study):
+    exp, rows = study({"shin": SHIN, "thigh": THIGH}, lambda t: t["robot.shin"] > 0.38, design={"num": 120})
+    sections = dict(statistics_sections(rows, exp))
+    assert "95 % interval" in sections["Rate of success"]
+    assert not [title for title in sections if title.startswith("Share of the draws")]
+    assert 0 < (rows["outcome"] == "success").sum() < sensitivity.MIN_RARER
+    assert sections["First Sobol indices (RBD-FAST) of success"].startswith("not shown, as no error holds")
+
+
+def test_a_parameter_without_influence_exceeds_the_index_by_chance_in_few_studies(study):
+    """Ranks of an idle parameter are a random order of the values, whatever the values are."""
+    values, rng, beyond = np.arange(128.0), np.random.default_rng(0), 0
+    bound, slices = screening._median_by_chance(values), np.arange(128) * screening.SLICES // 128
+    for _ in range(4000):
+        order = rng.permutation(slices)
+        every = np.arange(1, 129) / 128
+        within = [np.cumsum(order == k) / (order == k).sum() for k in range(screening.SLICES)]
+        beyond += np.median([np.abs(one - every).max() for one in within]) > bound
+    assert beyond <= 0.06 * 4000

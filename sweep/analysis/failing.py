@@ -38,9 +38,10 @@ def failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
         exp: Its experiment.
 
     Returns:
-        A row for each axis, drawn or listed, a number or a name: `share` (shares sum to 1), NaN where its error is as
-        large as itself; `low` and `high`, the ends of its interval; `alone`, the share of the joint distance that the
-        axis has on its own; the numbers of `failures` and `successes` that were used.
+        A row for each axis, drawn or listed, a number or a name: `share` (shares sum to 1, unless an estimate lies
+        beyond 0 to 1 and is cut), NaN where its error is as large as itself; `low` and `high`, the ends of its
+        interval; `alone`, the share of the joint distance that the axis has on its own; the numbers of `failures` and
+        `successes` that were used.
 
     Raises:
         InputError: The rows are not random draws, there are too many axes or too few draws of either outcome, or no
@@ -64,7 +65,7 @@ def failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     shapley = np.stack([_shapley(apart, k, len(axes)) for k in range(len(axes))])
     shapley = shapley / shapley.sum(axis=0)
     alone = np.stack([apart[frozenset([k])] for k in range(len(axes))]) / apart[frozenset(range(len(axes)))]
-    share, error = shapley[:, 0], _error(shapley)
+    share, error = np.clip(shapley[:, 0], 0.0, 1.0), _error(shapley)  # unbiased estimates may lie beyond
     certain = share > np.maximum(error, LEAST)
     if not certain.any():
         raise InputError("no share is larger than its error: more failures may help")

@@ -11,6 +11,7 @@ from sweep.analysis import failing, rare, screening, sensitivity
 from sweep.analysis.axis_effects import compare_along_axes
 from sweep.analysis.sample import drop_copies, pooled_rate
 from sweep.analysis.sampling_units import condition_rates, draw_numbers, interval_method
+from sweep.analysis.sensitivity import MIN_RARER
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
@@ -52,7 +53,9 @@ def statistics_sections(
         yield f"Rate along each axis, the others nominal{sure}", sensitivity.one_at_a_time_rates(rows, exp)
     elif drawn and exp.study.design.gives_rate:
         method = interval_method(exp.study).replace("Wilson", "Clopper-Pearson")
-        yield f"Share of the draws that succeed ({method}, 95 %)", sensitivity.success_volume(rows, exp)
+        volume = sensitivity.success_volume(rows, exp)
+        if listed or (volume[["success", "valid"]] != [every.success, every.valid]).to_numpy().any():
+            yield f"Share of the draws that succeed ({method}, 95 %)", volume
     elif several and listed:
         title = f"Rate at each condition ({interval_method(exp.study)}, 95 %)"
         yield title, condition_rates(rows, exp, [a.column for a in listed])
@@ -64,11 +67,10 @@ def statistics_sections(
     if numbers and not several and not one_at_a_time:
         found = sensitivity.grid_volume(whole, exp)
         share, low, high = map(format_percent, (found.share, found.low, found.high))
-        invalid = f"{found.invalid:,} invalid ({format_percent(every.invalid_share)}): the range covers both outcomes"
-        yield (
-            "Share of the grid's volume that succeeds",
-            f"{share}; {low} to {high}, counting cells on the boundary as failures or successes; {invalid}",
-        )
+        text = f"{share}; {low} to {high}, counting cells on the boundary as failures or successes"
+        if found.invalid:
+            text += f"; the range covers both outcomes of {every.invalid_text}"
+        yield "Share of the grid's volume that succeeds", text
     ineffective = {name: pairs for name, pairs in compare_along_axes(rows, exp).items() if pairs.same}
     if ineffective:
         told = [f"axis {name} changed no metric in {one.rollouts:,} rollouts" for name, one in ineffective.items()]
@@ -92,9 +94,13 @@ def statistics_sections(
     draws = len(np.unique(draw_numbers(rows, exp)))
     for title, function in sensitivity_methods(exp, draws).items() if drawn else ():
         try:
-            yield f"{title} of {figure or 'success'}", function(rows, exp, figure)
+            table = function(rows, exp, figure)
         except InputError as error:
             yield title, str(error)
+            continue
+        if function is screening.rbd_fast_indices and table["error"].isna().all():
+            table = f"not shown, as no error holds: it needs {MIN_RARER} draws of either outcome, and no Sobol sequence"
+        yield f"{title} of {figure or 'success'}", table
 
 
 def _select_axes(table: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
