@@ -58,7 +58,8 @@ def with_delay_buffer(exp: Experiment, table: pd.DataFrame) -> Experiment:
     """
     study = exp.study
     if study.design.num and not study.points and not any(axis.values is not None for axis in study.axes):
-        table = pd.concat([table, extreme_points(study, exp.system, exp.settings)])
+        ends = extreme_points(study, exp.system, exp.settings)
+        table = pd.concat([table[[column for column in ends if column in table]], ends])
     return replace(exp, system=exp.system.with_delay_buffer(table))
 
 

@@ -86,6 +86,8 @@ class Job:
 
     def rows(self, batches: list[int]) -> pd.DataFrame:
         """Return the points of `batches`, in the table's order."""
+        if self.wanted == {*batches} and len(self._places) == len(batches):  # no copy of millions of rows
+            return self.table
         places = [self._places[number] for number in batches]
         return self.table.take(np.sort(np.concatenate([np.zeros(0, dtype=int), *places])))
 
@@ -151,12 +153,13 @@ def prepare_job(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
         refuse_other_study(store.read_study(folder), exp, folder)
         if differ := set(planned.columns) ^ {*wanted.columns, "group", "batch", "slot", "width"}:
             raise InputError(f"{folder} holds a study with other axes ({', '.join(sorted(differ))}): give out=DIR")
-    every = pd.concat([planned, wanted], ignore_index=True)
+    every = pd.concat([planned, wanted], ignore_index=True) if len(planned) else wanted  # no copy of millions of rows
     buffered = with_delay_buffer(exp, every)
     table = assign_batches(buffered, planned, wanted)
     time_series.check_size(buffered, table)
     unplanned = count_unplanned(exp, table, wanted)  # by the points' ids, which are not those with a buffer
-    return Job(buffered, folder, table, set(table.loc[isin_points(table, wanted), "batch"]), unplanned)
+    chosen = table["batch"][isin_points(table, wanted)] if len(planned) else table["batch"]
+    return Job(buffered, folder, table, set(chosen.unique().tolist()), unplanned)
 
 
 def repair_folder(exp: Experiment, folder: Path) -> list[str]:

@@ -34,7 +34,13 @@ def row_streams(seed: int, table: "pd.DataFrame") -> np.ndarray:
     return (_mixed(total) >> np.uint64(1)).astype(np.int64)
 
 
-def point_ids(table: "pd.DataFrame", system: System) -> np.ndarray:
+def point_ids(hashes: np.ndarray) -> np.ndarray:
+    """Return the ids (n,) of points, 16 hexadecimal digits, from their hashes (n,), see `point_hashes`."""
+    text = hashes.astype(">u8").tobytes().hex()
+    return np.frombuffer(text.encode(), "S16").astype("U16")
+
+
+def point_hashes(table: "pd.DataFrame", system: System) -> np.ndarray:
     """Hash all physical inputs and the replicate of every row.
 
     The hash is a sum over inputs of hashes of name and value, so it is the same whether an input is varied or nominal.
@@ -46,7 +52,7 @@ def point_ids(table: "pd.DataFrame", system: System) -> np.ndarray:
         system: The system, which knows the nominal inputs.
 
     Returns:
-        Ids (n,) of 16 hexadecimal digits.
+        Numbers (n,) of 64 bits.
     """
     paths = [path for side, path in map(split_side, table.columns) if path.partition(".")[0] in system.groups]
     nominal = {f"{side}.{path}": value for side in SIDES for path, value in system.iterate_physical_inputs(paths)}
@@ -57,16 +63,16 @@ def point_ids(table: "pd.DataFrame", system: System) -> np.ndarray:
             varied[column] = column
         elif side in system.groups:
             varied |= {f"{side}.{column}": column for side in SIDES}
-    parts = [_hashes(key, np.asarray([value])) for key, value in nominal.items() if key not in varied]
-    parts += [_hashes(key, table[column].to_numpy()) for key, column in varied.items()]
+    total = _hashes("replicate", table["replicate"].to_numpy())
+    for key, value in nominal.items():
+        if key not in varied:
+            total += _hashes(key, np.asarray([value]))
     for path, value in system.default_inputs(paths):
-        parts += [-_hashes(f"{side}.{path}", np.asarray([value])) for side in SIDES]
-    parts.append(_hashes("replicate", table["replicate"].to_numpy()))
-    total = np.zeros(len(table), np.uint64)
-    for part in parts:
-        total += part
-    text = _mixed(total).astype(">u8").tobytes().hex()
-    return np.frombuffer(text.encode(), "S16").astype("U16")
+        for side in SIDES:
+            total -= _hashes(f"{side}.{path}", np.asarray([value]))
+    for key, column in varied.items():
+        total += _hashes(key, table[column].to_numpy())
+    return _mixed(total)
 
 
 def _hashes(key: str, values: np.ndarray) -> np.ndarray:
