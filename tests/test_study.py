@@ -184,7 +184,7 @@ def test_an_axis_that_names_nothing_or_leaves_the_bounds_is_refused(axis, messag
 )
 def test_a_step_longer_than_contacts_relax_is_refused(overrides):
     """It would damp them by itself, or shake them. C MuJoCo has a contact of its own."""
-    with pytest.raises(InputError, match=r"engine.time_step = 0.00\d is not allowed: at most contact.damping over"):
+    with pytest.raises(InputError, match=r"engine.time_step = 0.00\d is not allowed: at most 0.00"):
         table_of(*overrides)
     assert len(table_of(*overrides, "engine=native")[1]) >= 1
 

@@ -61,7 +61,9 @@ def _judge(expectation: Expectation, rows: pd.DataFrame, weights: np.ndarray, ex
     if expectation.at_least <= share <= expectation.at_most:
         return ""
     actual = f"{share:.4g} of {len(counted)}{_interval(counted, hit, exp)}"
-    return f"expected {what} from {expectation.at_least:g} to {expectation.at_most:g}, got {actual}"
+    least, most = expectation.at_least, expectation.at_most
+    wanted = f"at least {least:g}" if most == 1 else f"at most {most:g}" if least == 0 else f"{least:g} to {most:g}"
+    return f"expected {what}: {wanted}, got {actual}"
 
 
 def _interval(rows: pd.DataFrame, hit: np.ndarray, exp: Experiment) -> str:

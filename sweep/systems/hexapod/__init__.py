@@ -164,11 +164,11 @@ class Hexapod:
                 whole = [f"{group}.{name}" for group, part in parts if hasattr(part, name)] if step == 0 else []
                 hint = f": did you mean {' or '.join(whole)}?" if whole else suggest(name, {*allowed} - {name})
                 before = "".join(f"{p}." for p in path.split(".")[:step])
-                raise InputError(f"axis {column} names nothing: {before}{name} is unknown{hint}")
+                raise InputError(f"axis {column} is not allowed: {before}{name} is unknown{hint}")
             if step < len(above):
                 owner = settings if name == "engine" and step == 0 else getattr(owner, name)
                 if not dataclasses.is_dataclass(owner):
-                    raise InputError(f"axis {column} names nothing: {name} has no parts")
+                    raise InputError(f"axis {column} is not allowed: {name} has no parts")
         return owner, last
 
     def iterate_physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
@@ -230,8 +230,8 @@ class Hexapod:
         slow = found[(name == "mjx") & (step * stiffness > damping * (1 + 1e-9))]
         for stiffness, damping, step, _ in slow.head(1).itertuples(index=False):
             raise InputError(
-                f"engine.time_step = {step:g} is not allowed: at most contact.damping over contact.stiffness, "
-                f"{damping:g} N s/m over {stiffness:g} N/m"
+                f"engine.time_step = {step:g} is not allowed: at most {damping / stiffness:g} s, which is "
+                f"contact.damping / contact.stiffness = {damping:g} N s/m / {stiffness:g} N/m"
             )
 
     def cpu_threshold(self, settings: EngineSettings) -> int:

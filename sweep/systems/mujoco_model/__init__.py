@@ -32,7 +32,7 @@ from sweep.systems.mujoco_model.model_spec import ModelConfig, ModelSpec, Settin
 if TYPE_CHECKING:
     import pandas as pd
 
-AXES = ("name", "width", "precision")  # what an own model's engine has of the settings, beside the period of a tick
+AXES = ("name", "width", "precision")  # settings that the engine of a user model reads, beside the period of a tick
 ALLOWED = (*AXES, "control_period", "cross_check")
 OTHER = {"elliptic": "pyramidal", "pyramidal": "elliptic"}
 WAYS = {
@@ -127,13 +127,15 @@ class MujocoModel(ModelSpec):
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
         """Return the field of a model's number, or of a controller, noise or engine parameter, see `System`."""
         path = split_side(column)[1]
-        require_choice(root := path.partition(".")[0], (*self.groups, "engine"), f"axis {column} names nothing: {root}")
+        require_choice(
+            root := path.partition(".")[0], (*self.groups, "engine"), f"axis {column} is not allowed: {root}"
+        )
         if root == "model":
             found = fields.parameter(self.model, path)
             fields.check_variable(self.load_source, self.model, path)
             return found
         those = {f"engine.{one.name}": one for one in dataclasses.fields(Settings) if one.name in AXES}
-        require_choice(path, {**self.parameters, **those}, f"axis {column} names nothing: {path}")
+        require_choice(path, {**self.parameters, **those}, f"axis {column} is not allowed: {path}")
         if root == "engine":
             return those[path]
         return dataclasses.field(default=self.nominal_value(path), metadata=self.parameters[path].metadata)
@@ -192,7 +194,7 @@ class MujocoModel(ModelSpec):
 
     def make_sides(self, values: Values) -> tuple[SideValues, SideValues]:
         """Make the values of world and belief, by path, see `System`."""
-        world, belief = (SideValues(tuple(own.items())) for own in values_by_side(values).values())
+        world, belief = (SideValues(tuple(chosen.items())) for chosen in values_by_side(values).values())
         return world, belief
 
     def with_delay_buffer(self, table: "pd.DataFrame") -> "MujocoModel":
@@ -210,13 +212,13 @@ class MujocoModel(ModelSpec):
         shared = {
             path: value for path, value in model.items() if path not in fields.select_quantities(self.model, model)
         }
-        own = replace(self, config=replace(self.config, option=(*self.config.option, *shared.items())))
+        system = replace(self, config=replace(self.config, option=(*self.config.option, *shared.items())))
         if settings.name == "native":
-            return NativeModelEngine(own, settings)
+            return NativeModelEngine(system, settings)
         mujoco_versions.require_mjx(f"engine.name = {settings.name}", "engine=native")
         from sweep.systems.mujoco_model.mjx import MjxModelEngine  # slow to import
 
-        return MjxModelEngine(own, settings)
+        return MjxModelEngine(system, settings)
 
     def run_id(self, settings: EngineSettings) -> str:
         """See `System`: on native nothing of width or threads changes bits."""
@@ -250,22 +252,22 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     for field in dataclasses.fields(usual):
         if field.name not in ALLOWED and getattr(settings, field.name) != getattr(usual, field.name):
             raise InputError(f"engine.{field.name} is not allowed: the model's file sets it")
-    own, groups = MujocoModel(about, ()), {group: values.get(group) or {} for group in ("noise", "controller")}
-    bodies = [own.model.body(k).name for k in range(1, own.model.nbody)]
+    system, groups = MujocoModel(about, ()), {group: values.get(group) or {} for group in ("noise", "controller")}
+    bodies = [system.model.body(k).name for k in range(1, system.model.nbody)]
     pushes, pushed = disturbances.parse_pushes(values.get("push") or {}, bodies)
-    own = replace(own, pushes=pushes)
+    system = replace(system, pushes=pushes)
     asked = {f"{group}.{name}": value for group, given in groups.items() for name, value in given.items()} | pushed
     for path in asked:
-        require_choice(path, own.parameters, path)
+        require_choice(path, system.parameters, path)
     numbers = tuple(
-        (path, check_value(one, asked.get(path, one.default), path)) for path, one in own.parameters.items()
+        (path, check_value(one, asked.get(path, one.default), path)) for path, one in system.parameters.items()
     )
-    _ = own.observed_slices, own.keyframe_index  # which refuse unknown names
-    conditions = parse_conditions(values.get("outcome") or {}, own.metric_names, MEANINGS)
-    content = about.content or _content_digest(own)
-    own = replace(own, config=replace(about, content=content), controller_values=numbers, conditions=conditions)
+    _ = system.observed_slices, system.keyframe_index  # which refuse unknown names
+    conditions = parse_conditions(values.get("outcome") or {}, system.metric_names, MEANINGS)
+    content = about.content or _content_digest(system)
+    system = replace(system, config=replace(about, content=content), controller_values=numbers, conditions=conditions)
     settings, told = replace(settings, control_period=about.period), {**values["model"], "content": content}
-    return Nominal(own, settings, conditions, {"model": told})
+    return Nominal(system, settings, conditions, {"model": told})
 
 
 def _parse_model(given: Mapping[str, Any]) -> ModelConfig:
@@ -304,5 +306,5 @@ def _parse_model(given: Mapping[str, Any]) -> ModelConfig:
     return about
 
 
-def _content_digest(own: MujocoModel) -> str:
-    return f"{files.digest_model(own.model)}-{own.controller.digest}"
+def _content_digest(system: MujocoModel) -> str:
+    return f"{files.digest_model(system.model)}-{system.controller.digest}"

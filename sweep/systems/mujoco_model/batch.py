@@ -24,14 +24,14 @@ class BatchStart(NamedTuple):
     qpos: np.ndarray  # (n, nq), of the batch: what is written here is where it goes on from
     qvel: np.ndarray  # (n, nv), likewise
     sensors: np.ndarray  # (n, nsensordata), likewise
-    given: dict[str, Any]  # to the controllers, by row
+    policy_inputs: dict[str, Any]  # to the controllers, by row
     mass: np.ndarray  # (n,) kg
     limits: dict[str, np.ndarray]  # by field, (n, ..., 2)
     acting: TickForces  # pushes and delays of commands
     written: frozenset[str]  # fields of the models that were written
 
     def energy(self, qpos: Any = None, qvel: Any = None) -> np.ndarray:
-        """Of each model (n,), potential and kinetic (J), as it is, or where it goes: (n, nq) and (n, nv), if given.
+        """Potential and kinetic energy (J) of each model, (n,), as it is, or at given qpos (n, nq) and qvel (n, nv).
 
         All that follows from the state is worked out; where that is not finite, energy is NaN.
         """
@@ -56,62 +56,64 @@ class BatchStart(NamedTuple):
 
 
 def start_batch(
-    own: ModelSpec, settings: EngineSettings, world: SideValues, belief: SideValues, streams: np.ndarray
+    spec: ModelSpec, settings: EngineSettings, world: SideValues, belief: SideValues, streams: np.ndarray
 ) -> BatchStart:
     """Rollouts of a batch of two sides. Raises `InputError` where MuJoCo makes no batch of such a model."""
     n, number = len(streams), np.dtype(settings.precision).type
     try:
-        batch = Batch(own.model, n, devices.count_cores())
+        batch = Batch(spec.model, n, devices.count_cores())
     except ValueError as error:  # as of bodies that sleep
         reason = " ".join(str(error).split())
-        raise InputError(f"model.mjcf = {own.config.mjcf} cannot be simulated in batches: {reason}") from None
+        raise InputError(f"model.mjcf = {spec.config.mjcf} cannot be simulated in batches: {reason}") from None
     qpos, qvel, sensors = (batch.bind(name) for name in ("qpos", "qvel", "sensordata"))
     # bound before the reset: what is bound after it is zero until the next call
-    varied = fields.select_quantities(own.model, world.select_group("model"))
+    varied = fields.select_quantities(spec.model, world.select_group("model"))
     rows = {path: np.broadcast_to(value, (n,)) for path, value in varied.items()}
-    written = fields.write_values(batch, rows, own.load_source)
-    batch.reset(keyframe=own.keyframe_index, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-    inputs = controller_inputs(own, world, belief)
-    given = {
-        **jax.tree.map(lambda value: np.broadcast_to(number(value), (n,)), inputs),
-        "delay": np.broadcast_to(np.rint(inputs["delay"]).astype(np.int32), (n,)),
+    written = fields.write_values(batch, rows, spec.load_source)
+    batch.reset(keyframe=spec.keyframe_index, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+    values = controller_inputs(spec, world, belief)
+    policy_inputs = {
+        **jax.tree.map(lambda value: np.broadcast_to(number(value), (n,)), values),
+        "delay": np.broadcast_to(np.rint(values["delay"]).astype(np.int32), (n,)),
         "key": np.asarray(jax.random.key_data(devices.noise_keys(streams))),
     }
     limits = {name: batch.expand(name) for name in ("actuator_forcerange", "jnt_range")}
-    acting = disturbances.make_forces(own.pushes, world_numbers(own, world), draw_push_times(own, streams))
+    acting = disturbances.make_forces(spec.pushes, world_numbers(spec, world), draw_push_times(spec, streams))
     mass = batch.expand("body_mass").sum(axis=1)
-    return BatchStart(batch, qpos, qvel, sensors, given, mass, limits, acting, written)
+    return BatchStart(batch, qpos, qvel, sensors, policy_inputs, mass, limits, acting, written)
 
 
-def draw_push_times(own: ModelSpec, streams: np.ndarray) -> np.ndarray:
+def draw_push_times(spec: ModelSpec, streams: np.ndarray) -> np.ndarray:
     """Draw even random numbers (n, p) from 0 to 1 for the pushes of n rollouts, from their noise streams."""
-    if not own.pushes:
+    if not spec.pushes:
         return np.zeros((len(streams), 0))
     keys = jax.vmap(lambda key: jax.random.fold_in(key, PUSH_KEY))(devices.noise_keys(streams))
-    return np.asarray(jax.vmap(lambda key: jax.random.uniform(key, (len(own.pushes),), jax.numpy.float32))(keys), float)
+    return np.asarray(
+        jax.vmap(lambda key: jax.random.uniform(key, (len(spec.pushes),), jax.numpy.float32))(keys), float
+    )
 
 
-def controller_inputs(own: ModelSpec, world: SideValues, belief: SideValues) -> dict[str, Any]:
-    """What controllers are given of two sides: `belief` by name, and `delay`, `white` and `bias` of observations."""
-    noise = world_numbers(own, world)
-    told = own.believed_values({**belief.select_group("model"), **belief.select_group("controller")})
+def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) -> dict[str, Any]:
+    """Inputs of the controllers from both sides: `belief` by name, and `delay`, `white` and `bias` of observations."""
+    noise = world_numbers(spec, world)
+    told = spec.believed_values({**belief.select_group("model"), **belief.select_group("controller")})
     return {"belief": told, **{name: noise[f"noise.{name}"] for name in ("delay", "white", "bias")}}
 
 
-def world_numbers(own: ModelSpec, world: SideValues) -> dict[str, Any]:
+def world_numbers(spec: ModelSpec, world: SideValues) -> dict[str, Any]:
     """Return the numbers of noise and pushes by path, as they are in the world."""
-    return {**dict(own.controller_values), **world.select_group("noise"), **world.select_group("push")}
+    return {**dict(spec.controller_values), **world.select_group("noise"), **world.select_group("push")}
 
 
-def count_ticks(own: ModelSpec, duration: Any) -> np.ndarray:
+def count_ticks(spec: ModelSpec, duration: Any) -> np.ndarray:
     """Control ticks (n,) of rollouts whose controllers would end them after a `duration` (n,) in s.
 
     Raises `InputError` where one is shorter than a tick.
     """
-    found = np.rint(np.minimum(np.asarray(duration, float), own.config.duration) / own.config.period)
+    found = np.rint(np.minimum(np.asarray(duration, float), spec.config.duration) / spec.config.period)
     for short in np.ravel(duration)[~(np.ravel(found) >= 1)]:
-        wanted = f"at least a tick of {own.config.period:g} s is wanted"
-        raise InputError(f"model.controller = {own.config.controller} lasts {short:g} s: {wanted}")
+        wanted = f"at least a tick of {spec.config.period:g} s is wanted"
+        raise InputError(f"model.controller = {spec.config.controller} lasts {short:g} s: {wanted}")
     return found.astype(int)
 
 

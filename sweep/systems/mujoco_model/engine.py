@@ -1,4 +1,4 @@
-"""What engines for own models have in common, and the one on C MuJoCo.
+"""Base class of engines for user models, and the engine on C MuJoCo.
 
 That is a batch of models on all cores, each rollout with fields of its own; bits depend neither on threads nor on how
 many rollouts share a batch.
@@ -58,20 +58,20 @@ class ModelEngine:
     dynamics: str
     devices = 1  # threads share it
 
-    def __init__(self, own: ModelSpec, settings: EngineSettings):
+    def __init__(self, spec: ModelSpec, settings: EngineSettings):
         devices.configure()
-        self._own, self._settings, self._model = own, settings, own.model
-        self.duration = own.config.duration
+        self._spec, self._settings, self._model = spec, settings, spec.model
+        self.duration = spec.config.duration
         self.width = settings.width or (devices.CPU_WIDTH if settings.name == "native" else devices.default_width())
-        period, step = own.config.period, self._model.opt.timestep
+        period, step = spec.config.period, self._model.opt.timestep
         allowed = f"a multiple of {step:g} s, the model's time step"
         self._substeps = count_substeps(period, step, f"model.period = {period:g} is not allowed: {allowed}")
         ramp = (1 + np.arange(self._substeps)) / self._substeps  # what a command counts for, beside the one before
-        self._shares = ramp if own.config.command == "ramped" else np.ones(self._substeps)
-        self._meter = MetricAccumulator(own)
-        belief = {name: np.dtype(settings.precision).type(value) for name, value in own.believed_values({}).items()}
+        self._shares = ramp if spec.config.command == "ramped" else np.ones(self._substeps)
+        self._meter = MetricAccumulator(spec)
+        belief = {name: np.dtype(settings.precision).type(value) for name, value in spec.believed_values({}).items()}
         with self._within():
-            self._programs = ControllerPrograms(own, belief)
+            self._programs = ControllerPrograms(spec, belief)
 
     @contextmanager
     def _within(self) -> Iterator[None]:
@@ -81,17 +81,17 @@ class ModelEngine:
                 yield
         except SimulationError as error:
             reason = " ".join(str(error).split())
-            raise InputError(f"model.mjcf = {self._own.config.mjcf} cannot be simulated: {reason}") from None
+            raise InputError(f"model.mjcf = {self._spec.config.mjcf} cannot be simulated: {reason}") from None
 
     def check_start(self) -> None:
         """Raise `InputError` where the controller's first controls are not finite, all being nominal."""
-        begun = batch.start_batch(self._own, self._settings, SideValues(), SideValues(), np.zeros(1, np.int64))
+        begun = batch.start_batch(self._spec, self._settings, SideValues(), SideValues(), np.zeros(1, np.int64))
         with self._within():
             self._programs.check_start(begun)
 
     def evaluate_first_tick(self) -> FirstTick:
         """Evaluate the controller at the nominal start. Raises `InputError` where it fails."""
-        begun = batch.start_batch(self._own, self._settings, SideValues(), SideValues(), np.zeros(1, np.int64))
+        begun = batch.start_batch(self._spec, self._settings, SideValues(), SideValues(), np.zeros(1, np.int64))
         with self._within():
             return self._programs.evaluate_first_tick(begun)
 
@@ -116,7 +116,7 @@ class ModelEngine:
     ) -> tuple[Metrics, np.ndarray]:
         """Figures, and columns over time, see `Engine`."""
         found, frames, _ = self._simulate(world, belief, streams, slots, watch.every)
-        columns = [self._own.time_series_columns(frame.qpos, frame.qvel) for frame in frames]
+        columns = [self._spec.time_series_columns(frame.qpos, frame.qvel) for frame in frames]
         samples = [np.stack([one[name] for name in watch.columns], axis=-1) for one in columns]
         return found, np.stack(samples) if samples else np.zeros((0, len(slots), len(watch.columns)))
 
@@ -136,9 +136,9 @@ class ModelEngine:
         traces = []
         for k, slot in enumerate(slots):
             row = {name: values[slot] for name, values in found.items()}
-            within = time <= row["duration_s"] + self._own.config.period / 2
+            within = time <= row["duration_s"] + self._spec.config.period / 2
             ctrl, qpos, qvel, force = (values[within, k] for values in recorded)
-            base, model, count = self._own.base_address, models[k], int(within.sum())
+            base, model, count = self._spec.base_address, models[k], int(within.sum())
             pose = np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)) if base is None else qpos[:, base : base + 7]
             moved = time[within], qpos, qvel, ctrl, force @ joint_levers(model)
             none = np.zeros((count, 0, 3))  # of feet
@@ -174,40 +174,40 @@ class NativeModelEngine(ModelEngine):
     def _simulate(
         self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: Any = (), every: int = 1
     ) -> BatchResult:
-        own, n = self._own, len(streams)
+        spec, n = self._spec, len(streams)
         # figures of a tick are worked out, on one core, while the next one is simulated on all of them
         with self._within(), ThreadPoolExecutor(1) as aside:
-            begun = batch.start_batch(own, self._settings, world, belief, streams)
+            begun = batch.start_batch(spec, self._settings, world, belief, streams)
             qpos, qvel, seen = begun.qpos, begun.qvel, begun.sensors
-            rollouts = ControllerBatch(self._programs, begun.given, n)
+            rollouts = ControllerBatch(self._programs, begun.policy_inputs, n)
             before_all = begun.energy(rollouts.start)
-            ticks = batch.count_ticks(own, rollouts.duration)
-            rollouts.enter(own.observable_state(qpos, qvel, seen), ticks)
-            sofar = aside.submit(self._meter.start, qpos.copy(), qvel.copy())
+            ticks = batch.count_ticks(spec, rollouts.duration)
+            rollouts.enter(spec.observable_state(qpos, qvel, seen), ticks)
+            metric_state = aside.submit(self._meter.start, qpos.copy(), qvel.copy())
 
-            def measured(sofar: Any, steps: Any, going: np.ndarray) -> ModelMetrics:
+            def measured(metric_state: Any, steps: Any, going: np.ndarray) -> ModelMetrics:
                 steps = {**steps, "unsolved": find_unsolved_steps(self._model, steps)}
-                return self._meter.update(sofar, steps, begun.limits, going)
+                return self._meter.update(metric_state, steps, begun.limits, going)
 
             broken, frames = np.zeros(n, dtype=bool), []
             recorded: list[Any] = [None, None]  # of this tick and the one before
-            stepper = TickStepper(own, begun, self._shares)
+            stepper = TickStepper(spec, begun, self._shares)
             for k in range(int(ticks.max(initial=0))):
                 going = k < ticks
-                ctrl = rollouts.tick(own.observable_state(qpos, qvel, seen))
+                ctrl = rollouts.tick(spec.observable_state(qpos, qvel, seen))
                 broken |= going & ~np.isfinite(ctrl).all(axis=1)
                 ctrl = np.nan_to_num(ctrl)
                 steps = recorded[k % 2] = stepper.advance(ctrl, recorded[k % 2])
-                is_current = own.config.sensors == "current"
+                is_current = spec.config.sensors == "current"
                 seen = begun.current_sensors() if is_current else steps["sensordata"][:, -1]
-                sofar = aside.submit(measured, sofar.result(), steps, going)
+                metric_state = aside.submit(measured, metric_state.result(), steps, going)
                 if len(slots) and (k + 1) % every == 0:
                     last = (steps[name][slots, -1] for name in ("qpos", "qvel", "actuator_force"))
-                    frames.append(TickSample((k + 1) * own.config.period, ctrl[slots], *last))
-            own_figures = rollouts.finish(own.observable_state(qpos, qvel, seen))
+                    frames.append(TickSample((k + 1) * spec.config.period, ctrl[slots], *last))
+            own_figures = rollouts.finish(spec.observable_state(qpos, qvel, seen))
         warned = begun.batch.warning[:, :, 0] > 0
         full, broken = warned[:, FULL].any(axis=1), broken | np.delete(warned, FULL, axis=1).any(axis=1)
-        last = sofar.result()
+        last = metric_state.result()
         gained = begun.energy(last.last, last.speed) - before_all
         found = self._meter.compute(last, begun.mass, gained, broken, full)
         return found | own_figures, frames, [begun.batch.get_model(int(slot)) for slot in slots]
@@ -222,13 +222,13 @@ class TickStepper:
         shares: How much of a new command counts in each physics step of a tick, beside the one before, (s,).
     """
 
-    def __init__(self, own: ModelSpec, begun: batch.BatchStart, shares: np.ndarray):
-        self._own, self._begun, self._shares = own, begun, shares
-        n, model = begun.batch.nsim, own.model
-        self._control, self._bodies = own.controller.joint_control, own.pushed_bodies
+    def __init__(self, spec: ModelSpec, begun: batch.BatchStart, shares: np.ndarray):
+        self._spec, self._begun, self._shares = spec, begun, shares
+        n, model = begun.batch.nsim, spec.model
+        self._control, self._bodies = spec.controller.joint_control, spec.pushed_bodies
         self._commands = np.zeros((n, len(shares), model.nu))
         self._before: np.ndarray | None = None
-        self._past = np.zeros((n, own.action_buffer, model.nu))  # commands of the steps before
+        self._past = np.zeros((n, spec.action_buffer, model.nu))  # commands of the steps before
         self._first = 0  # number of the next step
         self._pushed: tuple[np.ndarray, np.ndarray] | None = None  # places as two steps began, last force
 
@@ -249,7 +249,7 @@ class TickStepper:
         if room := self._past.shape[1]:
             self._past = np.repeat(ctrl[:, None], room, axis=1) if not self._first else self._past
             commands, self._past = delay_commands(self._past, commands, self._begun.acting.delay)
-        step, count = self._own.model.opt.timestep, len(self._shares)
+        step, count = self._spec.model.opt.timestep, len(self._shares)
         forces = self._begun.acting.forces(np.asarray(self._first), count, step) if len(self._bodies) else None
         self._first += count
         return self._simulate(commands, forces, out)
@@ -258,7 +258,7 @@ class TickStepper:
         simulate, record, spec = self._begun.batch.rollout, RECORDED, int(mujoco.mjtState.mjSTATE_CTRL)
         beside = np.zeros((*commands.shape[:2], 0))
         if forces is not None:
-            wrench = np.zeros((*commands.shape[:2], self._own.model.nbody, 6))
+            wrench = np.zeros((*commands.shape[:2], self._spec.model.nbody, 6))
             for k, body in enumerate(self._bodies):
                 wrench[:, :, body, :3] += forces[:, :, k]
             beside, spec = wrench.reshape(*commands.shape[:2], -1), spec | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)

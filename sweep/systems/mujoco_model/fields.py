@@ -255,7 +255,7 @@ def find_element(model: mujoco.MjModel, path: str) -> Element:
     """Find the element that a path names. Raises `InputError` where there is none."""
     root, _, rest = path.partition(".")
     kind, _, rest = rest.partition(".")
-    require_choice(kind if root == ROOT else root, (*VARIED, OPTION), f"axis {path} names nothing: {kind or root}")
+    require_choice(kind if root == ROOT else root, (*VARIED, OPTION), f"axis {path} is not allowed: {kind or root}")
     if kind == OPTION:
         return Element(kind, 0, "", rest)
     parts = rest.split(".")
@@ -266,7 +266,7 @@ def find_element(model: mujoco.MjModel, path: str) -> Element:
     count = len(field_values(model, next(iter(VARIED[kind].values())).field))
     names = (mujoco.mj_id2name(model, KINDS[kind], k) for k in range(count))
     near = suggest(parts[0], filter(None, names))
-    raise InputError(f"axis {path} names nothing: no {kind} is called {parts[0]}{near}")
+    raise InputError(f"axis {path} is not allowed: no {kind} is called {parts[0]}{near}")
 
 
 def locate_numbers(model: mujoco.MjModel, path: str) -> tuple[NumberSpec, list[NumberLocation]]:
@@ -286,13 +286,13 @@ def locate_numbers(model: mujoco.MjModel, path: str) -> tuple[NumberSpec, list[N
         if not sizes:
             del varied["size"]
     attribute, _, part = what.partition(".")
-    require_choice(attribute, varied, f"axis {path} names nothing: {attribute or 'what of it'}")
+    require_choice(attribute, varied, f"axis {path} is not allowed: {attribute or 'what of it'}")
     numbers = varied[attribute]
     count, firsts = _places(model, kind, number, numbers.field)
     names = [*(numbers.names or map(str, range(count)))][:count]
     if count == 1 and not part:
         part = names[0]
-    require_choice(part, names, f"axis {path} names nothing: {part or 'which of its numbers'}")
+    require_choice(part, names, f"axis {path} is not allowed: {part or 'which of its numbers'}")
     return numbers, [NumberLocation(numbers.field, first + names.index(part)) for first in firsts]
 
 
@@ -313,7 +313,7 @@ def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[Nu
     gain, bias = model.actuator_gainprm[number], model.actuator_biasprm[number]
     if model.actuator_biastype[number] != int(mujoco.mjtBias.mjBIAS_AFFINE) or gain[0] != -bias[1]:
         what = "the actuator is no position servo; vary gainprm.0 and biasprm.0, .1, .2 instead"
-        raise InputError(f"axis {path} names nothing: {what}")
+        raise InputError(f"axis {path} is not allowed: {what}")
     places = [
         NumberLocation(field, number * field_values(model, field)[0].size + k, sign) for field, k, sign in SERVO[word]
     ]

@@ -14,34 +14,34 @@ CONDIM = {"slide": 3, "spin": 4, "roll": 6}  # of contacts, from which a frictio
 SENSED, FREE = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtJoint.mjJNT_FREE
 
 
-def explain_inactive(own: ModelSpec, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
+def explain_inactive(spec: ModelSpec, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
     """Why a column cannot change anything, as far as the model proves it: see `System.explain_inactive_column`."""
     side, path = split_side(column)
     root = path.partition(".")[0]
     if root == "noise":
         return "sensor errors are part of the world" if side == "belief" else ""
     if root == "push":
-        return _push(own, path, ends) if side != "belief" else "pushes are part of the world"
+        return _push(spec, path, ends) if side != "belief" else "pushes are part of the world"
     if root == "controller":
         return "controller parameters are part of the belief" if side == "world" else ""
     if root != "model":
         return ""
     if side == "belief":
-        return "" if path in own.controller.believes.values() else "the controller's BELIEVES does not name it"
+        return "" if path in spec.controller.believes.values() else "the controller's BELIEVES does not name it"
     if fields.is_group(path):
-        why = [explain_inactive(own, one, settings, ends) for one in fields.group_members(own.model, path)]
+        why = [explain_inactive(spec, one, settings, ends) for one in fields.group_members(spec.model, path)]
         return why[0] if all(why) else ""
-    kind, number, _, what = fields.find_element(own.model, path)
+    kind, number, _, what = fields.find_element(spec.model, path)
     if kind == fields.OPTION:
-        return _option(own.model, what)
+        return _option(spec.model, what)
     if kind == "geom":
-        return _geom(own.model, number, what, ends)
-    return _other(own.model, kind, number, what.partition(".")[0])
+        return _geom(spec.model, number, what, ends)
+    return _other(spec.model, kind, number, what.partition(".")[0])
 
 
-def _push(own: ModelSpec, path: str, ends: tuple[Any, Any]) -> str:
-    if path.endswith(".start") and min(ends) >= own.config.duration:
-        return f"rollouts end at {own.config.duration:g} s"
+def _push(spec: ModelSpec, path: str, ends: tuple[Any, Any]) -> str:
+    if path.endswith(".start") and min(ends) >= spec.config.duration:
+        return f"rollouts end at {spec.config.duration:g} s"
     return ""
 
 

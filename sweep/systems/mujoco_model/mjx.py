@@ -1,4 +1,4 @@
-"""An own model on MJX: controllers, physics and figures of a tick in one program of XLA's, on a CPU or a GPU.
+"""A user model on MJX: controllers, physics and metrics of a tick in one program of XLA's, on a CPU or a GPU.
 
 Its physics is JAX, or MuJoCo Warp's kernels in the same program: the engine `warp`, which is meant for NVIDIA's GPUs.
 
@@ -79,21 +79,21 @@ class MjxModelEngine(ModelEngine):
 
     dynamics = "mjx"
 
-    def __init__(self, own: ModelSpec, settings: EngineSettings):
+    def __init__(self, spec: ModelSpec, settings: EngineSettings):
         self._impl = "warp" if settings.name == "warp" else "jax"  # as MJX calls it
         if (warp := self._impl == "warp") and find_spec("warp") is None:
             how = "pip install 'insect-sweep[warp]'"
             raise InputError(f"engine.name = warp is not allowed: it needs NVIDIA Warp: {how}")
         if warp and settings.precision != "float32":
             raise InputError(f"engine.precision = {settings.precision} is not allowed: warp computes in float32")
-        super().__init__(own, settings)
+        super().__init__(spec, settings)
         pairs, geoms = count_geom_pairs(self._model), self._model.ngeom
         size = f"{self._model.nv} degrees of freedom, {pairs} pairs of {geoms} geoms that may touch"
-        self._about = f"{own.config.mjcf} ({size})"
+        self._about = f"{spec.config.mjcf} ({size})"
         self._limited = [] if warp else limited_contact_dims(self._model)
         self._compared = False  # with C MuJoCo
         self._placed: dict[Any, tuple[Any, Any]] = {}  # MJX's model and data of a batch's shape
-        if own.controller.batched:
+        if spec.controller.batched:
             raise self._refusal("it cannot compile a NumPy controller", "one of JAX's, ")
         with self._within(), report_silence(f"{settings.name}, which traces {self._about},", after=SOON):
             self._check()
@@ -150,7 +150,7 @@ class MjxModelEngine(ModelEngine):
             yield
         if said := list(dict.fromkeys(" ".join(str(one.message).split()) for one in caught)):
             more = f" (and {len(said) - 1} more)" if len(said) > 1 else ""
-            print_note(f"{self._settings.name} warns of {self._own.config.mjcf}: {said[0]}{more}")
+            print_note(f"{self._settings.name} warns of {self._spec.config.mjcf}: {said[0]}{more}")
 
     def _refusal(self, why: str, instead: str) -> InputError:
         """One line, of what is to be changed."""
@@ -188,26 +188,28 @@ class MjxModelEngine(ModelEngine):
         """
         if self._compared or not self._settings.cross_check:
             return
-        own, rows = self._own, sorted({0, len(streams) // 2, len(streams) - 1})
+        spec, rows = self._spec, sorted({0, len(streams) // 2, len(streams) - 1})
         world, belief = (SideValues(tuple((path, self._nominal_first(path, x)) for path, x in one.values))
                          for one in (world, belief))  # fmt: skip
         few = [
             SideValues(tuple((path, x[rows] if np.ndim(x) else x) for path, x in one.values)) for one in (world, belief)
         ]
         with self._within():
-            reference = batch.start_batch(own, self._settings, few[0], few[1], streams[rows])
+            reference = batch.start_batch(spec, self._settings, few[0], few[1], streams[rows])
             activation = reference.batch.bind("act")
             _, fixed, carry, _, _ = self._start(world, belief, streams)
-            stepper = TickStepper(own, reference, self._shares)
+            stepper = TickStepper(spec, reference, self._shares)
             for tick in range(COMPARED):
-                qpos, qvel, act = (np.asarray(carry["now"][name], float)[rows] for name in ("qpos", "qvel", "act"))
+                qpos, qvel, act = (
+                    np.asarray(carry["sim_state"][name], float)[rows] for name in ("qpos", "qvel", "act")
+                )
                 reference.qpos[:], reference.qvel[:], activation[:] = qpos, qvel, act
                 carry = self._advance(fixed, tick, 1, carry)
                 ctrl = np.asarray(carry["ctrl"], float)[rows]
                 steps = stepper.advance(ctrl)
-                ends = np.asarray(carry["now"]["qvel"], float)[rows], np.asarray(steps["qvel"][:, -1], float)
+                ends = np.asarray(carry["sim_state"]["qvel"], float)[rows], np.asarray(steps["qvel"][:, -1], float)
                 solved = ~find_unsolved_steps(self._model, steps).any(axis=1)  # else the solver's error is what differs
-                self._compare(tick, *(((end - qvel) / own.config.period)[solved] for end in ends))
+                self._compare(tick, *(((end - qvel) / spec.config.period)[solved] for end in ends))
         self._compared = True
 
     def _nominal_first(self, path: str, values: Any) -> Any:
@@ -215,7 +217,7 @@ class MjxModelEngine(ModelEngine):
         if not np.ndim(values):
             return values
         values = np.array(values)
-        values[0] = self._own.nominal_value(path)
+        values[0] = self._spec.nominal_value(path)
         return values
 
     def _compare(self, tick: int, here: np.ndarray, there: np.ndarray) -> None:
@@ -237,19 +239,19 @@ class MjxModelEngine(ModelEngine):
     def _simulate(
         self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: Any = (), every: int = 1
     ) -> BatchResult:
-        own, frames = self._own, []
+        spec, frames = self._spec, []
         with self._within():
             begun, fixed, carry, ticks, at_first = self._start(world, belief, streams)
-            given = fixed[3]
+            policy_inputs = fixed[3]
             longest, chunk = int(ticks.max(initial=0)), every if len(slots) else CHUNK
             for k in range(0, longest, chunk):
                 carry = self._advance(fixed, k, min(chunk, longest - k), carry)
                 if len(slots) and k + every <= longest:
-                    last = carry["ctrl"], carry["now"]["qpos"], carry["now"]["qvel"], carry["force"]
-                    frames.append(TickSample((k + every) * own.config.period, *(np.asarray(x)[slots] for x in last)))
-            measured = self._call(self._finish, given, carry["carried"], carry["seen"])
+                    last = carry["ctrl"], carry["sim_state"]["qpos"], carry["sim_state"]["qvel"], carry["force"]
+                    frames.append(TickSample((k + every) * spec.config.period, *(np.asarray(x)[slots] for x in last)))
+            measured = self._call(self._finish, policy_inputs, carry["carried"], carry["seen"])
         measured = {name: np.asarray(values, float) for name, values in measured.items()}
-        last = jax.tree.map(np.asarray, carry["sofar"])
+        last = jax.tree.map(np.asarray, carry["metric_state"])
         wrong, full = (np.asarray(carry[name]) for name in ("wrong", "full"))
         gained = begun.energy(last.last, last.speed) - at_first
         found = self._meter.compute(last, begun.mass, gained, wrong, full) | measured
@@ -262,21 +264,21 @@ class MjxModelEngine(ModelEngine):
 
         To be called in the engine's precision.
         """
-        own, n = self._own, len(streams)
+        spec, n = self._spec, len(streams)
         print_note(f"{self._settings.name} compiles {self._about}")
-        begun = batch.start_batch(own, self._settings, world, belief, streams)
-        given = jax.device_put(begun.given)
-        start, state, duration = self._call(self._first, given)
+        begun = batch.start_batch(spec, self._settings, world, belief, streams)
+        policy_inputs = jax.device_put(begun.policy_inputs)
+        start, state, duration = self._call(self._first, policy_inputs)
         at_first = begun.energy(start)
-        seen = jnp.asarray(own.observable_state(begun.qpos, begun.qvel, begun.sensors), float)
-        ticks = batch.count_ticks(own, duration)
+        seen = jnp.asarray(spec.observable_state(begun.qpos, begun.qvel, begun.sensors), float)
+        ticks = batch.count_ticks(spec, duration)
         template, data, leaves = self._put(begun)
-        now = {name: jnp.broadcast_to(getattr(data, name), (n, *getattr(data, name).shape)) for name in CARRIED}
-        now |= {"qpos": jnp.asarray(begun.qpos, float), "qvel": jnp.asarray(begun.qvel, float)}
+        sim_state = {name: jnp.broadcast_to(getattr(data, name), (n, *getattr(data, name).shape)) for name in CARRIED}
+        sim_state |= {"qpos": jnp.asarray(begun.qpos, float), "qvel": jnp.asarray(begun.qvel, float)}
         carry = {
-            "now": now,
-            "sofar": self._meter.start(now["qpos"], now["qvel"]),
-            "carried": self._call(self._enter, given, state, seen, ticks.astype(np.int32)),
+            "sim_state": sim_state,
+            "metric_state": self._meter.start(sim_state["qpos"], sim_state["qvel"]),
+            "carried": self._call(self._enter, policy_inputs, state, seen, ticks.astype(np.int32)),
             "seen": seen,
             "wrong": jnp.zeros(n, bool),
             "full": jnp.zeros(n, bool),
@@ -287,18 +289,18 @@ class MjxModelEngine(ModelEngine):
         carry = jax.tree.map(jnp.copy, carry)  # its buffers are given away, and some are there twice
         limits = {name: jnp.asarray(rows, float) for name, rows in begun.limits.items()}
         acting = jax.tree.map(lambda one: jnp.asarray(one, float if one.dtype.kind == "f" else int), begun.acting)
-        return begun, (template, data, leaves, given, limits, acting), carry, ticks, at_first
+        return begun, (template, data, leaves, policy_inputs, limits, acting), carry, ticks, at_first
 
     def _start_acting(self, n: int) -> dict[str, Array]:
         """What pushes and delays of commands carry from step to step at first: nothing where there are none."""
-        own, found = self._own, {}
-        if own.action_buffer:
-            found["past"] = jnp.full((n, own.action_buffer, self._model.nu), jnp.nan)  # commands of the steps before
-        if len(own.pushed_bodies):
+        spec, found = self._spec, {}
+        if spec.action_buffer:
+            found["past"] = jnp.full((n, spec.action_buffer, self._model.nu), jnp.nan)  # commands of the steps before
+        if len(spec.pushed_bodies):
             found["wrench"] = jnp.zeros((n, self._model.nbody, 6))  # in the last step
             # of the bodies, as the last two steps began
-            found["places"] = jnp.full((n, 2, len(own.pushed_bodies), 3), jnp.nan)
-        if own.action_buffer or own.controller.joint_control:
+            found["places"] = jnp.full((n, 2, len(spec.pushed_bodies), 3), jnp.nan)
+        if spec.action_buffer or spec.controller.joint_control:
             found["controls"] = jnp.zeros((n, self._model.nu))  # in the last step
         return found
 
@@ -308,10 +310,10 @@ class MjxModelEngine(ModelEngine):
         when = f" in tick {last}" if count == 1 else f" in ticks {first + 1} to {last}"
         return self._call(self._ticks, fixed, count, carry, when=when)
 
-    def _call(self, program: Callable[..., Any], *given: Any, when: str = "") -> Any:
+    def _call(self, program: Callable[..., Any], *policy_inputs: Any, when: str = "") -> Any:
         """Results of a program that has the controller in it; an error of the user's code becomes one line."""
         finished = jax.block_until_ready  # else the error would be that of whoever looks at the results
-        return self._programs.call_user_code(lambda: finished(program(*given)), when=when, is_own=False)
+        return self._programs.call_user_code(lambda: finished(program(*policy_inputs)), when=when, is_own=False)
 
     def _put(self, begun: batch.BatchStart) -> tuple[Any, Any, dict[str, Array]]:
         """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""
@@ -321,8 +323,8 @@ class MjxModelEngine(ModelEngine):
         if shape not in self._placed:  # on the device; the last is kept, which mostly is the next one
             model = with_features(self._model, most)
             data = mujoco.MjData(model)
-            if self._own.keyframe_index >= 0:
-                mujoco.mj_resetDataKeyframe(model, data, self._own.keyframe_index)
+            if self._spec.keyframe_index >= 0:
+                mujoco.mj_resetDataKeyframe(model, data, self._spec.keyframe_index)
             rooms = warp_buffer_sizes(model, n) if self._impl == "warp" else {}
             with self._warnings_as_note():
                 placed = mjx.put_model(model, impl=self._impl), mjx.put_data(model, data, impl=self._impl, **rooms)
@@ -341,28 +343,30 @@ class MjxModelEngine(ModelEngine):
         What is `fixed` are MJX's model and data, leaves by row, what controllers are given, limits (n, ..., 2), and
         pushes and delays of commands.
         """
-        template, data, leaves, given, limits, acting = fixed
-        bodies, time_step, law = self._own.pushed_bodies, self._model.opt.timestep, self._own.controller.joint_control
+        template, data, leaves, policy_inputs, limits, acting = fixed
+        bodies, time_step, law = self._spec.pushed_bodies, self._model.opt.timestep, self._spec.controller.joint_control
 
         def inputs(ctrl: Array, wrench: Array | None) -> dict[str, Array]:
             return {"ctrl": ctrl} if wrench is None else {"ctrl": ctrl, "xfrc_applied": wrench}
 
-        def one(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array, wrench: Any) -> tuple[Any, Any]:
+        def one(rows: Mapping[str, Array], sim_state: Mapping[str, Array], ctrl: Array, wrench: Any) -> tuple[Any, Any]:
             model = template.tree_replace(rows)
-            after = mjx.step(model, data.replace(**now, **inputs(ctrl, wrench)))
-            own = {"actuator_velocity": after._impl}
-            told = {name: getattr(own.get(name, after), name) for name in STEPS}
+            after = mjx.step(model, data.replace(**sim_state, **inputs(ctrl, wrench)))
+            internal = {"actuator_velocity": after._impl}
+            told = {name: getattr(internal.get(name, after), name) for name in STEPS}
             if wrench is not None:
                 told["places"] = after.xipos[bodies]  # as the step began
             told["full"], told["unsolved"] = self._invalid_flags(model, after)
-            return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED}, told
+            return {name: getattr(after, name).astype(sim_state[name].dtype) for name in CARRIED}, told
 
-        def current(rows: Mapping[str, Array], now: Mapping[str, Array], ctrl: Array, wrench: Any) -> Array:
-            return mjx.forward(template.tree_replace(rows), data.replace(**now, **inputs(ctrl, wrench))).sensordata
+        def current(rows: Mapping[str, Array], sim_state: Mapping[str, Array], ctrl: Array, wrench: Any) -> Array:
+            return mjx.forward(
+                template.tree_replace(rows), data.replace(**sim_state, **inputs(ctrl, wrench))
+            ).sensordata
 
         def tick(carry: Mapping[str, Any]) -> dict[str, Any]:
             going = carry["carried"]["tick"] < carry["carried"]["ticks"]
-            ctrl, carried = jax.vmap(self._programs.tick_one)(given, carry["carried"], carry["seen"])
+            ctrl, carried = jax.vmap(self._programs.tick_one)(policy_inputs, carry["carried"], carry["seen"])
             wrong = carry["wrong"] | going & ~jnp.isfinite(ctrl).all(axis=1)
             ctrl = jnp.nan_to_num(ctrl)
             before = jnp.where(jnp.isnan(carry["ctrl"]), ctrl, carry["ctrl"])
@@ -375,15 +379,15 @@ class MjxModelEngine(ModelEngine):
             first_step = carry["carried"]["tick"] * len(self._shares)
 
             def step(state: Any, given_step: Any) -> tuple[Any, None]:
-                now, sofar, full, extra, _ = state
+                sim_state, metric_state, full, extra, _ = state
                 (share, number, command), extra = given_step, dict(extra)
                 command = before + share * (ctrl - before) if command is None else command
-                controls = command if law is None else law.controls(command, now["qpos"], now["qvel"])
+                controls = command if law is None else law.controls(command, sim_state["qpos"], sim_state["qvel"])
                 wrench = None
                 if len(bodies):
                     forces = acting.forces(first_step + number, 1, time_step)[:, 0]
                     wrench = jnp.zeros_like(extra["wrench"]).at[:, bodies, :3].add(forces)
-                now, told = jax.vmap(one)(leaves, now, controls, wrench)
+                sim_state, told = jax.vmap(one)(leaves, sim_state, controls, wrench)
                 if wrench is not None:
                     places = told.pop("places")
                     last = jnp.where(jnp.isnan(extra["places"]), places[:, None], extra["places"])
@@ -395,17 +399,23 @@ class MjxModelEngine(ModelEngine):
                 full = full | going & told.pop("full")
                 work = {name: told.pop(name) for name in ("push_work",) if name in told}
                 steps = {name: values[:, None] for name, values in told.items()}
-                sofar = self._meter.update(sofar, {**steps, **work}, limits, going)
-                return (now, sofar, full, extra, (told["sensordata"], told["actuator_force"])), None
+                metric_state = self._meter.update(metric_state, {**steps, **work}, limits, going)
+                return (sim_state, metric_state, full, extra, (told["sensordata"], told["actuator_force"])), None
 
             none = jnp.zeros((len(ctrl), self._model.nsensordata)), carry["force"]
-            first = carry["now"], carry["sofar"], carry["full"], extra, none
+            first = carry["sim_state"], carry["metric_state"], carry["full"], extra, none
             each = shares, jnp.arange(len(self._shares)), late
-            (now, sofar, full, extra, (sensors, force)), _ = jax.lax.scan(step, first, each)
-            if self._own.config.sensors == "current":
-                sensors = jax.vmap(current)(leaves, now, extra.get("controls", ctrl), extra.get("wrench"))
-            seen = self._own.observable_state(now["qpos"], now["qvel"], sensors)
-            new = {"now": now, "sofar": sofar, "carried": carried, "seen": seen, "acting": extra}
+            (sim_state, metric_state, full, extra, (sensors, force)), _ = jax.lax.scan(step, first, each)
+            if self._spec.config.sensors == "current":
+                sensors = jax.vmap(current)(leaves, sim_state, extra.get("controls", ctrl), extra.get("wrench"))
+            seen = self._spec.observable_state(sim_state["qpos"], sim_state["qvel"], sensors)
+            new = {
+                "sim_state": sim_state,
+                "metric_state": metric_state,
+                "carried": carried,
+                "seen": seen,
+                "acting": extra,
+            }
             return new | {"wrong": wrong, "full": full, "ctrl": ctrl, "force": force}
 
         return jax.lax.fori_loop(0, count, lambda _, carry: tick(carry), carry)

@@ -46,11 +46,11 @@ def make_user_metric(control: files.Policy) -> Metric[Any]:
     """
     measure, figures = control.measure, control.figures
 
-    def compute(sofar: Any, end: ControllerEnd) -> dict[str, Array]:
-        return figures(*end, *([sofar] if measure else [])) if figures else {}
+    def compute(measurement: Any, end: ControllerEnd) -> dict[str, Array]:
+        return figures(*end, *([measurement] if measure else [])) if figures else {}
 
     begin = (lambda told: measure(None, told)) if measure else (lambda told: ())
-    return Metric(begin, measure or (lambda sofar, told: ()), compute, control.measured)
+    return Metric(begin, measure or (lambda measurement, told: ()), compute, control.measured)
 
 
 class FirstTick(NamedTuple):
@@ -61,18 +61,18 @@ class FirstTick(NamedTuple):
 
 
 class ControllerPrograms:
-    """The controller of an own model for any number of rollouts. Raises `InputError` where it is none.
+    """The controller of a user model for any number of rollouts. Raises `InputError` where it is none.
 
     `begin(belief, key) -> (start, state, duration)`: positions (nq,) and seconds, or None for the model's own.
     `policy(belief, observation, state, key) -> (ctrl, state)`: once a tick, of an observation (k,), controls (nu,).
     One that is `batched` is `policy(observations) -> ctrl`, of NumPy's (n, k) and (n, nu).
-    `measure(sofar, told) -> sofar`: as every tick begins, and at the end, of all that can be observed by name;
-    `sofar` is None at first.
+    `measure(previous, told) -> measurement`: as every tick begins, and at the end, of all that can be observed by name;
+    `previous` is None at first.
     """
 
-    def __init__(self, own: ModelSpec, belief: Mapping[str, Any]):
-        control, self._own = own.controller, own
-        self.period = own.config.period
+    def __init__(self, spec: ModelSpec, belief: Mapping[str, Any]):
+        control, self._spec = spec.controller, spec
+        self.period = spec.config.period
         self._begin = control.begin or (lambda belief, key: (None, (), None))
         # what is batched is called with what this gives
         self._policy = (lambda belief, told, state, key: (told, state)) if control.batched else control.policy
@@ -85,55 +85,75 @@ class ControllerPrograms:
         self.first, self.enter = jax.jit(each(self.begin_one)), jax.jit(each(self.start_rollout))
         self.tick, self.finish = jax.jit(each(self.tick_one), donate_argnums=1), jax.jit(each(self.finish_one))
 
-    def begin_one(self, given: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+    def begin_one(self, policy_inputs: Mapping[str, Any]) -> tuple[Any, Any, Any]:
         """Start, state and duration of one rollout, which is endless where the controller names none."""
-        key = jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 0)
-        start, state, duration = self._begin(given["belief"], key)
+        key = jax.random.fold_in(jax.random.wrap_key_data(policy_inputs["key"]), 0)
+        start, state, duration = self._begin(policy_inputs["belief"], key)
         return start, state, jnp.asarray(jnp.inf if duration is None else duration)
 
-    def start_rollout(self, given: Mapping[str, Any], state: Any, now: Array, ticks: Array) -> dict[str, Any]:
+    def start_rollout(
+        self, policy_inputs: Mapping[str, Any], state: Any, observable: Array, ticks: Array
+    ) -> dict[str, Any]:
         """What one rollout carries from tick to tick, of its `state` and the model's (s,) at first."""
-        key, seen = jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 1), self._own.observe_state(now)
-        bias, late = given["bias"] * _draw_normal(key, seen), jnp.tile(seen, (self._own.delay_buffer + 1, 1))
-        sofar = self._metric.begin(self._own.split_state(now))
-        return {"state": state, "late": late, "bias": bias, "tick": jnp.int32(0), "ticks": ticks, "sofar": sofar}
+        key, seen = (
+            jax.random.fold_in(jax.random.wrap_key_data(policy_inputs["key"]), 1),
+            self._spec.observe_state(observable),
+        )
+        bias, late = policy_inputs["bias"] * _draw_normal(key, seen), jnp.tile(seen, (self._spec.delay_buffer + 1, 1))
+        measurement = self._metric.begin(self._spec.split_state(observable))
+        return {
+            "state": state,
+            "late": late,
+            "bias": bias,
+            "tick": jnp.int32(0),
+            "ticks": ticks,
+            "measurement": measurement,
+        }
 
-    def tick_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> tuple[Array, Any]:
+    def tick_one(self, policy_inputs: Mapping[str, Any], carried: Any, observable: Array) -> tuple[Array, Any]:
         """Controls (nu,) of one rollout, or what it is told (k,), and what it carries on, after a state (s,)."""
-        tick, seen = carried["tick"], self._own.observe_state(now)
-        own, noise = jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(given["key"]), 2 + tick))
-        length = self._own.delay_buffer + 1  # of a ring, in which only one row is written in a tick
+        tick, seen = carried["tick"], self._spec.observe_state(observable)
+        policy_key, noise = jax.random.split(
+            jax.random.fold_in(jax.random.wrap_key_data(policy_inputs["key"]), 2 + tick)
+        )
+        length = self._spec.delay_buffer + 1  # of a ring, in which only one row is written in a tick
         late = carried["late"].at[tick % length].set(seen)
-        told = late[(tick - given["delay"]) % length] + carried["bias"] + given["white"] * _draw_normal(noise, seen)
-        ctrl, state = self._policy(given["belief"], told, carried["state"], own)
-        new = {"late": late, "tick": tick + 1, "sofar": self._measured(carried, now)}
+        told = (
+            late[(tick - policy_inputs["delay"]) % length]
+            + carried["bias"]
+            + policy_inputs["white"] * _draw_normal(noise, seen)
+        )
+        ctrl, state = self._policy(policy_inputs["belief"], told, carried["state"], policy_key)
+        new = {"late": late, "tick": tick + 1, "measurement": self._measured(carried, observable)}
         return ctrl, {**carried, **new, "state": _freeze_ended(tick < carried["ticks"], state, carried["state"])}
 
-    def finish_one(self, given: Mapping[str, Any], carried: Any, now: Array) -> dict[str, Array]:
+    def finish_one(self, policy_inputs: Mapping[str, Any], carried: Any, observable: Array) -> dict[str, Array]:
         """The controller's own figures of one rollout that ends with a state (s,), by name."""
-        return self._metric.compute(self._measured(carried, now), ControllerEnd(given["belief"], carried["state"]))
+        return self._metric.compute(
+            self._measured(carried, observable), ControllerEnd(policy_inputs["belief"], carried["state"])
+        )
 
     def rollout_outputs(self, world: SideValues, belief: SideValues, key: Array) -> Any:
         """What the controller gives, and what reaches MuJoCo's model, of one rollout: to be traced, not to be run."""
-        own = self._own
-        given = {**controller_inputs(own, world, belief), "key": jax.random.key_data(key)}
-        given["delay"] = jnp.rint(jnp.asarray(given["delay"])).astype(jnp.int32)
-        now = jnp.zeros(own.model.nq + own.model.nv + own.model.nsensordata)
-        start, state, duration = self.begin_one(given)
+        spec = self._spec
+        policy_inputs = {**controller_inputs(spec, world, belief), "key": jax.random.key_data(key)}
+        policy_inputs["delay"] = jnp.rint(jnp.asarray(policy_inputs["delay"])).astype(jnp.int32)
+        observable = jnp.zeros(spec.model.nq + spec.model.nv + spec.model.nsensordata)
+        start, state, duration = self.begin_one(policy_inputs)
 
         def tick(carried: Any, _: None) -> tuple[Any, Any]:
-            ctrl, carried = self.tick_one(given, carried, now)
+            ctrl, carried = self.tick_one(policy_inputs, carried, observable)
             return carried, ctrl
 
-        carried = self.start_rollout(given, state, now, jnp.int32(2))
+        carried = self.start_rollout(policy_inputs, state, observable, jnp.int32(2))
         carried, ctrl = jax.lax.scan(tick, carried, None, length=2)
-        return start, duration, ctrl, self.finish_one(given, carried, now), world.select_group("model")
+        return start, duration, ctrl, self.finish_one(policy_inputs, carried, observable), world.select_group("model")
 
-    def _measured(self, carried: Any, now: Array) -> Any:
+    def _measured(self, carried: Any, observable: Array) -> Any:
         """What is measured so far; a rollout that is over has its end in it already."""
-        new = self._metric.update(carried["sofar"], self._own.split_state(now))
+        new = self._metric.update(carried["measurement"], self._spec.split_state(observable))
         within = (carried["tick"] > 0) & (carried["tick"] <= carried["ticks"])  # the start is in it
-        return _freeze_ended(within, new, carried["sofar"])
+        return _freeze_ended(within, new, carried["measurement"])
 
     def check_start(self, begun: BatchStart) -> None:
         """Raise `InputError` where the first controls are not finite, or a second call gives others.
@@ -144,19 +164,19 @@ class ControllerPrograms:
         def found(function: Callable[..., Any], *more: Any) -> Any:  # without compiling it
             return self.call_user_code(evaluate_constants, lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
 
-        first = jax.tree.map(lambda rows: rows[0], begun.given)
+        first = jax.tree.map(lambda rows: rows[0], begun.policy_inputs)
         start, state, duration = found(self.begin_one)
-        count_ticks(self._own, duration)
+        count_ticks(self._spec, duration)
         if start is not None and not np.isfinite(start).all():
             raise self._error("begins at positions that are not finite")
         begun.energy(start)
-        now = self._own.observable_state(begun.qpos, begun.qvel, begun.sensors)[0]
-        ctrl, _ = found(self.tick_one, found(self.start_rollout, state, now, np.int32(1)), now)
+        observable = self._spec.observable_state(begun.qpos, begun.qvel, begun.sensors)[0]
+        ctrl, _ = found(self.tick_one, found(self.start_rollout, state, observable, np.int32(1)), observable)
         told = np.tile(ctrl, (TILE, 1))
         controls = np.array(self.compute_controls(told))
         if not np.isfinite(controls).all():
             raise self._error("gives controls that are not finite at the nominal start")
-        if not self._own.controller.batched:
+        if not self._spec.controller.batched:
             return
         with contextlib.suppress(InputError):  # it may have no answer to what no rollout observes
             self.compute_controls(told + 1)
@@ -175,20 +195,20 @@ class ControllerPrograms:
         Args:
             begun: A batch whose first rollout is nominal.
         """
-        own, model = self._own, self._own.model
-        first = jax.tree.map(lambda rows: jnp.asarray(rows[0]), begun.given)
+        spec, model = self._spec, self._spec.model
+        first = jax.tree.map(lambda rows: jnp.asarray(rows[0]), begun.policy_inputs)
         start, state, _ = self.call_user_code(self.begin_one, first)
         begun.energy(start)
-        now = jnp.asarray(own.observable_state(begun.qpos, begun.qvel, begun.sensors)[0], float)
-        carried = self.call_user_code(self.start_rollout, first, state, now, np.int32(1))
-        seen = own.observe_state(now)
-        ctrl, carried = self.call_user_code(self.tick_one, first, carried, now)
+        observable = jnp.asarray(spec.observable_state(begun.qpos, begun.qvel, begun.sensors)[0], float)
+        carried = self.call_user_code(self.start_rollout, first, state, observable, np.int32(1))
+        seen = spec.observe_state(observable)
+        ctrl, carried = self.call_user_code(self.tick_one, first, carried, observable)
         controls = np.array(self.compute_controls(np.tile(ctrl, (TILE, 1))))[0]
         names = [model.actuator(k).name or f"actuator {k}" for k in range(model.nu)]
-        learned, numbers = own.controller.learned, np.full(model.nu, np.nan)
+        learned, numbers = spec.controller.learned, np.full(model.nu, np.nan)
         if learned is None:
-            parts = own.config.observe or ("observation",)
-            every = [now[own.state_slices[name]] for name in own.config.observe] or [seen]
+            parts = spec.config.observe or ("observation",)
+            every = [observable[spec.state_slices[name]] for name in spec.config.observe] or [seen]
             inputs = {"observation": [(name, "", np.asarray(one)) for name, one in zip(parts, every, strict=True)]}
         else:
             numbers[learned.actuators] = carried["state"]["action"]
@@ -197,24 +217,24 @@ class ControllerPrograms:
 
     def _error(self, what: str) -> InputError:
         """One line that says what a controller does wrong."""
-        return InputError(f"model.controller = {self._own.config.controller} {what}")
+        return InputError(f"model.controller = {self._spec.config.controller} {what}")
 
-    def call_user_code(self, function: Callable[..., Any], *given: Any, when: str = "", is_own: bool = True) -> Any:
+    def call_user_code(self, function: Callable[..., Any], *args: Any, when: str = "", is_own: bool = True) -> Any:
         """Call a function that runs code of the user, see `run_user_code`.
 
         Args:
             function: the function.
-            *given: its arguments.
+            *args: its arguments.
             when: ` in tick 3`, for messages.
             is_own: whether all that it raises is the user's; else only what was raised in a file of the project.
 
         Raises:
             InputError: names the controller, the tick, and the file and line that failed.
         """
-        name, control = self._own.config.controller, self._own.controller
+        name, control = self._spec.config.controller, self._spec.controller
         try:
             with run_user_code(f"{name}{when}", control.folder):
-                return function(*given)
+                return function(*args)
         except InputError:
             raise
         except WRONG as error:
@@ -225,10 +245,10 @@ class ControllerPrograms:
 
     def compute_controls(self, told: np.ndarray, when: str = "") -> np.ndarray:
         """Controls (n, nu) of what the program gives (n, ...): they are it, or what a batched controller is told."""
-        if not self._own.controller.batched:
+        if not self._spec.controller.batched:
             return told
-        told, controls = np.array(told), self._own.model.nu
-        ctrl = self.call_user_code(lambda: np.asarray(self._own.controller.policy(told)), when=when)
+        told, controls = np.array(told), self._spec.model.nu
+        ctrl = self.call_user_code(lambda: np.asarray(self._spec.controller.policy(told)), when=when)
         if ctrl.shape != (len(told), controls) or ctrl.dtype.kind not in "fiu":
             wanted = f"numbers ({len(told)}, {controls}) are wanted of ({len(told)}, {told.shape[1]})"
             raise self._error(f"gives {ctrl.dtype} {ctrl.shape}: {wanted}")
@@ -236,14 +256,14 @@ class ControllerPrograms:
 
     def _check(self, belief: Mapping[str, Any]) -> None:
         """Raise where the controller's functions fit neither each other nor the model."""
-        own, model, key = self._own, self._own.model, jax.random.key(0)
-        now = jnp.zeros(model.nq + model.nv + model.nsensordata)
+        spec, model, key = self._spec, self._spec.model, jax.random.key(0)
+        observable = jnp.zeros(model.nq + model.nv + model.nsensordata)
         start, state, duration = jax.eval_shape(self._begin, belief, key)
-        seen = jax.eval_shape(own.observe_state, now)
+        seen = jax.eval_shape(spec.observe_state, observable)
         ctrl, after = jax.eval_shape(self._policy, belief, seen, state, key)
-        sofar = jax.eval_shape(lambda: self._metric.begin(own.split_state(now)))
-        more = jax.eval_shape(self._metric.update, sofar, own.split_state(now))
-        found = jax.eval_shape(self._metric.compute, sofar, ControllerEnd(belief, after))
+        measurement = jax.eval_shape(lambda: self._metric.begin(spec.split_state(observable)))
+        more = jax.eval_shape(self._metric.update, measurement, spec.split_state(observable))
+        found = jax.eval_shape(self._metric.compute, measurement, ControllerEnd(belief, after))
         shape = getattr(ctrl, "shape", type(ctrl).__name__)
 
         def differ(*trees: Any) -> bool:
@@ -252,25 +272,25 @@ class ControllerPrograms:
 
         for wrong, what in (
             (getattr(seen, "ndim", 0) != 1, f"observes {getattr(seen, 'shape', seen)}: (k,) is wanted"),
-            (not own.controller.batched and shape != (model.nu,),
+            (not spec.controller.batched and shape != (model.nu,),
              f"gives controls {shape}: ({model.nu},) are wanted"),
             (differ(state, after), "returns a state of another shape or type than it receives"),
-            (differ(sofar, more), "returns measurements of another shape or type than at first"),
+            (differ(measurement, more), "returns measurements of another shape or type than at first"),
             (start is not None and start.shape != (model.nq,),
              f"begins at {getattr(start, 'shape', '')}: ({model.nq},) are wanted"),
             (duration is not None and duration.shape, f"lasts {getattr(duration, 'shape', '')}: one number is wanted"),
         ):  # fmt: skip
             if wrong:
                 raise self._error(what)
-        told = {"observes": seen, "gives controls": None if own.controller.batched else ctrl, "begins at": start,
+        told = {"observes": seen, "gives controls": None if spec.controller.batched else ctrl, "begins at": start,
                 "lasts": duration}  # fmt: skip
         for what, one in told.items():
             if one is not None and not jnp.isdtype(one.dtype, ("real floating", "integral")):
                 raise self._error(f"{what} {one.dtype} {one.shape}: numbers are wanted")
-        if {*found} != {*own.controller.measured} or any(one.shape or one.dtype.kind == "c" for one in found.values()):
+        if {*found} != {*spec.controller.measured} or any(one.shape or one.dtype.kind == "c" for one in found.values()):
             has = ", ".join(f"{name} {one.dtype} {one.shape}" for name, one in found.items())
             raise self._error(f"has figures {has}: numbers are wanted, named in FIGURES")
-        if own.controller.batched:
+        if spec.controller.batched:
             self.compute_controls(np.zeros((TILE, seen.shape[0]), jnp.zeros(0).dtype))
 
 
@@ -280,29 +300,29 @@ def _freeze_ended(going: Array, new: Any, old: Any) -> Any:
 
 
 class ControllerBatch:
-    """The controllers of n rollouts, in whole tiles of which the last repeats the last rollout; `given` by row."""
+    """The controllers of n rollouts in whole tiles, the last padded by the last rollout; `policy_inputs` by row."""
 
-    def __init__(self, programs: ControllerPrograms, given: Mapping[str, Any], n: int):
+    def __init__(self, programs: ControllerPrograms, policy_inputs: Mapping[str, Any], n: int):
         self._programs, self._n = programs, n
         self._rows = np.minimum(np.arange(-(-self._n // TILE) * TILE), self._n - 1).reshape(-1, TILE)
-        self._given = [jax.device_put(jax.tree.map(lambda x, r=r: np.asarray(x)[r], given)) for r in self._rows]
+        self._given = [jax.device_put(jax.tree.map(lambda x, r=r: np.asarray(x)[r], policy_inputs)) for r in self._rows]
         self._tick, self._period = 0, programs.period
         starts, self._carried, durations = zip(*self._call(lambda: list(map(programs.first, self._given))), strict=True)
         self.start, self.duration = self._joined(starts), self._joined(durations)
 
-    def enter(self, now: np.ndarray, ticks: np.ndarray) -> None:
+    def enter(self, observable: np.ndarray, ticks: np.ndarray) -> None:
         """Begin with states (n, s), for a number of ticks (n,)."""
-        self._carried = self._of_tiles(self._programs.enter, now, ticks.astype(np.int32))
+        self._carried = self._of_tiles(self._programs.enter, observable, ticks.astype(np.int32))
 
-    def tick(self, now: np.ndarray) -> np.ndarray:
+    def tick(self, observable: np.ndarray) -> np.ndarray:
         """Controls (n, nu) at the next tick, after states (n, s)."""
         self._tick += 1
-        parts, self._carried = zip(*self._of_tiles(self._programs.tick, now), strict=True)
+        parts, self._carried = zip(*self._of_tiles(self._programs.tick, observable), strict=True)
         return self._joined([self._programs.compute_controls(one, self._when) for one in parts])
 
-    def finish(self, now: np.ndarray) -> dict[str, np.ndarray]:
+    def finish(self, observable: np.ndarray) -> dict[str, np.ndarray]:
         """The controllers' own figures, (n,) by name, of states (n, s) at the end."""
-        parts = self._of_tiles(self._programs.finish, now)
+        parts = self._of_tiles(self._programs.finish, observable)
         return {name: self._joined([one[name] for one in parts]) for name in parts[0]}
 
     @property
@@ -317,7 +337,9 @@ class ControllerBatch:
         """What a program gives of each tile: of what is given to it, what it carries, and rows of `more`."""
         each = zip(self._given, self._carried, self._rows, strict=True)
         return self._call(
-            lambda: [program(given, carried, *(one[rows] for one in more)) for given, carried, rows in each]
+            lambda: [
+                program(policy_inputs, carried, *(one[rows] for one in more)) for policy_inputs, carried, rows in each
+            ]
         )
 
     def _joined(self, parts: Sequence[Any]) -> Any:
