@@ -7,7 +7,12 @@ SCRIPT = @if npx --yes --package=$(1) $(2) --version >/dev/null 2>&1; then npx -
   else echo "npx has no $(1) here: the page's script is not checked by $(2)"; fi
 
 # the extra of a machine with a GPU
-GPU = $(shell nvidia-smi -L >/dev/null 2>&1 && echo ,gpu)
+GPU = $(shell nvidia-smi -L >/dev/null 2>&1 && echo '[gpu]')
+
+# uv where it is on the PATH, else pip, which reads dependency groups since 25.1
+UV := $(shell command -v uv 2>/dev/null)
+VENV = $(if $(UV),$(UV) venv -q --allow-existing --seed --python $(PYTHON),$(PYTHON) -m venv)
+INSTALL = $(if $(UV),$(UV) pip install -q --python $(BIN)/python,$(BIN)/pip install -q)
 
 # every Python that is supported and there, a pyenv's too
 PYTHONS = $(shell for v in 3.12 3.13; do for p in python$$v $$HOME/.pyenv/versions/$$v*/bin/python; do \
@@ -69,8 +74,9 @@ setup: .venv/.installed
 
 .venv/.installed: pyproject.toml setup.py constraints.txt
 	@test -n "$(PYTHON)" || { echo "make: no Python 3.12 or 3.13 on the PATH; set PYTHON=/path/to/python3.12"; exit 1; }
-	$(PYTHON) -m venv .venv
-	$(BIN)/pip install -q -c constraints.txt -e '.[dev,docs$(GPU)]'
+	$(VENV) .venv
+	$(if $(UV),,$(INSTALL) 'pip>=25.1')
+	$(INSTALL) -c constraints.txt -e '.$(GPU)' --group dev
 	@touch $@
 
 clean:

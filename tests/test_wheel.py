@@ -2,6 +2,7 @@
 
 import ast
 import re
+import subprocess
 import sys
 import tarfile
 import tomllib
@@ -45,6 +46,31 @@ def test_what_is_imported_is_declared():
         if not {_plain(one) for one in where.get(name, [name])} & declared
     }
     assert not missing
+
+
+WITHOUT_EXTRAS = """
+import importlib, pkgutil, sys
+import sweep
+sys.modules.update(dict.fromkeys(sys.argv[1].split()))
+for one in pkgutil.walk_packages(sweep.__path__, "sweep."):
+    if "template" not in one.name and not one.name.endswith("__main__"):
+        try:
+            importlib.import_module(one.name)
+        except ImportError:
+            print(one.name)
+"""
+
+
+def test_only_the_modules_of_an_extra_need_it():
+    """A base install runs and reports a study: what it does not install is imported in these modules alone."""
+    asked = [re.split(r"[<>=~! ]", one)[0] for extra in PROJECT["optional-dependencies"].values() for one in extra]
+    extras = {_plain(one) for one in asked if "[" not in one}
+    modules = [name for name, owners in packages_distributions().items() if {_plain(one) for one in owners} & extras]
+    assert {"foxglove", "dask", "onnx"} <= set(modules)
+    command = [sys.executable, "-c", WITHOUT_EXTRAS, " ".join(modules)]
+    needing = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    needing = [line for line in needing if line.startswith("sweep.")]  # MJX prints, too
+    assert needing == ["sweep.replay.mcap", "sweep.replay.shapes"]
 
 
 def _imported(file: Path) -> set[str]:

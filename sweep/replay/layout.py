@@ -6,7 +6,7 @@ from typing import Any
 from sweep.contract.engine import Trace
 from sweep.contract.trace_frames import base_body_id, joint_names
 from sweep.core.plot_style import LEG_COLORS
-from sweep.replay.shapes import body_name
+from sweep.replay.model_geoms import body_name
 
 _EFFORT = '/joint_states.joints[:]{{name=="{}"}}.effort'
 

@@ -31,9 +31,11 @@ from sweep.contract.engine import Trace
 from sweep.contract.trace_frames import finite_frames, frames_at_rate, joint_names, joint_positions, joint_rates
 from sweep.core.errors import Fault
 from sweep.core.files import descriptor, write_atomically
+from sweep.core.json_values import to_json_value
 from sweep.replay.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
 from sweep.replay.layout import foxglove_layout
-from sweep.replay.shapes import WORLD, body_name, foxglove_quaternion, foxglove_vector, moving_body_ids, scene_entities
+from sweep.replay.model_geoms import body_name, moving_body_ids
+from sweep.replay.shapes import WORLD, foxglove_quaternion, foxglove_vector, scene_entities
 
 PICTURE_RATE = 50.0  # Hz, of transforms and arrows; joints and loads are written every tick, so that no peak is lost
 
@@ -86,23 +88,6 @@ def _write(path: Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping
         _write_joints(context, trace)
         if trace.foot_force.shape[1]:
             _write_loads(context, trace)
-
-
-def to_json_value(value: Any) -> Any:
-    """Convert a value to what JSON can hold: NumPy to Python, non-finite numbers to None, keys to text."""
-    match value:
-        case Mapping():
-            return {str(key): to_json_value(one) for key, one in value.items()}
-        case np.ndarray() | np.generic():
-            return to_json_value(value.tolist())
-        case list() | tuple():
-            return [to_json_value(item) for item in value]
-        case float():
-            return value if math.isfinite(value) else None
-        case None | bool() | int() | str():
-            return value
-        case _:
-            return str(value)
 
 
 def _nanoseconds(seconds: Any) -> int:

@@ -15,7 +15,7 @@ from sweep.contract.engine import Trace, single_joints
 from sweep.contract.trace_frames import base_body_id, finite_frames
 from sweep.core.files import decode_text, encode_text
 from sweep.replay.hulls import geom_hull
-from sweep.replay.shapes import VISIBLE_GROUPS, geom_color
+from sweep.replay.model_geoms import VISIBLE_GROUPS, geom_color
 
 MAX_RATE = 10.0  # frames per second, at most
 MAX_CHARACTERS = 40_000  # largest number of characters in the states of a rollout; a longer one gets fewer frames

@@ -18,6 +18,7 @@ from foxglove.messages import (
 )
 
 from sweep.replay.hulls import geom_hull
+from sweep.replay.model_geoms import VISIBLE_GROUPS, body_name, geom_color, moving_body_ids
 
 Primitive = CubePrimitive | CylinderPrimitive | SpherePrimitive | TriangleListPrimitive
 Geom = mujoco.mjtGeom
@@ -25,7 +26,6 @@ Geom = mujoco.mjtGeom
 WORLD = "world"  # the fixed frame
 PLANE_SIDE = 20.0  # m, drawn of an infinite plane
 PLANE_THICKNESS = 2e-3  # m
-VISIBLE_GROUPS = 3  # MuJoCo's viewers draw the groups 0-2
 
 
 def foxglove_vector(values: np.ndarray) -> Vector3:
@@ -36,16 +36,6 @@ def foxglove_vector(values: np.ndarray) -> Vector3:
 def foxglove_quaternion(values: np.ndarray) -> Quaternion:
     """Convert a quaternion in MuJoCo's order (w, x, y, z) to Foxglove's."""
     return Quaternion(x=float(values[1]), y=float(values[2]), z=float(values[3]), w=float(values[0]))
-
-
-def body_name(model: mujoco.MjModel, body: int) -> str:
-    """Return the name of a body, which is also that of its frame in Foxglove."""
-    return mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or f"body_{body}"
-
-
-def moving_body_ids(model: mujoco.MjModel) -> np.ndarray:
-    """Return the ids of the bodies that can move in the world."""
-    return np.flatnonzero(model.body_weldid != 0)
 
 
 def scene_entities(model: mujoco.MjModel) -> list[SceneEntity]:
@@ -128,20 +118,3 @@ def _shapes(model: mujoco.MjModel, data: mujoco.MjData, geom: int, moving: bool)
             return [TriangleListPrimitive(pose=pose(), points=points, color=color, indices=fans)]
         case _:
             return []
-
-
-def geom_color(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
-    """Return red, green, blue and opacity of a geom, from 0 to 1; a texture counts as its mean colour."""
-    material = int(model.geom_matid[geom])
-    return tuple((model.geom_rgba[geom] if material < 0 else _material_rgba(model, material)).tolist())
-
-
-def _material_rgba(model: mujoco.MjModel, material: int) -> np.ndarray:
-    rgba = model.mat_rgba[material].astype(float)
-    texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
-    if texture >= 0:
-        channels, start = int(model.tex_nchannel[texture]), int(model.tex_adr[texture])
-        pixels = int(model.tex_height[texture]) * int(model.tex_width[texture])
-        colors = model.tex_data[start : start + channels * pixels].reshape(pixels, channels)
-        rgba[:3] *= colors[:, :3].mean(axis=0) / 255
-    return rgba

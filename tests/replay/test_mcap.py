@@ -16,10 +16,11 @@ from scipy.spatial import ConvexHull
 from sweep.contract import trace_frames
 from sweep.contract.engine import Trace
 from sweep.core.errors import Fault
+from sweep.core.json_values import to_json_value
 from sweep.models.legs import KINDS
 from sweep.replay.arrows import FORCE_SCALE, arrow_tips
 from sweep.replay.hulls import geom_hull
-from sweep.replay.mcap import rotation_from_x_axis, to_json_value, write_mcap
+from sweep.replay.mcap import rotation_from_x_axis, write_mcap
 
 CONFIG = {"robot": {"thigh": 0.52, "shin": np.float64(0.335)}, "limits": [np.inf, 1]}
 OUTCOME = {"outcome": "success", "cause": "", "slip_max_m": np.float32(0.25), "clearance_min_m": float("nan")}

@@ -120,6 +120,12 @@ def test_bad_arguments_are_one_line(folder, args, message):
     assert "\n" not in str(error.value)
 
 
+def test_a_recording_for_foxglove_needs_its_extra(folder, monkeypatch):
+    monkeypatch.setattr("sweep.cli.commands.replay.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"--mcap is not allowed: .* pip install 'insect-sweep\[mcap\]'"):
+        execute(["replay", str(folder), "0", "--mcap", "walk.mcap"])
+
+
 def test_folder_without_results(tmp_path):
     with pytest.raises(InputError, match="not a folder of results"):
         execute(["replay", str(tmp_path), "0"])

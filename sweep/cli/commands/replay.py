@@ -2,6 +2,7 @@
 
 import argparse
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 from sweep.cli.command import Command, Section
@@ -37,7 +38,6 @@ def run(args: argparse.Namespace) -> int:
     from sweep.contract.trace_frames import frames_at_rate
     from sweep.core.plot_style import save_figure
     from sweep.core.progress import show_counts, show_wait
-    from sweep.replay.mcap import write_mcap
     from sweep.replay.rendering import VIDEO_RATE, write_png, write_video
     from sweep.replay.replay import format_comparison, replay, state_table
     from sweep.runs import device_choice, results
@@ -57,6 +57,8 @@ def run(args: argparse.Namespace) -> int:
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
     if args.mcap:
+        from sweep.replay.mcap import write_mcap
+
         outcome = {"point_id": result.stored["point_id"], **result.again}
         write_mcap(args.mcap, result.trace, result.config, outcome)
     if args.states:
@@ -86,6 +88,8 @@ def check_options(args: argparse.Namespace) -> None:
         path = getattr(args, option)
         if path and path.suffix != ending:
             raise InputError(f"--{option} {path} is not allowed: a file that ends in {ending[1:]}")
+    if args.mcap and find_spec("foxglove") is None:
+        raise InputError("--mcap is not allowed: it needs Foxglove's SDK: pip install 'insect-sweep[mcap]'")
     if args.video:
         if args.video.suffix != ".mp4":
             raise InputError(f"--video {args.video} is not allowed: a file that ends in mp4")

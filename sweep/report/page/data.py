@@ -13,7 +13,7 @@ import pandas as pd
 from sweep.analysis.sample import choose_indices
 from sweep.contract.system import split_side
 from sweep.core.files import encode_text
-from sweep.replay.mcap import to_json_value
+from sweep.core.json_values import to_json_value
 from sweep.report import analytic_curves
 from sweep.report.figures import metric_thresholds, metrics_with_threshold_first
 from sweep.report.labels import column_meaning, kind_meaning, outcome_kind, unique_words, words_and_unit
