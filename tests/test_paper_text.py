@@ -1,5 +1,6 @@
 """The paper about the project: what it cites is there, and it is of the version that is installed."""
 
+import json
 import re
 from pathlib import Path
 
@@ -23,6 +24,8 @@ def test_every_work_is_cited_and_every_citation_is_a_work():
 
 def test_the_version_is_one():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert citation["version"] == __version__
+    zenodo = json.loads((ROOT / ".zenodo.json").read_text(encoding="utf-8"))
+    assert citation["version"] == zenodo["version"] == __version__
+    assert citation["title"] == zenodo["title"]
     assert f'version = "{__version__}"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     assert f"## {__version__}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")

@@ -48,6 +48,17 @@ def test_what_is_imported_is_declared():
     assert not missing
 
 
+def test_the_lock_has_hashes_and_the_versions_of_development_and_no_address():
+    lock = (ROOT / "requirements.lock").read_text()
+    assert "://" not in lock
+    locked = dict(re.findall(r"^(\S+)==(\S+)", lock, re.MULTILINE))
+    assert lock.count("==") == len(locked) <= lock.count("--hash=sha256:")
+    pinned = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text().split())
+    pinned = {_plain(name): version for name, version in pinned.items()}
+    assert locked == {name: pinned[_plain(name)] for name in locked}
+    assert {_plain(re.split(r"[\[<>=~! ]", one)[0]) for one in PROJECT["dependencies"]} <= {*map(_plain, locked)}
+
+
 WITHOUT_EXTRAS = """
 import importlib, pkgutil, sys
 import sweep

@@ -1,0 +1,40 @@
+#!/usr/bin/env bash
+# A release up to the last step before its upload: changelog from fragments, wheel and sdist, the wheel checked in an empty
+# environment, the site, and digests of all files. In a copy: the checkout stays as it is. Everything is left in build/release.
+#   jobs/release.sh VERSION [PYTHON ...], such as jobs/release.sh 0.3.0 python3.12 python3.13; without Pythons no wheel is run
+set -euo pipefail
+root=$(cd "$(dirname "$0")/.." && pwd)
+version=$1
+shift
+out=$root/build/release
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+bin=$root/.venv/bin
+
+[ -z "$(git -C "$root" status --porcelain --untracked-files=no)" ] || { echo "jobs/release.sh: commit first" >&2; exit 1; }
+git clone -q --local --no-hardlinks "$root" "$work/copy"
+cd "$work/copy"
+ln -s "$root/.venv" .venv
+"$bin/python" jobs/set_version.py "$version"
+PYTHONPATH=$work/copy "$bin/python" docs/reference_pages.py >/dev/null  # a page states the version
+"$bin/towncrier" build --yes --version "$version" >/dev/null
+git -c user.name=release -c user.email=release@localhost commit -qam "ci: release $version"
+git log -1 --stat --format=%s | tail -1
+
+jobs/wheel.sh "$@"
+"$bin/python" - "$version" dist/* <<'PYTHON'
+import sys
+for name in sys.argv[2:]:
+    assert f"insect_sweep-{sys.argv[1]}" in name, f"{name} is not of {sys.argv[1]}"
+PYTHON
+NO_MKDOCS_2_WARNING=1 "$bin/mkdocs" build -q
+
+rm -rf "$out"
+mkdir -p "$out"
+cp dist/* CITATION.cff .zenodo.json requirements.lock "$out/"
+tar -C build -czf "$out/site.tar.gz" site
+sed -n "/^## $version /,/^## /p" CHANGELOG.md | sed '1d;/^## /d' >"$out/notes.md"
+cd "$out"
+sha256sum -- * >SHA256SUMS
+cat SHA256SUMS
+echo "jobs/release.sh: nothing was uploaded or tagged; see .github/workflows/release.yaml for what follows"
