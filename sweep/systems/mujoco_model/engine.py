@@ -100,15 +100,15 @@ class ModelEngine:
         return ()
 
     def rollout_bytes(self) -> None:
-        """None that is known, see `Engine`."""
+        """Return None: the memory of a rollout is not known, see `Engine`."""
 
     def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """See `Engine`: of all that reaches MuJoCo's model it is not known what MuJoCo makes of it."""
+        """Return the columns that no program reads, see `Engine`. Columns of the MuJoCo model always count as read."""
         with self._within():
             return find_unread_columns(self._programs.rollout_outputs, sides, ends)
 
     def run(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> Metrics:
-        """Figures of a batch, see `Engine`."""
+        """Simulate a batch and return its metrics, see `Engine`."""
         return self._simulate(world, belief, streams)[0]
 
     def run_with_time_series(
@@ -217,7 +217,7 @@ class TickStepper:
     """Simulates the control ticks of a batch on C MuJoCo, one after the other.
 
     Args:
-        own: The model with its controller.
+        spec: The model with its controller.
         begun: The batch of n rollouts.
         shares: How much of a new command counts in each physics step of a tick, beside the one before, (s,).
     """

@@ -330,11 +330,11 @@ class ControllerBatch:
         return f" in tick {self._tick} ({(self._tick - 1) * self._period:.4g} s)" if self._tick else ""
 
     def _call(self, function: Callable[[], Any]) -> Any:
-        """Results of compiled programs, whose errors are told here and not where somebody looks at them."""
+        """Wait for the results of compiled programs, so that their errors are raised here."""
         return self._programs.call_user_code(lambda: jax.block_until_ready(function()), when=self._when, is_own=False)
 
     def _of_tiles(self, program: Callable[..., Any], *more: np.ndarray) -> list[Any]:
-        """What a program gives of each tile: of what is given to it, what it carries, and rows of `more`."""
+        """Call a program for each tile with its inputs, its carried state and its rows of `more`."""
         each = zip(self._given, self._carried, self._rows, strict=True)
         return self._call(
             lambda: [
