@@ -72,7 +72,7 @@ def save_network(file, nodes, inputs, outputs, weights, kind=TensorProto.DOUBLE,
     onnx.save(model, file)
 
 
-def save_perceptron(file, sizes, size=1.0, seed=1, **metadata):
+def save_perceptron(file, sizes, size=1.0, seed=1, weight=None, **metadata):
     """Save a perceptron with tanh in every layer, whose last weights have a `size`."""
     rng, weights, nodes, last = np.random.default_rng(seed), {}, [], "obs"
     for k, (n, m) in enumerate(pairwise(sizes)):
@@ -83,6 +83,8 @@ def save_perceptron(file, sizes, size=1.0, seed=1, **metadata):
         nodes.append(helper.make_node("Gemm", [last, f"w{k}", f"b{k}"], [f"a{k}"], transB=1))
         last = "action" if end else f"h{k}"
         nodes.append(helper.make_node("Tanh", [f"a{k}"], [last]))
+    if weight is not None:  # of a single layer, without a bias
+        weights |= {"w0": weight, "b0": np.zeros(sizes[-1])}
     save_network(file, nodes, {"obs": ["n", sizes[0]]}, {"action": ["n", sizes[-1]]}, weights, **metadata)
 
 

@@ -204,7 +204,10 @@ class MujocoModel(ModelSpec):
             varied = [table[c].max() for c in table.columns if split_side(c)[1] == path]
             return math.ceil(max([self.nominal_value(path), *varied]))
 
-        return replace(self, delay_buffer=longest("noise.delay"), action_buffer=longest("noise.action_delay"))
+        terms = [longest(path) for path in self.parameters if path.startswith("noise.") and path.count(".") > 1
+                 and path.endswith(".delay")]  # fmt: skip
+        room = longest("noise.delay") + max(terms, default=0)
+        return replace(self, delay_buffer=room, action_buffer=longest("noise.action_delay"))
 
     def make_engine(self, settings: EngineSettings, world: SideValues, belief: SideValues, limits: Any) -> ModelEngine:
         """Compile an engine on C MuJoCo or MJX, see `System`."""
@@ -257,6 +260,8 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     pushes, pushed = disturbances.parse_pushes(values.get("push") or {}, bodies)
     system = replace(system, pushes=pushes)
     asked = {f"{group}.{name}": value for group, given in groups.items() for name, value in given.items()} | pushed
+    for path in [path for path, value in asked.items() if isinstance(value, Mapping)]:  # errors of a term
+        asked |= {f"{path}.{key}": value for key, value in asked.pop(path).items()}
     for path in asked:
         require_choice(path, system.parameters, path)
     numbers = tuple(

@@ -12,7 +12,7 @@ from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.systems.mujoco_model import disturbances, fields
 from sweep.systems.mujoco_model.disturbances import TickForces
-from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
+from sweep.systems.mujoco_model.model_spec import TERM_NOISE, ModelSpec, SideValues
 
 PUSH_KEY = 2**31 - 1  # of the times of pushes; controllers have those from 0 on
 
@@ -97,7 +97,11 @@ def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) ->
     """Inputs of the controllers from both sides: `belief` by name, and `delay`, `white` and `bias` of observations."""
     noise = world_numbers(spec, world)
     told = spec.believed_values({**belief.select_group("model"), **belief.select_group("controller")})
-    return {"belief": told, **{name: noise[f"noise.{name}"] for name in ("delay", "white", "bias")}}
+    found = {"belief": told, **{name: noise[f"noise.{name}"] for name in ("delay", "white", "bias")}}
+    if spec.controller.learned:
+        labels = spec.controller.learned.measured_terms
+        found["terms"] = {key: {one: noise[f"noise.{one}.{key}"] for one in labels} for key in TERM_NOISE}
+    return found
 
 
 def world_numbers(spec: ModelSpec, world: SideValues) -> dict[str, Any]:

@@ -369,7 +369,7 @@ def _group_parameter(model: mujoco.MjModel, path: str) -> Parameter:
     about = [parameter(model, member) for member in members]
     if path.endswith(RELATIVE):
         return quantity(1.0, f"of {len(members)} numbers", at_least=0)
-    values = [one.default for one in about]
+    values: list[float] = [one.default for one in about]  # pyright: ignore[reportAssignmentType]
     if max(values) != min(values):
         differ = f"{len(values)} numbers from {min(values):g} to {max(values):g} differ"
         raise InputError(f"axis {path} has no nominal value, {differ}: multiply them by {path}{RELATIVE}")

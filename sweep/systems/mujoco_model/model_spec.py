@@ -51,6 +51,13 @@ NOISE = {  # errors of what the controller observes, alike in all components, in
     "noise.action_delay": quantity(0.0, "steps", at_least=0, at_most=1000),  # physics steps that commands are late by
 }
 
+TERM_NOISE = {  # errors of one term of a learned policy's observation, in its unit, before clip and scale
+    "white": quantity(0.0, "", at_least=0),  # deviation, drawn anew at every tick, beside that of `noise.white`
+    "bias": quantity(0.0, "", at_least=0),  # deviation of the constant error, beside that of `noise.bias`
+    "delay": quantity(0.0, "ticks", at_least=0, at_most=50),  # whole control ticks, beside those of `noise.delay`
+    "dropout": quantity(0.0, "", at_least=0, at_most=1),  # share of ticks in which the last value stays
+}
+
 
 @dataclass(frozen=True)
 class SideValues:
@@ -93,7 +100,10 @@ class ModelSpec:
         """Fields of the noise and controller parameters, by path."""
         pushes = {f"push.{one.name}.{key}": about for one in self.pushes for key, about in PUSH.items()}
         own = {f"controller.{name}": quantity(value, "") for name, value in self.controller.parameters.items()}
-        return NOISE | pushes | own
+        learned = self.controller.learned
+        labels = learned.measured_terms if learned else ()
+        terms = {f"noise.{label}.{key}": about for label in labels for key, about in TERM_NOISE.items()}
+        return NOISE | terms | pushes | own
 
     @cached_property
     def pushed_bodies(self) -> np.ndarray:

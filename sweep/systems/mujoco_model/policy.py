@@ -99,7 +99,8 @@ class ControllerPrograms:
             jax.random.fold_in(jax.random.wrap_key_data(policy_inputs["key"]), 1),
             self._spec.observe_state(observable),
         )
-        bias, late = policy_inputs["bias"] * _draw_normal(key, seen), jnp.tile(seen, (self._spec.delay_buffer + 1, 1))
+        size = policy_inputs["bias"] + self._term_numbers(policy_inputs, "bias")
+        bias, late = size * _draw_normal(key, seen), jnp.tile(seen, (self._spec.delay_buffer + 1, 1))
         measurement = self._metric.begin(self._spec.split_state(observable))
         return {
             "state": state,
@@ -108,7 +109,16 @@ class ControllerPrograms:
             "tick": jnp.int32(0),
             "ticks": ticks,
             "measurement": measurement,
+            **({"held": seen} if "terms" in policy_inputs else {}),
         }
+
+    def _term_numbers(self, policy_inputs: Mapping[str, Any], key: str) -> Any:
+        """A number of the errors of terms for each number of the observation, (k,); 0 without a learned policy."""
+        learned = self._spec.controller.learned
+        if learned is None or not learned.measured_terms:
+            return 0
+        errors = policy_inputs["terms"][key]
+        return jnp.concatenate([jnp.full(one.size, errors[label]) for label, one in learned.measured_terms.items()])
 
     def tick_one(self, policy_inputs: Mapping[str, Any], carried: Any, observable: Array) -> tuple[Array, Any]:
         """Controls (nu,) of one rollout, or what it is told (k,), and what it carries on, after a state (s,)."""
@@ -118,14 +128,30 @@ class ControllerPrograms:
         )
         length = self._spec.delay_buffer + 1  # of a ring, in which only one row is written in a tick
         late = carried["late"].at[tick % length].set(seen)
-        told = (
-            late[(tick - policy_inputs["delay"]) % length]
-            + carried["bias"]
-            + policy_inputs["white"] * _draw_normal(noise, seen)
-        )
+        if "terms" in policy_inputs:
+            told = self._observe_terms(policy_inputs, carried, late, noise)
+            held = {"held": told}
+        else:
+            seen_late = late[(tick - policy_inputs["delay"]) % length]
+            told, held = seen_late + carried["bias"] + policy_inputs["white"] * _draw_normal(noise, seen), {}
         ctrl, state = self._policy(policy_inputs["belief"], told, carried["state"], policy_key)
-        new = {"late": late, "tick": tick + 1, "measurement": self._measured(carried, observable)}
+        new = {"late": late, "tick": tick + 1, "measurement": self._measured(carried, observable), **held}
         return ctrl, {**carried, **new, "state": _freeze_ended(tick < carried["ticks"], state, carried["state"])}
+
+    def _observe_terms(self, policy_inputs: Mapping[str, Any], carried: Any, late: Array, key: Array) -> Array:
+        """What a learned policy measures in a tick (k,), with the errors of each term."""
+        length, tick = late.shape[0], carried["tick"]
+        delay = policy_inputs["delay"] + jnp.rint(self._term_numbers(policy_inputs, "delay")).astype(jnp.int32)
+        seen = late[(tick - delay) % length, jnp.arange(late.shape[1])]
+        white = policy_inputs["white"] + self._term_numbers(policy_inputs, "white")
+        told = seen + carried["bias"] + white * _draw_normal(key, seen)
+        learned = self._spec.controller.learned
+        terms = learned.measured_terms if learned else {}
+        luck = jax.random.uniform(jax.random.fold_in(key, 1), (len(terms),), jnp.float32)  # one for each term
+        each = [jnp.full(one.size, luck[k]) for k, one in enumerate(terms.values())]
+        luck = jnp.concatenate(each) if each else jnp.zeros(0)
+        is_lost = (luck < self._term_numbers(policy_inputs, "dropout")) & (tick > 0)
+        return jnp.where(is_lost, carried["held"], told)
 
     def finish_one(self, policy_inputs: Mapping[str, Any], carried: Any, observable: Array) -> dict[str, Array]:
         """The controller's own figures of one rollout that ends with a state (s,), by name."""
