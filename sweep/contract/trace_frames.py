@@ -87,7 +87,15 @@ def joint_names(model: mujoco.MjModel) -> list[str]:
 
 
 def mass_centres(trace: Trace, frames: slice) -> np.ndarray:
-    """Return the robot's mass centre (N, 3), m, world axes, at the frames of a slice."""
+    """Compute the robot's mass centre at some frames of a trace.
+
+    Args:
+        trace: The trace, with its MuJoCo model.
+        frames: Which of its frames.
+
+    Returns:
+        Positions (N, 3), m, world axes.
+    """
     data, centres = mujoco.MjData(trace.model), []
     for qpos in trace.qpos[frames]:
         data.qpos[:] = qpos
