@@ -122,6 +122,8 @@ def test_every_link_and_file_of_a_page_is_there(page):
         assert target.startswith("https://") or (page.parent / target).exists(), target
     for line in re.findall(r"^    (?:python |)((?:jobs|docs|bench|research)/\S+)", text, re.MULTILINE):
         assert (ROOT / line).exists(), line
+    if page in FOLLOWED:  # its imports may name what the page adds
+        return
     for sentence in re.findall(r"^\s*(from sweep[\w.]* import [\w, ]+?)\s*(?:#.*)?$", text, re.MULTILINE):
         exec(sentence, {})
 
