@@ -61,7 +61,14 @@ study:
 
 STILL = "import jax.numpy as jnp\ndef policy(belief, seen, state, key): return jnp.zeros({}), state\n"
 needs_warp = pytest.mark.skipif(find_spec("warp") is None, reason="needs the extra warp")
-CONSTANT = "duration_s", "not_finite", "buffer_full", "joint_limit_share", "unsolved_share"  # of its rows
+CONSTANT = (
+    "duration_s",
+    "not_finite",
+    "buffer_full",
+    "joint_limit_share",
+    "unsolved_share",
+    "torque_max_nm",
+)  # of its rows; the motor is at its limit in each
 
 
 @pytest.fixture(scope="module")

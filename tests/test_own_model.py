@@ -92,7 +92,7 @@ def test_what_studies_do_works_on_it(here, capsys, monkeypatch):
     for line in ("table some", "stats some", "status some", "verify some", "report some", "export some --paper p"):
         assert main(line.split()) == 0, line
     assert main(["replay", "some", "3"]) == 0
-    assert "16 of 16 metrics are equal to the last bit" in capsys.readouterr().out
+    assert "21 of 21 metrics are equal to the last bit" in capsys.readouterr().out
     assert main(["run", *SHORT, "out=some", "outcome.goal='travelled_m < 1e9'"]) == 0  # judged anew
     assert (store.read_rows(Path("some"))["outcome"] == "success").all()
     assert main(["relabel", "some", "goal=travelled_m >= 1e9", "low=base_height_min_m < 0.1"]) == 0
