@@ -202,7 +202,7 @@ class HeldLegs(Layer):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Feedforward(Layer):
-    """Layer that holds on with planned foot forces, given at K evenly spaced moments of each of S stages.
+    """Layer that holds on with planned foot forces, given at K evenly spaced instants of each of S stages.
 
     A planned force is commanded as an offset of the joint targets. The force acts as planned only if the foothold is
     exactly where the foot stands: with stiff drives, an error of 1 mm is a force as large as the robot's weight.
@@ -229,7 +229,7 @@ class Feedforward(Layer):
     def on_stage_enter(
         self, stage: Int[Array, ""], state: Float[Array, " 6"], last_free: FreeState, free: FreeState
     ) -> tuple[Float[Array, " 6"], FreeState]:
-        """Reset the distances (m) that feet have moved on."""
+        """Reset the state to zero: in the new stage no foot has moved on alone (m). `free` stays as measured."""
         return jnp.zeros_like(state), free
 
     def modify_stance(

@@ -271,10 +271,11 @@ class StageStart(NamedTuple):
 
 
 def start_stage(belief: Case, plan: Plan, next_stage: Int[Array, ""], end: Stance, obs: Observation) -> StageStart:
-    """Return the footholds and base error with which stage `next_stage` starts, by the onset that its plan names.
+    """Return the footholds and base error with which stage `next_stage` starts.
 
-    The onset (`REZERO`, `REGRIP`, `GRIP` or `KEEP`, see `sweep/controllers/plan.py`) starts from the commanded feet
-    rather than from the measured ones: that keeps the pressure on the ground.
+    `plan.onset` names the rule for each stage: `REZERO`, `REGRIP`, `GRIP` or `KEEP` (see `sweep/controllers/plan.py`).
+    Every rule keeps footholds below the surface, at the commanded depth or at that of `Stage.press`, so that standing
+    feet go on pressing on the ground.
 
     Args:
         belief: believed parameters.

@@ -115,7 +115,10 @@ class CommonTick(Protocol):
 
     @property
     def positive_work(self) -> Array:
-        """Positive work of the drives (...), as `CommonRollout.integral` takes it."""
+        """Positive work (...) of the drives in J, or positive power in W summed over samples.
+
+        `CommonRollout.integral` converts the sum over all ticks to J.
+        """
         ...
 
     def motion_along(self, before: Array) -> tuple[Array | None, Array]:

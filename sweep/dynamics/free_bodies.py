@@ -60,7 +60,10 @@ def bias_wrench(inertia: Inertia, motion: SpatialVector, up: Vector) -> SpatialV
 
 
 def contact_sites(case: Case, bodies: FreeBodies) -> list[Vector]:
-    """Contact sites (m,), if any; one that is not among the obstacle's leaves is at its body's origin."""
+    """Return the positions (m) of all contact sites in one `Vector`, or an empty list without sites.
+
+    A site is at its body's origin unless `batched_model_fields` of the obstacle gives its position.
+    """
     places, found = case.obstacle.batched_model_fields().get("site_pos", {}), []
     for name, k in case.obstacle.contact_sites:
         origin = bodies.origins[k]

@@ -147,7 +147,7 @@ class MetricTick(NamedTuple):
 
     @property
     def positive_work(self) -> Float[Array, ""]:
-        """Positive work of the drives (J)."""
+        """Positive work of the drives in this tick (J)."""
         return self.tick.effort
 
     def motion_along(self, before: Float[Array, " 3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:

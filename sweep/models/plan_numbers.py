@@ -40,7 +40,7 @@ class PlanTable:
         return dataclasses.replace(self, paths=tuple(changes), values=tuple(changes.values()))
 
     def with_increment(self, path: str, increment: Any) -> "PlanTable":
-        """Return a table with `more` added to the number at `path`, on top of its formula and earlier increments."""
+        """Return a table with `increment` added to the number at `path`, after its formula and earlier increments."""
         return self.with_value(MORE + path, self.changes.get(MORE + path, 0.0) + increment)
 
     @property

@@ -246,7 +246,7 @@ class Box(_Convex):
         return distance_from_box(points, _vector(self.half, points.dtype))
 
     def extent(self, axes: Array) -> tuple[Array, Array]:
-        """Extent, equal in both directions, see `_Convex`."""
+        """Extent (m) from the centre along `axes` and against them, which are equal; see `_Convex`."""
         extent = jnp.abs(axes) @ _vector(self.half, axes.dtype)
         return extent, extent
 
@@ -275,7 +275,7 @@ class Cylinder(_Convex):
         return _extruded_distance(_length(points[..., :2]) - self.radius, jnp.abs(points[..., 2]) - self.half)
 
     def extent(self, axes: Array) -> tuple[Array, Array]:
-        """Extent, equal in both directions, see `_Convex`."""
+        """Extent (m) from the centre along `axes` and against them, which are equal; see `_Convex`."""
         extent = self.radius * _length(axes[..., :2]) + self.half * jnp.abs(axes[..., 2])
         return extent, extent
 
@@ -337,7 +337,7 @@ class Prism(_Convex):
         return _extruded_distance(aside, jnp.abs(points[:, 2]) - self.height / 2)
 
     def extent(self, axes: Array) -> tuple[Array, Array]:
-        """Extent, different in both directions, see `_Convex`."""
+        """Extent (m) along `axes` and against them, which differ; see `_Convex`."""
         at = axes[..., :2] @ self._sides(axes.dtype)[0].T
         up = self.height / 2 * jnp.abs(axes[..., 2])
         return up + jnp.max(at, axis=-1), up - jnp.min(at, axis=-1)

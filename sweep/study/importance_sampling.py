@@ -34,7 +34,7 @@ class Mixture(NamedTuple):
     root: Float[np.ndarray, "k d d"]  # lower, root root' being the covariance
 
     def log_density(self, u: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n k"]:
-        """Return the log density of each component, times its share, at points (n, d)."""
+        """Return log(share x density) of each component at points `u` (n, d)."""
         away = np.stack([np.linalg.solve(r, (u - m).T) for m, r in zip(self.mean, self.root, strict=True)])
         size = np.log(np.diagonal(self.root, axis1=1, axis2=2)).sum(axis=1)
         return (np.log(self.share) - size)[None] - 0.5 * ((away**2).sum(axis=1).T + u.shape[1] * np.log(2 * np.pi))

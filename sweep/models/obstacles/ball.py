@@ -40,7 +40,7 @@ def cap_point(
 def floor_point(
     obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """Chart of feet on the floor, `ahead` of the ball's centre (R)."""
+    """Chart of feet on the floor, `aside` and `ahead` of the ball's centre (in units of R)."""
     return point(ahead * obstacle.radius, side * aside * obstacle.radius, -obstacle.radius - depth)
 
 
@@ -159,7 +159,10 @@ class Ball(ObstacleDefaults):
         return floor, Sphere(name="ball", radius=self.radius, centre=bodies.position[0], body=0)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Floor or ball, whichever is deeper; the ball itself, given by its centre, feels the floor."""
+        """Return the contact surface at points (m): of floor and ball, the one that the point is deeper in.
+
+        A point that belongs to the ball is its centre and touches only the floor, one radius below.
+        """
         own = np.array(owner) >= 0
         dtype = points.dtype
         radius = jnp.asarray(self.radius, dtype)

@@ -326,7 +326,10 @@ def _freeze_ended(going: Array, new: Any, old: Any) -> Any:
 
 
 class ControllerBatch:
-    """The controllers of n rollouts in whole tiles, the last padded by the last rollout; `policy_inputs` by row."""
+    """Controllers of n rollouts, called in tiles of `TILE` rollouts.
+
+    The last tile is filled up with copies of the last rollout. `policy_inputs` has one row for each rollout.
+    """
 
     def __init__(self, programs: ControllerPrograms, policy_inputs: Mapping[str, Any], n: int):
         self._programs, self._n = programs, n

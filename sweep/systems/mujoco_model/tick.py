@@ -157,7 +157,7 @@ class ModelTick:
 
     @property
     def positive_work(self) -> Array:
-        """Positive power of the actuators, summed over steps (n,), in W."""
+        """Positive power (n,) of the actuators in W, summed over physics steps; `ModelRollout.integral` gives J."""
         return array_namespace(self.power).maximum(self.power, 0.0).sum(axis=(1, 2))
 
     @cached_property
@@ -217,7 +217,7 @@ class ModelRollout(NamedTuple):
         return total * self.parts.timestep
 
     def share(self, count: np.ndarray) -> np.ndarray:
-        """Return the share of the physics steps that a count of them is."""
+        """Return `count` divided by the number of physics steps."""
         return count / np.maximum(self.steps, 1)
 
     def displacement_along(self, way: np.ndarray) -> np.ndarray:
