@@ -274,8 +274,8 @@ def start_stage(belief: Case, plan: Plan, next_stage: Int[Array, ""], end: Stanc
     """Return the footholds and base error with which stage `next_stage` starts.
 
     `plan.onset` names the rule for each stage: `REZERO`, `REGRIP`, `GRIP` or `KEEP` (see `sweep/controllers/plan.py`).
-    Every rule keeps footholds below the surface, at the commanded depth or at that of `Stage.press`, so that standing
-    feet go on pressing on the ground.
+    No rule uses measured feet as they are: footholds come from the commanded feet, or lie at a depth below the surface
+    at the measured feet, so that feet go on pressing.
 
     Args:
         belief: believed parameters.
