@@ -399,7 +399,7 @@ def test_mjx_traces_once(here, caplog):
     made = exp.system.make_engine(exp.settings, *task[:2], None)
     with jax.log_compiles():
         first = made.run(*task)
-        assert "begin_one" in caplog.text
+        assert "begin_controller" in caplog.text
         caplog.clear()
         again = made.run(*task)
     assert not caplog.messages

@@ -242,7 +242,7 @@ def split_side(column: str) -> tuple[str, str]:
     return (side, path) if side in SIDES else ("both", column)
 
 
-def values_by_side(values: Values) -> dict[str, dict[str, Any]]:
+def split_world_and_belief(values: Values) -> dict[str, dict[str, Any]]:
     """Return the values of each side by path. Values of both sides come first; engine settings are left out."""
     placed = [(*split_side(column), value) for column, value in values.items() if not column.startswith("engine.")]
     return {

@@ -15,7 +15,16 @@ import numpy as np
 from sweep.backends import devices, run_id
 from sweep.contract.engine import Engine, Trace
 from sweep.contract.engine_settings import EngineSettings
-from sweep.contract.system import SIDES, AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
+from sweep.contract.system import (
+    SIDES,
+    AuditVariant,
+    Kinds,
+    Nominal,
+    Parameter,
+    Values,
+    split_side,
+    split_world_and_belief,
+)
 from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import build, build_by_kind
@@ -259,7 +268,7 @@ class Hexapod:
 
     def make_sides(self, values: Values) -> tuple[Case, Case]:
         """Make the cases of world and belief, see `System`."""
-        sides = values_by_side(values).values()
+        sides = split_world_and_belief(values).values()
         world, belief = (
             reduce(lambda case, one: replace_parameter(case, *one), own.items(), self.case) for own in sides
         )

@@ -18,7 +18,7 @@ import numpy as np
 from sweep.backends import mujoco_versions, run_id
 from sweep.contract.engine import Trace
 from sweep.contract.engine_settings import EngineSettings
-from sweep.contract.system import AuditVariant, Kinds, Nominal, Parameter, Values, split_side, values_by_side
+from sweep.contract.system import AuditVariant, Kinds, Nominal, Parameter, Values, split_side, split_world_and_belief
 from sweep.core.conditions import UNTRUSTED, Condition, parse_conditions
 from sweep.core.errors import InputError, require_choice
 from sweep.core.outcomes import classify_rows, judge_cause
@@ -194,7 +194,7 @@ class MujocoModel(ModelSpec):
 
     def make_sides(self, values: Values) -> tuple[SideValues, SideValues]:
         """Make the values of world and belief, by path, see `System`."""
-        world, belief = (SideValues(tuple(chosen.items())) for chosen in values_by_side(values).values())
+        world, belief = (SideValues(tuple(chosen.items())) for chosen in split_world_and_belief(values).values())
         return world, belief
 
     def with_delay_buffer(self, table: "pd.DataFrame") -> "MujocoModel":

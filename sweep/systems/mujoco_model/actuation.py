@@ -38,11 +38,11 @@ class JointControl(NamedTuple):
         return xp.where(self.active, torque / self.lever, command)
 
 
-def find_actuators(told: str, model: mujoco.MjModel, joints: list[str]) -> np.ndarray:
+def find_actuators(error_prefix: str, model: mujoco.MjModel, joints: list[str]) -> np.ndarray:
     """Return the actuator of each joint. Raises `InputError` where a joint has none, or several.
 
     Args:
-        told: What messages begin with.
+        error_prefix: What messages begin with.
         model: The model.
         joints: Names of hinge and slide joints.
 
@@ -55,7 +55,7 @@ def find_actuators(told: str, model: mujoco.MjModel, joints: list[str]) -> np.nd
         mine = np.flatnonzero(np.isin(kind, JOINT) & (target == model.joint(name).id))
         if len(mine) != 1:
             count = "no actuator" if not len(mine) else f"{len(mine)} actuators"
-            raise InputError(f"{told}: joint {name} has {count} in the model: one is wanted")
+            raise InputError(f"{error_prefix}: joint {name} has {count} in the model: one is wanted")
         found.append(int(mine[0]))
     return np.array(found, int)
 

@@ -92,11 +92,11 @@ def _refuse_results(key: str, name: str, found: Iterable[Path]) -> None:
         )
 
 
-def _refuse_foreign_module(told: str, name: str) -> None:
+def _refuse_foreign_module(controller: str, name: str) -> None:
     """Refuse a module of a folder of results, or of Python itself, before anything of it is imported.
 
     Args:
-        told: The controller, as the configuration names it.
+        controller: The controller, as the configuration names it.
         name: The module.
 
     Raises:
@@ -110,9 +110,11 @@ def _refuse_foreign_module(told: str, name: str) -> None:
             origin.startswith(STANDARD) and not INSTALLED & {*Path(origin).parts}
         )
         if own:
-            raise InputError(f"model.controller = {told} is not allowed: {name} is a module of Python itself")
+            raise InputError(f"model.controller = {controller} is not allowed: {name} is a module of Python itself")
         path = list(spec.submodule_search_locations or ())
-        _refuse_results("controller", told, [*([Path(origin)] if origin else ()), *(Path(one, "any") for one in path)])
+        _refuse_results(
+            "controller", controller, [*([Path(origin)] if origin else ()), *(Path(one, "any") for one in path)]
+        )
         # by its last name, as packages around it are not imported yet
         spec = PathFinder.find_spec(rest.pop(0), path) if rest else None
 
@@ -261,7 +263,7 @@ def _beside(name: str, module: Any) -> dict[str, Any]:
     return {**found, "measured": measured}
 
 
-def _module(told: str, name: str) -> ModuleType:
+def _module(controller: str, name: str) -> ModuleType:
     """The module of a name, from the project's folder, as its files are now. Raises `InputError`.
 
     A process that goes on may know it as it was, or one of another project.
@@ -278,19 +280,19 @@ def _module(told: str, name: str) -> ModuleType:
         for stale in [one for one in sys.modules if one == package or one.startswith(f"{package}.")]:
             del sys.modules[stale]
         importlib.invalidate_caches()
-    _refuse_foreign_module(told, name)
+    _refuse_foreign_module(controller, name)
     try:
         with run_user_code(f"{name}, which is imported,", _folder_of_module(name)):
             module = importlib.import_module(name)
         _READ[name] = here, _digest(project.source_files(module))
     except WRONG as error:
         reason = describe_user_error(error, here) or format_user_exception(error)
-        raise InputError(f"model.controller = {told} cannot be imported: {reason}") from None
+        raise InputError(f"model.controller = {controller} cannot be imported: {reason}") from None
     for key, (form, what) in FORMS.items():
         said = getattr(module, key, ())
         words = [*said, *(said.values() if key == "BELIEVES" else ())] if said and isinstance(said, form) else []
         if said != () and not (isinstance(said, form) and all(isinstance(one, str | Path) for one in words)):
-            raise InputError(f"model.controller = {told}: {key} = {said!r} is not allowed: {what}")
+            raise InputError(f"model.controller = {controller}: {key} = {said!r} is not allowed: {what}")
     return module
 
 

@@ -98,12 +98,12 @@ def read_spec(file: Path, metadata: Mapping[str, str]) -> PolicySpec:
 
 
 def fit_policy(
-    told: str, spec: PolicySpec, network: Network, model: mujoco.MjModel, keyframe: int, period: float
+    error_prefix: str, spec: PolicySpec, network: Network, model: mujoco.MjModel, keyframe: int, period: float
 ) -> LearnedPolicy:
     """Fit a policy to a model: look up joints and sensors, and check all sizes.
 
     Args:
-        told: What messages begin with, such as `walk.policy.yaml`.
+        error_prefix: What messages begin with, such as `walk.policy.yaml`.
         spec: The specification.
         network: The network.
         model: The model.
@@ -116,18 +116,20 @@ def fit_policy(
     Raises:
         InputError: A name is unknown, or a size differs.
     """
-    joints = _joint_names(told, spec.joints or actuation.actuated_joints(model), model)
+    joints = _joint_names(error_prefix, spec.joints or actuation.actuated_joints(model), model)
     pose = model.key_qpos[keyframe] if keyframe >= 0 else model.qpos0
     places = np.array([model.jnt_qposadr[model.joint(one).id] for one in joints], int)
     default = (pose[places] if spec.default_pose is None
-               else policy_spec.joint_numbers(f"{told}: default_pose", spec.default_pose, joints))  # fmt: skip
+               else policy_spec.joint_numbers(f"{error_prefix}: default_pose", spec.default_pose, joints))  # fmt: skip
     defaults = dict(zip(joints, default, strict=True))
-    inputs = _fit_inputs(told, spec, network, model, joints)
-    output = _action_output(told, spec, network)
-    scale, offset, control, actuators = _fit_action(told, spec.action, model, joints, default)
+    inputs = _fit_inputs(error_prefix, spec, network, model, joints)
+    output = _action_output(error_prefix, spec, network)
+    scale, offset, control, actuators = _fit_action(error_prefix, spec.action, model, joints, default)
     size = network.outputs[output][-1] if network.outputs[output] else None
     if size not in (None, len(joints)):
-        raise InputError(f"{told}: {network.name} gives {size} numbers as {output}: {len(joints)} joints have actions")
+        raise InputError(
+            f"{error_prefix}: {network.name} gives {size} numbers as {output}: {len(joints)} joints have actions"
+        )
     resting = model.key_ctrl[keyframe] if keyframe >= 0 else np.zeros(model.nu)
     measured = [one for terms in inputs.values() for one in terms if one.raw is not None]
     readers = [_make_reader(one, model, joints, defaults, pose) for one in measured]
@@ -178,7 +180,7 @@ def fit_policy(
         found = network.evaluate({**given, **state["memory"]})
         action = found[output].reshape(-1)
         if action.shape != (len(joints),):
-            raise InputError(f"{told}: {network.name} gives {action.size} numbers as {output}: "
+            raise InputError(f"{error_prefix}: {network.name} gives {action.size} numbers as {output}: "
                              f"{len(joints)} joints have actions")  # fmt: skip
         action = jnp.clip(action, *spec.action.clip) if spec.action.clip else action
         controls = jnp.asarray(resting, float).at[actuators].set(offset + scale * action)
@@ -192,95 +194,99 @@ def fit_policy(
     )
 
 
-def _joint_names(told: str, names: Any, model: mujoco.MjModel) -> list[str]:
+def _joint_names(error_prefix: str, names: Any, model: mujoco.MjModel) -> list[str]:
     """Return the names of hinge and slide joints as the model has them. Raises `InputError`."""
     known = {model.joint(j).name: j for j in range(model.njnt)}
     for name in names:
-        require_choice(name, [one for one in known if one], f"{told}: joint {name}")
+        require_choice(name, [one for one in known if one], f"{error_prefix}: joint {name}")
         if model.jnt_type[known[name]] not in SINGLE:
-            raise InputError(f"{told}: joint {name} is not allowed: a hinge or a slide")
+            raise InputError(f"{error_prefix}: joint {name} is not allowed: a hinge or a slide")
     if not len(names):
-        raise InputError(f"{told} needs the key joints: the model has no actuators of joints")
+        raise InputError(f"{error_prefix} needs the key joints: the model has no actuators of joints")
     return list(names)
 
 
 def _fit_inputs(
-    told: str, spec: PolicySpec, network: Network, model: mujoco.MjModel, joints: list[str]
+    error_prefix: str, spec: PolicySpec, network: Network, model: mujoco.MjModel, joints: list[str]
 ) -> dict[str, tuple[Term, ...]]:
     """Fit the terms of each input of the network. Raises `InputError`."""
     for one in spec.recurrent:
-        require_choice(one.input, network.inputs, f"{told}: recurrent input {one.input}")
-        require_choice(one.output, network.outputs, f"{told}: recurrent output {one.output}")
+        require_choice(one.input, network.inputs, f"{error_prefix}: recurrent input {one.input}")
+        require_choice(one.output, network.outputs, f"{error_prefix}: recurrent output {one.output}")
     wanted = [name for name in network.inputs if name not in {one.input for one in spec.recurrent}]
     given = spec.observation
     if given is None:
-        raise InputError(f"{told} needs the key observation, or a preset")
+        raise InputError(f"{error_prefix} needs the key observation, or a preset")
     if not isinstance(given, Mapping):
         if len(wanted) != 1:
             names = ", ".join(wanted)
-            raise InputError(f"{told}: {network.name} has the inputs {names}: give the terms of each by its name, "
-                             "or name recurrent ones (key recurrent)")  # fmt: skip
+            raise InputError(f"{error_prefix}: {network.name} has the inputs {names}: give the terms of each by its "
+                             "name, or name recurrent ones (key recurrent)")  # fmt: skip
         given = {wanted[0]: given}
     for name in given:
-        require_choice(name, wanted, f"{told}: observation.{name}")
+        require_choice(name, wanted, f"{error_prefix}: observation.{name}")
     if missing := [name for name in wanted if name not in given]:
-        raise InputError(f"{told}: the network's input {missing[0]} has no terms (key observation.{missing[0]})")
+        raise InputError(
+            f"{error_prefix}: the network's input {missing[0]} has no terms (key observation.{missing[0]})"
+        )
     at, found = 0, {}
     for name in wanted:
         terms = []
-        for one in policy_spec.parse_terms(f"{told}: observation", given[name]):
-            term = _fit_term(told, one, spec, model, joints, at)
+        for one in policy_spec.parse_terms(f"{error_prefix}: observation", given[name]):
+            term = _fit_term(error_prefix, one, spec, model, joints, at)
             at += term.size if term.raw is not None else 0
             terms.append(term)
         if spec.stacking == "by_tick" and len({one.history for one in terms}) > 1:
-            raise InputError(f"{told}: stacking = by_tick is not allowed: terms have different histories")
+            raise InputError(f"{error_prefix}: stacking = by_tick is not allowed: terms have different histories")
         sizes = [one.size * one.history for one in terms]
         declared = [one for one in network.input_shape(name) if one != 1]
         if -1 not in declared and math.prod(declared) != sum(sizes):
             parts = ", ".join(f"{one.spec.label} {size}" for one, size in zip(terms, sizes, strict=True))
-            raise InputError(f"{told}: {network.name} takes {math.prod(declared)} numbers as {name}: "
+            raise InputError(f"{error_prefix}: {network.name} takes {math.prod(declared)} numbers as {name}: "
                              f"its terms have {sum(sizes)} ({parts})")  # fmt: skip
         found[name] = tuple(terms)
     labels = [one.spec.label for terms in found.values() for one in terms if one.raw is not None]
     if twice := {one for one in labels if labels.count(one) > 1}:
-        raise InputError(f"{told}: {min(twice)} stands in two inputs: give each a name of its own (key name)")
+        raise InputError(f"{error_prefix}: {min(twice)} stands in two inputs: give each a name of its own (key name)")
     return found
 
 
-def _fit_term(told: str, one: TermSpec, spec: PolicySpec, model: mujoco.MjModel, joints: list[str], at: int) -> Term:
+def _fit_term(
+    error_prefix: str, one: TermSpec, spec: PolicySpec, model: mujoco.MjModel, joints: list[str], at: int
+) -> Term:
     """Fit a term whose numbers, if they are measured, begin at the place `at`. Raises `InputError`."""
-    told = f"{told}: {one.label}"
+    error_prefix = f"{error_prefix}: {one.label}"
     sensors = {name: k for k in range(model.nsensor) if (name := model.sensor(k).name)}
     instead = spec.sensors.get(one.term, "")
     if not one.sensor and instead in sensors:
         one = TermSpec(**{**vars(one), "sensor": instead, "name": one.label})
     if one.sensor:
-        require_choice(one.sensor, sensors, f"{told}: sensor {one.sensor}")
+        require_choice(one.sensor, sensors, f"{error_prefix}: sensor {one.sensor}")
         size = int(model.sensor_dim[sensors[one.sensor]])
         if one.term != "sensor" and size != SIZES.get(one.term, size):
-            raise InputError(f"{told}: sensor {one.sensor} has {size} numbers, the term has {SIZES[one.term]}")
+            raise InputError(f"{error_prefix}: sensor {one.sensor} has {size} numbers, the term has {SIZES[one.term]}")
     elif one.term in ("joint_positions", "joint_velocities"):
-        size = len(_joint_names(told, one.joints or joints, model))
+        size = len(_joint_names(error_prefix, one.joints or joints, model))
     elif one.term == "last_action":
         size = len(joints)
     elif one.term == "command":
         names = one.commands or tuple(spec.commands)
         for name in names:
-            require_choice(name, spec.commands, f"{told}: command {name}")
+            require_choice(name, spec.commands, f"{error_prefix}: command {name}")
         size = len(names)
         if not size:
-            raise InputError(f"{told} needs the key commands, such as {{velocity_x: 1.0}}")
+            raise InputError(f"{error_prefix} needs the key commands, such as {{velocity_x: 1.0}}")
     elif one.term == "phase":
         size = 2 * len(one.offsets)
     elif one.term == "constant":
         size = len(one.values)
     else:
         if not (model.jnt_type == FREE).any():
-            raise InputError(f"{told} is not allowed: the model has no free joint; name a sensor (key sensor)")
+            raise InputError(f"{error_prefix} is not allowed: the model has no free joint; name a sensor (key sensor)")
         size = SIZES[one.term]
     scale = np.asarray(one.scale, float)
     if scale.shape not in ((), (size,)):
-        raise InputError(f"{told}: scale has {scale.size} numbers: the term has {size}")
+        raise InputError(f"{error_prefix}: scale has {scale.size} numbers: the term has {size}")
     raw = slice(at, at + size) if one.sensor or one.term in policy_spec.MEASURED else None
     return Term(
         one, size, policy_spec.UNITS[one.term], one.history or spec.history, raw, np.broadcast_to(scale, (size,))
@@ -354,29 +360,31 @@ def _recurrent_shape(network: Network, one: RecurrentSpec) -> tuple[int, ...]:
     return shape
 
 
-def _action_output(told: str, spec: PolicySpec, network: Network) -> str:
+def _action_output(error_prefix: str, spec: PolicySpec, network: Network) -> str:
     """Return the name of the output that is the action. Raises `InputError`."""
     if spec.output:
-        require_choice(spec.output, network.outputs, f"{told}: output = {spec.output}")
+        require_choice(spec.output, network.outputs, f"{error_prefix}: output = {spec.output}")
         return spec.output
     rest = [name for name in network.outputs if name not in {one.output for one in spec.recurrent}]
     if len(rest) != 1:
-        raise InputError(f"{told}: {network.name} has the outputs {', '.join(network.outputs)}: name the action's "
-                         "(key output), or recurrent ones (key recurrent)")  # fmt: skip
+        raise InputError(f"{error_prefix}: {network.name} has the outputs {', '.join(network.outputs)}: name the "
+                         "action's (key output), or recurrent ones (key recurrent)")  # fmt: skip
     return rest[0]
 
 
 def _fit_action(
-    told: str, spec: ActionSpec, model: mujoco.MjModel, joints: list[str], default: np.ndarray
+    error_prefix: str, spec: ActionSpec, model: mujoco.MjModel, joints: list[str], default: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, actuation.JointControl | None, np.ndarray]:
     """Return scale and offset of the action (k,), the joint controller if there is one, and actuators (k,)."""
     if spec.clip and (len(spec.clip) != 2 or spec.clip[0] >= spec.clip[1]):
-        raise InputError(f"{told}: action.clip = {list(spec.clip)} is not allowed: the least and the largest value")
-    actuators, numbers = actuation.find_actuators(told, model, joints), policy_spec.joint_numbers
-    scale = numbers(f"{told}: action.scale", spec.scale, joints)
+        raise InputError(
+            f"{error_prefix}: action.clip = {list(spec.clip)} is not allowed: the least and the largest value"
+        )
+    actuators, numbers = actuation.find_actuators(error_prefix, model, joints), policy_spec.joint_numbers
+    scale = numbers(f"{error_prefix}: action.scale", spec.scale, joints)
     offset = (np.array(default, float) if spec.offset == "default_pose" and spec.actuation != "direct" else
               np.zeros(len(joints)) if spec.offset == "default_pose" else
-              numbers(f"{told}: action.offset", spec.offset, joints))  # fmt: skip
+              numbers(f"{error_prefix}: action.offset", spec.offset, joints))  # fmt: skip
     servos = actuation.is_servo(model)[actuators]
     way = spec.actuation
     if way == "auto":
@@ -384,20 +392,23 @@ def _fit_action(
     if way == "servo":
         if not servos.all():
             odd = joints[int(np.argmin(servos))]
-            raise InputError(f"{told}: action.actuation = servo is not allowed: joint {odd} has no position actuator; "
-                             "give pd, with stiffness and damping")  # fmt: skip
+            raise InputError(f"{error_prefix}: action.actuation = servo is not allowed: joint {odd} has no position "
+                             "actuator; give pd, with stiffness and damping")  # fmt: skip
         gear = model.actuator_gear[actuators, 0]
         return scale * gear, offset * gear, None, actuators
     if way == "direct":
         return scale, offset, None, actuators
     motors = (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE))[actuators]
     if not motors.all():
-        raise InputError(f"{told}: action.actuation = pd is not allowed: joint {joints[int(np.argmin(motors))]} has an "
-                         "actuator of its own law; give servo or direct")  # fmt: skip
+        odd = joints[int(np.argmin(motors))]
+        raise InputError(f"{error_prefix}: action.actuation = pd is not allowed: joint {odd} has an actuator "
+                         "of its own law; give servo or direct")  # fmt: skip
     if spec.stiffness is None:
-        raise InputError(f"{told} needs the key action.stiffness: the joints have motors, and no position actuators")
-    stiffness = numbers(f"{told}: action.stiffness", spec.stiffness, joints)
-    damping = numbers(f"{told}: action.damping", spec.damping, joints)
+        raise InputError(
+            f"{error_prefix} needs the key action.stiffness: the joints have motors, and no position actuators"
+        )
+    stiffness = numbers(f"{error_prefix}: action.stiffness", spec.stiffness, joints)
+    damping = numbers(f"{error_prefix}: action.damping", spec.damping, joints)
     limit = (np.full(len(joints), np.inf) if spec.torque_limit is None
-             else numbers(f"{told}: action.torque_limit", spec.torque_limit, joints))  # fmt: skip
+             else numbers(f"{error_prefix}: action.torque_limit", spec.torque_limit, joints))  # fmt: skip
     return scale, offset, actuation.make_joint_control(model, actuators, stiffness, damping, limit), actuators

@@ -98,7 +98,7 @@ class MjxModelEngine(ModelEngine):
         with self._within(), report_silence(f"{settings.name}, which traces {self._about},", after=SOON):
             self._check()
         # made once: a function of its own in every run would be traced and compiled anew
-        each = self._programs.begin_one, self._programs.start_rollout, self._programs.finish_one
+        each = self._programs.begin_controller, self._programs.start_rollout, self._programs.compute_rollout_metrics
         self._first, self._enter, self._finish = (jax.jit(jax.vmap(one)) for one in each)
         self._ticks = jax.jit(self._run_ticks, donate_argnums=2)
 
@@ -366,7 +366,7 @@ class MjxModelEngine(ModelEngine):
 
         def tick(carry: Mapping[str, Any]) -> dict[str, Any]:
             going = carry["carried"]["tick"] < carry["carried"]["ticks"]
-            ctrl, carried = jax.vmap(self._programs.tick_one)(policy_inputs, carry["carried"], carry["seen"])
+            ctrl, carried = jax.vmap(self._programs.tick_controller)(policy_inputs, carry["carried"], carry["seen"])
             wrong = carry["wrong"] | going & ~jnp.isfinite(ctrl).all(axis=1)
             ctrl = jnp.nan_to_num(ctrl)
             before = jnp.where(jnp.isnan(carry["ctrl"]), ctrl, carry["ctrl"])

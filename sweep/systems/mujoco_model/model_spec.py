@@ -188,7 +188,7 @@ class ModelSpec:
         if (at := self.base_address) is not None:
             columns = {f"base_{axis}_m": qpos[:, at + k] for k, axis in enumerate("xyz")}
             upright = self.model.qpos0[at + 3 : at + 7]
-            columns["tilt_deg"] = angle_deg(cosine_of_tilt(qpos[:, at + 3 : at + 7], upright))
+            columns["tilt_deg"] = arccos_deg(cosine_of_tilt(qpos[:, at + 3 : at + 7], upright))
         columns |= {f"qpos_{k}": qpos[:, k] for k in range(self.model.nq)}
         return columns | {f"qvel_{k}": qvel[:, k] for k in range(self.model.nv)}
 
@@ -213,7 +213,7 @@ def up_axis(quat: Any) -> tuple[Any, Any, Any]:
     return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
 
 
-def angle_deg(cosine: Any) -> Any:
+def arccos_deg(cosine: Any) -> Any:
     """Return the angle of a cosine in degrees; cosines beyond 1 by rounding are clipped."""
     xp = array_namespace(cosine)
     return xp.degrees(xp.arccos(xp.clip(cosine, -1, 1)))

@@ -60,9 +60,9 @@ def network_files(file: Path) -> list[Path]:
 
 @functools.lru_cache(maxsize=4)
 def _read(name: str, file: Path, changed: int) -> Network:
-    told = f"model.controller = {name}"
+    error_prefix = f"model.controller = {name}"
     if importlib.util.find_spec("onnx") is None:
-        raise InputError(f"{told} needs the package onnx: pip install 'insect-sweep[onnx]'")
+        raise InputError(f"{error_prefix} needs the package onnx: pip install 'insect-sweep[onnx]'")
     import onnx
 
     try:
@@ -70,7 +70,7 @@ def _read(name: str, file: Path, changed: int) -> Network:
         model.graph.node[0]
     except Exception as error:  # protobuf has a class of its own for each kind of fault
         reason = "it has no nodes" if isinstance(error, IndexError) else " ".join(str(error).split())
-        raise InputError(f"{told} is not a readable network: {reason}") from None
+        raise InputError(f"{error_prefix} is not a readable network: {reason}") from None
     graph = model.graph
     opset = max((one.version for one in model.opset_import if one.domain in ("", "ai.onnx")), default=1)
     constants = {one.name: _as_constant(onnx.numpy_helper.to_array(one, str(file.parent))) for one in graph.initializer}
@@ -80,7 +80,7 @@ def _read(name: str, file: Path, changed: int) -> Network:
         if node.op_type == "Constant":
             constants[node.output[0]] = _as_constant(np.asarray(next(iter(attributes.values()))))
             continue
-        _require_operator(told, node)
+        _require_operator(error_prefix, node)
         if node.op_type == "Cast":
             attributes["to"] = onnx.helper.tensor_dtype_to_np_dtype(attributes["to"])
         nodes.append((node, OperatorCall(node.op_type, attributes, len(node.output), opset)))
@@ -94,10 +94,10 @@ def _read(name: str, file: Path, changed: int) -> Network:
             try:
                 found = OPERATORS[node.op_type](call, *arguments)
             except InputError as error:
-                raise InputError(f"{told}: {error}") from None
+                raise InputError(f"{error_prefix}: {error}") from None
             except (TypeError, ValueError, IndexError) as error:
                 reason = " ".join(str(error).split())
-                raise InputError(f"{told}: {node.op_type} {node.name} cannot be computed: {reason}") from None
+                raise InputError(f"{error_prefix}: {node.op_type} {node.name} cannot be computed: {reason}") from None
             found = found if isinstance(found, tuple) else (found,)
             values.update(zip(node.output, found, strict=False))
             values[""] = None
@@ -112,32 +112,36 @@ def make_policy(network: Network) -> Callable[..., Any]:
 
     Raises `InputError` where the network has other inputs or outputs.
     """
-    told = f"model.controller = {network.name}"
+    error_prefix = f"model.controller = {network.name}"
     if len(network.inputs) != 1 or len(network.outputs) != 1:
         has = ", ".join(f"{key} {shape}" for key, shape in (*network.inputs.items(), *network.outputs.items()))
         beside = f"{Path(network.name).stem}.policy.yaml"
-        raise InputError(f"{told} has {has}: one input and one output are allowed, or a file {beside} names them")
+        raise InputError(
+            f"{error_prefix} has {has}: one input and one output are allowed, or a file {beside} names them"
+        )
     (into,), (out,) = network.inputs, network.outputs
     shape = network.input_shape(into)
     if any(one > 1 for one in shape[:-1]):
-        raise InputError(f"{told} takes {shape[0]} rollouts at a time: allowed are any number, or 1")
+        raise InputError(f"{error_prefix} takes {shape[0]} rollouts at a time: allowed are any number, or 1")
 
     def policy(belief: Any, observation: Any, state: Any, key: Any) -> tuple[Any, Any]:
         if shape[-1] not in (-1, observation.size):
-            raise InputError(f"{told} takes {shape[-1]} numbers: {observation.size} are observed (model.observe)")
+            raise InputError(
+                f"{error_prefix} takes {shape[-1]} numbers: {observation.size} are observed (model.observe)"
+            )
         return network.evaluate({into: observation.reshape(shape)})[out].reshape(-1), state
 
     return policy
 
 
-def _require_operator(told: str, node: Any) -> None:
+def _require_operator(error_prefix: str, node: Any) -> None:
     """Raise `InputError` for a node whose operator is not on the list."""
     named = f"{node.domain}.{node.op_type}" if node.domain not in ("", "ai.onnx") else node.op_type
     if node.op_type.startswith(DRAWS):
-        raise InputError(f"{told} draws random numbers ({named}): export the policy's mean action instead")
+        raise InputError(f"{error_prefix} draws random numbers ({named}): export the policy's mean action instead")
     if named not in OPERATORS:
         known = ", ".join(sorted([*OPERATORS, "Constant"]))
-        raise InputError(f"{told} has the operator {named}, which is not supported (allowed: {known})")
+        raise InputError(f"{error_prefix} has the operator {named}, which is not supported (allowed: {known})")
 
 
 def _as_constant(array: np.ndarray) -> np.ndarray:

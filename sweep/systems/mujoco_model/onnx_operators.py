@@ -87,8 +87,8 @@ def _accumulate(function: str) -> Operator:
 def _reduce(function: Callable[[Any, Any, Any, bool], Any]) -> Operator:
     """Make a reduction from a function of module, array, axes and whether axes stay."""
 
-    def reduce(call: OperatorCall, x: Any, *more: Any) -> Any:
-        axes = call.option("axes", (x, *more), 1)
+    def reduce(call: OperatorCall, x: Any, *axes_input: Any) -> Any:
+        axes = call.option("axes", (x, *axes_input), 1)
         if (axes is None or not len(axes)) and call.attribute("noop_with_empty_axes", 0):
             return x
         axes = None if axes is None or not len(axes) else tuple(int(one) for one in axes)

@@ -82,10 +82,13 @@ class ControllerPrograms:
         def each(one: Callable[..., Any]) -> Callable[..., Any]:  # of a tile's rollouts
             return lambda *rows: jax.lax.map(lambda row: one(*row), rows)
 
-        self.first, self.enter = jax.jit(each(self.begin_one)), jax.jit(each(self.start_rollout))
-        self.tick, self.finish = jax.jit(each(self.tick_one), donate_argnums=1), jax.jit(each(self.finish_one))
+        self.first, self.enter = jax.jit(each(self.begin_controller)), jax.jit(each(self.start_rollout))
+        self.tick, self.finish = (
+            jax.jit(each(self.tick_controller), donate_argnums=1),
+            jax.jit(each(self.compute_rollout_metrics)),
+        )
 
-    def begin_one(self, policy_inputs: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+    def begin_controller(self, policy_inputs: Mapping[str, Any]) -> tuple[Any, Any, Any]:
         """Start, state and duration of one rollout, which is endless where the controller names none."""
         key = jax.random.fold_in(jax.random.wrap_key_data(policy_inputs["key"]), 0)
         start, state, duration = self._begin(policy_inputs["belief"], key)
@@ -120,7 +123,7 @@ class ControllerPrograms:
         errors = policy_inputs["terms"][key]
         return jnp.concatenate([jnp.full(one.size, errors[label]) for label, one in learned.measured_terms.items()])
 
-    def tick_one(self, policy_inputs: Mapping[str, Any], carried: Any, observable: Array) -> tuple[Array, Any]:
+    def tick_controller(self, policy_inputs: Mapping[str, Any], carried: Any, observable: Array) -> tuple[Array, Any]:
         """Controls (nu,) of one rollout, or what it is told (k,), and what it carries on, after a state (s,)."""
         tick, seen = carried["tick"], self._spec.observe_state(observable)
         policy_key, noise = jax.random.split(
@@ -153,7 +156,9 @@ class ControllerPrograms:
         is_lost = (luck < self._term_numbers(policy_inputs, "dropout")) & (tick > 0)
         return jnp.where(is_lost, carried["held"], told)
 
-    def finish_one(self, policy_inputs: Mapping[str, Any], carried: Any, observable: Array) -> dict[str, Array]:
+    def compute_rollout_metrics(
+        self, policy_inputs: Mapping[str, Any], carried: Any, observable: Array
+    ) -> dict[str, Array]:
         """The controller's own figures of one rollout that ends with a state (s,), by name."""
         return self._metric.compute(
             self._measured(carried, observable), ControllerEnd(policy_inputs["belief"], carried["state"])
@@ -165,15 +170,21 @@ class ControllerPrograms:
         policy_inputs = {**controller_inputs(spec, world, belief), "key": jax.random.key_data(key)}
         policy_inputs["delay"] = jnp.rint(jnp.asarray(policy_inputs["delay"])).astype(jnp.int32)
         observable = jnp.zeros(spec.model.nq + spec.model.nv + spec.model.nsensordata)
-        start, state, duration = self.begin_one(policy_inputs)
+        start, state, duration = self.begin_controller(policy_inputs)
 
         def tick(carried: Any, _: None) -> tuple[Any, Any]:
-            ctrl, carried = self.tick_one(policy_inputs, carried, observable)
+            ctrl, carried = self.tick_controller(policy_inputs, carried, observable)
             return carried, ctrl
 
         carried = self.start_rollout(policy_inputs, state, observable, jnp.int32(2))
         carried, ctrl = jax.lax.scan(tick, carried, None, length=2)
-        return start, duration, ctrl, self.finish_one(policy_inputs, carried, observable), world.select_group("model")
+        return (
+            start,
+            duration,
+            ctrl,
+            self.compute_rollout_metrics(policy_inputs, carried, observable),
+            world.select_group("model"),
+        )
 
     def _measured(self, carried: Any, observable: Array) -> Any:
         """What is measured so far; a rollout that is over has its end in it already."""
@@ -191,13 +202,13 @@ class ControllerPrograms:
             return self.call_user_code(evaluate_constants, lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
 
         first = jax.tree.map(lambda rows: rows[0], begun.policy_inputs)
-        start, state, duration = found(self.begin_one)
+        start, state, duration = found(self.begin_controller)
         count_ticks(self._spec, duration)
         if start is not None and not np.isfinite(start).all():
             raise self._error("begins at positions that are not finite")
         begun.energy(start)
         observable = self._spec.observable_state(begun.qpos, begun.qvel, begun.sensors)[0]
-        ctrl, _ = found(self.tick_one, found(self.start_rollout, state, observable, np.int32(1)), observable)
+        ctrl, _ = found(self.tick_controller, found(self.start_rollout, state, observable, np.int32(1)), observable)
         told = np.tile(ctrl, (TILE, 1))
         controls = np.array(self.compute_controls(told))
         if not np.isfinite(controls).all():
@@ -223,12 +234,12 @@ class ControllerPrograms:
         """
         spec, model = self._spec, self._spec.model
         first = jax.tree.map(lambda rows: jnp.asarray(rows[0]), begun.policy_inputs)
-        start, state, _ = self.call_user_code(self.begin_one, first)
+        start, state, _ = self.call_user_code(self.begin_controller, first)
         begun.energy(start)
         observable = jnp.asarray(spec.observable_state(begun.qpos, begun.qvel, begun.sensors)[0], float)
         carried = self.call_user_code(self.start_rollout, first, state, observable, np.int32(1))
         seen = spec.observe_state(observable)
-        ctrl, carried = self.call_user_code(self.tick_one, first, carried, observable)
+        ctrl, carried = self.call_user_code(self.tick_controller, first, carried, observable)
         controls = np.array(self.compute_controls(np.tile(ctrl, (TILE, 1))))[0]
         names = [model.actuator(k).name or f"actuator {k}" for k in range(model.nu)]
         learned, numbers = spec.controller.learned, np.full(model.nu, np.nan)
@@ -269,14 +280,15 @@ class ControllerPrograms:
                 raise
             raise self._error(f"fails{when}: {reason or format_user_exception(error)}") from None
 
-    def compute_controls(self, told: np.ndarray, when: str = "") -> np.ndarray:
+    def compute_controls(self, policy_output: np.ndarray, when: str = "") -> np.ndarray:
         """Controls (n, nu) of what the program gives (n, ...): they are it, or what a batched controller is told."""
         if not self._spec.controller.batched:
-            return told
-        told, controls = np.array(told), self._spec.model.nu
-        ctrl = self.call_user_code(lambda: np.asarray(self._spec.controller.policy(told)), when=when)
-        if ctrl.shape != (len(told), controls) or ctrl.dtype.kind not in "fiu":
-            wanted = f"numbers ({len(told)}, {controls}) are wanted of ({len(told)}, {told.shape[1]})"
+            return policy_output
+        policy_output, controls = np.array(policy_output), self._spec.model.nu
+        ctrl = self.call_user_code(lambda: np.asarray(self._spec.controller.policy(policy_output)), when=when)
+        if ctrl.shape != (len(policy_output), controls) or ctrl.dtype.kind not in "fiu":
+            count, size = len(policy_output), policy_output.shape[1]
+            wanted = f"numbers ({count}, {controls}) are wanted of ({count}, {size})"
             raise self._error(f"gives {ctrl.dtype} {ctrl.shape}: {wanted}")
         return ctrl
 

@@ -149,11 +149,11 @@ CHOICES = {
 }
 
 
-def parse_policy(told: str, given: Mapping[str, Any], metadata: Mapping[str, str]) -> PolicySpec:
+def parse_policy(error_prefix: str, given: Mapping[str, Any], metadata: Mapping[str, str]) -> PolicySpec:
     """Build the specification of a policy from its file, the network's metadata and its preset.
 
     Args:
-        told: What messages begin with, such as `walk.policy.yaml`.
+        error_prefix: What messages begin with, such as `walk.policy.yaml`.
         given: Content of the file.
         metadata: Metadata of the network.
 
@@ -164,17 +164,17 @@ def parse_policy(told: str, given: Mapping[str, Any], metadata: Mapping[str, str
         InputError: A key is unknown, or a value is not allowed.
     """
     if not isinstance(given, Mapping):
-        raise InputError(f"{told} is not allowed: keys and values")
-    require_choice(given.get("preset", ""), CHOICES["preset"], f"{told}: preset = {given.get('preset')}")
+        raise InputError(f"{error_prefix} is not allowed: keys and values")
+    require_choice(given.get("preset", ""), CHOICES["preset"], f"{error_prefix}: preset = {given.get('preset')}")
     merged = dict(PRESETS.get(given.get("preset", ""), {}))
-    for source in (read_metadata(told, metadata), given):
+    for source in (read_metadata(error_prefix, metadata), given):
         for key, value in source.items():
             both = key in ("action",) and isinstance(value, Mapping)
             merged[key] = {**merged.get(key, {}), **value} if both else value
-    return _build(PolicySpec, merged, told)
+    return _build(PolicySpec, merged, error_prefix)
 
 
-def read_metadata(told: str, metadata: Mapping[str, str]) -> dict[str, Any]:
+def read_metadata(error_prefix: str, metadata: Mapping[str, str]) -> dict[str, Any]:
     """Read what exporters of mjlab and Isaac Lab write into a network: lists, separated by commas, by name."""
 
     def words(key: str) -> list[str]:
@@ -184,7 +184,9 @@ def read_metadata(told: str, metadata: Mapping[str, str]) -> dict[str, Any]:
         try:
             found = [float(one) for one in words(key)]
         except ValueError:
-            raise InputError(f"{told}: the network's metadata {key} = {metadata[key]!r:.80} are no numbers") from None
+            raise InputError(
+                f"{error_prefix}: the network's metadata {key} = {metadata[key]!r:.80} are no numbers"
+            ) from None
         return found[0] if len(found) == 1 else found or None
 
     found: dict[str, Any] = {}
@@ -201,36 +203,42 @@ def read_metadata(told: str, metadata: Mapping[str, str]) -> dict[str, Any]:
     return found
 
 
-def parse_terms(told: str, given: Any) -> tuple[TermSpec, ...]:
+def parse_terms(error_prefix: str, given: Any) -> tuple[TermSpec, ...]:
     """Build the terms of one input from a list of names and mappings. Raises `InputError`."""
     if not isinstance(given, list | tuple) or not given:
-        raise InputError(f"{told} is not allowed: a list of terms, such as [projected_gravity, joint_positions]")
+        raise InputError(
+            f"{error_prefix} is not allowed: a list of terms, such as [projected_gravity, joint_positions]"
+        )
     found = []
     for k, one in enumerate(given):
         one = {"term": one} if isinstance(one, str) else one
         if not isinstance(one, Mapping) or not isinstance(one.get("term"), str):
-            raise InputError(f"{told}[{k}] = {one!r:.80} is not allowed: a term's name, or a mapping with the key term")
+            raise InputError(
+                f"{error_prefix}[{k}] = {one!r:.80} is not allowed: a term's name, or a mapping with the key term"
+            )
         term = ALIASES.get(one["term"], one["term"])
-        require_choice(term, UNITS, f"{told}[{k}]: {term}")
-        made = _build(TermSpec, {**one, "term": term}, f"{told}[{k}]")
+        require_choice(term, UNITS, f"{error_prefix}[{k}]: {term}")
+        made = _build(TermSpec, {**one, "term": term}, f"{error_prefix}[{k}]")
         if bool(made.sensor) < (made.term == "sensor"):
-            raise InputError(f"{told}[{k}]: a term `sensor` needs the key sensor")
+            raise InputError(f"{error_prefix}[{k}]: a term `sensor` needs the key sensor")
         if made.term == "constant" and not made.values:
-            raise InputError(f"{told}[{k}]: a term `constant` needs the key values")
+            raise InputError(f"{error_prefix}[{k}]: a term `constant` needs the key values")
         if made.clip and (len(made.clip) != 2 or made.clip[0] >= made.clip[1]):
-            raise InputError(f"{told}[{k}].clip = {list(made.clip)} is not allowed: the least and the largest value")
+            raise InputError(
+                f"{error_prefix}[{k}].clip = {list(made.clip)} is not allowed: the least and the largest value"
+            )
         found.append(made)
     labels = [one.label for one in found]
     if twice := {one for one in labels if labels.count(one) > 1}:
-        raise InputError(f"{told}: {min(twice)} stands twice: give each a name of its own (key name)")
+        raise InputError(f"{error_prefix}: {min(twice)} stands twice: give each a name of its own (key name)")
     return tuple(found)
 
 
-def joint_numbers(told: str, given: Any, joints: Sequence[str]) -> np.ndarray:
+def joint_numbers(error_prefix: str, given: Any, joints: Sequence[str]) -> np.ndarray:
     """Return one number for each joint.
 
     Args:
-        told: Key, for messages.
+        error_prefix: Key, for messages.
         given: A number for all; a list in the order of the joints; or numbers by pattern of names, such as
             `{"*_knee": 0.5, "*": 0.25}`, of which the first that fits counts.
         joints: Names of the joints.
@@ -244,10 +252,10 @@ def joint_numbers(told: str, given: Any, joints: Sequence[str]) -> np.ndarray:
     if isinstance(given, Mapping):
         for pattern in given:
             if not fnmatch.filter(joints, str(pattern)):
-                raise InputError(f"{told}: {pattern} fits no joint (joints: {', '.join(joints)})")
+                raise InputError(f"{error_prefix}: {pattern} fits no joint (joints: {', '.join(joints)})")
         first = [next((v for k, v in given.items() if fnmatch.fnmatchcase(one, str(k))), None) for one in joints]
         if None in first:
-            raise InputError(f"{told} has no number for joint {joints[first.index(None)]}")
+            raise InputError(f"{error_prefix} has no number for joint {joints[first.index(None)]}")
         given = first
     try:
         found = np.asarray(given, float)
@@ -255,22 +263,22 @@ def joint_numbers(told: str, given: Any, joints: Sequence[str]) -> np.ndarray:
         found = np.full(0, np.nan)
     if isinstance(given, bool) or found.shape not in ((), (len(joints),)) or not np.isfinite(found).all():
         wanted = f"a number, {len(joints)} numbers (one for each joint), or numbers by pattern of joint names"
-        raise InputError(f"{told} = {given!r:.100} is not allowed: {wanted}")
+        raise InputError(f"{error_prefix} = {given!r:.100} is not allowed: {wanted}")
     return np.broadcast_to(found, (len(joints),)).copy()
 
 
-def _build(cls: Any, given: Any, told: str) -> Any:
+def _build(cls: Any, given: Any, error_prefix: str) -> Any:
     """Make a dataclass of this module from plain values, checked. Raises `InputError`."""
     if not isinstance(given, Mapping):
-        raise InputError(f"{told} = {given!r:.80} is not allowed: keys and values")
+        raise InputError(f"{error_prefix} = {given!r:.80} is not allowed: keys and values")
     fields = {one.name: one for one in dataclasses.fields(cls)}
     made: dict[str, Any] = {}
     for key, value in given.items():
-        require_choice(key, fields, f"{told}: {key}")
-        made[key] = _checked(fields[key], value, f"{told}: {key}")
+        require_choice(key, fields, f"{error_prefix}: {key}")
+        made[key] = _checked(fields[key], value, f"{error_prefix}: {key}")
     missing = [name for name, one in fields.items() if name not in made and _has_no_default(one)]
     if missing:
-        raise InputError(f"{told} needs the key {missing[0]}")
+        raise InputError(f"{error_prefix} needs the key {missing[0]}")
     return cls(**made)
 
 
@@ -278,28 +286,28 @@ def _has_no_default(one: Any) -> bool:
     return one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING
 
 
-def _checked(one: Any, value: Any, told: str) -> Any:
+def _checked(one: Any, value: Any, error_prefix: str) -> Any:
     """Return a value of a field in the field's type. Raises `InputError`."""
 
     def wrong(what: str) -> InputError:
-        return InputError(f"{told} = {value!r:.80} is not allowed: {what}")
+        return InputError(f"{error_prefix} = {value!r:.80} is not allowed: {what}")
 
     if one.name in CHOICES:
-        require_choice(value, CHOICES[one.name], f"{told} = {value}")
+        require_choice(value, CHOICES[one.name], f"{error_prefix} = {value}")
         return value
     match one.type:
         case _ if one.name == "action":
-            return _build(ActionSpec, value, told)
+            return _build(ActionSpec, value, error_prefix)
         case _ if one.name == "recurrent":
             if not isinstance(value, list | tuple):
                 raise wrong("a list such as [{input: h_in, output: h_out}]")
-            return tuple(_build(RecurrentSpec, each, f"{told}[{k}]") for k, each in enumerate(value))
+            return tuple(_build(RecurrentSpec, each, f"{error_prefix}[{k}]") for k, each in enumerate(value))
         case _ if one.name in ("commands", "sensors"):
             kind, what = ((int, float), "numbers") if one.name == "commands" else (str, "sensors")
             if not isinstance(value, Mapping) or not all(isinstance(v, kind) for v in value.values()):
                 raise wrong(f"{what} by name")
             if odd := next((name for name in value if not str(name).isidentifier()), None):
-                raise InputError(f"{told} has {odd!r}: a name has letters, digits and _")
+                raise InputError(f"{error_prefix} has {odd!r}: a name has letters, digits and _")
             return dict(value)
         case t if t is str:
             if not isinstance(value, str):

@@ -14,7 +14,7 @@ import numpy as np
 
 from sweep.core.constants import GRAVITY, LOADED
 from sweep.core.metric import Array, array_namespace
-from sweep.systems.mujoco_model.model_spec import ModelSpec, angle_deg, cosine_of_tilt
+from sweep.systems.mujoco_model.model_spec import ModelSpec, arccos_deg, cosine_of_tilt
 
 STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")  # recorded of each step
 LIMITED = 0.999  # share of a limit, from which an actuator or a joint is at it
@@ -137,7 +137,7 @@ class ModelTick:
     def tilt_deg(self) -> Array:
         """Largest angle (n,) of the first free joint's body from how it stood at the start."""
         start = self.start[:, None, self.parts.base_quat]
-        return angle_deg(cosine_of_tilt(self.base_quat, start).min(axis=1))
+        return arccos_deg(cosine_of_tilt(self.base_quat, start).min(axis=1))
 
     @property
     def joint_rates(self) -> Array:
