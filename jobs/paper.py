@@ -256,7 +256,7 @@ def summary(found: Results, target: dict[str, Any]) -> dict[str, Any]:
         "seed": found.exp.study.seed,
         "rollouts": whole.total,
         "invalid": whole.invalid,
-        "valid": whole.valid,
+        "valid": whole.valid_count,
         "success": whole.success,
         "causes": causes(rows),
         "along": {axis: along(found, axis) for axis in (*found.categorical, *found.listed_numeric)},
@@ -315,7 +315,7 @@ def groups(rows: pd.DataFrame, target: dict[str, Any]) -> list[dict[str, Any]]:
             {
                 "at": dict(zip(names, at, strict=True)),
                 "success": whole.success,
-                "valid": whole.valid,
+                "valid": whole.valid_count,
                 "causes": causes(part),
                 "values": values,
             }

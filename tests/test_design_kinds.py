@@ -30,7 +30,7 @@ class Antithetic(Design):
     centre: float = 0.5  # about which draws are mirrored
 
     @property
-    def unit(self):
+    def sampling_unit(self):
         return SamplingUnit("pair")
 
     def block_size(self, d):

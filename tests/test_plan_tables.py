@@ -19,8 +19,8 @@ from sweep.fused.eager import evaluate_constants
 from sweep.models.plan_numbers import PlanTable
 from sweep.planning.plan_table import (
     GROUP,
-    differences,
     evaluate_plan,
+    find_overrides,
     formula_values,
     load_shipped_plan,
     map_numbers,
@@ -361,8 +361,8 @@ def test_numbers_are_described_by_the_paths_they_are_varied_by(scenario, capsys)
 def test_differences_of_plans_are_a_file_that_extends_one():
     own = load_shipped_plan("pole_top")
     other = {**own, "over": {**own["over"], "base": "brink"}, "new": {"move": {"lift": 1}}}
-    assert differences(own, other) == {"over": {"base": "brink"}, "new": {"move": {"lift": 1}}}
-    assert differences(own, own) == {}
+    assert find_overrides(own, other) == {"over": {"base": "brink"}, "new": {"move": {"lift": 1}}}
+    assert find_overrides(own, own) == {}
 
 
 def test_on_and_off_are_names_in_a_plan_that_is_chosen(tmp_path):

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from sweep.analysis.intervals import CONFIDENCE
 from sweep.analysis.rare import weights_of_draws_and_failures
 from sweep.analysis.sample import choose_indices
-from sweep.analysis.sampling_units import draw_numbers
+from sweep.analysis.sampling_units import draw_ids
 from sweep.analysis.sensitivity import drawn_axes, listed_axes
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
@@ -55,7 +55,7 @@ def failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     bad, good = (_chosen(weight) for weight in (failing, np.where(rows["outcome"] == "success", plain, 0.0)))
     used = np.concatenate([bad, good])
     # rows of one draw are no evidence of their likeness
-    unit = np.arange(len(used)) if exp.study.is_adaptive else draw_numbers(rows, exp)[used]
+    unit = np.arange(len(used)) if exp.study.is_adaptive else draw_ids(rows, exp)[used]
     draws = [len(np.unique(part)) for part in np.split(unit, [len(bad)])]
     if min(draws) < FEWEST:
         raise InputError(f"shares of failure need {FEWEST} failures and successes, here: {draws[0]} and {draws[1]}")

@@ -49,21 +49,21 @@ def drop_copies(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.DataFrame, str]
     return rows[~again].reset_index(drop=True), f"{number:,} duplicate noise-free rollouts are counted once"
 
 
-def is_sample(rows: pd.DataFrame, exp: Experiment, at: Collection[str] = ()) -> bool:
+def is_sample(rows: pd.DataFrame, exp: Experiment, condition_columns: Collection[str] = ()) -> bool:
     """Whether the rows are a random sample at one condition, rather than a choice of conditions.
 
     Args:
         rows: Rows of a study.
         exp: Its experiment.
-        at: Columns that define the condition: rows that agree in these are judged.
+        condition_columns: Columns that define the condition: rows that agree in these are judged.
     """
-    if exp.study.is_adaptive or (exp.study.is_refined and not at):
+    if exp.study.is_adaptive or (exp.study.is_refined and not condition_columns):
         return False
     if exp.study.design.num and not exp.study.design.follows_distributions:
         return False
     if exp.study.points:
-        return all(c in at or rows[c].nunique() == 1 for c in parameter_columns(rows))
-    return all(axis.column in at for axis in sensitivity.listed_axes(rows, exp))
+        return all(c in condition_columns or rows[c].nunique() == 1 for c in parameter_columns(rows))
+    return all(axis.column in condition_columns for axis in sensitivity.listed_axes(rows, exp))
 
 
 def pooled_rate(rows: pd.DataFrame, exp: Experiment) -> Rate:
@@ -75,7 +75,7 @@ def pooled_rate(rows: pd.DataFrame, exp: Experiment) -> Rate:
     """
     result = rate(rows["outcome"])
     ends = (np.nan, np.nan)
-    if result.valid and is_sample(rows, exp):
+    if result.valid_count and is_sample(rows, exp):
         one = condition_rates(rows, exp, []).iloc[0]
         ends = float(one["low"]), float(one["high"])
     return dataclasses.replace(result, low=ends[0], high=ends[1])

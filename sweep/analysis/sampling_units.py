@@ -30,11 +30,11 @@ def has_draws(study: Study) -> bool:
 def independent_unit(study: Study) -> SamplingUnit:
     """Return which rows of a study count as one independent observation: the unit of its design, or a replicate."""
     if has_draws(study):
-        return study.design.unit
+        return study.design.sampling_unit
     return REPLICATE if study.replicates > 1 else NO_UNIT
 
 
-def draw_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
+def draw_ids(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
     """Return the number of the draw of each row; of a grid, the replicate.
 
     Args:
@@ -58,7 +58,7 @@ def unit_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
         Whole numbers (n,), the same for rows that depend on each other. None for a grid without noise, and for adaptive
         draws, which were placed where earlier ones failed.
     """
-    study, draws = exp.study, draw_numbers(rows, exp)
+    study, draws = exp.study, draw_ids(rows, exp)
     if has_draws(study):
         return study.design.unit_numbers(draws, len(drawn_names(study.axes)))
     return draws if study.replicates > 1 else None
@@ -79,8 +79,8 @@ def pair_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
     unit = independent_unit(exp.study)
     if unit == REPLICATE:
         varied = [c for c in parameter_columns(rows) if rows[c].nunique() > 1]
-        return None if varied else draw_numbers(rows, exp)
-    return draw_numbers(rows, exp) if unit.is_even else unit_numbers(rows, exp)
+        return None if varied else draw_ids(rows, exp)
+    return draw_ids(rows, exp) if unit.is_even else unit_numbers(rows, exp)
 
 
 def has_independent_rows(rows: pd.DataFrame, exp: Experiment) -> bool:
@@ -97,7 +97,7 @@ def has_independent_rows(rows: pd.DataFrame, exp: Experiment) -> bool:
         plain = all(rows[c].nunique() <= 1 for c in parameter_columns(rows))
     else:
         plain = study.design.follows_distributions and has_draws(study)
-    return plain and not study.is_refined and len(np.unique(draw_numbers(rows, exp))) == len(rows)
+    return plain and not study.is_refined and len(np.unique(draw_ids(rows, exp))) == len(rows)
 
 
 def interval_method(study: Study) -> str:
@@ -133,7 +133,7 @@ def condition_rates(
         draws of a unit evenly, it is Student's t interval of the units' rates, or that of independent draws if all
         rates are equal. Else see `stats.rates`.
     """
-    study, draws = exp.study, draw_numbers(rows, exp)
+    study, draws = exp.study, draw_ids(rows, exp)
     if study.budget:
         return rates(rows, by, confidence_sequence, draws)
     table = rates(rows, by, interval, draws)

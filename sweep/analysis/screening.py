@@ -5,7 +5,7 @@ import pandas as pd
 from scipy.stats import binom
 
 from sweep.analysis.intervals import CONFIDENCE
-from sweep.analysis.sampling_units import draw_numbers
+from sweep.analysis.sampling_units import draw_ids
 from sweep.analysis.sensitivity import (
     MIN_RARER,
     drawn_axes,
@@ -116,7 +116,7 @@ def _sample(
         raise InputError(f"{what} one grid point: choose among {', '.join(a.column for a in conditions)}")
     value = outcome_values(rows, figure)
     if exp.study.replicates > 1:  # a draw counts once, by the mean of its valid replicates
-        draws = draw_numbers(rows, exp)
+        draws = draw_ids(rows, exp)
         value = value.groupby(draws).transform("mean")[~pd.Series(draws).duplicated().to_numpy()]
         rows = rows.loc[value.index]
     valid = value.notna()

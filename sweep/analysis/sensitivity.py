@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from sweep.analysis.intervals import CONFIDENCE, Interval, clopper_pearson, student_interval
-from sweep.analysis.sampling_units import condition_rates, draw_numbers
+from sweep.analysis.sampling_units import condition_rates, draw_ids
 from sweep.analysis.stats import rates
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
@@ -76,7 +76,7 @@ def success_volume(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     Returns:
         The table of `stats.rates`: a row for each condition.
     """
-    rows = rows[exp.study.design.select_rate_draws(draw_numbers(rows, exp), len(drawn_names(exp.study.axes)))]
+    rows = rows[exp.study.design.select_rate_draws(draw_ids(rows, exp), len(drawn_names(exp.study.axes)))]
     return condition_rates(rows, exp, [a.column for a in listed_axes(rows, exp)], clopper_pearson)
 
 
@@ -339,7 +339,7 @@ def tolerance(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> 
         size, success = distance[valid], (part["outcome"] == "success").to_numpy()[valid]
         if size.max(initial=0) <= 1e-12:
             continue
-        fit, unit = fit_logistic(size, success), draw_numbers(part, exp)[valid]
+        fit, unit = fit_logistic(size, success), draw_ids(part, exp)[valid]
         x = max(fit.distance_at(probability)[0], 0.0)
         band = condition_rates(part[valid].assign(distance=size.round(12)), exp, ["distance"], clopper_pearson)
         low, high = _crossing(band, probability)
@@ -386,7 +386,7 @@ def regional_sensitivity(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     if not good.any() or not bad.any():
         raise InputError("regional sensitivity needs successes and failures")
     invalid = int((~good & ~bad).sum())
-    draws = draw_numbers(rows, exp)
+    draws = draw_ids(rows, exp)
     repeated = len(np.unique(draws[good | bad])) < (good | bad).sum()
     plain = exp.study.design.follows_distributions
     lines = []
@@ -403,7 +403,7 @@ def regional_sensitivity(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
 
 def _permutation_p(rows: pd.DataFrame, exp: Experiment, name: str) -> float:
     """P-value of the Kolmogorov-Smirnov distance, by permuting the outcomes of whole draws."""
-    _, draw = np.unique(draw_numbers(rows, exp), return_inverse=True)
+    _, draw = np.unique(draw_ids(rows, exp), return_inverse=True)
     conditions = [axis.column for axis in listed_axes(rows, exp)]
     slot = rows.groupby(conditions, sort=False).ngroup().to_numpy() if conditions else np.zeros(len(rows), dtype=int)
     slot = slot * exp.study.replicates + rows["replicate"].to_numpy() % exp.study.replicates

@@ -21,19 +21,19 @@ class Rate:
     high: float
 
     @property
-    def valid(self) -> int:
+    def valid_count(self) -> int:
         """Number of valid rollouts."""
         return self.total - self.invalid
 
     @property
     def share(self) -> float:
         """Successes over valid rollouts; NaN without any."""
-        return self.success / self.valid if self.valid else np.nan
+        return self.success / self.valid_count if self.valid_count else np.nan
 
     @property
     def has_interval(self) -> bool:
         """Whether the rate has an interval: it needs more than one valid rollout."""
-        return self.valid > 1 and not np.isnan(self.low)
+        return self.valid_count > 1 and not np.isnan(self.low)
 
     @property
     def invalid_share(self) -> float:
@@ -46,14 +46,15 @@ class Rate:
         return f"{self.invalid:,} invalid ({format_percent(self.invalid_share)})"
 
     def __str__(self) -> str:
-        if not self.valid:
+        if not self.valid_count:
             return f"no valid rollout among {self.total:,}"
         sure = (
             ""
             if not self.has_interval
             else f", 95 % interval {format_percent(self.low)} to {format_percent(self.high)}"
         )
-        return f"{self.success:,} of {self.valid:,} succeed ({format_percent(self.share)}{sure}), {self.invalid_text}"
+        share = f"{format_percent(self.share)}{sure}"
+        return f"{self.success:,} of {self.valid_count:,} succeed ({share}), {self.invalid_text}"
 
 
 def format_percent(share: float) -> str:

@@ -206,7 +206,7 @@ def compare_plans(overrides: list[str], file: Path, settings: list[str], seed: i
         folder = file.with_suffix(".draws") / f"{when}-{seed}"
         execute(compose([*kept, *more, f"study.seed={seed}", f"out={folder}"]), Flags())
         rates[when] = rate(store.read_rows(folder)["outcome"])
-    before, after = (f"{found.success} of {found.valid}" for found in rates.values())
+    before, after = (f"{found.success} of {found.valid_count}" for found in rates.values())
     return f"simulated draws of seed {seed} that succeed: {before} before, {after} after"
 
 
@@ -279,7 +279,7 @@ def add_slopes(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes
 
 def plan_file(case: Case, content: Content, head: list[str]) -> str:
     """Text of a plan's file: comments, then its differences to the manoeuvre's own plan."""
-    said = plan_table.differences(plan_table.default_plan_content(case), content)
+    said = plan_table.find_overrides(plan_table.default_plan_content(case), content)
     own = case.manoeuvre.default_plan_name
     whole = {"extends": own, **said} if own else said
     text = yaml.safe_dump(whole, sort_keys=False, default_flow_style=None, width=1000)

@@ -366,7 +366,7 @@ def merge_extended(name: str, read: Callable[[str], str]) -> Content:
     return functools.reduce(_merge_contents, [*below, content])
 
 
-def differences(content: Content, other: Content) -> dict[str, Any]:
+def find_overrides(content: Content, other: Content) -> dict[str, Any]:
     """Find the keys that a file must set to turn `content` into `other` by `extends`.
 
     Args:
@@ -379,7 +379,7 @@ def differences(content: Content, other: Content) -> dict[str, Any]:
     found = {}
     for key, value in other.items():
         if isinstance(value, Mapping) and isinstance(content.get(key), Mapping):
-            if inner := differences(content[key], value):
+            if inner := find_overrides(content[key], value):
                 found[key] = inner
         elif key not in content or content[key] != value:
             found[key] = value

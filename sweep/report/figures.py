@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
 from sweep.analysis.sample import is_sample
-from sweep.analysis.sampling_units import draw_interval_method, draw_numbers, interval_method
+from sweep.analysis.sampling_units import draw_ids, draw_interval_method, interval_method
 from sweep.analysis.stats import bin_values, format_percent, rate, rates
 from sweep.core.plot_style import COLUMN, PAGE, fit_ticks, legend_below, new_figure, use_whole_ticks
 from sweep.report import draws, sections, time_series_plots
@@ -114,7 +114,7 @@ def effects_figure(results: Results) -> Iterator[StudyFigure]:
             value = results.rows[axis]
             if value.nunique() > EFFECT_VALUES:
                 value, in_bins = bin_values(value, EFFECT_BINS), True
-            draws = draw_numbers(results.rows, results.exp)
+            draws = draw_ids(results.rows, results.exp)
             found = rates(results.rows.assign(value=value), [*by, "value"], unit=draws).assign(axis=axis)
             if not is_sample(results.rows, results.exp, (axis, *by)):
                 found[["low", "high"]] = np.nan
@@ -167,7 +167,7 @@ def _draw_fits(results: Results, spots: dict[str, Axes]) -> None:
             if (most := np.abs(away[here]).max(initial=0)) > 0:
                 success = rows["outcome"].to_numpy()[here] == "success"
                 fit = sensitivity.fit_logistic(np.abs(away[here]), success)
-                unit = draw_numbers(rows[here], results.exp)
+                unit = draw_ids(rows[here], results.exp)
                 if sensitivity.goodness_of_fit_p(fit, np.abs(away[here]), success, unit) < REJECTED:
                     continue
                 size = np.linspace(0, most, 50)

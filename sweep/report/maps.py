@@ -85,7 +85,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     axes[0, 0].set_ylabel(axis_title(y, exp))
     lines, _ = axes[0, 0].get_legend_handles_labels()
     invalid = bool((rows["outcome"] == "invalid").any())
-    draw_legend(figure, kinds_in(rows, exp) if most == 1 else [], has_room_for_glyphs(cells), invalid, lines)
+    draw_legend(figure, list_outcome_kinds(rows, exp) if most == 1 else [], has_room_for_glyphs(cells), invalid, lines)
     if most > 1:
         scale = ScalarMappable(Normalize(0, 1), "cividis")
         figure.colorbar(scale, ax=axes, label=f"rate of success, n = {count_range(counts)} a cell", shrink=0.8)
@@ -144,7 +144,7 @@ def split_panels(
         yield [label_with_value(str(c), v, exp) for c, v in zip(named, values, strict=True)], panel
 
 
-def kinds_in(rows: pd.DataFrame, exp: Experiment) -> list[str]:
+def list_outcome_kinds(rows: pd.DataFrame, exp: Experiment) -> list[str]:
     """Kinds that occur in `rows`, success and causes, in the order of their definition."""
     found = set(rows["cause"])
     causes = [cause for cause in exp.system.causes if cause in found and cause not in exp.system.invalid_causes]

@@ -39,7 +39,7 @@ def describe_folder(folder: Path) -> dict[str, str]:
     except InputError as error:
         return {"folder": name, **empty, "study": printable_name(str(error).split(":")[0].removeprefix(f"{folder}/"))}
     found, config = rate(outcome), flatten_values(stored["config"])
-    succeed = format_percent(found.share) if found.valid else ""
+    succeed = format_percent(found.share) if found.valid_count else ""
     if is_adaptive_kind(config.get("study.design.kind")) and config.get("study.design.num"):
         succeed = probability_of_failure(store.read_rows(folder), load_experiment(folder)) if found.total else ""
     return {

@@ -200,7 +200,7 @@ def quotable_numbers(results: Results, failure: FailureEstimate | None) -> Itera
     one, valid = pooled_rate(rows, results.exp), 'outcome != "invalid"'
     for name, count, where in (
         ("Rollouts", one.total, None),
-        ("Valid", one.valid, valid),
+        ("Valid", one.valid_count, valid),
         ("Success", one.success, 'outcome == "success"'),
         ("Invalid", one.invalid, 'outcome == "invalid"'),
     ):

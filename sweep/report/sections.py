@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from sweep.analysis import sensitivity
 from sweep.analysis.intervals import confidence_sequence, wilson
 from sweep.analysis.sample import is_sample
-from sweep.analysis.sampling_units import draw_numbers
+from sweep.analysis.sampling_units import draw_ids
 from sweep.analysis.stats import bin_values, rates
 from sweep.core.plot_style import COLUMN, PAGE, new_figure, wrap_text
 from sweep.core.spacing import evenly_spaced_indices
@@ -27,7 +27,7 @@ from sweep.report.maps import (
     draw_outcomes,
     draw_refined_cells,
     has_room_for_glyphs,
-    kinds_in,
+    list_outcome_kinds,
     split_panels,
 )
 from sweep.runs import refine
@@ -162,7 +162,7 @@ def draw_section(results: Results, chosen: Section) -> Figure:
             ax.set_xlabel(axis_title(x, results.exp))
     draw_legend(
         figure,
-        kinds_in(chosen.rows, results.exp) if single else [],
+        list_outcome_kinds(chosen.rows, results.exp) if single else [],
         has_room_for_glyphs(cells),
         bool((chosen.rows["outcome"] == "invalid").any()),
         axes[0].get_legend_handles_labels()[0],
@@ -185,7 +185,7 @@ def cell_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[s
         The table of `stats.rates`; `low` and `high` are NaN where the rows of a cell are no sample.
     """
     study = results.exp.study
-    unit = draw_numbers(rows, results.exp) if rows["replicate"].notna().all() else None
+    unit = draw_ids(rows, results.exp) if rows["replicate"].notna().all() else None
     table = rates(rows, by, confidence_sequence if study.budget else wilson, unit)
     return table if is_sample(rows, results.exp, axes) else table.assign(low=np.nan, high=np.nan)
 

@@ -10,7 +10,7 @@ import pandas as pd
 from sweep.analysis import failing, rare, screening, sensitivity
 from sweep.analysis.axis_effects import compare_along_axes
 from sweep.analysis.sample import drop_copies, pooled_rate
-from sweep.analysis.sampling_units import condition_rates, draw_numbers, interval_method
+from sweep.analysis.sampling_units import condition_rates, draw_ids, interval_method
 from sweep.analysis.sensitivity import MIN_RARER
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
@@ -54,7 +54,7 @@ def statistics_sections(
     elif drawn and exp.study.design.gives_rate:
         method = interval_method(exp.study).replace("Wilson", "Clopper-Pearson")
         volume = sensitivity.success_volume(rows, exp)
-        if listed or (volume[["success", "valid"]] != [every.success, every.valid]).to_numpy().any():
+        if listed or (volume[["success", "valid"]] != [every.success, every.valid_count]).to_numpy().any():
             yield f"Share of the draws that succeed ({method}, 95 %)", volume
     elif several and listed:
         title = f"Rate at each condition ({interval_method(exp.study)}, 95 %)"
@@ -91,7 +91,7 @@ def statistics_sections(
             sensitivity.regional_sensitivity(rows, exp),
         )
         yield from _sensitivity_tables(rows, exp)
-    draws = len(np.unique(draw_numbers(rows, exp)))
+    draws = len(np.unique(draw_ids(rows, exp)))
     for title, function in sensitivity_methods(exp, draws).items() if drawn else ():
         try:
             table = function(rows, exp, figure)

@@ -242,10 +242,10 @@ def select_lattice_points(study: Study, grid: Lattice, counts: Counts) -> np.nda
     wanted = bisect_cells(label, grid.halvings)
     if not study.audit or (wanted & (label == MISSING)).any():
         return wanted
-    return wanted | expand_audit_points(study, wanted)
+    return wanted | draw_audit_points(study, wanted)
 
 
-def expand_audit_points(study: Study, wanted: np.ndarray) -> np.ndarray:
+def draw_audit_points(study: Study, wanted: np.ndarray) -> np.ndarray:
     """Draw `study.audit` random lattice points among those that bisection left out.
 
     Args:
@@ -400,7 +400,7 @@ def summarize_panels(exp: Experiment, rows: pd.DataFrame) -> list[RefinedPanel]:
         wanted = bisect_cells(label, grid.halvings)
         seen = np.where(wanted, label, MISSING)
         filled, cells = fill_cells(seen, grid.halvings), leaf_cells(seen, grid.halvings)
-        audit = expand_audit_points(exp.study, wanted) & (label >= FAILS) & (filled >= FAILS)
+        audit = draw_audit_points(exp.study, wanted) & (label >= FAILS) & (filled >= FAILS)
         missed = int((label != filled)[audit].sum())
         undecided = int(_undecided_points(exp.study, counts).sum()) if exp.study.has_repeats else 0
         known = counts.total > 0

@@ -285,18 +285,18 @@ def cost(deficit: np.ndarray) -> np.ndarray:
 
 
 def solve_linear_program(
-    deficit: np.ndarray, slope: np.ndarray, by: np.ndarray, at: np.ndarray, radius: float
+    deficit: np.ndarray, slope: np.ndarray, by: np.ndarray, present_slopes: np.ndarray, radius: float
 ) -> np.ndarray:
-    """Return the slopes (n, k) within a radius of `at` that minimize the mean `cost`, linearized.
+    """Return the slopes (n, k) within a radius of `present_slopes` that minimize the mean `cost`, linearized.
 
     The variables are the positive and negative parts of the slopes, the deficit of each margin of a draw, and the
     largest deficit of each draw.
 
     Args:
-        deficit: Deficits (draws, moments, margins) at `at`.
+        deficit: Deficits (draws, moments, margins) at `present_slopes`.
         slope: Their slopes (draws, moments, margins, n), in units of first steps.
         by: Sizes of the draws (draws, k), scaled to at most 1.
-        at: Present slopes (n, k).
+        present_slopes: Present slopes (n, k).
         radius: Largest change of a slope, in first steps.
     """
     from scipy.optimize import linprog  # slow to import
@@ -317,14 +317,19 @@ def solve_linear_program(
     rows = block_array([[moves, -moves, minus_column(pair, len(pairs)), None],
                         [None, None, eye_array(len(pairs)), largest]])  # fmt: skip
     weight = np.exp(-cost(deficit.max(axis=1)) / COST_SCALE) / count
-    price = np.concatenate([np.full(2 * at.size, STEP_COST), SUM_WEIGHT * weight[pairs // deficit.shape[-1]], weight])
-    both = np.concatenate([at.ravel(), -at.ravel()])
+    price = np.concatenate(
+        [np.full(2 * present_slopes.size, STEP_COST), SUM_WEIGHT * weight[pairs // deficit.shape[-1]], weight]
+    )
+    both = np.concatenate([present_slopes.ravel(), -present_slopes.ravel()])
     near_by = np.maximum(np.stack([both - radius, both + radius], axis=1), 0.0)
     bounds = np.concatenate([near_by, np.tile([0.0, np.inf], (len(pairs) + count, 1))])
     solution = linprog(
-        price, rows, np.concatenate([moves @ at.ravel() - deficit[near], np.zeros(len(pairs))]), bounds=bounds
+        price,
+        rows,
+        np.concatenate([moves @ present_slopes.ravel() - deficit[near], np.zeros(len(pairs))]),
+        bounds=bounds,
     )
-    up, down = solution.x[: 2 * at.size].reshape(2, *at.shape)
+    up, down = solution.x[: 2 * present_slopes.size].reshape(2, *present_slopes.shape)
     return up - down
 
 

@@ -317,20 +317,20 @@ class _WorkerWatch:
                 self.restart_worker(worker, min(self.numbers[key] for key in keys), now - self.started_s[worker])
         self.tasks = tasks
 
-    def report_missing_workers(self, is_any: bool, now: float) -> None:
+    def report_missing_workers(self, is_any: bool, now_s: float) -> None:
         """Say that no worker has joined, and what the scheduler warned of last, after `JOIN_TIMEOUT_S` and each minute.
 
         Args:
             is_any: whether there is a worker.
-            now: time, in s.
+            now_s: time, in s.
         """
-        self.no_worker_since_s = None if is_any else self.no_worker_since_s or now
-        if self.no_worker_since_s is None or now - self.no_worker_since_s < JOIN_TIMEOUT_S:
+        self.no_worker_since_s = None if is_any else self.no_worker_since_s or now_s
+        if self.no_worker_since_s is None or now_s - self.no_worker_since_s < JOIN_TIMEOUT_S:
             return
         warned = [text for level, text in self.client.get_scheduler_logs() if level in ("WARNING", "ERROR", "CRITICAL")]
         why = explain_scheduler_warning(warned[-1]) if warned else "its log has no warning"
         self.status.on_message(f"no worker has joined the scheduler {self.address} for {JOIN_TIMEOUT_S:.0f} s: {why}")
-        self.no_worker_since_s = now + REPEAT_AFTER_S - JOIN_TIMEOUT_S
+        self.no_worker_since_s = now_s + REPEAT_AFTER_S - JOIN_TIMEOUT_S
 
     def report_unfetched(self, future: Any) -> None:
         """Restart the worker that holds a result but does not send it."""

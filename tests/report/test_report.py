@@ -43,7 +43,7 @@ def rows():
 
 def test_rate_counts_invalid_rows_apart():
     found = rate(pd.Series(["success"] * 8 + ["failure"] * 2 + ["invalid"] * 3))
-    assert (found.valid, found.share) == (10, 0.8)
+    assert (found.valid_count, found.share) == (10, 0.8)
     assert (found.low, found.high) == pytest.approx((0.4902, 0.9433), abs=1e-4)  # Wilson, 8 of 10
     assert "no valid rollout among 1" in str(rate(pd.Series(["invalid"])))
 

@@ -137,7 +137,7 @@ class Design(ABC):
         return None
 
     @property
-    def unit(self) -> SamplingUnit:
+    def sampling_unit(self) -> SamplingUnit:
         """What the design draws independently."""
         return DRAW
 

@@ -21,7 +21,7 @@ class Morris(Design):
     trajectory_grid: ClassVar[TrajectoryGrid] = TrajectoryGrid(4, 0.005, 0.995)
 
     @property
-    def unit(self) -> SamplingUnit:
+    def sampling_unit(self) -> SamplingUnit:
         """Return the trajectory."""
         return SamplingUnit("trajectory")
 

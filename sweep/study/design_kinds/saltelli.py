@@ -26,7 +26,7 @@ class Saltelli(Design):
         return warn_of_unbalanced_draws(self.num)
 
     @property
-    def unit(self) -> SamplingUnit:
+    def sampling_unit(self) -> SamplingUnit:
         """Return the block."""
         return SamplingUnit("block")
 

@@ -45,7 +45,7 @@ class Sobol(Design):
         return warn_of_unbalanced_draws(self.num)
 
     @property
-    def unit(self) -> SamplingUnit:
+    def sampling_unit(self) -> SamplingUnit:
         """Return the scramble.
 
         One scramble has no spread. Independent draws vary more, so that their interval is safe.

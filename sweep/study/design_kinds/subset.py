@@ -66,7 +66,7 @@ class Subset(AdaptiveDesign):
             )
 
     @property
-    def unit(self) -> SamplingUnit:
+    def sampling_unit(self) -> SamplingUnit:
         """Return the run."""
         return SamplingUnit("run")
 
