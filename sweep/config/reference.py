@@ -104,7 +104,7 @@ def describe_file_numbers(group: str, name: str) -> str:
         return "\n".join(f"{group}.{name:20} {project.first_comment(file)}" for name, file in files.items())
     file, _, path = name.partition(".")
     require_choice(file, files, f"{group} = {file}")
-    said = GROUPS[group].numbers_of(file, lambda other: files[other].read_text(encoding="utf-8"))
+    said = GROUPS[group].read_file_numbers(file, lambda other: files[other].read_text(encoding="utf-8"))
     found = {path: value if isinstance(value, str) else f"{value:g}" for path, value in said.items()}
     if path:
         require_choice(path, found, f"{group}.{name}")

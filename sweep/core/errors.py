@@ -85,7 +85,7 @@ def require_choice(word: object, allowed: Iterable[str], label: str) -> None:
     Args:
         word: The name.
         allowed: Names that are allowed.
-        told: How the message names `word`, such as `cluster.kind = 'x'`.
+        label: How the message names `word`, such as `cluster.kind = 'x'`.
 
     Raises:
         InputError: `word` is none of `allowed`; the closest one is suggested.

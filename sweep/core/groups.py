@@ -34,7 +34,7 @@ class Group(NamedTuple):
         """Whether a single parameter dataclass is the group's schema."""
         return not (self.kinds or self.is_global or self.free)
 
-    def numbers_of(self, file: str, read: Callable[[str], str]) -> dict[str, float | str]:
+    def read_file_numbers(self, file: str, read: Callable[[str], str]) -> dict[str, float | str]:
         """Return the numbers and formulas in one of the group's files, by path.
 
         Args:

@@ -35,7 +35,7 @@ class Topology:
     owner: tuple[int, ...]  # (n,) free body that carries the contact point, -1 for the robot's feet
 
 
-class Tree(NamedTuple):
+class RobotDynamicsTerms(NamedTuple):
     """Mass matrix, bias and foot Jacobians of the robot at one pose and motion, base axes from the base's origin."""
 
     mass: Mass  # with armature
@@ -44,7 +44,7 @@ class Tree(NamedTuple):
     foot: tuple[Vector, Vector, Vector]  # (l,) velocity of the foot per rate of a joint
 
 
-SmoothDynamics = Callable[[Pose, Motion], Tree]  # of one world; motions in the bodies' own axes
+SmoothDynamics = Callable[[Pose, Motion], RobotDynamicsTerms]  # of one world; motions in the bodies' own axes
 
 
 def topology(case: Case) -> Topology:

@@ -11,7 +11,7 @@ from mujoco.mjx._src import math as mjx_math
 from mujoco.mjx._src import smooth
 
 from sweep.core.vectors import Matrix, Vector
-from sweep.dynamics.interface import SmoothDynamics, Topology, Tree
+from sweep.dynamics.interface import RobotDynamicsTerms, SmoothDynamics, Topology
 from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, SpatialVector, pack
 from sweep.models import scene
 from sweep.models.case import Case
@@ -41,7 +41,7 @@ def varying_fields(top: Topology, model: mjx.Model, case: Case) -> dict[str, Arr
     return changed
 
 
-def smooth_dynamics(top: Topology, model: mjx.Model, data: mjx.Data, pose: Pose, motion: Motion) -> Tree:
+def smooth_dynamics(top: Topology, model: mjx.Model, data: mjx.Data, pose: Pose, motion: Motion) -> RobotDynamicsTerms:
     """The robot's blocks at a pose and motion. `data` is an empty MJX data of the topology."""
     q, v = pack(pose, motion)
     d = data.replace(qpos=q, qvel=v)
@@ -67,7 +67,7 @@ def smooth_dynamics(top: Topology, model: mjx.Model, data: mjx.Data, pose: Pose,
     swept = leg[:, :, 3:] + jnp.cross(leg[:, :, :3], (foot - d.subtree_com[BASE])[:, None, :])
     links = d.xpos[2 : 2 + N_LEGS * per_leg].reshape(N_LEGS, per_leg, 3)
     joints = [*jnp.swapaxes(links, 0, 1), foot]
-    return Tree(
+    return RobotDynamicsTerms(
         Mass((inertia,), columns, Matrix.from_array(m_leg)),  # pyright: ignore
         Motion((forces,), tuple(bias[top.leg].T)),  # pyright: ignore
         tuple(Vector.from_array((joint - d.xpos[BASE]) @ turned) for joint in joints),

@@ -31,7 +31,7 @@ from sweep.dynamics.contacts import (
     resisting_moments,
 )
 from sweep.dynamics.free_bodies import FreeBodies
-from sweep.dynamics.interface import SmoothDynamics, Topology, Tree
+from sweep.dynamics.interface import RobotDynamicsTerms, SmoothDynamics, Topology
 from sweep.dynamics.spatial import (
     Mass,
     Motion,
@@ -204,7 +204,7 @@ class _Configuration(NamedTuple):
 
     pose: Pose
     turned: Matrix  # (1,) to world axes
-    robot: Tree
+    robot: RobotDynamicsTerms
     free: FreeBodies
     mass: Mass
     motion: Motion

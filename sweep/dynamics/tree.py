@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from sweep.core.constants import GRAVITY
 from sweep.core.vectors import Matrix, Number, Vector, symmetric
-from sweep.dynamics.interface import SmoothDynamics, Tree
+from sweep.dynamics.interface import RobotDynamicsTerms, SmoothDynamics
 from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, Rates, SpatialVector
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
@@ -60,7 +60,7 @@ def leg_links(robot: Robot, angle: Rates) -> tuple[Vector, list[Link]]:
     return across, found
 
 
-def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> Tree:
+def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> RobotDynamicsTerms:
     """Mass matrix, bias and feet at a pose and velocity: recursive Newton-Euler and composite bodies, leg by leg.
 
     The bias is the force that keeps all generalised accelerations zero; the linear one is that in world axes, so that
@@ -107,7 +107,7 @@ def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> Tree:
     twist = twist + spin_base.cross(Vector(box[0] * spin_base.x, box[1] * spin_base.y, box[2] * spin_base.z))
     feet = tuple(a.cross(start - o) for a, o in zip(axes, origins, strict=True))
     mass = Mass((_composite(robot, links, centres),), tuple(columns), _leg_block(axes, origins, columns, armature))  # pyright: ignore
-    return Tree(mass, Motion((SpatialVector(wrench, twist),), tuple(leg_bias)), tuple(joints), feet)  # pyright: ignore
+    return RobotDynamicsTerms(mass, Motion((SpatialVector(wrench, twist),), tuple(leg_bias)), tuple(joints), feet)  # pyright: ignore
 
 
 def _box(robot: Robot) -> tuple[Number, Number, Number]:

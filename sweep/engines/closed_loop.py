@@ -60,7 +60,7 @@ class ClosedLoop(NamedTuple):
     learned: LearnedState
 
 
-class Start(NamedTuple):
+class InitialState(NamedTuple):
     """State of MuJoCo at the start: positions and velocities of base, legs and free bodies."""
 
     qpos: Float[Array, " nq"]
@@ -98,7 +98,7 @@ def count_ticks(plans: Plan, period: float) -> int:
     return int(np.ceil((min(GRACE * longest, LONGEST) + REST) / period))
 
 
-def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = None) -> Start:
+def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = None) -> InitialState:
     """State of the simulated world at the start of the manoeuvre.
 
     The robot stands with the joint angles that it believes to be right, displaced by the placement error of
@@ -138,7 +138,7 @@ def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = 
     qpos = [position, start.quat, joints.reshape(N_JOINTS), jnp.concatenate([free.position, free.quat], axis=1).ravel()]
     turn = rotate(conjugate(free.quat), free.turn)  # a free joint turns about the body's own axes
     qvel = [velocity, jnp.zeros(3), rates.reshape(N_JOINTS), jnp.concatenate([free.velocity, turn], axis=1).ravel()]
-    return Start(jnp.concatenate(qpos), jnp.concatenate(qvel))
+    return InitialState(jnp.concatenate(qpos), jnp.concatenate(qvel))
 
 
 def _beneath(obstacle: Obstacle, feet: Float[Array, "6 3"], up: Float[Array, " 3"], bodies: BodyPoses) -> Surface:
@@ -196,7 +196,7 @@ def init_loop(
     world: Case,
     belief: Case,
     plan: Plan,
-    start: Start,
+    start: InitialState,
     energy: Array,
     key: Array,
     learned: LearnedState,

@@ -30,8 +30,8 @@ from sweep.engines.batching import BatchEngine
 from sweep.engines.closed_loop import (
     CHUNK,
     ClosedLoop,
+    InitialState,
     Sensing,
-    Start,
     classify_sensing,
     compute_metrics,
     count_ticks,
@@ -99,7 +99,7 @@ class LoopState(NamedTuple):
 class NativePrograms(NamedTuple):
     """Compiled programs of a batch: planning, a control tick, the metrics at the end, and replanning."""
 
-    start: Callable[[Case, Case, Array], tuple[Plan, tuple[LoopState, Start]]]
+    start: Callable[[Case, Case, Array], tuple[Plan, tuple[LoopState, InitialState]]]
     tick: Kernel | Callable[[Any, LoopState, int], LoopState]
     finish: Callable[[Case, Plan, ClosedLoop], dict[str, Array]]
     replan: Callable[..., LearnedState] | None  # see `replan_rest`
@@ -285,7 +285,9 @@ class NativeEngine(BatchEngine):
         models = {c: [model_bytes(self._model(sides({c: end})[0])) for end in ends[c]] for c in sorted(unread)}
         return {c for c, (low, high) in models.items() if low == high}
 
-    def _start(self, sensing: Sensing, world: Case, belief: Case, key: Array) -> tuple[Plan, tuple[LoopState, Start]]:
+    def _start(
+        self, sensing: Sensing, world: Case, belief: Case, key: Array
+    ) -> tuple[Plan, tuple[LoopState, InitialState]]:
         known, plan, learned = prepare_belief(world, belief, key)
         state = start_state(world, known, plan)
         loop = init_loop(world, known, plan, state, jnp.zeros(()), key, learned, sensing)
@@ -367,7 +369,7 @@ class NativeEngine(BatchEngine):
         inputs = PhysicsInputs(torques, *self._external_forces(world, tick, loop.actual.free))
         return LoopState(loop, command, steps, inputs, judged)
 
-    def _empty_record(self, start: Start) -> StepRecord:
+    def _empty_record(self, start: InitialState) -> StepRecord:
         """Record before the first physics step."""
         n, count = self.substeps, N_LEGS * len(link_names(self._nominal[0].robot))
         qpos, qvel, forces = jnp.tile(start.qpos, (n, 1)), jnp.tile(start.qvel, (n, 1)), jnp.zeros((n, N_JOINTS))

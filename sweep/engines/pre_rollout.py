@@ -15,7 +15,7 @@ from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
 from sweep.engines import planning
-from sweep.engines.closed_loop import Start, start_state
+from sweep.engines.closed_loop import InitialState, start_state
 from sweep.estimation import calibration, touch
 from sweep.estimation.belief_update import LearnedState, updated_belief
 from sweep.estimation.calibration import HEIGHT, MOVES, CalibrationResult, Ground, PoseMeasurements
@@ -137,7 +137,7 @@ def measure_body_positions(world: Case, key: Array) -> Float[Array, "k 3"]:
     return free.position + bias + noise.body_position_noise / jnp.sqrt(world.control.samples) * draws
 
 
-def measure_poses(world: Case, start: Start, key: Array) -> PoseMeasurements:
+def measure_poses(world: Case, start: InitialState, key: Array) -> PoseMeasurements:
     """Measure the calibration poses with the sensor errors of this rollout.
 
     The feet are put on the ground where the robot starts, and slip a little from pose to pose. A foot that a pose puts

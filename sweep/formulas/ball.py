@@ -156,7 +156,7 @@ def climbing_rate(omega0: Scalar, effort: Scalar, R: Scalar) -> Array:
     return 2 * effort * GRAVITY / (speed + jnp.sqrt(speed**2 - 4 * effort**2 * R * GRAVITY))
 
 
-class BallRate(NamedTuple):
+class BallAngularRate(NamedTuple):
     """Rate of the ball (rad/s)."""
 
     omega: Annotated[Float[Array, "..."], "rad/s"]
@@ -172,7 +172,7 @@ def ball_omega(
     phi1: Annotated[Scalar, Input("rad", np.pi / 2, at_least=-np.pi, at_most=np.pi)],
     dphi: Annotated[Scalar, Input("rad/s", 1.0)],
     omega0: Annotated[Scalar, Input("rad/s", 1.0)],
-) -> BallRate:
+) -> BallAngularRate:
     """Angular rate of a ball after the robot moved on it at a constant rate.
 
     Args:
@@ -190,7 +190,7 @@ def ball_omega(
     """
     p = _ratio(m, M, R, rho)
     growth = jnp.log1p(p * (jnp.sin(phi1) - jnp.sin(phi0)) / (1 + p * jnp.sin(phi0)))
-    return BallRate(omega0 - (GRAVITY + dphi**2 * R) / (dphi * R) * growth)
+    return BallAngularRate(omega0 - (GRAVITY + dphi**2 * R) / (dphi * R) * growth)
 
 
 class Descent(NamedTuple):

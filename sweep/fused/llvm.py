@@ -21,7 +21,7 @@ from sweep.fused.program import (
     Store,
     constant_value,
 )
-from sweep.fused.schedule import Order, Slots, Turn, used_regions
+from sweep.fused.schedule import OperationGroup, Order, Slots, used_regions
 from sweep.fused.text import TYPES, LlvmText
 
 LANES, NARROW = 16, 4  # rollouts of a tile; a narrow tile takes half as long
@@ -77,7 +77,7 @@ class CpuPrinter(LlvmText):
 
     def _order(self, order: Order) -> None:
         for at, step in enumerate(order.steps):
-            if isinstance(step, Turn):
+            if isinstance(step, OperationGroup):
                 (self._legs_turn if step.legs else self._plain_turn)(step)
             elif isinstance(step, Store):
                 self._store(step)
@@ -121,15 +121,15 @@ class CpuPrinter(LlvmText):
             self.lines.append(f"br label %{name}_x")
         self.start_block(f"{name}_x")
 
-    def _plain_turn(self, turn: Turn) -> None:
+    def _plain_turn(self, turn: OperationGroup) -> None:
         for node in turn.nodes:
             if node.op == "pack":
                 for k, x in enumerate(node.args):
-                    self._put(self.value(x), node.dtype, "%scratch", str(self.slot(node) + k * self.row))
+                    self._put(self.value(x), node.dtype, "%scratch", str(self.slot_offset(node) + k * self.row))
             else:
                 self.names[node.number] = self._work(node, [self.value(x) if not x.leg else "" for x in node.args])
 
-    def _legs_turn(self, turn: Turn) -> None:
+    def _legs_turn(self, turn: OperationGroup) -> None:
         self._fresh += 1
         name, before = f"T{self._fresh}", self.label
         leg = Leg(self, f"%{name}_k")
@@ -158,14 +158,14 @@ class CpuPrinter(LlvmText):
                 continue
             value = leg.here[node.number] = self._work(node, [leg.value(x) for x in node.args], leg)
             if node.number in self.slots.by_node:
-                self._put(value, node.dtype, "%scratch", leg.offset(self.row, self.slot(node)))
+                self._put(value, node.dtype, "%scratch", leg.offset(self.row, self.slot_offset(node)))
         self.emit(f"add i64 %{name}_k, 1", f"%{name}_n")
         self.emit(f"icmp eq i64 %{name}_n, {self.group}", f"%{name}_c")
         self.lines.append(f"br i1 %{name}_c, label %{name}_x, label %{name}")
         self.start_block(f"{name}_x")
 
-    def slot(self, node: Node) -> int:
-        """Place in scratch memory of a node's values for the legs, in bytes."""
+    def slot_offset(self, node: Node) -> int:
+        """Offset in scratch memory of a node's values for the legs, in bytes."""
         return self.slots.by_node[node.number] * self.group * self.row
 
     # memory
@@ -207,7 +207,7 @@ class CpuPrinter(LlvmText):
             region, index, _, step = node.attribute(Address)
             base, place = self.base(region)
             return self.get(region.dtype, base, str(place + (index + k * step) * self.size(region.dtype)))
-        return self.get(node.dtype, "%scratch", str(self.slot(node) + k * self.row))
+        return self.get(node.dtype, "%scratch", str(self.slot_offset(node) + k * self.row))
 
     def _put(self, value: str, dtype: str, base: str, offset: str) -> None:
         at = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
@@ -338,7 +338,7 @@ class Leg:
             base, place = printer.base(region)
             size = printer.size(region.dtype)
             return printer.get(region.dtype, base, self.offset(step * size, place + index * size))
-        return printer.get(node.dtype, "%scratch", self.offset(printer.row, printer.slot(node)))
+        return printer.get(node.dtype, "%scratch", self.offset(printer.row, printer.slot_offset(node)))
 
     def _is(self, k: int) -> str:
         key = -1 - k

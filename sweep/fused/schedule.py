@@ -16,8 +16,8 @@ RECOMPUTED = frozenset(("const", "load"))  # operations that are repeated wherev
 
 
 @dataclass(eq=False)
-class Turn:
-    """Operations of one turn in order."""
+class OperationGroup:
+    """Consecutive operations of one turn: plain ones, or (`legs`) the body of a loop over the legs."""
 
     legs: bool
     nodes: list[Node] = field(default_factory=list)
@@ -77,7 +77,7 @@ def order_block(block: Block, needed: set[int]) -> Order:
     return made
 
 
-def _turns(nodes: list[Node]) -> Iterator[Turn]:
+def _turns(nodes: list[Node]) -> Iterator[OperationGroup]:
     """Group nodes between two loops into as few turns as their operands allow."""
     here, turns = {}, {}
     for node in nodes:
@@ -91,7 +91,7 @@ def _turns(nodes: list[Node]) -> Iterator[Turn]:
                 at += 1  # loops follow plain turns; a sum over the legs is known after its own loop
             number = max(number, at + (at + number) % 2)
         here[node.number] = number
-        turns.setdefault(number, Turn(number % 2 == 1)).nodes.append(node)
+        turns.setdefault(number, OperationGroup(number % 2 == 1)).nodes.append(node)
     for number in sorted(turns):
         yield turns[number]
 
@@ -128,7 +128,7 @@ def assign_slots(top: Order) -> Slots:
 
 
 def _assign_slots(order: Order, slots: Slots) -> None:
-    own = {node.number for step in order.steps if isinstance(step, Turn) for node in step.nodes}
+    own = {node.number for step in order.steps if isinstance(step, OperationGroup) for node in step.nodes}
     last: dict[int, int] = {}  # last step that reads a value of this block
     for at, step in enumerate(order.steps):
         last |= {number: at for number in _reads_from_memory(step, order.inner.get(at, [])) if number in own}
@@ -136,7 +136,7 @@ def _assign_slots(order: Order, slots: Slots) -> None:
     for number, at in last.items():
         done.setdefault(at, []).append(number)
     for at, step in enumerate(order.steps):
-        if isinstance(step, Turn):
+        if isinstance(step, OperationGroup):
             kept = [node for node in step.nodes if node.number in last]
             slots.by_node |= {node.number: slots.take() for node in kept}
             slots.size = max(slots.size, *(np.dtype(node.dtype).itemsize for node in kept), 0)
@@ -149,7 +149,7 @@ def _reads_from_memory(step: Any, inner: list[Order]) -> Iterator[int]:
     """Numbers of the legs' values that a step, or what is inside it, reads from slots."""
     if isinstance(step, Store):
         args = [step.value]
-    elif isinstance(step, Turn):
+    elif isinstance(step, OperationGroup):
         here = {node.number for node in step.nodes} if step.legs else set()
         args = [arg for node in step.nodes for arg in node.args if arg.number not in here]
     else:
@@ -164,7 +164,7 @@ def used_regions(order: Order) -> set[Region]:
     """All memory regions that a schedule loads from or stores to."""
     found: set[Region] = set()
     for at, step in enumerate(order.steps):
-        if isinstance(step, Turn):
+        if isinstance(step, OperationGroup):
             nodes = step.nodes
             found |= {n.extra.region for n in nodes if isinstance(n.extra, Address)}
             found |= {a.extra.region for n in nodes for a in n.args if isinstance(a.extra, Address)}

@@ -151,10 +151,11 @@ class RaftCross(Manoeuvre):
                  "on_deck_far": (half, hips + deck, raft_frame), "squat": (half, squat + deck, raft_frame),
                  "by_far": (width, hips, WORLD)}  # fmt: skip
         charts = {
-            name: chart_beyond_edge(edge, self.offset, aside, up, frame) for name, (edge, up, frame) in feet.items()
+            name: make_chart_beyond_edge(edge, self.offset, aside, up, frame)
+            for name, (edge, up, frame) in feet.items()
         }
         charts |= {
-            name: chart_beyond_edge(edge, self.offset, 0.0, up, frame) for name, (edge, up, frame) in bases.items()
+            name: make_chart_beyond_edge(edge, self.offset, 0.0, up, frame) for name, (edge, up, frame) in bases.items()
         }
         depths = {**dict.fromkeys(feet, self.deepening), "brace": self.deepening + self.bracing}
         berths = {"moored": half, "pulled": width - half}  # wherever along the banks
@@ -238,7 +239,7 @@ def far_gaps(raft: Raft, free: FreeState) -> Float[Array, " 2"]:
     return raft.water_width - (free.position[0] + rotate(free.quat[0], corners))[:, 0]
 
 
-def chart_beyond_edge(
+def make_chart_beyond_edge(
     edge: Array | float, middle: Array | float, aside: Array | float, up: Array | float, frame: int
 ) -> Chart:
     """Return a chart of footholds beyond an edge.

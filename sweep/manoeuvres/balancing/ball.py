@@ -368,7 +368,7 @@ class BallDrive(OnBall):
         blend = jnp.minimum(1.0, 2 * phase)
         aside = memory.aside_before + blend**2 * (3 - 2 * blend) * (memory.aside - memory.aside_before)
         pulse = memory.push * time / self.step_time * stabilise_delta(time, 0.0, state.clock).pulse
-        wanted = pulse * memory.along + aside * left_of_way(memory)
+        wanted = pulse * memory.along + aside * direction_left_of_path(memory)
         lengthwise = self.compensate == "both"
         position = compensate_base(belief.robot, plan.position[stage], feet, wanted, lengthwise)
         feet = jnp.where(swings, feet, rotate(conjugate(free.quat), feet))
@@ -404,7 +404,7 @@ class BallDrive(OnBall):
         return planned, turn_footholds_back(level, self.step_time * speed / (2 * ball.radius), track.along)
 
 
-def left_of_way(memory: DriveMemory) -> Float[Array, " 2"]:
+def direction_left_of_path(memory: DriveMemory) -> Float[Array, " 2"]:
     """Return the horizontal unit vector to the left of the ball's path."""
     return jnp.stack([-memory.along[1], memory.along[0]])
 

@@ -82,7 +82,7 @@ def tangent_pitch(obstacle: "Ball", unit: Number, elevation: Number, distance: N
     return jnp.radians(90 - jnp.asarray(elevation, float))
 
 
-def pitch_pivot(obstacle: "Ball", unit: Number, *at: Number) -> Float[Array, " 3"]:
+def pitch_pivot(obstacle: "Ball", unit: Number, *numbers: Number) -> Float[Array, " 3"]:
     """Point about which bases of the chart `tangent_base_position` turn (m): the ball's centre."""
     return jnp.zeros(3)
 
