@@ -199,11 +199,11 @@ def test_a_refined_map_says_what_its_cells_do():
 
 
 def test_a_share_of_failing_that_is_chance_is_not_told():
-    """Of x2, which does nothing, beside x1, which decides, at four conditions of 40 draws: seldom a share."""
+    """Of x2, which does nothing, beside x1, which decides, at four conditions of 160 draws: seldom a share."""
     axes = {"level": {"path": "controller.x3", "values": [0.3, 0.4, 0.5, 0.6]}} | AXES
     told = []
     for seed in range(30):
-        exp = study(axes, seed, design={"num": 40})
+        exp = study(axes, seed, design={"num": 160})
         rows = points(exp)
         found = failing.failure_shares(judged(rows, rows["controller.x1"] + 0.1 * normals(rows, seed) < 0.7), exp)
         told.append(found.set_index("axis")["share"].notna())

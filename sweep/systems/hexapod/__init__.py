@@ -32,7 +32,6 @@ from sweep.engines.states import available_columns
 from sweep.manoeuvres import MANOEUVRES
 from sweep.metrics import outcome
 from sweep.metrics.outcome import Thresholds
-from sweep.models import scene
 from sweep.models.case import Case, Manoeuvre, complete_manoeuvre
 from sweep.models.control import Control
 from sweep.models.noise import Noise
@@ -120,6 +119,8 @@ class Hexapod:
             trace: The rollout.
             settings: Settings of the engine, which give the time step.
         """
+        from sweep.models import scene  # slow to import
+
         if settings.name == "native":
             spec = scene.native_spec(trace.world, settings.native_time_step, settings.solid)
         else:
