@@ -105,9 +105,11 @@ def test_what_studies_do_works_on_it(here, capsys, monkeypatch):
     ):
         assert main(["relabel", "some", wrong]) == 2
         assert line in capsys.readouterr().err
-    assert main(["replay", "some", "3", "--states", "s.parquet"]) == 2
+    assert main(["replay", "some", "3", "--states", "s.parquet"]) == 0
+    assert {"time_s", "stage", "base_z_m", "qpos_0", "qvel_0"} <= set(pd.read_parquet("s.parquet"))
+    assert main(["replay", "some", "3", "--model", "m.xml"]) == 2
     assert (
-        "--states is not allowed: rollouts of this system are shown by --mcap, --png, --video, and"
+        "--model is not allowed: rollouts of this system are shown by --mcap, --png, --states, --video, and"
         in capsys.readouterr().err
     )
     trot = (here / "trot.py").read_text()

@@ -87,9 +87,9 @@ def test_what_a_study_expects_and_what_is_invalid_decide_the_exit_code(capsys):
     assert main(["run", *SMALL, "study.expect=[{that: 'slip_max_m < 100', at_least: 1}]"]) == 0
     nominal = ["scenario=walk_tripod", "scenario.expect=[{at_most: 0}]"]
     assert main(["run", *nominal]) == 4
-    assert "from 0 to 0, got 1 of 1" in capsys.readouterr().err
+    assert "at most 0, got 1 of 1" in capsys.readouterr().err
     assert main(["run", *nominal, "engine=native", "manoeuvre.steps=1"]) == 4  # by sixteen
-    assert "from 0 to 0.2, got 1 of 16" in capsys.readouterr().err
+    assert "at most 0.2, got 1 of 16" in capsys.readouterr().err
     seven = ["study=walk_map", "out=seven", "study.axes.friction.values=[1.0,7.0]"]
     assert main(["run", *seven]) == 3
     out, err = capsys.readouterr()
