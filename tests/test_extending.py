@@ -35,7 +35,7 @@ SAID = {  # by the commands of a page
         "0.7, 0.75",
         "0.05 + gap / 4",
     ],
-    "write_a_study_design": ["of 16 succeed", "Student's t over scrambles"],
+    "write_a_study_design": ["of 16 succeed", "4 independent scrambles"],
     "write_a_subcommand": [" walk"],
     PLATFORM: ["platform             The base robot steps up", "| reach ", "| platform "],
     CHART: [

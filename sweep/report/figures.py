@@ -27,6 +27,7 @@ from sweep.study.columns import metric_columns
 EFFECT_VALUES, EFFECT_BINS, HISTOGRAM_BINS, LINES, HISTOGRAMS = 50, 20, 30, 5, 12
 BARE = 0.02  # of the longest bar, and a part that is no longer has no room for a glyph
 REJECTED = 0.01  # p-value below which a fit is not drawn
+ROUNDING = 1e-12  # of a value: a difference that is no distribution
 STYLES = (
     ("#00649E", "-", "o"),
     ("#D55E00", "--", "s"),
@@ -214,7 +215,7 @@ def distributions_figure(results: Results) -> Iterator[StudyFigure]:
     tables = []
     for name in names:
         values = results.rows[name]
-        edges = np.histogram_bin_edges(values[np.isfinite(values)], HISTOGRAM_BINS)
+        edges = _bin_edges(values[np.isfinite(values)])
         for outcome, part in values.groupby(results.rows["outcome"]):
             number, _ = np.histogram(part[np.isfinite(part)], edges)
             bins = {"from": edges[:-1], "to": edges[1:], "rollouts": number}
@@ -222,6 +223,13 @@ def distributions_figure(results: Results) -> Iterator[StudyFigure]:
     data = pd.concat(tables, ignore_index=True)
     caption = "Distributions of metrics. The dashed line is the threshold beyond which a rollout fails or is invalid."
     yield StudyFigure("distributions", "Distributions", caption, data, lambda: _draw_distributions(results, data))
+
+
+def _bin_edges(values: pd.Series) -> np.ndarray:
+    """Edges of a histogram's bins; values that differ by rounding alone are drawn as one value."""
+    low, high = values.min(), values.max()
+    constant = high - low <= ROUNDING * max(abs(low), abs(high))
+    return np.histogram_bin_edges(values, HISTOGRAM_BINS, (low - 0.5, low + 0.5) if constant else None)
 
 
 def audit_figure(results: Results) -> Iterator[StudyFigure]:
