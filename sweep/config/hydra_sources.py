@@ -26,7 +26,7 @@ from sweep.core import project
 from sweep.core.errors import InputError, suggest
 from sweep.core.files import os_error_text
 from sweep.core.groups import GROUPS
-from sweep.core.yaml_check import check_yaml
+from sweep.core.yaml_check import check_yaml, format_yaml_error
 from sweep.systems import DEFAULT_SYSTEM
 
 SCHEME, SYSTEM = "sweep", "system"
@@ -179,7 +179,7 @@ def read_config_file(file: Any, quotes_words: bool = False) -> dict[str, Any]:
         check_yaml(text, str(file))
         content = OmegaConf.load(io.StringIO(project.quote_truth_words(text) if quotes_words else text))
     except yaml.YAMLError as error:
-        raise InputError(f"{file} cannot be read: {project.yaml_error_line(error)}") from None
+        raise InputError(f"{file} cannot be read: {format_yaml_error(error)}") from None
     except OSError:  # OmegaConf raises it for a file with a single word
         content = None
     if not isinstance(content, DictConfig):

@@ -302,6 +302,19 @@ def initial_state[S](kind: Callable[..., S], *values: Any) -> Callable[[CommonSt
     return begin
 
 
+def end_metric(
+    compute: Callable[[tuple[()], Any], dict[str, Array]], columns: Mapping[str, str], **options: Any
+) -> Metric[tuple[()]]:
+    """Make a metric that carries no state: the rollout at its end gives its columns.
+
+    Args:
+        compute: See `Metric`; its state is empty.
+        columns: Meanings by column.
+        options: Further fields of `Metric`.
+    """
+    return Metric(initial_state(tuple), lambda state, ctx: state, compute, columns, **options)
+
+
 def extremes(
     values: Callable[[Any], Iterator[Array]],
     columns: Mapping[str, str],
@@ -380,8 +393,8 @@ def freeze_ended(going: Array, new: Any, old: Any) -> Any:
     """Keep the states of rollouts that have ended.
 
     Args:
-        going: Which of the n rollouts go on (n,).
-        new: States, a pytree of arrays (n, ...).
+        going: Which of the n rollouts go on (n,), or whether a single one does ().
+        new: States, a pytree of numbers (n, ...), of a single rollout (...).
         old: States before.
 
     Returns:
@@ -389,7 +402,7 @@ def freeze_ended(going: Array, new: Any, old: Any) -> Any:
     """
 
     def choose(fresh: Array, kept: Array) -> Array:
-        mask = going.reshape(-1, *[1] * (fresh.ndim - 1))
-        return array_namespace(fresh).where(mask, fresh, kept)
+        mask = going.reshape((*going.shape, *[1] * (np.ndim(fresh) - going.ndim)))
+        return array_namespace(going).where(mask, fresh, kept)
 
     return jax.tree.map(choose, new, old)

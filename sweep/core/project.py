@@ -17,7 +17,7 @@ import yaml
 
 from sweep.core.errors import WRONG, Fault, InputError, format_user_exception
 from sweep.core.groups import GROUPS
-from sweep.core.yaml_check import PARSER, check_yaml
+from sweep.core.yaml_check import PARSER, check_yaml, format_yaml_error
 
 SHIPPED, FILE, ENTRY_POINTS = "sweep.conf", "sweep.yaml", "sweep.modules"
 FOLDERS = {group: "studies" if group == "study" else f"{group}s" for group in GROUPS}  # of a project
@@ -128,14 +128,7 @@ def read_settings(folder: Path | None = None) -> dict[str, Any]:
     folder = folder or find_project()
     if folder is None:
         return {}
-    try:
-        text = (folder / FILE).read_text(encoding="utf-8")
-        check_yaml(text, str(folder / FILE))
-        content = yaml.load(text, LOADER) or {}
-    except UnicodeDecodeError:
-        raise InputError(f"{folder / FILE} cannot be read: it is not text in UTF-8") from None
-    except yaml.YAMLError as error:
-        raise InputError(f"{folder / FILE} cannot be read: {yaml_error_line(error)}") from None
+    content = read_yaml(folder / FILE, str(folder / FILE)) or {}
     modules = content.get("modules", []) if isinstance(content, dict) else None
     unknown = [key for key in content if key not in KEYS] if isinstance(content, dict) else []
     if not isinstance(modules, list) or unknown:
@@ -144,19 +137,35 @@ def read_settings(folder: Path | None = None) -> dict[str, Any]:
     return {"modules": [str(module) for module in modules]}
 
 
+def read_yaml(file: Path, name: str) -> Any:
+    """Read a YAML file of a user.
+
+    Args:
+        file: The file.
+        name: The file, for messages.
+
+    Returns:
+        Its content as plain values; None for an empty file.
+
+    Raises:
+        InputError: The file is not text or no YAML, or `check_yaml` refuses it.
+    """
+    try:
+        text = file.read_text(encoding="utf-8")
+        check_yaml(text, name)
+        return yaml.load(text, LOADER)
+    except UnicodeDecodeError:
+        raise InputError(f"{name} cannot be read: it is not text in UTF-8") from None
+    except yaml.YAMLError as error:
+        raise InputError(f"{name} cannot be read: {format_yaml_error(error)}") from None
+
+
 def quote_truth_words(text: str) -> str:
     """Quote `on`, `off`, `yes` and similar words in the YAML of a plan, where they are names and not Booleans."""
     for event in reversed(list(yaml.parse(text, LOADER))):
         if isinstance(event, yaml.ScalarEvent) and event.implicit[0] and event.value.lower() in TRUTHS:
             text = f'{text[: event.start_mark.index]}"{event.value}"{text[event.end_mark.index :]}'
     return text
-
-
-def yaml_error_line(error: yaml.YAMLError) -> str:
-    """Format a YAML error as one line: line number and problem."""
-    mark = getattr(error, "problem_mark", None)
-    where = f"line {mark.line + 1}: " if mark else ""
-    return where + (getattr(error, "problem", None) or str(error).splitlines()[0])
 
 
 def import_user_modules() -> tuple[ModuleType, ...]:

@@ -23,6 +23,13 @@ def ambiguous_number(text: str) -> str:
     return f"{said}: write a decimal number, or quotes around a name"
 
 
+def format_yaml_error(error: yaml.YAMLError) -> str:
+    """Format a YAML error as one line: line number and problem."""
+    mark = getattr(error, "problem_mark", None)
+    where = f"line {mark.line + 1}: " if mark else ""
+    return where + (getattr(error, "problem", None) or str(error).splitlines()[0])
+
+
 def check_yaml(text: str, name: str, numbers: bool = True) -> None:
     """Refuse YAML whose numbers are ambiguous, or which takes too much memory when it is loaded.
 

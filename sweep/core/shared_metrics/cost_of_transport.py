@@ -1,6 +1,6 @@
 """Energy that a way costs."""
 
-from sweep.core.metric import Array, CommonRollout, Metric, array_namespace, initial_state
+from sweep.core.metric import Array, CommonRollout, array_namespace, end_metric
 
 
 def compute(state: tuple[()], rollout: CommonRollout) -> dict[str, Array]:
@@ -10,9 +10,7 @@ def compute(state: tuple[()], rollout: CommonRollout) -> dict[str, Array]:
     return {"cost_of_transport": rollout.columns["energy_j"] / (rollout.weight * xp.maximum(xp.abs(way), 1e-9))}
 
 
-METRIC = Metric(
-    initial_state(lambda: ()),
-    lambda state, ctx: state,
+METRIC = end_metric(
     compute,
     {"cost_of_transport": "positive work of the drives over weight and way along the commanded direction"},
     reads=("travelled_m", "energy_j"),

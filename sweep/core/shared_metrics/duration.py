@@ -1,10 +1,5 @@
 """Duration of the rollout."""
 
-from sweep.core.metric import Metric, initial_state
+from sweep.core.metric import end_metric
 
-METRIC = Metric(
-    initial_state(lambda: ()),
-    lambda state, ctx: state,
-    lambda state, rollout: {"duration_s": rollout.time},
-    {"duration_s": "simulated time"},
-)
+METRIC = end_metric(lambda state, rollout: {"duration_s": rollout.time}, {"duration_s": "simulated time"})

@@ -185,7 +185,7 @@ class NativeModelEngine(ModelEngine):
             rollouts.enter(spec.observable_state(qpos, qvel, seen), ticks)
             metric_state = aside.submit(self._meter.start, qpos.copy(), qvel.copy())
 
-            def measured(metric_state: Any, steps: Any, going: np.ndarray) -> ModelMetrics:
+            def update_metrics(metric_state: Any, steps: Any, going: np.ndarray) -> ModelMetrics:
                 steps = {**steps, "unsolved": find_unsolved_steps(self._model, steps)}
                 return self._meter.update(metric_state, steps, begun.limits, going)
 
@@ -200,7 +200,7 @@ class NativeModelEngine(ModelEngine):
                 steps = recorded[k % 2] = stepper.advance(ctrl, recorded[k % 2])
                 is_current = spec.config.sensors == "current"
                 seen = begun.current_sensors() if is_current else steps["sensordata"][:, -1]
-                metric_state = aside.submit(measured, metric_state.result(), steps, going)
+                metric_state = aside.submit(update_metrics, metric_state.result(), steps, going)
                 if len(slots) and (k + 1) % every == 0:
                     last = (steps[name][slots, -1] for name in ("qpos", "qvel", "actuator_force"))
                     frames.append(TickSample((k + 1) * spec.config.period, ctrl[slots], *last))

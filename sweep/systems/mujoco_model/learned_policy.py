@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-import yaml
 
 from sweep.core.errors import InputError, require_choice
-from sweep.core.project import yaml_error_line
-from sweep.core.yaml_check import PARSER, check_yaml
+from sweep.core.project import read_yaml
+from sweep.core.rotations import conjugate, rotate
 from sweep.systems.mujoco_model import actuation, policy_spec
 from sweep.systems.mujoco_model.onnx_network import Network
 from sweep.systems.mujoco_model.policy_spec import ActionSpec, PolicySpec, RecurrentSpec, TermSpec
@@ -86,15 +85,7 @@ def read_spec(file: Path, metadata: Mapping[str, str]) -> PolicySpec:
         file: The YAML file.
         metadata: Metadata of the network.
     """
-    try:
-        text = file.read_text(encoding="utf-8")
-        check_yaml(text, file.name)
-        given = yaml.load(text, PARSER)
-    except UnicodeDecodeError:
-        raise InputError(f"{file.name} cannot be read: it is not text in UTF-8") from None
-    except yaml.YAMLError as error:
-        raise InputError(f"{file.name} cannot be read: {yaml_error_line(error)}") from None
-    return policy_spec.parse_policy(file.name, given or {}, metadata)
+    return policy_spec.parse_policy(file.name, read_yaml(file, file.name) or {}, metadata)
 
 
 def fit_policy(
@@ -125,11 +116,14 @@ def fit_policy(
     inputs = _fit_inputs(error_prefix, spec, network, model, joints)
     output = _action_output(error_prefix, spec, network)
     scale, offset, control, actuators = _fit_action(error_prefix, spec.action, model, joints, default)
-    size = network.outputs[output][-1] if network.outputs[output] else None
-    if size not in (None, len(joints)):
-        raise InputError(
-            f"{error_prefix}: {network.name} gives {size} numbers as {output}: {len(joints)} joints have actions"
-        )
+
+    def require_action_of(size: int | None) -> None:  # None: the network does not say
+        if size not in (None, len(joints)):
+            raise InputError(
+                f"{error_prefix}: {network.name} gives {size} numbers as {output}: {len(joints)} joints have actions"
+            )
+
+    require_action_of(network.outputs[output][-1] if network.outputs[output] else None)
     resting = model.key_ctrl[keyframe] if keyframe >= 0 else np.zeros(model.nu)
     measured = [one for terms in inputs.values() for one in terms if one.raw is not None]
     readers = [_make_reader(one, model, joints, defaults, pose) for one in measured]
@@ -179,9 +173,7 @@ def fit_policy(
         given = {name: one.reshape(network.input_shape(name)) for name, one in numbers.items()}
         found = network.evaluate({**given, **state["memory"]})
         action = found[output].reshape(-1)
-        if action.shape != (len(joints),):
-            raise InputError(f"{error_prefix}: {network.name} gives {action.size} numbers as {output}: "
-                             f"{len(joints)} joints have actions")  # fmt: skip
+        require_action_of(action.size)
         action = jnp.clip(action, *spec.action.clip) if spec.action.clip else action
         controls = jnp.asarray(resting, float).at[actuators].set(offset + scale * action)
         memory = {one.input: found[one.output].astype(float).reshape(_recurrent_shape(network, one))
@@ -246,8 +238,7 @@ def _fit_inputs(
                              f"its terms have {sum(sizes)} ({parts})")  # fmt: skip
         found[name] = tuple(terms)
     labels = [one.spec.label for terms in found.values() for one in terms if one.raw is not None]
-    if twice := {one for one in labels if labels.count(one) > 1}:
-        raise InputError(f"{error_prefix}: {min(twice)} stands in two inputs: give each a name of its own (key name)")
+    policy_spec.require_own_labels(error_prefix, labels, "in two inputs")
     return found
 
 
@@ -313,28 +304,13 @@ def _make_reader(
     at, dof = int(model.jnt_qposadr[base]), int(model.jnt_dofadr[base])
     turn = slice(at + 3, at + 7)
     readers: dict[str, Callable[[Mapping[str, Any]], Any]] = {
-        "projected_gravity": lambda state: rotate_into_body(state["qpos"][turn], jnp.array([0.0, 0.0, -1.0])),
-        "base_linear_velocity": lambda state: rotate_into_body(state["qpos"][turn], state["qvel"][dof : dof + 3]),
+        "projected_gravity": lambda state: rotate(conjugate(state["qpos"][turn]), jnp.array([0.0, 0.0, -1.0])),
+        "base_linear_velocity": lambda state: rotate(conjugate(state["qpos"][turn]), state["qvel"][dof : dof + 3]),
         "base_angular_velocity": lambda state: state["qvel"][dof + 3 : dof + 6],  # MuJoCo has it in the body's axes
         "base_height": lambda state: state["qpos"][at + 2 : at + 3],
         "base_orientation": lambda state: state["qpos"][turn],
     }
     return readers[one.term]
-
-
-def rotate_into_body(quat: Any, vector: Any) -> Any:
-    """Rotate a vector from world axes into those of a body.
-
-    Args:
-        quat: Unit quaternion (4,), body to world.
-        vector: Vector (3,) in world axes.
-
-    Returns:
-        Vector (3,) in the body's axes.
-    """
-    w, axis = quat[0], quat[1:]
-    twice = 2 * jnp.cross(axis, vector)
-    return vector - w * twice + jnp.cross(axis, twice)
 
 
 def _compute_term(
@@ -376,10 +352,7 @@ def _fit_action(
     error_prefix: str, spec: ActionSpec, model: mujoco.MjModel, joints: list[str], default: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, actuation.JointControl | None, np.ndarray]:
     """Return scale and offset of the action (k,), the joint controller if there is one, and actuators (k,)."""
-    if spec.clip and (len(spec.clip) != 2 or spec.clip[0] >= spec.clip[1]):
-        raise InputError(
-            f"{error_prefix}: action.clip = {list(spec.clip)} is not allowed: the least and the largest value"
-        )
+    policy_spec.require_clip(f"{error_prefix}: action.clip", spec.clip)
     actuators, numbers = actuation.find_actuators(error_prefix, model, joints), policy_spec.joint_numbers
     scale = numbers(f"{error_prefix}: action.scale", spec.scale, joints)
     offset = (np.array(default, float) if spec.offset == "default_pose" and spec.actuation != "direct" else

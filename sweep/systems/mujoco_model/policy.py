@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.core.errors import WRONG, InputError, format_user_exception
-from sweep.core.metric import Metric
+from sweep.core.metric import Metric, freeze_ended
 from sweep.core.user_code import describe_user_error, run_user_code
 from sweep.fused.numbers import evaluate_constants
 from sweep.systems.mujoco_model import files
@@ -139,7 +139,7 @@ class ControllerPrograms:
             told, held = seen_late + carried["bias"] + policy_inputs["white"] * _draw_normal(noise, seen), {}
         ctrl, state = self._policy(policy_inputs["belief"], told, carried["state"], policy_key)
         new = {"late": late, "tick": tick + 1, "measurement": self._measured(carried, observable), **held}
-        return ctrl, {**carried, **new, "state": _freeze_ended(tick < carried["ticks"], state, carried["state"])}
+        return ctrl, {**carried, **new, "state": freeze_ended(tick < carried["ticks"], state, carried["state"])}
 
     def _observe_terms(self, policy_inputs: Mapping[str, Any], carried: Any, late: Array, key: Array) -> Array:
         """What a learned policy measures in a tick (k,), with the errors of each term."""
@@ -190,7 +190,7 @@ class ControllerPrograms:
         """What is measured so far; a rollout that is over has its end in it already."""
         new = self._metric.update(carried["measurement"], self._spec.split_state(observable))
         within = (carried["tick"] > 0) & (carried["tick"] <= carried["ticks"])  # the start is in it
-        return _freeze_ended(within, new, carried["measurement"])
+        return freeze_ended(within, new, carried["measurement"])
 
     def check_start(self, begun: BatchStart) -> None:
         """Raise `InputError` where the first controls are not finite, or a second call gives others.
@@ -330,11 +330,6 @@ class ControllerPrograms:
             raise self._error(f"has figures {has}: numbers are wanted, named in FIGURES")
         if spec.controller.batched:
             self.compute_controls(np.zeros((TILE, seen.shape[0]), jnp.zeros(0).dtype))
-
-
-def _freeze_ended(going: Array, new: Any, old: Any) -> Any:
-    """`new` while a rollout is `going`, what it ended with from then on."""
-    return jax.tree.map(lambda a, b: jnp.where(going, a, b), new, old)
 
 
 class ControllerBatch:

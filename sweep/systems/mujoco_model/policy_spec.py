@@ -169,7 +169,7 @@ def parse_policy(error_prefix: str, given: Mapping[str, Any], metadata: Mapping[
     merged = dict(PRESETS.get(given.get("preset", ""), {}))
     for source in (read_metadata(error_prefix, metadata), given):
         for key, value in source.items():
-            both = key in ("action",) and isinstance(value, Mapping)
+            both = key == "action" and isinstance(value, Mapping)
             merged[key] = {**merged.get(key, {}), **value} if both else value
     return _build(PolicySpec, merged, error_prefix)
 
@@ -223,15 +223,33 @@ def parse_terms(error_prefix: str, given: Any) -> tuple[TermSpec, ...]:
             raise InputError(f"{error_prefix}[{k}]: a term `sensor` needs the key sensor")
         if made.term == "constant" and not made.values:
             raise InputError(f"{error_prefix}[{k}]: a term `constant` needs the key values")
-        if made.clip and (len(made.clip) != 2 or made.clip[0] >= made.clip[1]):
-            raise InputError(
-                f"{error_prefix}[{k}].clip = {list(made.clip)} is not allowed: the least and the largest value"
-            )
+        require_clip(f"{error_prefix}[{k}].clip", made.clip)
         found.append(made)
-    labels = [one.label for one in found]
-    if twice := {one for one in labels if labels.count(one) > 1}:
-        raise InputError(f"{error_prefix}: {min(twice)} stands twice: give each a name of its own (key name)")
+    require_own_labels(error_prefix, [one.label for one in found], "twice")
     return tuple(found)
+
+
+def require_own_labels(error_prefix: str, labels: Sequence[str], where: str) -> None:
+    """Raise `InputError` where two terms have one label.
+
+    Args:
+        error_prefix: What messages begin with.
+        labels: Labels of terms.
+        where: Where the two stand, such as `twice`.
+    """
+    if twice := {one for one in labels if labels.count(one) > 1}:
+        raise InputError(f"{error_prefix}: {min(twice)} stands {where}: give each a name of its own (key name)")
+
+
+def require_clip(key: str, clip: Sequence[float]) -> None:
+    """Raise `InputError` unless a clip is empty, or a smaller and a larger number.
+
+    Args:
+        key: The key, for messages.
+        clip: Its value.
+    """
+    if clip and (len(clip) != 2 or clip[0] >= clip[1]):
+        raise InputError(f"{key} = {list(clip)} is not allowed: the least and the largest value")
 
 
 def joint_numbers(error_prefix: str, given: Any, joints: Sequence[str]) -> np.ndarray:

@@ -4,7 +4,7 @@ All of them offer what every system offers (see `sweep.core.metric`), and what M
 beside it. Arrays have the rollouts first: (n, ...), those of a report (n, s, ...) for s physics steps.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from sweep.core.constants import GRAVITY, LOADED
-from sweep.core.metric import Array, array_namespace
+from sweep.core.metric import Array, Metric, array_namespace, initial_state
 from sweep.systems.mujoco_model.model_spec import ModelSpec, arccos_deg, cosine_of_tilt
 
 STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")  # recorded of each step
@@ -223,6 +223,26 @@ class ModelRollout(NamedTuple):
     def displacement_along(self, way: np.ndarray) -> np.ndarray:
         """Return the part of displacements (n, 3) along `model.direction`."""
         return way @ self.parts.direction
+
+
+def share_of_steps(
+    count: Callable[[ModelTick], Array], column: str, meaning: str, needs: tuple[str, ...] = ()
+) -> Metric[Array]:
+    """Make a metric of the share of the physics steps in which something holds.
+
+    Args:
+        count: Number of the steps of a report in which it holds, (n,).
+        column: Name of the column.
+        meaning: Its meaning.
+        needs: See `Metric.needs`.
+    """
+    return Metric(
+        initial_state(lambda total: total, 0.0),
+        lambda total, ctx: total + count(ctx),
+        lambda total, rollout: {column: rollout.share(total)},
+        {column: meaning},
+        needs=needs,
+    )
 
 
 def share_at_limit(values: Array, limits: Array) -> Array:

@@ -1,6 +1,6 @@
 """Way of the base to the side."""
 
-from sweep.core.metric import Metric, initial_state
+from sweep.core.metric import end_metric
 from sweep.systems.mujoco_model.tick import Array, ModelRollout
 
 
@@ -10,10 +10,4 @@ def compute(state: tuple[()], rollout: ModelRollout) -> dict[str, Array]:
     return {"drift_m": way @ rollout.parts.left}
 
 
-METRIC = Metric(
-    initial_state(lambda: ()),
-    lambda state, ctx: state,
-    compute,
-    {"drift_m": "way of the base to the left of `direction`"},
-    needs=("base",),
-)
+METRIC = end_metric(compute, {"drift_m": "way of the base to the left of `direction`"}, needs=("base",))

@@ -2,16 +2,11 @@
 
 import numpy as np
 
-from sweep.core.metric import Metric, array_namespace, initial_state
-from sweep.systems.mujoco_model.tick import Array, ModelTick
+from sweep.core.metric import array_namespace
+from sweep.systems.mujoco_model.tick import Array, share_of_steps
 
 BALANCE = ("qacc", "qfrc_smooth", "qfrc_constraint")  # recorded of each step for `is_unbalanced`, beside M
 BALANCED = 0.01  # share of the forces, up to which those of a step are in balance
-
-
-def update(state: Array, ctx: ModelTick) -> Array:
-    """Add the unsolved steps of a report."""
-    return state + ctx.steps["unsolved"].sum(axis=1)
 
 
 @np.errstate(invalid="ignore", over="ignore")
@@ -34,9 +29,8 @@ def is_unbalanced(mass: Array, qacc: Array, smooth: Array, constraint: Array) ->
     return left > BALANCED * (smooth + constraint)
 
 
-METRIC = Metric(
-    initial_state(lambda count: count, 0.0),
-    update,
-    lambda state, rollout: {"unsolved_share": rollout.share(state)},
-    {"unsolved_share": "share of the steps that the contact solver left unsolved"},
+METRIC = share_of_steps(
+    lambda ctx: ctx.steps["unsolved"].sum(axis=1),
+    "unsolved_share",
+    "share of the steps that the contact solver left unsolved",
 )
