@@ -1,4 +1,4 @@
-"""Errors of execution of own models: pushes on bodies, and commands that reach the actuators late."""
+"""Disturbances of user models: pushes on bodies, and commands that reach the actuators late."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -11,12 +11,12 @@ from sweep.core.parameters import quantity
 
 PUSH: Mapping[str, Parameter] = {  # numbers of a push
     "impulse": quantity(0.0, "N*s"),  # delivered evenly within `length`
-    "force": quantity(0.0, "N"),  # beside it, for as long
+    "force": quantity(0.0, "N"),  # constant force during `length`, in addition to the impulse
     "direction": quantity(0.0, "rad"),  # in the horizontal plane, from the world's x axis
     "elevation": quantity(0.0, "rad"),  # above the horizontal plane
     "start": quantity(1.0, "s", at_least=0),  # from the start of the rollout
     "length": quantity(0.05, "s", above=0),
-    "spread": quantity(0.0, "s", at_least=0),  # the start is drawn evenly from as long a time after `start`
+    "spread": quantity(0.0, "s", at_least=0),  # the push begins at a random time from `start` to `start + spread`
 }
 
 

@@ -74,19 +74,19 @@ Numbers = float | tuple[float, ...]
 class TermSpec:
     """One term of an observation. Its numbers are clipped, then scaled, then stacked with those of earlier ticks."""
 
-    term: str  # what it is, see the table
-    name: str = ""  # what axes and messages call it; else the term, or the sensor
-    sensor: str = ""  # sensor of the model that it is read from
-    scale: Numbers = 1.0  # factor, or one for each number
-    clip: tuple[float, ...] = ()  # least and largest value, before the scale; none if it is empty
-    history: int = 0  # ticks that are stacked, this one included; 0: as `history` of the policy
-    relative: bool = True  # joint positions count from the default pose
-    joints: tuple[str, ...] = ()  # joints in order, if they are others than the policy's
-    commands: tuple[str, ...] = ()  # commands in order; else all
-    frequency: float = 1.0  # of a phase, Hz
-    offsets: tuple[float, ...] = (0.0,)  # of a phase: one angle (rad) for each leg
-    order: str = "cos_sin"  # of a phase: all cosines, then all sines, or `sin_cos`
-    values: tuple[float, ...] = ()  # of a constant
+    term: str  # what is observed: a name of the table below
+    name: str = ""  # name in axes and messages; by default that of the sensor, or of the term
+    sensor: str = ""  # name of the sensor of the model from which the term is read
+    scale: Numbers = 1.0  # factor of all numbers of the term, or a list with a factor for each
+    clip: tuple[float, ...] = ()  # least and largest value before scaling; empty: no limits
+    history: int = 0  # number of ticks that are stacked, the present one included; 0: `history` of the policy
+    relative: bool = True  # whether joint positions are relative to the default pose
+    joints: tuple[str, ...] = ()  # names of joints in order; by default the joints of the policy
+    commands: tuple[str, ...] = ()  # names of commands in order; by default all
+    frequency: float = 1.0  # of the term `phase`: frequency of the gait (Hz)
+    offsets: tuple[float, ...] = (0.0,)  # of the term `phase`: phase offset of each leg (rad)
+    order: str = "cos_sin"  # of the term `phase`: all cosines before all sines, or `sin_cos`: sines first
+    values: tuple[float, ...] = ()  # of the term `constant`: its numbers
 
     @property
     def label(self) -> str:
@@ -99,19 +99,19 @@ class ActionSpec:
     """How the network's output becomes controls: `offset + scale * clipped output`, joint by joint."""
 
     scale: Any = 1.0  # number, list in the order of `joints`, or numbers by pattern of joint names
-    offset: Any = "default_pose"  # likewise; or the default pose
+    offset: Any = "default_pose"  # in the form of `scale`, or the default pose of the joints
     clip: tuple[float, ...] = ()  # least and largest output of the network
-    # servo: targets of the model's position actuators; pd: torques from stiffness and damping at every physics step;
-    # direct: controls as they are; auto: servo where the model has position actuators, else pd
+    # servo: actions are targets of the model's position actuators; pd: torques are computed from stiffness and damping
+    # at every physics step; direct: actions are controls; auto: servo if the model has position actuators, else pd
     actuation: str = "auto"
-    stiffness: Any = None  # of pd, N*m/rad; as scale
-    damping: Any = 0.0  # of pd, N*m*s/rad; as scale
-    torque_limit: Any = None  # of pd, N*m; as scale; beside the model's own limits
+    stiffness: Any = None  # of pd: N*m/rad, in the form of `scale`
+    damping: Any = 0.0  # of pd: N*m*s/rad, in the form of `scale`
+    torque_limit: Any = None  # of pd: N*m, in the form of `scale`, in addition to the limits of the model
 
 
 @dataclass(frozen=True)
 class RecurrentSpec:
-    """An input of the network that is an output of its call one tick before."""
+    """An input of the network that receives an output of the previous tick, such as the state of an LSTM."""
 
     input: str  # name of the network's input
     output: str  # name of the network's output
@@ -123,21 +123,21 @@ class PolicySpec:
     """A learned policy as it was trained."""
 
     preset: str = ""  # conventions of a framework: playground, playground_gait, mjlab or isaaclab
-    period: float = 0.0  # s between two calls of the network; else the scenario's `model.period`
-    joints: tuple[str, ...] = ()  # joints in the order of the network; else those of the actuators, in their order
-    # positions by joint, as `action.scale`; else those of the keyframe that rollouts start from
+    period: float = 0.0  # time between two calls of the network (s); by default `model.period` of the scenario
+    joints: tuple[str, ...] = ()  # names of joints in the order of the network; by default in that of the actuators
+    # joint positions, in the form of `action.scale`; by default those of the keyframe at which rollouts start
     default_pose: Any = None
-    observation: Any = None  # terms in order; or terms in order for each input of the network, by its name
-    history: int = 1  # ticks that each term stacks
-    stacking: str = "by_term"  # oldest first for each term, or `by_tick`: whole observations, oldest first
-    history_start: str = "first"  # what earlier ticks hold at first: the first observation, or `zeros`
-    commands: Mapping[str, float] = field(
-        default_factory=dict
-    )  # numbers that the user asks for; axes `controller.NAME`
+    observation: Any = None  # list of terms in order; with several inputs such a list for each, by the input's name
+    history: int = 1  # number of ticks that each term stacks, the present one included
+    stacking: str = "by_term"  # all ticks of a term side by side, oldest first; `by_tick`: whole observations instead
+    history_start: str = "first"  # fills the history in the first tick: the first observation, or `zeros`
+    # commanded numbers by name, such as a velocity; each is an axis `controller.NAME`
+    commands: Mapping[str, float] = field(default_factory=dict)
     action: ActionSpec = ActionSpec()  # how the network's output becomes controls, see below
-    output: str = ""  # the network's output that is the action; else the one that is not recurrent
-    recurrent: tuple[RecurrentSpec, ...] = ()  # inputs that are outputs of the tick before, see below
-    sensors: Mapping[str, str] = field(default_factory=dict)  # sensors that replace terms, where the model has them
+    output: str = ""  # name of the output that is the action; by default the only output that is not recurrent
+    recurrent: tuple[RecurrentSpec, ...] = ()  # inputs that receive outputs of the previous tick, see below
+    # sensor from which a term is read, by the term's name, if the model has that sensor
+    sensors: Mapping[str, str] = field(default_factory=dict)
 
 
 CHOICES = {
