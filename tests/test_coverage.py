@@ -1,6 +1,6 @@
 """Coverage of every printed interval and p-value, by simulated studies of systems whose truth is known.
 
-The systems and the intervals are those of bench/interval_coverage.py, whose 400 studies are on research/certainty.md.
+The systems and the intervals are those of bench/interval_coverage.py, whose table is on research/certainty.md.
 """
 
 import ast
@@ -18,7 +18,6 @@ from interval_coverage import (
     EVEN,
     LEVELS,
     NOISE,
-    NUMBER,
     covers,
     judged,
     linear,
@@ -37,7 +36,7 @@ from sweep.runs import refine
 from sweep.study import design_kinds
 
 SEEDS = range(100)
-FEW = 40  # studies of a case; all `NUMBER` are slow
+FEW = 40  # studies of a case; all of them are slow
 COVERS, REJECTS = 0.93, 0.07
 CONSISTENT = 0.01  # probability of so few intervals that hold, if 93 % do
 GRID = {name: {"path": f"controller.{name}", "from": 0, "to": 1, "num": 21} for name in ("x1", "x2")}
@@ -53,7 +52,7 @@ def test_an_interval_holds_as_often_as_it_says(case):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=IDS)
 def test_an_interval_holds_in_many_studies(case):
-    held, printed = simulate(case, NUMBER)
+    held, printed = simulate(case, case.number)
     assert held >= binom.ppf(CONSISTENT, printed, COVERS)
 
 
