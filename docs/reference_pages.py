@@ -28,7 +28,7 @@ from sweep.study.analytic_limits import KEYS as THEORY_KEYS
 from sweep.study.design_kinds.base import Design
 from sweep.study.study import Expectation, StudySchema
 from sweep.systems.mujoco_model import metrics as own_metrics
-from sweep.systems.mujoco_model import onnx_operators, policy_spec
+from sweep.systems.mujoco_model import onnx_operators, policy_spec, tracking
 
 FOLDER = Path(__file__).parent / "reference"
 NOTE = "<!-- written by `python docs/reference_pages.py` -->"
@@ -135,7 +135,7 @@ def columns_page() -> str:
         "(infinite if never), and a column `CAUSE_stage`, the number of the stage.",
         "## Metrics of a model of your own",
         "A controller adds columns by `FIGURES`.",
-        of(merge_columns(own_metrics.OWN.values())),
+        of(merge_columns(own_metrics.OWN.values()) | tracking.COLUMNS),
     )
 
 

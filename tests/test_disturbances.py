@@ -11,6 +11,7 @@ from small_study import one_line
 from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.runs import batches
+from sweep.runs.axis_effects import find_unread_columns
 from sweep.runs.runner import select_points
 
 STEP, PERIOD, MASS = 0.002, 0.02, 2.0
@@ -88,6 +89,12 @@ def test_random_times_of_pushes_are_those_of_the_row_whatever_runs_beside_it(her
     assert main(["run", "study=one.yaml", *more, "engine.width=40", "out=all"]) == 0
     assert main(["compare", "seven", "all", "--tolerance", "0"]) == 0
     assert set(alone) >= {"energy_gained_j"}
+
+
+@pytest.mark.parametrize("axis", ["push.kick.impulse", "noise.action_delay", "start.x", "start.random.x"])
+def test_an_axis_that_reaches_the_physics_counts_as_read(here, axis):
+    exp = compose(["study=one.yaml", f"study.axes.size.path={axis}"])
+    assert not find_unread_columns(exp, select_points(exp).assign(width=1))
 
 
 @pytest.mark.parametrize(("push", "line"), [

@@ -95,13 +95,18 @@ class PlainLoop:
             mujoco.mj_step(self.model, self.data)
 
 
-def simulate(engine):
-    """Positions (ticks, nq) of the nominal rollout on an engine, in double precision."""
+def make_engine(engine):
+    """The engine of the nominal rollout, in double precision, and its batch."""
     exp = compose(["study=one", f"engine={engine}", "engine.precision=float64"])
     rows = select_points(exp)
     rows = batches.assign_batches(exp, pd.DataFrame(), rows).assign(width=1)
     task = batches.make_batch(exp, rows)
-    made = exp.system.make_engine(replace(task.settings, cross_check=False), task.world, task.belief, None)
+    return exp.system.make_engine(replace(task.settings, cross_check=False), task.world, task.belief, None), task
+
+
+def simulate(engine):
+    """Positions (ticks, nq) of the nominal rollout on an engine, in double precision."""
+    made, task = make_engine(engine)
     return made.trace(task.world, task.belief, task.streams, 0).qpos
 
 
@@ -238,3 +243,52 @@ def test_a_project_that_cannot_be_made_is_one_line(here, capsys, words, line):
     assert main(["init", *words, "made"]) == 2
     one_line(capsys.readouterr().err, line)
     assert not Path("made").exists()
+
+
+STEPS = """schedule:
+  velocity_x: [[0, 0.0], [0.2, 0.0], [0.2, 1.0]]
+  yaw_rate: {points: [[0.1, 0.0], [0.5, 0.4]], factor: 2}
+"""
+
+
+def test_commands_follow_their_schedule_and_their_errors_are_metrics(here):
+    """The network gives the commands themselves as actions, and the robot stands still in the air."""
+    write_project(here, "observation: [command]\ncommands: {velocity_x: 9.0, velocity_y: 0.3, yaw_rate: 9.0}\n"
+                  "action: {scale: 1.0, offset: 0.0}\n", more="", legs=1)  # fmt: skip
+    robot = Path("robot.xml").read_text()
+    Path("robot.xml").write_text(robot.replace("<option", '<option gravity="0 0 0"', 1))
+    save_perceptron("walk.onnx", (3, 3), weight=np.eye(3) * 0.01)
+    Path("scenarios/own.yaml").write_text(Path("scenarios/own.yaml").read_text() + STEPS)
+    made, task = make_engine("native")
+    commands = np.arctanh(made.trace(task.world, task.belief, task.streams, 0).joint_target) / 0.01
+    time = 0.02 * np.arange(50)
+    ahead, turn = np.where(time > 0.19, 1.0, 0.0), 2 * np.interp(time, [0.1, 0.5], [0.0, 0.4])
+    np.testing.assert_allclose(commands, np.stack([ahead, np.full(50, 0.3), turn], axis=1), atol=1e-6)
+    found = made.run(task.world, task.belief, task.streams)
+    np.testing.assert_allclose(found["velocity_error_rms_mps"], np.sqrt(np.mean(ahead**2 + 0.09)), rtol=0.05)
+    np.testing.assert_allclose(found["yaw_rate_error_rms_radps"], np.sqrt(np.mean(turn**2)), rtol=0.05)
+    Path("steps.csv").write_text("time, velocity_x\n0, 0\n0.2, 0\n0.2, 1\n")
+    text = (
+        Path("scenarios/own.yaml")
+        .read_text()
+        .replace("velocity_x: [[0, 0.0], [0.2, 0.0], [0.2, 1.0]]", "file: steps.csv")
+    )
+    Path("scenarios/own.yaml").write_text(text)
+    made, task = make_engine("native")
+    again = made.run(task.world, task.belief, task.streams)
+    np.testing.assert_array_equal(again["velocity_error_rms_mps"], found["velocity_error_rms_mps"])
+
+
+@pytest.mark.parametrize(("schedule", "line"), [
+    ("{velocity_z: [[0, 1]]}", "schedule.velocity_z is unknown"),
+    ("{velocity_x: [0, 1]}", "schedule.velocity_x = [0, 1] is not allowed: a list of times (s) and values"),
+    ("{velocity_x: [[1, 0], [0, 1]]}", "schedule.velocity_x is not allowed: its times begin at 0 or later"),
+    ("{file: none.csv}", "schedule.file = none.csv is not a file"),
+])  # fmt: skip
+def test_a_mistake_in_a_schedule_is_one_line(here, capsys, schedule, line):
+    write_project(here, JOYSTICK)
+    save_perceptron("walk.onnx", (48, 12))
+    scenario = Path("scenarios/own.yaml")
+    scenario.write_text(scenario.read_text() + f"schedule: {schedule}\n")
+    assert main(["run", "study=one", "out=wrong"]) == 2
+    one_line(capsys.readouterr().err, line)

@@ -45,12 +45,13 @@ class SystemKind(NamedTuple):
         return system.nominal(values, kinds)
 
 
+PHYSICAL = ("push", "start", "payload", "motor")  # of models of users
 SYSTEMS = {
     "mujoco": SystemKind(
         "mujoco",
-        ("model", "controller", "noise", "push", "engine", "outcome"),
-        ("controller", "noise", "push"),
-        ("model", "controller", "noise", "push", "outcome"),
+        ("model", "controller", "noise", *PHYSICAL, "schedule", "engine", "outcome"),
+        ("controller", "noise", *PHYSICAL, "schedule"),
+        ("model", "controller", "noise", *PHYSICAL, "schedule", "outcome"),
     ),
     "hexapod": SystemKind(
         "config",
@@ -83,6 +84,6 @@ def describe_columns() -> dict[str, str]:
     """Return the meaning of each metric by column: of the built-in robot, and those that only user models have."""
     from sweep.core.metric import merge_columns
     from sweep.metrics import outcome
-    from sweep.systems.mujoco_model import metrics
+    from sweep.systems.mujoco_model import metrics, tracking
 
-    return merge_columns(metrics.METRICS) | outcome.COLUMNS
+    return merge_columns(metrics.METRICS) | tracking.COLUMNS | outcome.COLUMNS

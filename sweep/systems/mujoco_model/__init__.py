@@ -23,11 +23,22 @@ from sweep.core.conditions import UNTRUSTED, Condition, parse_conditions
 from sweep.core.errors import InputError, require_choice
 from sweep.core.outcomes import classify_rows, judge_cause
 from sweep.core.parameters import build, check_value, quantity
-from sweep.systems.mujoco_model import disturbances, fields, files, inactive_parameters, policy_spec
+from sweep.systems.mujoco_model import (
+    disturbances,
+    fields,
+    files,
+    inactive_parameters,
+    initial_state,
+    motors,
+    payloads,
+    policy_spec,
+    schedules,
+    tracking,
+)
 from sweep.systems.mujoco_model.accumulator import MetricAccumulator
 from sweep.systems.mujoco_model.engine import ModelEngine, NativeModelEngine, print_note
 from sweep.systems.mujoco_model.metrics import CAUSES
-from sweep.systems.mujoco_model.model_spec import ModelConfig, ModelSpec, Settings, SideValues
+from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelConfig, ModelSpec, Settings, SideValues
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -65,7 +76,7 @@ class MujocoModel(ModelSpec):
     conditions: tuple[Condition, ...] = ()
 
     case = SideValues()
-    groups = ("model", "controller", "noise", "push")
+    groups = ("model", "controller", "noise", *PHYSICAL, "schedule")
     invalid_causes = (*INVALID, UNTRUSTED)
     bookkeeping_metrics = frozenset(INVALID)
     replay_formats = ("mcap", "states", "png", "video")
@@ -93,7 +104,8 @@ class MujocoModel(ModelSpec):
     @property
     def metric_names(self) -> tuple[str, ...]:
         """Metrics of any MuJoCo model, and those of its controller, see `System`."""
-        return (*MetricAccumulator(self).columns, *self.controller.measured)
+        tracked = tracking.tracking_columns(self.tracked_commands)
+        return (*MetricAccumulator(self).columns, *self.controller.measured, *tracked)
 
     def state_columns(self, trace: Trace) -> dict[str, np.ndarray]:
         """Return positions and velocities at every sample of a trace, by column, see `System`."""
@@ -154,8 +166,10 @@ class MujocoModel(ModelSpec):
         rollout = (about.period, about.duration, about.keyframe, about.observe, about.command, *sensors)
         yield "model.rollout", repr(rollout)
         yield from self._varied_numbers(paths)
-        if self.pushes:
-            yield "push", repr([tuple(one) for one in self.pushes])
+        for name, parts in (("push", self.pushes), ("payload", self.payloads), ("motor", self.motors),
+                            ("schedule", self.schedules)):  # fmt: skip
+            if parts:
+                yield name, repr([tuple(one) for one in parts])
 
     def cpu_threshold(self, settings: EngineSettings) -> int:
         """Return 0: no number of rollouts is known below which a CPU is faster than a GPU."""
@@ -165,6 +179,7 @@ class MujocoModel(ModelSpec):
         """See `System`: a model's number that is varied counts where it is not that of the model."""
         yield from self._varied_numbers(paths)
         yield "noise.action_delay", 0.0
+        yield from ((path, 0.0) for path in self.parameters if path.startswith(f"{initial_state.START}."))
 
     def _varied_numbers(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         yield from ((path, self.nominal_value(path)) for path in paths if path.startswith("model."))
@@ -173,7 +188,7 @@ class MujocoModel(ModelSpec):
         """Refuse axes that vary nothing, a controller that is none, and an engine that is none for the model."""
         columns = [c for c in map(str, table.columns) if "." in c and not c.startswith("axis.")]
         for column in columns:
-            if column.startswith("world.controller."):
+            if column.startswith(("world.controller.", "world.schedule.")):
                 raise InputError(f"axis {column} varies nothing: the controller's parameters belong to the belief")
         shaping = [c for c in columns if self.parameter(c, settings).metadata["role"] != "quantity"]
         distinct: list[Any] = table[shaping].drop_duplicates().to_dict("records") if shaping else [{}]
@@ -255,13 +270,19 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     for field in dataclasses.fields(usual):
         if field.name not in ALLOWED and getattr(settings, field.name) != getattr(usual, field.name):
             raise InputError(f"engine.{field.name} is not allowed: the model's file sets it")
-    system, groups = MujocoModel(about, ()), {group: values.get(group) or {} for group in ("noise", "controller")}
+    system, groups = (
+        MujocoModel(about, ()),
+        {group: values.get(group) or {} for group in ("noise", "controller", "start")},
+    )
     bodies = [system.model.body(k).name for k in range(1, system.model.nbody)]
     pushes, pushed = disturbances.parse_pushes(values.get("push") or {}, bodies)
-    system = replace(system, pushes=pushes)
-    asked = {f"{group}.{name}": value for group, given in groups.items() for name, value in given.items()} | pushed
-    for path in [path for path, value in asked.items() if isinstance(value, Mapping)]:  # errors of a term
-        asked |= {f"{path}.{key}": value for key, value in asked.pop(path).items()}
+    loads, loaded = payloads.parse_payloads(values.get("payload") or {}, bodies)
+    drives, driven = motors.parse_motors(values.get("motor") or {}, system.model)
+    system = replace(system, pushes=pushes, payloads=loads, motors=drives)
+    given, folder = values.get("schedule") or {}, files.project_folder()
+    orders, ordered = schedules.parse_schedules(given, [*system.controller.parameters], folder)
+    system = replace(system, schedules=orders)
+    asked = _flatten(groups) | pushed | loaded | driven | ordered
     for path in asked:
         require_choice(path, system.parameters, path)
     numbers = tuple(
@@ -273,6 +294,15 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     system = replace(system, config=replace(about, content=content), controller_values=numbers, conditions=conditions)
     settings, told = replace(settings, control_period=about.period), {**values["model"], "content": content}
     return Nominal(system, settings, conditions, {"model": told})
+
+
+def _flatten(given: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Return values by path, such as `noise.height.white`, from mappings in mappings."""
+    found: dict[str, Any] = {}
+    for key, value in given.items():
+        name = f"{path}{key}"
+        found |= _flatten(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
+    return found
 
 
 def _parse_model(given: Mapping[str, Any]) -> ModelConfig:

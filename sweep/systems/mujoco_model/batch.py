@@ -10,11 +10,12 @@ from mujoco.batch import Batch
 from sweep.backends import devices, mujoco_versions
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
-from sweep.systems.mujoco_model import disturbances, fields
+from sweep.systems.mujoco_model import disturbances, fields, initial_state, motors, payloads
 from sweep.systems.mujoco_model.disturbances import TickForces
-from sweep.systems.mujoco_model.model_spec import TERM_NOISE, ModelSpec, SideValues
+from sweep.systems.mujoco_model.initial_state import StartOffsets
+from sweep.systems.mujoco_model.model_spec import PHYSICAL, TERM_NOISE, ModelSpec, SideValues
 
-PUSH_KEY = 2**31 - 1  # of the times of pushes; controllers have those from 0 on
+PUSH_KEY, START_KEY = 2**31 - 1, 2**31 - 2  # of random pushes and initial states; controllers have those from 0 on
 
 
 class BatchStart(NamedTuple):
@@ -29,6 +30,21 @@ class BatchStart(NamedTuple):
     limits: dict[str, np.ndarray]  # by field, (n, ..., 2)
     acting: TickForces  # pushes and delays of commands
     written: frozenset[str]  # fields of the models that were written
+    offsets: StartOffsets  # of the initial state
+
+    def place(self, start: np.ndarray | None) -> np.ndarray:
+        """Set the initial state, and return its energy (n,) in J.
+
+        Args:
+            start: Positions (n, nq) that the controllers start from, to which the scenario's offsets are added; None
+                for those of the keyframe.
+        """
+        if start is not None:
+            self.qpos[:] = start
+        model, free = self.batch.model, np.flatnonzero(self.batch.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
+        base = int(model.jnt_qposadr[free[0]]) if len(free) else None
+        self.offsets.add_to(model, base, self.limits["jnt_range"], self.qpos, self.qvel)
+        return self.energy()
 
     def energy(self, qpos: Any = None, qvel: Any = None) -> np.ndarray:
         """Potential and kinetic energy (J) of each model, (n,), as it is, or at given qpos (n, nq) and qvel (n, nv).
@@ -69,7 +85,9 @@ def start_batch(
     # bound before the reset: what is bound after it is zero until the next call
     varied = fields.select_quantities(spec.model, world.select_group("model"))
     rows = {path: np.broadcast_to(value, (n,)) for path, value in varied.items()}
-    written = fields.write_values(batch, rows, spec.load_source)
+    numbers = world_numbers(spec, world)
+    written = payloads.write_payloads(batch, spec.payloads, numbers)
+    written |= fields.write_values(batch, rows, spec.load_source)
     batch.reset(keyframe=spec.keyframe_index, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
     values = controller_inputs(spec, world, belief)
     policy_inputs = {
@@ -78,19 +96,31 @@ def start_batch(
         "key": np.asarray(jax.random.key_data(devices.noise_keys(streams))),
     }
     limits = {name: batch.expand(name) for name in ("actuator_forcerange", "jnt_range")}
-    acting = disturbances.make_forces(spec.pushes, world_numbers(spec, world), draw_push_times(spec, streams))
+    acting = disturbances.make_forces(spec.pushes, numbers, draw_even(streams, PUSH_KEY, len(spec.pushes)))
+    acting = acting._replace(motors=motors.make_limits(spec.motors, numbers, batch))
+    is_random = any(np.any(numbers[path]) for path in numbers if path.startswith(f"{initial_state.RANDOM}."))
+    count = initial_state.count_draws(spec.model)
+    luck = draw_even(streams, START_KEY, count) if is_random else np.full((n, count), 0.5)
+    offsets = initial_state.make_offsets(spec.model, numbers, 2 * luck - 1)
     mass = batch.expand("body_mass").sum(axis=1)
-    return BatchStart(batch, qpos, qvel, sensors, policy_inputs, mass, limits, acting, written)
+    return BatchStart(batch, qpos, qvel, sensors, policy_inputs, mass, limits, acting, written, offsets)
 
 
-def draw_push_times(spec: ModelSpec, streams: np.ndarray) -> np.ndarray:
-    """Draw even random numbers (n, p) from 0 to 1 for the pushes of n rollouts, from their noise streams."""
-    if not spec.pushes:
+def draw_even(streams: np.ndarray, purpose: int, count: int) -> np.ndarray:
+    """Draw even random numbers from 0 to 1 from the noise streams of rollouts.
+
+    Args:
+        streams: Noise streams (n,).
+        purpose: Number that tells these draws from others of a stream.
+        count: Numbers k for each rollout.
+
+    Returns:
+        Numbers (n, k), the same in any precision.
+    """
+    if not count:
         return np.zeros((len(streams), 0))
-    keys = jax.vmap(lambda key: jax.random.fold_in(key, PUSH_KEY))(devices.noise_keys(streams))
-    return np.asarray(
-        jax.vmap(lambda key: jax.random.uniform(key, (len(spec.pushes),), jax.numpy.float32))(keys), float
-    )
+    keys = jax.vmap(lambda key: jax.random.fold_in(key, purpose))(devices.noise_keys(streams))
+    return np.asarray(jax.vmap(lambda key: jax.random.uniform(key, (count,), jax.numpy.float32))(keys), float)
 
 
 def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) -> dict[str, Any]:
@@ -98,6 +128,8 @@ def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) ->
     noise = world_numbers(spec, world)
     told = spec.believed_values({**belief.select_group("model"), **belief.select_group("controller")})
     found = {"belief": told, **{name: noise[f"noise.{name}"] for name in ("delay", "white", "bias")}}
+    factors = {**dict(spec.controller_values), **belief.select_group("schedule")}
+    found["factors"] = {one.name: factors[f"schedule.{one.name}.factor"] for one in spec.schedules}
     if spec.controller.learned:
         labels = spec.controller.learned.measured_terms
         found["terms"] = {key: {one: noise[f"noise.{one}.{key}"] for one in labels} for key in TERM_NOISE}
@@ -105,8 +137,14 @@ def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) ->
 
 
 def world_numbers(spec: ModelSpec, world: SideValues) -> dict[str, Any]:
-    """Return the numbers of noise and pushes by path, as they are in the world."""
-    return {**dict(spec.controller_values), **world.select_group("noise"), **world.select_group("push")}
+    """Return the numbers of noise, pushes, payloads, motors and the start by path, as they are in the world."""
+    groups = (world.select_group(name) for name in ("noise", *PHYSICAL))
+    return {**dict(spec.controller_values), **{path: value for group in groups for path, value in group.items()}}
+
+
+def without_random_start(spec: ModelSpec) -> SideValues:
+    """Return the nominal world with no random part of the initial state."""
+    return SideValues(tuple((path, 0.0) for path in spec.parameters if path.startswith(f"{initial_state.RANDOM}.")))
 
 
 def count_ticks(spec: ModelSpec, duration: Any) -> np.ndarray:

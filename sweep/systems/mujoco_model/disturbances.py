@@ -8,6 +8,7 @@ import numpy as np
 from sweep.contract.system import Parameter
 from sweep.core.errors import InputError, require_choice
 from sweep.core.parameters import quantity
+from sweep.systems.mujoco_model.motors import MotorLimits
 
 PUSH: Mapping[str, Parameter] = {  # numbers of a push
     "impulse": quantity(0.0, "N*s"),  # delivered evenly within `length`
@@ -34,6 +35,7 @@ class TickForces(NamedTuple):
     force: Any  # (n, p, 3) N, of each push
     start: Any  # (n, p) s
     end: Any  # (n, p) s
+    motors: MotorLimits | None = None  # None where no joint has a motor
 
     def forces(self, first: Any, count: int, step: float) -> Any:
         """Return the forces of physics steps, each its mean over the step, so that impulses are exact.

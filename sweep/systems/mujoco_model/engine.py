@@ -83,15 +83,19 @@ class ModelEngine:
             reason = " ".join(str(error).split())
             raise InputError(f"model.mjcf = {self._spec.config.mjcf} cannot be simulated: {reason}") from None
 
+    def _start_nominal(self) -> batch.BatchStart:
+        world = batch.without_random_start(self._spec)
+        return batch.start_batch(self._spec, self._settings, world, SideValues(), np.zeros(1, np.int64))
+
     def check_start(self) -> None:
         """Raise `InputError` where the controller's first controls are not finite, all being nominal."""
-        begun = batch.start_batch(self._spec, self._settings, SideValues(), SideValues(), np.zeros(1, np.int64))
+        begun = self._start_nominal()
         with self._within():
             self._programs.check_start(begun)
 
     def evaluate_first_tick(self) -> FirstTick:
         """Evaluate the controller at the nominal start. Raises `InputError` where it fails."""
-        begun = batch.start_batch(self._spec, self._settings, SideValues(), SideValues(), np.zeros(1, np.int64))
+        begun = self._start_nominal()
         with self._within():
             return self._programs.evaluate_first_tick(begun)
 
@@ -180,7 +184,7 @@ class NativeModelEngine(ModelEngine):
             begun = batch.start_batch(spec, self._settings, world, belief, streams)
             qpos, qvel, seen = begun.qpos, begun.qvel, begun.sensors
             rollouts = ControllerBatch(self._programs, begun.policy_inputs, n)
-            before_all = begun.energy(rollouts.start)
+            before_all = begun.place(rollouts.start)
             ticks = batch.count_ticks(spec, rollouts.duration)
             rollouts.enter(spec.observable_state(qpos, qvel, seen), ticks)
             metric_state = aside.submit(self._meter.start, qpos.copy(), qvel.copy())
@@ -225,7 +229,7 @@ class TickStepper:
     def __init__(self, spec: ModelSpec, begun: batch.BatchStart, shares: np.ndarray):
         self._spec, self._begun, self._shares = spec, begun, shares
         n, model = begun.batch.nsim, spec.model
-        self._control, self._bodies = spec.controller.joint_control, spec.pushed_bodies
+        self._control, self._motors, self._bodies = spec.controller.joint_control, spec.motor_law, spec.pushed_bodies
         self._commands = np.zeros((n, len(shares), model.nu))
         self._before: np.ndarray | None = None
         self._past = np.zeros((n, spec.action_buffer, model.nu))  # commands of the steps before
@@ -254,6 +258,15 @@ class TickStepper:
         self._first += count
         return self._simulate(commands, forces, out)
 
+    def _begin_step(self, commands: np.ndarray) -> np.ndarray:
+        """Controls (n, nu) of the next physics step from its commands, by the laws that run at the physics rate."""
+        state = self._begun.qpos, self._begun.qvel
+        controls = commands if self._control is None else self._control.controls(commands, *state)
+        limits = self._begun.acting.motors
+        if self._motors is None or limits is None:
+            return controls
+        return self._motors.controls(controls, *state, limits)
+
     def _simulate(self, commands: np.ndarray, forces: Any, out: Any) -> dict[str, np.ndarray]:
         simulate, record, spec = self._begun.batch.rollout, RECORDED, int(mujoco.mjtState.mjSTATE_CTRL)
         beside = np.zeros((*commands.shape[:2], 0))
@@ -263,13 +276,13 @@ class TickStepper:
                 wrench[:, :, body, :3] += forces[:, :, k]
             beside, spec = wrench.reshape(*commands.shape[:2], -1), spec | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
             record = (*RECORDED, "xipos")
-        if self._control is None:
+        if self._control is None and self._motors is None:
             inputs = commands if forces is None else np.concatenate([commands, beside], axis=2)
             steps = simulate(commands.shape[1], inputs, spec, record=record, out=out)
         else:
             parts = []
             for k in range(commands.shape[1]):
-                controls = self._control.controls(commands[:, k], self._begun.qpos, self._begun.qvel)
+                controls = self._begin_step(commands[:, k])
                 inputs = np.concatenate([controls, beside[:, k]], axis=1)[:, None]
                 parts.append(simulate(1, inputs, spec, record=record))
             steps = {name: np.concatenate([one[name] for one in parts], axis=1) for name in record}

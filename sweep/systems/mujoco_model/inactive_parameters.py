@@ -8,7 +8,7 @@ import numpy as np
 from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import split_side
 from sweep.systems.mujoco_model import fields
-from sweep.systems.mujoco_model.model_spec import ModelSpec
+from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelSpec
 
 CONDIM = {"slide": 3, "spin": 4, "roll": 6}  # of contacts, from which a friction counts
 SENSED, FREE = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtJoint.mjJNT_FREE
@@ -20,9 +20,9 @@ def explain_inactive(spec: ModelSpec, column: str, settings: EngineSettings, end
     root = path.partition(".")[0]
     if root == "noise":
         return "sensor errors are part of the world" if side == "belief" else ""
-    if root == "push":
-        return _push(spec, path, ends) if side != "belief" else "pushes are part of the world"
-    if root == "controller":
+    if root in PHYSICAL:
+        return "it is part of the world" if side == "belief" else _physical(spec, path, ends)
+    if root in ("controller", "schedule"):
         return "controller parameters are part of the belief" if side == "world" else ""
     if root != "model":
         return ""
@@ -39,8 +39,8 @@ def explain_inactive(spec: ModelSpec, column: str, settings: EngineSettings, end
     return _other(spec.model, kind, number, what.partition(".")[0])
 
 
-def _push(spec: ModelSpec, path: str, ends: tuple[Any, Any]) -> str:
-    if path.endswith(".start") and min(ends) >= spec.config.duration:
+def _physical(spec: ModelSpec, path: str, ends: tuple[Any, Any]) -> str:
+    if path.startswith("push.") and path.endswith(".start") and min(ends) >= spec.config.duration:
         return f"rollouts end at {spec.config.duration:g} s"
     return ""
 

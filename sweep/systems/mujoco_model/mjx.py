@@ -269,7 +269,7 @@ class MjxModelEngine(ModelEngine):
         begun = batch.start_batch(spec, self._settings, world, belief, streams)
         policy_inputs = jax.device_put(begun.policy_inputs)
         start, state, duration = self._call(self._first, policy_inputs)
-        at_first = begun.energy(start)
+        at_first = begun.place(start)
         seen = jnp.asarray(spec.observable_state(begun.qpos, begun.qvel, begun.sensors), float)
         ticks = batch.count_ticks(spec, duration)
         template, data, leaves = self._put(begun)
@@ -300,7 +300,7 @@ class MjxModelEngine(ModelEngine):
             found["wrench"] = jnp.zeros((n, self._model.nbody, 6))  # in the last step
             # of the bodies, as the last two steps began
             found["places"] = jnp.full((n, 2, len(spec.pushed_bodies), 3), jnp.nan)
-        if spec.action_buffer or spec.controller.joint_control:
+        if spec.action_buffer or spec.controller.joint_control or spec.motor_law:
             found["controls"] = jnp.zeros((n, self._model.nu))  # in the last step
         return found
 
@@ -345,6 +345,7 @@ class MjxModelEngine(ModelEngine):
         """
         template, data, leaves, policy_inputs, limits, acting = fixed
         bodies, time_step, law = self._spec.pushed_bodies, self._model.opt.timestep, self._spec.controller.joint_control
+        motor_law = self._spec.motor_law
 
         def inputs(ctrl: Array, wrench: Array | None) -> dict[str, Array]:
             return {"ctrl": ctrl} if wrench is None else {"ctrl": ctrl, "xfrc_applied": wrench}
@@ -382,7 +383,9 @@ class MjxModelEngine(ModelEngine):
                 sim_state, metric_state, full, extra, _ = state
                 (share, number, command), extra = given_step, dict(extra)
                 command = before + share * (ctrl - before) if command is None else command
-                controls = command if law is None else law.controls(command, sim_state["qpos"], sim_state["qvel"])
+                before_step = sim_state["qpos"], sim_state["qvel"]
+                controls = command if law is None else law.controls(command, *before_step)
+                controls = controls if motor_law is None else motor_law.controls(controls, *before_step, acting.motors)
                 wrench = None
                 if len(bodies):
                     forces = acting.forces(first_step + number, 1, time_step)[:, 0]

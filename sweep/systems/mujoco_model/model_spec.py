@@ -12,8 +12,12 @@ from sweep.contract.system import Parameter, Values
 from sweep.core.errors import InputError, require_choice
 from sweep.core.metric import array_namespace
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.systems.mujoco_model import fields, files
+from sweep.systems.mujoco_model import fields, files, initial_state
 from sweep.systems.mujoco_model.disturbances import PUSH, PushedBody
+from sweep.systems.mujoco_model.motors import MOTOR, MotorGroup, MotorLaw, make_law
+from sweep.systems.mujoco_model.payloads import PAYLOAD, Payload, add_payloads
+from sweep.systems.mujoco_model.policy_spec import VELOCITY
+from sweep.systems.mujoco_model.schedules import FACTOR, Schedule
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,8 @@ NOISE = {  # errors of what the controller observes, alike in all components, in
     "noise.action_delay": quantity(0.0, "steps", at_least=0, at_most=1000),  # physics steps that commands are late by
 }
 
+PHYSICAL = ("push", "start", "payload", "motor")  # groups of the world, beside `model` and `noise`
+
 TERM_NOISE = {  # errors of one term of a learned policy's observation, in its unit, before clip and scale
     "white": quantity(0.0, "", at_least=0),  # deviation, drawn anew at every tick, beside that of `noise.white`
     "bias": quantity(0.0, "", at_least=0),  # deviation of the constant error, beside that of `noise.bias`
@@ -79,15 +85,25 @@ class ModelSpec:
     delay_buffer: int = 0  # ticks of delay
     action_buffer: int = 0  # physics steps of delay of the commands
     pushes: tuple[PushedBody, ...] = ()
+    payloads: tuple[Payload, ...] = ()
+    motors: tuple[MotorGroup, ...] = ()
+    schedules: tuple[Schedule, ...] = ()
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """The compiled model with the options of the configuration."""
-        return fields.with_options(files.load_model(self.config.mjcf), dict(self.config.option))
+        """The compiled model with its payloads and the options of the configuration."""
+        compiled = self.load_source().compile() if self.payloads else files.load_model(self.config.mjcf)
+        return fields.with_options(compiled, dict(self.config.option))
 
     def load_source(self) -> mujoco.MjSpec:
         """Load what the model is compiled from. Raises `InputError`."""
-        return files.load_spec(self.config.mjcf)
+        source = files.load_spec(self.config.mjcf)
+        return add_payloads(source, self.payloads) if self.payloads else source
+
+    @cached_property
+    def motor_law(self) -> MotorLaw | None:
+        """The law that clips controls to what motors can give; None where no joint has a motor."""
+        return make_law(self.model, self.motors)
 
     @cached_property
     def controller(self) -> files.Policy:
@@ -103,12 +119,23 @@ class ModelSpec:
         learned = self.controller.learned
         labels = learned.measured_terms if learned else ()
         terms = {f"noise.{label}.{key}": about for label in labels for key, about in TERM_NOISE.items()}
-        return NOISE | terms | pushes | own
+        loads = {f"payload.{one.name}.{key}": about for one in self.payloads for key, about in PAYLOAD.items()}
+        drives = {f"motor.{one.name}.{key}": about for one in self.motors for key, about in MOTOR.items()}
+        start = initial_state.start_parameters(self.model, self.base_address is not None)
+        schedules = {f"schedule.{one.name}.factor": FACTOR for one in self.schedules}
+        return NOISE | terms | pushes | loads | drives | start | own | schedules
 
     @cached_property
     def pushed_bodies(self) -> np.ndarray:
         """Indices (p,) of the bodies that pushes act on."""
         return np.array([self.model.body(one.body).id for one in self.pushes], int)
+
+    @property
+    def tracked_commands(self) -> tuple[str, ...]:
+        """Velocity commands whose errors are metrics: of a learned policy, or where there are schedules."""
+        names = tuple(name for name in VELOCITY if name in self.controller.parameters)
+        is_tracked = self.base_address is not None and (self.controller.learned or self.schedules)
+        return names if is_tracked else ()
 
     @property
     def base_address(self) -> int | None:

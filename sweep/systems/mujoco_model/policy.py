@@ -21,7 +21,9 @@ from sweep.core.user_code import describe_user_error, run_user_code
 from sweep.fused.numbers import evaluate_constants
 from sweep.systems.mujoco_model import files
 from sweep.systems.mujoco_model.batch import BatchStart, controller_inputs, count_ticks
-from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
+from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelSpec, SideValues
+from sweep.systems.mujoco_model.schedules import tabulate
+from sweep.systems.mujoco_model.tracking import VelocityTracking
 
 TILE = 64
 logging.getLogger("jax._src.callback").setLevel(logging.CRITICAL)  # it prints tracebacks of errors that are told here
@@ -77,6 +79,10 @@ class ControllerPrograms:
         # what is batched is called with what this gives
         self._policy = (lambda belief, told, state, key: (told, state)) if control.batched else control.policy
         self._metric = make_user_metric(control)
+        ticks = round(spec.config.duration / self.period) + 1
+        self._commands = {one.name: tabulate(one, ticks, self.period) for one in spec.schedules}
+        tracked = spec.tracked_commands
+        self._tracking = VelocityTracking(spec.model, tracked) if tracked else None
         self.call_user_code(self._check, belief)
 
         def each(one: Callable[..., Any]) -> Callable[..., Any]:  # of a tile's rollouts
@@ -91,8 +97,16 @@ class ControllerPrograms:
     def begin_controller(self, policy_inputs: Mapping[str, Any]) -> tuple[Any, Any, Any]:
         """Start, state and duration of one rollout, which is endless where the controller names none."""
         key = jax.random.fold_in(jax.random.wrap_key_data(policy_inputs["key"]), 0)
-        start, state, duration = self._begin(policy_inputs["belief"], key)
+        start, state, duration = self._begin(self._belief(policy_inputs, jnp.int32(0)), key)
         return start, state, jnp.asarray(jnp.inf if duration is None else duration)
+
+    def _belief(self, policy_inputs: Mapping[str, Any], tick: Array) -> dict[str, Any]:
+        """What the controller believes in a tick: commands that have a schedule are those of its time."""
+        found = dict(policy_inputs["belief"])
+        for name, table in self._commands.items():
+            values = jnp.asarray(table, float)
+            found[name] = policy_inputs["factors"][name] * values[jnp.clip(tick, 0, len(table) - 1)]
+        return found
 
     def start_rollout(
         self, policy_inputs: Mapping[str, Any], state: Any, observable: Array, ticks: Array
@@ -112,6 +126,7 @@ class ControllerPrograms:
             "tick": jnp.int32(0),
             "ticks": ticks,
             "measurement": measurement,
+            **({"tracking": self._tracking.begin()} if self._tracking else {}),
             **({"held": seen} if "terms" in policy_inputs else {}),
         }
 
@@ -137,8 +152,8 @@ class ControllerPrograms:
         else:
             seen_late = late[(tick - policy_inputs["delay"]) % length]
             told, held = seen_late + carried["bias"] + policy_inputs["white"] * _draw_normal(noise, seen), {}
-        ctrl, state = self._policy(policy_inputs["belief"], told, carried["state"], policy_key)
-        new = {"late": late, "tick": tick + 1, "measurement": self._measured(carried, observable), **held}
+        ctrl, state = self._policy(self._belief(policy_inputs, tick), told, carried["state"], policy_key)
+        new = {"late": late, "tick": tick + 1, **self._measured(policy_inputs, carried, observable), **held}
         return ctrl, {**carried, **new, "state": freeze_ended(tick < carried["ticks"], state, carried["state"])}
 
     def _observe_terms(self, policy_inputs: Mapping[str, Any], carried: Any, late: Array, key: Array) -> Array:
@@ -160,9 +175,10 @@ class ControllerPrograms:
         self, policy_inputs: Mapping[str, Any], carried: Any, observable: Array
     ) -> dict[str, Array]:
         """The controller's own figures of one rollout that ends with a state (s,), by name."""
-        return self._metric.compute(
-            self._measured(carried, observable), ControllerEnd(policy_inputs["belief"], carried["state"])
-        )
+        measured = self._measured(policy_inputs, carried, observable)
+        belief = self._belief(policy_inputs, carried["ticks"] - 1)
+        found = self._metric.compute(measured["measurement"], ControllerEnd(belief, carried["state"]))
+        return found | (self._tracking.compute(measured["tracking"]) if self._tracking else {})
 
     def rollout_outputs(self, world: SideValues, belief: SideValues, key: Array) -> Any:
         """What the controller gives, and what reaches MuJoCo's model, of one rollout: to be traced, not to be run."""
@@ -183,14 +199,20 @@ class ControllerPrograms:
             duration,
             ctrl,
             self.compute_rollout_metrics(policy_inputs, carried, observable),
-            world.select_group("model"),
+            [world.select_group(name) for name in ("model", *PHYSICAL)],
+            dict(world.values).get("noise.action_delay"),
         )
 
-    def _measured(self, carried: Any, observable: Array) -> Any:
+    def _measured(self, policy_inputs: Mapping[str, Any], carried: Any, observable: Array) -> dict[str, Any]:
         """What is measured so far; a rollout that is over has its end in it already."""
-        new = self._metric.update(carried["measurement"], self._spec.split_state(observable))
+        state = self._spec.split_state(observable)
+        old = {name: carried[name] for name in ("measurement", "tracking") if name in carried}
+        new = {"measurement": self._metric.update(carried["measurement"], state)}
+        if self._tracking:
+            belief = self._belief(policy_inputs, carried["tick"] - 1)  # of the tick that has ended
+            new["tracking"] = self._tracking.update(carried["tracking"], belief, state)
         within = (carried["tick"] > 0) & (carried["tick"] <= carried["ticks"])  # the start is in it
-        return freeze_ended(within, new, carried["measurement"])
+        return freeze_ended(within, new, old)
 
     def check_start(self, begun: BatchStart) -> None:
         """Raise `InputError` where the first controls are not finite, or a second call gives others.
@@ -206,7 +228,7 @@ class ControllerPrograms:
         count_ticks(self._spec, duration)
         if start is not None and not np.isfinite(start).all():
             raise self._error("begins at positions that are not finite")
-        begun.energy(start)
+        begun.place(start)
         observable = self._spec.observable_state(begun.qpos, begun.qvel, begun.sensors)[0]
         ctrl, _ = found(self.tick_controller, found(self.start_rollout, state, observable, np.int32(1)), observable)
         told = np.tile(ctrl, (TILE, 1))
@@ -235,7 +257,7 @@ class ControllerPrograms:
         spec, model = self._spec, self._spec.model
         first = jax.tree.map(lambda rows: jnp.asarray(rows[0]), begun.policy_inputs)
         start, state, _ = self.call_user_code(self.begin_controller, first)
-        begun.energy(start)
+        begun.place(start)
         observable = jnp.asarray(spec.observable_state(begun.qpos, begun.qvel, begun.sensors)[0], float)
         carried = self.call_user_code(self.start_rollout, first, state, observable, np.int32(1))
         seen = spec.observe_state(observable)
@@ -249,7 +271,7 @@ class ControllerPrograms:
             inputs = {"observation": [(name, "", np.asarray(one)) for name, one in zip(parts, every, strict=True)]}
         else:
             numbers[learned.actuators] = carried["state"]["action"]
-            inputs = learned.split_terms(learned.assemble(first["belief"], seen, state)[0])
+            inputs = learned.split_terms(learned.assemble(self._belief(first, jnp.int32(0)), seen, state)[0])
         return FirstTick(inputs, list(zip(names, numbers.tolist(), controls.tolist(), strict=True)))
 
     def _error(self, what: str) -> InputError:

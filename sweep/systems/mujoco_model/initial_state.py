@@ -1,0 +1,115 @@
+"""Where rollouts of user models start: offsets from the keyframe, and random ones, of poses and velocities."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from sweep.contract.system import Parameter
+from sweep.core.parameters import quantity
+
+TURN = ("roll", "pitch", "yaw")
+BASE_UNITS = {
+    "x": "m",
+    "y": "m",
+    "height": "m",
+    **dict.fromkeys(TURN, "rad"),  # about the body's axes: first yaw, then pitch, then roll
+    "velocity_x": "m/s",  # in world axes
+    "velocity_y": "m/s",
+    "velocity_z": "m/s",
+    "roll_rate": "rad/s",  # about the body's axes
+    "pitch_rate": "rad/s",
+    "yaw_rate": "rad/s",
+}
+JOINT_UNITS = {"joint_positions": "rad", "joint_velocities": "rad/s"}  # of slides: m, m/s
+SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+START, RANDOM, JOINT = "start", "start.random", "start.joint"
+
+
+class StartOffsets(NamedTuple):
+    """What is added to the state in which n rollouts would start otherwise."""
+
+    base: np.ndarray  # (n, 12) in the order of `BASE_UNITS`
+    positions: np.ndarray  # (n, j) of the hinges and slides, rad or m
+    velocities: np.ndarray  # (n, j) rad/s or m/s
+
+    def add_to(self, model: mujoco.MjModel, base: int | None, limits: np.ndarray, qpos: Any, qvel: Any) -> None:
+        """Add the offsets to states in place. A joint that has limits stays within them.
+
+        Args:
+            model: The model.
+            base: Index in `qpos` of the first free joint; None without one.
+            limits: Ranges of all joints (n, njnt, 2).
+            qpos: Positions (n, nq).
+            qvel: Velocities (n, nv).
+        """
+        if base is not None and self.base.any():
+            dof = int(model.jnt_dofadr[np.flatnonzero(model.jnt_qposadr == base)[0]])
+            qpos[:, base : base + 3] += self.base[:, :3]
+            turn, found = np.zeros(4), np.zeros(4)
+            for row, angles in enumerate(self.base[:, 3:6]):
+                mujoco.mju_euler2Quat(turn, angles[::-1].copy(), "zyx")
+                mujoco.mju_mulQuat(found, qpos[row, base + 3 : base + 7].copy(), turn)
+                qpos[row, base + 3 : base + 7] = found
+            qvel[:, dof : dof + 6] += self.base[:, 6:]
+        joints = single_joints(model)
+        if self.positions.any():
+            places = model.jnt_qposadr[joints]
+            low, high = np.moveaxis(limits[:, joints], -1, 0)
+            free = ~model.jnt_limited[joints].astype(bool)
+            low, high = np.where(free, -np.inf, low), np.where(free, np.inf, high)
+            moved = np.clip(qpos[:, places] + self.positions, low, high)
+            qpos[:, places] = np.where(self.positions != 0, moved, qpos[:, places])
+        qvel[:, model.jnt_dofadr[joints]] += self.velocities
+
+
+def single_joints(model: mujoco.MjModel) -> np.ndarray:
+    """Return the numbers (j,) of the hinges and slides of a model."""
+    return np.flatnonzero(np.isin(model.jnt_type, SINGLE))
+
+
+def start_parameters(model: mujoco.MjModel, has_base: bool) -> dict[str, Parameter]:
+    """Return the numbers of an initial state by path.
+
+    Args:
+        model: The model.
+        has_base: Whether it has a free joint.
+    """
+    units = (BASE_UNITS if has_base else {}) | JOINT_UNITS
+    found = {f"{START}.{name}": quantity(0.0, unit) for name, unit in units.items()}
+    found |= {f"{RANDOM}.{name}": quantity(0.0, unit, at_least=0) for name, unit in units.items()}
+    for name in filter(None, (model.joint(k).name for k in single_joints(model))):
+        found |= {f"{JOINT}.{name}.position": quantity(0.0, "rad"), f"{JOINT}.{name}.velocity": quantity(0.0, "rad/s")}
+    return found
+
+
+def count_draws(model: mujoco.MjModel) -> int:
+    """Count the random numbers that the initial state of a rollout takes."""
+    return len(BASE_UNITS) + 2 * len(single_joints(model))
+
+
+def make_offsets(model: mujoco.MjModel, values: Mapping[str, Any], luck: np.ndarray) -> StartOffsets:
+    """Return the offsets of n rollouts.
+
+    Args:
+        model: The model.
+        values: Numbers by path, see `start_parameters`; each a number, or an array (n,).
+        luck: Even random numbers from -1 to 1, (n, k): see `count_draws`.
+    """
+    n, joints = len(luck), single_joints(model)
+
+    def rows(path: str) -> np.ndarray:
+        return np.broadcast_to(np.asarray(values.get(path, 0.0), float), (n,))
+
+    def offset(name: str, draws: np.ndarray) -> np.ndarray:
+        return rows(f"{START}.{name}")[:, None] + rows(f"{RANDOM}.{name}")[:, None] * draws
+
+    base, rest = luck[:, : len(BASE_UNITS)], luck[:, len(BASE_UNITS) :]
+    columns = [offset(name, base[:, [k]]) for k, name in enumerate(BASE_UNITS)]
+    every = []
+    for k, (name, what) in enumerate(zip(JOINT_UNITS, ("position", "velocity"), strict=True)):
+        alone = [rows(f"{JOINT}.{model.joint(j).name}.{what}") for j in joints]
+        own = np.stack(alone, axis=1) if alone else np.zeros((n, 0))
+        every.append(own + offset(name, rest[:, k * len(joints) : (k + 1) * len(joints)]))
+    return StartOffsets(np.concatenate(columns, axis=1), *every)

@@ -1,0 +1,160 @@
+"""Limits of torque by speed of electric motors: less torque the faster they turn, none at the no-load speed."""
+
+import fnmatch
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from sweep.contract.system import Parameter
+from sweep.core.errors import InputError, require_choice
+from sweep.core.parameters import quantity
+from sweep.systems.mujoco_model.actuation import JOINT
+
+MOTOR: Mapping[str, Parameter] = {  # numbers of the motors of some joints
+    "stall_torque": quantity(0.0, "N*m", above=0),  # at rest, if `torque_limit` allows it
+    "no_load_speed": quantity(0.0, "rad/s", above=0),  # at which no torque is left
+    "torque_limit": quantity(1e6, "N*m", above=0),  # at any speed
+    "strength": quantity(1.0, "", at_least=0),  # factor of `stall_torque` and `torque_limit`
+}
+NEEDED = ("stall_torque", "no_load_speed")
+
+
+class MotorGroup(NamedTuple):
+    """The motors of some joints: their name, and the actuators of the joints."""
+
+    name: str
+    actuators: tuple[int, ...]
+
+
+class MotorLimits(NamedTuple):
+    """Limits of the torques of n rollouts, and the laws of their nu actuators."""
+
+    stall: Any  # (n, nu) N*m
+    speed: Any  # (n, nu) rad/s
+    most: Any  # (n, nu) N*m
+    gear: Any  # (n, nu)
+    gain: Any  # (n, nu) force for a unit of control
+    bias: Any  # (n, nu, 3) constant force, and force by length and velocity of the actuator
+    low: Any  # (n, nu) least control
+    high: Any  # (n, nu) largest control
+
+
+class MotorLaw(NamedTuple):
+    """Clips controls so that joint torques stay within what motors can give; numbers of the nu actuators."""
+
+    qpos: np.ndarray  # (nu,) index of the joint's position
+    qvel: np.ndarray  # (nu,) index of the joint's velocity
+    active: np.ndarray  # (nu,) whether the actuator has a motor
+
+    def controls(self, ctrl: Any, qpos: Any, qvel: Any, limits: MotorLimits) -> Any:
+        """Return controls (n, nu) whose torques the motors can give, as a physics step begins.
+
+        The torque of a motor at the speed v is between `-stall (1 + v / speed)` and `stall (1 - v / speed)`, and at
+        most `most` in size: beyond the no-load speed it brakes.
+
+        Args:
+            ctrl: Wanted controls (n, nu).
+            qpos: Positions (n, nq).
+            qvel: Velocities (n, nv).
+            limits: Limits of the motors.
+        """
+        xp = qpos.__array_namespace__()
+        speed = qvel[:, self.qvel]
+        motion = limits.bias[..., 1] * qpos[:, self.qpos] + limits.bias[..., 2] * speed
+        passive = limits.bias[..., 0] + limits.gear * motion
+        torque = limits.gear * (limits.gain * xp.clip(ctrl, limits.low, limits.high) + passive)
+        high = xp.clip(limits.stall * (1 - speed / limits.speed), -limits.most, limits.most)
+        low = xp.clip(-limits.stall * (1 + speed / limits.speed), -limits.most, limits.most)
+        torque = xp.clip(torque, low, high)
+        return xp.where(self.active & (limits.gain != 0), (torque / limits.gear - passive) / limits.gain, ctrl)
+
+
+def parse_motors(given: Any, model: mujoco.MjModel) -> tuple[tuple[MotorGroup, ...], dict[str, Any]]:
+    """Return the motors of a configuration, and their numbers by path. Raises `InputError`.
+
+    Args:
+        given: For each name a mapping with `joints`, a pattern of names, and keys of `MOTOR`.
+        model: The model.
+    """
+    if not isinstance(given, Mapping) or not all(isinstance(one, Mapping) for one in given.values()):
+        such = "motors by name, such as {legs: {joints: '*', stall_torque: 30, no_load_speed: 20}}"
+        raise InputError(f"motor = {given!r:.80} is not allowed: {such}")
+    groups, numbers, taken = [], {}, {}
+    for name, said in given.items():
+        if not str(name).isidentifier():
+            raise InputError(f"motor.{name} is not allowed: a name has letters, digits and _")
+        for key in said:
+            require_choice(key, ("joints", *MOTOR), f"motor.{name}: {key}")
+        if missing := [key for key in ("joints", *NEEDED) if key not in said]:
+            raise InputError(f"motor.{name} needs the key {missing[0]}")
+        actuators = _find_motors(f"motor.{name}", str(said["joints"]), model)
+        for one in actuators:
+            if one in taken:
+                joint = model.joint(int(model.actuator_trnid[one, 0])).name
+                raise InputError(f"motor.{name}.joints = {said['joints']}: {joint} is in motor.{taken[one]}, too")
+            taken[one] = name
+        groups.append(MotorGroup(str(name), actuators))
+        numbers |= {f"motor.{name}.{key}": value for key, value in said.items() if key != "joints"}
+    return tuple(groups), numbers
+
+
+def _find_motors(error_prefix: str, pattern: str, model: mujoco.MjModel) -> tuple[int, ...]:
+    """Return the actuators of joints whose names fit a pattern. Raises `InputError`."""
+    on_joints = [k for k in range(model.nu) if int(model.actuator_trntype[k]) in JOINT]
+    names = [model.joint(int(model.actuator_trnid[k, 0])).name for k in on_joints]
+    found = [k for k, name in zip(on_joints, names, strict=True) if fnmatch.fnmatchcase(name, pattern)]
+    if not found:
+        raise InputError(f"{error_prefix}.joints = {pattern} fits no joint with an actuator ({', '.join(names)})")
+    kinds = model.actuator_dyntype, model.actuator_gaintype, model.actuator_biastype
+    known = (
+        {int(mujoco.mjtDyn.mjDYN_NONE)},
+        {int(mujoco.mjtGain.mjGAIN_FIXED)},
+        {int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)},
+    )
+    for k in found:
+        if (
+            not all(int(kind[k]) in one for kind, one in zip(kinds, known, strict=True))
+            or not model.actuator_gainprm[k, 0]
+        ):
+            joint = model.joint(int(model.actuator_trnid[k, 0])).name
+            raise InputError(f"{error_prefix}.joints = {pattern} is not allowed: the actuator of {joint} is neither a "
+                             "motor nor a servo of position or velocity without a state")  # fmt: skip
+    return tuple(found)
+
+
+def make_law(model: mujoco.MjModel, groups: tuple[MotorGroup, ...]) -> MotorLaw | None:
+    """Make the law of all actuators; None where no joint has a motor."""
+    if not groups:
+        return None
+    active = np.isin(np.arange(model.nu), [k for one in groups for k in one.actuators])
+    joints = np.where(active, model.actuator_trnid[:, 0], 0)
+    return MotorLaw(model.jnt_qposadr[joints].astype(int), model.jnt_dofadr[joints].astype(int), active)
+
+
+def make_limits(groups: tuple[MotorGroup, ...], values: Mapping[str, Any], batch: Batch) -> MotorLimits | None:
+    """Return the limits of n rollouts; None where no joint has a motor.
+
+    Args:
+        groups: The motors of the scenario.
+        values: Numbers by path; each a number, or an array (n,).
+        batch: The n models.
+    """
+    if not groups:
+        return None
+    model, n = batch.model, batch.nsim
+    stall, speed, most = (np.ones((n, model.nu)) for _ in range(3))
+    for one in groups:
+        number = {key: np.asarray(values[f"motor.{one.name}.{key}"], float)[..., None] for key in MOTOR}
+        which = list(one.actuators)
+        stall[:, which] = number["strength"] * number["stall_torque"]
+        speed[:, which] = number["no_load_speed"]
+        most[:, which] = number["strength"] * number["torque_limit"]
+    names = "gear", "gainprm", "biasprm", "ctrlrange"
+    gear, gain, bias, controls = (np.array(batch.expand(f"actuator_{name}")) for name in names)
+    affine = (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE))[:, None]
+    limited = model.actuator_ctrllimited.astype(bool)[:, None]
+    low, high = np.moveaxis(np.where(limited, controls, [-np.inf, np.inf]), -1, 0)
+    return MotorLimits(stall, speed, most, gear[..., 0], gain[..., 0], np.where(affine, bias[..., :3], 0.0), low, high)
