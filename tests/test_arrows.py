@@ -38,6 +38,7 @@ JAX_ABOVE_ENGINES = {
     "sweep.systems.mujoco_model.onnx_operators",
     "sweep.systems.mujoco_model.batch",
     "sweep.systems.mujoco_model.policy",
+    "sweep.systems.mujoco_model.tracking",
     "sweep.systems.hexapod.exported",
     "sweep.systems.mujoco_model.mjx",
     "sweep.cli.template_model.trot",
@@ -46,6 +47,7 @@ JAX_ABOVE_ENGINES = {
 # the sources' own text; compiled programs; a study's name for its folder and its table of points; what a system is read
 # from, which goes with a study; a command's arguments
 FILES_BELOW_RUNS = {
+    "sweep.systems.mujoco_model.schedules",
     "sweep.systems.mujoco_model.learned_policy",
     "sweep.systems.mujoco_model.onnx_network",
     "sweep.core.arguments",
