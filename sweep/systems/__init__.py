@@ -45,13 +45,10 @@ class SystemKind(NamedTuple):
         return system.nominal(values, kinds)
 
 
-PHYSICAL = ("push", "start", "payload", "motor")  # of models of users
+OPTIONAL = ("controller", "noise", "push", "start", "payload", "motor", "schedule")  # of a user's model
 SYSTEMS = {
     "mujoco": SystemKind(
-        "mujoco",
-        ("model", "controller", "noise", *PHYSICAL, "schedule", "engine", "outcome"),
-        ("controller", "noise", *PHYSICAL, "schedule"),
-        ("model", "controller", "noise", *PHYSICAL, "schedule", "outcome"),
+        "mujoco", ("model", *OPTIONAL, "engine", "outcome"), OPTIONAL, ("model", *OPTIONAL, "outcome")
     ),
     "hexapod": SystemKind(
         "config",

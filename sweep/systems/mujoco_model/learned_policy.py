@@ -13,12 +13,12 @@ from sweep.core.errors import InputError, require_choice
 from sweep.core.project import read_yaml
 from sweep.core.rotations import conjugate, rotate
 from sweep.systems.mujoco_model import actuation, policy_spec
+from sweep.systems.mujoco_model.initial_state import SINGLE
 from sweep.systems.mujoco_model.onnx_network import Network
 from sweep.systems.mujoco_model.policy_spec import ActionSpec, PolicySpec, RecurrentSpec, TermSpec
 
 SIZES = {"projected_gravity": 3, "base_linear_velocity": 3, "base_angular_velocity": 3, "base_height": 1,
          "base_orientation": 4}  # fmt: skip
-SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
