@@ -11,12 +11,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.frames import Stance, to_frame, to_world
-from sweep.controllers.observation import Observation
+from sweep.controllers.observation import Observation, foot_load_delay_s, touchdown_detection_delay_s
 from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world
 from sweep.core.rotations import nearest_equivalent_angle
 from sweep.formulas import stepping
 from sweep.models.drive import Servo
+from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.robot import Robot
 
@@ -41,8 +42,7 @@ class TickContext(NamedTuple):
     free: FreeState  # reference state of the free bodies, see `Layer.body_reference`
     period: float  # s
     joints: Float[Array, "6 3"]  # rad, targets of the last tick
-    touchdown_delay: Array | float = 0.0  # s, from touchdown until the measured load shows it
-    load_delay: Array | float = 0.0  # s, lag of measured loads behind measured positions
+    noise: Noise  # as believed
 
 
 class Command(NamedTuple):
@@ -240,12 +240,13 @@ class Feedforward(Layer):
         A foot that may carry load is excluded, since it would push the base away. The extra motion starts once the
         measured load would have shown a touchdown in time.
         """
-        late = jnp.clip(ctx.clock - ctx.plan.duration[ctx.stage] - (CREEP_TIME + ctx.touchdown_delay), 0.0, ctx.period)
+        wait = CREEP_TIME + touchdown_detection_delay_s(ctx.noise, ctx.period)
+        late = jnp.clip(ctx.clock - ctx.plan.duration[ctx.stage] - wait, 0.0, ctx.period)
         bears = ctx.obs.loaded if ctx.obs.maybe_loaded is None else ctx.obs.maybe_loaded
         state = state + jnp.where(bears, 0.0, LONE_CREEP_FACTOR * self.creep * late)
-        return state, target._replace(
-            feet=self.advance_late_feet(ctx.plan, state, ctx.stage, ctx.clock, target.feet, ctx.load_delay)
-        )
+        load_delay = foot_load_delay_s(ctx.noise, ctx.period)
+        feet = self.advance_late_feet(ctx.plan, state, ctx.stage, ctx.clock, target.feet, load_delay)
+        return state, target._replace(feet=feet)
 
     def update_footholds(self, ctx: TickContext, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
         """Let the footholds of loaded standing feet follow the measured feet.
@@ -256,7 +257,7 @@ class Feedforward(Layer):
         stage, obs = ctx.stage, ctx.obs
         places = feet_in_world(ctx.robot, obs.position, obs.quat, obs.angles)
         real = to_frame(places, ctx.plan.foot_frame[stage], ctx.free)
-        time = jnp.maximum(self.anchoring, ctx.load_delay)
+        time = jnp.maximum(self.anchoring, foot_load_delay_s(ctx.noise, ctx.period))
         share = jnp.where(obs.loaded & ~ctx.plan.swing[stage], jnp.minimum(1.0, ctx.period / time), 0.0)
         return feet + share[:, None] * (real - feet)
 

@@ -13,13 +13,10 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from sweep.core.rotations import conjugate, exponential, logarithm, multiply
-from sweep.models.control import Control
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
 
 FREE, LOAD, RATES = 1, 2, 3  # folded into a rollout's key to draw the errors of free bodies, of foot loads and of rates
-# A foot counts as loaded if the measured load exceeds the threshold by this many standard deviations of the load error.
-CONTACT_DEVIATIONS = 4.0
 
 
 class Observation(NamedTuple):
@@ -137,7 +134,7 @@ def observe(
 
     Returns:
         The sensors with `truth` added to the history, and the measurement. Its `loaded` is the delayed true contact;
-        see `with_contact_detection` for contact by measured load.
+        the closed loop detects contact by the measured load.
     """
     history, number, size = sensors.history, jnp.asarray(tick, jnp.int32), jnp.int32(noise.delay_buffer)
 
@@ -184,22 +181,6 @@ def observe(
         ),
     )
     return sensors, obs
-
-
-def with_contact_detection(control: Control, noise: Noise, obs: Observation) -> Observation:
-    """Set `loaded` and `maybe_loaded` of an observation from its measured foot loads.
-
-    A foot surely carries load if the measurement exceeds the threshold by `CONTACT_DEVIATIONS` standard deviations of
-    the believed load error, and may carry load if the measurement exceeds the threshold.
-
-    Args:
-        control: has the load threshold (N).
-        noise: believed sensor errors.
-        obs: observation whose `load` was measured.
-    """
-    doubt = CONTACT_DEVIATIONS * jnp.sqrt(jnp.square(noise.load_noise) + jnp.square(noise.load_bias))
-    perhaps = obs.load > control.load_threshold
-    return obs._replace(loaded=obs.load > control.load_threshold + doubt, maybe_loaded=perhaps)
 
 
 def foot_load_delay_s(noise: Noise, period: float) -> Array | float:

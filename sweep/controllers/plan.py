@@ -179,66 +179,24 @@ def path_length(plan: Plan) -> Float[Array, ""]:
     return jnp.sum(jnp.linalg.norm(jnp.diff(points, axis=0), axis=-1))
 
 
-def swing_progress(cycle: Int[Array, ""], carry: Array, u: Float[Array, ""]) -> tuple[Array, Array]:
+def swing_progress(cycle: Int[Array, ""], carry: Array, phase: Float[Array, ""]) -> tuple[Array, Array]:
     """Return progress lambda and lift y' + y_s of a swing at a phase.
 
     Args:
         cycle: swing profile, such as `CYCLE_A`.
         carry: share of the swing that progresses evenly.
-        u: phase of the stage, 0 to 1.
+        phase: of the stage, 0 to 1.
 
     Returns:
         The share of the way to the foothold, and the lift in units of the stage's `height`.
     """
-    x_a, y_a = stepping.cycle_a(u)
-    x_b, y_b = stepping.cycle_b(u)
-    smooth, _ = stepping.trapezoidal_transfer(u, 0.0, 1.0)
-    share_e, y_e = stepping.half_ellipse(u)
+    x_a, y_a = stepping.cycle_a(phase)
+    x_b, y_b = stepping.cycle_b(phase)
+    smooth, _ = stepping.trapezoidal_transfer(phase, 0.0, 1.0)
+    share_e, y_e = stepping.half_ellipse(phase)
     shares = jnp.stack([0.5 + 0.5 * x_a / stepping.LANDING, 0.5 + 0.5 * x_b / stepping.LANDING, smooth, share_e])
     share, height = shares[cycle], jnp.stack([y_a, y_b, y_b, y_e])[cycle]
-    return (1 - carry) * share + carry * u, height
-
-
-def pace_progress(pace: Int[Array, ""], rates: Float[Array, " 2"], u: Float[Array, ""]) -> Array:
-    """Return the share of a base path that is covered at a phase of its stage.
-
-    Args:
-        pace: `STEADY`, `SMOOTH` or `ELLIPTIC`.
-        rates: speed of a steady base at the start and end, over its mean speed.
-        u: phase of the stage, 0 to 1.
-    """
-    first, last = rates - 1
-    steady = u + (first * (1 - u) - last * u) * u * (1 - u)
-    return jnp.stack([steady, stepping.trapezoidal_transfer(u, 0.0, 1.0)[0], stepping.half_ellipse(u)[0]])[pace]
-
-
-def arc_point(start: Array, end: Array, pivot: Array, arc: Array, share: Array) -> Float[Array, " 3"]:
-    """Return the point on an elliptic arc between two points; equal shares are equal angles on a circle.
-
-    Args:
-        start: first point (m), (3,).
-        end: last point (m), (3,).
-        pivot: centre of the ellipse (m), (3,).
-        arc: angle of the arc (rad); 0 is a straight line.
-        share: share of the arc that is covered, 0 to 1.
-    """
-    whole, rest = jnp.sinc(arc / jnp.pi), 1 - share
-    near, far = rest * jnp.sinc(rest * arc / jnp.pi) / whole, share * jnp.sinc(share * arc / jnp.pi) / whole
-    return near * start + far * end + (1 - near - far) * pivot
-
-
-def bezier_point(start: Array, guides: Float[Array, "*b 2 3"], end: Array, share: Array) -> Float[Array, "*b 3"]:
-    """Return the point on a cubic Bezier curve, which stays in the hull of its four points.
-
-    Args:
-        start: first point (m), (*b, 3).
-        guides: two control points (m), (*b, 2, 3).
-        end: last point (m), (*b, 3).
-        share: parameter of the curve, 0 to 1.
-    """
-    rest = 1 - share
-    near, far = guides[..., 0, :], guides[..., 1, :]
-    return rest**3 * start + 3 * rest**2 * share * near + 3 * rest * share**2 * far + share**3 * end
+    return (1 - carry) * share + carry * phase, height
 
 
 def is_under_law(plan: Plan, stage: Int[Array, ""], *laws: str) -> Bool[Array, ""]:
@@ -285,25 +243,43 @@ def stage_end_stances(plan: Plan, free: FreeState) -> Stance:
 
 
 def reference_stance(
-    plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], feet: Array, position: Array, goal: Array | None = None
+    plan: Plan,
+    stage: Int[Array, ""],
+    phase: Float[Array, ""],
+    feet: Float[Array, "6 3"],
+    position: Float[Array, " 3"],
+    goal: Float[Array, "6 3"] | None = None,
 ) -> Stance:
     """Return the planned stance at a phase of a stage, in the frames of the stage.
+
+    The base goes along an elliptic arc about `pivot`, on a circle through equal angles for equal shares of the path; an
+    arc of 0 is a straight line. Swinging feet go along a step cycle, or along a cubic Bezier curve through two control
+    points, in whose hull they stay.
 
     Args:
         plan: the plan.
         stage: stage number.
-        u: phase of the stage, 0 to 1.
+        phase: of the stage, 0 to 1.
         feet: footholds (m) with which the stage started, (6, 3).
         position: base position (m) with which the stage started, (3,).
         goal: where swinging feet go (m), (6, 3); None: to their planned footholds.
     """
     path, curve, goal = plan.path, plan.curve, plan.foothold[stage] if goal is None else goal
-    done = pace_progress(path.pace[stage], path.rates[stage], u)
-    quat = multiply(exponential(done * plan.turn[stage]), plan.quat[stage])
-    centre = arc_point(position, plan.position[stage], path.pivot[stage], path.arc[stage], done)
-    share, height = swing_progress(curve.cycle[stage], curve.carry[stage], u)
+    first_rate, last_rate = path.rates[stage] - 1  # over the mean rate
+    steady = phase + (first_rate * (1 - phase) - last_rate * phase) * phase * (1 - phase)
+    smooth, elliptic = stepping.trapezoidal_transfer(phase, 0.0, 1.0)[0], stepping.half_ellipse(phase)[0]
+    progress = jnp.stack([steady, smooth, elliptic])[path.pace[stage]]
+    quat = multiply(exponential(progress * plan.turn[stage]), plan.quat[stage])
+    arc, rest = path.arc[stage], 1 - progress
+    whole = jnp.sinc(arc / jnp.pi)
+    near = rest * jnp.sinc(rest * arc / jnp.pi) / whole
+    far = progress * jnp.sinc(progress * arc / jnp.pi) / whole
+    centre = near * position + far * plan.position[stage] + (1 - near - far) * path.pivot[stage]
+
+    share, height = swing_progress(curve.cycle[stage], curve.carry[stage], phase)
     lift = stepping.lift_direction(goal - feet, curve.plane[stage])
     lifted = feet + share * (goal - feet) + curve.height[stage] * height * lift
-    guided = bezier_point(feet, curve.guides[stage], goal, share)
+    rest, near_guide, far_guide = 1 - share, curve.guides[stage][:, 0], curve.guides[stage][:, 1]
+    guided = rest**3 * feet + 3 * rest**2 * share * near_guide + 3 * rest * share**2 * far_guide + share**3 * goal
     along = jnp.where(curve.guided[stage][:, None], guided, lifted)
     return Stance(jnp.where(plan.swing[stage][:, None], along, feet), centre, quat)

@@ -15,7 +15,6 @@ from sweep.controllers.observation import (
     Observation,
     filter_body_pose,
     foot_load_delay_s,
-    touchdown_detection_delay_s,
 )
 from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference_stance
 from sweep.controllers.posture import feet_in_world, joint_targets
@@ -139,17 +138,18 @@ def step(
     Returns:
         The new state and the command for the drives.
     """
-    previous, manoeuvre = state, belief.manoeuvre
+    manoeuvre, has_bodies = belief.manoeuvre, obs.free.position.shape[0] > 0
+    last_stage, last_target, starts = state.stage, state.last_target, (state.stage == 0) & (state.clock == 0)
     if manoeuvre.observer is not None and state.observer is not None:
         observer = filter_body_pose(state.observer, obs.free, manoeuvre.observer, period)
         state, obs = state._replace(observer=observer), obs._replace(free=observer.second)
     state = _advance(belief, plan, state._replace(clock=state.clock + period), obs, period, foothold_offset, truth)
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
-    is_first_tick = (state.stage != previous.stage) | ((previous.stage == 0) & (previous.clock == 0))
+    is_first_tick = (state.stage != last_stage) | starts
     free, ignores_pose = reference_body_state(plan, state, obs.free)
     ctx = TickContext(
-        belief.robot, plan, previous.stage, state.stage, state.clock, phase, is_first_tick, obs, free, period,
-        state.joints, touchdown_detection_delay_s(belief.noise, period), foot_load_delay_s(belief.noise, period),
+        belief.robot, plan, last_stage, state.stage, state.clock, phase, is_first_tick, obs, free, period, state.joints,
+        belief.noise,
     )  # fmt: skip
     frames = plan.foot_frame[state.stage], plan.base_frame[state.stage]
     for layer in plan.layers:
@@ -160,33 +160,34 @@ def step(
     else:
         goal = plan.foothold[state.stage]
         if foothold_offset is not None:
-            goal = goal + jnp.where(state.stage == previous.stage, foothold_offset, 0.0)
+            goal = goal + jnp.where(state.stage == last_stage, foothold_offset, 0.0)
         stance = reference_stance(plan, state.stage, phase, state.feet, state.position, goal)
-    in_world = stance_to_world(stance, *frames, free)
-    if previous.last_target is not None:
-        state = _blend_from_last_target(ctx, previous.last_target, state, in_world)
+    if has_bodies:
+        stance = stance_to_world(stance, *frames, free)
+    if last_target is not None:
+        state = _blend_from_last_target(ctx, last_target, state, stance)
     # The base error at the start of the stage fades out, unless the base pose says nothing about the feet.
     remaining = jnp.where(ignores_pose, 1.0, 1 - phase)
-    target, states = _shift_base(in_world, remaining, state.error), list(state.layer_states)
+    target, reference = (
+        error and stance._replace(
+            position=stance.position + remaining * error.position,
+            quat=multiply(exponential(remaining * error.turn), stance.quat),
+        )
+        for error in (state.error, state.true_error)
+    )  # fmt: skip
+    states = list(state.layer_states)
     for k, layer in enumerate(plan.layers):
         states[k], target = layer.modify_stance(ctx, states[k], target)
-    true_target = None if state.true_error is None else _shift_base(in_world, remaining, state.true_error)
     if state.last_target is not None:
         state = state._replace(last_target=stance_to_frame(target, *frames, free))
     joints, shortfall = joint_targets(belief.robot, target)
-    command = Command(nearest_equivalent_angle(joints, state.joints), target, phase, shortfall, reference=true_target)
+    command = Command(nearest_equivalent_angle(joints, state.joints), target, phase, shortfall, reference=reference)
     for k, layer in enumerate(plan.layers):
         states[k], command = layer.modify_command(ctx, states[k], command)
     state = state._replace(joints=command.joints, layer_states=tuple(states))
     for layer in plan.layers:
         command = command._replace(joints=layer.modify_joint_targets(ctx, command.joints))
     return state, command
-
-
-def _shift_base(stance: Stance, share: Array | float, error: PoseError) -> Stance:
-    """Stance (world axes) with its base shifted and turned by a share of an error."""
-    quat = multiply(exponential(share * error.turn), stance.quat)
-    return Stance(stance.feet, stance.position + share * error.position, quat)
 
 
 def _advance(
@@ -202,28 +203,33 @@ def _advance(
 
     A manoeuvre that `ends_stages` may end a stage earlier, with feet and base wherever they are by then.
     """
-    stage, manoeuvre = state.stage, belief.manoeuvre
+    stage, manoeuvre, has_bodies = state.stage, belief.manoeuvre, obs.free.position.shape[0] > 0
     overtime = state.clock - plan.duration[stage]
     landed = jnp.all(obs.loaded | ~plan.swing[stage])
     ends = (overtime >= 0) & (landed | (overtime >= plan.patience)) & ~state.finished
     goal = plan.foothold[stage] if foothold_offset is None else plan.foothold[stage] + foothold_offset
     goal = state.goal if manoeuvre.is_guided else goal
     end_quat = multiply(exponential(plan.turn[stage]), plan.quat[stage])
-    end_in_frames = Stance(jnp.where(plan.swing[stage][:, None], goal, state.feet), plan.position[stage], end_quat)
+    end = Stance(jnp.where(plan.swing[stage][:, None], goal, state.feet), plan.position[stage], end_quat)
     if state.last_target is not None:
         ends = ends | (manoeuvre.is_stage_over(belief, plan, state, obs) & ~state.finished)
         early = (overtime < 0) & plan.swing[stage][:, None]
-        end_in_frames = Stance(jnp.where(early, state.last_target.feet, end_in_frames.feet), *state.last_target[1:])
+        end = Stance(jnp.where(early, state.last_target.feet, end.feet), *state.last_target[1:])
     last = stage == plan.duration.shape[0] - 1
     next_stage = jnp.where(last, stage, stage + 1)
-    reference_free, ignores_pose = reference_body_state(plan, state, obs.free)
-    end = stance_to_world(end_in_frames, plan.foot_frame[stage], plan.base_frame[stage], reference_free)
-    load_delay = foot_load_delay_s(belief.noise, period)
+    last_free, ignores_pose = reference_body_state(plan, state, obs.free)
+    if has_bodies:
+        end = stance_to_world(end, plan.foot_frame[stage], plan.base_frame[stage], last_free)
     for layer, layer_state in zip(plan.layers, state.layer_states, strict=True):
+        load_delay = foot_load_delay_s(belief.noise, period)
         end = end._replace(feet=layer.advance_late_feet(plan, layer_state, stage, state.clock, end.feet, load_delay))
 
     def start_next_stage(obs: Observation, earlier: PoseError) -> StageStart:
-        start = start_stage(belief, plan, next_stage, end, obs)
+        first, *others = sorted(set(plan.onset))
+        start = STAGE_STARTS[first](belief, plan, next_stage, end, obs)
+        for name in others:
+            uses, other = np.array(plan.onset) == name, STAGE_STARTS[name](belief, plan, next_stage, end, obs)
+            start = jax.tree.map(partial(jnp.where, jnp.asarray(uses)[next_stage]), other, start)
         if ignores_pose is False:
             return start
         # the base pose says nothing about the feet: keep the earlier error
@@ -232,12 +238,14 @@ def _advance(
     start, true_error = start_next_stage(obs, state.error), state.true_error
     if true_error is not None and truth is not None:
         true_error = start_next_stage(obs._replace(position=truth.position, quat=truth.quat), true_error).error
-    frames = plan.foot_frame[next_stage], plan.base_frame[next_stage]
     free, states = obs.free, list(state.layer_states)
-    feet = to_frame(start.feet, frames[0], free)
+    feet, position = start.feet, end.position
     for k, layer in enumerate(plan.layers):
-        states[k], free = layer.on_stage_enter(next_stage, states[k], reference_free, free)
-    if free.position.shape[0]:  # the difference to the attitude in another frame fades like the error
+        states[k], free = layer.on_stage_enter(next_stage, states[k], last_free, free)
+    if has_bodies:
+        frames = plan.foot_frame[next_stage], plan.base_frame[next_stage]
+        feet, position = to_frame(feet, frames[0], obs.free), to_frame(position[None], frames[1][None], free)[0]
+        # the difference to the attitude in another frame fades like the error
         quat_in_next_frame = stance_to_world(end._replace(quat=plan.quat[next_stage]), *frames, free).quat
         turn_between = multiply(end.quat, conjugate(quat_in_next_frame))
         stays = plan.base_frame[stage] == plan.base_frame[next_stage]
@@ -252,7 +260,7 @@ def _advance(
         stage=next_stage,
         clock=jnp.where(last, state.clock, jnp.minimum(jnp.maximum(overtime, 0.0), period)),
         feet=feet,
-        position=to_frame(end.position[None], frames[1][None], free)[0],
+        position=position,
         error=start.error,
         finished=last,
         layer_states=tuple(states),
@@ -264,32 +272,10 @@ def _advance(
 
 
 class StageStart(NamedTuple):
-    """Footholds and base error with which a stage starts, world axes. Made by `start_stage`."""
+    """Footholds and base error with which a stage starts, world axes. Made by the rule that `Plan.onset` names."""
 
     feet: Float[Array, "6 3"]  # m, footholds
     error: PoseError  # of the base
-
-
-def start_stage(belief: Case, plan: Plan, next_stage: Int[Array, ""], end: Stance, obs: Observation) -> StageStart:
-    """Return the footholds and base error with which stage `next_stage` starts.
-
-    `plan.onset` names the rule for each stage: `REZERO`, `REGRIP`, `GRIP` or `KEEP` (see `sweep/controllers/plan.py`).
-    No rule uses measured feet as they are: footholds come from the commanded feet, or lie at a depth below the surface
-    at the measured feet, so that feet go on pressing.
-
-    Args:
-        belief: believed parameters.
-        plan: the plan to follow.
-        next_stage: number of the stage that starts.
-        end: stance in which the stage before should have ended, as planned, world axes.
-        obs: measurement of this tick.
-    """
-    first, *others = sorted(set(plan.onset))
-    start = STAGE_STARTS[first](belief, plan, next_stage, end, obs)
-    for name in others:
-        uses = jnp.asarray(np.array(plan.onset) == name)[next_stage]
-        start = jax.tree.map(partial(jnp.where, uses), STAGE_STARTS[name](belief, plan, next_stage, end, obs), start)
-    return start
 
 
 def _keep_commanded(belief: Case, plan: Plan, next_stage: Int[Array, ""], end: Stance, obs: Observation) -> StageStart:
@@ -344,7 +330,10 @@ def _rezero(belief: Case, plan: Plan, next_stage: Int[Array, ""], end: Stance, o
     return StageStart(end.feet if anchored else moved, PoseError(error, turn))
 
 
-STAGE_STARTS = {KEEP: _keep_commanded, REGRIP: _regrip, GRIP: _grip, REZERO: _rezero}  # by the name of the onset
+# Rules of how a stage starts, by the name in `Plan.onset`: from its number, from the stance (world axes) at which the
+# stage before should have ended, and from the measurement. No rule uses measured feet as they are: footholds come from
+# the commanded feet, or lie at a depth below the surface at the measured feet, so that feet go on pressing.
+STAGE_STARTS = {KEEP: _keep_commanded, REGRIP: _regrip, GRIP: _grip, REZERO: _rezero}
 
 
 def _blend_from_last_target(ctx: TickContext, last_target: Stance, state: TrackerState, stance: Stance) -> TrackerState:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from sweep.controllers import tracker
 from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Command
-from sweep.controllers.observation import Observation, Sensors, init_sensors, observe, with_contact_detection
+from sweep.controllers.observation import Observation, Sensors, init_sensors, observe
 from sweep.controllers.plan import Plan
 from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.controllers.tracker import TrackerState
@@ -44,6 +44,8 @@ from sweep.models.obstacles.surface import (
 
 CHUNK = 1.0  # s of simulated time between two checks whether all rollouts are over, and between replans
 CLEAR = 0.1  # m, height above a penetrating foot at which its ground is looked up; more than any error of sizes
+# A foot surely carries load if the measured load exceeds the threshold by this many standard deviations of its error.
+CONTACT_DEVIATIONS = 4.0
 FLAT = 1e-3  # cosine to the vertical, below which a face is a wall
 LONGEST = 600.0  # s; longer rollouts are cut off, so that absurd parameters do not hold up a batch
 
@@ -227,17 +229,18 @@ def init_loop(
 
 
 def run_controller(
-    world: Case, belief: Case, plan: Plan, loop: ClosedLoop, tick: Array, period: float
+    world: Case, belief: Case, first_plan: Plan, loop: ClosedLoop, tick: Array, period: float
 ) -> tuple[ClosedLoop, Command]:
     """Run the controller for one control tick: observe, update estimates, and compute the joint command.
 
     The drives then go linearly from the last target to the new one. The controller sees free bodies by their landmarks,
-    and computes their poses from the shape that it believes in.
+    and computes their poses from the shape that it believes in. A foot may carry load if the measured load exceeds the
+    threshold, and surely does if it exceeds it by `CONTACT_DEVIATIONS` standard deviations of the believed load error.
 
     Args:
         world: simulated parameters.
         belief: parameters that the planner received.
-        plan: plan of the manoeuvre.
+        first_plan: plan from before the start.
         loop: state of the closed loop.
         tick: number of the control tick.
         period: length of a control tick (s).
@@ -245,21 +248,26 @@ def run_controller(
     Returns:
         The state of the closed loop with the new drive target, and the command.
     """
-    sensors, obs, has_bodies = loop.sensors, loop.actual, bool(world.obstacle.free_bodies)
+    sensors, obs, state, learned = loop.sensors, loop.actual, loop.tracker, loop.learned
+    has_bodies = bool(world.obstacle.free_bodies)
     if has_bodies:
         obs = obs._replace(free=surface.landmark_state(world.obstacle, obs.free))
     if sensors is not None:
         sensors, obs = observe(world.noise, sensors, obs, jax.random.fold_in(loop.key, tick), tick)
     if has_bodies:
-        obs = obs._replace(free=surface.state_from_landmarks(initial_obstacle(belief, loop.learned), obs.free))
-    obs = with_contact_detection(world.control, belief.noise, obs)
-    state, current_plan, foothold_offset, learned = update_from_touch(
-        world, belief, plan, loop.tracker, loop.learned, obs, period
-    )
+        obs = obs._replace(free=surface.state_from_landmarks(initial_obstacle(belief, learned), obs.free))
+    noise, threshold = belief.noise, world.control.load_threshold
+    doubt = CONTACT_DEVIATIONS * jnp.sqrt(jnp.square(noise.load_noise) + jnp.square(noise.load_bias))
+    obs = obs._replace(maybe_loaded=obs.load > threshold, loaded=obs.load > threshold + doubt)
+    plan, foothold_offset = learned.plan or first_plan, None
+    if learned.touch is not None:
+        state, plan, foothold_offset, learned = update_from_touch(
+            world, belief, first_plan, state, learned, obs, period
+        )
+    if learned.touch is not None or learned.calibration is not None:
+        belief = updated_belief(belief, learned)
     truth = None if sensors is None else loop.actual
-    state, command = tracker.step(
-        updated_belief(belief, learned), current_plan, state, obs, period, foothold_offset, truth
-    )
+    state, command = tracker.step(belief, plan, state, obs, period, foothold_offset, truth)
     servo = position_mode(world.drive, command.joints - obs.joint_error)
     if command.servo is not None:
         has_law, law = command.servo

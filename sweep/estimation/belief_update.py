@@ -55,20 +55,20 @@ def initial_obstacle(belief: Case, learned: LearnedState) -> Obstacle:
 def update_from_touch(
     world: Case,
     belief: Case,
-    plan: Plan,
+    first_plan: Plan,
     state: TrackerState,
     learned: LearnedState,
     obs: Observation,
     period: float,
 ) -> tuple[TrackerState, Plan, Float[Array, "6 3"] | None, LearnedState]:
-    """Run one control tick of learning from touch.
+    """Run one control tick of learning from touch, for a robot that learns from it.
 
     Args:
         world: simulated parameters, which have the settings of learning (`control`).
         belief: belief at the start.
-        plan: plan at the start.
+        first_plan: plan from before the start.
         state: state of the controller.
-        learned: what the robot has learned so far.
+        learned: what the robot has learned so far, with `touch`.
         obs: measurement of this tick.
         period: control period (s).
 
@@ -76,20 +76,20 @@ def update_from_touch(
         The controller's state with updated footholds of standing feet; the plan to follow; the shift of swinging feet's
         footholds (m, (6, 3), in their frames), or None; what the robot has learned.
     """
-    current = learned.plan or plan
+    plan = learned.plan or first_plan
     if learned.touch is None or not touch.is_learned_by_feet(belief.obstacle):
-        return state, current, None, learned
-    ground = touch.planned_surface(learned.touch, plan, state.stage)
+        return state, plan, None, learned
+    ground = touch.planned_surface(learned.touch, first_plan, state.stage)
     robot = updated_belief(belief, learned).robot
-    arguments = world.control, belief.noise, robot, current, ground
+    arguments = world.control, belief.noise, robot, plan, ground
     touched, moves, searches = touch.touch_tick(*arguments, state, learned.touch, obs, period)
-    swings = current.swing[state.stage]
+    swings = plan.swing[state.stage]
     foothold_offset = jnp.where(swings[:, None], moves, 0.0)
-    patience = jnp.where(jnp.any(searches & swings), jnp.inf, current.patience)
+    patience = jnp.where(jnp.any(searches & swings), jnp.inf, plan.patience)
     # With planned forces, footholds of loaded feet follow the measured feet already.
     follows = ~swings if plan.layer(Feedforward) is None else ~swings & ~obs.loaded
     state = state._replace(feet=state.feet + jnp.where(follows[:, None], moves, 0.0))
-    return state, replace(current, patience=patience), foothold_offset, learned._replace(touch=touched)
+    return state, replace(plan, patience=patience), foothold_offset, learned._replace(touch=touched)
 
 
 def replan_rest(belief: Case, plan: Plan, stage: Int[Array, ""], learned: LearnedState) -> LearnedState:

@@ -10,13 +10,14 @@ from playing import play_case, vary_lengths
 
 from sweep.config.experiment import compose
 from sweep.controllers.frames import Stance
-from sweep.controllers.plan import Plan, arc_point, pace_progress, reference_stance, transform_plan
+from sweep.controllers.plan import Plan, Stage, reference_stance, transform_plan
 from sweep.controllers.posture import joint_targets
 from sweep.core.rotations import exponential, matrix, rotate
 from sweep.formulas.leg import SIDE
 from sweep.formulas.stepping import LANDING
 from sweep.models.case import Case
 from sweep.models.robot import leg_unit
+from sweep.planning.compile_plan import compile_plan
 from sweep.planning.plan_table import evaluate_plan
 
 U = np.linspace(0, 1, 41)
@@ -159,18 +160,33 @@ def test_a_plan_may_be_made_anywhere(case):
     assert shortfall.max() == 0
 
 
+def base_path(start: jax.Array, phase: jax.Array, **fields) -> jax.Array:
+    """Positions of the base in a stage of these fields."""
+    stance = Stance(jnp.zeros((6, 3)), start, jnp.array([1.0, 0, 0, 0]))
+
+    @jax.jit
+    def path(phase):
+        plan = compile_plan(stance, [Stage("moves", 1.0, **fields)], 0.0)
+        return jax.vmap(lambda u: reference_stance(plan, jnp.int32(0), u, stance.feet, start).position)(phase)
+
+    return path(phase)
+
+
 def test_arcs_are_straight_circular_or_elliptic():
     start, end, pivot = jnp.array([2.0, 0, 0]), jnp.array([0, 1.0, 0]), jnp.array([0.0, 0, 0])
-    share = jnp.asarray(U)
-    way = jax.vmap(lambda s: arc_point(start, end, pivot, jnp.pi / 2, s))(share)
+    way = base_path(start, jnp.asarray(U), position=end, pivot=pivot, arc=jnp.pi / 2)
     np.testing.assert_allclose(way[:, 0], 2 * np.cos(np.pi / 2 * U), atol=1e-12)
     np.testing.assert_allclose(way[:, 1], np.sin(np.pi / 2 * U), atol=1e-12)
-    straight = jax.vmap(lambda s: arc_point(start, end, pivot + 5, jnp.array(0.0), s))(share)
+    straight = base_path(start, jnp.asarray(U), position=end, pivot=pivot + 5, arc=0.0)
     np.testing.assert_allclose(straight, start + U[:, None] * (end - start), atol=1e-12)
 
 
 def test_a_steady_pace_has_the_rates_that_it_is_given():
-    rates = jnp.array([0.3, 1.6])
-    pace = jax.vmap(jax.grad(lambda u: pace_progress(jnp.int32(0), rates, u)))
-    np.testing.assert_allclose(pace(jnp.array([0.0, 1.0])), rates, atol=1e-12)
-    assert pace_progress(jnp.int32(0), rates, jnp.array(1.0)) == 1
+    rates = (0.3, 1.6)
+    ends = jnp.array([0.0, 1.0])
+    way, rate = jax.jvp(
+        lambda phase: base_path(jnp.zeros(3), phase, position=jnp.array([1.0, 0, 0]), rates=rates)[:, 0],
+        (ends,), (jnp.ones(2),),
+    )  # fmt: skip
+    np.testing.assert_allclose(rate, rates, atol=1e-12)
+    np.testing.assert_array_equal(way, ends)

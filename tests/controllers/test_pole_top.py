@@ -9,9 +9,11 @@ import pytest
 from playing import U, play_case
 
 from sweep.config.experiment import compose
-from sweep.controllers.plan import bezier_point
+from sweep.controllers.frames import Stance
+from sweep.controllers.plan import Stage, reference_stance
 from sweep.core.rotations import matrix
 from sweep.models.case import Case
+from sweep.planning.compile_plan import compile_plan
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +56,15 @@ def test_it_follows_what_is_believed(case):
 
 
 def test_guides_shape_a_swing_and_keep_it_in_their_hull():
-    start, end = jnp.zeros(3), jnp.array([1.0, 0, 0])
-    guides = jnp.array([[0.0, 0, 2], [1.0, 0, 2]])
-    way = np.asarray(jax.vmap(lambda s: bezier_point(start, guides, end, s))(jnp.asarray(U, float)))
+    start = Stance(jnp.zeros((6, 3)), jnp.zeros(3), jnp.array([1.0, 0, 0, 0]))
+    swing, guides = {2: jnp.array([1.0, 0, 0])}, {2: jnp.array([[0.0, 0, 2], [1.0, 0, 2]])}
+
+    @jax.jit
+    def feet(phase):
+        plan = compile_plan(start, [Stage("swing", 1.0, swing=swing, guides=guides, carry=1.0)], 0.0)
+        return reference_stance(plan, jnp.int32(0), phase, start.feet, start.position).feet
+
+    way = np.asarray(jax.vmap(feet)(jnp.asarray(U, float)))[:, 1]
     np.testing.assert_allclose(way[[0, 20, 40]], [[0, 0, 0], [0.5, 0, 1.5], [1, 0, 0]], atol=1e-6)
     assert way.min() >= 0
     assert way[:, 2].max() < 2

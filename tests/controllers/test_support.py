@@ -97,7 +97,7 @@ def test_feet_that_grip_are_pressed_in_and_inward(standing):
     plan = compile_plan(stance, [Stage("a", 1.0), Stage("b", 1.0, onset=GRIP, press=(2e-3, 3e-3))], 0.0)
     told = stance._replace(feet=stance.feet + 0.01)
     hangs = seen._replace(loaded=jnp.arange(6) > 0)
-    feet = tracker.start_stage(CASE, plan, jnp.asarray(1), told, hangs).feet
+    feet = tracker.STAGE_STARTS[GRIP](CASE, plan, jnp.asarray(1), told, hangs).feet
     normal = (stance.feet - seen.free.position[0]) / jnp.linalg.norm(stance.feet - seen.free.position[0], axis=1)[
         :, None
     ]

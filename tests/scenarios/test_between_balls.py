@@ -176,7 +176,7 @@ def test_feet_on_the_second_ball_close_the_gap():
     )
     seen = at_start(plan, free)
     now = TickContext(case.robot, plan, state.stage, state.stage, state.clock, jnp.ones(()), jnp.asarray(True), seen,
-              tracker.reference_body_state(plan, state, free)[0], 0.004, state.joints)  # fmt: skip
+              tracker.reference_body_state(plan, state, free)[0], 0.004, state.joints, case.noise)  # fmt: skip
     told = Closing(press, 1.0).guide(case, now, state)
     radius, way = case.obstacle_as(TwoBalls).radius, gap + press
     eta, zeta = -np.asarray(feet)[4:, 0], np.asarray(feet)[4:, 2]
