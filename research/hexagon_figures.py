@@ -13,12 +13,12 @@ from one_run import traced
 
 from sweep.config.experiment import compose
 from sweep.controllers.plan import Plan, reference_stance
-from sweep.controllers.posture import joint_targets
 from sweep.core.plot_style import DPI, legend_below, new_figure, plot_style
 from sweep.formulas.leg import SIDE
 from sweep.formulas.thesis import thesis_workspace
 from sweep.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS, Waypoints
 from sweep.models.case import Case
+from sweep.models.posture import joint_targets
 from sweep.systems.hexapod.plots import ACTUAL, REFERENCE, SECOND
 
 FIGURES = Path(__file__).parent / "figures"

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import pytest
 from jaxtyping import TypeCheckError
 from sweep.core.rotations import IDENTITY
-from sweep.controllers.posture import feet_in_world
+from sweep.models.posture import feet_in_world
 from sweep.models.robot import Robot
 
 @pytest.mark.parametrize(("angles", "fits"), [(jnp.zeros((6, 3)), True), (jnp.zeros((3, 6)), False)])

@@ -15,12 +15,12 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from sweep.config.experiment import compose
-from sweep.controllers.posture import joint_targets
 from sweep.manoeuvres.walking.walk import level_stance
 from sweep.models.case import Case
 from sweep.models.contact import Contact
 from sweep.models.obstacles.base import ObstacleDefaults
 from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface
+from sweep.models.posture import joint_targets
 from validity.scenes import BODIES, TOUCHES, UP, Body, History, Scene, Touch, rotate_vectors
 from validity.simulation import simulate
 

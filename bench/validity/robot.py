@@ -18,14 +18,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.config.experiment import compose
-from sweep.controllers.frames import Stance
-from sweep.controllers.posture import joint_targets
 from sweep.core.constants import GRAVITY
 from sweep.manoeuvres.walking.walk import level_stance
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, JOINT_V, N_LEGS
 from sweep.models.obstacles.kerb import Kerb
+from sweep.models.posture import Stance, joint_targets
 from sweep.models.robot import total_mass
 from sweep.systems.mujoco_model.mjx import CONSTRAINTS, CONTACTS
 from validity.simulation import simulate

@@ -4,14 +4,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.observation import Observation
-from sweep.controllers.posture import feet_in_world, joint_targets, mass_centre
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, rotate
 from sweep.formulas.ball import ROLLING
 from sweep.formulas.leg import SIDE
 from sweep.models.obstacles.ball import Ball
+from sweep.models.posture import Stance, feet_in_world, joint_targets, mass_centre
 from sweep.models.robot import Robot, total_mass
 
 UP = (0.0, 0.0, 1.0)

@@ -11,10 +11,10 @@ from jaxtyping import Array, Bool, Float, Int
 from sweep.controllers.layers import Command, Layer, TickContext
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, LOCKED, Plan
-from sweep.controllers.posture import mass_centre
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import rotate, wrap_angle
 from sweep.models.drive import Servo
+from sweep.models.posture import mass_centre
 from sweep.models.robot import Robot
 
 RIGHT, LEFT = (2, 1), (3, 1)  # indices of beta of legs 3 and 4 in joint arrays (6, 3)

@@ -1,6 +1,4 @@
-"""Stances, and their transformation between the world and the frames of free bodies (`sweep/models/frames.py`)."""
-
-from typing import NamedTuple
+"""Transformation of stances between the world and the frames of free bodies (`sweep/models/frames.py`)."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -8,14 +6,7 @@ from jaxtyping import Array, Float, Int
 from sweep.core.rotations import conjugate, multiply, rotate
 from sweep.models.frames import body_frame, koenig_frame
 from sweep.models.obstacles.surface import FreeState, Obstacle, Surface, body_poses, free_start_state, surface_at
-
-
-class Stance(NamedTuple):
-    """Feet and base of the robot, planned or measured; world axes unless said otherwise."""
-
-    feet: Float[Array, "6 3"]  # m
-    position: Float[Array, " 3"]  # m, of the base
-    quat: Float[Array, " 4"]  # base to world
+from sweep.models.posture import Stance
 
 
 def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeState) -> Float[Array, "n 3"]:

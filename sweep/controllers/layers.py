@@ -10,15 +10,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import Stance, to_frame, to_world
+from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.observation import Observation, foot_load_delay_s, touchdown_detection_delay_s
 from sweep.controllers.plan import Plan
-from sweep.controllers.posture import feet_in_world
 from sweep.core.rotations import nearest_equivalent_angle
 from sweep.formulas import stepping
 from sweep.models.drive import Servo
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
+from sweep.models.posture import Stance, feet_in_world
 from sweep.models.robot import Robot
 
 # s after the planned end of a swing, during which all its feet move on into the surface; after it only feet without

@@ -14,11 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world
+from sweep.controllers.frames import stance_to_frame, stance_to_world
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.formulas import stepping
 from sweep.models.frames import WORLD
 from sweep.models.obstacles.surface import FreeState
+from sweep.models.posture import Stance
 
 # swing profiles; CYCLE_B_SMOOTH is cycle B with the timing of `stepping.trapezoidal_transfer`
 CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Layer
 from sweep.controllers.plan import ALONGSIDE, KEPT, TO_POSE, Plan, Support
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, rotation_about_vertical
 from sweep.formulas import stepping
 from sweep.models.obstacles.surface import FreeState
+from sweep.models.posture import Stance
 
 LOWEST = (-np.inf, -np.inf, 0.0)  # m/s, least velocity of a body on a floor
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world, to_frame
+from sweep.controllers.frames import stance_to_frame, stance_to_world, to_frame
 from sweep.controllers.layers import Command, TickContext
 from sweep.controllers.observation import (
     BodyObserver,
@@ -17,11 +17,11 @@ from sweep.controllers.observation import (
     foot_load_delay_s,
 )
 from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference_stance
-from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, nearest_equivalent_angle, rotate
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import FreeState, Surface, body_poses, free_start_state, surface_at
+from sweep.models.posture import Stance, feet_in_world, joint_targets
 
 LEFT = np.array([0.0, 1.0, 0.0], np.float32)  # left of the base, base axes
 

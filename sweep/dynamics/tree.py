@@ -16,7 +16,8 @@ from sweep.dynamics.interface import RobotDynamicsTerms, SmoothDynamics
 from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, Rates, SpatialVector
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
-from sweep.models.robot import Robot, link_names, mount_yaw, mounts
+from sweep.models.posture import leg_mounts
+from sweep.models.robot import Robot, link_names
 
 
 class Link(NamedTuple):
@@ -41,7 +42,7 @@ def tree_dynamics(world: Case) -> SmoothDynamics:
 
 def leg_links(robot: Robot, angle: Rates) -> tuple[Vector, list[Link]]:
     """Unit vector of beta's and gamma's axis, and the links from the hip out."""
-    yaw, side = mount_yaw(robot).astype(angle[0].dtype), SIDE.astype(angle[0].dtype)
+    yaw, side = leg_mounts(robot).yaw.astype(angle[0].dtype), SIDE.astype(angle[0].dtype)
     turn, lift, bend = yaw + angle[0], angle[1], angle[1] + angle[2]
     cos, sin = jnp.cos(turn), jnp.sin(turn)
     zero, one = jnp.zeros_like(cos), jnp.ones_like(cos)
@@ -70,7 +71,7 @@ def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> RobotDy
     up = Vector(jnp.zeros_like(axis.x), jnp.zeros_like(axis.x), jnp.ones_like(axis.x))
     axes = (up, axis, axis)
     gravity = pose.root[0].rotation().z * -GRAVITY  # world's down, in base axes
-    hips = mounts(robot).astype(axis.x.dtype)
+    hips = leg_mounts(robot).hips.astype(axis.x.dtype)
     start, spin, turning = Vector.from_array(hips), v.root[0].angular, Vector(*[jnp.zeros_like(axis.x)] * 3)
     acceleration = spin.cross(spin.cross(start)) - gravity
     origins: list[Vector] = []  # of the joints

@@ -12,11 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers import tracker
-from sweep.controllers.frames import Stance
 from sweep.controllers.layers import Command
 from sweep.controllers.observation import Observation, Sensors, init_sensors, observe
 from sweep.controllers.plan import Plan
-from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.controllers.tracker import TrackerState
 from sweep.core.constants import LOADED
 from sweep.core.rotations import conjugate, multiply, rotate, rotation_about_vertical
@@ -41,6 +39,7 @@ from sweep.models.obstacles.surface import (
     free_start_state,
     surface_at,
 )
+from sweep.models.posture import Stance, feet_in_world, joint_targets
 
 CHUNK = 1.0  # s of simulated time between two checks whether all rollouts are over, and between replans
 CLEAR = 0.1  # m, height above a penetrating foot at which its ground is looked up; more than any error of sizes

@@ -8,10 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.observation import draw_biases, draw_body_biases
 from sweep.controllers.plan import Plan
-from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
 from sweep.engines import planning
@@ -22,6 +20,7 @@ from sweep.estimation.calibration import HEIGHT, MOVES, CalibrationResult, Groun
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, N_LEGS
 from sweep.models.obstacles.surface import Surface, body_poses, free_start_state, surface_at
+from sweep.models.posture import Stance, feet_in_world, joint_targets
 
 LEVEL = 5e-3  # m, tolerance of feet on one plane, since footholds may lie below it
 FLAT = 1e-5  # tolerance of ground that is the floor, z = 0

@@ -10,7 +10,6 @@ from jaxtyping import Array, Float, Int
 from sweep.controllers.layers import Feedforward, HeldLegs
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, stage_end_stances
-from sweep.controllers.posture import joint_targets
 from sweep.controllers.tracker import TrackerState
 from sweep.estimation import touch
 from sweep.estimation.calibration import CalibrationResult
@@ -18,6 +17,7 @@ from sweep.estimation.touch import TouchState
 from sweep.models.case import Case
 from sweep.models.frames import body_frame
 from sweep.models.obstacles.surface import Obstacle, free_start_state, landmarks
+from sweep.models.posture import joint_targets
 
 
 class LearnedState(NamedTuple):

@@ -13,11 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.frames import Stance
-from sweep.controllers.posture import feet_in_world
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.models.control import Control
 from sweep.models.noise import Noise
+from sweep.models.posture import Stance, feet_in_world
 from sweep.models.robot import Robot
 
 # base poses, as shares of shift and turn: at rest, then one each way along and about each axis

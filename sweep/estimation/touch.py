@@ -14,11 +14,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import frames
-from sweep.controllers.frames import Stance, to_frame, to_world
+from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.layers import HeldLegs
 from sweep.controllers.observation import Observation, touchdown_detection_delay_s
 from sweep.controllers.plan import Plan
-from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import TrackerState
 from sweep.models.control import Control
 from sweep.models.legs import N_LEGS
@@ -33,6 +32,7 @@ from sweep.models.obstacles.surface import (
     state_from_landmarks,
     surface_at,
 )
+from sweep.models.posture import Stance, feet_in_world
 from sweep.models.robot import Robot
 
 MAX_SEARCH = 0.04  # m, how far a foot moves on beyond its planned place in search of the surface

@@ -5,7 +5,6 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import GRIP, RESTS, STAND, STAYS, TOGETHER, Plan, Stage, Support
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity
@@ -14,6 +13,7 @@ from sweep.formulas import stepping
 from sweep.manoeuvres.goals import ON_ITS_FEET
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import Obstacle, free_start_state
+from sweep.models.posture import Stance
 from sweep.models.robot import leg_unit
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.forces import PlannedForces

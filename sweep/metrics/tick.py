@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan
 from sweep.core.constants import GRAVITY
@@ -25,6 +24,7 @@ from sweep.estimation.belief_update import LearnedState
 from sweep.models.case import Case
 from sweep.models.legs import KINDS
 from sweep.models.obstacles.surface import BodyPoses, FreeState, surface_at
+from sweep.models.posture import Stance
 from sweep.models.robot import total_mass
 
 # s; a rollout continues for this time after its plan has ended, and nothing may change then

@@ -1,11 +1,9 @@
-"""The robot: sizes, masses and where the legs are mounted (monograph 1.1, 1.1.1)."""
+"""The robot: sizes and masses (monograph 1.1, 1.1.1)."""
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.formulas.leg import SIDE, circular_mounts, rectangular_mounts
 from sweep.models.legs import N_LEGS
 
 # m, of a shin's end, beside its radius, that tapers to the foot: it touches the face that it stands on, if it leans
@@ -66,21 +64,6 @@ def total_mass(robot: Robot) -> Array | float:
 def leg_unit(robot: Robot) -> Array | float:
     """Unit of lengths in plans (m): the base length that fits these legs in the book's proportions, nominally a_r."""
     return (robot.thigh + robot.shin) * (1.05 / 0.855)
-
-
-def mounts(robot: Robot) -> Float[Array, "6 3"]:
-    """Positions of the hips of legs 1 to 6 (m, base axes)."""
-    if robot.mounts == "circle":
-        return circular_mounts(robot.mount_radius)
-    return rectangular_mounts(robot.body_length, robot.body_width)
-
-
-def mount_yaw(robot: Robot) -> np.ndarray:
-    """Yaw (6,) of each leg's axes in the base frame (rad): 0 where alpha counts from the y axis, else the radius."""
-    if robot.leg_axes == "sides":
-        return np.zeros(6)
-    hips = np.array([[-1, -1, 0, 0, 1, 1], SIDE * np.array([1, 1, 2, 2, 1, 1])]) * np.array([[3**0.5], [1.0]])
-    return np.arctan2(-SIDE * hips[0], SIDE * hips[1])
 
 
 def link_names(robot: Robot) -> tuple[str, ...]:

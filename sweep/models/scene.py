@@ -18,7 +18,8 @@ from sweep.models.collisions import enable_collisions
 from sweep.models.legs import JOINTS, LEGS
 from sweep.models.obstacles.geoms import COLLIDING, DRAWN, STIFF
 from sweep.models.obstacles.surface import FOOT_RADIUS
-from sweep.models.robot import link_names, mount_yaw, mounts
+from sweep.models.posture import leg_mounts
+from sweep.models.robot import link_names
 
 _RIGHT, _LEFT = (0.85, 0.33, 0.20, 1.0), (0.20, 0.45, 0.75, 1.0)
 
@@ -36,7 +37,7 @@ def batched_model_fields(case: Case) -> dict[str, dict[str, Array]]:
     """
     robot = case.robot
     zero = jnp.zeros(())
-    hips = mounts(robot)
+    hips = leg_mounts(robot).hips
     box = jnp.stack([jnp.asarray(s) for s in (robot.body_length, robot.body_width, robot.body_height)])
     out: dict[str, dict[str, Array]] = {
         "body_pos": {},
@@ -179,7 +180,7 @@ def _add_leg(
     geoms: bool,
 ) -> None:
     """Add the bodies, hinges, drives and foot of one leg."""
-    robot, yaw = case.robot, float(mount_yaw(case.robot)[leg - 1])
+    robot, yaw = case.robot, float(leg_mounts(case.robot).yaw[leg - 1])
     names = link_names(robot)
     hinges = {"coxa": ["alpha"], "thigh": ["beta"], "shin": ["gamma"]}
     if "coxa" not in names:

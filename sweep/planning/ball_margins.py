@@ -13,10 +13,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import tracker
 from sweep.controllers.ball_state import UP
-from sweep.controllers.frames import Stance, to_frame, to_world
+from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import MEASURED, Plan
-from sweep.controllers.posture import joint_targets, mass_centre
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.controllers.tracker import TrackerState
 from sweep.core.constants import GRAVITY
@@ -27,6 +26,7 @@ from sweep.models.frames import WORLD, body_frame
 from sweep.models.geometry import support_margin
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.surface import FreeState, body_poses, free_start_state, surface_at
+from sweep.models.posture import Stance, joint_targets, mass_centre
 from sweep.models.robot import total_mass
 from sweep.planning.kinematic_margins import Margins, Swing, stance_margins
 

@@ -7,13 +7,14 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from sweep.controllers.flywheel import Flywheel, Gains
-from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world
+from sweep.controllers.frames import stance_to_frame, stance_to_world
 from sweep.controllers.layers import Ease, HeldLegs
 from sweep.controllers.plan import BasePaths, Plan, Stage, Support, SwingCurves
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.core.rotations import exponential, multiply
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.surface import FreeState
+from sweep.models.posture import Stance
 
 
 def compile_plan(

@@ -13,15 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import Stance, stance_to_world, surface_under
+from sweep.controllers.frames import stance_to_world, surface_under
 from sweep.controllers.layers import Feedforward
 from sweep.controllers.plan import Plan, Stage, reference_stance, stage_start
-from sweep.controllers.posture import foot_positions, joint_targets, mass_centre
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import rotate
 from sweep.models.case import Case, Manoeuvre
 from sweep.models.obstacles.surface import free_start_state
+from sweep.models.posture import Stance, foot_positions, joint_targets, mass_centre
 from sweep.models.robot import Robot, total_mass
 
 Effort = Literal["friction", "torque", "normal"]

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import CYCLE_A, Stage
 from sweep.formulas import stepping
 from sweep.models.legs import LEGS
+from sweep.models.posture import Stance
 
 TRIPOD = ((1, 4, 5), (2, 3, 6))
 GALLOP = FRONT, MIDDLE, REAR = (5, 6), (3, 4), (1, 2)  # order as in the text of 1.3; used for climbing poles

@@ -6,10 +6,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import Stance, stance_to_world, to_world
+from sweep.controllers.frames import stance_to_world, to_world
 from sweep.controllers.layers import HeldLegs
 from sweep.controllers.plan import Plan, reference_stance, stage_start
-from sweep.controllers.posture import feet_in_hip_axes, feet_in_world, joint_targets, leg_points, mass_centre
 from sweep.core.rotations import matrix, rotate, wrap_angle
 from sweep.formulas import leg, stepping
 from sweep.models import solids
@@ -25,6 +24,7 @@ from sweep.models.geometry import (
     support_margin,
 )
 from sweep.models.obstacles.surface import BodyPoses, body_poses, free_start_state, surface_at
+from sweep.models.posture import Stance, feet_in_hip_axes, feet_in_world, joint_targets, leg_points, mass_centre
 from sweep.models.robot import half_size
 from sweep.planning import forces
 from sweep.planning.force_reserve import force_reserve

@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sweep.controllers.frames import Stance, stance_to_world, to_frame, to_world
+from sweep.controllers.frames import stance_to_world, to_frame, to_world
 from sweep.controllers.plan import Plan, stage_start
 from sweep.core.rotations import exponential, multiply
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import FreeState, free_start_state, no_free_bodies
+from sweep.models.posture import Stance
 from sweep.planning import plan_table
 
 BACK = "back."  # prefix of the names of stages that run backwards in time

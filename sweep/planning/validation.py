@@ -8,13 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan, stage_end_stances
-from sweep.controllers.posture import joint_targets
 from sweep.core.errors import InputError
 from sweep.fused.numbers import evaluate_constants
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import FreeState
+from sweep.models.posture import Stance, joint_targets
 
 
 def are_plain_numbers(*parts: Any) -> bool:

@@ -17,7 +17,7 @@ from sweep.controllers.ball_state import (
     swing_over_ball,
     turn_footholds_back,
 )
-from sweep.controllers.frames import Stance, stance_to_frame, stance_to_world, to_frame, to_world
+from sweep.controllers.frames import stance_to_frame, stance_to_world, to_frame, to_world
 from sweep.controllers.observation import Observation
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.engines.closed_loop import free_body_state, start_state
@@ -27,6 +27,7 @@ from sweep.manoeuvres.balancing.ball_turn import BallTurn
 from sweep.models import scene
 from sweep.models.frames import WORLD, body_frame, koenig_frame
 from sweep.models.obstacles.surface import FreeState
+from sweep.models.posture import Stance
 
 CASE = compose(["scenario=ball_balance"]).case
 AHEAD = jnp.array([1.0, 0.0])

@@ -10,9 +10,9 @@ from sweep.controllers import flywheel, tracker
 from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, LEVELLING, LOCKED
-from sweep.controllers.posture import foot_positions, joint_targets, mass_centre
 from sweep.core.rotations import rotate
 from sweep.models.obstacles.surface import no_free_bodies
+from sweep.models.posture import foot_positions, joint_targets, mass_centre
 
 PERIOD = 4e-3
 CASE = compose(["scenario=beam_cross"]).case

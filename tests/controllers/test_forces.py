@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from sweep.controllers.frames import Stance
-from sweep.controllers.posture import joint_targets
 from sweep.formulas import corner
 from sweep.formulas.leg import SIDE
 from sweep.manoeuvres.walking.walk import Stand
@@ -19,6 +17,7 @@ from sweep.models.disturbance import Execution
 from sweep.models.drive import Drive
 from sweep.models.noise import Noise
 from sweep.models.obstacles.plane import Plane
+from sweep.models.posture import Stance, joint_targets
 from sweep.models.robot import Robot
 from sweep.models.scene import compile_model
 from sweep.planning.force_reserve import force_reserve

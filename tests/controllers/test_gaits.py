@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, swing_progress
+from sweep.models.posture import Stance
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.gaits import GAITS, Step, body_advance, initial_foot_offsets, regular_steps
 

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from sweep.config.experiment import compose
-from sweep.controllers.frames import Stance, stance_to_world
+from sweep.controllers.frames import stance_to_world
 from sweep.controllers.plan import Plan, stage_start
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, matrix, multiply
 from sweep.models.frames import WORLD, body_frame
 from sweep.models.obstacles.surface import body_poses
+from sweep.models.posture import Stance
 from sweep.planning.kinematic_margins import planned_margins
 from sweep.planning.symmetry import reverse_in_time
 

@@ -9,13 +9,12 @@ import pytest
 from playing import play_case, vary_lengths
 
 from sweep.config.experiment import compose
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan, Stage, reference_stance, transform_plan
-from sweep.controllers.posture import joint_targets
 from sweep.core.rotations import exponential, matrix, rotate
 from sweep.formulas.leg import SIDE
 from sweep.formulas.stepping import LANDING
 from sweep.models.case import Case
+from sweep.models.posture import Stance, joint_targets
 from sweep.models.robot import leg_unit
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.plan_table import evaluate_plan

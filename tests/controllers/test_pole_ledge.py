@@ -7,12 +7,11 @@ import pytest
 from playing import play_case, vary_lengths
 
 from sweep.config.experiment import compose
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan, reference_stance
-from sweep.controllers.posture import joint_targets, mass_centre
 from sweep.core.rotations import matrix, rotate
 from sweep.models.case import Case
 from sweep.models.geometry import support_margin
+from sweep.models.posture import Stance, joint_targets, mass_centre
 
 RADIUS, LENGTH = 0.42, 1.05  # m
 HEIGHT = {"level": -0.2, "above": 0.35, "below": -0.6}  # a_r, of the ledge over the pole's top

@@ -9,10 +9,10 @@ import pytest
 from playing import U, play_case
 
 from sweep.config.experiment import compose
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Stage, reference_stance
 from sweep.core.rotations import matrix
 from sweep.models.case import Case
+from sweep.models.posture import Stance
 from sweep.planning.compile_plan import compile_plan
 
 

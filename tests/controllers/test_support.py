@@ -9,16 +9,15 @@ import pytest
 
 from sweep.config.experiment import compose
 from sweep.controllers import tracker
-from sweep.controllers.frames import Stance
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import GRIP, KEPT, MEASURED, RESTS, STAYS, TO_POSE, TO_VELOCITY, TOGETHER, Stage, Support
-from sweep.controllers.posture import joint_targets
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion, reference_motion
 from sweep.core.rotations import exponential, logarithm
 from sweep.manoeuvres.balancing.ball import stance_on_ball, stand_pose
 from sweep.models.case import Manoeuvre
 from sweep.models.frames import body_frame, koenig_frame
 from sweep.models.obstacles.surface import FreeState, free_start_state
+from sweep.models.posture import Stance, joint_targets
 from sweep.planning.compile_plan import compile_plan
 
 CASE = compose(["scenario=ball_balance"]).case

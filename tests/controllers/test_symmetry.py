@@ -8,10 +8,10 @@ import pytest
 from test_pole import play_plan
 
 from sweep.config.experiment import compose
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan
 from sweep.core.rotations import matrix
 from sweep.models.case import Case
+from sweep.models.posture import Stance
 from sweep.planning.plan_table import evaluate_plan
 from sweep.planning.symmetry import OTHER_SIDE, join_plans, last_stance, mirror_plan, reverse_in_time
 

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from sweep.config.experiment import compose
-from sweep.controllers.frames import Stance, stance_to_world
+from sweep.controllers.frames import stance_to_world
 from sweep.controllers.layers import HeldLegs, Layer
 from sweep.controllers.observation import BodyObserver, Observation
 from sweep.controllers.plan import reference_stance, stage_start
-from sweep.controllers.posture import joint_targets
 from sweep.controllers.tracker import init
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
@@ -36,6 +35,7 @@ from sweep.models.obstacles.surface import (
     no_free_bodies,
     state_from_landmarks,
 )
+from sweep.models.posture import Stance, joint_targets
 
 PERIOD, DEEPENING = 4e-3, 5e-3
 CASE = compose(["scenario=pole_climb", "control.touch=obstacle", "control.replan=touched"]).case

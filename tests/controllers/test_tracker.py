@@ -9,14 +9,13 @@ import pytest
 
 from sweep.config.experiment import compose
 from sweep.controllers import tracker
-from sweep.controllers.frames import Stance
 from sweep.controllers.layers import CREEP_TIME, LONE_CREEP_FACTOR, Feedforward
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import REGRIP
-from sweep.controllers.posture import feet_in_world, joint_targets
 from sweep.core.rotations import exponential, logarithm, rotate
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import no_free_bodies
+from sweep.models.posture import Stance, feet_in_world, joint_targets
 
 PERIOD = 4e-3
 CASE = compose(["manoeuvre.steps=2"]).case

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from sweep.config.experiment import compose
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Plan, reference_stance
-from sweep.controllers.posture import joint_targets
 from sweep.core.errors import InputError
 from sweep.engines.batching import nominal_plan
 from sweep.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS
 from sweep.models.case import Case
+from sweep.models.posture import Stance, joint_targets
 
 # Largest steps of the thesis' legs 1 to 6 on its three segments: in transfer for 1, 3, 5, in support for 2, 4, 6.
 LIMITS = [

@@ -10,13 +10,12 @@ import pytest
 from validity.simulation import simulate
 
 from sweep.config.experiment import compose
-from sweep.controllers.frames import Stance
-from sweep.controllers.posture import joint_targets
 from sweep.core.constants import GRAVITY
 from sweep.dynamics.free_bodies import start_at_rest
 from sweep.formulas.leg import SIDE
 from sweep.models import scene
 from sweep.models.obstacles.ball import Ball
+from sweep.models.posture import Stance, joint_targets
 from sweep.models.scene import native_model
 
 STEP, SECONDS, FALL, PERIOD = 2e-3, 2.0, 1.0, 0.4

@@ -12,7 +12,6 @@ from validity.simulation import simulate
 
 from sweep.config.experiment import compose
 from sweep.controllers.plan import Plan, Stage
-from sweep.controllers.posture import joint_targets, mass_centre
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import parameters, quantity
 from sweep.core.rotations import exponential, matrix
@@ -25,6 +24,7 @@ from sweep.manoeuvres.walking.walk import Stand, level_stance
 from sweep.models.case import Case
 from sweep.models.obstacles.raft import CORNERS, Raft
 from sweep.models.obstacles.surface import FreeState
+from sweep.models.posture import joint_targets, mass_centre
 from sweep.models.robot import total_mass
 from sweep.planning.compile_plan import compile_plan
 

@@ -13,8 +13,6 @@ from mujoco import mjx
 
 from sweep.backends import devices
 from sweep.config.experiment import compose
-from sweep.controllers.frames import Stance
-from sweep.controllers.posture import joint_targets
 from sweep.core.rotations import rotate
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics
@@ -23,7 +21,7 @@ from sweep.formulas.leg import SIDE, fk
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
-from sweep.models.robot import mount_yaw, mounts
+from sweep.models.posture import Stance, joint_targets, leg_mounts
 
 ROBOTS = ("base", "three_link", "circular", "prototype", "hexagon")
 WIDTH = 3
@@ -106,7 +104,8 @@ def test_kinematics_equal_mujocos(name):
     m = scene.compile_model(case, geoms=False)
     d = mujoco.MjData(m)
     feet_ids = [m.site(f"foot{leg}").id for leg in LEGS]
-    yaw = mount_yaw(robot)
+    mounts = leg_mounts(robot)
+    yaw = mounts.yaw
     turn = np.stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)], axis=-1)
 
     def feet_at(q):
@@ -120,7 +119,7 @@ def test_kinematics_equal_mujocos(name):
         q[3:7] /= np.linalg.norm(q[3:7])
         feet = feet_at(q)
         joints = jnp.asarray(q[7:].reshape(6, 3))
-        local = mounts(robot) + rotate(jnp.asarray(turn), fk(SIDE, joints, robot.coxa, robot.thigh, robot.shin))
+        local = mounts.hips + rotate(jnp.asarray(turn), fk(SIDE, joints, robot.coxa, robot.thigh, robot.shin))
         world = q[:3] + rotate(jnp.broadcast_to(jnp.asarray(q[3:7]), (6, 4)), local)
         np.testing.assert_allclose(world, feet, atol=1e-12)
         angles, shortfall = joint_targets(robot, Stance(jnp.asarray(feet), jnp.asarray(q[:3]), jnp.asarray(q[3:7])))

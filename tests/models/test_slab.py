@@ -11,11 +11,10 @@ from slab import Slab
 from validity.simulation import simulate
 
 from sweep.config.experiment import compose
-from sweep.controllers.frames import Stance
-from sweep.controllers.posture import joint_targets
 from sweep.core.rotations import exponential
 from sweep.manoeuvres.walking.walk import level_stance
 from sweep.models import scene
+from sweep.models.posture import Stance, joint_targets
 
 STEP, SECONDS, SETTLED = 2e-3, 3.0, 100
 STICKS, SLIDES = range(2)

@@ -7,10 +7,10 @@ import pytest
 from validity.simulation import simulate
 
 from sweep.config.experiment import compose
-from sweep.controllers.posture import feet_in_world
 from sweep.controllers.tracker import joint_targets
 from sweep.core.constants import GRAVITY
 from sweep.engines.closed_loop import start_state
+from sweep.models.posture import feet_in_world
 
 STEP, FRICTION, DEGREE = 2e-3, 0.7, np.pi / 180
 LIMIT = np.arctan(FRICTION)

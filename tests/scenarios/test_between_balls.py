@@ -10,11 +10,9 @@ from test_on_ball import outcomes
 from sweep.config.experiment import compose
 from sweep.controllers import tracker
 from sweep.controllers.ball_state import centre_of_mass
-from sweep.controllers.frames import Stance
 from sweep.controllers.layers import TickContext
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import MEASURED, stage_end_stances
-from sweep.controllers.posture import feet_in_hip_axes
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.core.errors import InputError
 from sweep.engines import make
@@ -24,6 +22,7 @@ from sweep.metrics.outcome import classify
 from sweep.models.frames import WORLD
 from sweep.models.obstacles.surface import body_poses
 from sweep.models.obstacles.two_balls import TwoBalls
+from sweep.models.posture import Stance, feet_in_hip_axes
 
 
 def test_balls_and_feet_feel_floor_and_balls():

@@ -11,7 +11,6 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.layers import TickContext
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import (
@@ -37,6 +36,7 @@ from sweep.models.legs import LEGS, NAMES
 from sweep.models.obstacles.charts import Chart, Number, point
 from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.surface import FreeState
+from sweep.models.posture import Stance
 from sweep.models.robot import total_mass
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.gaits import TRIPOD

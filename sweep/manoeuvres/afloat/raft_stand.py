@@ -4,7 +4,6 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import CYCLE_B_SMOOTH, REGRIP, Plan, Stage
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.manoeuvres.afloat.statics import require_floating
@@ -14,6 +13,7 @@ from sweep.models.case import Case, Manoeuvre
 from sweep.models.frames import body_frame
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.raft import Raft
+from sweep.models.posture import Stance
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.gaits import TRIPOD
 

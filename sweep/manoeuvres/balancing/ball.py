@@ -25,7 +25,6 @@ from sweep.controllers.ball_state import (
     swing_over_ball,
     turn_footholds_back,
 )
-from sweep.controllers.frames import Stance
 from sweep.controllers.layers import TickContext
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import CYCLE_A, GRIP, KEEP, REGRIP, Plan, Stage, Support, swing_progress
@@ -39,6 +38,7 @@ from sweep.models.case import Case, Manoeuvre
 from sweep.models.frames import body_frame, koenig_frame
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
+from sweep.models.posture import Stance
 from sweep.models.robot import Robot, total_mass
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.gaits import TRIPOD

@@ -6,7 +6,6 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.layers import TickContext
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import Guidance, TrackerState
@@ -24,6 +23,7 @@ from sweep.manoeuvres.balancing.ball import (
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
+from sweep.models.posture import Stance
 from sweep.models.robot import total_mass
 from sweep.planning.compile_plan import compile_plan
 

@@ -6,7 +6,6 @@ from typing import ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import RESTS, TO_VELOCITY, Plan, Stage, Support
 from sweep.controllers.tracker import FeedbackLaw
 from sweep.core.errors import InputError
@@ -21,6 +20,7 @@ from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.charts import Number
+from sweep.models.posture import Stance
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.moves import MoveContext, StandingState, initial_stance, part_stages, read_numbers
 from sweep.planning.validation import are_plain_numbers

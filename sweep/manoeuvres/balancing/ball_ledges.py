@@ -12,7 +12,6 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import LEVEL, RESTS, Plan, Support
 from sweep.controllers.tracker import FeedbackLaw
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -28,6 +27,7 @@ from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.obstacles.ledges import Ledges
 from sweep.models.obstacles.surface import FreeState
+from sweep.models.posture import Stance
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.moves import (
     MoveContext,

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.ball_state import centre_of_mass, measured_stance
-from sweep.controllers.frames import Stance
 from sweep.controllers.layers import TickContext
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, reference_stance
@@ -18,6 +17,7 @@ from sweep.core.rotations import exponential, logarithm, rotate
 from sweep.formulas.ball import ROLLING, climbing_rate
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball, tangent_base_position, tangent_pitch
+from sweep.models.posture import Stance
 from sweep.models.robot import total_mass
 
 RIDE = "ride"

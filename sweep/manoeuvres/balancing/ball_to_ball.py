@@ -14,7 +14,6 @@ from jaxtyping import Array, Bool, Float
 from sweep.controllers.layers import TickContext
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import TOGETHER, Plan, Stage, Support, reference_stance, stage_end_stances
-from sweep.controllers.posture import leg_points
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.controllers.tracker import FeedbackLaw, Guidance, TrackerState
 from sweep.core.errors import InputError
@@ -33,6 +32,7 @@ from sweep.models.frames import body_frame
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.obstacles.two_balls import TwoBalls
+from sweep.models.posture import leg_points
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.moves import make_standing, part_stages
 from sweep.planning.validation import are_plain_numbers, require_within_reach, stances_at_stage_ends

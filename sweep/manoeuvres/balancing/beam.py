@@ -12,9 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.flywheel import Gains
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import BALANCE, CYCLE_B, LEVELLING, LOCKED, SMOOTH, STAND, Plan, Stage
-from sweep.controllers.posture import joint_targets
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.leg import SIDE
 from sweep.manoeuvres.climbing.walking import FACING_MINUS_Y
@@ -23,7 +21,8 @@ from sweep.models.case import Case, Manoeuvre
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.beam import Beam
 from sweep.models.obstacles.charts import point
-from sweep.models.robot import Robot, mounts
+from sweep.models.posture import Stance, joint_targets, leg_mounts
+from sweep.models.robot import Robot
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.gaits import TRIPOD, Step, initial_foot_offsets, regular_steps
 
@@ -52,7 +51,7 @@ class BeamSite(NamedTuple):
     def feet_at(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
         """Return feet beside their hips (m), each `track` (m) from the middle line, for a base at y."""
         depth = jnp.full(6, self.ground - self.deepening)
-        return jnp.stack([SIDE * jnp.asarray(track, float), y - mounts(self.robot)[:, 0], depth], axis=-1)
+        return jnp.stack([SIDE * jnp.asarray(track, float), y - leg_mounts(self.robot).hips[:, 0], depth], axis=-1)
 
     def swing_stage(self, name: str, legs: Sequence[int], feet: Float[Array, "6 3"], **more) -> Stage:
         """Return a stage in which some legs step to their places in `feet`."""

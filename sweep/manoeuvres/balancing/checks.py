@@ -14,16 +14,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.ball_state import centre_of_mass
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Stage, stage_end_stances
-from sweep.controllers.posture import feet_in_hip_axes
 from sweep.core.rotations import rotate
 from sweep.formulas.leg import SIDE
 from sweep.models.case import Case
 from sweep.models.frames import body_frame, koenig_frame
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.two_balls import TwoBalls
-from sweep.models.robot import Robot, mounts
+from sweep.models.posture import Stance, feet_in_hip_axes, leg_mounts
+from sweep.models.robot import Robot
 from sweep.planning.compile_plan import compile_plan
 
 OVERSHOOT = 5e-4  # m, by which corrections go beyond their limit
@@ -159,7 +158,7 @@ def _lower_base(belief: Case, stances: Stance, limits: CheckLimits) -> Stance:
 
 def _set_feet_nearer(robot: Robot, stances: Stance, steps: StageFeet, limits: CheckLimits) -> Stance:
     """Check 2: move a foot that is still too far to where its leg reaches the ball, in the vertical plane along x."""
-    hips = stances.position[:, None] + rotate(stances.quat[:, None], mounts(robot))
+    hips = stances.position[:, None] + rotate(stances.quat[:, None], leg_mounts(robot).hips)
     feet, to_hip = stances.feet - steps.centre, hips - steps.centre
     level, down = _leg_extents(robot, stances)
     most = limits.straight * (robot.thigh + robot.shin)

@@ -10,7 +10,6 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import STAND, Plan, Stage
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.manoeuvres.climbing.walking import FACING_MINUS_Y
@@ -18,6 +17,7 @@ from sweep.manoeuvres.goals import ON_ITS_FEET
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import rearing_base_chart
 from sweep.models.obstacles.corner import Corner
+from sweep.models.posture import Stance
 from sweep.models.robot import leg_unit
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.forces import PlannedForces

@@ -14,7 +14,6 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Stage
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -24,6 +23,7 @@ from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.corner import Corner
+from sweep.models.posture import Stance
 from sweep.models.robot import leg_unit
 from sweep.planning.gaits import TRIPOD
 from sweep.planning.moves import part_stages, read_moves

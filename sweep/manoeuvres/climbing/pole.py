@@ -8,7 +8,6 @@ from typing import ClassVar
 
 from jaxtyping import Array
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import STAND, Plan, Stage
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.manoeuvres.climbing.walking import approach_stages
@@ -17,6 +16,7 @@ from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.charts import edge_chart, rearing_base_chart
 from sweep.models.obstacles.pole_ledge import PoleLedge
+from sweep.models.posture import Stance
 from sweep.models.robot import leg_unit
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.forces import PlannedForces

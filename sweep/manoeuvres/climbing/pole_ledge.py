@@ -23,7 +23,6 @@ Differences from the printed plans, and their reasons:
 
 from typing import ClassVar
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Stage
 from sweep.core.parameters import choice, count, parameters
 from sweep.manoeuvres.climbing.pole_top import PoleTop
@@ -32,6 +31,7 @@ from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.pole_ledge import PoleLedge
+from sweep.models.posture import Stance
 from sweep.planning.moves import part_stages
 
 

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import CYCLE_B, STAND, Plan, Stage, transform_plan
 from sweep.core.parameters import choice, count, parameters
 from sweep.core.rotations import exponential, rotate
@@ -19,6 +18,7 @@ from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
 from sweep.models.obstacles.pole_ledge import PoleLedge
+from sweep.models.posture import Stance
 from sweep.models.robot import leg_unit
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.gaits import GALLOP, Step

@@ -5,12 +5,12 @@ World axes as in `pole`. After the gallop, the plan file has the parts `edge`, `
 
 from typing import ClassVar
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import Stage
 from sweep.core.parameters import choice, count, parameters
 from sweep.manoeuvres.climbing.pole import PRESS, PoleClimb
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
+from sweep.models.posture import Stance
 from sweep.planning.moves import StandingState, part_stages
 
 

@@ -7,11 +7,10 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import CYCLE_B, Stage
-from sweep.controllers.posture import foot_centres
 from sweep.core.rotations import IDENTITY, rotate
 from sweep.models.case import Case
+from sweep.models.posture import Stance, foot_centres
 from sweep.planning.gaits import TRIPOD, Step, initial_foot_offsets, regular_steps
 
 

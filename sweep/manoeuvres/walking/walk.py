@@ -6,14 +6,13 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.frames import Stance
 from sweep.controllers.plan import STAND, Plan, Stage, transform_plan
-from sweep.controllers.posture import foot_centres
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, exponential
 from sweep.manoeuvres.goals import ON_ITS_FEET
 from sweep.models.case import Case, Manoeuvre
 from sweep.models.obstacles.plane import Plane
+from sweep.models.posture import Stance, foot_centres
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.gaits import GAITS, MEANINGS, Step, initial_foot_offsets, regular_steps
 

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.controllers.plan import ELLIPTIC, HALF_ELLIPSE, STAND, Plan, Stage
-from sweep.controllers.posture import leg_directions
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.thesis import thesis_fk, thesis_step, thesis_workspace
@@ -17,6 +16,7 @@ from sweep.manoeuvres.walking.walk import lay_on_ground, level_stance
 from sweep.models.case import Case, Manoeuvre
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.plane import Plane
+from sweep.models.posture import leg_directions
 from sweep.models.robot import Robot
 from sweep.planning.compile_plan import compile_plan
 

@@ -1,18 +1,47 @@
-"""Kinematics of the whole robot: feet, leg points and mass centre from joint angles, and joint angles from a stance."""
+"""Kinematics of the whole robot: hips, feet, leg points and mass centre, and joint angles from a stance."""
+
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.controllers.frames import Stance
 from sweep.core.rotations import conjugate, exponential, rotate
-from sweep.formulas.leg import SIDE, fk, ik
-from sweep.models.robot import Robot, mount_yaw, mounts
+from sweep.formulas.leg import SIDE, circular_mounts, fk, ik, rectangular_mounts
+from sweep.models.robot import Robot
+
+
+class Stance(NamedTuple):
+    """Feet and base of the robot, planned or measured; world axes unless said otherwise."""
+
+    feet: Float[Array, "6 3"]  # m
+    position: Float[Array, " 3"]  # m, of the base
+    quat: Float[Array, " 4"]  # base to world
+
+
+class LegMounts(NamedTuple):
+    """Where legs 1 to 6 are mounted, base axes."""
+
+    hips: Float[Array, "6 3"]  # m
+    yaw: np.ndarray  # rad, (6,), of the axes of each leg: 0 where alpha counts from the y axis, else that of the radius
+
+
+def leg_mounts(robot: Robot) -> LegMounts:
+    """Return the hips of legs 1 to 6 and the yaw of the legs' axes: monograph 1.1, (1.1.5)."""
+    hips = (
+        circular_mounts(robot.mount_radius)
+        if robot.mounts == "circle"
+        else rectangular_mounts(robot.body_length, robot.body_width)
+    )
+    if robot.leg_axes == "sides":
+        return LegMounts(hips, np.zeros(6))
+    corners = np.array([[-1, -1, 0, 0, 1, 1], SIDE * np.array([1, 1, 2, 2, 1, 1])]) * np.array([[3**0.5], [1.0]])
+    return LegMounts(hips, np.arctan2(-SIDE * corners[0], SIDE * corners[1]))
 
 
 def leg_directions(robot: Robot) -> Float[Array, "6 3"]:
     """Return the unit vectors along which the legs point at alpha = 0, base axes."""
-    yaw = mount_yaw(robot)
+    yaw = leg_mounts(robot).yaw
     return jnp.asarray(np.stack([-SIDE * np.sin(yaw), SIDE * np.cos(yaw), np.zeros(6)], axis=-1))
 
 
@@ -25,7 +54,7 @@ def foot_centres(robot: Robot, spread: Array | float, height: Array | float) -> 
         height: distance of each foot below its hip (m).
     """
     down = jnp.array([0.0, 0.0, -1.0])
-    return mounts(robot) + spread * leg_directions(robot) + height * down
+    return leg_mounts(robot).hips + spread * leg_directions(robot) + height * down
 
 
 def foot_positions(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
@@ -45,7 +74,7 @@ def leg_points(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, "6 k 3
         robot: the robot.
         angles: joint angles (rad).
     """
-    hips, knees, feet = mounts(robot), _points(robot, angles, robot.thigh, 0.0), foot_positions(robot, angles)
+    hips, knees, feet = leg_mounts(robot).hips, _points(robot, angles, robot.thigh, 0.0), foot_positions(robot, angles)
     coxa = [_points(robot, angles, 0.0, 0.0)] if robot.legs == "three_link" else []
     return jnp.stack([hips, *coxa, knees, feet], axis=1)
 
@@ -90,11 +119,10 @@ def feet_in_hip_axes(robot: Robot, stance: Stance) -> Float[Array, "6 3"]:
     Returns:
         Feet (m), (6, 3).
     """
-    to_base = jnp.broadcast_to(conjugate(stance.quat), (6, 4))
-    foot = rotate(to_base, stance.feet - stance.position) - mounts(robot)
-    yaw = np.zeros((6, 3))
-    yaw[:, 2] = -mount_yaw(robot)
-    return rotate(exponential(jnp.asarray(yaw, foot.dtype)), foot)
+    mounts, turns = leg_mounts(robot), np.zeros((6, 3))
+    turns[:, 2] = -mounts.yaw
+    feet = rotate(jnp.broadcast_to(conjugate(stance.quat), (6, 4)), stance.feet - stance.position) - mounts.hips
+    return rotate(exponential(jnp.asarray(turns, feet.dtype)), feet)
 
 
 def mass_centre(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, " 3"]:
@@ -104,7 +132,7 @@ def mass_centre(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, " 3"]
         robot: the robot.
         angles: joint angles (rad).
     """
-    hips, knees, feet = mounts(robot), _points(robot, angles, robot.thigh, 0.0), foot_positions(robot, angles)
+    hips, knees, feet = leg_mounts(robot).hips, _points(robot, angles, robot.thigh, 0.0), foot_positions(robot, angles)
     elbows = _points(robot, angles, 0.0, 0.0)
     links = [(robot.thigh_mass, elbows, knees), (robot.shin_mass, knees, feet)]
     if robot.legs == "three_link":
@@ -115,5 +143,6 @@ def mass_centre(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, " 3"]
 
 def _points(robot: Robot, angles: Array, thigh: Array | float, shin: Array | float) -> Array:
     """Ends of legs (6, 3), base axes, if their links had the lengths `thigh` and `shin` (m)."""
-    yaw = jnp.zeros((6, 3), angles.dtype).at[:, 2].set(jnp.asarray(mount_yaw(robot), angles.dtype))
-    return mounts(robot) + rotate(exponential(yaw), fk(SIDE, angles, robot.coxa, thigh, shin))
+    mounts = leg_mounts(robot)
+    turns = jnp.zeros((6, 3), angles.dtype).at[:, 2].set(jnp.asarray(mounts.yaw, angles.dtype))
+    return mounts.hips + rotate(exponential(turns), fk(SIDE, angles, robot.coxa, thigh, shin))
