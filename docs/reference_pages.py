@@ -20,6 +20,7 @@ from sweep.core.groups import GROUPS
 from sweep.core.metric import Cause, Metric, merge_columns
 from sweep.core.outcomes import MISSED
 from sweep.core.parameters import UNITS, format_unit
+from sweep.formulas import FORMULAS
 from sweep.replay import replay
 from sweep.report import crate, replays
 from sweep.runs import manifest, store
@@ -55,6 +56,7 @@ def pages() -> dict[str, str]:
         "study_file.md": study_file_page(),
         "policy_file.md": policy_file_page(),
         "python.md": python_page(),
+        "formulas.md": formulas_page(),
         "formats.md": formats_page(),
     }
 
@@ -429,6 +431,30 @@ def docstring(thing: Any) -> str:
         else:
             found.append(line.strip())
     return "\n".join(found)
+
+
+def formulas_page() -> str:
+    """Every formula with its inputs, outputs, source and the errors of the printed text."""
+    rows = (
+        (
+            code(formula.name),
+            formula.summary,
+            ", ".join(f"{code(one.name)} {one.unit}".rstrip() for one in formula.inputs),
+            ", ".join(f"{code(name)} {unit}".rstrip() for name, unit in formula.outputs.items()),
+            formula.reference,
+        )
+        for formula in FORMULAS.values()
+    )
+    corrections = ((code(formula.name), formula.correction) for formula in FORMULAS.values() if formula.correction)
+    return join_parts(
+        "# Formulas",
+        "`sweep formula NAME` evaluates a formula and prints the domain and default of each input. [Formulas of the "
+        "sources](../formulas.md) shows how to use them.",
+        table(("formula", "gives", "inputs", "outputs", "source"), rows),
+        "## Corrections of the printed text",
+        "The code differs from the sources where these have errors. All other formulas are as printed.",
+        table(("formula", "error of the printed text, or difference from it"), corrections),
+    )
 
 
 def formats_page() -> str:

@@ -20,7 +20,7 @@ class Approach(NamedTuple):
     tau: Annotated[Float[Array, "..."], "s"]
 
 
-@formula("monograph", "3.1.8", "3.5.1")
+@formula("monograph", "3.1.8", "3.5.1", correction="not printed: follows from (3.1.8) with rolling friction")
 def ball_approach(
     m: RobotMass,
     M: BallMass,
@@ -48,7 +48,7 @@ class Impact(NamedTuple):
     v: Annotated[Float[Array, "..."], "m/s"]
 
 
-@formula("monograph", "3.2.2")
+@formula("monograph", "3.2.2", correction="not printed: a spring and a damper in place of the wall")
 def ball_impact(
     zeta: Annotated[Scalar, Input("", 1.0, at_least=0)],
     T: Annotated[Scalar, positive("s", 1.2)],
@@ -71,7 +71,12 @@ class BallContactFriction(NamedTuple):
     mu: Annotated[Float[Array, "..."], ""]
 
 
-@formula("monograph", "3.5.2", condition="T_1 must be above T_2: feet that press the balls together")
+@formula(
+    "monograph",
+    "3.5.2",
+    correction="not printed: statics and dynamics of two balls that slide on each other",
+    condition="T_1 must be above T_2: feet that press the balls together",
+)
 def balls_hold(
     M: BallMass,
     R: BallRadius,

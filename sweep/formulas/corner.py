@@ -111,7 +111,7 @@ class LeastSqueeze(NamedTuple):
     condition=_CONDITION,
 )
 def corner_min_squeeze(psi: HalfAngle, eps: Offset, k: Friction) -> LeastSqueeze:
-    """Return the least force with which feet must squeeze a corner or pole so that the robot is in equilibrium.
+    """Least force with which feet must squeeze a corner or pole so that the robot is in equilibrium.
 
     Of *all* equilibria of the four feet, in P; less than both schemes of monograph 2.1.
     Averaging an equilibrium with its mirror image squeezes no more, so only symmetric ones matter. There the moment

@@ -58,7 +58,7 @@ class ServoDelay(NamedTuple):
     omega: Annotated[Float[Array, "..."], "rad/s"]
 
 
-@formula("monograph", "1.2.1", correction="not printed: that law with its own feedback late")
+@formula("monograph", "1.2.1", correction="not printed: the law (1.2.1) with a delay of its feedback")
 def servo_delay(
     J: Annotated[Scalar, positive("kg*m^2", 0.1187)],
     stiffness: Annotated[Scalar, positive("N*m/rad", 45000.0)],
