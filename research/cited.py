@@ -50,6 +50,11 @@ TOLERATED = {  # what an error of `BOUNDS` is called in the guide
     "noise.load_noise": "noise of the measured foot loads, N",
     "noise.load_delay": "extra delay of the foot loads, ms",
 }
+LEARNING = {
+    "believes": "no learning",
+    "calibrates": "calibration",
+    "learns": "learning",
+}  # robots of rates, in the guide
 TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
@@ -267,7 +272,7 @@ def tolerances(_: str, scenario: str) -> str:
         scenario: Name of the scenario, of which there are rates.
 
     Returns:
-        The table in Markdown. `0.5 yes, 2 no`: at 0.5 at least 90 % succeed (lower 95 % bound), at 2 fewer do
+        The table in Markdown. `0.5 to 2`: at 0.5 at least 90 % succeed (lower 95 % bound), at 2 fewer do
         (upper 95 % bound).
     """
     table = rates(DATA)
@@ -278,14 +283,17 @@ def tolerances(_: str, scenario: str) -> str:
         groups = [table[(table["axis"] == axis) & (table["robot"] == robot)] for robot in robots]
         if any(len(group) for group in groups):
             lines.append([error, *(tolerance(group, *BOUNDS[axis][2:]) if len(group) else "" for group in groups)])
-    return ruled([False] * (1 + len(robots)), ["error", *(f"robot {robot}" for robot in robots)], *lines)
+    return ruled(
+        [False] * (1 + len(robots)), ["largest tolerated error", *(LEARNING[robot] for robot in robots)], *lines
+    )
 
 
 def tolerance(group: pd.DataFrame, scale: float, nominal: float) -> str:
-    """`bound` in words: `0.5 yes, 2 no`."""
-    least, _, most = bound(group, scale, nominal).partition(" …")
-    words = ([f"{least} yes"] if float(least) else []) + ([f"{most.strip()} no"] if most else [])
-    return ", ".join(words) or "not known"
+    """Return `bound` as a range: `0.5 to 2`, `≥ 4` (the largest value tried), or `< 0.25` (the smallest)."""
+    least, _, most = (part.strip() for part in bound(group, scale, nominal).partition("…"))
+    if not float(least):
+        return f"< {most}" if most else "not known"
+    return f"{least} to {most}" if most else f"≥ {least}"
 
 
 def seen(_: str) -> str:
@@ -338,7 +346,7 @@ def sources(names: list[str]) -> str:
 
 def origin(names: list[str]) -> str:
     """Return the sentence of a page of the guide that says at which commits its data were measured."""
-    return f"Measured at commits {codes(names)}. The page of evidence has the commands and machines."
+    return f"These numbers were measured at commits {codes(names)}. The evidence page has commands and machines."
 
 
 def age(names: list[str]) -> str:

@@ -143,3 +143,10 @@ def test_every_command_has_help_and_is_in_the_tour(capsys):
         cli.main(["run", "--help"])
     assert "_schema" not in capsys.readouterr().out
     assert len((ROOT / "README.md").read_text().split()) <= 900
+
+
+def test_the_guide_can_be_read():
+    """Words of the guide, generated reference pages not counted, and the size of docs/ with its pictures."""
+    pages = [page for page in (ROOT / "docs").rglob("*.md") if page.parent.name != "reference"]
+    assert sum(len(page.read_text(encoding="utf-8").split()) for page in pages) <= 40_000
+    assert sum(file.stat().st_size for file in (ROOT / "docs").rglob("*") if file.is_file()) <= 5_000_000
