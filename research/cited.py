@@ -346,16 +346,18 @@ def sources(names: list[str]) -> str:
 
 def origin(names: list[str]) -> str:
     """Return the sentence of a page of the guide that says at which commits its data were measured."""
-    return f"These numbers were measured at commits {codes(names)}. The evidence page has commands and machines."
+    return f"These numbers were measured at commits {codes(names)}."
 
 
 def age(names: list[str]) -> str:
     """Return the sentence at the top of a page of evidence that says how old its data are."""
     if not names:
-        return "No stored data stand behind this page: its numbers were noted when they were measured."
-    number = f"{len(names)} sets of data" if len(names) > 1 else f"the data `{names[0]}`"
-    older = "`python research/cited.py --age` names what is older than the code at hand"
-    return f"Behind this page: {number}, measured with code {codes(names)}. {older}."
+        return (
+            "This page has no stored data: its numbers were noted when they were measured, with the code that it names."
+        )
+    number = f"The {len(names)} data sets of this page were" if len(names) > 1 else f"The data set `{names[0]}` was"
+    older = "`python research/cited.py --age` lists data that are older than the current code"
+    return f"{number} measured with code {codes(names)}. {older}."
 
 
 def codes(names: list[str]) -> str:
