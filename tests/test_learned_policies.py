@@ -14,10 +14,11 @@ from onnx.reference import ReferenceEvaluator
 from robots import HOME, save_lstm, save_perceptron, write_project
 from small_study import one_line
 
+from sweep.analysis import first_differences
 from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
-from sweep.runs import batches, store
+from sweep.runs import batches, store, time_series
 from sweep.runs.runner import select_points
 from sweep.systems.mujoco_model import policy_spec
 
@@ -144,6 +145,31 @@ def compare_with_plain_loop(folder, shape, engine, legs=4):
         places.append(plain.data.qpos.copy())
     assert np.abs(np.diff(places, axis=0)[:, 7:]).max() > 0.02  # it moves
     np.testing.assert_allclose(simulate(engine), places, atol=1e-5)
+
+
+def test_what_the_policy_saw_is_kept_and_the_first_difference_is_named(here, capsys):
+    write_project(here, JOYSTICK, more=", period: 0.02")
+    save_perceptron("walk.onnx", (48, 12), 0.5)
+    asked = ["run", "study=one", "model.duration=0.2", "study.keep=[observation,action]", "study.keep_rate=50"]
+    assert main([*asked, "out=a"]) == 0
+    assert main([*asked, "+start.joint.lf_knee.velocity=0.001", "out=b"]) == 0
+    a, b = (time_series.read(Path(name)) for name in "ab")
+    assert [name for name in a if name.startswith("observation_command")] == [
+        f"observation_command_{one}" for one in ("velocity_x", "velocity_y", "yaw_rate")]  # fmt: skip
+    assert (a["observation_command_yaw_rate"] == np.float32(0.1)).all()
+    np.testing.assert_array_equal(a["observation_last_action_lf_hip"][1:], a["action_lf_hip"][:-1])
+    network = onnxruntime.InferenceSession("walk.onnx", providers=["CPUExecutionProvider"])
+    seen = a[[name for name in a if name.startswith("observation_")]].to_numpy(float)
+    (action,) = network.run(None, {"obs": seen})
+    np.testing.assert_allclose(a[[name for name in a if name.startswith("action_")]], action, atol=1e-6)
+    capsys.readouterr()
+    assert main(["compare", "a", "a"]) == 0
+    assert "Over time: no sample of 1 rollouts differs" in capsys.readouterr().out
+    assert main(["compare", "a", "b", "--by", "load", "--histories", "1e-5"]) == 0
+    b = b.assign(point_id=a["point_id"])
+    found = first_differences.find_first_differences(a, b, [*a.columns[-60:]], 1e-9)
+    assert found["time_s"][0] == pytest.approx(0.02)  # the first observation is that of the start
+    assert found["column"][0] == "observation_joint_velocities_lf_knee"
 
 
 def test_what_exporters_write_into_the_network_counts_unless_the_file_says_otherwise(here):

@@ -44,7 +44,7 @@ from sweep.study.clusters import Cluster
 from sweep.study.columns import LABELS, PLAN, TIMING
 from sweep.study.designs import rename_on_to_side
 from sweep.study.distributions import require_keys
-from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep
+from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep, expand_keep
 
 NOT_FINITE = re.compile(r"(?<=[=\[:, ])[-+]?\.(nan|inf)(?=[\]}, ]|$)", re.IGNORECASE)  # of YAML, to Hydra a word
 # whole numbers without quotes in the value of an override
@@ -269,6 +269,7 @@ def build_experiment(values: Mapping[str, Any]) -> Experiment:
     if isinstance(chosen["axes"], Mapping):
         chosen["axes"] = designs.expand_patterns(chosen["axes"], partial(_numbers, system, settings))
     study = Study.parse({**chosen, "name": chosen["name"] or scenario["name"]}, single)
+    study = dataclasses.replace(study, keep=expand_keep(study, system))
     check_keep(study, system, settings)
     for theory in study.theory:  # refuses inputs that mean nothing
         system.parameter(theory.of, settings)

@@ -1,7 +1,7 @@
 """The interface of all engines, whatever system they simulate, and the record of a traced rollout."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -71,6 +71,7 @@ class Trace:
     metrics: dict[str, Any]  # the row's metrics, as from `run`
     torque_limit: float | None = None  # N m, if it is the same for all joints
     contacts: FootContacts | None = None  # None for models without known feet
+    columns: Mapping[str, np.ndarray] = field(default_factory=dict)  # further time series (F,) by name
 
 
 class NoTrace(NamedTuple):

@@ -1,14 +1,18 @@
 """Text of `sweep compare`: how the outcomes of paired rollouts differ."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 
-from sweep.analysis import compare
+from sweep.analysis import compare, first_differences
 from sweep.analysis.stats import format_percent
 from sweep.core.errors import InputError, suggest
 from sweep.core.expressions import column
 from sweep.report.labels import axis_words
 from sweep.report.tables import page_table
+from sweep.runs import store, time_series
+from sweep.study.study import identity_columns
 
 SHOWN = 12  # pairs and figures of a list; `--output` has them all
 
@@ -48,6 +52,35 @@ def comparison_text(
         figures = pd.DataFrame({"figure": drift.index, "typical change": [format_percent(v) for v in drift]})
         parts += ["", "Metrics that changed most:", page_table(figures)]
     return "\n".join(parts)
+
+
+def first_difference_text(a: Path, b: Path, share: float) -> str:
+    """Say where the time series of two folders first differ; empty unless both folders keep some of the same columns.
+
+    Args:
+        a: Reference folder.
+        b: The other folder.
+        share: Largest difference that counts as equal, over the range of a column.
+    """
+    if not all(one.is_dir() and store.list_recordings(one, store.HISTORIES) for one in (a, b)):
+        return ""
+    here, there = (time_series.read(one) for one in (a, b))
+    known = {*identity_columns(here.columns), first_differences.TIME}
+    columns = [name for name in here.columns if name in there.columns and name not in known]
+    if not columns:
+        return ""
+    found = first_differences.find_first_differences(here, there, columns, share)
+    if not len(found):
+        return ""
+    differ = found[np.isfinite(found["time_s"])].sort_values("time_s", kind="stable")
+    much = f"more than {share:g} of a column's range"
+    if not len(differ):
+        return f"Over time: no sample of {len(found)} rollouts differs by {much} ({len(columns)} columns)"
+    first = differ.iloc[0]
+    return (
+        f"Over time: {len(differ)} of {len(found)} rollouts differ by {much}, first at {first['time_s']:g} s in "
+        f"{first['column']}: {first['a']:.6g} in A, {first['b']:.6g} in B (point {first['point_id']})"
+    )
 
 
 def name_pair_columns(pairs: pd.DataFrame) -> str:

@@ -241,6 +241,20 @@ def parameter_columns(table: "pd.DataFrame") -> list[str]:
     return [c for c in table.columns if "." in c and not c.startswith("axis.")]
 
 
+def expand_keep(study: Study, system: System) -> tuple[str, ...]:
+    """Return the time series that `study.keep` names; a name that begins several, such as `qpos`, stands for them.
+
+    Args:
+        study: the study.
+        system: the simulated system, which names its time series.
+    """
+    found: dict[str, None] = {}
+    for name in study.keep:
+        members = [one for one in system.recordable_columns if one.startswith(f"{name}_")]
+        found |= dict.fromkeys(members if len(members) > 1 and name not in system.recordable_columns else [name])
+    return tuple(found)
+
+
 def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
     """Require that the time series in `study.keep` exist, and that their rate is allowed.
 

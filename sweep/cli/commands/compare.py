@@ -42,6 +42,13 @@ def add_arguments(parser: Arguments) -> None:
     parser.add_argument(
         "--figures", type=float, metavar="SHARE", help="largest tolerated relative change (median) of a metric"
     )
+    parser.add_argument(
+        "--histories",
+        type=float,
+        metavar="SHARE",
+        default=1e-3,
+        help="if both folders keep time series: largest difference that counts as equal, over a column's range (0.001)",
+    )
     add_output(parser, "write the pairs that differ as CSV")
     parser.add_argument(
         "--anytime",
@@ -70,6 +77,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--tolerance = {args.tolerance:g} is not allowed: a share from 0 to 1")
     if args.figures is not None and not args.figures >= 0:
         raise InputError(f"--figures = {args.figures:g} is not allowed: at least 0")
+    if not args.histories >= 0:
+        raise InputError(f"--histories = {args.histories:g} is not allowed: at least 0")
     for name in ("most", "level"):
         if (value := getattr(args, name)) is not None and not args.anytime:
             raise InputError(f"--{name} = {value:g} is for --anytime")
@@ -89,6 +98,8 @@ def run(args: argparse.Namespace) -> int:
         unit = compare.independent_unit_of_pairs(pairs, results.load_experiment(args.a))
         text = comparison.comparison_text(pairs, len(a), len(b), parse_names(args.regions), unit)
         terminal.print_markdown(text + "\n")
+        if line := comparison.first_difference_text(args.a, folder, args.histories):
+            print(line)
         differ.append(compare.changed_pairs(pairs).assign(**({"B": str(folder)} if len(args.b) > 1 else {})))
         broken += comparison.find_violations(pairs, len(a), args.tolerance, args.figures)
     if args.output:

@@ -109,7 +109,7 @@ class MujocoModel(ModelSpec):
 
     def state_columns(self, trace: Trace) -> dict[str, np.ndarray]:
         """Return positions and velocities at every sample of a trace, by column, see `System`."""
-        return self.time_series_columns(trace.qpos, trace.qvel)
+        return self.time_series_columns(trace.qpos, trace.qvel) | dict(trace.columns)
 
     def model_xml(self, trace: Trace, settings: EngineSettings) -> str:
         """Refuse, see `System`: the model is a file of the project."""
@@ -117,8 +117,9 @@ class MujocoModel(ModelSpec):
 
     @property
     def recordable_columns(self) -> tuple[str, ...]:
-        """Columns of time series: positions and velocities, see `System`."""
-        return tuple(self.time_series_columns(self.model.qpos0[None], np.zeros((1, self.model.nv))))
+        """Columns of time series: positions, velocities, and what a learned policy saw and did, see `System`."""
+        state = self.time_series_columns(self.model.qpos0[None], np.zeros((1, self.model.nv)))
+        return (*state, *self.policy_columns)
 
     def source_files(self) -> dict[str, Path]:
         """See `System`: those of the model and of the controller."""

@@ -40,6 +40,7 @@ class TickSample(NamedTuple):
     qpos: np.ndarray
     qvel: np.ndarray
     force: np.ndarray
+    policy: np.ndarray  # what learned policies saw and did, (slots, k)
 
 
 BatchResult = tuple[Metrics, list[TickSample], list[mujoco.MjModel]]  # of a batch; of some slots of it
@@ -120,7 +121,7 @@ class ModelEngine:
     ) -> tuple[Metrics, np.ndarray]:
         """Figures, and columns over time, see `Engine`."""
         found, frames, _ = self._simulate(world, belief, streams, slots, watch.every)
-        columns = [self._spec.time_series_columns(frame.qpos, frame.qvel) for frame in frames]
+        columns = [self._spec.time_series_columns(frame.qpos, frame.qvel, frame.policy) for frame in frames]
         samples = [np.stack([one[name] for name in watch.columns], axis=-1) for one in columns]
         return found, np.stack(samples) if samples else np.zeros((0, len(slots), len(watch.columns)))
 
@@ -141,13 +142,15 @@ class ModelEngine:
         for k, slot in enumerate(slots):
             row = {name: values[slot] for name, values in found.items()}
             within = time <= row["duration_s"] + self._spec.config.period / 2
-            ctrl, qpos, qvel, force = (values[within, k] for values in recorded)
+            ctrl, qpos, qvel, force, policy = (values[within, k] for values in recorded)
             base, model, count = self._spec.base_address, models[k], int(within.sum())
             pose = np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)) if base is None else qpos[:, base : base + 7]
             moved = time[within], qpos, qvel, ctrl, force @ joint_levers(model)
             none = np.zeros((count, 0, 3))  # of feet
             judged = np.zeros(count, int), np.full(count, np.nan), np.full(count, "")
-            traces.append(Trace(world, belief, model, *moved, none, none, none, pose, *judged, self.stages, row))
+            told = dict(zip(self._spec.policy_columns, policy.T, strict=True))
+            rest = none, none, none, pose, *judged, self.stages, row
+            traces.append(Trace(world, belief, model, *moved, *rest, columns=told))
         return traces
 
     def _simulate(
@@ -207,7 +210,8 @@ class NativeModelEngine(ModelEngine):
                 metric_state = aside.submit(update_metrics, metric_state.result(), steps, going)
                 if len(slots) and (k + 1) % every == 0:
                     last = (steps[name][slots, -1] for name in ("qpos", "qvel", "actuator_force"))
-                    frames.append(TickSample((k + 1) * spec.config.period, ctrl[slots], *last))
+                    time, policy = (k + 1) * spec.config.period, rollouts.read_policy(slots)
+                    frames.append(TickSample(time, ctrl[slots], *last, policy=policy))
             own_figures = rollouts.finish(spec.observable_state(qpos, qvel, seen))
         warned = begun.batch.warning[:, :, 0] > 0
         full, broken = warned[:, FULL].any(axis=1), broken | np.delete(warned, FULL, axis=1).any(axis=1)

@@ -68,6 +68,31 @@ class LearnedPolicy(NamedTuple):
         return found
 
     @property
+    def recorded_columns(self) -> tuple[str, ...]:
+        """Columns of what the policy saw in a tick, in the order of `record`: terms as the network received them."""
+        found = []
+        for name, terms in self.inputs.items():
+            start = f"observation_{name}" if len(self.inputs) > 1 else "observation"
+            for one in terms:
+                parts = self._component_names(one)
+                found += [f"{start}_{one.spec.label}{f'_{part}' if part else ''}" for part in parts]
+        return (*found, *(f"action_{joint}" for joint in self.joints))
+
+    def _component_names(self, term: Term) -> tuple[str, ...]:
+        """Names of a term's numbers: of joints, of commands, or their index; none for a single number."""
+        one = term.spec
+        if one.term in ("joint_positions", "joint_velocities", "last_action") and not one.sensor:
+            return one.joints or self.joints
+        if one.term == "command":
+            return one.commands or tuple(self.spec.commands)
+        return tuple(map(str, range(term.size))) if term.size > 1 else ("",)
+
+    @staticmethod
+    def record(state: Mapping[str, Any]) -> tuple[Any, Any]:
+        """Return the latest observation (..., k) and action (..., joints) from states of the policy after a tick."""
+        return state["seen"], state["action"]
+
+    @property
     def measured_terms(self) -> dict[str, Term]:
         """The terms that are measured, by label: those that sensor errors apply to."""
         return {one.spec.label: one for terms in self.inputs.values() for one in terms if one.raw is not None}
@@ -141,7 +166,9 @@ def fit_policy(
             elif spec.stacking == "by_term":
                 past |= {f"{name}/{one.spec.label}": jnp.zeros((one.history, one.size))
                          for one in terms if one.history > 1}  # fmt: skip
-        return None, {"tick": jnp.int32(0), "action": jnp.zeros(len(joints)), "past": past, "memory": memory}, None
+        seen = jnp.zeros(sum(one.size for terms in inputs.values() for one in terms))
+        state = {"tick": jnp.int32(0), "action": jnp.zeros(len(joints)), "past": past, "memory": memory, "seen": seen}
+        return None, state, None
 
     def push(past: Any, new: Any, tick: Any) -> Any:
         later = jnp.concatenate([past[1:], new[None]])
@@ -150,13 +177,14 @@ def fit_policy(
         return jnp.where(tick == 0, jnp.broadcast_to(new, past.shape), later)
 
     def assemble(belief: Mapping[str, Any], seen: Any, state: Mapping[str, Any]) -> tuple[dict[str, Any], Any]:
-        tick, past, found = state["tick"], dict(state["past"]), {}
+        tick, past, found, present = state["tick"], dict(state["past"]), {}, []
         for name, terms in inputs.items():
             parts = []
             for one in terms:
                 new = seen[one.raw] if one.raw is not None else _compute_term(one, spec, belief, state, period)
                 new = jnp.clip(new, *one.spec.clip) if one.spec.clip else new
                 new = new * one.scale
+                present.append(new.astype(float))
                 if (key := f"{name}/{one.spec.label}") in past:
                     past[key] = push(past[key], new, tick)
                     new = past[key].reshape(-1)
@@ -166,7 +194,7 @@ def fit_policy(
                 past[name] = push(past[name], whole, tick)
                 whole = past[name].reshape(-1)
             found[name] = whole.astype(float)
-        return found, {**state, "past": past}
+        return found, {**state, "past": past, "seen": jnp.concatenate(present)}
 
     def policy(belief: Mapping[str, Any], seen: Any, state: Any, key: Any) -> tuple[Any, Any]:
         numbers, state = assemble(belief, seen, state)

@@ -248,7 +248,8 @@ class MjxModelEngine(ModelEngine):
                 carry = self._advance(fixed, k, min(chunk, longest - k), carry)
                 if len(slots) and k + every <= longest:
                     last = carry["ctrl"], carry["sim_state"]["qpos"], carry["sim_state"]["qvel"], carry["force"]
-                    frames.append(TickSample((k + every) * spec.config.period, *(np.asarray(x)[slots] for x in last)))
+                    states, policy = (np.asarray(x)[slots] for x in last), self._read_policy(carry["carried"], slots)
+                    frames.append(TickSample((k + every) * spec.config.period, *states, policy=policy))
             measured = self._call(self._finish, policy_inputs, carry["carried"], carry["seen"])
         measured = {name: np.asarray(values, float) for name, values in measured.items()}
         last = jax.tree.map(np.asarray, carry["metric_state"])
@@ -256,6 +257,13 @@ class MjxModelEngine(ModelEngine):
         gained = begun.energy(last.last, last.speed) - at_first
         found = self._meter.compute(last, begun.mass, gained, wrong, full) | measured
         return found, frames, [begun.batch.get_model(int(slot)) for slot in slots]
+
+    def _read_policy(self, carried: Mapping[str, Any], slots: Any) -> np.ndarray:
+        """What learned policies saw and did in the latest tick, (slots, k); k is 0 for other controllers."""
+        if self._programs.learned is None:
+            return np.zeros((len(slots), 0))
+        found = self._programs.learned.record(carried["state"])
+        return np.concatenate([np.asarray(one, float)[np.asarray(slots)] for one in found], axis=1)
 
     def _start(
         self, world: SideValues, belief: SideValues, streams: np.ndarray

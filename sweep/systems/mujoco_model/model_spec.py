@@ -204,12 +204,20 @@ class ModelSpec:
         numbers = dict(self.controller_values)
         return numbers[path] if path in numbers else fields.parameter(self.model, path).default
 
-    def time_series_columns(self, qpos: np.ndarray, qvel: np.ndarray) -> dict[str, np.ndarray]:
+    @property
+    def policy_columns(self) -> tuple[str, ...]:
+        """Columns of what a learned policy saw and did; none of other controllers."""
+        return self.controller.learned.recorded_columns if self.controller.learned else ()
+
+    def time_series_columns(
+        self, qpos: np.ndarray, qvel: np.ndarray, recorded: np.ndarray | None = None
+    ) -> dict[str, np.ndarray]:
         """Compute the columns of time series, (n,) each.
 
         Args:
             qpos: Positions (n, nq).
             qvel: Velocities (n, nv).
+            recorded: Observations and actions (n, k) of a learned policy, see `policy_columns`.
         """
         columns = {}
         if (at := self.base_address) is not None:
@@ -217,7 +225,10 @@ class ModelSpec:
             upright = self.model.qpos0[at + 3 : at + 7]
             columns["tilt_deg"] = arccos_deg(cosine_of_tilt(qpos[:, at + 3 : at + 7], upright))
         columns |= {f"qpos_{k}": qpos[:, k] for k in range(self.model.nq)}
-        return columns | {f"qvel_{k}": qvel[:, k] for k in range(self.model.nv)}
+        columns |= {f"qvel_{k}": qvel[:, k] for k in range(self.model.nv)}
+        if recorded is None:
+            return columns
+        return columns | {name: recorded[:, k] for k, name in enumerate(self.policy_columns)}
 
 
 def cosine_of_tilt(quat: Any, start: Any) -> Any:

@@ -74,7 +74,7 @@ class ControllerPrograms:
 
     def __init__(self, spec: ModelSpec, belief: Mapping[str, Any]):
         control, self._spec = spec.controller, spec
-        self.period = spec.config.period
+        self.period, self.learned = spec.config.period, control.learned
         self._begin = control.begin or (lambda belief, key: (None, (), None))
         # what is batched is called with what this gives
         self._policy = (lambda belief, told, state, key: (told, state)) if control.batched else control.policy
@@ -377,6 +377,14 @@ class ControllerBatch:
         self._tick += 1
         parts, self._carried = zip(*self._of_tiles(self._programs.tick, observable), strict=True)
         return self._joined([self._programs.compute_controls(one, self._when) for one in parts])
+
+    def read_policy(self, slots: Any) -> np.ndarray:
+        """Return what learned policies saw and did in the latest tick, (slots, k); k is 0 for other controllers."""
+        learned, slots = self._programs.learned, np.asarray(slots, int)
+        if learned is None:
+            return np.zeros((len(slots), 0))
+        tiles = [np.concatenate(learned.record(carried["state"]), axis=1) for carried in self._carried]
+        return np.concatenate(tiles)[slots].astype(float)
 
     def finish(self, observable: np.ndarray) -> dict[str, np.ndarray]:
         """The controllers' own figures, (n,) by name, of states (n, s) at the end."""
