@@ -2,14 +2,18 @@
 
 from pathlib import Path
 
+import jax
 import pandas as pd
 import pytest
 
 import sweep
 from sweep.cli.main import main
+from sweep.config.experiment import compose
 from sweep.report import tables
 from sweep.runs import parquet, store
 from sweep.study.columns import metric_columns
+from sweep.study.study import make_points
+from sweep.systems import hexapod
 
 FOLDER = Path(__file__).parent / "data" / "ci_smoke"
 PLACE = {"batch", "slot"}
@@ -81,3 +85,12 @@ def test_a_folder_whose_parts_are_merged_while_it_is_read_gives_each_row_once(tm
         (folder / part.file).unlink()
     again = store.pa.concat_tables([first, *found], promote_options="permissive").to_pandas()
     pd.testing.assert_frame_equal(again, before)
+
+
+def test_the_bodies_of_many_points_are_checked_by_one_compiled_program(monkeypatch, caplog):
+    monkeypatch.setattr(hexapod, "CHECKED", 4)
+    mass = "+study.axes.mass={path: robot.body_mass, relative: 0.1}"
+    exp = compose(["scenario=walk_tripod", "study.design.num=20", mass])
+    with jax.log_compiles():
+        make_points(exp.study, exp.system, exp.settings)
+    assert len([line for line in caplog.messages if line.startswith("Compiling") and "least" in line]) == 1

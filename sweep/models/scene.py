@@ -4,6 +4,9 @@
 model that depend on parameters, under vmap, so that sizes and masses are swept without compiling anything again.
 """
 
+from functools import partial
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -101,14 +104,21 @@ def find_too_small(case: Case) -> np.ndarray:
     Returns:
         Booleans (n,).
     """
-    axes = jax.tree.map(lambda x: 0 if np.ndim(x) else None, case)
+    leaves, structure = jax.tree.flatten(case)
+    axes = tuple(0 if np.ndim(leaf) else None for leaf in leaves)
+    return np.asarray(_least_inertias(structure, axes, leaves)) < mujoco.mjMINVAL
 
-    def least(one: Case) -> Array:
-        fields = batched_model_fields(one)
+
+@partial(jax.jit, static_argnums=(0, 1))  # at module level, so that tables checked in chunks compile once
+def _least_inertias(structure: Any, axes: tuple[int | None, ...], leaves: list[Any]) -> Array:
+    """Return the smallest mass or moment of inertia (n,) of each case of a batch, whose leaves have these axes."""
+
+    def least(*values: Any) -> Array:
+        fields = batched_model_fields(jax.tree.unflatten(structure, values))
         parts = [*fields["body_mass"].values(), *fields["body_inertia"].values()]
         return jnp.min(jnp.concatenate([jnp.ravel(part) for part in parts]))
 
-    return np.asarray(jax.jit(jax.vmap(least, in_axes=(axes,)))(case)) < mujoco.mjMINVAL
+    return jax.vmap(least, in_axes=axes)(*leaves)
 
 
 def build_spec(case: Case, geoms: bool = True) -> mujoco.MjSpec:
