@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
-import numpy as np
 import pandas as pd
 
+from sweep.analysis.distinct_values import are_all_different
 from sweep.config.experiment import Experiment
 from sweep.study.columns import LABELS, metric_columns
 from sweep.study.designs import Axis
@@ -30,22 +30,35 @@ def compare_along_axes(rows: pd.DataFrame, exp: Experiment) -> dict[str, AxisPai
     if exp.study.points or exp.study.is_adaptive or rows.empty:
         return {}
     axes = [axis for axis in exp.study.axes if axis.column in rows]
-    results = rows[[*metric_columns(rows), *(name for name in LABELS if name in rows)]]
-    measured = pd.util.hash_pandas_object(results, index=False).to_numpy()
     draws = rows["replicate"].where(exp.system.find_random_rows(rows, exp.settings), 0)
-    found = {axis.name: _compare_along(axis, axes, rows, draws, measured) for axis in axes}
-    return {name: pairs for name, pairs in found.items() if pairs.rollouts}
+    groups = {axis.name: _group_along(axis, axes, rows, draws) for axis in axes}
+    groups = {name: group for name, group in groups.items() if len(group)}
+    if not groups:
+        return {}
+    results = rows[[*metric_columns(rows), *(name for name in LABELS if name in rows)]]
+    measured = pd.Series(pd.util.hash_pandas_object(results, index=False).to_numpy())
+    return {
+        name: AxisPairs(len(group), bool(measured[group.index].groupby(group).nunique().max() == 1))
+        for name, group in groups.items()
+    }
 
 
-def _compare_along(
-    axis: Axis, axes: list[Axis], rows: pd.DataFrame, draws: pd.Series, measured: np.ndarray
-) -> AxisPairs:
-    """Compare rows that are equal in all axes but one, and but those that go along with it."""
+def _group_along(axis: Axis, axes: list[Axis], rows: pd.DataFrame, draws: pd.Series) -> pd.Series:
+    """Group the rows that are equal in all axes but one, and but those that go along with it.
+
+    Args:
+        axis: The axis in which the rows of a group differ.
+        axes: All axes with a column.
+        rows: Rows of the study.
+        draws: Number of the draw of each row; 0 where it draws no random numbers.
+
+    Returns:
+        The group of each row that has such a partner, by the row's number.
+    """
     leader = axis.along or axis.name
     others = [a.column for a in axes if leader not in (a.name, a.along)]
     key = pd.util.hash_pandas_object(rows[others].assign(draws=draws), index=False).to_numpy()
-    value = pd.factorize(rows[axis.column])[0]
-    table = pd.DataFrame({"key": key, "value": value, "measured": measured}).groupby("key")
-    several = table["value"].transform("nunique").to_numpy() > 1
-    differ = table["measured"].transform("nunique").to_numpy() > 1
-    return AxisPairs(int(several.sum()), not (several & differ).any())
+    repeated = pd.Series(key) if not are_all_different(key) else pd.Series(key[:0])
+    repeated = repeated[repeated.duplicated(keep=False)]
+    value = pd.Series(pd.factorize(rows[axis.column].iloc[repeated.index])[0], repeated.index)
+    return repeated[value.groupby(repeated).transform("nunique") > 1]

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from sweep.analysis.distinct_values import are_all_different, has_several_values
 from sweep.analysis.intervals import Interval, confidence_sequence, student_interval, wilson
 from sweep.analysis.stats import rates
 from sweep.config.experiment import Experiment
@@ -78,7 +79,7 @@ def pair_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
     """
     unit = independent_unit(exp.study)
     if unit == REPLICATE:
-        varied = [c for c in parameter_columns(rows) if rows[c].nunique() > 1]
+        varied = [c for c in parameter_columns(rows) if has_several_values(rows[c])]
         return None if varied else draw_ids(rows, exp)
     return draw_ids(rows, exp) if unit.is_even else unit_numbers(rows, exp)
 
@@ -94,10 +95,10 @@ def has_independent_rows(rows: pd.DataFrame, exp: Experiment) -> bool:
     """
     study = exp.study
     if independent_unit(study) == REPLICATE:
-        plain = all(rows[c].nunique() <= 1 for c in parameter_columns(rows))
+        plain = not any(has_several_values(rows[c]) for c in parameter_columns(rows))
     else:
         plain = study.design.follows_distributions and has_draws(study)
-    return plain and not study.is_refined and len(np.unique(draw_ids(rows, exp))) == len(rows)
+    return plain and not study.is_refined and are_all_different(draw_ids(rows, exp))
 
 
 def interval_method(study: Study) -> str:

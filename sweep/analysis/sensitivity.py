@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from sweep.analysis.distinct_values import are_all_different, has_several_values
 from sweep.analysis.intervals import CONFIDENCE, Interval, clopper_pearson, student_interval
 from sweep.analysis.sampling_units import condition_rates, draw_ids
 from sweep.analysis.stats import rates
@@ -51,7 +52,7 @@ def drawn_axes(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
 
 
 def _varies(rows: pd.DataFrame, axis: Axis) -> bool:
-    return axis.column in rows and rows[axis.column].nunique() > 1
+    return axis.column in rows and has_several_values(rows[axis.column])
 
 
 def numeric_axes(rows: pd.DataFrame, axes: list[Axis]) -> list[Axis]:
@@ -387,7 +388,7 @@ def regional_sensitivity(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
         raise InputError("regional sensitivity needs successes and failures")
     invalid = int((~good & ~bad).sum())
     draws = draw_ids(rows, exp)
-    repeated = len(np.unique(draws[good | bad])) < (good | bad).sum()
+    repeated = not are_all_different(draws[good | bad])
     plain = exp.study.design.follows_distributions
     lines = []
     for axis in numeric_axes(rows, drawn_axes(rows, exp)):

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from sweep.analysis.distinct_values import count_distinct, number_distinct
 from sweep.analysis.intervals import Interval, confidence_sequence, korn_graubard, wilson
 
 
@@ -124,7 +125,9 @@ def _ends_by_unit(
         ends: That interval of each group (g,).
     """
     number = len(ends.low)
-    _, codes = np.unique(unit, return_inverse=True)
+    codes = number_distinct(unit)
+    if codes.max(initial=-1) + 1 == len(codes):  # no two rows share a unit
+        return ends
     pair, place = np.unique(group * (codes.max(initial=0) + 1) + codes, return_inverse=True)
     size, won = np.bincount(place), np.bincount(place, success)
     if size.max(initial=0) <= 1:
@@ -163,7 +166,7 @@ def bin_values(values: pd.Series, most: int) -> pd.Series:
         values: Values (n,); names stay as they are.
         most: Largest number of distinct values that stay, and number of bins.
     """
-    if values.dtype.kind not in "fi" or values.nunique() <= most:
+    if values.dtype.kind not in "fi" or count_distinct(values, most) <= most:
         return values
     low, high = values.min(), values.max()
     width = (high - low) / most

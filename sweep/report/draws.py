@@ -47,7 +47,7 @@ def draws_figure(results: Results) -> Iterator[StudyFigure]:
     text = "Above: a line for each rollout through its drawn values, on axes from the smallest to the largest. "
     if lines < size or len(columns) > AXES:
         text += f"{lines} of {size} lines and {min(len(columns), AXES)} of {len(columns)} parameters are shown. "
-    if not {"success", "failure"} <= set(results.rows["outcome"]):
+    if not {"success", "failure"} <= set(results.rows["outcome"].unique()):
         text += "Below: the rollouts over the first parameters."
     else:
         grey = "; grey where p > 0.05" if results.regional_sensitivity["p"].notna().any() else ""

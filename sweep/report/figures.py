@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
+from sweep.analysis.distinct_values import count_distinct
 from sweep.analysis.sample import is_sample
 from sweep.analysis.sampling_units import draw_ids, draw_interval_method, interval_method
 from sweep.analysis.stats import bin_values, format_percent, rate, rates
@@ -99,7 +100,7 @@ def effects_figure(results: Results) -> Iterator[StudyFigure]:
     """Yield the success rate along each parameter, unless earlier rows decided where rollouts were placed."""
     if results.exp.study.is_sequential:
         return
-    by = [c for c in results.categorical if results.rows[c].nunique() <= LINES][:1]
+    by = [c for c in results.categorical if count_distinct(results.rows[c], LINES) <= LINES][:1]
     if results.one_at_a_time:
         by, table = [], sensitivity.one_at_a_time_rates(results.rows, results.exp)
         caption = (
@@ -113,7 +114,7 @@ def effects_figure(results: Results) -> Iterator[StudyFigure]:
         tables, in_bins = [], False
         for axis in results.numeric:
             value = results.rows[axis]
-            if value.nunique() > EFFECT_VALUES:
+            if count_distinct(value, EFFECT_VALUES) > EFFECT_VALUES:
                 value, in_bins = bin_values(value, EFFECT_BINS), True
             draws = draw_ids(results.rows, results.exp)
             found = rates(results.rows.assign(value=value), [*by, "value"], unit=draws).assign(axis=axis)

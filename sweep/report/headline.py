@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import rare
+from sweep.analysis.distinct_values import number_distinct
 from sweep.analysis.sample import pooled_rate
 from sweep.analysis.sampling_units import independent_unit, unit_numbers
 from sweep.analysis.stats import format_percent
@@ -52,7 +53,7 @@ def largest_failure(rows: pd.DataFrame, exp: Experiment) -> str:
 def sample_size(rows: pd.DataFrame, exp: Experiment) -> str:
     """Say how many independent units the rows of a study are, or that they are no random sample."""
     units = unit_numbers(rows, exp)
-    number = 0 if units is None else len(np.unique(units))
+    number = 0 if units is None else number_distinct(units).max(initial=-1) + 1
     if number <= 1:  # one replicate of a grid is the grid
         return "the points were chosen: no random sample" if len(rows) > 1 else "a single rollout"
     return f"{number:,} independent {independent_unit(exp.study).name}s"

@@ -18,6 +18,7 @@ from matplotlib.patches import Patch, PathPatch, Rectangle
 from matplotlib.path import Path
 from matplotlib.transforms import Affine2D
 
+from sweep.analysis.distinct_values import has_several_values
 from sweep.analysis.sample import pooled_rate
 from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.expressions import column
@@ -123,7 +124,7 @@ def independent_parameters(rows: pd.DataFrame, chosen: tuple[str, ...] = ()) -> 
         Columns: the chosen ones, then numbers, then names. In a table of points that are all different, each parameter
         determines all others.
     """
-    varied = [c for c in rows.columns if "." in c and rows[c].nunique() > 1]
+    varied = [c for c in rows.columns if "." in c and has_several_values(rows[c])]
     found = [column(rows, name) for name in chosen]
     for one in sorted(varied, key=lambda c: rows[c].dtype.kind not in "fi"):  # numbers first, then names
         if len(found) < 2 and not any((rows.groupby(known)[one].nunique() == 1).all() for known in found):
@@ -136,7 +137,7 @@ def split_panels(
 ) -> Iterator[tuple[list[str], pd.DataFrame]]:
     """Divide rows into panels with titles, one for each combination of names and of values of `also`."""
     named = [c for c in rows.columns if "." in c and c not in (x, y) and rows[c].dtype.kind not in "fi"]
-    named = [*(c for c in named if rows[c].nunique() > 1), *also]
+    named = [*(c for c in named if has_several_values(rows[c])), *also]
     if not named:
         yield [], rows
         return

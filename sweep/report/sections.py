@@ -12,6 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from sweep.analysis import sensitivity
+from sweep.analysis.distinct_values import count_distinct, has_several_values
 from sweep.analysis.intervals import confidence_sequence, wilson
 from sweep.analysis.sample import is_sample
 from sweep.analysis.sampling_units import draw_ids
@@ -105,7 +106,7 @@ def bin_rows(results: Results, x: str, y: str, remaining: list[str]) -> Section:
     """Bin all rows over two parameters; a parameter with few values keeps them."""
     rows = results.rows
     most = int(np.clip(np.sqrt(len(rows) / 20), 4, 40))
-    bins = {c: min(most, rows[c].nunique()) for c in (x, y)}
+    bins = {c: min(most, count_distinct(rows[c], most)) for c in (x, y)}
     note = f"{bins[x]} by {bins[y]} bins" + (", over all values of the other parameters" if remaining else "")
     return Section(x, y, None, rows.assign(**{c: bin_values(rows[c], most) for c in (x, y)}), note)
 
@@ -193,7 +194,7 @@ def cell_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[s
 def section_data(results: Results, chosen: Section) -> pd.DataFrame:
     """The numbers behind a map, a row for each cell."""
     rows = chosen.rows
-    named = [c for c in rows if "." in str(c) and rows[c].dtype.kind not in "fi" and rows[c].nunique() > 1]
+    named = [c for c in rows if "." in str(c) and rows[c].dtype.kind not in "fi" and has_several_values(rows[c])]
     named = [c for c in named if c not in (chosen.x, chosen.y)]
     by = [*named, *([chosen.beside] if chosen.beside else []), chosen.x, chosen.y]
     table = cell_rates(results, rows, by, by)

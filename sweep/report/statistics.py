@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
 
-import numpy as np
 import pandas as pd
 
 from sweep.analysis import failing, rare, screening, sensitivity
 from sweep.analysis.axis_effects import compare_along_axes
+from sweep.analysis.distinct_values import number_distinct
 from sweep.analysis.sample import drop_copies, pooled_rate
 from sweep.analysis.sampling_units import condition_rates, draw_ids, interval_method
 from sweep.analysis.sensitivity import MIN_RARER
@@ -85,13 +85,13 @@ def statistics_sections(
             "95 % interval from the rates at the values tried)"
         )
         yield title, _select_axes(sensitivity.tolerance(rows, exp, level), effective)
-    if len(drawn) and {"success", "failure"} <= set(rows["outcome"]):
+    if len(drawn) and {"success", "failure"} <= set(rows["outcome"].unique()):
         yield (
             "Regional sensitivity: differences between failing and succeeding draws",
             sensitivity.regional_sensitivity(rows, exp),
         )
         yield from _sensitivity_tables(rows, exp)
-    draws = len(np.unique(draw_ids(rows, exp)))
+    draws = number_distinct(draw_ids(rows, exp)).max(initial=-1) + 1
     for title, function in sensitivity_methods(exp, draws).items() if drawn else ():
         try:
             table = function(rows, exp, figure)

@@ -3,6 +3,7 @@
 import pandas as pd
 
 from sweep.analysis.axis_effects import compare_along_axes
+from sweep.analysis.distinct_values import has_several_values
 from sweep.config.experiment import Experiment
 from sweep.runs.batches import make_engine, make_nominal_batch, static_values, with_delay_buffer
 from sweep.study.study import parameter_columns
@@ -20,7 +21,7 @@ def find_unread_columns(exp: Experiment, table: pd.DataFrame) -> set[str]:
     """
     exp = with_delay_buffer(exp, table)
     static = [*static_values(exp, table)]
-    unread = {c for c in parameter_columns(table) if c not in static and table[c].nunique() > 1}
+    unread = {c for c in parameter_columns(table) if c not in static and has_several_values(table[c])}
     groups = [rows for _, rows in table.groupby(static, sort=False)] if static else [table]
     for rows in groups:
         if not unread:

@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from sweep.analysis import sensitivity
+from sweep.analysis.distinct_values import has_several_values
 from sweep.analysis.sample import drop_copies
 from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.errors import InputError
@@ -34,7 +35,7 @@ class Results:
         """Columns that vary: of the study's axes, or of its table of points."""
         listed = [] if self.exp.study.points else [axis.column for axis in self.exp.study.axes]
         every = listed or parameter_columns(self.rows)
-        return [c for c in every if c in self.rows and self.rows[c].nunique() > 1]
+        return [c for c in every if c in self.rows and has_several_values(self.rows[c])]
 
     @cached_property
     def numeric(self) -> list[str]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sweep.analysis.distinct_values import has_several_values
 from sweep.analysis.sample import choose_indices
 from sweep.contract.system import split_side
 from sweep.core.files import encode_text
@@ -44,7 +45,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
     rows = results.rows.iloc[sample_places(len(results.rows))]
     kinds, axes = page_kinds(results), [*results.categorical, *results.numeric]
     figures = ["margin", "t_cause_s"] if "margin" in rows else []
-    figures = [c for c in figures if rows[c].nunique() > 1] + metrics_with_threshold_first(results)[:MAX_METRICS]
+    figures = [c for c in figures if has_several_values(rows[c])] + metrics_with_threshold_first(results)[:MAX_METRICS]
     bits = COARSE if len(rows) * len(figures) * 2 > ROOM else 15
     coded = [encode_column(rows[c], bits) for c in (*axes, *figures)]
     judged, words = metric_thresholds(results), unique_words((*axes, *figures), results.exp)
