@@ -1,16 +1,18 @@
 """What commands read of a folder: the columns and parts that they need, so that a million rows take little memory."""
 
+import shutil
 from pathlib import Path
 
 import jax
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 
 import sweep
 from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.report import tables
-from sweep.runs import parquet, store
+from sweep.runs import manifest, parquet, store
 from sweep.study.columns import metric_columns
 from sweep.study.study import make_points
 from sweep.systems import hexapod
@@ -59,21 +61,48 @@ def test_commands_read_the_columns_that_they_need(read, capsys):
     ]
 
 
-def test_a_csv_is_written_part_by_part(monkeypatch, tmp_path):
-    steps, table, text = [], store.read_table, tables.csv_bytes
-    monkeypatch.setattr(store, "read_table", lambda *args: steps.append("read") or table(*args))
-    monkeypatch.setattr(tables, "csv_bytes", lambda *args, **how: steps.append("write") or text(*args, **how))
-    assert main(["table", str(FOLDER), "--format", "csv", "-o", str(tmp_path / "rows.csv")]) == 0
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_a_table_is_written_part_by_part(form, monkeypatch, tmp_path):
+    steps = []
+
+    def record(owner, name, step):
+        real = getattr(owner, name)
+        monkeypatch.setattr(owner, name, lambda *args, **options: steps.append(step) or real(*args, **options))
+
+    record(store, "read_table", "read")
+    record(tables, "write_csv", "write")
+    record(tables.pq.ParquetWriter, "write_table", "write")
+    monkeypatch.setattr(tables, "GROUP_ROWS", 1)
+    path = tmp_path / f"rows.{form}"
+    assert main(["table", str(FOLDER), "--format", form, "-o", str(path)]) == 0
     assert steps == ["read", "write"] * 2
-    whole = tables.csv_bytes(store.read_rows(FOLDER))
-    assert (tmp_path / "rows.csv").read_bytes() == whole
+    rows = store.read_rows(FOLDER)
+    if form == "csv":
+        assert path.read_bytes() == tables.csv_bytes(rows)
+    else:
+        assert pq.ParquetFile(path).num_row_groups == 2
+        pd.testing.assert_frame_equal(pd.read_parquet(path), rows)
+
+
+def test_small_parts_share_a_row_group_of_a_parquet_table(tmp_path):
+    assert main(["table", str(FOLDER), "--format", "parquet", "-o", str(tmp_path / "rows.parquet")]) == 0
+    assert pq.ParquetFile(tmp_path / "rows.parquet").num_row_groups == 1
+
+
+def test_a_parquet_table_has_one_type_where_parts_lack_a_column(tmp_path):
+    folder = shutil.copytree(FOLDER, tmp_path / "out")
+    parts = store.current_parts(folder)
+    counted = [store.read_part(folder, part) for part in parts]
+    counted[0]["hops"], counted[1]["is_far"] = 3, True
+    entries = [
+        store.write_part(folder, rows, part.study, part.labels) for rows, part in zip(counted, parts, strict=True)
+    ]
+    manifest.rewrite(folder, [*(one for one in manifest.read(folder) if one not in parts), *entries])
+    assert main(["table", str(folder), "--format", "parquet", "-o", str(tmp_path / "rows.parquet")]) == 0
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "rows.parquet"), store.read_rows(folder))
 
 
 def test_a_folder_whose_parts_are_merged_while_it_is_read_gives_each_row_once(tmp_path, monkeypatch):
-    import shutil
-
-    from sweep.runs import manifest
-
     folder = shutil.copytree(FOLDER, tmp_path / "out")
     before, parts = store.read_rows(folder), store.current_parts(folder)
     found = store.iterate_parts(folder)

@@ -1,13 +1,15 @@
 """Rows as text or files: CSV, Markdown, LaTeX with booktabs, Parquet."""
 
 import io
-from collections.abc import Iterator
+import json
+from collections.abc import Iterable, Iterator
 from csv import writer
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.parquet as pq
 from pyarrow.csv import WriteOptions, write_csv
 
 from sweep.analysis.stats import cause_lines, format_percent
@@ -19,6 +21,7 @@ from sweep.runs.results import Results
 from sweep.study.columns import LABELS, metric_columns
 
 SIGNS = {"°": r"\textdegree{}", "·": r"$\cdot$", "⁴": r"\textsuperscript{4}", r"a\_r": "$a_r$"}
+GROUP_ROWS = 2**16  # rows that a group of a Parquet file has at least, but for the last
 SHARES = ("share", "low", "high")  # of tables of rates; without a share, low and high are numbers of their own
 
 
@@ -39,9 +42,7 @@ def render_table(rows: pd.DataFrame, form: str, names: list[str] | None = None, 
         case "csv":
             return csv_bytes(rows)
         case "parquet":
-            content = io.BytesIO()
-            rows.to_parquet(content, index=False, compression="zstd")
-            return content.getvalue()
+            return b"".join(parquet_pieces([rows], rows.iloc[:0]))
         case "latex":
             return latex_table(rows, exp).encode()
         case _:
@@ -85,6 +86,48 @@ def csv_bytes(rows: pd.DataFrame, header: bool = True) -> bytes:
         content.write(line.getvalue().encode())
     write_csv(pa.Table.from_pandas(rows, preserve_index=False), content, WriteOptions(include_header=False))
     return content.getvalue()
+
+
+def parquet_pieces(parts: Iterable[pd.DataFrame], empty: pd.DataFrame) -> Iterator[bytes]:
+    """Write rows as a Parquet file, in groups of about `GROUP_ROWS` rows, so that no more are in memory.
+
+    Args:
+        parts: The rows, in order.
+        empty: A table without rows that has the columns of all parts, with their types and `attrs`.
+
+    Yields:
+        The bytes of the file, piece by piece.
+    """
+    schema = pa.Schema.from_pandas(empty, preserve_index=False)
+    if empty.attrs:
+        schema = schema.with_metadata({**schema.metadata, b"PANDAS_ATTRS": json.dumps(empty.attrs).encode()})
+    sink = io.BytesIO()
+
+    def take_bytes() -> bytes:
+        piece = sink.getvalue()
+        sink.seek(0)
+        sink.truncate()
+        return piece
+
+    # without dictionaries of floats, most of which are distinct: the file is smaller, and written in half the time
+    repeated: Any = [field.name for field in schema if not pa.types.is_floating(field.type)]
+    with pq.ParquetWriter(pa.PythonFile(sink, "w"), schema, compression="zstd", use_dictionary=repeated) as file:
+        for group in _join_small_parts(pa.Table.from_pandas(part, schema, preserve_index=False) for part in parts):
+            file.write_table(group)
+            yield take_bytes()
+    yield take_bytes()
+
+
+def _join_small_parts(parts: Iterable[pa.Table]) -> Iterator[pa.Table]:
+    """Yield the rows of some tables in tables of at least `GROUP_ROWS` rows; the last may have fewer."""
+    collected: list[pa.Table] = []
+    for part in parts:
+        collected.append(part)
+        if sum(map(len, collected)) >= GROUP_ROWS:
+            yield pa.concat_tables(collected)
+            collected.clear()
+    if collected:
+        yield pa.concat_tables(collected)
 
 
 def axis_lines(rows: pd.DataFrame, exp: Experiment) -> list[str]:

@@ -84,6 +84,17 @@ def column_names(path: Path, metadata: pq.FileMetaData) -> list[str]:
     return names
 
 
+def decoded_schema(schema: pa.Schema) -> pa.Schema:
+    """Return the names and types that `read_parquet` gives the columns of a file.
+
+    Args:
+        schema: Arrow schema of the file.
+    """
+    words = (pa.types.is_string, pa.types.is_large_string, pa.types.is_dictionary)
+    types = [pa.large_string() if any(is_kind(one.type) for is_kind in words) else one.type for one in schema]
+    return pa.schema([*zip(schema.names, types, strict=True)])
+
+
 def check_expansion(path: Path, total: int, size: int) -> None:
     """Refuse files that expand to more memory than their size warrants.
 

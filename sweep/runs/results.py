@@ -100,7 +100,7 @@ def load_experiment(folder: Path) -> Experiment:
 
 
 def empty_rows(folder: Path, exp: Experiment) -> pd.DataFrame:
-    """Return a table without rows that has the columns of a folder's rows, and the names of its axes.
+    """Return a table without rows that has the columns of a folder's rows with their types, and the names of its axes.
 
     Args:
         folder: Folder of the study.
@@ -109,7 +109,7 @@ def empty_rows(folder: Path, exp: Experiment) -> pd.DataFrame:
     Raises:
         InputError: There are no rows yet, or a part is damaged.
     """
-    return name_axes(pd.DataFrame(columns=store.list_columns(folder)), exp.study.axes)
+    return name_axes(store.read_column_types(folder), exp.study.axes)
 
 
 def iterate_matching_rows(

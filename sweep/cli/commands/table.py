@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from sweep.cli.arguments import add_folder, add_output, add_where, parse_names
@@ -13,6 +13,8 @@ from sweep.core.arguments import Arguments
 from sweep.core.errors import InputError
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from sweep.config.experiment import Experiment
 
 COMMAND = Command(Section.READ, "print the rows of a study as a table")
@@ -43,11 +45,11 @@ def run(args: argparse.Namespace) -> int:
     exp = results.load_experiment(args.dir)
     empty, names = results.empty_rows(args.dir, exp), parse_names(args.columns)
     chosen = tables.choose_columns(empty, args.format, names)
-    if args.format == "csv":
-        write_csv_table(args, exp, chosen)
+    if args.format in ("csv", "parquet"):
+        write_rows(args, exp, empty[chosen])
         return DONE
     rows = read_matching_rows(args.dir, args.where, [*chosen, "replicate"])  # by which a page chooses columns
-    content = tables.render_table(rows, args.format, chosen if args.format == "parquet" else names, exp)
+    content = tables.render_table(rows, args.format, names, exp)
     if args.output:
         save_output(args.output, content)
     elif args.format != "markdown":  # data for another program, whose lines must stay whole
@@ -58,21 +60,31 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def write_csv_table(args: argparse.Namespace, exp: "Experiment", columns: Sequence[str]) -> None:
-    """Write columns of the rows as CSV, with no more than a part of the folder in memory."""
+def write_rows(args: argparse.Namespace, exp: "Experiment", empty: "pd.DataFrame") -> None:
+    """Write rows as CSV or Parquet, with no more than a few parts of the folder in memory.
+
+    Args:
+        args: Arguments of the subcommand.
+        exp: Experiment of the folder.
+        empty: A table without rows that has the columns to write, see `results.empty_rows`.
+    """
     from sweep.cli.rows import save_output, warn_of_no_match
     from sweep.report import tables
     from sweep.runs import results
 
-    def pieces() -> Iterator[bytes]:
+    def parts() -> Iterator["pd.DataFrame"]:
         total, matching = 0, 0
-        for rows, number in results.iterate_matching_rows(args.dir, exp, columns, args.where):
-            yield tables.csv_bytes(rows, header=not total)
+        for rows, number in results.iterate_matching_rows(args.dir, exp, [*map(str, empty)], args.where):
+            yield rows
             total, matching = total + number, matching + len(rows)
         if not matching:
             warn_of_no_match(args.dir, args.where, total)
 
+    if args.format == "parquet":
+        save_output(args.output, tables.parquet_pieces(parts(), empty))
+        return
+    pieces = (tables.csv_bytes(rows, header=not k) for k, rows in enumerate(parts()))
     if args.output:
-        save_output(args.output, pieces())
+        save_output(args.output, pieces)
     else:
-        sys.stdout.writelines(piece.decode() for piece in pieces())
+        sys.stdout.writelines(piece.decode() for piece in pieces)
