@@ -168,20 +168,23 @@ def step(
         state = _blend_from_last_target(ctx, last_target, state, stance)
     # The base error at the start of the stage fades out, unless the base pose says nothing about the feet.
     remaining = jnp.where(ignores_pose, 1.0, 1 - phase)
-    target, reference = (
-        error and stance._replace(
-            position=stance.position + remaining * error.position,
-            quat=multiply(exponential(remaining * error.turn), stance.quat),
+    target, *references = [
+        Stance(
+            stance.feet,
+            stance.position + remaining * error.position,
+            multiply(exponential(remaining * error.turn), stance.quat),
         )
         for error in (state.error, state.true_error)
-    )  # fmt: skip
+        if error is not None
+    ]
     states = list(state.layer_states)
     for k, layer in enumerate(plan.layers):
         states[k], target = layer.modify_stance(ctx, states[k], target)
     if state.last_target is not None:
         state = state._replace(last_target=stance_to_frame(target, *frames, free))
     joints, shortfall = joint_targets(belief.robot, target)
-    command = Command(nearest_equivalent_angle(joints, state.joints), target, phase, shortfall, reference=reference)
+    joints = nearest_equivalent_angle(joints, state.joints)
+    command = Command(joints, target, phase, shortfall, reference=references[0] if references else None)
     for k, layer in enumerate(plan.layers):
         states[k], command = layer.modify_command(ctx, states[k], command)
     state = state._replace(joints=command.joints, layer_states=tuple(states))

@@ -20,6 +20,14 @@ STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "s
 LIMITED = 0.999  # share of a limit, from which an actuator or a joint is at it
 
 
+Places = slice | np.ndarray  # of numbers in an array
+
+
+def as_places(numbers: np.ndarray) -> Places:
+    """Return ascending numbers without a gap as a slice, by which NumPy makes no copy; others as they are."""
+    return slice(numbers[0], numbers[-1] + 1) if len(numbers) and np.all(np.diff(numbers) == 1) else numbers
+
+
 class ModelParts:
     """Where the parts of a model, of which metrics are made, are in MuJoCo's arrays."""
 
@@ -37,31 +45,33 @@ class ModelParts:
         self.left = np.cross([0.0, 0.0, 1.0], ahead) if ahead[:2].any() else np.array([0.0, 1.0, 0.0])
         self.left /= np.linalg.norm(self.left)
         hinges = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE))
-        self.hinge_dofs = model.jnt_dofadr[hinges]
+        self.hinge_dofs = as_places(model.jnt_dofadr[hinges])
         on_joints = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-        self.hinge_drives = np.flatnonzero(on_joints & np.isin(model.actuator_trnid[:, 0], hinges))
-        self.hinge_gears = np.abs(model.actuator_gear[self.hinge_drives, 0])
-        self.force_limited = np.flatnonzero(model.actuator_forcelimited)
+        hinge_drives = np.flatnonzero(on_joints & np.isin(model.actuator_trnid[:, 0], hinges))
+        self.hinge_drives = as_places(hinge_drives)
+        self.hinge_gears = np.abs(model.actuator_gear[hinge_drives, 0])
+        force_limited = np.flatnonzero(model.actuator_forcelimited)
+        self.force_limited = as_places(force_limited)
         slides = model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
-        self.limited_joints = np.flatnonzero(model.jnt_limited.astype(bool) & slides)
-        self.limited_positions = model.jnt_qposadr[self.limited_joints]
-        self.foot_sensors = model.sensor_adr[feet := own.touch_sensors("feet")]
-        self.foot_sites = model.sensor_objid[feet]
-        self.collision_sensors = model.sensor_adr[own.touch_sensors("collisions")]
-
-    @property
-    def names(self) -> frozenset[str]:
-        """Parts that the model has, of those that `Metric.needs` names."""
+        limited_joints = np.flatnonzero(model.jnt_limited.astype(bool) & slides)
+        self.limited_joints = as_places(limited_joints)
+        self.limited_positions = as_places(model.jnt_qposadr[limited_joints])
+        feet, collisions = own.touch_sensors("feet"), own.touch_sensors("collisions")
+        self.feet_count = len(feet)
+        self.foot_sensors = as_places(model.sensor_adr[feet])
+        self.foot_sites = as_places(model.sensor_objid[feet])
+        self.collision_sensors = model.sensor_adr[collisions]
         has = {
             "base": self.has_base,
-            "hinges": len(self.hinge_dofs),
-            "hinge_drives": len(self.hinge_drives),
-            "force_limits": len(self.force_limited),
-            "joint_limits": len(self.limited_joints),
-            "feet": len(self.foot_sites),
-            "collisions": len(self.collision_sensors),
+            "hinges": len(hinges),
+            "hinge_drives": len(hinge_drives),
+            "force_limits": len(force_limited),
+            "joint_limits": len(limited_joints),
+            "feet": len(feet),
+            "collisions": len(collisions),
         }
-        return frozenset(name for name, there in has.items() if there)
+        # parts that the model has, of those that `Metric.needs` names
+        self.names = frozenset(name for name, there in has.items() if there)
 
 
 class ModelStart(NamedTuple):
@@ -75,7 +85,7 @@ class ModelStart(NamedTuple):
     @property
     def torque_groups(self) -> int:
         """Number of drives of hinge joints: each is a group of its own."""
-        return len(self.parts.hinge_drives)
+        return len(self.parts.hinge_gears)
 
     @property
     def base_position(self) -> Array:
@@ -95,7 +105,7 @@ class ModelStart(NamedTuple):
 
     def foot_holds(self) -> "TouchHolds":
         """See `CommonStart`."""
-        feet = len(self.parts.foot_sites)
+        feet = self.parts.feet_count
         return TouchHolds(self.constant(np.zeros((feet, 2))), self.constant(np.zeros(feet, bool)))
 
 
@@ -181,12 +191,12 @@ class TouchHolds(NamedTuple):
         loaded, place = ctx.foot_loads > LOADED, ctx.steps["site_xpos"][:, :, ctx.parts.foot_sites, :2]
         xp = array_namespace(place)
         before = xp.concatenate([self.loaded[:, None], loaded[:, :-1]], axis=1)
-        landed = xp.where(loaded & ~before, xp.arange(ctx.number)[:, None], -1)
-        when = xp.maximum.accumulate(landed, axis=1)[..., None]  # the last step at which it came down
-        there = xp.take_along_axis(place, xp.maximum(when, 0), axis=1)
-        down = xp.where(when >= 0, there, self.place[:, None])
-        moved = xp.hypot(*xp.moveaxis(place - down, -1, 0)) * loaded
-        return TouchHolds(down[:, -1], loaded[:, -1]), moved.max(axis=1)
+        # the last step at which it came down, counted from 1; 0 is that of the place before the report
+        when = xp.maximum.accumulate(xp.where(loaded & ~before, 1 + xp.arange(ctx.number)[:, None], 0), axis=1)
+        places = xp.concatenate([self.place[:, None], place], axis=1)
+        down_x, down_y = (xp.take_along_axis(places[..., k], when, axis=1) for k in range(2))
+        moved = xp.hypot(place[..., 0] - down_x, place[..., 1] - down_y) * loaded
+        return TouchHolds(xp.stack([down_x[:, -1], down_y[:, -1]], axis=-1), loaded[:, -1]), moved.max(axis=1)
 
 
 class ModelRollout(NamedTuple):
