@@ -26,7 +26,7 @@ from sweep.report import crate, replays
 from sweep.runs import manifest, store
 from sweep.study import columns, design_kinds, designs, distributions
 from sweep.study.analytic_limits import KEYS as THEORY_KEYS
-from sweep.study.design_kinds.base import Design
+from sweep.study.design_kinds.base import GRIDS, Design
 from sweep.study.study import Expectation, StudySchema
 from sweep.systems.mujoco_model import metrics as own_metrics
 from sweep.systems.mujoco_model import onnx_operators, policy_spec, tracking
@@ -352,7 +352,7 @@ def study_file_page() -> str:
         "Every other `kind` is a continuous distribution of scipy.stats by its name there, with its shapes, `loc` and "
         "`scale`. `from` and `to` truncate it.",
         "## `study.design`",
-        f"Grids: {', '.join(map(code, designs.GRIDS))}. Kinds:",
+        f"Grids: {', '.join(map(code, GRIDS))}. Kinds:",
         table(("kind", "use it for"), ((code(kind), cls.meaning) for kind, cls in design_kinds.KINDS.items())),
         design_settings(),
         "`correlation` is a list of `[axis, axis, coefficient]`: pairs of drawn axes, correlated by a Gaussian copula.",

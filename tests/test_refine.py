@@ -205,6 +205,7 @@ def test_draws_grow_where_a_condition_is_not_decided(tmp_path, fake_engine):
     [
         (["study.resolution=0.01", "study.axes.friction.values=[1.0]"], "at least 2 values"),
         (["study.resolution=0.01", "study.where='friction > 1'"], "refinement needs a full grid"),
+        (["study.resolution=0.01", "study.design.grid=one_at_a_time"], "axes that vary alone"),
         (["study.resolution=0.01", "study.replicates=2"], "study.budget is missing"),
         (["study.resolution=1"], "below 1"),
         (["study.budget=2", "study.resolution=0.01"], "the first grid takes"),

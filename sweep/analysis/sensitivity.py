@@ -108,7 +108,7 @@ def grid_volume(rows: pd.DataFrame, exp: Experiment) -> GridVolume:
         InputError: The grid is not full, or has no axis of numbers.
     """
     axes = numeric_axes(rows, listed_axes(rows, exp))
-    if not axes or exp.study.design.grid != "full":
+    if not axes or not exp.study.design.combines_all:
         raise InputError("the success volume needs a full grid of numbers")
     by = [a.column for a in axes]
     table = rates(rows, by)

@@ -47,7 +47,7 @@ def statistics_sections(
         yield from _sensitivity_tables(rows, exp)
         return
     yield "Rate of success", f"{every}{note}{'; ' if copies else ''}{copies}"
-    one_at_a_time = bool(numbers) and exp.study.design.grid == "one_at_a_time"
+    one_at_a_time = bool(numbers) and exp.study.design.varies_axes_alone
     if one_at_a_time:
         sure = f" ({interval_method(exp.study)}, 95 %)" if exp.study.has_repeats else ""
         yield f"Rate along each axis, the others nominal{sure}", sensitivity.one_at_a_time_rates(rows, exp)

@@ -52,7 +52,7 @@ def _is_categorical(axis: Axis) -> bool:
 
 def _iter_failing(exp: Experiment, axis: Axis) -> Iterator[FailingLevel]:
     axis = replace(axis, values=(axis.values or ())[:MAX_LEVELS])
-    nominal = replace(exp.study.design, grid="full", num=0, correlation=())
+    nominal = replace(exp.study.design, num=0, correlation=())
     alone = {"axes": (axis,), "design": nominal, "replicates": 1, "where": None, "resolution": 0.0, "budget": 0}
     exp = replace(exp, study=replace(exp.study, **alone, keep=()))
     table = make_points(exp.study, exp.system, exp.settings).assign(width=1)

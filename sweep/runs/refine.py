@@ -59,8 +59,8 @@ def make_lattice(study: Study) -> Lattice:
     """
     listed = [a for a in study.axes if a.values is not None]
     axes = tuple(a for a in listed if not any(isinstance(v, str) for v in a.values or ()))
-    if study.points or study.where or study.design.grid != "full" or any(a.along for a in listed):
-        raise InputError("refinement needs a full grid: no points, where, grid = one_at_a_time, or axes with `with`")
+    if study.points or study.where or not study.design.combines_all or any(a.along for a in listed):
+        raise InputError("refinement needs a full grid: no points, where, axes that vary alone, or axes with `with`")
     values = [np.unique(np.asarray(a.values, dtype=float)) for a in axes]
     if not axes or min(map(len, values)) < 2:
         raise InputError("refinement needs axes of numbers, with at least 2 values each")

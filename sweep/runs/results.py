@@ -58,7 +58,7 @@ class Results:
     @property
     def one_at_a_time(self) -> bool:
         """Whether every parameter is varied alone, with all others at their nominal values."""
-        return self.exp.study.design.grid == "one_at_a_time" and not self.exp.study.points
+        return self.exp.study.design.varies_axes_alone and not self.exp.study.points
 
     @property
     def name(self) -> str:

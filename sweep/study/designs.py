@@ -19,7 +19,7 @@ from sweep.contract.system import SIDES
 from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.parameters import check_value
 from sweep.study import adaptive_sampling, design_kinds
-from sweep.study.design_kinds.base import Design, DrawContext
+from sweep.study.design_kinds.base import GRIDS, Design, DrawContext
 from sweep.study.distributions import (
     Distribution,
     format_values,
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MOST = 20_000_000  # rollouts of a study, whose plan takes 10 GB
-GRIDS = ("full", "one_at_a_time")
 AXIS_KEYS = {  # meaning of each key of an axis
     "path": "parameter that varies, such as contact.friction; without it the axis is a number that other axes refer to",
     "side": "world: vary what is simulated; belief: what the planner believes; both (default)",
@@ -324,7 +323,7 @@ def make_design_table(
 
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
     if grid is None:
-        grid = _one_at_a_time(listed, nominal_of) if listed and design.grid == "one_at_a_time" else _grid(listed)
+        grid = _one_at_a_time(listed, nominal_of) if listed and design.varies_axes_alone else _grid(listed)
     shares = unit_draws(axes, design, seed) if round_ is None else _spread(round_.shares, drawn, design)
     draws = {a.name: a.distribution.quantile(shares[:, i]) for i, a in enumerate(drawn) if a.distribution}
     size, count = len(grid), max(len(shares), 1)
@@ -349,7 +348,7 @@ def count_points(axes: tuple[Axis, ...], design: Design) -> int:
     """
     lengths = [len(a.values) for a in axes if a.values is not None and a.along is None]
     draws = design.count_draws(len(drawn_names(axes)))
-    return (sum(lengths) if design.grid == "one_at_a_time" else math.prod(lengths)) * max(draws, 1)
+    return (sum(lengths) if design.varies_axes_alone else math.prod(lengths)) * max(draws, 1)
 
 
 def _grid(axes: list[Axis]) -> "pd.DataFrame":

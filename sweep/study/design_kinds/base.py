@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+GRIDS = FULL, ONE_AT_A_TIME = "full", "one_at_a_time"  # how listed axes are combined
+
+
 class SamplingUnit(NamedTuple):
     """What a design draws independently: the rows of one unit count as one observation."""
 
@@ -108,7 +111,7 @@ class Design(ABC):
     can_add_draws: ClassVar[bool] = False  # whether a larger `num` leaves the first draws as they are
     growing_settings: ClassVar[tuple[str, ...]] = ("num",)  # settings that may change between runs into one folder
 
-    grid: str = "full"  # of listed axes: every combination, or each axis alone with the others nominal
+    grid: str = FULL  # of listed axes, one of `GRIDS`
     num: int = 0  # draws
     # one, other, coefficient: of pairs of drawn axes, by the normals of a Gaussian copula
     correlation: tuple[Any, ...] = ()
@@ -130,6 +133,16 @@ class Design(ABC):
             raise InputError(f"study.design.num = {self.num} is not allowed: at least {least}{of}")
         if self.num and not drawn:
             raise InputError(f"study.design.num = {self.num} is not allowed: no axis has a distribution")
+
+    @property
+    def combines_all(self) -> bool:
+        """Whether every combination of listed values is a point, so that the points span a volume."""
+        return self.grid == FULL
+
+    @property
+    def varies_axes_alone(self) -> bool:
+        """Whether each listed axis varies alone, with the others at their nominal values."""
+        return self.grid == ONE_AT_A_TIME
 
     @property
     def warning(self) -> str | None:
