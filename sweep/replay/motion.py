@@ -14,6 +14,7 @@ import numpy as np
 from sweep.contract.engine import Trace, single_joints
 from sweep.contract.trace_frames import base_body_id, finite_frames
 from sweep.core.files import decode_text, encode_text
+from sweep.replay.height_fields import sample_height_field
 from sweep.replay.hulls import geom_hull
 from sweep.replay.model_geoms import VISIBLE_GROUPS, geom_color
 
@@ -27,7 +28,7 @@ MARGIN_LEVELS = 100  # integer of a margin of 1; margins are clipped at -1
 FRICTION_LEVELS = 20  # integer of a foot that uses all friction
 DECIMALS = 4  # decimals of lengths (m) and directions of bodies and geoms
 Kind = mujoco.mjtGeom
-HIDDEN_GEOMS = (Kind.mjGEOM_HFIELD, Kind.mjGEOM_SDF)  # geoms that the page cannot draw
+HIDDEN_GEOMS = (Kind.mjGEOM_SDF,)  # geoms that the page cannot draw
 SHAPES = {
     Kind.mjGEOM_PLANE: "plane",
     Kind.mjGEOM_SPHERE: "sphere",
@@ -143,16 +144,18 @@ def qpos_resolution(model: mujoco.MjModel) -> np.ndarray:
     return fine
 
 
-def describe_bodies(model: mujoco.MjModel, legs: int) -> dict[str, Any]:
+def describe_bodies(model: mujoco.MjModel, legs: int, way: np.ndarray | None = None) -> dict[str, Any]:
     """Describe the bodies of a model, their joints and visible geoms, as plain values for JSON.
 
     Args:
         model: The MuJoCo model.
         legs: Number of the robot's legs.
+        way: Positions (n, 3) of the base in m, world axes, around which terrain is drawn; None for all of it.
 
     Returns:
         `bodies`: index of the parent, position and quaternion in it, and joints, see `describe_joint`. `geoms`: body,
-        shape, size (of a mesh: vertices and faces), position, quaternion, colour, and whether it is the robot's.
+        shape, size (of a mesh: vertices and faces; of a height field: see `describe_field`), position, quaternion,
+        colour, and whether it is the robot's.
         `feet`: body and position of each foot. `hinges`: addresses of the `single_joints` in `qpos`.
     """
     root = model.body_rootid[base_body_id(model)]
@@ -178,7 +181,7 @@ def describe_bodies(model: mujoco.MjModel, legs: int) -> dict[str, Any]:
                 "pos": round_values(model.geom_pos[geom]),
                 "quat": round_values(model.geom_quat[geom]),
                 "colour": [round(255 * float(part)) for part in geom_color(model, geom)[:3]],
-                **describe_shape(model, geom),
+                **describe_shape(model, geom, way),
             }
             for geom in drawn
         ],
@@ -210,13 +213,39 @@ def describe_joint(model: mujoco.MjModel, number: int) -> list[float]:
             return [address, *axis, *anchor, *([start] if start else [])]
 
 
-def describe_shape(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
-    """Describe shape and size of a geom; a geom that the page has no shape for is described by its convex hull."""
+def describe_shape(model: mujoco.MjModel, geom: int, way: np.ndarray | None = None) -> dict[str, Any]:
+    """Describe shape and size of a geom; a geom that the page has no shape for is described by its convex hull.
+
+    Args:
+        model: The MuJoCo model.
+        geom: Id of the geom.
+        way: See `describe_bodies`.
+    """
     kind = Kind(model.geom_type[geom])
+    if kind == Kind.mjGEOM_HFIELD:
+        return {"shape": "field", **describe_field(model, geom, way)}
     if kind in SHAPES:
         return {"shape": SHAPES[kind], "size": round_values(model.geom_size[geom])}
     vertices, faces = geom_hull(model, geom)
     return {"shape": "mesh", "vertices": [round_values(v) for v in vertices], "faces": faces}
+
+
+def describe_field(model: mujoco.MjModel, geom: int, way: np.ndarray | None) -> dict[str, Any]:
+    """Describe a height field that does not move by coordinates and heights of its points.
+
+    Args:
+        model: The MuJoCo model.
+        geom: Id of the geom.
+        way: See `describe_bodies`.
+
+    Returns:
+        `x` and `y` in the geom's axes, and `heights`, row by row, in m.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    turn = data.geom_xmat[geom].reshape(3, 3)
+    grid = sample_height_field(model, geom, None if way is None else (way - data.geom_xpos[geom]) @ turn)
+    return {"x": round_values(grid.x), "y": round_values(grid.y), "heights": round_values(grid.heights.ravel())}
 
 
 def round_values(values: np.ndarray) -> list[float]:

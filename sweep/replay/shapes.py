@@ -17,6 +17,7 @@ from foxglove.messages import (
     Vector3,
 )
 
+from sweep.replay.height_fields import sample_height_field
 from sweep.replay.hulls import geom_hull
 from sweep.replay.model_geoms import VISIBLE_GROUPS, body_name, geom_color, moving_body_ids
 
@@ -26,6 +27,7 @@ Geom = mujoco.mjtGeom
 WORLD = "world"  # the fixed frame
 PLANE_SIDE = 20.0  # m, drawn of an infinite plane
 PLANE_THICKNESS = 2e-3  # m
+FIELD_POINTS = 128  # of a height field along each side, at most
 
 
 def foxglove_vector(values: np.ndarray) -> Vector3:
@@ -73,7 +75,7 @@ def _entity(name: str, frame: str, shapes: list[Primitive]) -> SceneEntity:
 
 
 def _shapes(model: mujoco.MjModel, data: mujoco.MjData, geom: int, moving: bool) -> list[Primitive]:
-    """Primitives of one geom; none for a height field."""
+    """Primitives of one geom."""
     if moving:
         position, orientation = model.geom_pos[geom], model.geom_quat[geom]
     else:
@@ -116,5 +118,14 @@ def _shapes(model: mujoco.MjModel, data: mujoco.MjData, geom: int, moving: bool)
                 index for face in faces for k in range(1, len(face) - 1) for index in (face[0], face[k], face[k + 1])
             ]
             return [TriangleListPrimitive(pose=pose(), points=points, color=color, indices=fans)]
+        case Geom.mjGEOM_HFIELD:
+            grid = sample_height_field(model, geom, most=FIELD_POINTS)
+            x, y = np.meshgrid(grid.x, grid.y)
+            places = np.stack([x, y, grid.heights], axis=-1).reshape(-1, 3)
+            corner = np.arange(x.size).reshape(x.shape)
+            a, b, c, d = (corner[i : i or None, j : j or None].ravel() for i, j in ((0, 0), (0, 1), (1, 1), (1, 0)))
+            triangles = np.stack([a, b, c, a, c, d], axis=1)
+            points = [Point3(x=float(x), y=float(y), z=float(z)) for x, y, z in places]
+            return [TriangleListPrimitive(pose=pose(), points=points, color=color, indices=triangles.ravel().tolist())]
         case _:
             return []

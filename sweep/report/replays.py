@@ -14,6 +14,7 @@ from sweep.backends import devices
 from sweep.config.experiment import Experiment
 from sweep.contract.engine import NoTrace, Trace, same_bits
 from sweep.contract.system import judge_rollout
+from sweep.contract.trace_frames import base_pose, finite_frames
 from sweep.core.errors import InputError
 from sweep.core.files import path_in, read_limited, write_atomically
 from sweep.replay.motion import MAX_RATE, describe_bodies, encode_motion
@@ -121,7 +122,9 @@ def replay_content(row: pd.Series, trace: Trace) -> dict[str, Any]:
     same = [name for name, value in trace.metrics.items() if name in row and same_bits(row[name], value)]
     return {
         **encode_motion(trace),
-        "bodies": describe_bodies(trace.model, trace.foot_position.shape[1]),
+        "bodies": describe_bodies(
+            trace.model, trace.foot_position.shape[1], base_pose(trace)[: finite_frames(trace), :3]
+        ),
         "stages": list(trace.stages),
         "equal": len(same),  # figures that are the row's to the last bit
         "of": len([name for name in trace.metrics if name in row]),

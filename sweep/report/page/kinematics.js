@@ -17,10 +17,13 @@
  * @property {number[]} pos
  * @property {number[]} quat
  * @property {[number, number, number]} colour
- * @property {"plane" | "sphere" | "capsule" | "cylinder" | "box" | "mesh"} shape
+ * @property {"plane" | "sphere" | "capsule" | "cylinder" | "box" | "mesh" | "field"} shape
  * @property {number[]} [size]
  * @property {number[][]} [vertices]
  * @property {number[][]} [faces]
+ * @property {number[]} [x] of a height field's points
+ * @property {number[]} [y]
+ * @property {number[]} [heights] row by row, a row for each y
  */
 
 /** @typedef {{ bodies: Body[], geoms: Geom[], feet: number[][], hinges: number[] }} Model hinges and slides */

@@ -5,7 +5,7 @@ import { clamp, mixColours } from "./numbers.js";
 import { sortBackToFront, hides, isLink, makeSolid } from "./solids.js";
 
 /** @import { Rgb, Sheet, Theme } from "./dom.js" */
-/** @import { Model, Pose } from "./kinematics.js" */
+/** @import { Geom, Model, Pose } from "./kinematics.js" */
 /** @import { Solid } from "./solids.js" */
 
 /** @typedef {{ azimuth: number, elevation: number, distance: number, target: number[] }} Camera angles in rad */
@@ -25,6 +25,7 @@ const NEAR_PLANE = 0.05; // m, distance of the near clipping plane
 const LIGHT = [0.36, -0.48, 0.8]; // direction towards the light
 const LINK_PIECES = 6; // pieces of a link, each sorted by depth on its own
 const GRID_STEP = 0.5; // m
+const FIELD_LINES = 0.06; // how much darker the edges of a height field's cells are
 const GROUND_RADIUS = 12; // m of ground drawn around the target
 const SUN_SHARE = 0.55; // share of a face's colour that depends on the light
 const GRID_LINES = gridLines(4);
@@ -126,10 +127,11 @@ function shade(theme, rgb, normal) {
  * @param {number[]} target around which the ground fades
  */
 export function drawWorld(view, model, poses, target) {
-  const solids = model.geoms.map((geom) => makeSolid(geom, poses[geom.body]));
+  const solids = model.geoms.filter((geom) => geom.shape !== "field").map((geom) => makeSolid(geom, poses[geom.body]));
   const grounds = solids.filter((solid) => solid.geom.shape === "plane");
   drawSky(view);
   for (const ground of grounds) drawGround(view, ground, target);
+  for (const geom of model.geoms) if (geom.shape === "field") drawField(view, geom, poses[geom.body]);
   const bodies = solids.filter((solid) => solid.geom.shape !== "plane" && !isLink(solid.geom));
   const links = solids.filter((solid) => isLink(solid.geom));
   for (const ground of grounds) drawShadows(view, ground, [...links, ...bodies.filter((b) => b.geom.robot)]);
@@ -192,6 +194,42 @@ function drawSky({ sheet, theme }) {
   sky.addColorStop(0.75, low);
   pen.fillStyle = sky;
   pen.fillRect(0, 0, width, height);
+}
+
+/**
+ * Draw a height field by its cells, from back to front.
+ * @type {(view: View, geom: Geom, pose: Pose) => void}
+ */
+function drawField(view, geom, pose) {
+  const { x = [], y = [], heights = [], colour } = geom;
+  const { pos, turn } = makeSolid(geom, pose);
+  const corners = heights.map((z, k) =>
+    addScaled(pos, rotateVector(turn, [x[k % x.length], y[Math.floor(k / x.length)], z])),
+  );
+  const cells = [];
+  for (let j = 0; j + 1 < y.length; j++)
+    for (let i = 0; i + 1 < x.length; i++) {
+      const k = j * x.length + i;
+      const points = [corners[k], corners[k + 1], corners[k + x.length + 1], corners[k + x.length]];
+      const middle = points.reduce((sum, point) => addScaled(sum, point, 0.25), [0, 0, 0]);
+      cells.push({ points, depth: toCameraAxes(view, middle)[2] });
+    }
+  view.sheet.pen.lineWidth = 1;
+  for (const { points } of cells.sort((a, b) => b.depth - a.depth)) {
+    const fill = shade(view.theme, colour, cellNormal(points));
+    drawPolygon(view, points, cssColour(fill), cssColour(mixColours(fill, [0, 0, 0], FIELD_LINES)));
+  }
+}
+
+/**
+ * Upward unit normal of a cell, from its diagonals.
+ * @type {(points: number[][]) => number[]}
+ */
+function cellNormal([a, b, c, d]) {
+  const [p, q] = [addScaled(c, a, -1), addScaled(d, b, -1)];
+  const cross = [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]];
+  const size = Math.hypot(...cross) || 1;
+  return cross.map((part) => part / size);
 }
 
 /**
@@ -407,7 +445,7 @@ export function drawForces(view, model, poses, force, arrow) {
  * @type {(model: Model, poses: Pose[]) => Solid[]}
  */
 export function obstacleSolids(model, poses) {
-  const others = model.geoms.filter((geom) => !geom.robot && geom.shape !== "plane");
+  const others = model.geoms.filter((geom) => !geom.robot && geom.shape !== "plane" && geom.shape !== "field");
   return others.map((geom) => makeSolid(geom, poses[geom.body]));
 }
 

@@ -6,7 +6,7 @@ Paths are `model.<kind>.<name>.<field>[.component]` (see `fields`), `noise.white
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -33,6 +33,8 @@ from sweep.systems.mujoco_model import (
     payloads,
     policy_spec,
     schedules,
+    terrain,
+    terrain_heights,
     tracking,
 )
 from sweep.systems.mujoco_model.accumulator import MetricAccumulator
@@ -126,7 +128,9 @@ class MujocoModel(ModelSpec):
         if _content_digest(self) != self.config.content:
             raise InputError("model or controller changed after the study was run")
         found, place = {}, files.project_folder().resolve()
-        for file in (*files.list_files(self.config.mjcf), *self.controller.files):
+        ground = self.config.terrain
+        images = [files.require_file("terrain.file", ground.file, ".png")] if ground and ground.file else []
+        for file in (*files.list_files(self.config.mjcf), *self.controller.files, *images):
             if not file.resolve().is_relative_to(place):
                 raise InputError(f"{file} is not allowed: a crate contains only files of the project")
             found[str(file.resolve().relative_to(place))] = file
@@ -143,6 +147,8 @@ class MujocoModel(ModelSpec):
         require_choice(
             root := path.partition(".")[0], (*self.groups, "engine"), f"axis {column} is not allowed: {root}"
         )
+        if terrain.is_terrain(path):
+            return self._terrain_parameter(path)
         if root == "model":
             found = fields.parameter(self.model, path)
             fields.check_variable(self.load_source, self.model, path)
@@ -152,6 +158,15 @@ class MujocoModel(ModelSpec):
         if root == "engine":
             return those[path]
         return dataclasses.field(default=self.nominal_value(path), metadata=self.parameters[path].metadata)
+
+    def _terrain_parameter(self, path: str) -> Parameter:
+        """Return the field of a parameter of the terrain. Raises `InputError`."""
+        shape, name = self.config.terrain, path.removeprefix(terrain.PREFIX)
+        if shape is None:
+            raise InputError(f"axis {path} is not allowed: the scenario has no model.terrain")
+        require_choice(name, terrain.PARAMETERS, f"axis {path} is not allowed: {name}")
+        value = self.nominal_value(path) if path in self.parameters else getattr(shape, name)
+        return dataclasses.field(default=value, metadata=terrain.PARAMETERS[name].metadata)
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
         """Return the nominal value of a parameter of the model or its settings, see `System`."""
@@ -166,6 +181,8 @@ class MujocoModel(ModelSpec):
         sensors = () if about.sensors == ModelConfig.sensors else (about.sensors,)  # ids of before stay as they are
         rollout = (about.period, about.duration, about.keyframe, about.observe, about.command, *sensors)
         yield "model.rollout", repr(rollout)
+        if self.config.terrain:
+            yield from self.config.terrain.values_by_path().items()
         yield from self._varied_numbers(paths)
         for name, parts in (("push", self.pushes), ("payload", self.payloads), ("motor", self.motors),
                             ("schedule", self.schedules)):  # fmt: skip
@@ -183,7 +200,8 @@ class MujocoModel(ModelSpec):
         yield from ((path, 0.0) for path in self.parameters if path.startswith(f"{initial_state.START}."))
 
     def _varied_numbers(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        yield from ((path, self.nominal_value(path)) for path in paths if path.startswith("model."))
+        yield from ((path, self.nominal_value(path)) for path in paths
+                    if path.startswith("model.") and not terrain.is_terrain(path))  # fmt: skip
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
         """Refuse axes that vary nothing, a controller that is none, and an engine that is none for the model."""
@@ -194,15 +212,40 @@ class MujocoModel(ModelSpec):
         shaping = [c for c in columns if self.parameter(c, settings).metadata["role"] != "quantity"]
         distinct: list[Any] = table[shaping].drop_duplicates().to_dict("records") if shaping else [{}]
         varied = {path for side, path in map(split_side, columns) if side != "belief" and path.startswith("model.")}
+        grounds = {path for path in varied if terrain.is_terrain(path)}
+        varied -= grounds
+        self._check_terrain(table, grounds)
         for path in sorted(path for path in varied if fields.is_group(path)):
             members = fields.group_members(self.model, path)
             print_note(f"{path} moves {len(members)} numbers, {members[0]} to {members[-1]}")
         for values in distinct:
             ways = {c.removeprefix("engine."): value for c, value in values.items() if c.startswith("engine.")}
             made = self.make_engine(replace(settings, **ways), *self.make_sides(values), limits=None)
-            for line in made.check_varied(fields.select_quantities(self.model, dict.fromkeys(varied))):
+            for line in made.check_varied([*fields.select_quantities(self.model, dict.fromkeys(varied)), *grounds]):
                 print_note(line)
         self.make_engine(settings, *self.make_sides({}), limits=None).check_start()
+
+    def _check_terrain(self, table: "pd.DataFrame", paths: Collection[str]) -> None:
+        """Refuse terrains whose heights leave the range of height fields, and those without their image.
+
+        Args:
+            table: Points.
+            paths: Paths of the terrain's parameters that vary.
+        """
+        shape = self.config.terrain
+        if shape is None:
+            return
+        columns = {path: next(c for c in (f"world.{path}", path) if c in table) for path in paths}
+        static = [path for path in paths if self._terrain_parameter(path).metadata["role"] != "quantity"]
+        groups = table.groupby([columns[path] for path in static]) if static else [((), table)]
+        for values, rows in groups:
+            chosen = shape.with_values(dict(zip(static, values, strict=True)))
+            terrain.check_structure(chosen)
+            numbers = {
+                name: rows[columns[path]].to_numpy() if path in columns else self.nominal_value(path)
+                for name, path in ((name, terrain.PREFIX + name) for name in terrain_heights.NUMBERS)
+            }
+            terrain.check_range(chosen, numbers)
 
     def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """See `System`: a controller may draw, too."""
@@ -227,11 +270,13 @@ class MujocoModel(ModelSpec):
 
     def make_engine(self, settings: EngineSettings, world: SideValues, belief: SideValues, limits: Any) -> ModelEngine:
         """Compile an engine on C MuJoCo or MJX, see `System`."""
-        model = world.select_group("model")
+        model, shape = self.model_values(world), self.config.terrain
         shared = {
             path: value for path, value in model.items() if path not in fields.select_quantities(self.model, model)
         }
-        system = replace(self, config=replace(self.config, option=(*self.config.option, *shared.items())))
+        ground = shape.with_values(world.select_group("model")) if shape else None
+        option = (*self.config.option, *shared.items())
+        system = replace(self, config=replace(self.config, option=option, terrain=ground))
         if settings.name == "native":
             return NativeModelEngine(system, settings)
         mujoco_versions.require_mjx(f"engine.name = {settings.name}", "engine=native")
@@ -284,6 +329,7 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     orders, ordered = schedules.parse_schedules(given, [*system.controller.parameters], folder)
     system = replace(system, schedules=orders)
     asked = _flatten(groups) | pushed | loaded | driven | ordered
+    asked |= terrain.parse_terrain(values["model"].get("terrain"))[1]
     for path in asked:
         require_choice(path, system.parameters, path)
     numbers = tuple(
@@ -293,6 +339,9 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     conditions = parse_conditions(values.get("outcome") or {}, system.metric_names, MEANINGS)
     content = about.content or _content_digest(system)
     system = replace(system, config=replace(about, content=content), controller_values=numbers, conditions=conditions)
+    if about.terrain:
+        known = dict(numbers)
+        terrain.check_range(about.terrain, {name: known[terrain.PREFIX + name] for name in terrain_heights.NUMBERS})
     settings, told = replace(settings, control_period=about.period), {**values["model"], "content": content}
     return Nominal(system, settings, conditions, {"model": told})
 
@@ -326,8 +375,9 @@ def _parse_model(given: Mapping[str, Any]) -> ModelConfig:
         raise InputError(f"model.direction = {direction!r} is not allowed: a vector in world axes, such as [1, 0, 0]")
     if not isinstance(option, Mapping):
         raise InputError(f"model.option = {option!r} is not allowed: names and values, such as {{cone: elliptic}}")
+    said["terrain"], _ = terrain.parse_terrain(said.get("terrain"))
     model, paths = (
-        files.load_model(said.get("mjcf", "")),
+        files.load_model(said.get("mjcf", ""), said["terrain"]),
         {f"model.option.{name}": value for name, value in option.items()},
     )
     options = tuple((path, check_value(fields.parameter(model, path), value, path)) for path, value in paths.items())
@@ -343,4 +393,7 @@ def _parse_model(given: Mapping[str, Any]) -> ModelConfig:
 
 
 def _content_digest(system: MujocoModel) -> str:
-    return f"{files.digest_model(system.model)}-{system.controller.digest}"
+    digest, ground = f"{files.digest_model(system.model)}-{system.controller.digest}", system.config.terrain
+    if ground and ground.file:
+        digest += f"-{files.digest_file(files.require_file('terrain.file', ground.file, '.png'))}"
+    return digest

@@ -10,7 +10,7 @@ from mujoco.batch import Batch
 from sweep.backends import devices, mujoco_versions
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
-from sweep.systems.mujoco_model import disturbances, fields, initial_state, motors, payloads
+from sweep.systems.mujoco_model import disturbances, fields, initial_state, motors, payloads, terrain
 from sweep.systems.mujoco_model.disturbances import TickForces
 from sweep.systems.mujoco_model.initial_state import StartOffsets
 from sweep.systems.mujoco_model.model_spec import PHYSICAL, TERM_NOISE, ModelSpec, SideValues
@@ -27,13 +27,15 @@ class BatchStart(NamedTuple):
     sensors: np.ndarray  # (n, nsensordata), likewise
     policy_inputs: dict[str, Any]  # to the controllers, by row
     mass: np.ndarray  # (n,) kg
-    limits: dict[str, np.ndarray]  # by field, (n, ..., 2)
+    limits: dict[str, np.ndarray]  # by field, (n, ..., 2), and the ground
     acting: TickForces  # pushes and delays of commands
     written: frozenset[str]  # fields of the models that were written
     offsets: StartOffsets  # of the initial state
+    ground: terrain.TerrainBatch | None  # the terrains, where the model has one
+    alone: mujoco.MjModel  # the model with one height field only
 
     def place(self, start: np.ndarray | None) -> np.ndarray:
-        """Set the initial state, and return its energy (n,) in J.
+        """Set the initial state, above the terrain, and return its energy (n,) in J.
 
         Args:
             start: Positions (n, nq) that the controllers start from, to which the scenario's offsets are added; None
@@ -44,7 +46,17 @@ class BatchStart(NamedTuple):
         model, free = self.batch.model, np.flatnonzero(self.batch.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
         base = int(model.jnt_qposadr[free[0]]) if len(free) else None
         self.offsets.add_to(model, base, self.limits["jnt_range"], self.qpos, self.qvel)
+        energy = self.energy()
+        if self.ground is None:
+            return energy
+        terrain.lift_above_terrain(self.ground, self.batch, self.qpos)
         return self.energy()
+
+    def get_model(self, slot: int) -> mujoco.MjModel:
+        """Return the model of a rollout, for drawing."""
+        if self.ground is None:
+            return self.batch.get_model(slot)
+        return self.ground.make_picture_model(self.batch, slot, self.alone)
 
     def energy(self, qpos: Any = None, qvel: Any = None) -> np.ndarray:
         """Potential and kinetic energy (J) of each model, (n,), as it is, or at given qpos (n, nq) and qvel (n, nv).
@@ -76,14 +88,20 @@ def start_batch(
 ) -> BatchStart:
     """Rollouts of a batch of two sides. Raises `InputError` where MuJoCo makes no batch of such a model."""
     n, number = len(streams), np.dtype(settings.precision).type
+    ground = spec.make_terrain(world, n)
+    model = ground.with_heights(spec.compile_with_fields(len(ground.heights))) if ground else spec.model
     try:
-        batch = Batch(spec.model, n, devices.count_cores())
+        batch = Batch(model, n, devices.count_cores())
     except ValueError as error:  # as of bodies that sleep
         reason = " ".join(str(error).split())
         raise InputError(f"model.mjcf = {spec.config.mjcf} cannot be simulated in batches: {reason}") from None
     qpos, qvel, sensors = (batch.bind(name) for name in ("qpos", "qvel", "sensordata"))
     # bound before the reset: what is bound after it is zero until the next call
-    varied = fields.select_quantities(spec.model, world.select_group("model"))
+    if ground:
+        for name in ("geom_xpos", "geom_xmat"):
+            batch.bind(name)
+        ground.assign_fields(batch)
+    varied = fields.select_quantities(spec.model, spec.model_values(world))
     rows = {path: np.broadcast_to(value, (n,)) for path, value in varied.items()}
     numbers = world_numbers(spec, world)
     written = payloads.write_payloads(batch, spec.payloads, numbers)
@@ -96,6 +114,8 @@ def start_batch(
         "key": np.asarray(jax.random.key_data(devices.noise_keys(streams))),
     }
     limits = {name: batch.expand(name) for name in ("actuator_forcerange", "jnt_range")}
+    if ground:
+        limits |= ground.fields_by_name(batch.expand("geom_pos")[:, terrain.find_geom(model)])
     acting = disturbances.make_forces(spec.pushes, numbers, draw_even(streams, PUSH_KEY, len(spec.pushes)))
     acting = acting._replace(motors=motors.make_limits(spec.motors, numbers, batch))
     is_random = any(np.any(numbers[path]) for path in numbers if path.startswith(f"{initial_state.RANDOM}."))
@@ -103,7 +123,8 @@ def start_batch(
     luck = draw_even(streams, START_KEY, count) if is_random else np.full((n, count), 0.5)
     offsets = initial_state.make_offsets(spec.model, numbers, 2 * luck - 1)
     mass = batch.expand("body_mass").sum(axis=1)
-    return BatchStart(batch, qpos, qvel, sensors, policy_inputs, mass, limits, acting, written, offsets)
+    start = batch, qpos, qvel, sensors, policy_inputs, mass, limits, acting, written, offsets
+    return BatchStart(*start, ground, spec.model)
 
 
 def draw_even(streams: np.ndarray, purpose: int, count: int) -> np.ndarray:

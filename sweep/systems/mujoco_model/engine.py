@@ -218,7 +218,7 @@ class NativeModelEngine(ModelEngine):
         last = metric_state.result()
         gained = begun.energy(last.last, last.speed) - before_all
         found = self._meter.compute(last, begun.mass, gained, broken, full)
-        return found | own_figures, frames, [begun.batch.get_model(int(slot)) for slot in slots]
+        return found | own_figures, frames, [begun.get_model(int(slot)) for slot in slots]
 
 
 class TickStepper:

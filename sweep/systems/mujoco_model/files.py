@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import mujoco
+import numpy as np
 
 from sweep.backends.binary import model_bytes
 from sweep.core import project
@@ -26,6 +27,7 @@ from sweep.core.errors import WRONG, InputError, format_user_exception, suggest
 from sweep.core.user_code import describe_user_error, report_silence, run_user_code
 from sweep.systems.mujoco_model import learned_policy, onnx_network, policy_spec
 from sweep.systems.mujoco_model.actuation import JointControl
+from sweep.systems.mujoco_model.terrain import TerrainConfig, check_level, place_in_model
 
 ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
 FOLDERS = ("meshdir", "texturedir", "assetdir")  # of a model's files, as its compiler's options name them
@@ -67,14 +69,26 @@ def project_folder() -> Path:
     return project.find_project() or Path.cwd()
 
 
-def load_model(mjcf: str) -> mujoco.MjModel:
-    """The compiled model of a file, MJCF or URDF. Raises `InputError`."""
-    file = _require_file("mjcf", mjcf, ".xml")
-    return _compiled(file, file.stat().st_mtime_ns)
+def load_model(mjcf: str, ground: TerrainConfig | None = None, fields: int = 1) -> mujoco.MjModel:
+    """Compile the model of a file, MJCF or URDF. Raises `InputError`.
+
+    Args:
+        mjcf: The file, from the project's folder.
+        ground: Terrain in the place of its floor.
+        fields: Number of height fields of the terrain.
+    """
+    file = require_file("mjcf", mjcf, ".xml")
+    return _compiled(file, file.stat().st_mtime_ns, ground, fields)
 
 
-def _require_file(key: str, name: str, suffix: str) -> Path:
-    """The file that `model.KEY` names. Raises `InputError`."""
+def require_file(key: str, name: str, suffix: str) -> Path:
+    """Return the file that `model.KEY` names. Raises `InputError` where there is none, or in a folder of results.
+
+    Args:
+        key: The key.
+        name: The file, from the project's folder.
+        suffix: End of the names of such files, for suggestions.
+    """
     file = project_folder() / name
     if not name or not file.is_file():
         near = [str(f.relative_to(project_folder())) for f in sorted(project_folder().glob(f"**/*{suffix}"))[:50]]
@@ -119,33 +133,53 @@ def _refuse_foreign_module(controller: str, name: str) -> None:
         spec = PathFinder.find_spec(rest.pop(0), path) if rest else None
 
 
-@functools.lru_cache(maxsize=4)
-def _compiled(file: Path, changed: int) -> mujoco.MjModel:
+@functools.lru_cache(maxsize=16)
+def _compiled(file: Path, changed: int, ground: TerrainConfig | None, fields: int) -> mujoco.MjModel:
     mujoco.set_mju_user_warning(lambda _: None)  # what cannot be read is told below, and a row is invalid
     try:
         binary = file.suffix == BINARY
         with report_silence(f"MuJoCo, which compiles model.mjcf = {file.name},"):
-            made = mujoco.MjModel.from_binary_path(str(file)) if binary else _source(file, changed).compile()
+            if binary and not ground:
+                made = mujoco.MjModel.from_binary_path(str(file))
+            else:
+                made = load_spec(file.name if binary else str(file), ground, fields).compile()
+    except InputError:
+        raise
     except (ValueError, RuntimeError) as error:
         reason, near = " ".join(str(error).split()), ""
         if lost := re.search(r"opening file '(?:.*/)?([^/']+)'", reason):
             there = {one.name for one in project_folder().rglob(f"*{Path(lost[1]).suffix}")}
             near = suggest(lost[1], there) if there else ""
         raise InputError(f"model.mjcf = {file.name} does not compile: {reason}{near}") from None
+    if ground:
+        check_level(made)
+        bare = _compiled(file, changed, None, 1)  # pictures show the robot, and not the whole terrain
+        made.stat.extent, made.stat.center[:] = bare.stat.extent, bare.stat.center
     if not made.nv:
         raise InputError(f"model.mjcf = {file.name} is not allowed: it has no joints, and nothing moves")
     return made
 
 
-def load_spec(mjcf: str) -> mujoco.MjSpec:
-    """Load the source of a model. Raises `InputError` where the model is a compiled file."""
+def load_spec(mjcf: str, ground: TerrainConfig | None = None, fields: int = 1) -> mujoco.MjSpec:
+    """Load the source of a model. Raises `InputError` where the model is a compiled file.
+
+    Args:
+        mjcf: The model's file, from the project's folder.
+        ground: Terrain in the place of its floor.
+        fields: Number of height fields of the terrain.
+    """
     file = project_folder() / mjcf
     if file.suffix == BINARY:
-        raise InputError(f"model.mjcf = {mjcf} is compiled: sizes and positions of geoms can vary in MJCF or URDF only")
-    return _source(file, file.stat().st_mtime_ns)
+        what = "a terrain needs" if ground else "sizes and positions of geoms can vary in"
+        raise InputError(f"model.mjcf = {mjcf} is compiled: {what} MJCF or URDF{'' if ground else ' only'}")
+    source = _source(file, file.stat().st_mtime_ns)
+    if ground:
+        source = source.copy()
+        place_in_model(source, ground, fields)
+    return source
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=16)
 def _source(file: Path, changed: int) -> mujoco.MjSpec:
     with warnings.catch_warnings(action="ignore"):  # of how it could be saved
         spec = mujoco.MjSpec.from_file(str(file))
@@ -177,6 +211,28 @@ def list_files(mjcf: str) -> list[Path]:
 def digest_model(compiled: mujoco.MjModel) -> str:
     """Hash all numbers of a compiled model, meshes included."""
     return hashlib.blake2b(model_bytes(compiled), digest_size=8).hexdigest()
+
+
+def read_terrain_image(name: str) -> np.ndarray:
+    """Read the brightness (., .) of the pixels, from 0 to 1, of the PNG file of a terrain. Raises `InputError`."""
+    from matplotlib.image import imread  # slow to import
+
+    file = require_file("terrain.file", name, ".png")
+    try:
+        pixels = np.asarray(imread(file, format="png"), float)
+    except (OSError, ValueError, SyntaxError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"model.terrain.file = {name} is no PNG image: {reason}") from None
+    if pixels.ndim == 3:  # colours, and opacity beside them
+        pixels = pixels[..., :3].mean(axis=2) if pixels.shape[2] > 2 else pixels[..., 0]
+    if min(pixels.shape) < 2:
+        raise InputError(f"model.terrain.file = {name} is not allowed: at least 2 x 2 pixels")
+    return pixels
+
+
+def digest_file(file: Path) -> str:
+    """Hash the content of a file."""
+    return _digest([file])
 
 
 def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: float) -> Policy:
@@ -222,7 +278,7 @@ def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: flo
 
 def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float) -> Policy:
     """Load a network, which maps the observation to controls, or is as its specification says. Raises `InputError`."""
-    file = _require_file("controller", name, ONNX)
+    file = require_file("controller", name, ONNX)
     network, files, learned = onnx_network.read_network(name, file), onnx_network.network_files(file), None
     about: dict[str, Any] = {"batched": False, "folder": project_folder()}
     if spec := read_policy_spec(name):
@@ -248,7 +304,7 @@ def read_policy_spec(name: str) -> policy_spec.PolicySpec | None:
     """Read the specification beside a network, by the controller's name; None without one. Raises `InputError`."""
     if not name.endswith(ONNX):
         return None
-    told = learned_policy.spec_file(file := _require_file("controller", name, ONNX))
+    told = learned_policy.spec_file(file := require_file("controller", name, ONNX))
     return learned_policy.read_spec(told, onnx_network.read_network(name, file).metadata) if told.is_file() else None
 
 

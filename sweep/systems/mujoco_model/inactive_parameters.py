@@ -7,7 +7,7 @@ import numpy as np
 
 from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import split_side
-from sweep.systems.mujoco_model import fields
+from sweep.systems.mujoco_model import fields, terrain, terrain_heights
 from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelSpec
 
 CONDIM = {"slide": 3, "spin": 4, "roll": 6}  # of contacts, from which a friction counts
@@ -28,6 +28,8 @@ def explain_inactive(spec: ModelSpec, column: str, settings: EngineSettings, end
         return ""
     if side == "belief":
         return "" if path in spec.controller.believes.values() else "the controller's BELIEVES does not name it"
+    if terrain.is_terrain(path):
+        return _terrain(spec, path)
     if fields.is_group(path):
         why = [explain_inactive(spec, one, settings, ends) for one in fields.group_members(spec.model, path)]
         return why[0] if all(why) else ""
@@ -37,6 +39,14 @@ def explain_inactive(spec: ModelSpec, column: str, settings: EngineSettings, end
     if kind == "geom":
         return _geom(spec.model, number, what, ends)
     return _other(spec.model, kind, number, what.partition(".")[0])
+
+
+def _terrain(spec: ModelSpec, path: str) -> str:
+    """Why a number of the terrain counts for nothing, at the nominal kind."""
+    shape, name = spec.config.terrain, path.removeprefix(terrain.PREFIX)
+    if shape is None or name not in terrain_heights.NUMBERS or name in terrain_heights.KINDS[shape.kind].uses:
+        return ""
+    return f"terrain of the kind {shape.kind} does not use it"
 
 
 def _physical(spec: ModelSpec, path: str, ends: tuple[Any, Any]) -> str:

@@ -23,9 +23,10 @@ from jaxtyping import Array
 from sweep.backends import devices, mujoco_versions
 from sweep.contract.engine import Metrics, TimeSeriesRequest
 from sweep.contract.engine_settings import EngineSettings
+from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
 from sweep.core.user_code import report_silence
-from sweep.systems.mujoco_model import batch, disturbances, fields
+from sweep.systems.mujoco_model import batch, disturbances, fields, terrain
 from sweep.systems.mujoco_model.engine import (
     BatchResult,
     ModelEngine,
@@ -44,6 +45,8 @@ with redirect_stdout(io.StringIO()):  # it prints which of its parts are not ins
 CARRIED = "qpos", "qvel", "act", "qacc_warmstart", "time"  # of its data, from step to step
 COMPARED = 3  # ticks that are compared with C MuJoCo's
 UNLIKE = 0.1  # difference of an acceleration, over the largest of all joints, from which the engines disagree
+# likewise on a terrain, where MuJoCo and MJX make contacts with different cells: that of gravity
+LITTLE_ON_TERRAIN = GRAVITY
 LITTLE = 1e-3  # acceleration (m/s^2, rad/s^2) below which rounding is all there is
 SOON = 3.0  # s, until what MJX traces is told
 CHUNK = 50  # ticks of a call, so that a command can be ended
@@ -158,6 +161,9 @@ class MjxModelEngine(ModelEngine):
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
         """Refuse what MJX does not vary; cautions beside it, see `ModelEngine`."""
+        grounds, paths = ([path for path in paths if terrain.is_terrain(path) == one] for one in (True, False))
+        if grounds and self._impl == "warp":
+            raise self._refusal(f"Warp has one terrain for all rollouts, which {grounds[0]} varies", "engine=mjx, ")
         written = [(path, place.field) for path in paths for place in fields.locate_numbers(self._model, path)[1]]
         template = self._template(with_features(self._model, {name: 1.0 for _, name in written if name in SHAPING}))
         for path, name in written:
@@ -223,7 +229,8 @@ class MjxModelEngine(ModelEngine):
     def _compare(self, tick: int, here: np.ndarray, there: np.ndarray) -> None:
         """Raise `InputError` where mean accelerations (r, nv) of a tick differ from those of C MuJoCo, `there`."""
         size = np.maximum(np.abs(here), np.abs(there)).max(axis=1, initial=0.0, keepdims=True)
-        off = np.where(np.isfinite(there), np.abs(here - there), 0.0) / np.maximum(size, LITTLE)
+        least = LITTLE_ON_TERRAIN if self._spec.config.terrain else LITTLE
+        off = np.where(np.isfinite(there), np.abs(here - there), 0.0) / np.maximum(size, least)
         if not off.size or (np.nanmax(off) <= UNLIKE and not np.isnan(off).any()):
             return
         row, dof = np.unravel_index(np.argmax(np.nan_to_num(off, nan=np.inf)), off.shape)
@@ -256,7 +263,7 @@ class MjxModelEngine(ModelEngine):
         wrong, full = (np.asarray(carry[name]) for name in ("wrong", "full"))
         gained = begun.energy(last.last, last.speed) - at_first
         found = self._meter.compute(last, begun.mass, gained, wrong, full) | measured
-        return found, frames, [begun.batch.get_model(int(slot)) for slot in slots]
+        return found, frames, [begun.get_model(int(slot)) for slot in slots]
 
     def _read_policy(self, carried: Mapping[str, Any], slots: Any) -> np.ndarray:
         """What learned policies saw and did in the latest tick, (slots, k); k is 0 for other controllers."""
@@ -328,8 +335,14 @@ class MjxModelEngine(ModelEngine):
         n, rows = begun.batch.nsim, batch.differing_fields(begun)
         most = {name: np.abs(rows[name]).max(axis=0) for name in SHAPING if name in rows}
         shape = n, *((name, values.tobytes()) for name, values in most.items())
+        ground = begun.ground
+        shared = ground.field_data[0] if ground and not ground.varies else None
+        if shared is not None:
+            shape = *shape, shared.tobytes()
         if shape not in self._placed:  # on the device; the last is kept, which mostly is the next one
             model = with_features(self._model, most)
+            if shared is not None:
+                model.hfield_data[terrain.field_slice(model)] = shared
             data = mujoco.MjData(model)
             if self._spec.keyframe_index >= 0:
                 mujoco.mj_resetDataKeyframe(model, data, self._spec.keyframe_index)
@@ -343,6 +356,10 @@ class MjxModelEngine(ModelEngine):
             values = np.maximum(values, LEAST) if name in RUBBING else values
             if hasattr(one := model_leaf(template, name), "at"):  # others it works out itself, or `check` refuses them
                 leaves[name] = jnp.asarray(values.reshape(n, *one.shape), float)
+        if ground and ground.varies:
+            rows = np.tile(self._model.hfield_data, (n, 1))
+            rows[:, terrain.field_slice(self._model)] = ground.field_data[ground.which]
+            leaves["hfield_data"] = jnp.asarray(rows, float)
         return template, data, leaves
 
     def _run_ticks(self, fixed: tuple[Any, ...], count: Array, carry: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,12 +12,13 @@ from sweep.contract.system import Parameter, Values
 from sweep.core.errors import InputError, require_choice
 from sweep.core.metric import array_namespace
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.systems.mujoco_model import fields, files, initial_state
+from sweep.systems.mujoco_model import fields, files, initial_state, terrain, terrain_heights
 from sweep.systems.mujoco_model.disturbances import PUSH, PushedBody
 from sweep.systems.mujoco_model.motors import MOTOR, MotorGroup, MotorLaw, make_law
 from sweep.systems.mujoco_model.payloads import PAYLOAD, Payload, add_payloads
 from sweep.systems.mujoco_model.policy_spec import VELOCITY
 from sweep.systems.mujoco_model.schedules import FACTOR, Schedule
+from sweep.systems.mujoco_model.terrain import TerrainConfig
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class ModelConfig:
     # or are as the last physics step began, as in studies of before
     sensors: str = choice("stepped", "stepped", "current")
     option: tuple[tuple[str, Any], ...] = ()  # of MuJoCo's other than the file's, by path: how it is simulated
+    terrain: TerrainConfig | None = None  # in the place of the floor
     content: str = ""  # digest of model and controller, set by the first run
 
 
@@ -81,7 +83,7 @@ class ModelSpec:
     """A MuJoCo model with its controller and noise, at nominal values."""
 
     config: ModelConfig
-    controller_values: tuple[tuple[str, float], ...]  # `noise.*` and `controller.*` by path
+    controller_values: tuple[tuple[str, float], ...]  # of all `parameters` by path
     delay_buffer: int = 0  # ticks of delay
     action_buffer: int = 0  # physics steps of delay of the commands
     pushes: tuple[PushedBody, ...] = ()
@@ -92,18 +94,50 @@ class ModelSpec:
     @cached_property
     def model(self) -> mujoco.MjModel:
         """The compiled model with its payloads and the options of the configuration."""
-        compiled = self.load_source().compile() if self.payloads else files.load_model(self.config.mjcf)
+        return self.compile_with_fields(1)
+
+    def compile_with_fields(self, count: int) -> mujoco.MjModel:
+        """Compile the model with a number of level height fields as its terrain, where it has one."""
+        compiled = files.load_model(self.config.mjcf, self.config.terrain, count)
+        if self.payloads:
+            view = compiled.stat
+            compiled = self._load_source(count).compile()
+            if self.config.terrain:
+                compiled.stat.extent, compiled.stat.center[:] = view.extent, view.center
         return fields.with_options(compiled, dict(self.config.option))
 
     def load_source(self) -> mujoco.MjSpec:
         """Load what the model is compiled from. Raises `InputError`."""
-        source = files.load_spec(self.config.mjcf)
+        return self._load_source(1)
+
+    def _load_source(self, count: int) -> mujoco.MjSpec:
+        source = files.load_spec(self.config.mjcf, self.config.terrain, count)
         return add_payloads(source, self.payloads) if self.payloads else source
 
     @cached_property
     def motor_law(self) -> MotorLaw | None:
         """The law that clips controls to what motors can give; None where no joint has a motor."""
         return make_law(self.model, self.motors)
+
+    def model_values(self, world: SideValues) -> dict[str, Any]:
+        """Return the values of a side, by path, that are numbers of the compiled model."""
+        return {path: value for path, value in world.select_group("model").items() if not terrain.is_terrain(path)}
+
+    def make_terrain(self, world: SideValues, n: int) -> terrain.TerrainBatch | None:
+        """Make the terrains of n rollouts; None without terrain.
+
+        Args:
+            world: The simulated side.
+            n: Number of rollouts.
+        """
+        shape = self.config.terrain
+        if shape is None:
+            return None
+        own = world.select_group("model")
+        values = {**dict(self.controller_values), **own}
+        numbers = {name: np.broadcast_to(values[terrain.PREFIX + name], (n,)) for name in terrain_heights.NUMBERS}
+        image = files.read_terrain_image(shape.file) if shape.kind == "image" else None
+        return terrain.make_batch(shape, numbers, any(terrain.PREFIX + name in own for name in numbers), image)
 
     @cached_property
     def controller(self) -> files.Policy:
@@ -113,17 +147,19 @@ class ModelSpec:
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
-        """Fields of the noise and controller parameters, by path."""
+        """Fields of the parameters of noise, pushes, controller and terrain, by path."""
         pushes = {f"push.{one.name}.{key}": about for one in self.pushes for key, about in PUSH.items()}
         own = {f"controller.{name}": quantity(value, "") for name, value in self.controller.parameters.items()}
         learned = self.controller.learned
         labels = learned.measured_terms if learned else ()
         terms = {f"noise.{label}.{key}": about for label in labels for key, about in TERM_NOISE.items()}
+        ground = terrain_heights.NUMBERS if self.config.terrain else {}
+        grounds = {terrain.PREFIX + name: about for name, about in ground.items()}
         loads = {f"payload.{one.name}.{key}": about for one in self.payloads for key, about in PAYLOAD.items()}
         drives = {f"motor.{one.name}.{key}": about for one in self.motors for key, about in MOTOR.items()}
         start = initial_state.start_parameters(self.model, self.base_address is not None)
         schedules = {f"schedule.{one.name}.factor": FACTOR for one in self.schedules}
-        return NOISE | terms | pushes | loads | drives | start | own | schedules
+        return NOISE | terms | pushes | loads | drives | start | own | schedules | grounds
 
     @cached_property
     def pushed_bodies(self) -> np.ndarray:

@@ -61,6 +61,7 @@ class ModelParts:
         self.foot_sensors = as_places(model.sensor_adr[feet])
         self.foot_sites = as_places(model.sensor_objid[feet])
         self.collision_sensors = model.sensor_adr[collisions]
+        self.terrain = own.config.terrain
         has = {
             "base": self.has_base,
             "hinges": len(hinges),
@@ -69,6 +70,7 @@ class ModelParts:
             "joint_limits": len(limited_joints),
             "feet": len(feet),
             "collisions": len(collisions),
+            "terrain": self.terrain is not None,
         }
         # parts that the model has, of those that `Metric.needs` names
         self.names = frozenset(name for name, there in has.items() if there)
@@ -115,7 +117,8 @@ class ModelTick:
     Args:
         parts: Places of the model's parts.
         steps: Recorded values (n, s, ...) by MuJoCo's name, and `unsolved` (n, s); with pushes `push_work` (n,) in J.
-        limits: The models' own limits, `actuator_forcerange` and `jnt_range`, (n, ..., 2).
+        limits: The models' own limits, `actuator_forcerange` and `jnt_range`, (n, ..., 2); with terrain its fields, see
+            `terrain.TerrainBatch.fields_by_name`.
         start: Positions (n, nq) before the first tick.
     """
 
@@ -142,6 +145,17 @@ class ModelTick:
     def base_velocity(self) -> Array:
         """See `CommonTick`; of the first free joint."""
         return self.steps["qvel"][..., self.parts.base_velocity]
+
+    @property
+    def ground_height(self) -> Array:
+        """Height (n, s) in m of the terrain straight below the base, or of its nearest edge."""
+        shape, base = self.parts.terrain, self.base_position
+        if shape is None:
+            raise TypeError("the model has no terrain")
+        place = base[..., :2] - self.limits["ground_place"][:, None, :2]
+        return self.limits["ground_place"][:, 2:] + interpolate_heights(
+            self.limits["ground"], self.limits["ground_index"][:, None], place, *shape.axes
+        )
 
     @property
     def tilt_deg(self) -> Array:
@@ -233,6 +247,32 @@ class ModelRollout(NamedTuple):
     def displacement_along(self, way: np.ndarray) -> np.ndarray:
         """Return the part of displacements (n, 3) along `model.direction`."""
         return way @ self.parts.direction
+
+
+def interpolate_heights(fields: Array, index: Array, place: Array, x: np.ndarray, y: np.ndarray) -> Array:
+    """Return heights between the points of height fields, on the triangles that MuJoCo makes of each cell.
+
+    Args:
+        fields: Heights (k, rows, columns).
+        index: Number of the field of each place, (n, 1).
+        place: Places (n, s, 2) in the fields' axes; those beside a field count as at its edge.
+        x: Coordinates (columns,) of the points.
+        y: Coordinates (rows,).
+
+    Returns:
+        Heights (n, s).
+    """
+    xp, parts = array_namespace(place), []
+    for k, axis in enumerate((x, y)):
+        cells = (place[..., k] - axis[0]) / (axis[1] - axis[0])
+        cells = xp.clip(xp.nan_to_num(cells), 0, len(axis) - 1)
+        cell = xp.minimum(xp.floor(cells), len(axis) - 2).astype(int)
+        parts.append((cell, cells - cell))
+    (i, u), (j, v) = parts
+    index = index.astype(int)
+    low, high = fields[index, j, i], fields[index, j + 1, i + 1]
+    left, right = fields[index, j + 1, i], fields[index, j, i + 1]
+    return low + xp.where(v >= u, v * (left - low) + u * (high - left), u * (right - low) + v * (high - right))
 
 
 def share_of_steps(

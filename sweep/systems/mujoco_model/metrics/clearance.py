@@ -1,0 +1,19 @@
+"""Height of the base above the terrain."""
+
+from collections.abc import Iterator
+
+from sweep.core.metric import Array, array_namespace, extremes
+from sweep.systems.mujoco_model.tick import ModelTick
+
+
+def least_clearance(ctx: ModelTick) -> Iterator[Array]:
+    """Least height of the base's origin above the ground straight below it (m)."""
+    height = ctx.base_position[..., 2] - ctx.ground_height
+    yield array_namespace(height).min(height, axis=-1)
+
+
+METRIC = extremes(
+    least_clearance,
+    {"base_clearance_min_m": "least height of the base above the terrain straight below it"},
+    needs=("base", "terrain"),
+)
