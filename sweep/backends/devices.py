@@ -19,6 +19,7 @@ from jaxtyping import Array
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core import files
 from sweep.core.errors import InputError
+from sweep.fused.cores import count_cores
 
 BATCH = "batch"
 NEVER = 1 << 40
@@ -46,11 +47,6 @@ def configure() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # cache small programs, too
     with contextlib.suppress(RuntimeError):  # too late if JAX is in use already
         jax.config.update("jax_num_cpu_devices", count_cores())
-
-
-def count_cores() -> int:
-    """Number of CPU cores that this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def start_device_search() -> None:

@@ -1,7 +1,6 @@
 """CPU kernels: the memory of a batch in tiles of vector lanes, and the threads that process tiles."""
 
 import ctypes
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -12,6 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.fused import llvm, schedule
+from sweep.fused.cores import count_cores
 from sweep.fused.randomness import is_key, key_words
 from sweep.fused.trace import GROUP, Leaf, Traced, trace_program
 
@@ -146,7 +146,7 @@ class Tiles:
         self.memory = _allocate_aligned(-(-width // lanes), _end(self.code.carried, lanes))
         tree = jax.tree.structure(self.code.form)
         self._places = jax.tree.unflatten(tree, range(tree.num_leaves))
-        rooms = range(min(len(os.sched_getaffinity(0)), len(self.memory)))
+        rooms = range(min(count_cores(), len(self.memory)))
         self._scratch = [_allocate_aligned(1, self.code.scratch) for _ in rooms]
 
     def write(self, leaves: Sequence[Leaf], tree: Any) -> None:
