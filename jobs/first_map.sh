@@ -1,10 +1,13 @@
 #!/usr/bin/env bash
 # A stranger's first map, timed: an empty environment, the wheel (the newest in dist/, built if there is none), one study and
 # its page. Nothing is cached but packages. Prints MB of the environment and seconds of each step.
-#   jobs/first_map.sh [PYTHON]; uses uv where it is on the PATH, else pip
+#   jobs/first_map.sh [PYTHON]; the first Python 3.12 or 3.13 on the PATH by default; uses uv where it is there, else pip
 set -euo pipefail
 root=$(cd "$(dirname "$0")/.." && pwd)
-python=${1:-python3}
+for python in ${1:-python3.12 python3.13 python3} ""; do
+  if "$python" -c 'import sys; sys.exit(not (3, 12) <= sys.version_info[:2] < (3, 14))' 2>/dev/null; then break; fi
+done
+[ -n "$python" ] || { echo "jobs/first_map.sh: no Python 3.12 or 3.13 among: ${1:-python3.12 python3.13 python3}" >&2; exit 2; }
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 unset PYTHONPATH VIRTUAL_ENV

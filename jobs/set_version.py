@@ -1,6 +1,6 @@
 """Write the version of a release into every file that states it: `python jobs/set_version.py 0.3.0 [DOI]`.
 
-A DOI replaces the one in CITATION.cff, whose placeholder is `10.5281/zenodo.0`.
+A DOI takes its place in CITATION.cff and .zenodo.json. Without one, a DOI of an earlier version is removed.
 """
 
 import re
@@ -14,6 +14,7 @@ STATED = {
     "sweep/core/version.py": (r'^VERSION = ".*"$', 'VERSION = "{version}"'),
     "CITATION.cff": (r"^version: .*$", "version: {version}"),
     ".zenodo.json": (r'^  "version": ".*",$', '  "version": "{version}",'),
+    "packaging/conda/recipe.yaml": (r'^  version: ".*"$', '  version: "{version}"'),
 }
 
 
@@ -23,11 +24,16 @@ def main() -> int:
     if not re.fullmatch(r"\d+\.\d+\.\d+((a|b|rc)\d+)?", version):
         print(f"set_version: {version} is not allowed: MAJOR.MINOR.PATCH, such as 0.3.0", file=sys.stderr)
         return 2
+    if doi and not re.fullmatch(r"10\.\d{4,}/\S+", doi[0]):
+        print(f"set_version: {doi[0]} is not allowed: a DOI, such as 10.5281/zenodo.1234567", file=sys.stderr)
+        return 2
     for name, (old, new) in STATED.items():
         _replace(name, old, new.format(version=version))
     _replace("CITATION.cff", r"^date-released: .*$", f"date-released: {datetime.now(UTC):%Y-%m-%d}")
-    if doi:
-        _replace("CITATION.cff", r"^doi: .*$", f"doi: {doi[0]}")
+    cited = f"doi: {doi[0]}" if doi else "# doi: of the archived release"
+    _replace("CITATION.cff", r"^(# )?doi: .*$", cited)
+    archived = f',\n  "doi": "{doi[0]}"' if doi else ""
+    _replace(".zenodo.json", r'("version": "[^"]*")(,\n  "doi": "[^"]*")?', rf"\g<1>{archived}")
     return 0
 
 

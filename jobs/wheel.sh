@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # What whoever installs the package gets: sdist and wheel (left in dist/), the wheel alone in an empty environment of
 # each Python that is named, and a newcomer's first commands in an empty folder. `make wheel` names the Pythons found.
+# WITH='mujoco==4.*' replaces a locked version.
 set -euo pipefail
 root=$(cd "$(dirname "$0")/.." && pwd)
 work=$(mktemp -d)
@@ -9,16 +10,19 @@ unset PYTHONPATH VIRTUAL_ENV
 export MPLBACKEND=agg
 
 rm -rf "$root"/dist "$root"/*.egg-info  # a list of sources of builds before would hide what is not found
-"$root/.venv/bin/python" -m build --no-isolation --outdir "$root/dist" "$root" >"$work/build.log" || { cat "$work/build.log"; exit 1; }
+"$root/.venv/bin/python" -m build --no-isolation --outdir "$root/dist" "$root" >"$work/build.log" 2>&1 || { cat "$work/build.log"; exit 1; }
 
 for python in "$@"; do
   echo "== $("$python" --version): $(basename "$root"/dist/*.whl)"
   rm -rf "$work/env" "$work/empty"
-  "$python" -m venv "$work/env"
   mkdir "$work/empty"
   cd "$work/empty"
-  "$work/env/bin/pip" install -q -c "$root/constraints.txt" "$root"/dist/*.whl
-  "$work/env/bin/pip" check
+  PYTHON=$python bash "$root/packaging/install.sh" "$root" "$work/env"
+  if [ -n "${WITH:-}" ]; then
+    "$work/env/bin/pip" uninstall -q -y "${WITH%%[=<>~]*}"  # MuJoCo 4 is several packages: an upgrade in place removes files of theirs
+    "$work/env/bin/pip" install -q "$WITH"
+    "$work/env/bin/pip" check
+  fi
   sweep() { "$work/env/bin/sweep" "$@"; }
   sweep run scenario=walk_tripod
   sweep run scenario=raft_cross
