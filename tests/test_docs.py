@@ -23,6 +23,7 @@ PAGES = [*GUIDE, *EVIDENCE]
 FOLLOWED = {
     ROOT / "docs/own_model.md",
     ROOT / "docs/howto/run_a_learned_policy.md",
+    ROOT / "docs/howto/evaluate_a_gymnasium_task.md",
     *(ROOT / f"docs/howto/{name}.md" for name in test_extending.SAID),
 }
 BLOCK = re.compile(r"(?:^    .*\n|^\n(?=    ))+", re.MULTILINE)

@@ -147,6 +147,43 @@ def compare_with_plain_loop(folder, shape, engine, legs=4):
     np.testing.assert_allclose(simulate(engine), places, atol=1e-5)
 
 
+STILL = "observation: [{term: constant, values: [1.0]}]\ncommands: {velocity_x: 0.0}\n"
+
+
+def drawn(action, weight, *words):
+    """Actions (rollouts, ticks, joints) of a network that gives `weight` whatever it observes."""
+    write_project(Path(), f"{STILL}action: {action}", legs=1)
+    save_perceptron("walk.onnx", (1, len(weight)), weight=np.array(weight)[:, None])
+    exp = compose(["study=one", "engine.precision=float64", "study.replicates=6", *words])
+    rows = batches.assign_batches(exp, pd.DataFrame(), select_points(exp)).assign(width=6)
+    task = batches.make_batch(exp, rows)
+    made = exp.system.make_engine(task.settings, task.world, task.belief, None)
+    traces = made.traces(task.world, task.belief, task.streams, 1)
+    return np.stack([np.stack([one.columns[f"action_lf_{part}"] for part in ("roll", "hip", "knee")], axis=1)
+                     for one in traces])  # fmt: skip
+
+
+def test_a_stochastic_policy_draws_by_the_seed_or_runs_its_mean(here):
+    mean = np.tanh([0.1, 0.2, 0.3])
+    np.testing.assert_allclose(drawn("{scale: 0.01}", [0.1, 0.2, 0.3]), np.tile(mean, (6, 50, 1)), atol=1e-6)
+    sampled = "{scale: 0.01, sample: true, deviation: {'*_knee': 0.0, '*': 0.5}}"
+    found = drawn(sampled, [0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(found, drawn(sampled, [0.1, 0.2, 0.3]))
+    np.testing.assert_allclose(found[..., 2], mean[2], atol=1e-6)
+    np.testing.assert_allclose(found[..., :2].reshape(-1, 2).mean(axis=0), mean[:2], atol=0.1)
+    np.testing.assert_allclose(found[..., :2].reshape(-1, 2).std(axis=0), 0.5, rtol=0.15)
+    assert len(np.unique(found[:, 0, 0])) == 6
+
+
+def test_a_discrete_policy_takes_the_likeliest_choice_or_draws_one(here):
+    choices, weight = [[1, 0, 0], [0, 1, 0]], [-0.5, 0.5]
+    best = drawn(f"{{scale: 0.01, choices: {choices}}}", weight)
+    np.testing.assert_array_equal(best, np.tile([0.0, 1.0, 0.0], (6, 50, 1)))
+    found = drawn(f"{{scale: 0.01, sample: true, choices: {choices}}}", weight)
+    odds = np.exp(np.tanh(weight)) / np.exp(np.tanh(weight)).sum()
+    np.testing.assert_allclose(found.reshape(-1, 3).mean(axis=0), [*odds, 0.0], atol=0.1)
+
+
 def test_what_the_policy_saw_is_kept_and_the_first_difference_is_named(here, capsys):
     write_project(here, JOYSTICK, more=", period: 0.02")
     save_perceptron("walk.onnx", (48, 12), 0.5)
@@ -212,6 +249,8 @@ def test_what_exporters_write_into_the_network_counts_unless_the_file_says_other
     ("preset: isaaclab\naction: {scale: [1, 2]}", "action.scale = [1, 2] is not allowed: a number, 12 numbers"),
     ("preset: isaaclab\naction: {actuation: pd, stiffness: 1}", "joint lf_roll has an actuator of its own law"),
     ("preset: isaaclab\naction: {clip: [1, -1]}", "action.clip = [1.0, -1.0] is not allowed"),
+    ("preset: isaaclab\naction: {sample: true}", "action.sample = true needs action.deviation"),
+    ("preset: isaaclab\naction: {choices: [[1, 2]]}", "action.choices = [[1, 2]] is not allowed: a list of"),
     ("preset: isaaclab\nrecurrent: [{input: h, output: h}]", "recurrent input h is unknown (allowed: obs)"),
     ("preset: isaaclab\nhistory: 0", "history = 0 is not allowed: a whole number from 1 on"),
     ("preset: isaaclab\nhistory: 2", "walk.onnx takes 48 numbers as obs: its terms have 96"),

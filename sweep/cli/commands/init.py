@@ -25,6 +25,9 @@ def add_arguments(parser: Arguments) -> None:
     )
     parser.add_argument("--policy", metavar="FILE", help="with a learned policy: a network such as walk.onnx")
     parser.add_argument("--mjcf", metavar="FILE", help="the MuJoCo model that the policy controls")
+    parser.add_argument(
+        "--gym", metavar="TASK", help="with a MuJoCo task of gymnasium such as Ant-v5, and --policy if you have one"
+    )
     parser.add_argument("--preset", metavar="NAME", default="playground",
                         help="the framework that trained it: playground, playground_gait, mjlab or isaaclab "
                              "(default: playground)")  # fmt: skip
@@ -38,9 +41,16 @@ def run(args: argparse.Namespace) -> int:
     if not str(args.dir).strip():
         raise InputError(f"dir = {str(args.dir)!r} is not allowed: a new or empty folder")
     folder = Path(args.dir)
-    if bool(args.policy) != bool(args.mjcf) or (args.policy and args.model):
+    if args.gym and (args.mjcf or args.model):
+        raise InputError("--gym is not allowed with --mjcf or --model: the task has its model")
+    if not args.gym and (bool(args.policy) != bool(args.mjcf) or (args.policy and args.model)):
         raise InputError("--policy and --mjcf are wanted together, without --model")
-    if args.policy:
+    if args.gym:
+        from sweep.cli import gym_project
+
+        contents = gym_project.project_files(args.gym, Path(args.policy) if args.policy else None)
+        study = "mass"
+    elif args.policy:
         from sweep.cli import policy_project
 
         contents, study = policy_project.project_files(Path(args.policy), Path(args.mjcf), args.preset), "push_delay"

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -142,11 +143,13 @@ def fit_policy(
     output = _action_output(error_prefix, spec, network)
     scale, offset, control, actuators = _fit_action(error_prefix, spec.action, model, joints, default)
 
+    choices, draw = _fit_distribution(error_prefix, spec.action, network, joints)
+    wanted = len(joints) if choices is None else len(choices)
+
     def require_action_of(size: int | None) -> None:  # None: the network does not say
-        if size not in (None, len(joints)):
-            raise InputError(
-                f"{error_prefix}: {network.name} gives {size} numbers as {output}: {len(joints)} joints have actions"
-            )
+        if size not in (None, wanted):
+            what = f"{wanted} joints have actions" if choices is None else f"action.choices has {wanted}"
+            raise InputError(f"{error_prefix}: {network.name} gives {size} numbers as {output}: {what}")
 
     require_action_of(network.outputs[output][-1] if network.outputs[output] else None)
     resting = model.key_ctrl[keyframe] if keyframe >= 0 else np.zeros(model.nu)
@@ -202,6 +205,7 @@ def fit_policy(
         found = network.evaluate({**given, **state["memory"]})
         action = found[output].reshape(-1)
         require_action_of(action.size)
+        action = draw(action, found, key)
         action = jnp.clip(action, *spec.action.clip) if spec.action.clip else action
         controls = jnp.asarray(resting, float).at[actuators].set(offset + scale * action)
         memory = {one.input: found[one.output].astype(float).reshape(_recurrent_shape(network, one))
@@ -357,6 +361,47 @@ def _compute_term(
     return jnp.concatenate(waves if one.order == "cos_sin" else waves[::-1])
 
 
+def _fit_distribution(
+    error_prefix: str, spec: ActionSpec, network: Network, joints: list[str]
+) -> tuple[np.ndarray | None, Callable[[Any, Mapping[str, Any], Any], Any]]:
+    """Return the choices (c, k) of discrete actions, and the function that makes an action of the network's output.
+
+    The function takes the output, all outputs by name, and a random key. Raises `InputError`.
+    """
+    if spec.deviation_output:
+        require_choice(spec.deviation_output, network.outputs, f"{error_prefix}: action.deviation_output")
+    if spec.choices is not None:
+        try:
+            choices: np.ndarray = np.asarray(spec.choices, float)
+        except (TypeError, ValueError):
+            choices = np.zeros(0)
+        if choices.ndim != 2 or choices.shape[1] != len(joints) or not np.isfinite(choices).all():
+            such = f"a list of actions, each {len(joints)} numbers (one for each joint)"
+            raise InputError(f"{error_prefix}: action.choices = {spec.choices!r:.80} is not allowed: {such}")
+
+        def choose(logits: Any, found: Mapping[str, Any], key: Any) -> Any:
+            number = jax.random.gumbel(key, logits.shape, jnp.float32).astype(logits.dtype) if spec.sample else 0.0
+            return jnp.asarray(choices, float)[jnp.argmax(logits + number)]
+
+        return choices, choose
+    if not spec.sample:
+        return None, lambda mean, found, key: mean
+    if (spec.deviation is None) != bool(spec.deviation_output):
+        needs = (
+            "needs action.deviation or action.deviation_output" if spec.deviation is None else "needs only one of both"
+        )
+        way = "; without them leave sample out, which runs the mean action"
+        raise InputError(f"{error_prefix}: action.sample = true {needs}{way}")
+    fixed = (None if spec.deviation is None
+             else policy_spec.joint_numbers(f"{error_prefix}: action.deviation", spec.deviation, joints))  # fmt: skip
+
+    def draw(mean: Any, found: Mapping[str, Any], key: Any) -> Any:
+        size = fixed if fixed is not None else jnp.exp(found[spec.deviation_output].reshape(-1))
+        return mean + size * jax.random.normal(key, mean.shape, jnp.float32).astype(mean.dtype)
+
+    return None, draw
+
+
 def _recurrent_shape(network: Network, one: RecurrentSpec) -> tuple[int, ...]:
     shape = network.input_shape(one.input)
     if -1 in shape:
@@ -369,7 +414,8 @@ def _action_output(error_prefix: str, spec: PolicySpec, network: Network) -> str
     if spec.output:
         require_choice(spec.output, network.outputs, f"{error_prefix}: output = {spec.output}")
         return spec.output
-    rest = [name for name in network.outputs if name not in {one.output for one in spec.recurrent}]
+    others = {spec.action.deviation_output, *(one.output for one in spec.recurrent)}
+    rest = [name for name in network.outputs if name not in others]
     if len(rest) != 1:
         raise InputError(f"{error_prefix}: {network.name} has the outputs {', '.join(network.outputs)}: name the "
                          "action's (key output), or recurrent ones (key recurrent)")  # fmt: skip

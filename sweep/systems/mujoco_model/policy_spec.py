@@ -107,6 +107,11 @@ class ActionSpec:
     stiffness: Any = None  # of pd: N*m/rad, in the form of `scale`
     damping: Any = 0.0  # of pd: N*m*s/rad, in the form of `scale`
     torque_limit: Any = None  # of pd: N*m, in the form of `scale`, in addition to the limits of the model
+    # draws actions from the policy's distribution by the rollout's noise stream; else the mean, or the likeliest choice
+    sample: bool = False
+    deviation: Any = None  # of sample: standard deviation of the network's output, in the form of `scale`
+    deviation_output: str = ""  # of sample: name of the network's output that is the logarithm of the deviation
+    choices: Any = None  # of discrete actions: for each output of the network the numbers of the joints, as lists
 
 
 @dataclass(frozen=True)
