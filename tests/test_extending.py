@@ -101,6 +101,16 @@ def run(command, root, program):
     return done.stdout
 
 
+def run_test(path, root):
+    """A test of a page passes in the copy, with the modules and data that tests of the repository share."""
+    (root / "tests").mkdir(exist_ok=True)
+    (root / "tests/data").symlink_to(ROOT / "tests/data")
+    there = {"cwd": root, "env": {**os.environ, "PYTHONPATH": f"{root}{os.pathsep}{ROOT / 'tests'}"}}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", path]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, **there)
+    assert done.returncode == 0, done.stdout
+
+
 def test_pages_show_what_the_repository_keeps(checkout):
     take_out(checkout, PAGES[OBSTACLE])
     take_out(checkout, PAGES[MANOEUVRE])
@@ -126,8 +136,10 @@ def test_a_page_followed_to_the_letter_adds_what_it_says(title, checkout):
         elif kind == "diff":
             replaced(checkout / path, *sides(text))
         else:
-            (checkout / path).parent.mkdir(exist_ok=True)
+            (checkout / path).parent.mkdir(exist_ok=True, parents=True)
             (checkout / path).write_text(text)
+    for path in {path for path, *_ in blocks(PAGES[title]) if path and Path(path).name.startswith("test_")}:
+        run_test(path, checkout)
     assert all(part in said for part in SAID[title]), said
     if title == "write_a_figure":
         assert "Median and largest slip" in (checkout / "results/slips/report.html").read_text()
