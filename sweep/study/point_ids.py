@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 DIGITS = 12  # of a number that count
+CHUNK = 1 << 14  # rows that are hashed at a time, whose numbers fit into the cache of a core
+MOST_POWER = 300  # of ten; the smallest numbers are scaled by two powers
+_POWERS = 10.0 ** np.arange(-MOST_POWER, MOST_POWER + 1)
 
 
 def replicate_streams(seed: int, replicates: int) -> np.ndarray:
@@ -63,29 +66,43 @@ def point_hashes(table: "pd.DataFrame", system: System) -> np.ndarray:
             varied[column] = column
         elif side in system.groups:
             varied |= {f"{side}.{column}": column for side in SIDES}
-    total = _hashes("replicate", table["replicate"].to_numpy())
+    shared = np.zeros(1, np.uint64)
     for key, value in nominal.items():
         if key not in varied:
-            total += _hashes(key, np.asarray([value]))
+            shared += _hashes(key, np.asarray([value]))
     for path, value in system.default_inputs(paths):
         for side in SIDES:
-            total -= _hashes(f"{side}.{path}", np.asarray([value]))
+            shared -= _hashes(f"{side}.{path}", np.asarray([value]))
+    keys: dict[str, list[str]] = {"replicate": ["replicate"]}
     for key, column in varied.items():
-        total += _hashes(key, table[column].to_numpy())
-    return _mixed(total)
+        keys.setdefault(column, []).append(key)
+    columns = {column: table[column].to_numpy() for column in keys}
+    found = np.empty(len(table), np.uint64)
+    for first in range(0, len(table), CHUNK):
+        rows = slice(first, first + CHUNK)
+        total = np.full(len(found[rows]), shared[0])
+        for column, names in keys.items():
+            parts = _value_hashes(columns[column][rows])
+            for key in names:
+                total += _mixed(parts + text_hash(key))
+        found[rows] = _mixed(total)
+    return found
 
 
 def _hashes(key: str, values: np.ndarray) -> np.ndarray:
     """Hash the values (n,) of one input; numbers count to `DIGITS` significant digits."""
+    return _mixed(_value_hashes(values) + text_hash(key))
+
+
+def _value_hashes(values: np.ndarray) -> np.ndarray:
+    """Hash values (n,), whatever input they belong to; see `_hashes`."""
     import pandas as pd
 
     if values.dtype.kind in "fiu":
         mantissa, exponent = _decimal(values.astype(float))
-        parts = _mixed(mantissa.astype(np.uint64) + _mixed(exponent.astype(np.uint64)))
-    else:
-        codes, names = pd.factorize(values.astype(object))
-        parts = np.asarray([text_hash(str(name)) for name in names], np.uint64)[codes]
-    return _mixed(parts + text_hash(key))
+        return _mixed(mantissa.astype(np.uint64) + _mixed(exponent.astype(np.uint64)))
+    codes, names = pd.factorize(values.astype(object))
+    return np.asarray([text_hash(str(name)) for name in names], np.uint64)[codes]
 
 
 def _decimal(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,10 +110,14 @@ def _decimal(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     size = np.abs(values)
     exponent = np.floor(np.log10(np.where(size > 0, size, 1.0))).astype(np.int64)
     shift = DIGITS - 1 - exponent
-    most = np.minimum(shift, 300)  # a power of ten that there is; the smallest numbers take two
-    mantissa = np.rint(values * 10.0**most * 10.0 ** (shift - most)).astype(np.int64)
+    most = np.minimum(shift, MOST_POWER)
+    mantissa = np.rint(values * _power_of_ten(most) * _power_of_ten(shift - most)).astype(np.int64)
     carried = np.abs(mantissa) == 10**DIGITS  # 9.9999... rounded up, or a logarithm rounded down
     return np.where(carried, mantissa // 10, mantissa), np.where(mantissa == 0, 0, exponent + carried)
+
+
+def _power_of_ten(exponent: np.ndarray) -> np.ndarray:
+    return _POWERS.take(exponent + MOST_POWER, mode="clip")  # from a table, as to compute them takes ten times as long
 
 
 def text_hash(text: str) -> np.uint64:
