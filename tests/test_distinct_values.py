@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sweep.analysis.distinct_values import are_all_different, count_distinct, has_several_values, number_distinct
+from sweep.core.distinct_values import are_all_different, count_distinct, has_several_values, number_distinct
 
 COLUMNS = {
     "one": [2.0, 2.0], "two": [2.0, 3.0], "missing": [np.nan, 2.0, np.nan], "all_missing": [np.nan, np.nan],

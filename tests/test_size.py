@@ -1,6 +1,7 @@
 """What commands read of a folder: the columns and parts that they need, so that a million rows take little memory."""
 
 import shutil
+import tracemalloc
 from pathlib import Path
 
 import jax
@@ -12,7 +13,8 @@ import sweep
 from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.report import tables
-from sweep.runs import manifest, parquet, store
+from sweep.runs import manifest, parquet, runner, store
+from sweep.study import study
 from sweep.study.columns import metric_columns
 from sweep.study.study import make_points
 from sweep.systems import hexapod
@@ -123,3 +125,35 @@ def test_the_bodies_of_many_points_are_checked_by_one_compiled_program(monkeypat
     with jax.log_compiles():
         make_points(exp.study, exp.system, exp.settings)
     assert len([line for line in caplog.messages if line.startswith("Compiling") and "least" in line]) == 1
+
+
+DRAWN = [
+    "scenario=walk_tripod",
+    "engine.width=4096",
+    "+study.axes.grip={path: contact.friction, distribution: {kind: uniform, from: 0.2, to: 1.2}}",
+    "+study.axes.step={path: manoeuvre.half_step_ratio, distribution: {kind: uniform, from: 0.05, to: 0.1}}",
+]
+
+
+def test_a_dry_run_makes_ids_only_where_points_may_be_equal(fake_engine, monkeypatch, tmp_path, capsys):
+    drawn = ["run", *DRAWN, "study.design.num=9", f"out={tmp_path / 'out'}", "--dry-run"]
+    assert main([*drawn, "--where", "grip > 0"]) == 0  # a condition may name ids, so that they are made
+    whole = capsys.readouterr().out
+    listed = [*drawn, "+study.axes.grade={path: robot.coxa, values: [0.0, 0.0]}"]
+    assert main(listed) == 0
+    assert "9 of 18 rollouts are left out: they equal others in 12 digits" in capsys.readouterr().err
+    monkeypatch.setattr(study, "point_ids", None)
+    assert main(drawn) == 0
+    assert capsys.readouterr().out == whole
+    assert "9 of 9 rollouts to run (1 batch of 4096)" in whole
+
+
+def test_a_plan_is_made_in_few_times_its_own_memory(fake_engine, tmp_path):
+    number = 100_000
+    exp = compose([*DRAWN, f"study.design.num={number}"])
+    tracemalloc.start()
+    job = runner.prepare_job(exp, tmp_path / "out", runner.select_points(exp, with_ids=False))
+    size, peak = int(job.table.memory_usage(index=False).sum()), tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert size == 7 * 8 * number  # two axes, replicate, group, batch, slot and width
+    assert peak < 2 * size

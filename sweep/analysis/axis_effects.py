@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from sweep.analysis.distinct_values import are_all_different
 from sweep.config.experiment import Experiment
+from sweep.core.distinct_values import are_all_different
 from sweep.study.columns import LABELS, metric_columns
 from sweep.study.designs import Axis
 

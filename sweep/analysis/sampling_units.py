@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from sweep.analysis.distinct_values import are_all_different, has_several_values
 from sweep.analysis.intervals import Interval, confidence_sequence, student_interval, wilson
 from sweep.analysis.stats import rates
 from sweep.config.experiment import Experiment
+from sweep.core.distinct_values import are_all_different, has_several_values
 from sweep.study.design_kinds.base import SamplingUnit
 from sweep.study.designs import drawn_names
 from sweep.study.study import Study, parameter_columns

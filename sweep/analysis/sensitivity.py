@@ -14,11 +14,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from sweep.analysis.distinct_values import are_all_different, has_several_values
 from sweep.analysis.intervals import CONFIDENCE, Interval, clopper_pearson, student_interval
 from sweep.analysis.sampling_units import condition_rates, draw_ids
 from sweep.analysis.stats import rates
 from sweep.config.experiment import Experiment
+from sweep.core.distinct_values import are_all_different, has_several_values
 from sweep.core.errors import InputError
 from sweep.core.expressions import column
 from sweep.study import design_kinds

@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from sweep.analysis.distinct_values import count_distinct, number_distinct
 from sweep.analysis.intervals import Interval, confidence_sequence, korn_graubard, wilson
+from sweep.core.distinct_values import count_distinct, number_distinct
 
 
 @dataclass(frozen=True)

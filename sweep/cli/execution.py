@@ -72,10 +72,15 @@ def execute(exp: Experiment, flags: Flags) -> int:
     folder = exp.folder
     if not flags.check:  # which writes nothing
         store.refuse_foreign_folder(folder)
-    first = runner.select_points(exp, flags.where, flags.limit, lambda line: print(f"sweep: {line}", file=sys.stderr))
+    whole = flags.where is None and flags.limit is None
+    # ids tell which points a folder has, or which are left out; nothing else of a dry run needs them
+    with_ids = not flags.dry_run or not whole or bool(exp.study.where or exp.study.points)
+    with_ids = with_ids or not store.read_points(folder, ["batch"]).empty
+    first = runner.select_points(
+        exp, flags.where, flags.limit, lambda line: print(f"sweep: {line}", file=sys.stderr), with_ids
+    )
     if not flags.check:  # which judges nothing by outcomes
         check_expect(exp.study, exp.system, first)
-    whole = flags.where is None and flags.limit is None
     if exp.study.is_refined:
         refine.check(exp.study, first)
     if line := exp.study.design.warning:
@@ -84,8 +89,10 @@ def execute(exp: Experiment, flags: Flags) -> int:
         job = runner.prepare_job(exp, folder, first)
         for line in runner.describe_changed_axes(exp, folder):
             print(f"sweep: {line}", file=sys.stderr)
+        # without earlier points the table of the job has them, with their width
+        points = job.table if len(job.table) == len(first) else first.assign(width=job.table["width"].iloc[0])
         with show_wait("tracing which axes enter the simulation"):
-            ineffective = axis_effects.describe_unread_axes(exp, first.assign(width=job.table["width"].iloc[0]))
+            ineffective = axis_effects.describe_unread_axes(exp, points)
         print("\n".join([forecast(job), *ineffective, *map(str, failing_levels(exp))]))
         return DONE
     if flags.check:
@@ -242,7 +249,8 @@ def summary(exp: Experiment, rows: pd.DataFrame) -> str:
 def forecast(job: runner.Job) -> str:
     """Describe what a run would do: rollouts, batches, memory, and the time if an earlier batch is known."""
     missing = job.rows(job.missing())
-    sizes = missing.groupby(["group", "width"])["batch"].nunique()
+    first_rows = ~missing["batch"].duplicated().to_numpy()  # of each batch
+    sizes = missing.loc[first_rows, ["group", "width"]].groupby(["group", "width"]).size()
     parts = [f"{count} batch{'es' * (count > 1)} of {width}" for (_, width), count in sizes.items()]  # pyright: ignore[reportGeneralTypeIssues]
     text = f"{job.exp.study.name}: {len(missing)} of {len(job.table)} rollouts to run ({', '.join(parts) or 'none'})"
     if len(missing):
@@ -256,8 +264,8 @@ def forecast(job: runner.Job) -> str:
 
 def memory_text(job: runner.Job, missing: pd.DataFrame) -> str:
     """Memory that a rollout of the first group needs, as text."""
-    rows = missing[missing["group"] == missing["group"].iloc[0]]
-    size = make_engine(job.exp, nominal_batch(job.exp, rows, int(rows["width"].iloc[0]))).rollout_bytes()
+    start = nominal_batch(job.exp, missing.iloc[:1], int(missing["width"].iloc[0]))
+    size = make_engine(job.exp, start).rollout_bytes()
     return f", {size / 1024:.1f} KiB of memory per rollout" if size else ""
 
 

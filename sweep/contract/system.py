@@ -169,7 +169,7 @@ class System(Protocol):
         ...
 
     def with_delay_buffer(self, table: "pd.DataFrame") -> Self:
-        """Return this system with buffers that hold the longest delay in a points table."""
+        """Return this system with buffers that hold the longest delay in a points table, none shorter than before."""
         ...
 
     def make_engine(self, settings: EngineSettings, world: Any, belief: Any, limits: Limits) -> Engine:

@@ -1,19 +1,23 @@
 """Questions about the distinct values of a column that need neither a table of them all nor, mostly, a whole pass."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import pandas as pd
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 HEAD = 4096  # values that are looked at first
 
 
-def has_several_values(values: pd.Series) -> bool:
+def has_several_values(values: "pd.Series") -> bool:
     """Return whether a column holds at least two distinct values; missing ones do not count."""
     if values.dtype.kind in "fiu":  # a hash table of a million numbers takes twenty times as long
         return bool(values.min() < values.max())
     return values.nunique() > 1
 
 
-def count_distinct(values: pd.Series, most: int) -> int:
+def count_distinct(values: "pd.Series", most: int) -> int:
     """Count the distinct values of a column, up to a number that settles the matter.
 
     Args:

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 
 from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND
-from sweep.analysis.distinct_values import count_distinct
 from sweep.analysis.sample import is_sample
 from sweep.analysis.sampling_units import draw_ids, draw_interval_method, interval_method
 from sweep.analysis.stats import bin_values, format_percent, rate, rates
+from sweep.core.distinct_values import count_distinct
 from sweep.core.plot_style import COLUMN, PAGE, fit_ticks, legend_below, new_figure, use_whole_ticks
 from sweep.report import draws, sections, time_series_plots
 from sweep.report.cells import end_axes_at_zero

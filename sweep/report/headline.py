@@ -4,11 +4,11 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import rare
-from sweep.analysis.distinct_values import number_distinct
 from sweep.analysis.sample import pooled_rate
 from sweep.analysis.sampling_units import independent_unit, unit_numbers
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
+from sweep.core.distinct_values import number_distinct
 from sweep.core.errors import InputError, escape_control_characters
 
 

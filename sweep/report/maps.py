@@ -18,9 +18,9 @@ from matplotlib.patches import Patch, PathPatch, Rectangle
 from matplotlib.path import Path
 from matplotlib.transforms import Affine2D
 
-from sweep.analysis.distinct_values import has_several_values
 from sweep.analysis.sample import pooled_rate
 from sweep.config.experiment import Experiment, build_experiment
+from sweep.core.distinct_values import has_several_values
 from sweep.core.expressions import column
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError

@@ -12,11 +12,11 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from sweep.analysis import sensitivity
-from sweep.analysis.distinct_values import count_distinct, has_several_values
 from sweep.analysis.intervals import confidence_sequence, wilson
 from sweep.analysis.sample import is_sample
 from sweep.analysis.sampling_units import draw_ids
 from sweep.analysis.stats import bin_values, rates
+from sweep.core.distinct_values import count_distinct, has_several_values
 from sweep.core.plot_style import COLUMN, PAGE, new_figure, wrap_text
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.report import analytic_curves

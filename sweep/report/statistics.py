@@ -8,12 +8,12 @@ import pandas as pd
 
 from sweep.analysis import failing, rare, screening, sensitivity
 from sweep.analysis.axis_effects import compare_along_axes
-from sweep.analysis.distinct_values import number_distinct
 from sweep.analysis.sample import drop_copies, pooled_rate
 from sweep.analysis.sampling_units import condition_rates, draw_ids, interval_method
 from sweep.analysis.sensitivity import MIN_RARER
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
+from sweep.core.distinct_values import number_distinct
 from sweep.core.errors import InputError
 from sweep.report.headline import headline, largest_failure, sample_size
 from sweep.report.labels import heading

@@ -1,10 +1,11 @@
 """Which axes of a study have no effect: by the program that simulates it, and by its rows."""
 
+import numpy as np
 import pandas as pd
 
 from sweep.analysis.axis_effects import compare_along_axes
-from sweep.analysis.distinct_values import has_several_values
 from sweep.config.experiment import Experiment
+from sweep.core.distinct_values import has_several_values
 from sweep.runs.batches import make_engine, make_nominal_batch, static_values, with_delay_buffer
 from sweep.study.study import parameter_columns
 
@@ -22,8 +23,8 @@ def find_unread_columns(exp: Experiment, table: pd.DataFrame) -> set[str]:
     exp = with_delay_buffer(exp, table)
     static = [*static_values(exp, table)]
     unread = {c for c in parameter_columns(table) if c not in static and has_several_values(table[c])}
-    groups = [rows for _, rows in table.groupby(static, sort=False)] if static else [table]
-    for rows in groups:
+    first_rows: list[int] = np.flatnonzero(~table.duplicated(static)).tolist() if static else [0]
+    for rows in (table.iloc[[k]] for k in first_rows):  # one row of each group
         if not unread:
             break
         fixed = static_values(exp, rows)

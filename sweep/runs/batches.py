@@ -58,8 +58,7 @@ def with_delay_buffer(exp: Experiment, table: pd.DataFrame) -> Experiment:
     """
     study = exp.study
     if study.design.num and not study.points and not any(axis.values is not None for axis in study.axes):
-        ends = extreme_points(study, exp.system, exp.settings)
-        table = pd.concat([table[[column for column in ends if column in table]], ends])
+        exp = replace(exp, system=exp.system.with_delay_buffer(extreme_points(study, exp.system, exp.settings)))
     return replace(exp, system=exp.system.with_delay_buffer(table))
 
 
@@ -126,8 +125,11 @@ def assign_batches(exp: Experiment, planned: pd.DataFrame, wanted: pd.DataFrame)
     first = int(planned["batch"].max()) + 1 if len(planned) else 0
     for column in ("batch", "slot", "width"):
         table[column] = table[column].fillna(-1).astype("int64") if column in table else -1
-    for _, rows in table[table["batch"] < 0].groupby("group", sort=False):
-        first = _cut_into_batches(table, rows.index, _even_width(exp, rows), first)
+    new = np.flatnonzero(table["batch"] < 0)
+    numbers = table["group"].iloc[new].unique()
+    for number in numbers:  # by their places, as copies of millions of rows take much memory
+        places = new[table["group"].to_numpy()[new] == number] if len(numbers) > 1 else new
+        first = _cut_into_batches(table, places, _even_width(exp, table.iloc[places[:1]], len(places)), first)
     return table
 
 
@@ -147,20 +149,27 @@ def halve_batches(table: pd.DataFrame, batches: list[int], devices: int) -> pd.D
     """
     table, first = table.copy(), int(table["batch"].max()) + 1
     for number in batches:
-        rows = table.index[table["batch"] == number]
-        width = int(table["width"].loc[rows].iloc[0]) // 2
+        rows = np.flatnonzero(table["batch"] == number)
+        width = int(table["width"].iloc[rows[0]]) // 2
         if not width:
             raise Fault("a single rollout does not fit in the memory of the device")
         first = _cut_into_batches(table, rows, width // devices * devices or width, first)
     return table
 
 
-def _cut_into_batches(table: pd.DataFrame, rows: pd.Index, width: int, first: int) -> int:
-    """Assign `rows` of `table` to batches of `width`, numbered from `first`; return the number after the last."""
-    batches, slots = np.divmod(np.arange(len(rows)), width)
-    for column, values in (("batch", first + batches), ("slot", slots), ("width", width)):
-        table.loc[rows, column] = values
-    return first + -(-len(rows) // width)
+def _cut_into_batches(table: pd.DataFrame, places: np.ndarray, width: int, first: int) -> int:
+    """Assign rows of `table`, by their places, to batches of `width` from number `first`; return the number after."""
+    numbers = np.arange(len(places))
+    _set_cells(table, "batch", places, first + numbers // width)
+    _set_cells(table, "slot", places, numbers % width)
+    _set_cells(table, "width", places, width)
+    return first + -(-len(places) // width)
+
+
+def _set_cells(table: pd.DataFrame, column: str, places: np.ndarray, values: np.ndarray | int) -> None:
+    cells = table[column].to_numpy(copy=True)  # as `DataFrame.loc` takes four times the memory of a column
+    cells[places] = values
+    table[column] = pd.Series(cells, table.index, copy=False)
 
 
 def isin_points(rows: pd.DataFrame, points: pd.DataFrame) -> np.ndarray:
@@ -169,8 +178,13 @@ def isin_points(rows: pd.DataFrame, points: pd.DataFrame) -> np.ndarray:
     return pd.MultiIndex.from_frame(rows[key]).isin(pd.MultiIndex.from_frame(points[key]))
 
 
-def _even_width(exp: Experiment, rows: pd.DataFrame) -> int:
+def _even_width(exp: Experiment, rows: pd.DataFrame, count: int) -> int:
     """Return `engine.width`, else the device's best width, evened out so that the last batch is nearly full.
+
+    Args:
+        exp: Experiment of the study.
+        rows: At least one row of the group.
+        count: How many new rows the group has.
 
     Raises `InputError` where a cluster needs a width and none is set, and where the nominal plan is impossible.
     """
@@ -183,5 +197,5 @@ def _even_width(exp: Experiment, rows: pd.DataFrame) -> int:
     engine = make_engine(exp, start)  # refuses an impossible plan before anything is written
     if start.settings.width:
         return start.settings.width
-    even = -(-len(rows) // -(-len(rows) // engine.width))
+    even = -(-count // -(-count // engine.width))
     return -(-even // engine.devices) * engine.devices

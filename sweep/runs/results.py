@@ -9,9 +9,9 @@ from typing import Any
 import pandas as pd
 
 from sweep.analysis import sensitivity
-from sweep.analysis.distinct_values import has_several_values
 from sweep.analysis.sample import drop_copies
 from sweep.config.experiment import Experiment, build_experiment
+from sweep.core.distinct_values import has_several_values
 from sweep.core.errors import InputError
 from sweep.core.expressions import condition_columns, mask
 from sweep.runs import store

@@ -86,14 +86,18 @@ class Job:
 
     def rows(self, batches: list[int]) -> pd.DataFrame:
         """Return the points of `batches`, in the table's order."""
-        if self.wanted == {*batches} and len(self._places) == len(batches):  # no copy of millions of rows
+        if self.wanted == {*batches} and self.table["batch"].nunique() == len(batches):  # no copy of millions of rows
             return self.table
         places = [self._places[number] for number in batches]
         return self.table.take(np.sort(np.concatenate([np.zeros(0, dtype=int), *places])))
 
 
 def select_points(
-    exp: Experiment, where: str | None = None, limit: int | None = None, say: Logger | None = None
+    exp: Experiment,
+    where: str | None = None,
+    limit: int | None = None,
+    say: Logger | None = None,
+    with_ids: bool = True,
 ) -> pd.DataFrame:
     """Return the points of a study that a run should simulate.
 
@@ -102,6 +106,7 @@ def select_points(
         where: Condition on axes and parameters that chooses points; None for all.
         limit: Largest number of points; None for all.
         say: Receives a line where points are left out because they equal others.
+        with_ids: Whether the points are to be simulated, see `make_points`. A condition may name ids, and has them.
 
     Returns:
         A row for each rollout.
@@ -109,8 +114,10 @@ def select_points(
     Raises:
         InputError: No point matches, or the study's axes are not allowed.
     """
-    table = make_points(exp.study, exp.system, exp.settings, on_message=say)
-    table = table[mask(name_axes(table, exp.study.axes), where)].iloc[:limit]
+    table = make_points(exp.study, exp.system, exp.settings, on_message=say, with_ids=with_ids or where is not None)
+    if where is not None:
+        table = table[mask(name_axes(table, exp.study.axes), where)]
+    table = table.iloc[:limit]
     if table.empty:
         raise InputError(f"no point of {exp.study.name} matches the selection")
     return table.reset_index(drop=True)

@@ -50,8 +50,7 @@ def check_size(exp: Experiment, table: pd.DataFrame) -> int:
     """
     if not exp.study.keep:
         return 0
-    first = table[table["group"] == table["group"].iloc[0]]
-    start = make_nominal_batch(exp, first, int(first["width"].iloc[0]))
+    start = make_nominal_batch(exp, table.iloc[:1], int(table["width"].iloc[0]))
     samples = int(make_engine(exp, start).duration * exp.study.keep_rate)
     rollouts = min(exp.study.keep_rows, len(table))
     count = rollouts * samples * (len(exp.study.keep) + 1)

@@ -325,15 +325,17 @@ def make_design_table(
     if grid is None:
         grid = _one_at_a_time(listed, nominal_of) if listed and design.varies_axes_alone else _grid(listed)
     shares = unit_draws(axes, design, seed) if round_ is None else _spread(round_.shares, drawn, design)
-    draws = {a.name: a.distribution.quantile(shares[:, i]) for i, a in enumerate(drawn) if a.distribution}
     size, count = len(grid), max(len(shares), 1)
     numbers = grid.take(np.repeat(np.arange(size), count)).reset_index(drop=True)
-    for name, values in draws.items():
-        numbers[name] = np.tile(values, size)
+    for i, axis in enumerate(drawn):
+        if axis.distribution:
+            numbers[axis.name] = np.tile(axis.distribution.quantile(shares[:, i]), size)
+    del shares
     columns = _columns(axes, numbers, nominal_of)
     if round_ is not None:
         columns |= {f"axis.{name}": values for name, values in round_.columns.items()}
-    return pd.DataFrame({**columns, "draw": np.tile(np.arange(count) if round_ is None else round_.numbers, size)})
+    columns["draw"] = np.tile(np.arange(count) if round_ is None else round_.numbers, size)
+    return pd.DataFrame(columns, copy=False)
 
 
 def count_points(axes: tuple[Axis, ...], design: Design) -> int:

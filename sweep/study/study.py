@@ -17,6 +17,7 @@ import numpy as np
 
 from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import Parameter, System, Values
+from sweep.core.distinct_values import are_all_different
 from sweep.core.errors import InputError, require_choice
 from sweep.core.expressions import AXES, mask
 from sweep.core.parameters import WHOLE, check_value, count, is_within_bounds
@@ -33,6 +34,7 @@ from sweep.study.point_ids import DIGITS, point_hashes, point_ids, replicate_str
 if TYPE_CHECKING:
     import pandas as pd
 
+FEW_COLUMNS = 50  # up to which pandas is fast with columns that were made one by one
 DTYPES = {"quantity": "float64", "setting": "float64", "count": "int64", "choice": "str"}
 Logger = Callable[[str], None]
 
@@ -305,6 +307,7 @@ def make_points(
     grid: "pd.DataFrame | None" = None,
     on_message: Logger | None = None,
     round_: Draws | None = None,
+    with_ids: bool = True,
 ) -> "pd.DataFrame":
     """Make the table of a study's rollouts: axis values, replicate, noise stream and point id.
 
@@ -318,6 +321,8 @@ def make_points(
         grid: Grid points that replace those of the study.
         on_message: Receives a line if points were merged.
         round_: Draws that replace those of the study, of a round of an adaptive design.
+        with_ids: Whether the table is to be simulated. If not, noise streams and point ids, which take most of the
+            memory, are left out unless they are needed to merge points.
 
     Returns:
         One row for each rollout; rows that share a compiled engine are adjacent.
@@ -352,16 +357,24 @@ def make_points(
             ) from None
     whole = [column for column in drawn if fields[column].metadata.get("unit") in WHOLE]
     design[whole] = np.rint(design[whole])  # rows say what is simulated
-    # copied, as pandas is slow with hundreds of columns that were made one by one
-    design = design.astype({column: DTYPES[member.metadata["role"]] for column, member in fields.items()}).copy()
+    design = design.astype({column: DTYPES[member.metadata["role"]] for column, member in fields.items()})
+    if len(fields) > FEW_COLUMNS:
+        design = design.copy()
     system.check(design, settings)
     # static axes outermost: every compiled engine runs its rows in one go
     static = [column for column in fields if is_static(column, system, settings)]
     order = design.groupby(static, sort=False).ngroup().argsort(kind="stable") if static else slice(None)
-    design = design.assign(draw=draw).iloc[order].loc[lambda d: mask(name_axes(d, study.axes), study.where)]
-    table = design.loc[design.index.repeat(study.replicates)].reset_index(drop=True)
+    design = design.assign(draw=draw).iloc[order]
+    if study.where:
+        design = design.loc[mask(name_axes(design, study.axes), study.where)]
+    table = design.loc[design.index.repeat(study.replicates)] if study.replicates > 1 else design
+    table = table.reset_index(drop=True)
     again = np.tile(np.arange(study.replicates), len(design))
     table["replicate"] = table.pop("draw").to_numpy() * study.replicates + again
+    # draws of one grid point differ by their number
+    drawn_alone = not study.points and grid is None and all(axis.values is None for axis in study.axes)
+    if not with_ids and (drawn_alone or are_all_different(point_hashes(table, system))):
+        return table
     if study.points:
         table["stream"] = row_streams(study.seed, table)
     else:
@@ -369,7 +382,7 @@ def make_points(
             table["replicate"]
         ]
     table["point_id"] = point_ids(hashes := point_hashes(table, system))
-    if len(np.unique(hashes)) == len(hashes):  # told in a tenth of the memory that comparing words takes
+    if are_all_different(hashes):  # told in a tenth of the memory that comparing words takes
         return table
     distinct = table.drop_duplicates(identity_columns(table.columns), ignore_index=True)
     if on_message and len(distinct) < len(table):

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sweep.analysis.distinct_values import has_several_values
 from sweep.analysis.sample import choose_indices
 from sweep.contract.system import split_side
+from sweep.core.distinct_values import has_several_values
 from sweep.core.files import encode_text
 from sweep.core.json_values import to_json_value
 from sweep.report import analytic_curves

@@ -206,6 +206,7 @@ class Hexapod:
 
     def _check_coxa(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
         """Raise `InputError` where two-link legs have a coxa: no engine and no model has a link for it."""
+        table = _select_paths(table, ("robot.legs", "robot.coxa"))
         for side in SIDES:
             legs, coxa = (_of_side(self, table, side, path, settings) for path in ("robot.legs", "robot.coxa"))
             wrong = (legs == "two_link") & (coxa != 0)
@@ -235,6 +236,7 @@ class Hexapod:
         """Raise `InputError` where a time step of mjx exceeds the relaxation time of contacts."""
         import pandas as pd
 
+        table = _select_paths(table, RELAXING)
         found = pd.DataFrame({path: _of_side(self, table, "world", path, settings) for path in RELAXING})
         stiffness, damping, step, name = (found[path] for path in RELAXING)
         slow = found[(name == "mjx") & (step * stiffness > damping * (1 + 1e-9))]
@@ -388,6 +390,12 @@ def _suits(obstacle: type[Obstacle], manoeuvre: Manoeuvre) -> bool:
     asked = {cls for kind in MANOEUVRES.values() for cls in kind.needs}
     nearest = next((cls for cls in obstacle.__mro__ if cls in asked), None)
     return nearest in manoeuvre.needs or (Obstacle in manoeuvre.needs and bool(obstacle.charts))
+
+
+def _select_paths(table: "pd.DataFrame", paths: Sequence[str]) -> "pd.DataFrame":
+    """Select the columns of some paths on either side; of a table that varies none of them, one row stands for all."""
+    columns = [c for c in table.columns if split_side(c)[1] in paths]
+    return table[columns] if columns else table.iloc[:1]
 
 
 def _of_side(

@@ -266,7 +266,8 @@ class MujocoModel(ModelSpec):
         terms = [longest(path) for path in self.parameters if path.startswith("noise.") and path.count(".") > 1
                  and path.endswith(".delay")]  # fmt: skip
         room = longest("noise.delay") + max(terms, default=0)
-        return replace(self, delay_buffer=room, action_buffer=longest("noise.action_delay"))
+        action_room = max(self.action_buffer, longest("noise.action_delay"))
+        return replace(self, delay_buffer=max(self.delay_buffer, room), action_buffer=action_room)
 
     def make_engine(self, settings: EngineSettings, world: SideValues, belief: SideValues, limits: Any) -> ModelEngine:
         """Compile an engine on C MuJoCo or MJX, see `System`."""
