@@ -1,0 +1,202 @@
+"""Which bodies of a model are alike, and what of the model the kernel can simulate.
+
+Bodies form stacks: the base alone, and limbs that are alike joint by joint, such as the four hips of a quadruped, in
+which one operation computes all. A stack is a body alone (n = 1) or one body of each of `Layout.group` limbs.
+"""
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from sweep.core.errors import InputError
+
+FREE, BALL, SLIDE, HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{one}")) for one in ("FREE", "BALL", "SLIDE", "HINGE"))
+GEOM = mujoco.mjtGeom
+PLANE, SPHERE, CAPSULE, BOX = (int(getattr(GEOM, f"mjGEOM_{one}")) for one in ("PLANE", "SPHERE", "CAPSULE", "BOX"))
+SHAPES = (SPHERE, CAPSULE, BOX)  # that touch planes
+FEW = 2  # bodies of a stack, at least
+
+
+class Stack(NamedTuple):
+    """Like bodies, one of each limb, or one body alone."""
+
+    bodies: np.ndarray  # (n,) ids
+    parent: int  # index of the stack that holds their parents; -1 for the world's
+    joints: tuple[np.ndarray, ...]  # ids (n,) of each joint, in the order in which they move the body
+    geoms: tuple[np.ndarray, ...]  # ids (n,) of each geom that may touch a plane
+
+    @property
+    def n(self) -> int:
+        """Number of bodies."""
+        return len(self.bodies)
+
+
+class Layout(NamedTuple):
+    """The stacks of a model, each after that of its parents; the first is the base."""
+
+    stacks: tuple[Stack, ...]
+    group: int  # bodies of a stack
+    has_free_base: bool
+    planes: tuple[int, ...]  # ids of geoms
+
+    @property
+    def joints(self) -> list[tuple[int, int]]:
+        """Stack and place in it of each joint (or row of joints), from the base outward."""
+        return [(s, k) for s, stack in enumerate(self.stacks) for k in range(len(stack.joints))]
+
+    def ancestors(self, stack: int) -> list[int]:
+        """Return the stacks from the base to `stack`, which is the last."""
+        found = [stack]
+        while self.stacks[found[0]].parent >= 0:
+            found.insert(0, self.stacks[found[0]].parent)
+        return found
+
+
+def find_layout(model: mujoco.MjModel) -> Layout:
+    """Find the like limbs of a model. Raises `InputError` where the kernel cannot simulate it."""
+    check_features(model)
+    planes = tuple(g for g in range(model.ngeom) if model.geom_type[g] == PLANE and _collides(model, g))
+    children: dict[int, list[int]] = {b: [] for b in range(model.nbody)}
+    for body in range(1, model.nbody):
+        children[int(model.body_parentid[body])].append(body)
+    free = np.flatnonzero(model.jnt_type == FREE)
+    base = int(model.jnt_bodyid[free[0]]) if len(free) else 0
+    if base:
+        stray = [b for b in range(1, model.nbody) if model.body_weldid[b] and model.body_rootid[b] != base]
+        if model.body_parentid[base] or stray:
+            raise refuse(f"body {model.body(stray[0] if stray else base).name} beside the robot with its free base")
+
+    def touching(body: int) -> list[int]:
+        mine = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]
+        return [g for g in mine if any(may_touch(model, g, plane) for plane in planes)]
+
+    def own_joints(body: int) -> list[int]:
+        first = model.body_jntadr[body]
+        return [j for j in range(first, first + model.body_jntnum[body]) if model.jnt_type[j] != FREE]
+
+    def signature(body: int) -> tuple:
+        kinds = tuple((int(model.jnt_type[j]), len(drives(model, j))) for j in own_joints(body))
+        shapes = tuple(int(model.geom_type[g]) for g in touching(body)) if body else ()
+        return kinds, shapes, tuple(signature(child) for child in moving(children[body]))
+
+    def moving(bodies: list[int]) -> list[int]:
+        return [b for b in bodies if model.body_weldid[b]]  # others belong to the world
+
+    def size(form: tuple) -> int:
+        return len(form[0]) + sum(map(size, form[2]))
+
+    def classes(body: int) -> dict[tuple, list[int]]:
+        found: dict[tuple, list[int]] = {}
+        for child in moving(children[body]):
+            found.setdefault(signature(child), []).append(child)
+        return found
+
+    def alone(body: int) -> list[tuple[tuple, list[int]]]:
+        """Classes of like limbs of all bodies that have no twin."""
+        found = list(classes(body).items())
+        return found + [each for _, same in found if len(same) == 1 for each in alone(same[0])]
+
+    many = [(len(same) * size(form), len(same)) for form, same in alone(base) if len(same) >= FEW and size(form)]
+    group = max(many)[1] if many else FEW
+    stacks: list[Stack] = []
+
+    def add(bodies: list[int], parent: int) -> None:
+        joints = tuple(np.array(one) for one in zip(*(own_joints(b) for b in bodies), strict=True))
+        geoms = tuple(np.array(one) for one in zip(*(touching(b) if b else [] for b in bodies), strict=True))
+        place = len(stacks)
+        stacks.append(Stack(np.array(bodies), parent, joints, geoms))
+        if len(bodies) > 1:
+            for each in zip(*(moving(children[b]) for b in bodies), strict=True):
+                add(list(each), place)
+            return
+        for same in classes(bodies[0]).values():
+            if len(same) == group:
+                add(same, place)
+            else:
+                for one in same:
+                    add([one], place)
+
+    add([base], -1)
+    return Layout(tuple(stacks), group, bool(base), planes)
+
+
+def drives(model: mujoco.MjModel, joint: int) -> list[int]:
+    """Return the actuators of a joint."""
+    return [k for k in range(model.nu) if model.actuator_trnid[k, 0] == joint]
+
+
+def may_touch(model: mujoco.MjModel, one: int, other: int) -> bool:
+    """Whether MuJoCo's filter by types lets two geoms touch."""
+    types, able = model.geom_contype, model.geom_conaffinity
+    return bool(types[one] & able[other] or types[other] & able[one])
+
+
+def _collides(model: mujoco.MjModel, geom: int) -> bool:
+    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
+
+
+def refuse(what: str) -> InputError:
+    """Return the error for a model that has something which the kernel does not simulate."""
+    return InputError(f"engine.name = kernel is not allowed: it does not simulate {what} (native and mjx do)")
+
+
+def check_features(model: mujoco.MjModel) -> None:
+    """Raise `InputError`, naming the first feature of a model that the kernel does not simulate."""
+    opt, jnt, act = model.opt, model.jnt_type, mujoco
+    on_joint = np.isin(model.actuator_trntype, [int(act.mjtTrn.mjTRN_JOINT), int(act.mjtTrn.mjTRN_JOINTINPARENT)])
+    driven = jnt[model.actuator_trnid[:, 0]] if on_joint.all() and model.nu else np.zeros(0, int)
+    gains = np.isin(model.actuator_gaintype, [int(act.mjtGain.mjGAIN_FIXED), int(act.mjtGain.mjGAIN_AFFINE)])
+    biases = np.isin(model.actuator_biastype, [int(act.mjtBias.mjBIAS_NONE), int(act.mjtBias.mjBIAS_AFFINE)])
+    free = np.flatnonzero(jnt == FREE)
+    first = model.jnt_dofadr[free[0]] if len(free) else 0
+    of_base = slice(first, first + 6 * len(free))
+    integrators = [int(act.mjtIntegrator.mjINT_EULER), int(act.mjtIntegrator.mjINT_IMPLICITFAST)]
+    planes = [g for g in range(model.ngeom) if model.geom_type[g] == PLANE]
+    touching = [
+        g
+        for g in range(model.ngeom)
+        if model.body_weldid[model.geom_bodyid[g]] and any(may_touch(model, g, plane) for plane in planes)
+    ]
+    static = [
+        g
+        for g in range(model.ngeom)
+        if not model.body_weldid[model.geom_bodyid[g]] and model.geom_type[g] != PLANE and _collides(model, g)
+    ]
+    shapes = sorted({GEOM(int(model.geom_type[g])).name for g in touching if model.geom_type[g] not in SHAPES})
+    dims = sorted({int(model.geom_condim[g]) for g in (*touching, *planes)} - {1, 3})
+    disabled = int(opt.disableflags) & ~int(act.mjtDisableBit.mjDSBL_MIDPHASE)
+    other = [name for name in ("dof_dampingpoly", "jnt_stiffnesspoly", "actuator_damping", "actuator_dampingpoly",
+             "actuator_armature", "actuator_delay") if np.any(getattr(model, name, 0))]  # fmt: skip
+    wrong = {
+        "ball joints": (jnt == BALL).any(),
+        "several free joints": len(free) > 1,
+        "tendons": model.ntendon,
+        "equality constraints": model.neq,
+        "plugins": model.nplugin,
+        "flexible bodies": model.nflex,
+        "mocap bodies": model.nmocap,
+        "explicit contact pairs": model.npair,
+        "height fields": model.nhfield,
+        "actuators that drive no joint": not on_joint.all(),
+        "actuators of the free joint": (driven < SLIDE).any(),
+        "actuators with activation": model.na,
+        "gains or biases of actuators that are not affine": not (gains.all() and biases.all()),
+        "friction, damping or armature of the free joint": any(
+            np.any(getattr(model, name)[of_base]) for name in ("dof_frictionloss", "dof_damping", "dof_armature")
+        ),
+        "fluid forces": opt.density or opt.viscosity or np.any(opt.wind),
+        "gravity compensation": model.body_gravcomp.any(),
+        "noslip iterations": opt.noslip_iterations,
+        f"the integrator {act.mjtIntegrator(int(opt.integrator)).name}": int(opt.integrator) not in integrators,
+        f"contact dimensions {dims}": len(dims),
+        f"contacts of {', '.join(shapes)} with a plane": len(shapes),
+        f"geom {model.geom(static[0]).name or static[0]}, which is no plane, as ground" if static else "": len(static),
+        "disabled features of MuJoCo": disabled,
+        "override of contacts or forward-inverse comparison": int(opt.enableflags)
+        & ~int(act.mjtEnableBit.mjENBL_ENERGY),
+        f"{', '.join(other)}": len(other),
+    }
+    for what, is_there in wrong.items():
+        if is_there:
+            raise refuse(what)

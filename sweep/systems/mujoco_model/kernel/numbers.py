@@ -1,0 +1,81 @@
+"""Numbers of a model as `Scalar`s: known ones of the model, or a rollout's own where its models differ."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from sweep.systems.mujoco_model import fields
+from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, largest
+
+
+class ModelNumbers:
+    """The numbers of one rollout's model.
+
+    Args:
+        model: The nominal model.
+        rows: Fields in which rollouts differ, of one rollout, by MuJoCo's name and in its shape.
+    """
+
+    def __init__(self, model: mujoco.MjModel, rows: Mapping[str, Any]):
+        self.model, self._rows = model, rows
+
+    def get(self, name: str, ids: np.ndarray | None = None, *component: int) -> Scalar:
+        """Return a number of each of some elements, or a number of the options.
+
+        Args:
+            name: MuJoCo's name of the field.
+            ids: Elements (n,).
+            *component: Index in the field's other axes.
+        """
+        values = self._rows.get(name)
+        if ids is None:
+            known = np.asarray(fields.field_values(self.model, name), float)
+            return Scalar(known[component] if values is None else values[component])
+        if values is None:
+            known = np.asarray(fields.field_values(self.model, name), float)[(ids, *component)]
+            return Scalar(float(known[0]) if len(ids) == 1 else known)
+        if len(ids) == 1:
+            return Scalar(values[(int(ids[0]), *component)])
+        return Scalar(values[(np.asarray(ids), *component)])
+
+    def vector(self, name: str, ids: np.ndarray | None = None) -> Vector:
+        """Return the first three numbers of a field as a vector."""
+        return Vector(*(self.get(name, ids, k) for k in range(3)))
+
+    def differs(self, name: str) -> bool:
+        """Whether rollouts differ in a field."""
+        return name in self._rows
+
+    def is_used(self, name: str, ids: np.ndarray) -> bool:
+        """Whether any of the numbers of a field may be other than 0."""
+        return self.differs(name) or bool(np.any(fields.field_values(self.model, name)[ids]))
+
+    def rotation(self, name: str, ids: np.ndarray) -> tuple[Vector, Vector, Vector] | None:
+        """Return the columns of the rotation matrices of constant quaternions; None for no rotation."""
+        quats = np.asarray(getattr(self.model, name)[ids], float)
+        if np.array_equal(quats, np.tile([1.0, 0, 0, 0], (len(quats), 1))):
+            return None
+        matrices = np.zeros((len(quats), 9))
+        for matrix, quat in zip(matrices, quats, strict=True):
+            mujoco.mju_quat2Mat(matrix, quat)
+        matrices = matrices.reshape(-1, 3, 3)
+        matrices[np.abs(matrices) < 1e-15] = 0
+
+        def column(k: int) -> Vector:
+            return Vector(*(Scalar(matrices[:, i, k] if len(ids) > 1 else matrices[0, i, k]) for i in range(3)))
+
+        return column(0), column(1), column(2)
+
+
+def power_of(base: Scalar, exponent: float) -> Scalar:
+    """Return a number to a constant power."""
+    if exponent == int(exponent):
+        found = base
+        for _ in range(int(exponent) - 1):
+            found = found * base
+        return found
+    if base.is_known:
+        return Scalar(np.power(base.value, exponent))
+    return Scalar(largest(base, 1e-30).value ** exponent)

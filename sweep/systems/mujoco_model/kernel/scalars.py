@@ -1,0 +1,295 @@
+"""Numbers of one rollout that fold constants, and vectors and symmetric matrices of them.
+
+A number belongs to one body, or to each of n like bodies (a stack). What is known when a program is made is a float or
+a NumPy array (n,) in double precision, anything else an array of JAX, () or (n,). Known zeros and ones make no
+operation in the program.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Union
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+Value = float | np.ndarray | Array
+Operand = Union["Scalar", float, int]
+
+
+class Scalar:
+    """A number that is known, or is computed in each rollout."""
+
+    __slots__ = ("value",)
+    __array_ufunc__ = None
+
+    def __init__(self, value: Value):
+        if isinstance(value, (bool, int, np.number)):
+            value = float(value)
+        if isinstance(value, np.ndarray) and value.dtype.kind == "f":
+            if not value.ndim or (value == value.flat[0]).all():
+                value = float(value.flat[0])
+        self.value = value
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the number is known when the program is made."""
+        return isinstance(self.value, (float, np.ndarray))
+
+    def is_exactly(self, number: float) -> bool:
+        """Whether it is known to be this number."""
+        return isinstance(self.value, float) and self.value == number
+
+    @property
+    def is_stack(self) -> bool:
+        """Whether the number differs among the bodies of a stack."""
+        return getattr(self.value, "ndim", 0) == 1
+
+    def __add__(self, other: Operand) -> "Scalar":
+        other = as_scalar(other)
+        if self.is_exactly(0):
+            return other
+        if other.is_exactly(0):
+            return self
+        return Scalar(_apply(lambda a, b: a + b, self, other))
+
+    __radd__ = __add__
+
+    def __neg__(self) -> "Scalar":
+        return Scalar(-self.value)
+
+    def __sub__(self, other: Operand) -> "Scalar":
+        other = as_scalar(other)
+        if other.is_exactly(0):
+            return self
+        if self.is_exactly(0):
+            return -other
+        return Scalar(_apply(lambda a, b: a - b, self, other))
+
+    def __rsub__(self, other: Operand) -> "Scalar":
+        return as_scalar(other) - self
+
+    def __mul__(self, other: Operand) -> "Scalar":
+        other = as_scalar(other)
+        for one, factor in ((self, other), (other, self)):
+            if one.is_exactly(0):
+                return ZERO
+            if one.is_exactly(1):
+                return factor
+            if one.is_exactly(-1):
+                return -factor
+        return Scalar(_apply(lambda a, b: a * b, self, other))
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Operand) -> "Scalar":
+        other = as_scalar(other)
+        if other.is_known:
+            return self * Scalar(1 / other.value)
+        return Scalar(_apply(lambda a, b: a / b, self, other))
+
+    def __rtruediv__(self, other: Operand) -> "Scalar":
+        return as_scalar(other) / self
+
+    def __lt__(self, other: Operand) -> Any:
+        return _apply(lambda a, b: a < b, self, as_scalar(other))
+
+    def total(self, n: int) -> "Scalar":
+        """Sum over the n bodies of a stack."""
+        if self.is_stack:
+            return Scalar(self.value.sum())
+        return self * n
+
+
+ZERO, ONE = Scalar(0.0), Scalar(1.0)
+
+
+def as_scalar(value: Operand) -> Scalar:
+    """Make a number a `Scalar`."""
+    return value if isinstance(value, Scalar) else Scalar(value)
+
+
+def _apply(function: Callable[..., Any], *numbers: Scalar) -> Any:
+    """Apply a function to values; where one is computed, known ones take its precision."""
+    computed = next((one.value for one in numbers if not one.is_known), None)
+    if computed is None:
+        return function(*(one.value for one in numbers))
+    return function(*(jnp.asarray(one.value, computed.dtype) if one.is_known else one.value for one in numbers))
+
+
+def where(condition: Any, one: Operand, other: Operand) -> Scalar:
+    """Choose between two numbers by a condition that is computed in each rollout, or known."""
+    one, other = as_scalar(one), as_scalar(other)
+    if isinstance(condition, (bool, np.bool_)):
+        return one if condition else other
+    if isinstance(condition, np.ndarray) and one.is_known and other.is_known:
+        return Scalar(np.where(condition, one.value, other.value))
+    if one.is_known and other.is_known:
+        dtype = jnp.zeros(()).dtype
+        return Scalar(jnp.where(condition, jnp.asarray(one.value, dtype), jnp.asarray(other.value, dtype)))
+    return Scalar(_apply(lambda a, b: jnp.where(condition, a, b), one, other))
+
+
+def smallest(one: Operand, other: Operand) -> Scalar:
+    """Return the smaller of two numbers."""
+    one, other = as_scalar(one), as_scalar(other)
+    return Scalar(_apply(np.minimum if one.is_known and other.is_known else jnp.minimum, one, other))
+
+
+def largest(one: Operand, other: Operand) -> Scalar:
+    """Return the larger of two numbers."""
+    return -smallest(-as_scalar(one), -as_scalar(other))
+
+
+def square_root(number: Operand) -> Scalar:
+    """Return the square root."""
+    number = as_scalar(number)
+    return Scalar(np.sqrt(number.value) if number.is_known else jnp.sqrt(number.value))
+
+
+class Vector(NamedTuple):
+    """Three components."""
+
+    x: Scalar
+    y: Scalar
+    z: Scalar
+
+    def __add__(self, other: "Vector") -> "Vector":  # pyright: ignore[reportIncompatibleMethodOverride]
+        return Vector(*(a + b for a, b in zip(self, other, strict=True)))
+
+    def __sub__(self, other: "Vector") -> "Vector":
+        return Vector(*(a - b for a, b in zip(self, other, strict=True)))
+
+    def __mul__(self, factor: Operand) -> "Vector":  # pyright: ignore[reportIncompatibleMethodOverride]
+        return Vector(*(a * factor for a in self))
+
+    __rmul__ = __mul__  # pyright: ignore[reportAssignmentType]
+
+    def __neg__(self) -> "Vector":
+        return Vector(*(-a for a in self))
+
+    def dot(self, other: "Vector") -> Scalar:
+        """Return the scalar product."""
+        return self.x * other.x + self.y * other.y + self.z * other.z
+
+    def cross(self, other: "Vector") -> "Vector":
+        """Return the vector product, `other` on the right."""
+        return Vector(
+            self.y * other.z - self.z * other.y,
+            self.z * other.x - self.x * other.z,
+            self.x * other.y - self.y * other.x,
+        )
+
+
+NOTHING = Vector(ZERO, ZERO, ZERO)
+
+
+class Symmetric(NamedTuple):
+    """A symmetric 3x3 matrix."""
+
+    xx: Scalar
+    yy: Scalar
+    zz: Scalar
+    xy: Scalar
+    xz: Scalar
+    yz: Scalar
+
+    def __add__(self, other: "Symmetric") -> "Symmetric":  # pyright: ignore[reportIncompatibleMethodOverride]
+        return Symmetric(*(a + b for a, b in zip(self, other, strict=True)))
+
+    def __matmul__(self, v: Vector) -> Vector:
+        return Vector(*(row.dot(v) for row in self.rows))
+
+    @property
+    def rows(self) -> tuple[Vector, Vector, Vector]:
+        """The three rows."""
+        return Vector(self.xx, self.xy, self.xz), Vector(self.xy, self.yy, self.yz), Vector(self.xz, self.yz, self.zz)
+
+
+NO_MATRIX = Symmetric(*[ZERO] * 6)
+
+
+def isotropic(value: Operand) -> Symmetric:
+    """Return a multiple of the identity."""
+    value = as_scalar(value)
+    return Symmetric(value, value, value, ZERO, ZERO, ZERO)
+
+
+def outer_product(v: Vector, factor: Operand) -> Symmetric:
+    """Return factor v vᵀ."""
+    w = v * factor
+    return Symmetric(w.x * v.x, w.y * v.y, w.z * v.z, w.x * v.y, w.x * v.z, w.y * v.z)
+
+
+Axes = tuple[Vector, Vector, Vector]  # of a body, in world axes: the columns of its rotation matrix
+
+
+def rotate(axes: Axes, v: Vector) -> Vector:
+    """Rotate a vector from a body's axes to the world's."""
+    return axes[0] * v.x + axes[1] * v.y + axes[2] * v.z
+
+
+def rotate_back(axes: Axes, v: Vector) -> Vector:
+    """Rotate a vector from the world's axes to a body's."""
+    return Vector(*(one.dot(v) for one in axes))
+
+
+def quaternion_axes(w: Scalar, x: Scalar, y: Scalar, z: Scalar) -> Axes:
+    """Return the axes of a body of a unit quaternion (w, x, y, z), body to world."""
+    return (
+        Vector(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
+        Vector(2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
+        Vector(2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+def rotate_about(axes: Axes, axis: Vector, angle: Scalar) -> tuple[Axes, Vector]:
+    """Rotate a body about an axis that is fixed in it.
+
+    Args:
+        axes: The body's axes before.
+        axis: Unit vector in the body's axes.
+        angle: The angle, rad.
+
+    Returns:
+        The axes after the rotation, and the axis in world axes.
+    """
+    cosine, sine = Scalar(jnp.cos(angle.value)), Scalar(jnp.sin(angle.value))
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        if axis[i].is_exactly(0) and axis[j].is_exactly(0):
+            sine = sine * axis[k]
+            new = {k: axes[k], i: axes[i] * cosine + axes[j] * sine, j: axes[j] * cosine - axes[i] * sine}
+            return (new[0], new[1], new[2]), axes[k] * axis[k]
+    world, rest = rotate(axes, axis), 1 - cosine
+    turned = tuple(
+        one * cosine + world.cross(one) * sine + world * (rest * a) for one, a in zip(axes, axis, strict=True)
+    )
+    return turned, world  # pyright: ignore[reportReturnType]
+
+
+def multiply_quaternions(a: tuple[Scalar, ...], b: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+    """Return the product of two quaternions (w, x, y, z), `b` on the right."""
+    w, x, y, z = a
+    p, q, r, s = b
+    return (
+        w * p - x * q - y * r - z * s,
+        w * q + x * p + y * s - z * r,
+        w * r - x * s + y * p + z * q,
+        w * s + x * r - y * q + z * p,
+    )
+
+
+def stack_values(numbers: list[Scalar], dtype: Any) -> Array:
+    """Join numbers of single bodies to an array (k,)."""
+    return jnp.stack([jnp.asarray(one.value, dtype) for one in numbers])
+
+
+def flatten(tree: Any) -> tuple[list[Any], Callable[[list[Any]], Any]]:
+    """Flatten a tree of scalars.
+
+    Returns:
+        The values, and a function that makes the tree of other values.
+    """
+    leaves, structure = jax.tree.flatten(tree, is_leaf=lambda x: isinstance(x, Scalar))
+    return [one.value for one in leaves], lambda values: jax.tree.unflatten(structure, [Scalar(x) for x in values])

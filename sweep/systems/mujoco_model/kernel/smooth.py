@@ -1,0 +1,229 @@
+"""Kinematics, inertia and bias forces of a robot, in the world's axes and about the origin of its base.
+
+Composite rigid bodies and the recursive Newton-Euler method, over stacks of like bodies.
+"""
+
+from typing import NamedTuple
+
+from sweep.systems.mujoco_model.kernel.layout import HINGE, Layout
+from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.scalars import (
+    NO_MATRIX,
+    NOTHING,
+    ONE,
+    ZERO,
+    Axes,
+    Scalar,
+    Symmetric,
+    Vector,
+    isotropic,
+    outer_product,
+    quaternion_axes,
+    rotate,
+    rotate_about,
+)
+
+UPRIGHT: Axes = (Vector(ONE, ZERO, ZERO), Vector(ZERO, ONE, ZERO), Vector(ZERO, ZERO, ONE))
+
+
+class Spatial(NamedTuple):
+    """A motion (of the base's origin, and turning), or a force and its moment about that origin."""
+
+    linear: Vector
+    angular: Vector
+
+    def __add__(self, other: "Spatial") -> "Spatial":  # pyright: ignore[reportIncompatibleMethodOverride]
+        return Spatial(self.linear + other.linear, self.angular + other.angular)
+
+    def __sub__(self, other: "Spatial") -> "Spatial":
+        return Spatial(self.linear - other.linear, self.angular - other.angular)
+
+    def __mul__(self, factor: Scalar) -> "Spatial":  # pyright: ignore[reportIncompatibleMethodOverride]
+        return Spatial(self.linear * factor, self.angular * factor)
+
+    def dot(self, other: "Spatial") -> Scalar:
+        """Return the power of a force at a motion."""
+        return self.linear.dot(other.linear) + self.angular.dot(other.angular)
+
+    def velocity_at(self, point: Vector) -> Vector:
+        """Return the velocity of a point of a body that moves so."""
+        return self.linear + self.angular.cross(point)
+
+    def total(self, n: int) -> "Spatial":
+        """Sum over a stack of n bodies."""
+        return Spatial(*(Vector(*(one.total(n) for one in part)) for part in self))
+
+
+STILL = Spatial(NOTHING, NOTHING)
+
+
+def wrench_at(point: Vector, force: Vector) -> Spatial:
+    """Return a force at a point, with its moment about the origin."""
+    return Spatial(force, point.cross(force))
+
+
+class RigidInertia(NamedTuple):
+    """Mass (kg), first moment (kg m) and inertia (kg m^2) about the origin."""
+
+    mass: Scalar
+    moment: Vector
+    inertia: Symmetric
+
+    def __add__(self, other: "RigidInertia") -> "RigidInertia":  # pyright: ignore[reportIncompatibleMethodOverride]
+        return RigidInertia(self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia)
+
+    def momentum(self, motion: Spatial) -> Spatial:
+        """Return the momentum at a motion."""
+        return Spatial(
+            motion.linear * self.mass + motion.angular.cross(self.moment),
+            self.moment.cross(motion.linear) + self.inertia @ motion.angular,
+        )
+
+    def total(self, n: int) -> "RigidInertia":
+        """Sum over a stack of n bodies."""
+        return RigidInertia(
+            self.mass.total(n),
+            Vector(*(one.total(n) for one in self.moment)),
+            Symmetric(*(one.total(n) for one in self.inertia)),
+        )
+
+
+NO_INERTIA = RigidInertia(ZERO, NOTHING, NO_MATRIX)
+
+
+class BodyPlace(NamedTuple):
+    """Where the bodies of a stack are, and how they move."""
+
+    origin: Vector  # from the base's origin
+    axes: Axes
+    centre: Vector  # of mass
+    motion: Spatial  # of the base's origin with the body
+
+
+class Smooth(NamedTuple):
+    """What a state makes of a robot, before any force."""
+
+    places: tuple[BodyPlace, ...]  # by stack
+    motions: dict[tuple[int, int], Spatial]  # of each joint per unit of its rate
+    whole: RigidInertia
+    momenta: dict[tuple[int, int], Spatial]  # of all that a joint moves, per unit of its rate
+    mass: dict[tuple[tuple[int, int], tuple[int, int]], Scalar]  # of joints, (inner, outer), with armature
+    bias_base: Spatial  # force that keeps all accelerations 0
+    bias: dict[tuple[int, int], Scalar]
+
+
+class RobotState(NamedTuple):
+    """A state by components; motions and accelerations are in the world's axes."""
+
+    position: Vector  # of the base
+    quat: tuple[Scalar, Scalar, Scalar, Scalar]
+    velocity: Spatial  # of the base
+    angles: dict[tuple[int, int], Scalar]  # rad or m, by joint
+    rates: dict[tuple[int, int], Scalar]
+    warm_base: Spatial  # accelerations of the step before
+    warm: dict[tuple[int, int], Scalar]
+
+
+def compute_smooth(layout: Layout, numbers: ModelNumbers, state: RobotState) -> Smooth:
+    """Compute kinematics, mass matrix and bias forces of a state."""
+    gravity = numbers.vector("opt.gravity")
+    places: list[BodyPlace] = []
+    turning: list[tuple[Vector, Vector, Vector]] = []  # acceleration of the origin less gravity, spin and its rate
+    motions, forces, inertias = {}, [], []
+    for s, stack in enumerate(layout.stacks):
+        if stack.parent < 0:
+            is_free = layout.has_free_base
+            axes = quaternion_axes(*state.quat) if is_free else UPRIGHT
+            origin, spin = NOTHING, state.velocity.angular if is_free else NOTHING
+            acceleration, spin_rate, motion = -gravity, NOTHING, state.velocity if is_free else STILL
+        else:
+            parent, (acceleration, spin, spin_rate) = places[stack.parent], turning[stack.parent]
+            offset = rotate(parent.axes, numbers.vector("body_pos", stack.bodies))
+            acceleration = acceleration + _relative(spin, spin_rate, offset)
+            origin, axes, motion = parent.origin + offset, parent.axes, parent.motion
+            columns = numbers.rotation("body_quat", stack.bodies)
+            if columns is not None:
+                axes = tuple(rotate(axes, column) for column in columns)
+        for k, joints in enumerate(stack.joints):
+            angle, rate = state.angles[s, k], state.rates[s, k]
+            moved = angle - numbers.get("qpos0", numbers.model.jnt_qposadr[joints])
+            axis = numbers.vector("jnt_axis", joints)
+            anchor = numbers.vector("jnt_pos", joints)
+            if numbers.model.jnt_type[joints[0]] == HINGE:
+                arm = rotate(axes, anchor)
+                acceleration = acceleration + _relative(spin, spin_rate, arm)
+                point = origin + arm
+                axes, world = rotate_about(axes, axis, moved)  # pyright: ignore[reportArgumentType]
+                turn = world * rate
+                spin_rate = spin_rate + spin.cross(turn)
+                spin = spin + turn
+                arm = -rotate(axes, anchor)
+                acceleration = acceleration + _relative(spin, spin_rate, arm)
+                origin = point + arm
+                motions[s, k] = Spatial(point.cross(world), world)
+            else:
+                world = rotate(axes, axis)  # pyright: ignore[reportArgumentType]
+                slid = world * moved
+                acceleration = acceleration + _relative(spin, spin_rate, slid) + spin.cross(world * rate) * 2.0
+                origin = origin + slid
+                motions[s, k] = Spatial(world, NOTHING)
+            motion = motion + motions[s, k] * rate
+        arm = rotate(axes, numbers.vector("body_ipos", stack.bodies))  # pyright: ignore[reportArgumentType]
+        centre, mass = origin + arm, numbers.get("body_mass", stack.bodies)
+        own = _inertia(numbers, axes, stack.bodies)  # pyright: ignore[reportArgumentType]
+        force = (acceleration + _relative(spin, spin_rate, arm)) * mass
+        moment = own @ spin_rate + spin.cross(own @ spin)
+        forces.append(Spatial(force, moment + centre.cross(force)))
+        inertias.append(RigidInertia(mass, centre * mass, own + _point_inertia(mass, centre)))
+        places.append(BodyPlace(origin, axes, centre, motion))  # pyright: ignore[reportArgumentType]
+        turning.append((acceleration, spin, spin_rate))
+    momenta, mass_matrix, bias = {}, {}, {}
+    for s in reversed(range(len(layout.stacks))):
+        stack = layout.stacks[s]
+        for k in reversed(range(len(stack.joints))):
+            bias[s, k] = motions[s, k].dot(forces[s])
+            momenta[s, k] = inertias[s].momentum(motions[s, k])
+            for inner in inner_joints(layout, (s, k)):
+                mass_matrix[inner, (s, k)] = motions[inner].dot(momenta[s, k])
+            dofs = numbers.model.jnt_dofadr[stack.joints[k]]
+            mass_matrix[(s, k), (s, k)] = motions[s, k].dot(momenta[s, k]) + numbers.get("dof_armature", dofs)
+        if stack.parent >= 0:
+            up = layout.stacks[stack.parent].n == 1 and stack.n > 1
+            forces[stack.parent] += forces[s].total(stack.n) if up else forces[s]
+            inertias[stack.parent] += inertias[s].total(stack.n) if up else inertias[s]
+    return Smooth(tuple(places), motions, inertias[0], momenta, mass_matrix, forces[0], bias)
+
+
+def inner_joints(layout: Layout, joint: tuple[int, int]) -> list[tuple[int, int]]:
+    """Return the joints between the base and `joint`, from the base outward, without itself."""
+    stack, place = joint
+    found = [(s, k) for s in layout.ancestors(stack)[:-1] for k in range(len(layout.stacks[s].joints))]
+    return found + [(stack, k) for k in range(place)]
+
+
+def _relative(spin: Vector, spin_rate: Vector, arm: Vector) -> Vector:
+    """Acceleration of a point of a body beyond that of another, `arm` away."""
+    return spin_rate.cross(arm) + spin.cross(spin.cross(arm))
+
+
+def _point_inertia(mass: Scalar, place: Vector) -> Symmetric:
+    """Inertia of a point mass about the origin."""
+    w = place * mass
+    xx, yy, zz = w.x * place.x, w.y * place.y, w.z * place.z
+    return Symmetric(yy + zz, xx + zz, xx + yy, -(w.x * place.y), -(w.x * place.z), -(w.y * place.z))
+
+
+def _inertia(numbers: ModelNumbers, axes: Axes, bodies) -> Symmetric:
+    """Inertia about the centre of mass, from the principal moments of the bodies."""
+    columns = numbers.rotation("body_iquat", bodies)
+    principal = axes if columns is None else tuple(rotate(axes, column) for column in columns)
+    moments = [numbers.get("body_inertia", bodies, k) for k in range(3)]
+    last = 2
+    for k in range(3):  # the axis of symmetry of a rod or a disc
+        if (moments[(k + 1) % 3] - moments[(k + 2) % 3]).is_exactly(0):
+            last = (k + 1) % 3
+    found = isotropic(moments[last])
+    for k in range(3):
+        if k != last:
+            found = found + outer_product(principal[k], moments[k] - moments[last])
+    return found

@@ -1,0 +1,420 @@
+"""Newton's method for the accelerations of a step: Gauss's principle with the costs of all constraints.
+
+The matrix has the form of the robot's tree: a joint meets those between it and the base, and the base. It is factored
+from the tips inward, so that nothing is filled in; the base's 6x6 block is last.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from sweep.systems.mujoco_model.kernel.constraints import (
+    Constraints,
+    contact_line,
+    contact_slope,
+    contact_wrench,
+    row_force,
+    world_curve,
+)
+from sweep.systems.mujoco_model.kernel.layout import Layout
+from sweep.systems.mujoco_model.kernel.scalars import (
+    ONE,
+    ZERO,
+    Scalar,
+    Symmetric,
+    Vector,
+    flatten,
+    largest,
+    square_root,
+    where,
+)
+from sweep.systems.mujoco_model.kernel.smooth import STILL, Smooth, Spatial, inner_joints
+
+Joint = tuple[int, int]
+NEVER = 1e10  # a step length that is never reached
+ROUNDING = 32  # a slope of so many rounding errors of that at the start is level
+
+
+class Acceleration(NamedTuple):
+    """Accelerations, or forces dual to them: of the base, and of each joint."""
+
+    base: Spatial
+    joints: dict[Joint, Scalar]
+
+    def add_scaled(self, factor: Scalar, other: "Acceleration") -> "Acceleration":
+        """Return self + factor other."""
+        return Acceleration(
+            self.base + other.base * factor, {j: x + other.joints[j] * factor for j, x in self.joints.items()}
+        )
+
+    def minus(self, other: "Acceleration") -> "Acceleration":
+        """Return self - other."""
+        return Acceleration(self.base - other.base, {j: x - other.joints[j] for j, x in self.joints.items()})
+
+
+class Residuals(NamedTuple):
+    """Residuals of all contacts and rows."""
+
+    contacts: tuple[Vector, ...]
+    rows: tuple[Scalar, ...]
+
+    def add_scaled(self, factor: Scalar, other: "Residuals") -> "Residuals":
+        """Return self + factor other."""
+        contacts = tuple(a + b * factor for a, b in zip(self.contacts, other.contacts, strict=True))
+        return Residuals(contacts, tuple(a + b * factor for a, b in zip(self.rows, other.rows, strict=True)))
+
+
+class Total:
+    """A sum of numbers of single bodies and of stacks, which are added up last."""
+
+    def __init__(self, single: Scalar = ZERO):
+        self._single, self._stack = single, ZERO
+
+    def add(self, number: Scalar, n: int) -> None:
+        """Add a number that each of n bodies has."""
+        if n == 1:
+            self._single = self._single + number
+        elif number.is_known and not number.is_stack:
+            self._single = self._single + number * n
+        else:
+            self._stack = self._stack + number
+
+    @property
+    def value(self) -> Scalar:
+        """The sum."""
+        return self._single if self._stack.is_exactly(0) else self._single + self._stack.total(1)
+
+
+class Problem(NamedTuple):
+    """The equation of a step: M a = f + forces of constraints."""
+
+    layout: Layout
+    smooth: Smooth
+    constraints: Constraints
+    force: Acceleration  # f: all forces but those of constraints
+
+    def n(self, joint: Joint) -> int:
+        """Return the number of bodies in the joint's stack."""
+        return self.layout.stacks[joint[0]].n
+
+    def chain(self, stack: int) -> list[Joint]:
+        """Return the joints that move a stack's bodies, from the base outward."""
+        ancestors = self.layout.ancestors(stack)
+        return [(s, k) for s in ancestors for k in range(len(self.layout.stacks[s].joints))]
+
+    def momentum(self, a: Acceleration) -> Acceleration:
+        """Return M a."""
+        smooth, has_base = self.smooth, self.layout.has_free_base
+        base = [Total() for _ in range(6)]
+        joints = {joint: Total() for joint in a.joints}
+        for joint, rate in a.joints.items():
+            n = self.n(joint)
+            for inner in [*inner_joints(self.layout, joint), joint]:
+                entry = smooth.mass[inner, joint]
+                joints[inner].add(entry * rate, n if self.n(inner) == 1 else 1)
+                if inner != joint:
+                    joints[joint].add(entry * a.joints[inner], 1)
+            if has_base:
+                joints[joint].add(smooth.momenta[joint].dot(a.base), 1)
+                for total, part in zip(base, _parts(smooth.momenta[joint] * rate), strict=True):
+                    total.add(part, n)
+        whole = smooth.whole.momentum(a.base) if has_base else STILL
+        return Acceleration(
+            whole + _spatial([one.value for one in base]), {joint: one.value for joint, one in joints.items()}
+        )
+
+    def residuals(self, a: Acceleration, wanted: bool) -> Residuals:
+        """Return what accelerations give constraints, less what these ask for if `wanted`."""
+        contacts = []
+        for one in self.constraints.contacts:
+            moved = a.base if self.layout.has_free_base else STILL
+            at_point = moved.velocity_at(one.at)
+            for joint in self.chain(one.point.stack):
+                at_point = at_point + self.smooth.motions[joint].velocity_at(one.at) * a.joints[joint]
+            given = Vector(*(direction.dot(at_point) for direction in one.frame))
+            contacts.append(given - one.wanted if wanted else given)
+        rows = [row.side * a.joints[row.joint] - (row.wanted if wanted else ZERO) for row in self.constraints.rows]
+        return Residuals(tuple(contacts), tuple(rows))
+
+    def constraint_force(self, residuals: Residuals) -> Acceleration:
+        """Return the generalized forces of constraints."""
+        base = [Total() for _ in range(6)]
+        joints = {joint: Total() for joint in self.force.joints}
+        for one, residual in zip(self.constraints.contacts, residuals.contacts, strict=True):
+            wrench = contact_wrench(one, contact_slope(one, residual, self.constraints.is_elliptic).force)
+            self._spread(wrench, one, base, joints)
+        for row, residual in zip(self.constraints.rows, residuals.rows, strict=True):
+            joints[row.joint].add(row.side * row_force(row, residual)[0], 1)
+        return Acceleration(
+            _spatial([one.value for one in base]), {joint: one.value for joint, one in joints.items()}
+        )
+
+    def _spread(self, wrench: Spatial, contact: Any, base: list[Total], joints: dict[Joint, Total]) -> None:
+        n = len(contact.point.real)
+        if self.layout.has_free_base:
+            for total, part in zip(base, _parts(wrench), strict=True):
+                total.add(part, n)
+        for joint in self.chain(contact.point.stack):
+            joints[joint].add(self.smooth.motions[joint].dot(wrench), n if self.n(joint) == 1 else 1)
+
+    def solve(self, right: Acceleration, curves: list[Symmetric] | None, stiff: dict[Joint, Scalar]) -> Acceleration:
+        """Solve (M + Jᵀ C J + diag) x = right.
+
+        Args:
+            right: The right side.
+            curves: C of each contact in world axes; None for none.
+            stiff: What is added to the diagonal, by joint.
+        """
+        joints, has_base = [*self.force.joints], self.layout.has_free_base
+        smooth = self.smooth
+        corner = [[Total() for _ in range(i + 1)] for i in range(6)]  # the base's block, lower triangle
+        side: dict[Joint, list[Total]] = {}  # the base's rows by joint
+        entries: dict[tuple[Joint, Joint], Total] = {}
+        if has_base:
+            whole = smooth.whole
+            h, inertia = whole.moment, whole.inertia.rows
+            for i, row in enumerate(_base_block(whole.mass, h, inertia)):
+                for j, x in enumerate(row):
+                    corner[i][j].add(x, 1)
+        for joint in joints:
+            side[joint] = [Total(x) for x in _parts(smooth.momenta[joint])] if has_base else []
+            for inner in inner_joints(self.layout, joint):
+                entries[inner, joint] = Total(smooth.mass[inner, joint])
+            entries[joint, joint] = Total(smooth.mass[joint, joint] + stiff.get(joint, ZERO))
+        for one, curve in zip(self.constraints.contacts, curves or (), strict=curves is not None):
+            self._add_contact(one, curve, corner, side, entries)
+        rest = {joint: Total(right.joints[joint]) for joint in joints}
+        base = [Total(x) for x in _parts(right.base)]
+        inverse, low, low_base = {}, {}, {}
+        for joint in reversed(joints):
+            n, inner = self.n(joint), inner_joints(self.layout, joint)
+            pivot = entries[joint, joint].value
+            row = {one: entries[one, joint].value for one in inner}
+            row_base = [one.value for one in side[joint]]
+            inverse[joint] = ONE / pivot
+            low[joint] = {one: x * inverse[joint] for one, x in row.items()}
+            low_base[joint] = [x * inverse[joint] for x in row_base]
+            known = rest[joint].value
+            rest[joint] = Total(known)
+            for i, one in enumerate(inner):
+                m = n if self.n(one) == 1 else 1
+                factor = low[joint][one]
+                rest[one].add(-(factor * known), m)
+                for other in inner[: i + 1]:
+                    entries[other, one].add(-(factor * row[other]), m)
+                for total, x in zip(side[one], row_base, strict=True):
+                    total.add(-(factor * x), m)
+            for i, factor in enumerate(low_base[joint]):
+                base[i].add(-(factor * known), n)
+                for j in range(i + 1):
+                    corner[i][j].add(-(factor * row_base[j]), n)
+        x_base = _solve_dense([[one.value for one in row] for row in corner], [one.value for one in base]) if has_base else []
+        found: dict[Joint, Scalar] = {}
+        for joint in joints:
+            x = rest[joint].value * inverse[joint]
+            for one, factor in low[joint].items():
+                x = x - factor * found[one]
+            for factor, one in zip(low_base[joint], x_base, strict=True):
+                x = x - factor * one
+            found[joint] = x
+        return Acceleration(_spatial(x_base) if has_base else STILL, found)
+
+    def _add_contact(self, contact: Any, curve: Symmetric, corner: Any, side: Any, entries: Any) -> None:
+        """Add Jᵀ C J of a row of contacts."""
+        n, at, chain = len(contact.point.real), contact.at, self.chain(contact.point.stack)
+        moved = [self.smooth.motions[joint].velocity_at(at) for joint in chain]
+        pushed = [curve @ one for one in moved]
+        if self.layout.has_free_base:
+            columns = [at.cross(row) for row in curve.rows]
+            mixed = [Vector(*(getattr(one, name) for one in columns)) for name in "xyz"]
+            turned = [at.cross(row) for row in mixed]
+            for i, row in enumerate(curve.rows):
+                for j in range(i + 1):
+                    corner[i][j].add(row[j], n)
+            for i in range(3):
+                for j in range(3):
+                    corner[3 + i][j].add(mixed[i][j], n)
+                for j in range(i + 1):
+                    corner[3 + i][3 + j].add(turned[i][j], n)
+        for joint, push in zip(chain, pushed, strict=True):
+            m = n if self.n(joint) == 1 else 1
+            for total, x in zip(side[joint], (*push, *at.cross(push)), strict=False):
+                total.add(x, m)
+        for i, joint in enumerate(chain):
+            for j in range(i + 1):
+                m = n if self.n(joint) == 1 else 1
+                entries[chain[j], joint].add(moved[j].dot(pushed[i]), m)
+
+    def start(self, warm: Acceleration) -> "Iterate":
+        """Begin at accelerations."""
+        return Iterate(warm, self.momentum(warm), self.residuals(warm, wanted=True))
+
+    def gradient(self, now: "Iterate") -> Acceleration:
+        """Return M a - f - forces of constraints, which is 0 at the solution."""
+        return now.momentum.minus(self.force).minus(self.constraint_force(now.residuals))
+
+    def norm(self, force: Acceleration) -> Scalar:
+        """Return the length of generalized forces, () N or N m."""
+        total = Total()
+        if self.layout.has_free_base:
+            for x in _parts(force.base):
+                total.add(x * x, 1)
+        for joint, x in force.joints.items():
+            total.add(x * x, self.n(joint))
+        return square_root(total.value)
+
+    def descend(self, now: "Iterate", trials: int) -> "Iterate":
+        """Take one step of Newton's, with a search for its length of some trials."""
+        is_elliptic = self.constraints.is_elliptic
+        slopes = [
+            contact_slope(one, residual, is_elliptic)
+            for one, residual in zip(self.constraints.contacts, now.residuals.contacts, strict=True)
+        ]
+        curves = [world_curve(one, slope.curve) for one, slope in zip(self.constraints.contacts, slopes, strict=True)]
+        stiff: dict[Joint, Scalar] = {}
+        for row, residual in zip(self.constraints.rows, now.residuals.rows, strict=True):
+            stiff[row.joint] = stiff.get(row.joint, ZERO) + row_force(row, residual)[1]
+        left = self.force.minus(now.momentum)
+        pull = self.constraint_force(now.residuals)
+        way = self.solve(left.add_scaled(ONE, pull), curves, stiff)
+        moved, changed = self.momentum(way), self.residuals(way, wanted=False)
+        length = self._search(way, left, moved, now.residuals, changed, trials)
+        return Iterate(
+            now.acceleration.add_scaled(length, way),
+            now.momentum.add_scaled(length, moved),
+            now.residuals.add_scaled(length, changed),
+        )
+
+    def _power(self, one: Acceleration, other: Acceleration) -> Scalar:
+        total = Total()
+        if self.layout.has_free_base:
+            total.add(one.base.dot(other.base), 1)
+        for joint, x in one.joints.items():
+            total.add(x * other.joints[joint], self.n(joint))
+        return total.value
+
+    def _search(self, way: Any, left: Any, moved: Any, residuals: Residuals, changed: Residuals, trials: int) -> Scalar:
+        """Return the length of a step that makes the cost least, from a bracketed Newton's method.
+
+        Where Newton's method leaves the bracket, the next length is where a joint with friction changes its direction,
+        of all such places in the bracket the one with the largest change of slope; else the middle.
+        """
+        slope_at_0, bend_at_0 = -self._power(way, left), self._power(way, moved)
+        like = slope_at_0.value
+        length, low, high = ONE, Scalar(jnp.zeros_like(like)), Scalar(jnp.full_like(like, NEVER))
+        constraints, flat = self.constraints, slope_at_0 * -float(ROUNDING * jnp.finfo(like.dtype).eps)
+        turns = self._turning_points(residuals, changed)
+        for _ in range(trials):
+            first, second = Total(), Total()
+            for one, residual, change in zip(constraints.contacts, residuals.contacts, changed.contacts, strict=True):
+                a, b = contact_line(one, residual + change * length, change, constraints.is_elliptic)
+                first.add(a, len(one.point.real))
+                second.add(b, len(one.point.real))
+            for row, residual, change in zip(constraints.rows, residuals.rows, changed.rows, strict=True):
+                force, curve = row_force(row, residual + length * change)
+                n = self.n(row.joint)
+                first.add(-(force * change), n)
+                second.add(curve * change * change, n)
+            slope = slope_at_0 + length * bend_at_0 + first.value
+            bend = bend_at_0 + second.value
+            falls = slope < ZERO
+            low, high = where(falls, length, low), where(falls, high, length)
+            # once nothing is left to move, both are 0
+            new = length - slope / largest(bend, 1e-20)
+            is_found = ~(flat < slope) & ~(slope < -flat)
+            is_open = ~(high < Scalar(NEVER / 10))
+            within = (low < new) & (new < high) | is_open
+            inside = where(within, new, self._choose_turn(turns, low, high))
+            length = where(is_found, length, inside)
+        return length
+
+    def _turning_points(self, residuals: Residuals, changed: Residuals) -> list[tuple[Scalar, Scalar, int]]:
+        """Return step lengths at which joints with friction turn, with the changes of slope there."""
+        found = []
+        for row, residual, change in zip(self.constraints.rows, residuals.rows, changed.rows, strict=True):
+            if row.most is not None:
+                size = largest(change, -change)
+                moves = Scalar(1e-20) < size
+                place = -residual / where(moves, change, ONE)
+                found.append((place, where(moves, size * row.most, ZERO), self.n(row.joint)))
+        return found
+
+    def _choose_turn(self, turns: list[tuple[Scalar, Scalar, int]], low: Scalar, high: Scalar) -> Scalar:
+        """Return the turning point between two step lengths with the largest change of slope; their middle for none."""
+        best, middle = Scalar(jnp.zeros_like(low.value)), (low + high) * 0.5
+        inner = [(place, where((low < place) & (place < high), jump, ZERO), n) for place, jump, n in turns]
+        for _, jump, n in inner:
+            best = largest(best, Scalar(jump.value.max()) if n > 1 else jump)
+        chosen, count = Total(), Total()
+        for place, jump, n in inner:
+            is_best = (ZERO < jump) & ~(jump < best)
+            chosen.add(where(is_best, place, ZERO), n)
+            count.add(where(is_best, ONE, ZERO), n)
+        if not inner:
+            return middle
+        return where(ZERO < count.value, chosen.value / largest(count.value, ONE), middle)
+
+
+class Iterate(NamedTuple):
+    """Accelerations, with what is linear in them."""
+
+    acceleration: Acceleration
+    momentum: Acceleration
+    residuals: Residuals
+
+
+def solve_problem(problem: Problem, warm: Acceleration, iterations: int, trials: int) -> Iterate:
+    """Return the accelerations of a step, after some iterations of Newton's method from those of the step before."""
+    values, rebuild = flatten(problem.start(warm))
+    dtype = next(x.dtype for x in values if hasattr(x, "dtype"))
+    values = [jnp.asarray(x, dtype) for x in values]
+    shapes = jax.eval_shape(lambda: flatten(problem.descend(rebuild(values), trials))[0])
+    values = [jnp.broadcast_to(x, like.shape) for x, like in zip(values, shapes, strict=True)]
+
+    def body(values: list[Any], _: None) -> tuple[list[Any], None]:
+        after = flatten(problem.descend(rebuild(values), trials))[0]
+        return [jnp.asarray(x, dtype) for x in after], None
+
+    values, _ = jax.lax.scan(body, values, None, length=iterations)
+    return rebuild(values)
+
+
+def _parts(one: Spatial) -> list[Scalar]:
+    return [*one.linear, *one.angular]
+
+
+def _spatial(parts: list[Scalar]) -> Spatial:
+    return Spatial(Vector(*parts[:3]), Vector(*parts[3:]))
+
+
+def _base_block(mass: Scalar, h: Vector, inertia: Any) -> list[list[Scalar]]:
+    """Lower triangle of the inertia of a body, linear before angular."""
+    return [
+        [mass],
+        [ZERO, mass],
+        [ZERO, ZERO, mass],
+        [ZERO, -h.z, h.y, inertia[0].x],
+        [h.z, ZERO, -h.x, inertia[1].x, inertia[1].y],
+        [-h.y, h.x, ZERO, *inertia[2]],
+    ]
+
+
+def _solve_dense(lower: list[list[Scalar]], right: list[Scalar]) -> list[Scalar]:
+    """Solve a symmetric positive system of its lower triangle by L D Lᵀ."""
+    n, full = len(right), [list(row) for row in lower]
+    known, inverse = list(right), []
+    factors = [[ZERO] * n for _ in range(n)]
+    for k in range(n):
+        inverse.append(ONE / full[k][k])
+        for i in range(k + 1, n):
+            factors[i][k] = full[i][k] * inverse[k]
+        for i in range(k + 1, n):
+            for j in range(k + 1, i + 1):
+                full[i][j] = full[i][j] - factors[i][k] * full[j][k]
+            known[i] = known[i] - factors[i][k] * known[k]
+    x = [a * b for a, b in zip(known, inverse, strict=True)]
+    for k in reversed(range(n)):
+        for i in range(k + 1, n):
+            x[k] = x[k] - factors[i][k] * x[i]
+    return x

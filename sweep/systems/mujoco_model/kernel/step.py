@@ -1,0 +1,316 @@
+"""One physics step of MuJoCo: forces, accelerations under constraints, and Euler's or the implicit fast integrator."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from sweep.systems.mujoco_model.kernel.constraints import Constraints, find_contacts, find_rows
+from sweep.systems.mujoco_model.kernel.constraints import ELLIPTIC
+from sweep.systems.mujoco_model.kernel.layout import Layout, drives
+from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.scalars import (
+    NOTHING,
+    ONE,
+    ZERO,
+    Scalar,
+    Vector,
+    largest,
+    multiply_quaternions,
+    quaternion_axes,
+    rotate,
+    rotate_back,
+    smallest,
+    square_root,
+    stack_values,
+    where,
+)
+from sweep.systems.mujoco_model.kernel.smooth import (
+    STILL,
+    RobotState,
+    Smooth,
+    Spatial,
+    compute_smooth,
+    wrench_at,
+)
+from sweep.systems.mujoco_model.kernel.solver import Acceleration, Iterate, Joint, Problem, solve_problem
+
+IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+FILTERED = int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+
+
+class Drive(NamedTuple):
+    """What an actuator of each joint of a row does in a step."""
+
+    actuators: np.ndarray  # ids (n,)
+    force: Scalar  # N or N m, of the actuator
+    velocity: Scalar  # of the actuator
+
+
+class StepResult(NamedTuple):
+    """What a physics step computes at its start, beside the state at its end."""
+
+    smooth: Smooth
+    problem: Problem
+    solution: Iterate
+    drives: tuple[Drive, ...]
+    is_unsolved: Any  # () bool
+
+
+class Push(NamedTuple):
+    """A force in world axes on the centre of mass of one body."""
+
+    stack: int
+    member: int
+    force: Vector  # N
+
+
+def read_state(layout: Layout, model: mujoco.MjModel, qpos: Array, qvel: Array, warm: Array) -> RobotState:
+    """Make a state of MuJoCo's `qpos` (nq,), `qvel` (nv,) and `qacc_warmstart` (nv,)."""
+    angles, rates, before = {}, {}, {}
+    for joint in layout.joints:
+        ids = layout.stacks[joint[0]].joints[joint[1]]
+        places, dofs = model.jnt_qposadr[ids], model.jnt_dofadr[ids]
+        for found, values, at in ((angles, qpos, places), (rates, qvel, dofs), (before, warm, dofs)):
+            found[joint] = Scalar(values[int(at[0])] if len(at) == 1 else values[at])
+    if not layout.has_free_base:
+        none = (ONE, ZERO, ZERO, ZERO)
+        return RobotState(NOTHING, none, STILL, angles, rates, STILL, before)
+    free = int(model.body_jntadr[layout.stacks[0].bodies[0]])
+    q, v = int(model.jnt_qposadr[free]), int(model.jnt_dofadr[free])
+    quat = tuple(Scalar(qpos[q + 3 + k]) for k in range(4))
+    axes = quaternion_axes(*quat)  # pyright: ignore[reportArgumentType]
+
+    def vector(values: Array, first: int) -> Vector:
+        return Vector(*(Scalar(values[first + k]) for k in range(3)))
+
+    moving = [Spatial(vector(one, v), rotate(axes, vector(one, v + 3))) for one in (qvel, warm)]
+    return RobotState(vector(qpos, q), quat, moving[0], angles, rates, moving[1], before)  # pyright: ignore
+
+
+def write_state(layout: Layout, model: mujoco.MjModel, state: RobotState) -> tuple[Array, Array, Array]:
+    """Make `qpos` (nq,), `qvel` (nv,) and `qacc_warmstart` (nv,) of a state, the inverse of `read_state`."""
+    dtype = next(one.value.dtype for one in state.angles.values())
+    qpos, qvel, warm = ([ZERO] * size for size in (model.nq, model.nv, model.nv))
+    for joint in layout.joints:
+        ids = layout.stacks[joint[0]].joints[joint[1]]
+        for values, numbers, at in (
+            (qpos, state.angles, model.jnt_qposadr[ids]),
+            (qvel, state.rates, model.jnt_dofadr[ids]),
+            (warm, state.warm, model.jnt_dofadr[ids]),
+        ):
+            for k, place in enumerate(at):
+                one = numbers[joint]
+                values[place] = Scalar(one.value[k]) if one.is_stack else one
+    if layout.has_free_base:
+        free = int(model.body_jntadr[layout.stacks[0].bodies[0]])
+        q, v = int(model.jnt_qposadr[free]), int(model.jnt_dofadr[free])
+        qpos[q : q + 7] = [*state.position, *state.quat]
+        axes = quaternion_axes(*state.quat)
+        for values, moving in ((qvel, state.velocity), (warm, state.warm_base)):
+            values[v : v + 6] = [*moving.linear, *rotate_back(axes, moving.angular)]
+    return stack_values(qpos, dtype), stack_values(qvel, dtype), stack_values(warm, dtype)
+
+
+def compute_forces(
+    layout: Layout, numbers: ModelNumbers, state: RobotState, smooth: Smooth, ctrl: Array, pushes: tuple[Push, ...]
+) -> tuple[Acceleration, dict[Joint, Scalar], tuple[Drive, ...]]:
+    """Compute all forces of a step but those of constraints.
+
+    Args:
+        layout: The stacks.
+        numbers: The rollout's model.
+        state: The state.
+        smooth: What it makes of the robot.
+        ctrl: Controls (nu,).
+        pushes: Forces on bodies.
+
+    Returns:
+        Generalized forces; the damping of each joint, which the integrator treats implicitly; the actuators.
+    """
+    model = numbers.model
+    is_implicit = model.opt.integrator == IMPLICIT
+    forces, damping, found = {}, {}, []
+    for joint in layout.joints:
+        ids = layout.stacks[joint[0]].joints[joint[1]]
+        dofs, places = model.jnt_dofadr[ids], model.jnt_qposadr[ids]
+        angle, rate = state.angles[joint], state.rates[joint]
+        drag = numbers.get("dof_damping", dofs)
+        passive = -(drag * rate)
+        if numbers.is_used("jnt_stiffness", ids):
+            passive = passive - numbers.get("jnt_stiffness", ids) * (angle - numbers.get("qpos_spring", places))
+        driven, soft = ZERO, drag
+        for acting in zip(*(drives(model, int(j)) for j in ids), strict=True):
+            those = np.array(acting)
+            drive, gear, velocity_gain = _drive(numbers, those, angle, rate, ctrl)
+            found.append(drive)
+            driven = driven + gear * drive.force
+            if is_implicit:
+                soft = soft - gear * gear * velocity_gain
+        limited = model.jnt_actfrclimited[ids].astype(bool)
+        if limited.any():
+            low, high = (numbers.get("jnt_actfrcrange", ids, k) for k in range(2))
+            far = Scalar(np.where(limited, 0.0, 1e9))
+            driven = smallest(largest(driven, low - far), high + far)
+        forces[joint] = driven + passive - smooth.bias[joint]
+        damping[joint] = soft
+    base = smooth.bias_base * Scalar(-1.0)
+    for push in pushes:
+        stack, place = layout.stacks[push.stack], smooth.places[push.stack]
+        force = push.force
+        if stack.n > 1:
+            mask = Scalar((np.arange(stack.n) == push.member).astype(float))
+            force = force * mask
+        wrench = wrench_at(place.centre, force)
+        base = base + (wrench.total(stack.n) if stack.n > 1 else wrench)
+        for s in layout.ancestors(push.stack):
+            for k in range(len(layout.stacks[s].joints)):
+                pull = smooth.motions[s, k].dot(wrench)
+                wide = stack.n > 1 and layout.stacks[s].n == 1
+                forces[s, k] = forces[s, k] + (pull.total(stack.n) if wide else pull)
+    return Acceleration(base, forces), damping, tuple(found)
+
+
+def _drive(
+    numbers: ModelNumbers, ids: np.ndarray, angle: Scalar, rate: Scalar, ctrl: Array
+) -> tuple[Drive, Scalar, Scalar]:
+    """Force of an actuator of each joint, its gear, and how its force grows with its velocity."""
+    model = numbers.model
+    control = Scalar(ctrl[int(ids[0])] if len(ids) == 1 else ctrl[ids])
+    if model.actuator_ctrllimited[ids].any() and not model.opt.disableflags & FILTERED:
+        control = _clamp(numbers, control, ids, "actuator_ctrlrange", model.actuator_ctrllimited)[0]
+    gear = numbers.get("actuator_gear", ids, 0)
+    length, velocity = gear * angle, gear * rate
+    gain = [numbers.get("actuator_gainprm", ids, k) for k in range(3)]
+    affine = model.actuator_gaintype[ids] == int(mujoco.mjtGain.mjGAIN_AFFINE)
+    biased = model.actuator_biastype[ids] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    strength, slope = gain[0], ZERO
+    if affine.any():
+        share = Scalar(affine.astype(float))
+        strength = strength + share * (gain[1] * length + gain[2] * velocity)
+        slope = slope + share * gain[2] * control
+    force = strength * control
+    if biased.any():
+        bias = [Scalar(biased.astype(float)) * numbers.get("actuator_biasprm", ids, k) for k in range(3)]
+        force = force + bias[0] + bias[1] * length + bias[2] * velocity
+        slope = slope + bias[2]
+    if model.actuator_forcelimited[ids].any():
+        force, is_free = _clamp(numbers, force, ids, "actuator_forcerange", model.actuator_forcelimited)
+        slope = where(is_free, slope, ZERO) if not slope.is_exactly(0) else slope
+    return Drive(ids, force, velocity), gear, slope
+
+
+def _clamp(numbers: ModelNumbers, value: Scalar, ids: np.ndarray, name: str, limited: Any) -> tuple[Scalar, Any]:
+    """A number within a range where it is limited, and whether it was within."""
+    low, high = (numbers.get(name, ids, k) for k in range(2))
+    flags = limited[ids].astype(bool)
+    if not flags.all():
+        far = Scalar(np.where(flags, 0.0, 1e9))
+        low, high = low - far, high + far
+    return smallest(largest(value, low), high), (low < value) & (value < high)
+
+
+def step(
+    layout: Layout,
+    numbers: ModelNumbers,
+    state: RobotState,
+    ctrl: Float[Array, " nu"],
+    pushes: tuple[Push, ...],
+    iterations: int,
+    trials: int,
+) -> tuple[RobotState, StepResult]:
+    """Advance a state by one physics step.
+
+    Args:
+        layout: The stacks.
+        numbers: The rollout's model.
+        state: The state at the start of the step.
+        ctrl: Controls.
+        pushes: Forces on bodies.
+        iterations: Iterations of Newton's method.
+        trials: Trials of each search for a step's length.
+
+    Returns:
+        The state at the end, and what was computed at the start.
+    """
+    result, damping = solve_forward(layout, numbers, state, ctrl, pushes, iterations, trials)
+    h, solution, problem = float(numbers.model.opt.timestep), result.solution, result.problem
+    acceleration = solution.acceleration
+    total = problem.force.add_scaled(ONE, problem.constraint_force(solution.residuals))
+    moved = acceleration
+    if not all(one.is_exactly(0) for one in damping.values()):
+        moved = problem.solve(total, None, {joint: one * h for joint, one in damping.items()})
+    rates = {joint: rate + moved.joints[joint] * h for joint, rate in state.rates.items()}
+    angles = {joint: angle + rates[joint] * h for joint, angle in state.angles.items()}
+    if not layout.has_free_base:
+        after = RobotState(NOTHING, state.quat, STILL, angles, rates, STILL, acceleration.joints)
+        return after, result
+    velocity = state.velocity + moved.base * Scalar(h)
+    position = state.position + velocity.linear * h
+    quat = _turn(state.quat, velocity.angular, h)
+    after = RobotState(position, quat, velocity, angles, rates, acceleration.base, acceleration.joints)
+    return after, result
+
+
+def _turn(quat: Any, spin: Vector, h: float) -> Any:
+    """Integrate an orientation over h seconds at an angular velocity in the world's axes."""
+    size = square_root(spin.dot(spin) + 1e-24)
+    half = size * (0.5 * h)
+    share = Scalar(jnp.sin(half.value)) / size
+    turned = multiply_quaternions(
+        (Scalar(jnp.cos(half.value)), spin.x * share, spin.y * share, spin.z * share), quat
+    )
+    length = square_root(sum((one * one for one in turned), ZERO))
+    return tuple(one / length for one in turned)
+
+
+def solve_forward(
+    layout: Layout,
+    numbers: ModelNumbers,
+    state: RobotState,
+    ctrl: Array,
+    pushes: tuple[Push, ...],
+    iterations: int,
+    trials: int,
+) -> tuple[StepResult, dict[Joint, Scalar]]:
+    """Compute the accelerations of a state, see `step`, and the damping of each joint."""
+    smooth = compute_smooth(layout, numbers, state)
+    force, damping, drives_ = compute_forces(layout, numbers, state, smooth, ctrl, pushes)
+    contacts = find_contacts(layout, numbers, state, smooth)
+    constraints = Constraints(
+        tuple(contacts), tuple(find_rows(layout, numbers, state)), numbers.model.opt.cone == ELLIPTIC
+    )
+    problem = Problem(layout, smooth, constraints, force)
+    warm = Acceleration(state.warm_base, state.warm)
+    solution = solve_problem(problem, warm, iterations, trials)
+    pull = problem.constraint_force(solution.residuals)
+    left = problem.norm(solution.momentum.minus(force).minus(pull))
+    is_unsolved = (problem.norm(force) + problem.norm(pull)) * UNBALANCED < left
+    return StepResult(smooth, problem, solution, drives_, is_unsolved), damping
+
+
+UNBALANCED = 0.01  # share of the forces that may be left over in a step
+
+
+def advance(
+    layout: Layout,
+    numbers: ModelNumbers,
+    state: RobotState,
+    ctrl: Array,
+    steps: int,
+    iterations: int,
+    trials: int,
+) -> RobotState:
+    """Advance a state by some steps at constant controls."""
+    from sweep.systems.mujoco_model.kernel.scalars import flatten
+
+    values, rebuild = flatten(state)
+
+    def body(values: list[Any], _: None) -> tuple[list[Any], None]:
+        return flatten(step(layout, numbers, rebuild(values), ctrl, (), iterations, trials)[0])[0], None
+
+    values, _ = jax.lax.scan(body, values, None, length=steps)
+    return rebuild(values)
