@@ -233,6 +233,8 @@ class Writer:
             return self._scan(args, eqn)
         if name == "cond":
             return self._cond(args, eqn)
+        if name == "while":
+            return self._while(args, eqn)
         if name == "convert_element_type" and eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype:
             return args
         if name in randomness.EXPANSIONS:
@@ -280,6 +282,14 @@ class Writer:
         each = tuple(self._inner(branch, ())[0] for branch in branches)
         return self.emit(partial(run_switch, each), args, len(eqn.outvars))
 
+    def _while(self, args: list[int], eqn: Any) -> Sequence[int]:
+        """Loop until the last rollout has ended it."""
+        tests, bodies = eqn.params["cond_nconsts"], eqn.params["body_nconsts"]
+        test, test_consts = self._inner(eqn.params["cond_jaxpr"], args[:tests])
+        body, body_consts = self._inner(eqn.params["body_jaxpr"], args[tests : tests + bodies])
+        how = While(test, body, len(test_consts), len(body_consts))
+        return self.emit(partial(run_while, how), [*test_consts, *body_consts, *args[tests + bodies :]], len(eqn.outvars))
+
     def _inner(self, closed: Any, first: Sequence[int]) -> tuple[Listing, list[int]]:
         """Listing of an inner program, and its other operands: constants among the `first` ones are folded into it."""
         writer = Writer()
@@ -310,6 +320,27 @@ def run_scan(how: Scan, *args: Values) -> list[Values]:
         beside.append(made[how.carry :])
     beside = beside[:: -1 if how.reverse else 1]
     return [*carry, *(batch_ops.stack(0, *each) for each in zip(*beside, strict=True))]
+
+
+class While(NamedTuple):
+    """Static parameters of a loop that a condition ends."""
+
+    test: Listing
+    body: Listing
+    test_consts: int  # number of constant operands of the condition
+    body_consts: int
+
+
+def run_while(how: While, *args: Values) -> list[Values]:
+    """Run a loop until no rollout goes on. Returns the carry, in which each rollout stays as it ended."""
+    first, rest = args[: how.test_consts], args[how.test_consts :]
+    consts, carry = rest[: how.body_consts], list(rest[how.body_consts :])
+    while True:
+        (going,) = how.test.run([*first, *carry], {})
+        if not going.any():
+            return carry
+        made = how.body.run([*consts, *carry], {})
+        carry = made if going.all() else [np.where(going, new, old) for new, old in zip(made, carry, strict=True)]
 
 
 def run_switch(branches: Sequence[Listing], index: Any, *args: Values) -> list[Values]:

@@ -280,6 +280,10 @@ class MujocoModel(ModelSpec):
         system = replace(self, config=replace(self.config, option=option, terrain=ground))
         if settings.name == "native":
             return NativeModelEngine(system, settings)
+        if settings.name == "kernel":
+            from sweep.systems.mujoco_model.kernel_engine import KernelModelEngine  # slow to import
+
+            return KernelModelEngine(system, settings)
         mujoco_versions.require_mjx(f"engine.name = {settings.name}", "engine=native")
         from sweep.systems.mujoco_model.mjx import MjxModelEngine  # slow to import
 

@@ -45,9 +45,9 @@ class ModelConfig:
 
 @parameters
 class Settings(EngineSettings):
-    """Engine settings of a MuJoCo model, with the additional engine `warp`."""
+    """Engine settings of a MuJoCo model, with the additional engines `warp` and `kernel`."""
 
-    name: str = choice("native", "native", "mjx", "warp")
+    name: str = choice("native", "native", "mjx", "warp", "kernel")
 
 
 NOISE = {  # errors of what the controller observes, alike in all components, in their own units

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from sweep.systems.mujoco_model.kernel.layout import BOX, CAPSULE, Layout, may_touch
+from sweep.systems.mujoco_model.kernel.layout import BOX, CAPSULE, Layout, may_touch, refuse
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers, power_of
 from sweep.systems.mujoco_model.kernel.scalars import (
     NOTHING,
@@ -156,7 +156,9 @@ def find_contacts(layout: Layout, numbers: ModelNumbers, state: RobotState, smoo
         mujoco.mju_quat2Mat(matrix, _world_quat(numbers.model, plane))
         matrix[np.abs(matrix) < 1e-15] = 0
         normal = Vector(*(Scalar(x) for x in matrix.reshape(3, 3)[:, 2]))
-        start = Vector(*(Scalar(float(x)) for x in _world_position(numbers.model, plane)))
+        start = numbers.vector("geom_pos", np.array([plane]))
+        if numbers.model.geom_bodyid[plane]:
+            start = Vector(*(Scalar(float(x)) for x in _world_position(numbers.model, plane)))
         height = normal.dot(state.position - start)
         for point in find_points(layout, numbers, plane):
             place = smooth.places[point.stack]
@@ -214,8 +216,6 @@ def _contact(
     first, second = (model.geom_priority[one] for one in (geoms, ground))
     wins = np.where(first > second, 1, np.where(first < second, -1, 0))
     if len(set(wins.tolist())) > 1 or len(set(dims.tolist())) > 1:
-        from sweep.systems.mujoco_model.kernel.layout import refuse
-
         raise refuse("limbs whose contacts differ in priority or dimension")
     dim = int({0: dims[0], 1: model.geom_condim[geoms[0]], -1: model.geom_condim[plane]}[int(wins[0])])
     law, friction = _mix(numbers, geoms, ground, int(wins[0]))
@@ -266,8 +266,6 @@ def make_law(numbers: ModelNumbers, reference: list[Scalar], impedance: list[Sca
     least, top, middle = (_clip(impedance[k], 1e-4, 0.9999) for k in (0, 1, 3))
     width, power = largest(impedance[2], TINY), impedance[4]
     if not (middle.is_known and power.is_known and reference[0].is_known):
-        from sweep.systems.mujoco_model.kernel.layout import refuse
-
         raise refuse("time constants, or midpoints and powers of impedance, that differ between rollouts")
     time = np.ravel(reference[0].value)
     if (time > 0).all():

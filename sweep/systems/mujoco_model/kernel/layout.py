@@ -167,7 +167,7 @@ def check_features(model: mujoco.MjModel) -> None:
     dims = sorted({int(model.geom_condim[g]) for g in (*touching, *planes)} - {1, 3})
     disabled = int(opt.disableflags) & ~int(act.mjtDisableBit.mjDSBL_MIDPHASE)
     other = [name for name in ("dof_dampingpoly", "jnt_stiffnesspoly", "actuator_damping", "actuator_dampingpoly",
-             "actuator_armature", "actuator_delay") if np.any(getattr(model, name, 0))]  # fmt: skip
+             "actuator_armature", "actuator_delay", "geom_adhesion", "geom_surfacevel", "geom_fluid") if np.any(getattr(model, name, 0))]  # fmt: skip
     wrong = {
         "ball joints": (jnt == BALL).any(),
         "several free joints": len(free) > 1,

@@ -20,6 +20,7 @@ class ModelNumbers:
 
     def __init__(self, model: mujoco.MjModel, rows: Mapping[str, Any]):
         self.model, self._rows = model, rows
+        self.read: set[str] = set()  # fields that were asked for
 
     def get(self, name: str, ids: np.ndarray | None = None, *component: int) -> Scalar:
         """Return a number of each of some elements, or a number of the options.
@@ -29,6 +30,7 @@ class ModelNumbers:
             ids: Elements (n,).
             *component: Index in the field's other axes.
         """
+        self.read.add(name)
         values = self._rows.get(name)
         if ids is None:
             known = np.asarray(fields.field_values(self.model, name), float)

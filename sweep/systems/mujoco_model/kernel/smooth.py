@@ -98,6 +98,8 @@ class BodyPlace(NamedTuple):
     axes: Axes
     centre: Vector  # of mass
     motion: Spatial  # of the base's origin with the body
+    acceleration: Vector  # of the body's origin less gravity, while no joint and no base accelerates
+    spin_rate: Vector  # likewise, of its spin
 
 
 class Smooth(NamedTuple):
@@ -128,7 +130,6 @@ def compute_smooth(layout: Layout, numbers: ModelNumbers, state: RobotState) -> 
     """Compute kinematics, mass matrix and bias forces of a state."""
     gravity = numbers.vector("opt.gravity")
     places: list[BodyPlace] = []
-    turning: list[tuple[Vector, Vector, Vector]] = []  # acceleration of the origin less gravity, spin and its rate
     motions, forces, inertias = {}, [], []
     for s, stack in enumerate(layout.stacks):
         if stack.parent < 0:
@@ -137,9 +138,10 @@ def compute_smooth(layout: Layout, numbers: ModelNumbers, state: RobotState) -> 
             origin, spin = NOTHING, state.velocity.angular if is_free else NOTHING
             acceleration, spin_rate, motion = -gravity, NOTHING, state.velocity if is_free else STILL
         else:
-            parent, (acceleration, spin, spin_rate) = places[stack.parent], turning[stack.parent]
+            parent = places[stack.parent]
+            acceleration, spin, spin_rate = parent.acceleration, parent.motion.angular, parent.spin_rate
             offset = rotate(parent.axes, numbers.vector("body_pos", stack.bodies))
-            acceleration = acceleration + _relative(spin, spin_rate, offset)
+            acceleration = acceleration + relative_acceleration(spin, spin_rate, offset)
             origin, axes, motion = parent.origin + offset, parent.axes, parent.motion
             columns = numbers.rotation("body_quat", stack.bodies)
             if columns is not None:
@@ -151,32 +153,31 @@ def compute_smooth(layout: Layout, numbers: ModelNumbers, state: RobotState) -> 
             anchor = numbers.vector("jnt_pos", joints)
             if numbers.model.jnt_type[joints[0]] == HINGE:
                 arm = rotate(axes, anchor)
-                acceleration = acceleration + _relative(spin, spin_rate, arm)
+                acceleration = acceleration + relative_acceleration(spin, spin_rate, arm)
                 point = origin + arm
                 axes, world = rotate_about(axes, axis, moved)  # pyright: ignore[reportArgumentType]
                 turn = world * rate
                 spin_rate = spin_rate + spin.cross(turn)
                 spin = spin + turn
                 arm = -rotate(axes, anchor)
-                acceleration = acceleration + _relative(spin, spin_rate, arm)
+                acceleration = acceleration + relative_acceleration(spin, spin_rate, arm)
                 origin = point + arm
                 motions[s, k] = Spatial(point.cross(world), world)
             else:
                 world = rotate(axes, axis)  # pyright: ignore[reportArgumentType]
                 slid = world * moved
-                acceleration = acceleration + _relative(spin, spin_rate, slid) + spin.cross(world * rate) * 2.0
+                acceleration = acceleration + relative_acceleration(spin, spin_rate, slid) + spin.cross(world * rate) * 2.0
                 origin = origin + slid
                 motions[s, k] = Spatial(world, NOTHING)
             motion = motion + motions[s, k] * rate
         arm = rotate(axes, numbers.vector("body_ipos", stack.bodies))  # pyright: ignore[reportArgumentType]
         centre, mass = origin + arm, numbers.get("body_mass", stack.bodies)
         own = _inertia(numbers, axes, stack.bodies)  # pyright: ignore[reportArgumentType]
-        force = (acceleration + _relative(spin, spin_rate, arm)) * mass
+        force = (acceleration + relative_acceleration(spin, spin_rate, arm)) * mass
         moment = own @ spin_rate + spin.cross(own @ spin)
         forces.append(Spatial(force, moment + centre.cross(force)))
         inertias.append(RigidInertia(mass, centre * mass, own + _point_inertia(mass, centre)))
-        places.append(BodyPlace(origin, axes, centre, motion))  # pyright: ignore[reportArgumentType]
-        turning.append((acceleration, spin, spin_rate))
+        places.append(BodyPlace(origin, axes, centre, motion, acceleration, spin_rate))  # pyright: ignore
     momenta, mass_matrix, bias = {}, {}, {}
     for s in reversed(range(len(layout.stacks))):
         stack = layout.stacks[s]
@@ -201,8 +202,8 @@ def inner_joints(layout: Layout, joint: tuple[int, int]) -> list[tuple[int, int]
     return found + [(stack, k) for k in range(place)]
 
 
-def _relative(spin: Vector, spin_rate: Vector, arm: Vector) -> Vector:
-    """Acceleration of a point of a body beyond that of another, `arm` away."""
+def relative_acceleration(spin: Vector, spin_rate: Vector, arm: Vector) -> Vector:
+    """Return the acceleration of a point of a body beyond that of another, `arm` away."""
     return spin_rate.cross(arm) + spin.cross(spin.cross(arm))
 
 

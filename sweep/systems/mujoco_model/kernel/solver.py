@@ -33,6 +33,7 @@ from sweep.systems.mujoco_model.kernel.smooth import STILL, Smooth, Spatial, inn
 
 Joint = tuple[int, int]
 NEVER = 1e10  # a step length that is never reached
+CONVERGED = 32  # a step is solved when so many rounding errors of all forces are left over
 ROUNDING = 32  # a slope of so many rounding errors of that at the start is level
 
 
@@ -248,11 +249,13 @@ class Problem(NamedTuple):
 
     def start(self, warm: Acceleration) -> "Iterate":
         """Begin at accelerations."""
-        return Iterate(warm, self.momentum(warm), self.residuals(warm, wanted=True))
+        residuals = self.residuals(warm, wanted=True)
+        return self._iterate(warm, self.momentum(warm), residuals)
 
-    def gradient(self, now: "Iterate") -> Acceleration:
-        """Return M a - f - forces of constraints, which is 0 at the solution."""
-        return now.momentum.minus(self.force).minus(self.constraint_force(now.residuals))
+    def _iterate(self, acceleration: Acceleration, momentum: Acceleration, residuals: Residuals) -> "Iterate":
+        pull = self.constraint_force(residuals)
+        left = self.norm(momentum.minus(self.force).minus(pull))
+        return Iterate(acceleration, momentum, residuals, pull, left / (self.norm(self.force) + self.norm(pull)))
 
     def norm(self, force: Acceleration) -> Scalar:
         """Return the length of generalized forces, () N or N m."""
@@ -276,11 +279,10 @@ class Problem(NamedTuple):
         for row, residual in zip(self.constraints.rows, now.residuals.rows, strict=True):
             stiff[row.joint] = stiff.get(row.joint, ZERO) + row_force(row, residual)[1]
         left = self.force.minus(now.momentum)
-        pull = self.constraint_force(now.residuals)
-        way = self.solve(left.add_scaled(ONE, pull), curves, stiff)
+        way = self.solve(left.add_scaled(ONE, now.pull), curves, stiff)
         moved, changed = self.momentum(way), self.residuals(way, wanted=False)
         length = self._search(way, left, moved, now.residuals, changed, trials)
-        return Iterate(
+        return self._iterate(
             now.acceleration.add_scaled(length, way),
             now.momentum.add_scaled(length, moved),
             now.residuals.add_scaled(length, changed),
@@ -362,22 +364,34 @@ class Iterate(NamedTuple):
     acceleration: Acceleration
     momentum: Acceleration
     residuals: Residuals
+    pull: Acceleration  # forces of constraints
+    error: Scalar  # what is left over of the equation, as a share of all forces
 
 
 def solve_problem(problem: Problem, warm: Acceleration, iterations: int, trials: int) -> Iterate:
-    """Return the accelerations of a step, after some iterations of Newton's method from those of the step before."""
+    """Return the accelerations of a step, by Newton's method from those of the step before.
+
+    Args:
+        problem: The equation.
+        warm: Accelerations to begin with.
+        iterations: Iterations, at most: a rollout that has converged stays as it is.
+        trials: Trials of each search for a step's length.
+    """
     values, rebuild = flatten(problem.start(warm))
     dtype = next(x.dtype for x in values if hasattr(x, "dtype"))
-    values = [jnp.asarray(x, dtype) for x in values]
     shapes = jax.eval_shape(lambda: flatten(problem.descend(rebuild(values), trials))[0])
-    values = [jnp.broadcast_to(x, like.shape) for x, like in zip(values, shapes, strict=True)]
+    values = [jnp.broadcast_to(jnp.asarray(x, dtype), like.shape) for x, like in zip(values, shapes, strict=True)]
+    enough = float(CONVERGED * jnp.finfo(dtype).eps)
 
-    def body(values: list[Any], _: None) -> tuple[list[Any], None]:
+    def goes_on(state: tuple[Any, list[Any]]) -> Any:
+        return (state[0] < iterations) & (rebuild(state[1]).error.value > enough)
+
+    def body(state: tuple[Any, list[Any]]) -> tuple[Any, list[Any]]:
+        count, values = state
         after = flatten(problem.descend(rebuild(values), trials))[0]
-        return [jnp.asarray(x, dtype) for x in after], None
+        return count + 1, [jnp.asarray(x, dtype) for x in after]
 
-    values, _ = jax.lax.scan(body, values, None, length=iterations)
-    return rebuild(values)
+    return rebuild(jax.lax.while_loop(goes_on, body, (jnp.int32(0), values))[1])
 
 
 def _parts(one: Spatial) -> list[Scalar]:

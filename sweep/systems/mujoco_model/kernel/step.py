@@ -47,7 +47,8 @@ class Drive(NamedTuple):
 
     actuators: np.ndarray  # ids (n,)
     force: Scalar  # N or N m, of the actuator
-    velocity: Scalar  # of the actuator
+    length: Scalar  # of the actuator
+    velocity: Scalar
 
 
 class StepResult(NamedTuple):
@@ -200,7 +201,7 @@ def _drive(
     if model.actuator_forcelimited[ids].any():
         force, is_free = _clamp(numbers, force, ids, "actuator_forcerange", model.actuator_forcelimited)
         slope = where(is_free, slope, ZERO) if not slope.is_exactly(0) else slope
-    return Drive(ids, force, velocity), gear, slope
+    return Drive(ids, force, length, velocity), gear, slope
 
 
 def _clamp(numbers: ModelNumbers, value: Scalar, ids: np.ndarray, name: str, limited: Any) -> tuple[Scalar, Any]:
@@ -239,7 +240,7 @@ def step(
     result, damping = solve_forward(layout, numbers, state, ctrl, pushes, iterations, trials)
     h, solution, problem = float(numbers.model.opt.timestep), result.solution, result.problem
     acceleration = solution.acceleration
-    total = problem.force.add_scaled(ONE, problem.constraint_force(solution.residuals))
+    total = problem.force.add_scaled(ONE, solution.pull)
     moved = acceleration
     if not all(one.is_exactly(0) for one in damping.values()):
         moved = problem.solve(total, None, {joint: one * h for joint, one in damping.items()})
@@ -286,9 +287,7 @@ def solve_forward(
     problem = Problem(layout, smooth, constraints, force)
     warm = Acceleration(state.warm_base, state.warm)
     solution = solve_problem(problem, warm, iterations, trials)
-    pull = problem.constraint_force(solution.residuals)
-    left = problem.norm(solution.momentum.minus(force).minus(pull))
-    is_unsolved = (problem.norm(force) + problem.norm(pull)) * UNBALANCED < left
+    is_unsolved = Scalar(UNBALANCED) < solution.error
     return StepResult(smooth, problem, solution, drives_, is_unsolved), damping
 
 

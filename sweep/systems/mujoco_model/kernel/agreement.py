@@ -1,0 +1,132 @@
+"""How well the kernel's accelerations agree with C MuJoCo's, on random states of the user's own model."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from sweep.core.errors import InputError
+from sweep.fused import eager
+from sweep.systems.mujoco_model.kernel.layout import FREE, Layout, PLANE
+from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.scalars import flatten
+from sweep.systems.mujoco_model.kernel.step import read_state, solve_forward, write_state
+
+STATES = 256
+ALLOWED = 1e-9  # difference of accelerations, as a share of them
+ITERATIONS = 60  # of both solvers, which converge here
+SEED = 20
+
+
+class Agreement(NamedTuple):
+    """Relative differences of accelerations, of states with contacts that the kernel simulates."""
+
+    states: int
+    in_contact: int
+    median: float
+    largest: float
+
+    def __str__(self) -> str:
+        return (
+            f"accelerations of {self.states} random states, {self.in_contact} of them in contact, differ from C "
+            f"MuJoCo's by {self.largest:.1g} at most (median {self.median:.1g}), in double precision"
+        )
+
+    def require(self, model: str) -> None:
+        """Raise `InputError` where the difference is larger than allowed."""
+        if not self.largest <= ALLOWED:
+            raise InputError(
+                f"engine.name = kernel is not allowed for {model}: {self}, {ALLOWED:g} is allowed (engine=native)"
+            )
+
+
+def draw_states(model: mujoco.MjModel, keyframe: int, count: int) -> list[mujoco.MjData]:
+    """Draw states about the start of a rollout, with the lowest point a little in the ground, after `mj_forward`."""
+    model = _strict(model)
+    rng, found = np.random.default_rng(SEED), []
+    free = np.flatnonzero(model.jnt_type == FREE)
+    joints = np.flatnonzero(model.jnt_type > FREE)
+    planes = [g for g in range(model.ngeom) if model.geom_type[g] == PLANE]
+    for k in range(count):
+        data = mujoco.MjData(model)
+        if keyframe >= 0:
+            mujoco.mj_resetDataKeyframe(model, data, keyframe)
+        spread = (0.02, 0.1, 0.35)[k % 3]
+        data.qpos[model.jnt_qposadr[joints]] += spread * rng.normal(size=len(joints))
+        data.qvel[:] = rng.normal(size=model.nv)
+        data.ctrl[:] = data.ctrl + spread * rng.normal(size=model.nu)
+        if len(free):
+            at = int(model.jnt_qposadr[free[0]])
+            turn, quat = spread * rng.normal(size=3), data.qpos[at + 3 : at + 7].copy()
+            mujoco.mju_quatIntegrate(quat, turn, 1.0)
+            data.qpos[at + 3 : at + 7] = quat
+            depth = 0.01 * abs(rng.normal())
+            _lower(model, data, planes, at, depth)
+        data.qacc_warmstart[:] = 0
+        mujoco.mj_forward(model, data)
+        found.append(data)
+    return found
+
+
+def _lower(model: mujoco.MjModel, data: mujoco.MjData, planes: list[int], at: int, depth: float) -> None:
+    """Move the robot along the first plane's normal, until its lowest point is `depth` below."""
+    if not planes:
+        return
+    mujoco.mj_kinematics(model, data)
+    normal = data.geom_xmat[planes[0]].reshape(3, 3)[:, 2]
+    start = data.geom_xpos[planes[0]]
+    margin = model.geom_margin.copy()
+    model.geom_margin[:] = 10.0  # all points that may touch are contacts
+    mujoco.mj_fwdPosition(model, data)
+    model.geom_margin[:] = margin
+    near = [float(c.dist) for c in data.contact[: data.ncon] if planes[0] in (c.geom1, c.geom2)]
+    distance = min(near) if near else float(normal @ (data.qpos[at : at + 3] - start))
+    data.qpos[at : at + 3] -= (distance + depth) * normal
+
+
+def _strict(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy whose solver converges."""
+    from copy import copy
+
+    model = copy(model)
+    model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = 10 * ITERATIONS, 200, 0.0
+    return model
+
+
+def compare_accelerations(layout: Layout, model: mujoco.MjModel, keyframe: int, trials: int) -> Agreement:
+    """Compare accelerations of random states with those of `mj_forward`, in double precision by NumPy.
+
+    Args:
+        layout: The stacks.
+        model: The model.
+        keyframe: Index of the keyframe about which states are drawn; -1 for none.
+        trials: Trials of each search for a step's length.
+    """
+    drawn = draw_states(model, keyframe, STATES)
+    ground = set(layout.planes)
+
+    def only_ground(data: mujoco.MjData) -> bool:
+        return all({c.geom1, c.geom2} & ground for c in data.contact[: data.ncon])
+
+    chosen = [one for one in drawn if only_ground(one)]
+    with jax.enable_x64(True):
+
+        def forward(qpos, qvel, warm, ctrl):
+            state = read_state(layout, model, qpos, qvel, warm)
+            result, _ = solve_forward(layout, ModelNumbers(model, {}), state, ctrl, (), ITERATIONS, trials + 2)
+            moved = state._replace(
+                warm_base=result.solution.acceleration.base, warm=result.solution.acceleration.joints
+            )
+            return write_state(layout, model, moved)[2]
+
+        shapes = [jax.ShapeDtypeStruct((size,), jnp.float64) for size in (model.nq, model.nv, model.nv, model.nu)]
+        program = eager.trace(forward, *shapes)
+        names = "qpos", "qvel", "qacc_smooth", "ctrl"
+        rows = [np.stack([getattr(one, name) for one in chosen]) for name in names]
+        found = np.asarray(program(len(chosen), *rows), float)
+    there = np.stack([one.qacc for one in chosen])
+    off = np.linalg.norm(found - there, axis=1) / np.linalg.norm(there, axis=1)
+    touching = sum(one.ncon > 0 for one in chosen)
+    return Agreement(len(chosen), touching, float(np.median(off)), float(np.nan_to_num(off, nan=np.inf).max()))

@@ -1,0 +1,251 @@
+"""What sensors read in a state, for the types that policies of legged robots use."""
+
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from sweep.systems.mujoco_model.kernel.constraints import contact_slope
+from sweep.systems.mujoco_model.kernel.layout import BOX, SPHERE, Layout, refuse
+from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.scalars import (
+    NOTHING,
+    ZERO,
+    Axes,
+    Scalar,
+    Vector,
+    largest,
+    multiply_quaternions,
+    rotate,
+    rotate_back,
+    smallest,
+    square_root,
+    where,
+)
+from sweep.systems.mujoco_model.kernel.smooth import RobotState, relative_acceleration
+from sweep.systems.mujoco_model.kernel.step import StepResult
+
+Sensor = mujoco.mjtSensor
+SITE, BODY, XBODY, GEOM = (int(getattr(mujoco.mjtObj, f"mjOBJ_{one}")) for one in ("SITE", "BODY", "XBODY", "GEOM"))
+POSITIVE = int(mujoco.mjtDataType.mjDATATYPE_POSITIVE)
+
+
+class Frame:
+    """A frame that is fixed in a body of the robot: a site, a geom, or the body itself.
+
+    Args:
+        layout: The stacks.
+        numbers: The rollout's model.
+        state: The state.
+        result: What the step's start has computed.
+        kind: MuJoCo's type of the object.
+        number: Its id.
+    """
+
+    def __init__(
+        self, layout: Layout, numbers: ModelNumbers, state: RobotState, result: StepResult, kind: int, number: int
+    ):
+        model, ids = numbers.model, np.array([number])
+        self._numbers, self._state, self._result = numbers, state, result
+        names = {SITE: "site", GEOM: "geom"}
+        body = int(number if kind in (BODY, XBODY) else getattr(model, f"{names[kind]}_bodyid")[number])
+        self._stack, self._member = find_body(layout, body)
+        stack, place = layout.stacks[self._stack], result.smooth.places[self._stack]
+        self._layout, self._pick = layout, (lambda one: _member(one, self._member) if stack.n > 1 else one)
+        origin, axes = self._vector(place.origin), tuple(self._vector(one) for one in place.axes)
+        prefix = {SITE: "site", GEOM: "geom", BODY: "body_i", XBODY: ""}[kind]
+        prefix = f"{prefix}_" if kind in names else prefix
+        self.offset = rotate(axes, numbers.vector(f"{prefix}pos", ids)) if prefix else NOTHING
+        columns = numbers.rotation(f"{prefix}quat", ids) if prefix else None
+        self.axes: Axes = tuple(rotate(axes, one) for one in columns) if columns else axes  # pyright: ignore
+        self.own_quat = np.asarray(getattr(model, f"{prefix}quat")[number]) if prefix else np.array([1.0, 0, 0, 0])
+        self.place = origin + self.offset  # from the base's origin
+        moving = place.motion
+        self.spin = self._vector(moving.angular)
+        self.velocity = self._vector(moving.linear) + self.spin.cross(self.place)
+
+    def _vector(self, vector: Vector) -> Vector:
+        return Vector(*(self._pick(one) for one in vector))
+
+    @property
+    def position(self) -> Vector:
+        """Place in the world (m)."""
+        return self._state.position + self.place
+
+    @property
+    def acceleration(self) -> Vector:
+        """Acceleration less gravity (m/s^2), world axes."""
+        smooth, found = self._result.smooth, self._result.solution.acceleration
+        place = smooth.places[self._stack]
+        spin_rate = self._vector(place.spin_rate)
+        total = self._vector(place.acceleration) + relative_acceleration(self.spin, spin_rate, self.offset)
+        moved = found.base.velocity_at(self.place) if self._layout.has_free_base else NOTHING
+        for s in self._layout.ancestors(self._stack):
+            for k in range(len(self._layout.stacks[s].joints)):
+                motion, rate = smooth.motions[s, k], found.joints[s, k]
+                if self._layout.stacks[s].n > 1:
+                    motion = type(motion)(self._vector(motion.linear), self._vector(motion.angular))
+                    rate = self._pick(rate)
+                moved = moved + motion.velocity_at(self.place) * rate
+        return total + moved
+
+    @property
+    def quat(self) -> tuple[Scalar, ...]:
+        """Orientation, which is computed for frames of the base alone."""
+        own = tuple(Scalar(float(x)) for x in self.own_quat)
+        return multiply_quaternions(self._state.quat, own)
+
+
+def _member(number: Scalar, member: int) -> Scalar:
+    """The number of one body of a stack."""
+    return Scalar(number.value[member]) if number.is_stack else number
+
+
+def find_body(layout: Layout, body: int) -> tuple[int, int]:
+    """Return the stack of a body, and its place in it. Raises `InputError` where it is not the robot's."""
+    for s, stack in enumerate(layout.stacks):
+        found = np.flatnonzero(stack.bodies == body)
+        if len(found):
+            return s, int(found[0])
+    raise refuse(f"sensors or pushes of body number {body}, which does not move")
+
+
+def compute_sensors(layout: Layout, numbers: ModelNumbers, state: RobotState, result: StepResult) -> list[Scalar]:
+    """Compute all sensors (nsensordata) of a state; those of types that are not known are 0, see `find_unknown`."""
+    model, found = numbers.model, []
+    for k in range(model.nsensor):
+        dim = int(model.sensor_dim[k])
+        rule = RULES.get(int(model.sensor_type[k]))
+        if rule is None or _why_unknown(layout, model, k):
+            found += [ZERO] * dim
+            continue
+        values = [*rule(layout, numbers, state, result, k)]
+        limit = numbers.get("sensor_cutoff", np.array([k]))
+        if not limit.is_exactly(0):
+            low = ZERO if int(model.sensor_datatype[k]) == POSITIVE else -limit
+            values = [smallest(largest(one, low), limit) for one in values]
+        found += values
+    return found
+
+
+def find_unknown(layout: Layout, model: mujoco.MjModel) -> dict[int, str]:
+    """Return the sensors that are not computed, with the reason."""
+    why = {k: _why_unknown(layout, model, k) for k in range(model.nsensor)}
+    return {k: reason for k, reason in why.items() if reason}
+
+
+def _why_unknown(layout: Layout, model: mujoco.MjModel, k: int) -> str:
+    kind, name = int(model.sensor_type[k]), Sensor(int(model.sensor_type[k])).name.removeprefix("mjSENS_").lower()
+    if kind not in RULES:
+        return name
+    if model.sensor_reftype[k]:
+        return f"{name} in another frame"
+    if kind in FRAMES:
+        bodies = {SITE: model.site_bodyid, GEOM: model.geom_bodyid}
+        number = int(model.sensor_objid[k])
+        table = bodies.get(int(model.sensor_objtype[k]))
+        body = number if table is None else int(table[number])
+        stacks = [s for s, stack in enumerate(layout.stacks) if body in stack.bodies]
+        if not stacks or not body:
+            return f"{name} of what does not move"
+        if kind == int(Sensor.mjSENS_FRAMEQUAT) and stacks[0]:
+            return f"{name} of a body other than the base"
+    if kind == int(Sensor.mjSENS_TOUCH) and int(model.site_type[model.sensor_objid[k]]) not in (SPHERE, BOX):
+        return f"{name} of a site that is neither sphere nor box"
+    return ""
+
+
+def _frame(layout: Any, numbers: Any, state: Any, result: Any, k: int) -> Frame:
+    model = numbers.model
+    return Frame(layout, numbers, state, result, int(model.sensor_objtype[k]), int(model.sensor_objid[k]))
+
+
+def _of_frame(read: Callable[[Frame], Any]) -> Callable[..., Any]:
+    return lambda *args: read(_frame(*args))
+
+
+def _joint(read: Callable[[RobotState, tuple[int, int]], Scalar]) -> Callable[..., list[Scalar]]:
+    def rule(layout: Layout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int) -> list[Scalar]:
+        joint = int(numbers.model.sensor_objid[k])
+        for s, place in layout.joints:
+            ids = layout.stacks[s].joints[place]
+            if joint in ids:
+                return [_member(read(state, (s, place)), int(np.flatnonzero(ids == joint)[0]))]
+        raise refuse("sensors of the free joint")
+
+    return rule
+
+
+def _actuator(read: Callable[[Any], Scalar]) -> Callable[..., list[Scalar]]:
+    def rule(layout: Layout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int) -> list[Scalar]:
+        number = int(numbers.model.sensor_objid[k])
+        (drive,) = [one for one in result.drives if number in one.actuators]
+        return [_member(read(drive), int(np.flatnonzero(drive.actuators == number)[0]))]
+
+    return rule
+
+
+def _touch(layout: Layout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int) -> list[Scalar]:
+    """Sum of the normal forces of contacts of the site's body, whose normals meet the site's volume."""
+    model, problem = numbers.model, result.problem
+    site = int(model.sensor_objid[k])
+    frame, body = _frame(layout, numbers, state, result, k), int(model.site_bodyid[site])
+    total = ZERO
+    for contact, residual in zip(problem.constraints.contacts, result.solution.residuals.contacts, strict=True):
+        mine = contact.point.bodies == body
+        if not (mine & contact.point.real).any():
+            continue
+        force = contact_slope(contact, residual, problem.constraints.is_elliptic).force.x
+        at = contact.at
+        if len(mine) > 1 and mine.sum() == 1:
+            member = int(np.flatnonzero(mine)[0])
+            force, at = _member(force, member), Vector(*(_member(one, member) for one in at))
+            normal = Vector(*(_member(one, member) for one in contact.frame[0]))
+            total = total + _if_hit(numbers, site, frame, at, -normal, force)
+        else:  # rows of one body
+            total = total + _if_hit(numbers, site, frame, at, -contact.frame[0], force).total(1)
+    return [total]
+
+
+def _if_hit(numbers: ModelNumbers, site: int, frame: Frame, at: Vector, way: Vector, force: Scalar) -> Scalar:
+    """A force where a ray from a point along a unit vector meets the volume of a site, see `mju_rayGeom`."""
+    ids, arm = np.array([site]), at - frame.place
+    if int(numbers.model.site_type[site]) == SPHERE:
+        radius = numbers.get("site_size", ids, 0)
+        along, reach = way.dot(arm), arm.dot(arm) - radius * radius
+        left = along * along - reach
+        hit = (ZERO < left) & ~(square_root(largest(left, 0.0)) < along)
+        return where(hit, force, ZERO)
+    point, line = rotate_back(frame.axes, arm), rotate_back(frame.axes, way)
+    near, far = Scalar(-1e10), Scalar(1e10)
+    size = [numbers.get("site_size", ids, k) for k in range(3)]
+    for p, d, half in zip(point, line, size, strict=True):
+        safe = where(largest(d, -d) < 1e-12, Scalar(1e-12), d)
+        ends = (half - p) / safe, (-half - p) / safe
+        near, far = largest(near, smallest(*ends)), smallest(far, largest(*ends))
+    return where((near < far) & ~(far < ZERO), force, ZERO)
+
+
+FRAME_RULES: dict[str, Callable[[Frame], Any]] = {
+    "ACCELEROMETER": lambda frame: rotate_back(frame.axes, frame.acceleration),
+    "VELOCIMETER": lambda frame: rotate_back(frame.axes, frame.velocity),
+    "GYRO": lambda frame: rotate_back(frame.axes, frame.spin),
+    "FRAMEPOS": lambda frame: frame.position,
+    "FRAMEQUAT": lambda frame: frame.quat,
+    "FRAMEXAXIS": lambda frame: frame.axes[0],
+    "FRAMEYAXIS": lambda frame: frame.axes[1],
+    "FRAMEZAXIS": lambda frame: frame.axes[2],
+    "FRAMELINVEL": lambda frame: frame.velocity,
+    "FRAMEANGVEL": lambda frame: frame.spin,
+}
+FRAMES = {int(getattr(Sensor, f"mjSENS_{name}")) for name in (*FRAME_RULES, "TOUCH")}
+RULES: dict[int, Callable[..., Any]] = {
+    **{int(getattr(Sensor, f"mjSENS_{name}")): _of_frame(read) for name, read in FRAME_RULES.items()},
+    int(Sensor.mjSENS_TOUCH): _touch,
+    int(Sensor.mjSENS_JOINTPOS): _joint(lambda state, joint: state.angles[joint]),
+    int(Sensor.mjSENS_JOINTVEL): _joint(lambda state, joint: state.rates[joint]),
+    int(Sensor.mjSENS_ACTUATORPOS): _actuator(lambda drive: drive.length),
+    int(Sensor.mjSENS_ACTUATORVEL): _actuator(lambda drive: drive.velocity),
+    int(Sensor.mjSENS_ACTUATORFRC): _actuator(lambda drive: drive.force),
+}

@@ -1,0 +1,444 @@
+"""A user's model on a kernel of the fused compiler: MuJoCo's step written out over the robot's limbs.
+
+On a CPU and on NVIDIA GPUs. A controller that the compiler has rules for is part of the kernel; a learned policy or a
+NumPy controller is called between ticks, in tiles of a fixed size. Bits depend neither on the width of a batch nor on
+the device's other rollouts.
+"""
+
+from collections.abc import Iterable, Mapping
+from functools import cached_property, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array
+
+from sweep.backends import devices, program_cache
+from sweep.contract.engine import Metrics
+from sweep.contract.engine_settings import EngineSettings
+from sweep.core.errors import InputError
+from sweep.fused import driver, kernel, launch
+from sweep.fused.arrays import Unsupported
+from sweep.systems.mujoco_model import batch, disturbances, fields
+from sweep.systems.mujoco_model.engine import BatchResult, ModelEngine, TickSample, print_note
+from sweep.systems.mujoco_model.kernel import agreement, sensors
+from sweep.systems.mujoco_model.kernel.layout import find_layout, refuse
+from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, flatten, stack_values
+from sweep.systems.mujoco_model.kernel.smooth import compute_smooth
+from sweep.systems.mujoco_model.kernel.step import (
+    Push,
+    StepResult,
+    compute_forces,
+    read_state,
+    solve_forward,
+    step,
+    write_state,
+)
+from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
+from sweep.systems.mujoco_model.policy import ControllerBatch
+
+CHUNK = 50  # ticks of a launch
+TRIALS = {False: 3, True: 4}  # of a search for a step's length, by whether cones are elliptic
+FORCED = {int(getattr(mujoco.mjtSensor, f"mjSENS_{name}")) for name in ("TOUCH", "ACCELEROMETER", "ACTUATORFRC")}
+
+
+class Inputs(NamedTuple):
+    """What does not change from tick to tick, of one rollout."""
+
+    policy: Any  # to the controller; () where it is called between ticks
+    rows: dict[str, Array]  # fields in which models differ, in MuJoCo's shapes
+    limits: dict[str, Array]  # (..., 2)
+    acting: disturbances.TickForces  # without the axis of rollouts
+
+
+class Carry(NamedTuple):
+    """What changes, of one rollout."""
+
+    qpos: Array
+    qvel: Array
+    warm: Array  # (nv,) accelerations of the step before
+    metrics: Any
+    controller: Any  # what it carries; () where it is called between ticks
+    command: Array  # (nu,) of this tick; of a controller in the kernel, of the tick before
+    observable: Array  # (s,) see `ModelSpec.observable_state`
+    force: Array  # (nu,) of the actuators in the last step
+    acting: dict[str, Array]  # see `MjxModelEngine`
+    before: Array  # (nu,) command of the tick before
+    tick: Array
+    ticks: Array
+    wrong: Array  # whether a command was not finite
+
+
+def has_ended(carry: Carry) -> Array:
+    """Return whether a rollout has ended."""
+    return carry.wrong
+
+
+class KernelModelEngine(ModelEngine):
+    """See `Engine`. Raises `InputError` where the kernel cannot simulate the model."""
+
+    dynamics = "kernel"
+
+    def __init__(self, spec: ModelSpec, settings: EngineSettings):
+        self._layout = find_layout(spec.model)
+        super().__init__(spec, settings)
+        model = self._model
+        self._is_inside = not (spec.controller.batched or spec.controller.learned)
+        self._iterations, self._trials = int(model.opt.iterations), TRIALS[bool(model.opt.cone)]
+        self._check_sensors()
+        self._programs_by_form: dict[Any, Any] = {}
+        self._agreement: agreement.Agreement | None = None
+
+    def _check_sensors(self) -> None:
+        """Raise `InputError` where the controller or a metric may read a sensor that the kernel does not compute."""
+        spec, model = self._spec, self._model
+        unknown = sensors.find_unknown(self._layout, model)
+        read = set(range(model.nsensor))
+        if spec.config.observe and not spec.controller.measure and not spec.controller.observe:
+            names = {*spec.config.observe, *spec.config.feet, *spec.config.collisions}
+            read = {k for k in read if model.sensor(k).name in names}
+        for k in sorted(read & set(unknown)):
+            raise refuse(f"the sensor {model.sensor(k).name or k}: {unknown[k]}")
+
+    def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
+        """Refuse what the kernel does not read, see `ModelEngine`; say how well it agrees with C MuJoCo."""
+        numbers = ModelNumbers(self._model, {})
+        jax.eval_shape(partial(self._forward, numbers))
+        for path in paths:
+            for place in fields.locate_numbers(self._model, path)[1]:
+                ground = place.field.startswith("body_pos") and not self._model.body_weldid[place.flat // 3]
+                if place.field not in numbers.read or ground:
+                    raise refuse(f"{path} that differs between rollouts")
+        return ()
+
+    def _forward(self, numbers: ModelNumbers) -> Any:
+        model = self._model
+        zeros = (jnp.zeros(size) for size in (model.nq, model.nv, model.nv, model.nu))
+        qpos, qvel, warm, ctrl = zeros
+        state = read_state(self._layout, model, qpos, qvel, warm)
+        result, _ = solve_forward(self._layout, numbers, state, ctrl, (), 1, 1)
+        values = sensors.compute_sensors(self._layout, numbers, state, result)
+        return stack_values([*values, Scalar(jnp.zeros(()))], qpos.dtype), result.solution.error.value
+
+    @property
+    def agreement(self) -> "agreement.Agreement":
+        """How well accelerations agree with C MuJoCo's on random states; computed once."""
+        if self._agreement is None:
+            self._agreement = agreement.compare_accelerations(
+                self._layout, self._model, self._spec.keyframe_index, self._trials
+            )
+        return self._agreement
+
+    def run(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> Metrics:
+        """Simulate a batch; before the first one, accelerations are compared with C MuJoCo's."""
+        if self._settings.cross_check and self._agreement is None:
+            found = self.agreement
+            found.require(self._spec.config.mjcf)
+            print_note(f"kernel: {found}")
+        return super().run(world, belief, streams)
+
+    def _tick(self, inputs: Inputs, carry: Carry, number: Array) -> tuple[Carry, dict[str, Array]]:
+        """One control tick of one rollout."""
+        if self._is_inside:
+            command, controller = self._programs.tick_controller(inputs.policy, carry.controller, carry.observable)
+        else:
+            command, controller = carry.command, ()
+        going = carry.tick < carry.ticks
+        wrong = carry.wrong | going & ~jnp.isfinite(command).all()
+        command = jnp.nan_to_num(command).astype(carry.qpos.dtype)
+        is_first = carry.tick == 0
+        before = jnp.where(is_first, command, carry.before)
+        shares, extra = jnp.asarray(self._shares, command.dtype), dict(carry.acting)
+        acting = jax.tree.map(lambda one: one[None], inputs.acting)
+        late = None
+        if "past" in extra:
+            past = jnp.where(is_first, command[None], extra["past"])
+            commands = before + shares[:, None] * (command - before)
+            delayed, kept = disturbances.delay_commands(past[None], commands[None], acting.delay)
+            late, extra["past"] = delayed[0], kept[0]
+        numbers = ModelNumbers(self._model, inputs.rows)
+        state, rebuild = flatten(read_state(self._layout, self._model, carry.qpos, carry.qvel, carry.warm))
+        first_step = carry.tick * len(self._shares)
+        limits = {name: rows[None] for name, rows in inputs.limits.items()}
+
+        def one_step(moving: Any, given: Any) -> tuple[Any, None]:
+            values, metrics, extra, _ = moving
+            (share, place, delayed), extra = given, dict(extra)
+            target = before + share * (command - before) if delayed is None else delayed
+            state = rebuild(values)
+            controls = self._controls(state, target)
+            pushes, force = self._pushes(acting, first_step + place)
+            after, result = step(
+                self._layout, numbers, state, controls, pushes, self._iterations, self._trials
+            )
+            qpos, qvel, warm = write_state(self._layout, self._model, after)
+            recorded = self._record(numbers, state, result, qpos, qvel)
+            if force is not None:
+                places = self._push_places(state, result)
+                last = jnp.where(is_first & (place == 0), places, extra["places"])
+                way = (places - last[0]) / 2  # at the mean of the speeds before and after a step
+                recorded["push_work"] = (extra["wrench"] * way).sum()[None]
+                extra |= {"wrench": force, "places": jnp.stack([last[1], places])}
+            metrics = self._update(metrics, recorded, limits, going)
+            sensed, pull = recorded["sensordata"][0, 0], recorded["actuator_force"][0, 0]
+            arrays = [jnp.asarray(x, qpos.dtype) for x in flatten(after)[0]]
+            return (arrays, metrics, extra, (qpos, qvel, warm, sensed, pull, controls)), None
+
+        model, dtype = self._model, carry.qpos.dtype
+        none = (carry.qpos, carry.qvel, carry.warm, jnp.zeros(model.nsensordata, dtype), carry.force, command)
+        steps = jnp.arange(len(self._shares))
+        (_, metrics, extra, last), _ = jax.lax.scan(
+            one_step, (state, carry.metrics, extra, none), (shares, steps, late)
+        )
+        qpos, qvel, warm, sensed, force, controls = last
+        if self._spec.config.sensors == "current":
+            sensed = self._current_sensors(numbers, qpos, qvel, warm, controls)
+        observable = jnp.concatenate([qpos, qvel, sensed])
+        new = Carry(qpos, qvel, warm, metrics, controller, command, observable, force, extra, command,
+                    carry.tick + 1, carry.ticks, wrong)  # fmt: skip
+        return new, {"ctrl": command, "qpos": qpos, "qvel": qvel, "force": force}
+
+    def _update(self, metrics: Any, recorded: Any, limits: Any, going: Array) -> Any:
+        rows = jax.tree.map(lambda one: one[None], metrics)
+        return jax.tree.map(lambda one: one[0], self._meter.update(rows, recorded, limits, going[None]))
+
+    def _controls(self, state: Any, target: Array) -> Array:
+        law = self._spec.controller.joint_control
+        if law is None:
+            return target
+        qpos, qvel, _ = write_state(self._layout, self._model, state)
+        return law.controls(target[None], qpos[None], qvel[None])[0].astype(target.dtype)
+
+    def _pushes(self, acting: Any, number: Array) -> tuple[tuple[Push, ...], Array | None]:
+        """Forces of one physics step, and as an array (p, 3) in N; None without pushes."""
+        if not len(self._spec.pushed_bodies):
+            return (), None
+        force = acting.forces(number[None], 1, self._model.opt.timestep)[0, 0]
+        found = []
+        for k, body in enumerate(self._spec.pushed_bodies):
+            stack, member = sensors.find_body(self._layout, int(body))
+            found.append(Push(stack, member, Vector(*(Scalar(force[k, i]) for i in range(3)))))
+        return tuple(found), force
+
+    def _push_places(self, state: Any, result: StepResult) -> Array:
+        """Centres of mass (p, 3) of the pushed bodies as a step begins, m."""
+        rows = []
+        for body in self._spec.pushed_bodies:
+            stack, member = sensors.find_body(self._layout, int(body))
+            centre = state.position + result.smooth.places[stack].centre
+            rows.append([one.value[member] if one.is_stack else one.value for one in centre])
+        return jnp.stack([jnp.stack([jnp.asarray(one) for one in row]) for row in rows])
+
+    def _record(self, numbers: Any, state: Any, result: StepResult, qpos: Array, qvel: Array) -> dict[str, Array]:
+        """What metrics read of one step, (1, 1, ...): positions and velocities at its end, the rest at its start."""
+        model, dtype = self._model, qpos.dtype
+        force, velocity = ([Scalar(0.0)] * model.nu for _ in range(2))
+        for drive in result.drives:
+            for k, number in enumerate(drive.actuators):
+                for found, one in ((force, drive.force), (velocity, drive.velocity)):
+                    found[number] = Scalar(one.value[k]) if one.is_stack else one
+        sensed = sensors.compute_sensors(self._layout, numbers, state, result)
+        sites = np.zeros((model.nsite, 3)).tolist()
+        for number in self._foot_sites:
+            place = sensors.Frame(self._layout, numbers, state, result, sensors.SITE, number).position
+            sites[number] = [one.value for one in place]
+        flat = [Scalar(x) for row in sites for x in row]
+
+        def join(values: list[Scalar]) -> Array:
+            return stack_values(values, dtype) if values else jnp.zeros(0, dtype)
+
+        found = {"qpos": qpos, "qvel": qvel, "actuator_force": join(force), "actuator_velocity": join(velocity),
+                 "sensordata": join(sensed), "site_xpos": join(flat).reshape(model.nsite, 3)}  # fmt: skip
+        return {name: one[None, None] for name, one in found.items()} | {"unsolved": result.is_unsolved[None, None]}
+
+    @cached_property
+    def _foot_sites(self) -> list[int]:
+        return [int(self._model.sensor_objid[k]) for k in self._spec.touch_sensors("feet")]
+
+    def _current_sensors(self, numbers: Any, qpos: Array, qvel: Array, warm: Array, controls: Array) -> Array:
+        """Sensors of a state by MuJoCo's forward pass."""
+        state = read_state(self._layout, self._model, qpos, qvel, warm)
+        if FORCED & set(self._model.sensor_type.tolist()):
+            result, _ = solve_forward(
+                self._layout, numbers, state, controls, (), self._iterations, self._trials
+            )
+        else:
+            smooth = compute_smooth(self._layout, numbers, state)
+            drives = compute_forces(self._layout, numbers, state, smooth, controls, ())[2]
+            nothing: Any = None
+            result = StepResult(smooth, nothing, nothing, drives, nothing)
+        found = sensors.compute_sensors(self._layout, numbers, state, result)
+        return stack_values(found, qpos.dtype) if found else jnp.zeros(0, qpos.dtype)
+
+    def _start(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> tuple[Any, ...]:
+        """A batch before its first tick: itself, its controllers if they are outside, inputs, carry, ticks, energy."""
+        spec, n, number = self._spec, len(streams), np.dtype(self._settings.precision).type
+        begun = batch.start_batch(spec, self._settings, world, belief, streams)
+        outside = None if self._is_inside else ControllerBatch(self._programs, begun.policy_inputs, n)
+        if outside is None:
+            start, state, duration = self._first(begun.policy_inputs)
+        else:
+            start, state, duration = outside.start, (), outside.duration
+        at_first = begun.energy(start)
+        observable = np.asarray(spec.observable_state(begun.qpos, begun.qvel, begun.sensors), number)
+        ticks = batch.count_ticks(spec, duration).astype(np.int32)
+        if outside is not None:
+            outside.enter(spec.observable_state(begun.qpos, begun.qvel, begun.sensors), ticks)
+            controller = ()
+        else:
+            controller = self._enter(begun.policy_inputs, state, observable, ticks)
+        model, qpos, qvel = self._model, number(begun.qpos), number(begun.qvel)
+        zeros = partial(np.zeros, dtype=number)
+        extra = {}
+        if spec.action_buffer:
+            extra["past"] = zeros((n, spec.action_buffer, model.nu))
+        if pushed := len(spec.pushed_bodies):
+            extra |= {"wrench": zeros((n, pushed, 3)), "places": zeros((n, 2, pushed, 3))}
+        metrics = jax.tree.map(np.asarray, self._meter.start(qpos, qvel))
+        carry = Carry(qpos, qvel, zeros((n, model.nv)), metrics, jax.tree.map(np.asarray, controller),
+                      zeros((n, model.nu)), observable, zeros((n, model.nu)), extra, zeros((n, model.nu)),
+                      np.zeros(n, np.int32), ticks, np.zeros(n, bool))  # fmt: skip
+        rows = {
+            name: number(values.reshape(n, *fields.field_values(model, name).shape))
+            for name, values in batch.differing_fields(begun).items()
+        }
+        acting = jax.tree.map(lambda one: one if one.dtype.kind == "i" else number(one), begun.acting)
+        limits = {name: number(one) for name, one in begun.limits.items()}
+        inputs = Inputs(begun.policy_inputs if self._is_inside else (), rows, limits, acting)
+        return begun, outside, inputs, carry, ticks, at_first
+
+    @cached_property
+    def _first(self) -> Any:
+        return jax.jit(jax.vmap(self._programs.begin_controller))
+
+    @cached_property
+    def _enter(self) -> Any:
+        return jax.jit(jax.vmap(self._programs.start_rollout))
+
+    @cached_property
+    def _finish(self) -> Any:
+        return jax.jit(jax.vmap(self._programs.compute_rollout_metrics))
+
+    def _compile(self, inputs: Inputs, carry: Carry, n: int, ticks: int, room: int) -> Any:
+        """Compile the kernel for batches of a form: `Kernel` on a CPU, `Ptx` on a GPU."""
+        shapes = jax.tree.map(lambda one: jax.ShapeDtypeStruct(one.shape[1:], one.dtype), (inputs, carry))
+        on_cpu = jax.default_backend() == "cpu"
+        lanes = kernel.choose_lanes(n, devices.count_cores()) if on_cpu else 0
+        form = jax.tree.structure(shapes), [(x.shape, str(x.dtype)) for x in jax.tree.leaves(shapes)]
+        key = (str(form), lanes, None if on_cpu else (n, ticks, room))
+        if key not in self._programs_by_form:
+
+            def made() -> tuple[Any]:
+                try:
+                    if on_cpu:
+                        return (kernel.compile_function(self._tick, *shapes, self._layout.group, lanes),)
+                    return (launch.compile_to_ptx(self._tick, *shapes, has_ended, ticks, room, n, self._layout.group),)
+                except Unsupported as missing:
+                    return (str(missing),)
+
+            spec, settings = self._spec, self._settings
+            about = (repr(spec.config), spec.delay_buffer, spec.action_buffer, spec.pushes, settings.precision)
+            (code,) = program_cache.load_or_compile((*about, key), jax.local_devices()[:1], made)
+            if isinstance(code, str):
+                raise InputError(
+                    f"engine.name = kernel is not allowed: the compiler has no rule for {code}, which the controller "
+                    "uses (native and mjx run any controller of JAX)"
+                )
+            self._programs_by_form[key] = kernel.Kernel(code) if on_cpu else code
+        return self._programs_by_form[key]
+
+    @devices.convert_memory_errors()
+    def _simulate(
+        self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: Any = (), every: int = 1
+    ) -> BatchResult:
+        slots = np.asarray(list(slots), int)
+        with self._within():
+            begun, outside, inputs, carry, ticks, at_first = self._start(world, belief, streams)
+            longest = int(ticks.max(initial=0))
+            runner = _CpuRunner if jax.default_backend() == "cpu" else _GpuRunner
+            running = runner(self, inputs, carry, len(streams), slots)
+            frames = []
+            chunk = 1 if outside is not None else CHUNK
+            for first in range(0, longest, chunk):
+                count = min(chunk, longest - first)
+                if outside is not None:
+                    running.command(outside.tick(running.observable()))
+                record = running.advance(first, count)
+                for k in range(count) if len(slots) else ():
+                    if (first + k + 1) % every == 0:
+                        parts = (np.asarray(record[name][k], float) for name in ("ctrl", "qpos", "qvel", "force"))
+                        frames.append(TickSample((first + k + 1) * self._spec.config.period, *parts))
+            end = running.finish()
+            observable = np.asarray(end.observable)
+            if outside is None:
+                measured = self._finish(begun.policy_inputs, end.controller, observable)
+                measured = {name: np.asarray(values, float) for name, values in measured.items()}
+            else:
+                measured = outside.finish(np.asarray(observable, float))
+        last = jax.tree.map(np.asarray, end.metrics)
+        wrong = np.asarray(end.wrong)
+        gained = begun.energy(last.last, last.speed) - at_first
+        found = self._meter.compute(last, begun.mass, gained, wrong, np.zeros(len(streams), bool)) | measured
+        return found, frames, [begun.batch.get_model(int(slot)) for slot in slots]
+
+
+class _CpuRunner:
+    """A batch in the memory of a CPU kernel."""
+
+    def __init__(self, engine: KernelModelEngine, inputs: Inputs, carry: Carry, n: int, slots: np.ndarray):
+        self._tiles = engine._compile(inputs, carry, n, CHUNK, 0).enter(inputs, carry, n)
+        self._slots = slots if len(slots) else None
+
+    def command(self, commands: np.ndarray) -> None:
+        """Set the commands (n, nu) of the next tick."""
+        self._tiles.replace(lambda carry: carry.command, commands)
+
+    def observable(self) -> np.ndarray:
+        """What controllers observe (n, s)."""
+        return self._tiles.read(lambda carry: carry.observable)
+
+    def advance(self, first: int, count: int) -> Any:
+        """Simulate ticks; return what is recorded of the chosen rollouts, (ticks, slots, ...) by name."""
+        return self._tiles.advance(first, count, self._slots)
+
+    def finish(self) -> Carry:
+        """Return the carry at the end, (n, ...)."""
+        return self._tiles.read_all()
+
+
+class _GpuRunner:
+    """A batch in the memory of a GPU."""
+
+    def __init__(self, engine: KernelModelEngine, inputs: Inputs, carry: Carry, n: int, slots: np.ndarray):
+        self._engine, self._n, self._slots = engine, n, jnp.asarray(slots, jnp.int32) if len(slots) else None
+        self._inputs, self._carry = jax.device_put((inputs, carry))
+        self._calls: dict[int, Any] = {}
+
+    def command(self, commands: np.ndarray) -> None:
+        """Set the commands (n, nu) of the next tick."""
+        self._carry = self._carry._replace(command=jnp.asarray(commands, self._carry.command.dtype))
+
+    def observable(self) -> np.ndarray:
+        """What controllers observe (n, s)."""
+        return np.asarray(self._carry.observable)
+
+    def advance(self, first: int, count: int) -> Any:
+        """See `_CpuRunner`."""
+        if count not in self._calls:
+            room = 0 if self._slots is None else len(self._slots)
+            code = self._engine._compile(self._inputs, self._carry, self._n, count, room)
+
+            def call(inputs: Inputs, carry: Carry, first: Array, slots: Any) -> Any:
+                return launch.run_kernel(code, inputs, carry, first, slots)
+
+            self._calls[count] = jax.jit(call, donate_argnums=1, compiler_options=launch.OPTIONS)
+            driver.start_translation(code.text)
+        self._carry, record = self._calls[count](self._inputs, self._carry, first, self._slots)
+        return jax.tree.map(np.asarray, record)
+
+    def finish(self) -> Carry:
+        """See `_CpuRunner`."""
+        return jax.tree.map(np.asarray, self._carry)
