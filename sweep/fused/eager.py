@@ -288,7 +288,8 @@ class Writer:
         test, test_consts = self._inner(eqn.params["cond_jaxpr"], args[:tests])
         body, body_consts = self._inner(eqn.params["body_jaxpr"], args[tests : tests + bodies])
         how = While(test, body, len(test_consts), len(body_consts))
-        return self.emit(partial(run_while, how), [*test_consts, *body_consts, *args[tests + bodies :]], len(eqn.outvars))
+        operands = [*test_consts, *body_consts, *args[tests + bodies :]]
+        return self.emit(partial(run_while, how), operands, len(eqn.outvars))
 
     def _inner(self, closed: Any, first: Sequence[int]) -> tuple[Listing, list[int]]:
         """Listing of an inner program, and its other operands: constants among the `first` ones are folded into it."""

@@ -71,6 +71,7 @@ def loops(x, y, _):
         "switch": jax.lax.switch((3 * jnp.abs(x[1, 1])).astype(int), [jnp.sin, jnp.cos, jnp.tan], x),
         "slope": jax.grad(lambda v: jnp.sum(jnp.linalg.norm(v, axis=1) * y[:, 0]))(x),
         "map": jax.lax.map(lambda row: row @ row, x),
+        "while": jax.lax.while_loop(lambda s: s.sum() < 9, lambda s: s + 0.5 + jnp.abs(x[0]), y[0]),
     }
 
 

@@ -38,7 +38,7 @@ from sweep.systems.mujoco_model import (
     tracking,
 )
 from sweep.systems.mujoco_model.accumulator import MetricAccumulator
-from sweep.systems.mujoco_model.engine import ModelEngine, NativeModelEngine, print_note
+from sweep.systems.mujoco_model.engine import ON_NATIVE, ModelEngine, NativeModelEngine, print_note
 from sweep.systems.mujoco_model.metrics import CAUSES
 from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelConfig, ModelSpec, Settings, SideValues
 
@@ -80,7 +80,7 @@ class MujocoModel(ModelSpec):
     case = SideValues()
     groups = ("model", "controller", "noise", *PHYSICAL, "schedule")
     invalid_causes = (*INVALID, UNTRUSTED)
-    bookkeeping_metrics = frozenset(INVALID)
+    bookkeeping_metrics = frozenset({*INVALID, ON_NATIVE})
     replay_formats = ("mcap", "states", "png", "video")
     replay_plots = MappingProxyType({})
     unsupported_commands = MappingProxyType(
@@ -270,7 +270,7 @@ class MujocoModel(ModelSpec):
         return replace(self, delay_buffer=max(self.delay_buffer, room), action_buffer=action_room)
 
     def make_engine(self, settings: EngineSettings, world: SideValues, belief: SideValues, limits: Any) -> ModelEngine:
-        """Compile an engine on C MuJoCo or MJX, see `System`."""
+        """Compile an engine on C MuJoCo, MJX or a kernel, see `System`."""
         model, shape = self.model_values(world), self.config.terrain
         shared = {
             path: value for path, value in model.items() if path not in fields.select_quantities(self.model, model)

@@ -29,6 +29,8 @@ from sweep.systems.mujoco_model.policy import ControllerBatch, ControllerProgram
 from sweep.systems.mujoco_model.tick import STEPS
 
 FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]  # others are worse
+CHUNK = 50  # ticks of a call of a compiled program, so that a command can be ended
+ON_NATIVE = "on_native"  # column of `kernel`: 1 where C MuJoCo has simulated a rollout that the kernel could not
 RECORDED = (*STEPS, "solver_niter", "M", *BALANCE)
 
 

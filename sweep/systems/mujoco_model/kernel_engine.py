@@ -5,7 +5,8 @@ NumPy controller is called between ticks, in tiles of a fixed size. Bits depend 
 the device's other rollouts.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -22,11 +23,19 @@ from sweep.core.errors import InputError
 from sweep.fused import driver, kernel, launch
 from sweep.fused.arrays import Unsupported
 from sweep.systems.mujoco_model import batch, disturbances, fields
-from sweep.systems.mujoco_model.engine import BatchResult, ModelEngine, TickSample, print_note
-from sweep.systems.mujoco_model.kernel import agreement, sensors
-from sweep.systems.mujoco_model.kernel.layout import find_layout, refuse
+from sweep.systems.mujoco_model.engine import (
+    CHUNK,
+    ON_NATIVE,
+    BatchResult,
+    ModelEngine,
+    NativeModelEngine,
+    TickSample,
+    print_note,
+)
+from sweep.systems.mujoco_model.kernel import agreement, guard, sensors
+from sweep.systems.mujoco_model.kernel.layout import find_layout, find_stack, refuse
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
-from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, flatten, stack_values
+from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, flatten_scalars, stack_values
 from sweep.systems.mujoco_model.kernel.smooth import compute_smooth
 from sweep.systems.mujoco_model.kernel.step import (
     Push,
@@ -40,36 +49,39 @@ from sweep.systems.mujoco_model.kernel.step import (
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 from sweep.systems.mujoco_model.policy import ControllerBatch
 
-CHUNK = 50  # ticks of a launch
 TRIALS = {False: 3, True: 4}  # of a search for a step's length, by whether cones are elliptic
 FORCED = {int(getattr(mujoco.mjtSensor, f"mjSENS_{name}")) for name in ("TOUCH", "ACCELEROMETER", "ACTUATORFRC")}
+
+
+Rows = Any  # an array of one rollout, or of a batch with a leading axis
 
 
 class Inputs(NamedTuple):
     """What does not change from tick to tick, of one rollout."""
 
     policy: Any  # to the controller; () where it is called between ticks
-    rows: dict[str, Array]  # fields in which models differ, in MuJoCo's shapes
-    limits: dict[str, Array]  # (..., 2)
+    rows: dict[str, Rows]  # fields in which models differ, in MuJoCo's shapes
+    limits: dict[str, Rows]  # (..., 2)
     acting: disturbances.TickForces  # without the axis of rollouts
 
 
 class Carry(NamedTuple):
     """What changes, of one rollout."""
 
-    qpos: Array
-    qvel: Array
-    warm: Array  # (nv,) accelerations of the step before
+    qpos: Rows
+    qvel: Rows
+    warm: Rows  # (nv,) accelerations of the step before
     metrics: Any
     controller: Any  # what it carries; () where it is called between ticks
-    command: Array  # (nu,) of this tick; of a controller in the kernel, of the tick before
-    observable: Array  # (s,) see `ModelSpec.observable_state`
-    force: Array  # (nu,) of the actuators in the last step
-    acting: dict[str, Array]  # see `MjxModelEngine`
-    before: Array  # (nu,) command of the tick before
-    tick: Array
-    ticks: Array
-    wrong: Array  # whether a command was not finite
+    command: Rows  # (nu,) of this tick; of a controller in the kernel, of the tick before
+    observable: Rows  # (s,) see `ModelSpec.observable_state`
+    force: Rows  # (nu,) of the actuators in the last step
+    acting: dict[str, Rows]  # see `MjxModelEngine`
+    before: Rows  # (nu,) command of the tick before
+    tick: Rows
+    ticks: Rows
+    wrong: Rows  # whether a command was not finite
+    strange: Rows  # whether something happened that the kernel does not simulate, or a step was not solved
 
 
 def has_ended(carry: Carry) -> Array:
@@ -88,20 +100,22 @@ class KernelModelEngine(ModelEngine):
         model = self._model
         self._is_inside = not (spec.controller.batched or spec.controller.learned)
         self._iterations, self._trials = int(model.opt.iterations), TRIALS[bool(model.opt.cone)]
-        self._check_sensors()
+        self._read_sensors = self._find_read_sensors()
+        self._watched = guard.find_pairs(self._layout, model)
         self._programs_by_form: dict[Any, Any] = {}
         self._agreement: agreement.Agreement | None = None
 
-    def _check_sensors(self) -> None:
-        """Raise `InputError` where the controller or a metric may read a sensor that the kernel does not compute."""
+    def _find_read_sensors(self) -> set[int]:
+        """Sensors that the controller may read. Raises `InputError` where the kernel does not compute one of them."""
         spec, model = self._spec, self._model
+        read, control = set(range(model.nsensor)), spec.controller
+        if spec.config.observe and not (control.measure or control.observe or control.learned):
+            read = {k for k in read if model.sensor(k).name in spec.config.observe}
+        feet = {*spec.touch_sensors("feet"), *spec.touch_sensors("collisions")}
         unknown = sensors.find_unknown(self._layout, model)
-        read = set(range(model.nsensor))
-        if spec.config.observe and not spec.controller.measure and not spec.controller.observe:
-            names = {*spec.config.observe, *spec.config.feet, *spec.config.collisions}
-            read = {k for k in read if model.sensor(k).name in names}
-        for k in sorted(read & set(unknown)):
+        for k in sorted((read | feet) & set(unknown)):
             raise refuse(f"the sensor {model.sensor(k).name or k}: {unknown[k]}")
+        return read
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
         """Refuse what the kernel does not read, see `ModelEngine`; say how well it agrees with C MuJoCo."""
@@ -160,20 +174,19 @@ class KernelModelEngine(ModelEngine):
             delayed, kept = disturbances.delay_commands(past[None], commands[None], acting.delay)
             late, extra["past"] = delayed[0], kept[0]
         numbers = ModelNumbers(self._model, inputs.rows)
-        state, rebuild = flatten(read_state(self._layout, self._model, carry.qpos, carry.qvel, carry.warm))
+        strange = carry.strange
+        state, rebuild = flatten_scalars(read_state(self._layout, self._model, carry.qpos, carry.qvel, carry.warm))
         first_step = carry.tick * len(self._shares)
         limits = {name: rows[None] for name, rows in inputs.limits.items()}
 
         def one_step(moving: Any, given: Any) -> tuple[Any, None]:
-            values, metrics, extra, _ = moving
+            values, metrics, extra, strange, _ = moving
             (share, place, delayed), extra = given, dict(extra)
             target = before + share * (command - before) if delayed is None else delayed
             state = rebuild(values)
-            controls = self._controls(state, target)
+            controls = self._controls(state, target, acting.motors)
             pushes, force = self._pushes(acting, first_step + place)
-            after, result = step(
-                self._layout, numbers, state, controls, pushes, self._iterations, self._trials
-            )
+            after, result = step(self._layout, numbers, state, controls, pushes, self._iterations, self._trials)
             qpos, qvel, warm = write_state(self._layout, self._model, after)
             recorded = self._record(numbers, state, result, qpos, qvel)
             if force is not None:
@@ -182,35 +195,44 @@ class KernelModelEngine(ModelEngine):
                 way = (places - last[0]) / 2  # at the mean of the speeds before and after a step
                 recorded["push_work"] = (extra["wrench"] * way).sum()[None]
                 extra |= {"wrench": force, "places": jnp.stack([last[1], places])}
+            strange = strange | going & result.is_unsolved
             metrics = self._update(metrics, recorded, limits, going)
             sensed, pull = recorded["sensordata"][0, 0], recorded["actuator_force"][0, 0]
-            arrays = [jnp.asarray(x, qpos.dtype) for x in flatten(after)[0]]
-            return (arrays, metrics, extra, (qpos, qvel, warm, sensed, pull, controls)), None
+            arrays = [jnp.asarray(x, qpos.dtype) for x in flatten_scalars(after)[0]]
+            return (arrays, metrics, extra, strange, (qpos, qvel, warm, sensed, pull, controls)), None
 
         model, dtype = self._model, carry.qpos.dtype
         none = (carry.qpos, carry.qvel, carry.warm, jnp.zeros(model.nsensordata, dtype), carry.force, command)
         steps = jnp.arange(len(self._shares))
-        (_, metrics, extra, last), _ = jax.lax.scan(
-            one_step, (state, carry.metrics, extra, none), (shares, steps, late)
+        (_, metrics, extra, strange, last), _ = jax.lax.scan(
+            one_step, (state, carry.metrics, extra, strange, none), (shares, steps, late)
         )
         qpos, qvel, warm, sensed, force, controls = last
         if self._spec.config.sensors == "current":
             sensed = self._current_sensors(numbers, qpos, qvel, warm, controls)
+        if self._watched:
+            state = read_state(self._layout, self._model, qpos, qvel, warm)
+            smooth = compute_smooth(self._layout, numbers, state)
+            strange = strange | going & guard.is_near(self._layout, numbers, state, smooth, self._watched)
         observable = jnp.concatenate([qpos, qvel, sensed])
         new = Carry(qpos, qvel, warm, metrics, controller, command, observable, force, extra, command,
-                    carry.tick + 1, carry.ticks, wrong)  # fmt: skip
+                    carry.tick + 1, carry.ticks, wrong, strange)  # fmt: skip
         return new, {"ctrl": command, "qpos": qpos, "qvel": qvel, "force": force}
 
     def _update(self, metrics: Any, recorded: Any, limits: Any, going: Array) -> Any:
         rows = jax.tree.map(lambda one: one[None], metrics)
         return jax.tree.map(lambda one: one[0], self._meter.update(rows, recorded, limits, going[None]))
 
-    def _controls(self, state: Any, target: Array) -> Array:
-        law = self._spec.controller.joint_control
-        if law is None:
+    def _controls(self, state: Any, target: Array, limits: Any) -> Array:
+        """Controls (nu,) of a physics step, by the laws that run at its rate."""
+        law, motors = self._spec.controller.joint_control, self._spec.motor_law
+        if law is None and motors is None:
             return target
         qpos, qvel, _ = write_state(self._layout, self._model, state)
-        return law.controls(target[None], qpos[None], qvel[None])[0].astype(target.dtype)
+        controls = target[None] if law is None else law.controls(target[None], qpos[None], qvel[None])
+        if motors is not None:
+            controls = motors.controls(controls, qpos[None], qvel[None], limits)
+        return controls[0].astype(target.dtype)
 
     def _pushes(self, acting: Any, number: Array) -> tuple[tuple[Push, ...], Array | None]:
         """Forces of one physics step, and as an array (p, 3) in N; None without pushes."""
@@ -219,7 +241,7 @@ class KernelModelEngine(ModelEngine):
         force = acting.forces(number[None], 1, self._model.opt.timestep)[0, 0]
         found = []
         for k, body in enumerate(self._spec.pushed_bodies):
-            stack, member = sensors.find_body(self._layout, int(body))
+            stack, member = find_stack(self._layout, int(body))
             found.append(Push(stack, member, Vector(*(Scalar(force[k, i]) for i in range(3)))))
         return tuple(found), force
 
@@ -227,7 +249,7 @@ class KernelModelEngine(ModelEngine):
         """Centres of mass (p, 3) of the pushed bodies as a step begins, m."""
         rows = []
         for body in self._spec.pushed_bodies:
-            stack, member = sensors.find_body(self._layout, int(body))
+            stack, member = find_stack(self._layout, int(body))
             centre = state.position + result.smooth.places[stack].centre
             rows.append([one.value[member] if one.is_stack else one.value for one in centre])
         return jnp.stack([jnp.stack([jnp.asarray(one) for one in row]) for row in rows])
@@ -241,11 +263,11 @@ class KernelModelEngine(ModelEngine):
                 for found, one in ((force, drive.force), (velocity, drive.velocity)):
                     found[number] = Scalar(one.value[k]) if one.is_stack else one
         sensed = sensors.compute_sensors(self._layout, numbers, state, result)
-        sites = np.zeros((model.nsite, 3)).tolist()
+        sites = [[Scalar(0.0)] * 3 for _ in range(model.nsite)]
         for number in self._foot_sites:
             place = sensors.Frame(self._layout, numbers, state, result, sensors.SITE, number).position
-            sites[number] = [one.value for one in place]
-        flat = [Scalar(x) for row in sites for x in row]
+            sites[number] = [*place]
+        flat = [one for row in sites for one in row]
 
         def join(values: list[Scalar]) -> Array:
             return stack_values(values, dtype) if values else jnp.zeros(0, dtype)
@@ -261,16 +283,14 @@ class KernelModelEngine(ModelEngine):
     def _current_sensors(self, numbers: Any, qpos: Array, qvel: Array, warm: Array, controls: Array) -> Array:
         """Sensors of a state by MuJoCo's forward pass."""
         state = read_state(self._layout, self._model, qpos, qvel, warm)
-        if FORCED & set(self._model.sensor_type.tolist()):
-            result, _ = solve_forward(
-                self._layout, numbers, state, controls, (), self._iterations, self._trials
-            )
+        if any(int(self._model.sensor_type[k]) in FORCED for k in self._read_sensors):
+            result, _ = solve_forward(self._layout, numbers, state, controls, (), self._iterations, self._trials)
         else:
             smooth = compute_smooth(self._layout, numbers, state)
             drives = compute_forces(self._layout, numbers, state, smooth, controls, ())[2]
             nothing: Any = None
             result = StepResult(smooth, nothing, nothing, drives, nothing)
-        found = sensors.compute_sensors(self._layout, numbers, state, result)
+        found = sensors.compute_sensors(self._layout, numbers, state, result, self._read_sensors)
         return stack_values(found, qpos.dtype) if found else jnp.zeros(0, qpos.dtype)
 
     def _start(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> tuple[Any, ...]:
@@ -282,7 +302,7 @@ class KernelModelEngine(ModelEngine):
             start, state, duration = self._first(begun.policy_inputs)
         else:
             start, state, duration = outside.start, (), outside.duration
-        at_first = begun.energy(start)
+        at_first = begun.place(start)
         observable = np.asarray(spec.observable_state(begun.qpos, begun.qvel, begun.sensors), number)
         ticks = batch.count_ticks(spec, duration).astype(np.int32)
         if outside is not None:
@@ -300,7 +320,7 @@ class KernelModelEngine(ModelEngine):
         metrics = jax.tree.map(np.asarray, self._meter.start(qpos, qvel))
         carry = Carry(qpos, qvel, zeros((n, model.nv)), metrics, jax.tree.map(np.asarray, controller),
                       zeros((n, model.nu)), observable, zeros((n, model.nu)), extra, zeros((n, model.nu)),
-                      np.zeros(n, np.int32), ticks, np.zeros(n, bool))  # fmt: skip
+                      np.zeros(n, np.int32), ticks, np.zeros(n, bool), np.zeros(n, bool))  # fmt: skip
         rows = {
             name: number(values.reshape(n, *fields.field_values(model, name).shape))
             for name, values in batch.differing_fields(begun).items()
@@ -324,7 +344,10 @@ class KernelModelEngine(ModelEngine):
 
     def _compile(self, inputs: Inputs, carry: Carry, n: int, ticks: int, room: int) -> Any:
         """Compile the kernel for batches of a form: `Kernel` on a CPU, `Ptx` on a GPU."""
-        shapes = jax.tree.map(lambda one: jax.ShapeDtypeStruct(one.shape[1:], one.dtype), (inputs, carry))
+        of_inputs, of_carry = (
+            jax.tree.map(lambda one: jax.ShapeDtypeStruct(one.shape[1:], one.dtype), tree) for tree in (inputs, carry)
+        )
+        shapes = of_inputs, of_carry
         on_cpu = jax.default_backend() == "cpu"
         lanes = kernel.choose_lanes(n, devices.count_cores()) if on_cpu else 0
         form = jax.tree.structure(shapes), [(x.shape, str(x.dtype)) for x in jax.tree.leaves(shapes)]
@@ -334,8 +357,12 @@ class KernelModelEngine(ModelEngine):
             def made() -> tuple[Any]:
                 try:
                     if on_cpu:
-                        return (kernel.compile_function(self._tick, *shapes, self._layout.group, lanes),)
-                    return (launch.compile_to_ptx(self._tick, *shapes, has_ended, ticks, room, n, self._layout.group),)
+                        return (kernel.compile_function(self._tick, of_inputs, of_carry, self._layout.group, lanes),)
+                    return (
+                        launch.compile_to_ptx(
+                            self._tick, of_inputs, of_carry, has_ended, ticks, room, n, self._layout.group
+                        ),
+                    )
                 except Unsupported as missing:
                     return (str(missing),)
 
@@ -370,7 +397,9 @@ class KernelModelEngine(ModelEngine):
                 for k in range(count) if len(slots) else ():
                     if (first + k + 1) % every == 0:
                         parts = (np.asarray(record[name][k], float) for name in ("ctrl", "qpos", "qvel", "force"))
-                        frames.append(TickSample((first + k + 1) * self._spec.config.period, *parts))
+                        policy = outside.read_policy(slots) if outside else np.zeros((len(slots), 0))
+                        time = (first + k + 1) * self._spec.config.period
+                        frames.append(TickSample(time, *parts, policy=policy))
             end = running.finish()
             observable = np.asarray(end.observable)
             if outside is None:
@@ -382,7 +411,34 @@ class KernelModelEngine(ModelEngine):
         wrong = np.asarray(end.wrong)
         gained = begun.energy(last.last, last.speed) - at_first
         found = self._meter.compute(last, begun.mass, gained, wrong, np.zeros(len(streams), bool)) | measured
-        return found, frames, [begun.batch.get_model(int(slot)) for slot in slots]
+        models = [begun.batch.get_model(int(slot)) for slot in slots]
+        strange = np.flatnonzero(np.asarray(end.strange))
+        found[ON_NATIVE] = np.asarray(end.strange, float)
+        if len(strange):
+            self._simulate_again((world, belief), streams, strange, found, slots, every, frames)
+        return found, frames, models
+
+    def _simulate_again(
+        self, sides: Any, streams: np.ndarray, chosen: np.ndarray, found: Metrics, slots: Any, every: int, frames: Any
+    ) -> None:
+        """Simulate some rollouts on C MuJoCo, and write what it finds over what the kernel found."""
+        print_note(
+            "kernel: rollouts in which geoms come near that it does not let touch, or a step is left unsolved, are "
+            f"simulated again by native: {len(chosen)} of the first {len(streams)} (column {ON_NATIVE})"
+        )
+        rows = [SideValues(tuple((path, x[chosen] if np.ndim(x) else x) for path, x in side.values)) for side in sides]
+        both = [k for k, slot in enumerate(slots) if slot in chosen]
+        places = [int(np.flatnonzero(chosen == slots[k])[0]) for k in both]
+        again, samples, _ = self._native._simulate(rows[0], rows[1], streams[chosen], places, every)
+        for name, values in again.items():
+            found[name][chosen] = values
+        for frame, sample in zip(frames, samples, strict=False):
+            for name in ("ctrl", "qpos", "qvel", "force", "policy"):
+                getattr(frame, name)[both] = getattr(sample, name)
+
+    @cached_property
+    def _native(self) -> NativeModelEngine:
+        return NativeModelEngine(self._spec, replace(self._settings, name="native"))
 
 
 class _CpuRunner:

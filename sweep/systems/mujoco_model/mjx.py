@@ -28,6 +28,7 @@ from sweep.core.errors import InputError
 from sweep.core.user_code import report_silence
 from sweep.systems.mujoco_model import batch, disturbances, fields, terrain
 from sweep.systems.mujoco_model.engine import (
+    CHUNK,
     BatchResult,
     ModelEngine,
     TickSample,
@@ -49,7 +50,6 @@ UNLIKE = 0.1  # difference of an acceleration, over the largest of all joints, f
 LITTLE_ON_TERRAIN = GRAVITY
 LITTLE = 1e-3  # acceleration (m/s^2, rad/s^2) below which rounding is all there is
 SOON = 3.0  # s, until what MJX traces is told
-CHUNK = 50  # ticks of a call, so that a command can be ended
 RUBBING = "dof_frictionloss", "tendon_frictionloss"
 # by whether they are 0
 SHAPING = *RUBBING, "opt.density", "opt.viscosity", "opt.wind", "body_gravcomp", "geom_margin", "pair_margin"

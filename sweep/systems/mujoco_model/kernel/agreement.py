@@ -9,9 +9,8 @@ import numpy as np
 
 from sweep.core.errors import InputError
 from sweep.fused import eager
-from sweep.systems.mujoco_model.kernel.layout import FREE, Layout, PLANE
+from sweep.systems.mujoco_model.kernel.layout import FREE, PLANE, Layout
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
-from sweep.systems.mujoco_model.kernel.scalars import flatten
 from sweep.systems.mujoco_model.kernel.step import read_state, solve_forward, write_state
 
 STATES = 256
@@ -95,7 +94,9 @@ def _strict(model: mujoco.MjModel) -> mujoco.MjModel:
     return model
 
 
-def compare_accelerations(layout: Layout, model: mujoco.MjModel, keyframe: int, trials: int) -> Agreement:
+def compare_accelerations(
+    layout: Layout, model: mujoco.MjModel, keyframe: int, trials: int, count: int = STATES
+) -> Agreement:
     """Compare accelerations of random states with those of `mj_forward`, in double precision by NumPy.
 
     Args:
@@ -103,8 +104,9 @@ def compare_accelerations(layout: Layout, model: mujoco.MjModel, keyframe: int, 
         model: The model.
         keyframe: Index of the keyframe about which states are drawn; -1 for none.
         trials: Trials of each search for a step's length.
+        count: Number of states.
     """
-    drawn = draw_states(model, keyframe, STATES)
+    drawn = draw_states(model, keyframe, count)
     ground = set(layout.planes)
 
     def only_ground(data: mujoco.MjData) -> bool:

@@ -18,6 +18,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     Scalar,
     Symmetric,
     Vector,
+    clip,
     largest,
     outer_product,
     rotate,
@@ -165,7 +166,7 @@ def find_contacts(layout: Layout, numbers: ModelNumbers, state: RobotState, smoo
             centre = place.origin + rotate(place.axes, point.centre)
             if not all(one.is_exactly(0) for one in point.corner):
                 arm = rotate(place.axes, point.corner)
-                centre = centre + arm * where(ZERO < normal.dot(arm), -ONE, ONE)
+                centre = centre + arm * where(normal.dot(arm) > ZERO, -ONE, ONE)
             distance = height + normal.dot(centre) - point.radius
             at = centre - normal * (point.radius + distance * 0.5)
             along = None if point.along is None else rotate(place.axes, point.along)
@@ -263,7 +264,7 @@ def _mix(numbers: ModelNumbers, geoms: np.ndarray, plane: np.ndarray, winner: in
 
 def make_law(numbers: ModelNumbers, reference: list[Scalar], impedance: list[Scalar]) -> Law:
     """Make a law of MuJoCo's `solref` and `solimp`."""
-    least, top, middle = (_clip(impedance[k], 1e-4, 0.9999) for k in (0, 1, 3))
+    least, top, middle = (clip(impedance[k], 1e-4, 0.9999) for k in (0, 1, 3))
     width, power = largest(impedance[2], TINY), impedance[4]
     if not (middle.is_known and power.is_known and reference[0].is_known):
         raise refuse("time constants, or midpoints and powers of impedance, that differ between rollouts")
@@ -281,16 +282,12 @@ def _same(number: Scalar) -> float:
     return float(np.ravel(number.value)[0])
 
 
-def _clip(number: Scalar, low: float, high: float) -> Scalar:
-    return smallest(largest(number, low), high)
-
-
 def compute_impedance(law: Law, depth: Scalar) -> Scalar:
     """Return the impedance at a depth (m), see `getimpedance`."""
     least, top, width, middle, power = law.impedance
     if (top - least).is_exactly(0):
         return least
-    x = _clip(largest(depth, -depth) / width, 0.0, 1.0)
+    x = clip(largest(depth, -depth) / width, 0.0, 1.0)
     y = x
     if power != 1:
         low = power_of(x, power) * (1 / middle ** (power - 1))
@@ -358,9 +355,9 @@ def contact_slope(contact: Contact, residual: Vector, is_elliptic: bool) -> Cont
     u = residual.y * friction, residual.z * friction
     slip = square_root(u[0] * u[0] + u[1] * u[1])
     is_open = ~(normal < mu * slip)
-    sticks = (mu * normal + slip < ZERO) | ~(ZERO < slip) & (normal < ZERO)
+    sticks = (mu * normal + slip < ZERO) | ~(slip > ZERO) & (normal < ZERO)
     share = weight / (mu * mu * (1 + mu * mu))
-    inverse = 1 / where(ZERO < slip, slip, ONE)
+    inverse = 1 / where(slip > ZERO, slip, ONE)
     excess = normal - mu * slip
     pull = share * excess
     cone = [-(pull * mu), *(pull * mu * inverse * one * friction for one in u)]
@@ -381,9 +378,7 @@ def contact_slope(contact: Contact, residual: Vector, is_elliptic: bool) -> Cont
         share * turn * along[0] * along[1] * friction * friction,
     )
     plain = Symmetric(weight, tangential, tangential, ZERO, ZERO, ZERO)
-    curve = Symmetric(
-        *(where(sticks, a, where(is_open, ZERO, b)) for a, b in zip(plain, bent, strict=True))
-    )
+    curve = Symmetric(*(where(sticks, a, where(is_open, ZERO, b)) for a, b in zip(plain, bent, strict=True)))
     return ContactSlope(Vector(force[0], force[1], force[2]), curve)
 
 

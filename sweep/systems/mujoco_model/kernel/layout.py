@@ -15,6 +15,17 @@ FREE, BALL, SLIDE, HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{one}")) for on
 GEOM = mujoco.mjtGeom
 PLANE, SPHERE, CAPSULE, BOX = (int(getattr(GEOM, f"mjGEOM_{one}")) for one in ("PLANE", "SPHERE", "CAPSULE", "BOX"))
 SHAPES = (SPHERE, CAPSULE, BOX)  # that touch planes
+UNKNOWN_FIELDS = (
+    "dof_dampingpoly",
+    "jnt_stiffnesspoly",
+    "actuator_damping",
+    "actuator_dampingpoly",
+    "actuator_armature",
+    "actuator_delay",
+    "geom_adhesion",
+    "geom_surfacevel",
+    "geom_fluid",
+)
 FEW = 2  # bodies of a stack, at least
 
 
@@ -68,8 +79,9 @@ def find_layout(model: mujoco.MjModel) -> Layout:
             raise refuse(f"body {model.body(stray[0] if stray else base).name} beside the robot with its free base")
 
     def touching(body: int) -> list[int]:
-        mine = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]
-        return [g for g in mine if any(may_touch(model, g, plane) for plane in planes)]
+        mine = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body and model.body_weldid[body]]
+        shaped = [g for g in mine if model.geom_type[g] in SHAPES]  # `guard` watches the others
+        return [g for g in shaped if any(may_touch(model, g, plane) for plane in planes)]
 
     def own_joints(body: int) -> list[int]:
         first = model.body_jntadr[body]
@@ -77,11 +89,11 @@ def find_layout(model: mujoco.MjModel) -> Layout:
 
     def signature(body: int) -> tuple:
         kinds = tuple((int(model.jnt_type[j]), len(drives(model, j))) for j in own_joints(body))
-        shapes = tuple(int(model.geom_type[g]) for g in touching(body)) if body else ()
+        shapes = tuple(int(model.geom_type[g]) for g in touching(body))
         return kinds, shapes, tuple(signature(child) for child in moving(children[body]))
 
     def moving(bodies: list[int]) -> list[int]:
-        return [b for b in bodies if model.body_weldid[b]]  # others belong to the world
+        return [b for b in bodies if model.body_weldid[b] or moving(children[b])]  # others belong to the world
 
     def size(form: tuple) -> int:
         return len(form[0]) + sum(map(size, form[2]))
@@ -103,7 +115,7 @@ def find_layout(model: mujoco.MjModel) -> Layout:
 
     def add(bodies: list[int], parent: int) -> None:
         joints = tuple(np.array(one) for one in zip(*(own_joints(b) for b in bodies), strict=True))
-        geoms = tuple(np.array(one) for one in zip(*(touching(b) if b else [] for b in bodies), strict=True))
+        geoms = tuple(np.array(one) for one in zip(*(touching(b) for b in bodies), strict=True))
         place = len(stacks)
         stacks.append(Stack(np.array(bodies), parent, joints, geoms))
         if len(bodies) > 1:
@@ -119,6 +131,15 @@ def find_layout(model: mujoco.MjModel) -> Layout:
 
     add([base], -1)
     return Layout(tuple(stacks), group, bool(base), planes)
+
+
+def find_stack(layout: Layout, body: int) -> tuple[int, int]:
+    """Return the stack of a body, and its place in it. Raises `InputError` where it is not the robot's."""
+    for s, stack in enumerate(layout.stacks):
+        found = np.flatnonzero(stack.bodies == body)
+        if len(found):
+            return s, int(found[0])
+    raise refuse(f"contacts, sensors or pushes of body number {body}, which does not move")
 
 
 def drives(model: mujoco.MjModel, joint: int) -> list[int]:
@@ -158,16 +179,13 @@ def check_features(model: mujoco.MjModel) -> None:
         for g in range(model.ngeom)
         if model.body_weldid[model.geom_bodyid[g]] and any(may_touch(model, g, plane) for plane in planes)
     ]
-    static = [
-        g
-        for g in range(model.ngeom)
-        if not model.body_weldid[model.geom_bodyid[g]] and model.geom_type[g] != PLANE and _collides(model, g)
-    ]
-    shapes = sorted({GEOM(int(model.geom_type[g])).name for g in touching if model.geom_type[g] not in SHAPES})
-    dims = sorted({int(model.geom_condim[g]) for g in (*touching, *planes)} - {1, 3})
+    moving = model.body_weldid[model.geom_bodyid] != 0
+    things = [g for g in range(model.ngeom) if not moving[g] and model.geom_type[g] != PLANE]
+    static = [g for g in things if any(may_touch(model, g, int(other)) for other in np.flatnonzero(moving))]
+    shaped = [g for g in touching if model.geom_type[g] in SHAPES]
+    dims = sorted({int(model.geom_condim[g]) for g in (*shaped, *planes)} - {1, 3}) if shaped else []
     disabled = int(opt.disableflags) & ~int(act.mjtDisableBit.mjDSBL_MIDPHASE)
-    other = [name for name in ("dof_dampingpoly", "jnt_stiffnesspoly", "actuator_damping", "actuator_dampingpoly",
-             "actuator_armature", "actuator_delay", "geom_adhesion", "geom_surfacevel", "geom_fluid") if np.any(getattr(model, name, 0))]  # fmt: skip
+    other = [name for name in UNKNOWN_FIELDS if np.any(getattr(model, name, 0))]
     wrong = {
         "ball joints": (jnt == BALL).any(),
         "several free joints": len(free) > 1,
@@ -190,7 +208,6 @@ def check_features(model: mujoco.MjModel) -> None:
         "noslip iterations": opt.noslip_iterations,
         f"the integrator {act.mjtIntegrator(int(opt.integrator)).name}": int(opt.integrator) not in integrators,
         f"contact dimensions {dims}": len(dims),
-        f"contacts of {', '.join(shapes)} with a plane": len(shapes),
         f"geom {model.geom(static[0]).name or static[0]}, which is no plane, as ground" if static else "": len(static),
         "disabled features of MuJoCo": disabled,
         "override of contacts or forward-inverse comparison": int(opt.enableflags)

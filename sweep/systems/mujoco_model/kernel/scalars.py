@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-Value = float | np.ndarray | Array
+Value = Any  # a float, an array of NumPy (n,), or one of JAX, () or (n,)
 Operand = Union["Scalar", float, int]
 
 
@@ -26,9 +26,8 @@ class Scalar:
     def __init__(self, value: Value):
         if isinstance(value, (bool, int, np.number)):
             value = float(value)
-        if isinstance(value, np.ndarray) and value.dtype.kind == "f":
-            if not value.ndim or (value == value.flat[0]).all():
-                value = float(value.flat[0])
+        if isinstance(value, np.ndarray) and value.dtype.kind == "f" and (value == value.flat[0]).all():
+            value = float(value.flat[0])
         self.value = value
 
     @property
@@ -139,6 +138,11 @@ def smallest(one: Operand, other: Operand) -> Scalar:
 def largest(one: Operand, other: Operand) -> Scalar:
     """Return the larger of two numbers."""
     return -smallest(-as_scalar(one), -as_scalar(other))
+
+
+def clip(number: Operand, low: Operand, high: Operand) -> Scalar:
+    """Return a number within bounds."""
+    return smallest(largest(number, low), high)
 
 
 def square_root(number: Operand) -> Scalar:
@@ -285,7 +289,7 @@ def stack_values(numbers: list[Scalar], dtype: Any) -> Array:
     return jnp.stack([jnp.asarray(one.value, dtype) for one in numbers])
 
 
-def flatten(tree: Any) -> tuple[list[Any], Callable[[list[Any]], Any]]:
+def flatten_scalars(tree: Any) -> tuple[list[Any], Callable[[list[Any]], Any]]:
     """Flatten a tree of scalars.
 
     Returns:

@@ -1,13 +1,13 @@
 """What sensors read in a state, for the types that policies of legged robots use."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from sweep.systems.mujoco_model.kernel.constraints import contact_slope
-from sweep.systems.mujoco_model.kernel.layout import BOX, SPHERE, Layout, refuse
+from sweep.systems.mujoco_model.kernel.layout import BOX, SPHERE, Layout, find_stack, refuse
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import (
     NOTHING,
@@ -50,10 +50,11 @@ class Frame:
         self._numbers, self._state, self._result = numbers, state, result
         names = {SITE: "site", GEOM: "geom"}
         body = int(number if kind in (BODY, XBODY) else getattr(model, f"{names[kind]}_bodyid")[number])
-        self._stack, self._member = find_body(layout, body)
+        self._stack, self._member = find_stack(layout, body)
         stack, place = layout.stacks[self._stack], result.smooth.places[self._stack]
         self._layout, self._pick = layout, (lambda one: _member(one, self._member) if stack.n > 1 else one)
-        origin, axes = self._vector(place.origin), tuple(self._vector(one) for one in place.axes)
+        origin, (x, y, z) = self._vector(place.origin), place.axes
+        axes: Axes = self._vector(x), self._vector(y), self._vector(z)
         prefix = {SITE: "site", GEOM: "geom", BODY: "body_i", XBODY: ""}[kind]
         prefix = f"{prefix}_" if kind in names else prefix
         self.offset = rotate(axes, numbers.vector(f"{prefix}pos", ids)) if prefix else NOTHING
@@ -102,22 +103,26 @@ def _member(number: Scalar, member: int) -> Scalar:
     return Scalar(number.value[member]) if number.is_stack else number
 
 
-def find_body(layout: Layout, body: int) -> tuple[int, int]:
-    """Return the stack of a body, and its place in it. Raises `InputError` where it is not the robot's."""
-    for s, stack in enumerate(layout.stacks):
-        found = np.flatnonzero(stack.bodies == body)
-        if len(found):
-            return s, int(found[0])
-    raise refuse(f"sensors or pushes of body number {body}, which does not move")
+def compute_sensors(
+    layout: Layout, numbers: ModelNumbers, state: RobotState, result: StepResult, wanted: Container[int] | None = None
+) -> list[Scalar]:
+    """Compute the sensors of a state.
 
+    Args:
+        layout: The stacks.
+        numbers: The rollout's model.
+        state: The state.
+        result: What was computed of it; without solution where no wanted sensor needs one.
+        wanted: Ids of sensors; None for all.
 
-def compute_sensors(layout: Layout, numbers: ModelNumbers, state: RobotState, result: StepResult) -> list[Scalar]:
-    """Compute all sensors (nsensordata) of a state; those of types that are not known are 0, see `find_unknown`."""
+    Returns:
+        Numbers (nsensordata), 0 for sensors that are not wanted, or of `find_unknown`.
+    """
     model, found = numbers.model, []
     for k in range(model.nsensor):
         dim = int(model.sensor_dim[k])
         rule = RULES.get(int(model.sensor_type[k]))
-        if rule is None or _why_unknown(layout, model, k):
+        if rule is None or (wanted is not None and k not in wanted) or _why_unknown(layout, model, k):
             found += [ZERO] * dim
             continue
         values = [*rule(layout, numbers, state, result, k)]
@@ -215,7 +220,7 @@ def _if_hit(numbers: ModelNumbers, site: int, frame: Frame, at: Vector, way: Vec
         radius = numbers.get("site_size", ids, 0)
         along, reach = way.dot(arm), arm.dot(arm) - radius * radius
         left = along * along - reach
-        hit = (ZERO < left) & ~(square_root(largest(left, 0.0)) < along)
+        hit = (left > ZERO) & ~(square_root(largest(left, 0.0)) < along)
         return where(hit, force, ZERO)
     point, line = rotate_back(frame.axes, arm), rotate_back(frame.axes, way)
     near, far = Scalar(-1e10), Scalar(1e10)

@@ -145,7 +145,7 @@ def compute_smooth(layout: Layout, numbers: ModelNumbers, state: RobotState) -> 
             origin, axes, motion = parent.origin + offset, parent.axes, parent.motion
             columns = numbers.rotation("body_quat", stack.bodies)
             if columns is not None:
-                axes = tuple(rotate(axes, column) for column in columns)
+                axes = rotate(axes, columns[0]), rotate(axes, columns[1]), rotate(axes, columns[2])
         for k, joints in enumerate(stack.joints):
             angle, rate = state.angles[s, k], state.rates[s, k]
             moved = angle - numbers.get("qpos0", numbers.model.jnt_qposadr[joints])
@@ -166,7 +166,9 @@ def compute_smooth(layout: Layout, numbers: ModelNumbers, state: RobotState) -> 
             else:
                 world = rotate(axes, axis)  # pyright: ignore[reportArgumentType]
                 slid = world * moved
-                acceleration = acceleration + relative_acceleration(spin, spin_rate, slid) + spin.cross(world * rate) * 2.0
+                acceleration = (
+                    acceleration + relative_acceleration(spin, spin_rate, slid) + spin.cross(world * rate) * 2.0
+                )
                 origin = origin + slid
                 motions[s, k] = Spatial(world, NOTHING)
             motion = motion + motions[s, k] * rate

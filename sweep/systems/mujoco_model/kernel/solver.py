@@ -24,7 +24,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     Scalar,
     Symmetric,
     Vector,
-    flatten,
+    flatten_scalars,
     largest,
     square_root,
     where,
@@ -147,9 +147,7 @@ class Problem(NamedTuple):
             self._spread(wrench, one, base, joints)
         for row, residual in zip(self.constraints.rows, residuals.rows, strict=True):
             joints[row.joint].add(row.side * row_force(row, residual)[0], 1)
-        return Acceleration(
-            _spatial([one.value for one in base]), {joint: one.value for joint, one in joints.items()}
-        )
+        return Acceleration(_spatial([one.value for one in base]), {joint: one.value for joint, one in joints.items()})
 
     def _spread(self, wrench: Spatial, contact: Any, base: list[Total], joints: dict[Joint, Total]) -> None:
         n = len(contact.point.real)
@@ -210,7 +208,11 @@ class Problem(NamedTuple):
                 base[i].add(-(factor * known), n)
                 for j in range(i + 1):
                     corner[i][j].add(-(factor * row_base[j]), n)
-        x_base = _solve_dense([[one.value for one in row] for row in corner], [one.value for one in base]) if has_base else []
+        x_base = (
+            _solve_dense([[one.value for one in row] for row in corner], [one.value for one in base])
+            if has_base
+            else []
+        )
         found: dict[Joint, Scalar] = {}
         for joint in joints:
             x = rest[joint].value * inverse[joint]
@@ -350,12 +352,12 @@ class Problem(NamedTuple):
             best = largest(best, Scalar(jump.value.max()) if n > 1 else jump)
         chosen, count = Total(), Total()
         for place, jump, n in inner:
-            is_best = (ZERO < jump) & ~(jump < best)
+            is_best = (jump > ZERO) & ~(jump < best)
             chosen.add(where(is_best, place, ZERO), n)
             count.add(where(is_best, ONE, ZERO), n)
         if not inner:
             return middle
-        return where(ZERO < count.value, chosen.value / largest(count.value, ONE), middle)
+        return where(count.value > ZERO, chosen.value / largest(count.value, ONE), middle)
 
 
 class Iterate(NamedTuple):
@@ -377,9 +379,9 @@ def solve_problem(problem: Problem, warm: Acceleration, iterations: int, trials:
         iterations: Iterations, at most: a rollout that has converged stays as it is.
         trials: Trials of each search for a step's length.
     """
-    values, rebuild = flatten(problem.start(warm))
+    values, rebuild = flatten_scalars(problem.start(warm))
     dtype = next(x.dtype for x in values if hasattr(x, "dtype"))
-    shapes = jax.eval_shape(lambda: flatten(problem.descend(rebuild(values), trials))[0])
+    shapes = jax.eval_shape(lambda: flatten_scalars(problem.descend(rebuild(values), trials))[0])
     values = [jnp.broadcast_to(jnp.asarray(x, dtype), like.shape) for x, like in zip(values, shapes, strict=True)]
     enough = float(CONVERGED * jnp.finfo(dtype).eps)
 
@@ -388,7 +390,7 @@ def solve_problem(problem: Problem, warm: Acceleration, iterations: int, trials:
 
     def body(state: tuple[Any, list[Any]]) -> tuple[Any, list[Any]]:
         count, values = state
-        after = flatten(problem.descend(rebuild(values), trials))[0]
+        after = flatten_scalars(problem.descend(rebuild(values), trials))[0]
         return count + 1, [jnp.asarray(x, dtype) for x in after]
 
     return rebuild(jax.lax.while_loop(goes_on, body, (jnp.int32(0), values))[1])

@@ -2,14 +2,12 @@
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.systems.mujoco_model.kernel.constraints import Constraints, find_contacts, find_rows
-from sweep.systems.mujoco_model.kernel.constraints import ELLIPTIC
+from sweep.systems.mujoco_model.kernel.constraints import ELLIPTIC, Constraints, find_contacts, find_rows
 from sweep.systems.mujoco_model.kernel.layout import Layout, drives
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import (
@@ -39,7 +37,8 @@ from sweep.systems.mujoco_model.kernel.smooth import (
 from sweep.systems.mujoco_model.kernel.solver import Acceleration, Iterate, Joint, Problem, solve_problem
 
 IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-FILTERED = int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+UNBALANCED = 0.01  # share of the forces that may be left over in a solved step, as for other engines
+UNCLAMPED = int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
 
 
 class Drive(NamedTuple):
@@ -181,7 +180,7 @@ def _drive(
     """Force of an actuator of each joint, its gear, and how its force grows with its velocity."""
     model = numbers.model
     control = Scalar(ctrl[int(ids[0])] if len(ids) == 1 else ctrl[ids])
-    if model.actuator_ctrllimited[ids].any() and not model.opt.disableflags & FILTERED:
+    if model.actuator_ctrllimited[ids].any() and not model.opt.disableflags & UNCLAMPED:
         control = _clamp(numbers, control, ids, "actuator_ctrlrange", model.actuator_ctrllimited)[0]
     gear = numbers.get("actuator_gear", ids, 0)
     length, velocity = gear * angle, gear * rate
@@ -261,9 +260,7 @@ def _turn(quat: Any, spin: Vector, h: float) -> Any:
     size = square_root(spin.dot(spin) + 1e-24)
     half = size * (0.5 * h)
     share = Scalar(jnp.sin(half.value)) / size
-    turned = multiply_quaternions(
-        (Scalar(jnp.cos(half.value)), spin.x * share, spin.y * share, spin.z * share), quat
-    )
+    turned = multiply_quaternions((Scalar(jnp.cos(half.value)), spin.x * share, spin.y * share, spin.z * share), quat)
     length = square_root(sum((one * one for one in turned), ZERO))
     return tuple(one / length for one in turned)
 
@@ -289,27 +286,3 @@ def solve_forward(
     solution = solve_problem(problem, warm, iterations, trials)
     is_unsolved = Scalar(UNBALANCED) < solution.error
     return StepResult(smooth, problem, solution, drives_, is_unsolved), damping
-
-
-UNBALANCED = 0.01  # share of the forces that may be left over in a step
-
-
-def advance(
-    layout: Layout,
-    numbers: ModelNumbers,
-    state: RobotState,
-    ctrl: Array,
-    steps: int,
-    iterations: int,
-    trials: int,
-) -> RobotState:
-    """Advance a state by some steps at constant controls."""
-    from sweep.systems.mujoco_model.kernel.scalars import flatten
-
-    values, rebuild = flatten(state)
-
-    def body(values: list[Any], _: None) -> tuple[list[Any], None]:
-        return flatten(step(layout, numbers, rebuild(values), ctrl, (), iterations, trials)[0])[0], None
-
-    values, _ = jax.lax.scan(body, values, None, length=steps)
-    return rebuild(values)
