@@ -10,7 +10,7 @@ from small_study import one_line
 
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.runs import batches
+from sweep.runs import batches, store
 from sweep.runs.axis_effects import find_unread_columns
 from sweep.runs.runner import select_points
 
@@ -89,6 +89,18 @@ def test_random_times_of_pushes_are_those_of_the_row_whatever_runs_beside_it(her
     assert main(["run", "study=one.yaml", *more, "engine.width=40", "out=all"]) == 0
     assert main(["compare", "seven", "all", "--tolerance", "0"]) == 0
     assert set(alone) >= {"energy_gained_j"}
+
+
+def test_a_run_with_pushes_and_random_starts_goes_on_as_if_it_was_never_stopped(here):
+    more = ["+push.kick.spread=0.2", "+start.random.velocity_x=0.5", "study.replicates=8", "engine.width=5"]
+    assert main(["run", "study=one.yaml", *more, "out=whole"]) == 0
+    assert main(["run", "study=one.yaml", *more, "out=parts", "--limit", "5"]) == 0
+    assert len(store.read_rows(Path("parts"))) < 16
+    assert main(["run", "study=one.yaml", *more, "out=parts"]) == 0
+    whole, parts = (store.read_rows(Path(name)).set_index("point_id").sort_index() for name in ("whole", "parts"))
+    columns = ["travelled_m", "energy_gained_j", "distance_m", "outcome"]
+    pd.testing.assert_frame_equal(whole[columns], parts[columns], check_exact=True)
+    assert whole["travelled_m"].nunique() == 16
 
 
 @pytest.mark.parametrize("axis", ["push.kick.impulse", "noise.action_delay", "start.x", "start.random.x"])

@@ -234,6 +234,16 @@ def test_what_exporters_write_into_the_network_counts_unless_the_file_says_other
         compose(["study=one"])
 
 
+def test_a_term_is_read_from_the_first_of_its_sensors_that_the_model_has(here):
+    for name in ("local_linvel_pelvis", "local_linvel"):
+        write_project(here, "preset: playground_gait\n")
+        robot = Path("robot.xml").read_text()
+        Path("robot.xml").write_text(robot.replace('name="local_linvel"', f'name="{name}"'))
+        save_perceptron("walk.onnx", (52, 12))
+        terms = compose(["study=one"]).system.controller.learned.inputs["obs"]
+        assert [one.spec.sensor for one in terms[:2]] == [name, "gyro"]
+
+
 @pytest.mark.parametrize(("policy", "line"), [
     ("preset: playgroud", "preset = playgroud is unknown: did you mean playground?"),
     ("observation: [joint_positions]", "walk.onnx takes 48 numbers as obs: its terms have 12 (joint_positions 12)"),
@@ -299,12 +309,14 @@ def test_the_page_as_it_stands(here, monkeypatch):
 
 @pytest.mark.parametrize(("words", "line"), [
     (["--policy", "walk.onnx"], "--policy and --mjcf are wanted together"),
+    (["--policy", "walk.pt", "--mjcf", "robot.xml"], "torch.onnx.export(policy, (observation,), 'walk.onnx')"),
     (["--policy", "run.onnx", "--mjcf", "robot.xml"], "--policy run.onnx is not a file"),
     (["--policy", "walk.onnx", "--mjcf", "robot.xml", "--preset", "isaacgym"], "--preset isaacgym is unknown"),
 ])  # fmt: skip
 def test_a_project_that_cannot_be_made_is_one_line(here, capsys, words, line):
     write_project(here, JOYSTICK)
     save_perceptron("walk.onnx", (48, 12))
+    Path("walk.pt").touch()
     assert main(["init", *words, "made"]) == 2
     one_line(capsys.readouterr().err, line)
     assert not Path("made").exists()

@@ -53,6 +53,7 @@ def project_files(policy: Path, mjcf: Path, preset: str) -> dict[str, bytes]:
     for flag, file in (("policy", policy), ("mjcf", mjcf)):
         if not file.is_file():
             raise InputError(f"--{flag} {file} is not a file")
+    files.refuse_torch(f"--policy {policy}", str(policy))
     if policy.suffix != files.ONNX:
         raise InputError(f"--policy {policy} is not allowed: a network in a file .onnx")
     mjcf = mjcf.resolve()

@@ -30,6 +30,7 @@ from sweep.systems.mujoco_model.actuation import JointControl
 from sweep.systems.mujoco_model.terrain import TerrainConfig, check_level, place_in_model
 
 ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
+TORCH = (".pt", ".pth", ".pt2", ".jit")  # networks of PyTorch
 FOLDERS = ("meshdir", "texturedir", "assetdir")  # of a model's files, as its compiler's options name them
 FORMS = {  # what a module may say beside its functions
     "PARAMETERS": (Mapping, "numbers by name"),
@@ -252,6 +253,7 @@ def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: flo
     """
     if name.endswith(ONNX):
         return _load_network(name, model, keyframe, period)
+    refuse_torch(f"model.controller = {name}", name)
     module_name, sign, function = name.partition(":")
     if not (sign and module_name and function):
         such = "a module and its function, such as my.walk:policy, or a network, such as walk.onnx"
@@ -274,6 +276,19 @@ def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: flo
         raise InputError(f"model.controller = {name}: {min(both)} is both in PARAMETERS and in BELIEVES")
     begin = getattr(module, "begin", None)
     return Policy(policy, files, _digest(files), batched, begin, parameters, believes, **more)
+
+
+def refuse_torch(error_prefix: str, name: str) -> None:
+    """Raise `InputError` for a file of PyTorch, and say how to make a network of it.
+
+    Args:
+        error_prefix: What the message begins with.
+        name: Name of the file.
+    """
+    if name.endswith(TORCH):
+        new = f"{name.rpartition('.')[0]}{ONNX}"
+        how = f"torch.onnx.export(policy, (observation,), '{new}') writes a network that is"
+        raise InputError(f"{error_prefix} is not allowed: {how}")
 
 
 def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float) -> Policy:

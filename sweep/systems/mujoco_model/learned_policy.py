@@ -280,8 +280,8 @@ def _fit_term(
     """Fit a term whose numbers, if they are measured, begin at the place `at`. Raises `InputError`."""
     error_prefix = f"{error_prefix}: {one.label}"
     sensors = {name: k for k in range(model.nsensor) if (name := model.sensor(k).name)}
-    instead = spec.sensors.get(one.term, "")
-    if not one.sensor and instead in sensors:
+    instead = next((name for name in spec.sensors.get(one.term, "").split() if name in sensors), "")
+    if not one.sensor and instead:
         one = TermSpec(**{**vars(one), "sensor": instead, "name": one.label})
     if one.sensor:
         require_choice(one.sensor, sensors, f"{error_prefix}: sensor {one.sensor}")

@@ -54,12 +54,14 @@ PRESETS: dict[str, dict[str, Any]] = {  # by the documented conventions of the f
                         {"term": "phase", "frequency": 1.5, "offsets": [0.0, np.pi]}],
         "commands": VELOCITY,
         "action": {"scale": 0.5},
-        "sensors": {"base_linear_velocity": "local_linvel", "base_angular_velocity": "gyro"},
+        "sensors": {"base_linear_velocity": "local_linvel_pelvis local_linvel",
+                    "base_angular_velocity": "gyro_pelvis gyro"},
     },
     "mjlab": {
         "observation": [*USUAL_ORDER, "joint_positions", "joint_velocities", "last_action", "command"],
         "commands": VELOCITY,
         "action": {"scale": 0.5},
+        "sensors": {"base_linear_velocity": "imu_lin_vel", "base_angular_velocity": "imu_ang_vel"},
     },
     "isaaclab": {
         "observation": [*USUAL_ORDER, "command", "joint_positions", "joint_velocities", "last_action"],
@@ -141,7 +143,7 @@ class PolicySpec:
     action: ActionSpec = ActionSpec()  # how the network's output becomes controls, see below
     output: str = ""  # name of the output that is the action; by default the only output that is not recurrent
     recurrent: tuple[RecurrentSpec, ...] = ()  # inputs that receive outputs of the previous tick, see below
-    # sensor from which a term is read, by the term's name, if the model has that sensor
+    # sensor from which a term is read, by the term's name; of several names, the first that the model has, if any
     sensors: Mapping[str, str] = field(default_factory=dict)
 
 
