@@ -94,6 +94,11 @@ def setting(default: float, unit: str, *, above: float = -math.inf, at_most: flo
     return dataclasses.field(default=default, metadata={"role": "setting", **bounds})
 
 
+def file_name(default: str) -> Any:
+    """Declare a parameter that names a file or a module of the project; another one needs another compiled program."""
+    return dataclasses.field(default=default, metadata={"role": "file"})
+
+
 def flag(default: bool) -> Any:
     """Declare a parameter that is true or false; the other value needs another compiled program."""
     return dataclasses.field(default=default, metadata={"role": "flag"})
@@ -172,6 +177,10 @@ def check_value(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
         case "choice":
             if value not in field.metadata["options"]:
                 raise InputError(f"{path} = {value!r} is not allowed: one of {', '.join(field.metadata['options'])}")
+            return value
+        case "file":
+            if not isinstance(value, str) or not value.strip():
+                raise InputError(f"{path} = {value!r} is not allowed: a file of the project")
             return value
         case "flag":
             if not isinstance(value, bool):

@@ -7,6 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from sweep.core.spacing import evenly_spaced_indices
+from sweep.report.labels import shorten_files
 
 NAMED, SIDE_BY_SIDE = 12, 6  # values of an uneven axis that have a label; that have room beside each other
 
@@ -39,7 +40,7 @@ def place_cells(rows: pd.DataFrame, x: str, y: str) -> tuple[pd.DataFrame, Cells
             continue
         codes, names = pd.factorize(values)
         placed[axis], cells[axis] = codes + 1.0, np.arange(1.0, len(names) + 1)
-        cells[f"{axis}_names"] = tuple(map(str, names))
+        cells[f"{axis}_names"] = tuple(shorten_files([*map(str, names)]))
     return rows.assign(**placed), Cells(**cells)
 
 

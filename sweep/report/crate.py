@@ -222,10 +222,8 @@ def code_in(crate: Path) -> list[str]:
     Raises:
         InputError: `study.yaml` or the project's `sweep.yaml` cannot be read.
     """
-    place, lines = path_in(crate, PROJECT), []
-    model = store.read_study(path_in(crate, STUDY))["config"].get("model")
-    if controller := model.get("controller") if isinstance(model, Mapping) else None:
-        lines.append(f"controller {controller}")
+    place, config = path_in(crate, PROJECT), store.read_study(path_in(crate, STUDY))["config"]
+    lines = [f"controller {printable_name(name)}" for name in list_controllers(config)]
     if place.is_dir():
         if path_in(place, project.FILE).is_file():
             settings = project.read_settings(place)
@@ -236,6 +234,18 @@ def code_in(crate: Path) -> list[str]:
                 sha256 = digest_file(path)
                 lines.append(f"{printable_name(file.relative_to(crate))}, SHA-256 {sha256}")
     return lines
+
+
+def list_controllers(config: Mapping[str, Any]) -> list[str]:
+    """List the controllers that a stored configuration names: of its scenario, and in values of its axes."""
+    model, study = config.get("model"), config.get("study")
+    axes = study.get("axes") if isinstance(study, Mapping) else None
+    named = [model.get("controller")] if isinstance(model, Mapping) else []
+    for axis in axes.values() if isinstance(axes, Mapping) else ():
+        if isinstance(axis, Mapping) and axis.get("path") == "model.controller":
+            values = axis.get("values")
+            named += values if isinstance(values, list) else []
+    return list(dict.fromkeys(str(name) for name in named if name))
 
 
 def working_project(crate: Path) -> contextlib.AbstractContextManager[None]:

@@ -2,7 +2,8 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from pathlib import PurePosixPath
 
 import pandas as pd
 
@@ -13,6 +14,7 @@ from sweep.core.parameters import UNITS, format_unit
 from sweep.study.designs import Axis
 from sweep.study.study import unit_of_column
 
+FILES = (".xml", ".urdf", ".mjb", ".onnx", ".pt", ".pt2", ".png")  # ends of files that axes name
 READ = {end: format_unit(unit) for end, unit in UNITS.items()} | {"deg": "°"}  # units of figures as they are read
 
 
@@ -105,9 +107,16 @@ def column_meaning(column: str, exp: Experiment) -> str:
 
 def label_with_value(column: str, value: object, exp: Experiment | None = None) -> str:
     """`obstacle.mass` at 50.0 -> `mass 50 kg`."""
-    shown = f"{value:.4g}" if isinstance(value, float) else str(value)
+    shown = f"{value:.4g}" if isinstance(value, float) else shorten_files([str(value)])[0]
     unit_there = column_unit(column, exp) if exp else ""
     return " ".join(part for part in (axis_words(column, exp), shown, unit_there) if part)
+
+
+def shorten_files(names: Sequence[str]) -> list[str]:
+    """Shorten names of files to their stems, `worlds/hills.xml` to `hills`, where these stay distinct."""
+    paths = [PurePosixPath(name) for name in names]
+    stems = [path.stem if path.suffix in FILES else name for path, name in zip(paths, names, strict=True)]
+    return stems if len({*stems}) == len({*names}) else [*names]
 
 
 def axis_title(column: str, exp: Experiment | None = None) -> str:

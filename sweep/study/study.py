@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FEW_COLUMNS = 50  # up to which pandas is fast with columns that were made one by one
-DTYPES = {"quantity": "float64", "setting": "float64", "count": "int64", "choice": "str"}
+DTYPES = {"quantity": "float64", "setting": "float64", "count": "int64", "choice": "str", "file": "str"}
 Logger = Callable[[str], None]
 
 
@@ -399,7 +399,8 @@ def _check_values(member: Parameter, values: "pd.Series", column: str, exact: bo
     if values.dtype.kind == "f" and member.metadata["role"] == "quantity":
         between = (values % 1 != 0) & (exact and member.metadata["unit"] in WHOLE)
         values = values[~(np.isfinite(values) & is_within_bounds(member, values)) | between].head(1)
-    if values.dtype.kind in "OUT" and member.metadata["role"] != "choice":  # of a file: one word makes a column words
+    is_word = member.metadata["role"] in ("choice", "file")
+    if values.dtype.kind in "OUT" and not is_word:  # of a file: one word makes a column words
         no_number = values[pd.to_numeric(values, errors="coerce").isna()]
         values = (no_number if len(no_number) else values).head(1)
     for value in values.unique().tolist():

@@ -17,7 +17,14 @@ from sweep.core.files import encode_text
 from sweep.core.json_values import to_json_value
 from sweep.report import analytic_curves
 from sweep.report.figures import metric_thresholds, metrics_with_threshold_first
-from sweep.report.labels import column_meaning, kind_meaning, outcome_kind, unique_words, words_and_unit
+from sweep.report.labels import (
+    column_meaning,
+    kind_meaning,
+    outcome_kind,
+    shorten_files,
+    unique_words,
+    words_and_unit,
+)
 from sweep.report.outcome_style import FAILURE, GOOD, find_look
 from sweep.runs import refine
 from sweep.runs.results import Results
@@ -131,7 +138,7 @@ def encode_column(values: pd.Series, bits: int) -> tuple[dict[str, Any], bytes]:
     """
     if values.dtype.kind not in "fiub":
         codes, levels = pd.factorize(values.astype(str), sort=True)
-        return {"names": [str(one) for one in levels]}, split_bytes(np.asarray(codes))
+        return {"names": shorten_files([str(one) for one in levels])}, split_bytes(np.asarray(codes))
     numbers = values.to_numpy(dtype=float)
     finite = np.isfinite(numbers)
     levels, codes = np.unique(numbers[finite], return_inverse=True)

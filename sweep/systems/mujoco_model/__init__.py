@@ -5,8 +5,11 @@ Paths are `model.<kind>.<name>.<field>[.component]` (see `fields`), `noise.white
 """
 
 import dataclasses
+import functools
+import hashlib
+import json
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -22,7 +25,7 @@ from sweep.contract.system import AuditVariant, Kinds, Nominal, Parameter, Value
 from sweep.core.conditions import UNTRUSTED, Condition, parse_conditions
 from sweep.core.errors import InputError, require_choice
 from sweep.core.outcomes import classify_rows, judge_cause
-from sweep.core.parameters import build, check_value, quantity
+from sweep.core.parameters import build, check_value, file_name, quantity
 from sweep.systems.mujoco_model import (
     disturbances,
     fields,
@@ -40,7 +43,7 @@ from sweep.systems.mujoco_model import (
 from sweep.systems.mujoco_model.accumulator import MetricAccumulator
 from sweep.systems.mujoco_model.engine import ON_NATIVE, ModelEngine, NativeModelEngine, print_note
 from sweep.systems.mujoco_model.metrics import CAUSES
-from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelConfig, ModelSpec, Settings, SideValues
+from sweep.systems.mujoco_model.model_spec import FILE_PATHS, PHYSICAL, ModelConfig, ModelSpec, Settings, SideValues
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -76,6 +79,8 @@ class MujocoModel(ModelSpec):
     """A MuJoCo model with its controller; implements `System`."""
 
     conditions: tuple[Condition, ...] = ()
+    values: str = ""  # configuration as JSON, from which variants with other files are built
+    listed: tuple[tuple[str, tuple[str, ...]], ...] = ()  # files that axes list, by path
 
     case = SideValues()
     groups = ("model", "controller", "noise", *PHYSICAL, "schedule")
@@ -128,9 +133,7 @@ class MujocoModel(ModelSpec):
         if _content_digest(self) != self.config.content:
             raise InputError("model or controller changed after the study was run")
         found, place = {}, files.project_folder().resolve()
-        ground = self.config.terrain
-        images = [files.require_file("terrain.file", ground.file, ".png")] if ground and ground.file else []
-        for file in (*files.list_files(self.config.mjcf), *self.controller.files, *images):
+        for file in _list_source_files(self):
             if not file.resolve().is_relative_to(place):
                 raise InputError(f"{file} is not allowed: a crate contains only files of the project")
             found[str(file.resolve().relative_to(place))] = file
@@ -138,7 +141,9 @@ class MujocoModel(ModelSpec):
 
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
         """Summarize files, engine and time step, see `System`."""
-        about = {"model": self.config.mjcf, "controller": self.config.controller, "engine": settings.name}
+        listed = {path: ", ".join(names) for path, names in self.listed}
+        model, controller = (listed.get(path, self.file_value(path)) for path in FILE_PATHS[:2])
+        about = {"model": model, "controller": controller, "engine": settings.name}
         return {**about, "step": f"{1000 * self.model.opt.timestep:g} ms"}
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
@@ -147,6 +152,10 @@ class MujocoModel(ModelSpec):
         require_choice(
             root := path.partition(".")[0], (*self.groups, "engine"), f"axis {column} is not allowed: {root}"
         )
+        if path in FILE_PATHS:
+            if column != path:
+                raise InputError(f"axis {column} is not allowed: a file belongs to both sides, leave out side")
+            return file_name(self.file_value(path))
         if terrain.is_terrain(path):
             return self._terrain_parameter(path)
         if root == "model":
@@ -209,21 +218,59 @@ class MujocoModel(ModelSpec):
         for column in columns:
             if column.startswith(("world.controller.", "world.schedule.")):
                 raise InputError(f"axis {column} varies nothing: the controller's parameters belong to the belief")
+        for path in (path for path in FILE_PATHS if path in columns):
+            known = {self.file_value(path), *dict(self.listed).get(path, ())}
+            for name in set(table[path]) - known:
+                raise InputError(f"{path} = {name} is not allowed: an axis of the study lists the files in its values")
         shaping = [c for c in columns if self.parameter(c, settings).metadata["role"] != "quantity"]
         distinct: list[Any] = table[shaping].drop_duplicates().to_dict("records") if shaping else [{}]
         varied = {path for side, path in map(split_side, columns) if side != "belief" and path.startswith("model.")}
         grounds = {path for path in varied if terrain.is_terrain(path)}
-        varied -= grounds
+        varied -= {*grounds, *FILE_PATHS}
         self._check_terrain(table, grounds)
         for path in sorted(path for path in varied if fields.is_group(path)):
             members = fields.group_members(self.model, path)
             print_note(f"{path} moves {len(members)} numbers, {members[0]} to {members[-1]}")
+        started: set[tuple[str, str]] = set()
         for values in distinct:
             ways = {c.removeprefix("engine."): value for c, value in values.items() if c.startswith("engine.")}
+            system = self.with_files(values)
+            system.require_parameters(columns if system is not self else (), settings)
             made = self.make_engine(replace(settings, **ways), *self.make_sides(values), limits=None)
-            for line in made.check_varied([*fields.select_quantities(self.model, dict.fromkeys(varied)), *grounds]):
+            for line in made.check_varied([*fields.select_quantities(system.model, dict.fromkeys(varied)), *grounds]):
                 print_note(line)
+            new = {(path, system.file_value(path)) for path in FILE_PATHS[:2]} - started
+            if new and system is not self:
+                made.check_start()
+            started |= new
         self.make_engine(settings, *self.make_sides({}), limits=None).check_start()
+
+    def require_parameters(self, columns: Iterable[str], settings: EngineSettings) -> None:
+        """Raise `InputError` where this system lacks a parameter that a study varies.
+
+        Args:
+            columns: Columns of the study.
+            settings: Engine settings.
+        """
+        for column in columns:
+            try:
+                self.parameter(column, settings)
+            except InputError as error:
+                chosen = f"model.mjcf = {self.config.mjcf}, model.controller = {self.config.controller}"
+                raise InputError(f"{error} (with {chosen})") from None
+
+    def with_files(self, values: Values) -> "MujocoModel":
+        """Return this system with other files. Raises `InputError` where they do not fit together.
+
+        Args:
+            values: Values by path; those of `FILE_PATHS` count.
+        """
+        chosen = {path: str(values[path]) for path in FILE_PATHS if path in values}
+        if all(name == self.file_value(path) for path, name in chosen.items()):
+            return self
+        made = _build_variant(self.values, tuple(chosen.items()), self.config.content)
+        room = max(made.delay_buffer, self.delay_buffer), max(made.action_buffer, self.action_buffer)
+        return replace(made, delay_buffer=room[0], action_buffer=room[1])
 
     def _check_terrain(self, table: "pd.DataFrame", paths: Collection[str]) -> None:
         """Refuse terrains whose heights leave the range of height fields, and those without their image.
@@ -271,13 +318,19 @@ class MujocoModel(ModelSpec):
 
     def make_engine(self, settings: EngineSettings, world: SideValues, belief: SideValues, limits: Any) -> ModelEngine:
         """Compile an engine on C MuJoCo, MJX or a kernel, see `System`."""
-        model, shape = self.model_values(world), self.config.terrain
+        chosen = self.with_files(world.select_group("model"))
+        model, shape = self.model_values(world), chosen.config.terrain
         shared = {
-            path: value for path, value in model.items() if path not in fields.select_quantities(self.model, model)
+            path: value for path, value in model.items() if path not in fields.select_quantities(chosen.model, model)
         }
         ground = shape.with_values(world.select_group("model")) if shape else None
-        option = (*self.config.option, *shared.items())
-        system = replace(self, config=replace(self.config, option=option, terrain=ground))
+        option = (*chosen.config.option, *shared.items())
+        system = replace(chosen, config=replace(chosen.config, option=option, terrain=ground))
+        made = self._make_engine(system, settings)
+        made.columns = None if chosen is self else self.metric_names
+        return made
+
+    def _make_engine(self, system: "MujocoModel", settings: EngineSettings) -> ModelEngine:
         if settings.name == "native":
             return NativeModelEngine(system, settings)
         if settings.name == "kernel":
@@ -342,6 +395,9 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
     )
     _ = system.observed_slices, system.keyframe_index  # which refuse unknown names
     conditions = parse_conditions(values.get("outcome") or {}, system.metric_names, MEANINGS)
+    listed = _list_axis_files(values.get("study") or {})
+    plain = {key: value for key, value in values.items() if key not in ("study", "cluster", "out")}
+    system = replace(system, listed=listed, values=json.dumps(plain, default=str))
     content = about.content or _content_digest(system)
     system = replace(system, config=replace(about, content=content), controller_values=numbers, conditions=conditions)
     if about.terrain:
@@ -400,5 +456,72 @@ def _parse_model(given: Mapping[str, Any]) -> ModelConfig:
 def _content_digest(system: MujocoModel) -> str:
     digest, ground = f"{files.digest_model(system.model)}-{system.controller.digest}", system.config.terrain
     if ground and ground.file:
-        digest += f"-{files.digest_file(files.require_file('terrain.file', ground.file, '.png'))}"
+        digest += f"-{_digest_listed('model.terrain.file', ground.file, ground)}"
+    if system.listed:
+        found = [(path, name, _digest_listed(path, name, ground)) for path, names in system.listed for name in names]
+        digest += f"-{hashlib.blake2b(repr(found).encode(), digest_size=8).hexdigest()}"
     return digest
+
+
+def _digest_listed(path: str, name: str, ground: terrain.TerrainConfig | None) -> str:
+    """Hash what a value of an axis over files names. Raises `InputError`."""
+    if path == "model.mjcf":
+        return files.digest_model(files.load_model(name, ground))
+    return files.digest_files(_listed_files(path, name))
+
+
+def _listed_files(path: str, name: str) -> list[Path]:
+    """List the files of a model, a controller or an image, by its name. Raises `InputError`."""
+    match path:
+        case "model.mjcf":
+            return files.list_files(name)
+        case "model.controller":
+            return files.controller_files(name)
+        case _:
+            return [files.require_file("terrain.file", name, ".png")]
+
+
+def _list_source_files(system: MujocoModel) -> list[Path]:
+    """List all files that define a system, those of axes included."""
+    found = [*files.list_files(system.config.mjcf), *system.controller.files]
+    if image := system.file_value("model.terrain.file"):
+        found += _listed_files("model.terrain.file", image)
+    return found + [file for path, names in system.listed for name in names for file in _listed_files(path, name)]
+
+
+def _list_axis_files(study: Mapping[str, Any]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """List the files that the axes of a plain study name, by path. Raises `InputError` where one leaves the project."""
+    axes = study.get("axes") or {}
+    axes = [axis for axis in axes.values() if isinstance(axis, Mapping)] if isinstance(axes, Mapping) else []
+    found = {
+        str(axis["path"]): tuple(str(name) for name in axis.get("values") or ())
+        for axis in axes
+        if axis.get("path") in FILE_PATHS and isinstance(axis.get("values") or (), list | tuple)
+    }
+    for path, name in ((path, name) for path, names in found.items() for name in names):
+        files.require_inside_project(path, name)
+    return tuple(sorted(found.items()))
+
+
+@functools.lru_cache(maxsize=64)
+def _build_variant(values: str, chosen: tuple[tuple[str, str], ...], content: str) -> MujocoModel:
+    """Build a system from a plain configuration as JSON, with other files by path. Raises `InputError`.
+
+    The digest of all contents is an argument, so that a changed file is read again.
+    """
+    plain = json.loads(values)
+    plain["model"].pop("content", None)
+    for path, name in chosen:
+        _, *parents, key = path.split(".")
+        group = plain["model"]
+        for parent in parents:
+            group = group[parent]
+        group[key] = name
+    try:
+        system = nominal(plain, {}).system
+    except InputError as error:
+        told = ", ".join(f"{path} = {name}" for path, name in chosen if f"{path} = {name}" not in str(error))
+        raise InputError(f"{error} ({told})" if told else str(error)) from None
+    if not isinstance(system, MujocoModel):
+        raise TypeError("a configuration of a MuJoCo model is needed")
+    return system

@@ -60,6 +60,7 @@ class ModelEngine:
     stages: tuple[str, ...] = ("run",)  # there are no others
     dynamics: str
     devices = 1  # threads share it
+    columns: tuple[str, ...] | None = None  # of the study's rows, where its models or controllers have others
 
     def __init__(self, spec: ModelSpec, settings: EngineSettings):
         devices.configure()
@@ -116,15 +117,16 @@ class ModelEngine:
 
     def run(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> Metrics:
         """Simulate a batch and return its metrics, see `Engine`."""
-        return self._simulate(world, belief, streams)[0]
+        return self._simulate_columns(world, belief, streams)[0]
 
     def run_with_time_series(
         self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
         """Figures, and columns over time, see `Engine`."""
-        found, frames, _ = self._simulate(world, belief, streams, slots, watch.every)
+        found, frames, _ = self._simulate_columns(world, belief, streams, slots, watch.every)
         columns = [self._spec.time_series_columns(frame.qpos, frame.qvel, frame.policy) for frame in frames]
-        samples = [np.stack([one[name] for name in watch.columns], axis=-1) for one in columns]
+        none = np.full(len(slots), np.nan)  # of a column that another model or controller of the study has
+        samples = [np.stack([one.get(name, none) for name in watch.columns], axis=-1) for one in columns]
         return found, np.stack(samples) if samples else np.zeros((0, len(slots), len(watch.columns)))
 
     def trace(self, world: SideValues, belief: SideValues, streams: np.ndarray, slot: int) -> Trace:
@@ -136,9 +138,9 @@ class ModelEngine:
     ) -> list[Trace]:
         """See `Engine`; of some `slots`, if they are named."""
         slots = range(len(streams)) if slots is None else slots
-        found, frames, models = self._simulate(world, belief, streams, slots, every)
+        found, frames, models = self._simulate_columns(world, belief, streams, slots, every)
         if not frames:  # all rollouts end before the first one
-            found, frames, models = self._simulate(world, belief, streams, slots, 1)
+            found, frames, models = self._simulate_columns(world, belief, streams, slots, 1)
         time, *recorded = (np.stack(values) for values in zip(*frames, strict=True))
         traces = []
         for k, slot in enumerate(slots):
@@ -154,6 +156,14 @@ class ModelEngine:
             rest = none, none, none, pose, *judged, self.stages, row
             traces.append(Trace(world, belief, model, *moved, *rest, columns=told))
         return traces
+
+    def _simulate_columns(self, *batch_of_rollouts: Any) -> BatchResult:
+        """See `_simulate`; with the columns that rows of the study have, NaN where the model has none of them."""
+        found, frames, models = self._simulate(*batch_of_rollouts)
+        if self.columns is not None:
+            none = np.full(len(next(iter(found.values()))), np.nan)
+            found = {name: found.get(name, none) for name in self.columns}
+        return found, frames, models
 
     def _simulate(
         self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: Any = (), every: int = 1

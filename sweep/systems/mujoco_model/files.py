@@ -231,9 +231,9 @@ def read_terrain_image(name: str) -> np.ndarray:
     return pixels
 
 
-def digest_file(file: Path) -> str:
-    """Hash the content of a file."""
-    return _digest([file])
+def digest_files(listed: Sequence[Path]) -> str:
+    """Hash the contents of files."""
+    return _digest(listed)
 
 
 def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: float) -> Policy:
@@ -289,6 +289,33 @@ def refuse_torch(error_prefix: str, name: str) -> None:
         new = f"{name.rpartition('.')[0]}{ONNX}"
         how = f"torch.onnx.export(policy, (observation,), '{new}') writes a network that is"
         raise InputError(f"{error_prefix} is not allowed: {how}")
+
+
+def controller_files(name: str) -> list[Path]:
+    """List the files of a controller, whatever model it is for. Raises `InputError`."""
+    refuse_torch(f"model.controller = {name}", name)
+    if not name.endswith(ONNX):
+        module = _module(name, name.partition(":")[0])
+        named = [str(file) for file in getattr(module, "FILES", ())]
+        folder = code_folder(Path(str(module.__file__)), named)
+        return [*project.source_files(module), *(folder / file for file in named)]
+    file = require_file("controller", name, ONNX)
+    found = [*onnx_network.network_files(file)]
+    found += [told] if (told := learned_policy.spec_file(file)).is_file() else []
+    if file.with_suffix(".py").is_file():
+        found += project.source_files(_module(name, ".".join(Path(name).with_suffix("").parts)))
+    return found
+
+
+def require_inside_project(path: str, name: str) -> None:
+    """Raise `InputError` where a value of an axis leaves the project.
+
+    Args:
+        path: Path of the parameter, such as `model.mjcf`.
+        name: File, from the project's folder, or a module and its function.
+    """
+    if Path(name).is_absolute() or ".." in Path(name).parts:
+        raise InputError(f"{path} = {name} is not allowed as a value of an axis: a file within the project")
 
 
 def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float) -> Policy:

@@ -20,6 +20,8 @@ from sweep.systems.mujoco_model.policy_spec import VELOCITY
 from sweep.systems.mujoco_model.schedules import FACTOR, Schedule
 from sweep.systems.mujoco_model.terrain import TerrainConfig
 
+FILE_PATHS = ("model.mjcf", "model.controller", "model.terrain.file")  # whose values are files or modules
+
 
 @dataclass(frozen=True)
 class ModelConfig:
@@ -121,7 +123,8 @@ class ModelSpec:
 
     def model_values(self, world: SideValues) -> dict[str, Any]:
         """Return the values of a side, by path, that are numbers of the compiled model."""
-        return {path: value for path, value in world.select_group("model").items() if not terrain.is_terrain(path)}
+        own = world.select_group("model").items()
+        return {path: value for path, value in own if not terrain.is_terrain(path) and path not in FILE_PATHS}
 
     def make_terrain(self, world: SideValues, n: int) -> terrain.TerrainBatch | None:
         """Make the terrains of n rollouts; None without terrain.
@@ -235,8 +238,15 @@ class ModelSpec:
         paths = {**self.controller.believes, **{name: f"controller.{name}" for name in self.controller.parameters}}
         return {name: values[path] if path in values else self.nominal_value(path) for name, path in paths.items()}
 
+    def file_value(self, path: str) -> str:
+        """Return the nominal file or module of one of `FILE_PATHS`."""
+        owner = self.config.terrain if terrain.is_terrain(path) else self.config
+        return getattr(owner, path.rpartition(".")[2], "")
+
     def nominal_value(self, path: str) -> Any:
         """Return the nominal value of a parameter path. Raises `InputError` where there is none."""
+        if path in FILE_PATHS:
+            return self.file_value(path)
         numbers = dict(self.controller_values)
         return numbers[path] if path in numbers else fields.parameter(self.model, path).default
 

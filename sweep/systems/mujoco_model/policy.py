@@ -34,6 +34,11 @@ def _draw_normal(key: Array, like: Array) -> Array:
     return jax.random.normal(key, like.shape, jnp.float32).astype(like.dtype)
 
 
+def numbers_of(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values that are no names."""
+    return {path: value for path, value in values.items() if not isinstance(value, str)}
+
+
 class ControllerEnd(NamedTuple):
     """What the metric of a user's controller computes its columns from, beside what it has measured."""
 
@@ -199,7 +204,7 @@ class ControllerPrograms:
             duration,
             ctrl,
             self.compute_rollout_metrics(policy_inputs, carried, observable),
-            [world.select_group(name) for name in ("model", *PHYSICAL)],
+            [numbers_of(world.select_group(name)) for name in ("model", *PHYSICAL)],
             dict(world.values).get("noise.action_delay"),
         )
 
