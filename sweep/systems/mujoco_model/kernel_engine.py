@@ -5,7 +5,7 @@ NumPy controller is called between ticks, in tiles of a fixed size. Bits depend 
 the device's other rollouts.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -46,6 +46,7 @@ from sweep.systems.mujoco_model.kernel.step import (
     step,
     write_state,
 )
+from sweep.systems.mujoco_model.kernel.variation import find_varied_elements
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 from sweep.systems.mujoco_model.policy import ControllerBatch
 
@@ -119,7 +120,7 @@ class KernelModelEngine(ModelEngine):
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
         """Refuse what the kernel does not read, see `ModelEngine`; say how well it agrees with C MuJoCo."""
-        numbers = ModelNumbers(self._model, {})
+        numbers = ModelNumbers(self._model, {}, {})
         jax.eval_shape(partial(self._forward, numbers))
         for path in paths:
             for place in fields.locate_numbers(self._model, path)[1]:
@@ -154,8 +155,8 @@ class KernelModelEngine(ModelEngine):
             print_note(f"kernel: {found}")
         return super().run(world, belief, streams)
 
-    def _tick(self, inputs: Inputs, carry: Carry, number: Array) -> tuple[Carry, dict[str, Array]]:
-        """One control tick of one rollout."""
+    def _tick(self, varied: Any, inputs: Inputs, carry: Carry, number: Array) -> tuple[Carry, dict[str, Array]]:
+        """One control tick of one rollout, whose model has numbers of its own where `varied` says so."""
         if self._is_inside:
             command, controller = self._programs.tick_controller(inputs.policy, carry.controller, carry.observable)
         else:
@@ -173,7 +174,7 @@ class KernelModelEngine(ModelEngine):
             commands = before + shares[:, None] * (command - before)
             delayed, kept = disturbances.delay_commands(past[None], commands[None], acting.delay)
             late, extra["past"] = delayed[0], kept[0]
-        numbers = ModelNumbers(self._model, inputs.rows)
+        numbers = ModelNumbers(self._model, inputs.rows, varied)
         strange = carry.strange
         state, rebuild = flatten_scalars(read_state(self._layout, self._model, carry.qpos, carry.qvel, carry.warm))
         first_step = carry.tick * len(self._shares)
@@ -294,7 +295,12 @@ class KernelModelEngine(ModelEngine):
         return stack_values(found, qpos.dtype) if found else jnp.zeros(0, qpos.dtype)
 
     def _start(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> tuple[Any, ...]:
-        """A batch before its first tick: itself, its controllers if they are outside, inputs, carry, ticks, energy."""
+        """Start a batch.
+
+        Returns:
+            The batch, its controllers if they are called between ticks, varied elements of the model, inputs, carry,
+            control ticks (n,), and energy (n,) in J.
+        """
         spec, n, number = self._spec, len(streams), np.dtype(self._settings.precision).type
         begun = batch.start_batch(spec, self._settings, world, belief, streams)
         outside = None if self._is_inside else ControllerBatch(self._programs, begun.policy_inputs, n)
@@ -321,14 +327,18 @@ class KernelModelEngine(ModelEngine):
         carry = Carry(qpos, qvel, zeros((n, model.nv)), metrics, jax.tree.map(np.asarray, controller),
                       zeros((n, model.nu)), observable, zeros((n, model.nu)), extra, zeros((n, model.nu)),
                       np.zeros(n, np.int32), ticks, np.zeros(n, bool), np.zeros(n, bool))  # fmt: skip
+        varied = self._find_varied(world)
         rows = {
-            name: number(values.reshape(n, *fields.field_values(model, name).shape))
-            for name, values in batch.differing_fields(begun).items()
+            name: number(np.reshape(begun.batch.expand(name), (n, *np.shape(mask)))) for name, mask in varied.items()
         }
         acting = jax.tree.map(lambda one: one if one.dtype.kind == "i" else number(one), begun.acting)
         limits = {name: number(one) for name, one in begun.limits.items()}
         inputs = Inputs(begun.policy_inputs if self._is_inside else (), rows, limits, acting)
-        return begun, outside, inputs, carry, ticks, at_first
+        return begun, outside, varied, inputs, carry, ticks, at_first
+
+    def _find_varied(self, world: SideValues) -> dict[str, np.ndarray]:
+        paths = fields.select_quantities(self._model, world.select_group("model"))
+        return find_varied_elements(self._model, paths, self._spec.payloads)
 
     @cached_property
     def _first(self) -> Any:
@@ -342,7 +352,7 @@ class KernelModelEngine(ModelEngine):
     def _finish(self) -> Any:
         return jax.jit(jax.vmap(self._programs.compute_rollout_metrics))
 
-    def _compile(self, inputs: Inputs, carry: Carry, n: int, ticks: int, room: int) -> Any:
+    def _compile(self, varied: Any, inputs: Inputs, carry: Carry, n: int, ticks: int, room: int) -> Any:
         """Compile the kernel for batches of a form: `Kernel` on a CPU, `Ptx` on a GPU."""
         of_inputs, of_carry = (
             jax.tree.map(lambda one: jax.ShapeDtypeStruct(one.shape[1:], one.dtype), tree) for tree in (inputs, carry)
@@ -351,17 +361,18 @@ class KernelModelEngine(ModelEngine):
         on_cpu = jax.default_backend() == "cpu"
         lanes = kernel.choose_lanes(n, devices.count_cores()) if on_cpu else 0
         form = jax.tree.structure(shapes), [(x.shape, str(x.dtype)) for x in jax.tree.leaves(shapes)]
-        key = (str(form), lanes, None if on_cpu else (n, ticks, room))
+        marks = [(name, np.packbits(mask).tobytes()) for name, mask in sorted(varied.items())]
+        key = (str(form), marks, lanes, None if on_cpu else (n, ticks, room))
+        key = repr(key)
         if key not in self._programs_by_form:
+            tick = partial(self._tick, varied)
 
             def made() -> tuple[Any]:
                 try:
                     if on_cpu:
-                        return (kernel.compile_function(self._tick, of_inputs, of_carry, self._layout.group, lanes),)
+                        return (kernel.compile_function(tick, of_inputs, of_carry, self._layout.group, lanes),)
                     return (
-                        launch.compile_to_ptx(
-                            self._tick, of_inputs, of_carry, has_ended, ticks, room, n, self._layout.group
-                        ),
+                        launch.compile_to_ptx(tick, of_inputs, of_carry, has_ended, ticks, room, n, self._layout.group),
                     )
                 except Unsupported as missing:
                     return (str(missing),)
@@ -383,10 +394,10 @@ class KernelModelEngine(ModelEngine):
     ) -> BatchResult:
         slots = np.asarray(list(slots), int)
         with self._within():
-            begun, outside, inputs, carry, ticks, at_first = self._start(world, belief, streams)
+            begun, outside, varied, inputs, carry, ticks, at_first = self._start(world, belief, streams)
             longest = int(ticks.max(initial=0))
             runner = _CpuRunner if jax.default_backend() == "cpu" else _GpuRunner
-            running = runner(self, inputs, carry, len(streams), slots)
+            running = runner(partial(self._compile, varied), inputs, carry, len(streams), slots)
             frames = []
             chunk = 1 if outside is not None else CHUNK
             for first in range(0, longest, chunk):
@@ -444,8 +455,8 @@ class KernelModelEngine(ModelEngine):
 class _CpuRunner:
     """A batch in the memory of a CPU kernel."""
 
-    def __init__(self, engine: KernelModelEngine, inputs: Inputs, carry: Carry, n: int, slots: np.ndarray):
-        self._tiles = engine._compile(inputs, carry, n, CHUNK, 0).enter(inputs, carry, n)
+    def __init__(self, make: Callable[..., Any], inputs: Inputs, carry: Carry, n: int, slots: np.ndarray):
+        self._tiles = make(inputs, carry, n, CHUNK, 0).enter(inputs, carry, n)
         self._slots = slots if len(slots) else None
 
     def command(self, commands: np.ndarray) -> None:
@@ -468,8 +479,8 @@ class _CpuRunner:
 class _GpuRunner:
     """A batch in the memory of a GPU."""
 
-    def __init__(self, engine: KernelModelEngine, inputs: Inputs, carry: Carry, n: int, slots: np.ndarray):
-        self._engine, self._n, self._slots = engine, n, jnp.asarray(slots, jnp.int32) if len(slots) else None
+    def __init__(self, make: Callable[..., Any], inputs: Inputs, carry: Carry, n: int, slots: np.ndarray):
+        self._make, self._n, self._slots = make, n, jnp.asarray(slots, jnp.int32) if len(slots) else None
         self._inputs, self._carry = jax.device_put((inputs, carry))
         self._calls: dict[int, Any] = {}
 
@@ -485,7 +496,7 @@ class _GpuRunner:
         """See `_CpuRunner`."""
         if count not in self._calls:
             room = 0 if self._slots is None else len(self._slots)
-            code = self._engine._compile(self._inputs, self._carry, self._n, count, room)
+            code = self._make(self._inputs, self._carry, self._n, count, room)
 
             def call(inputs: Inputs, carry: Carry, first: Array, slots: Any) -> Any:
                 return launch.run_kernel(code, inputs, carry, first, slots)

@@ -117,7 +117,7 @@ def compare_accelerations(
 
         def forward(qpos, qvel, warm, ctrl):
             state = read_state(layout, model, qpos, qvel, warm)
-            result, _ = solve_forward(layout, ModelNumbers(model, {}), state, ctrl, (), ITERATIONS, trials + 2)
+            result, _ = solve_forward(layout, ModelNumbers(model, {}, {}), state, ctrl, (), ITERATIONS, trials + 2)
             moved = state._replace(
                 warm_base=result.solution.acceleration.base, warm=result.solution.acceleration.joints
             )

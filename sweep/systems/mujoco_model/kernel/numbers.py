@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from sweep.systems.mujoco_model import fields
-from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, largest
+from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, largest, quaternion_axes
 
 
 class ModelNumbers:
@@ -16,10 +16,11 @@ class ModelNumbers:
     Args:
         model: The nominal model.
         rows: Fields in which rollouts differ, of one rollout, by MuJoCo's name and in its shape.
+        varied: Which elements of these fields differ, see `find_varied_elements`.
     """
 
-    def __init__(self, model: mujoco.MjModel, rows: Mapping[str, Any]):
-        self.model, self._rows = model, rows
+    def __init__(self, model: mujoco.MjModel, rows: Mapping[str, Any], varied: Mapping[str, np.ndarray]):
+        self.model, self._rows, self._varied = model, rows, varied
         self.read: set[str] = set()  # fields that were asked for
 
     def get(self, name: str, ids: np.ndarray | None = None, *component: int) -> Scalar:
@@ -31,31 +32,28 @@ class ModelNumbers:
             *component: Index in the field's other axes.
         """
         self.read.add(name)
-        values = self._rows.get(name)
-        if ids is None:
-            known = np.asarray(fields.field_values(self.model, name), float)
-            return Scalar(known[component] if values is None else values[component])
-        if values is None:
-            known = np.asarray(fields.field_values(self.model, name), float)[(ids, *component)]
-            return Scalar(float(known[0]) if len(ids) == 1 else known)
-        if len(ids) == 1:
-            return Scalar(values[(int(ids[0]), *component)])
-        return Scalar(values[(np.asarray(ids), *component)])
+        place = component if ids is None else (np.asarray(ids) if len(ids) > 1 else int(ids[0]), *component)
+        if self._differs(name, place):
+            return Scalar(self._rows[name][place])
+        known = np.asarray(fields.field_values(self.model, name), float)[place]
+        return Scalar(known if np.ndim(known) else float(known))
+
+    def _differs(self, name: str, place: Any) -> bool:
+        return name in self._varied and bool(np.any(self._varied[name][place]))
 
     def vector(self, name: str, ids: np.ndarray | None = None) -> Vector:
         """Return the first three numbers of a field as a vector."""
         return Vector(*(self.get(name, ids, k) for k in range(3)))
 
-    def differs(self, name: str) -> bool:
-        """Whether rollouts differ in a field."""
-        return name in self._rows
-
     def is_used(self, name: str, ids: np.ndarray) -> bool:
         """Whether any of the numbers of a field may be other than 0."""
-        return self.differs(name) or bool(np.any(fields.field_values(self.model, name)[ids]))
+        return self._differs(name, ids) or bool(np.any(fields.field_values(self.model, name)[ids]))
 
     def rotation(self, name: str, ids: np.ndarray) -> tuple[Vector, Vector, Vector] | None:
-        """Return the columns of the rotation matrices of constant quaternions; None for no rotation."""
+        """Return the columns of the rotation matrices of quaternions; None for no rotation."""
+        if self._differs(name, ids):
+            w, x, y, z = (self.get(name, ids, k) for k in range(4))
+            return quaternion_axes(w, x, y, z)
         quats = np.asarray(getattr(self.model, name)[ids], float)
         if np.array_equal(quats, np.tile([1.0, 0, 0, 0], (len(quats), 1))):
             return None
