@@ -28,6 +28,9 @@ def test_a_group_sets_or_multiplies_the_numbers_that_its_pattern_fits():
     group, single = "model.joint.{lf,rh}_*.damping", "model.joint.lf_hip.damping"
     assert fields.group_members(MODEL, group) == [f"model.joint.{one}.damping" for one in JOINTS if one[:2] in "lf rh"]
     assert fields.parameter(MODEL, group).default == 0.2
+    assert fields.parameter(MODEL, group).metadata["unit"] == "6 numbers"
+    assert fields.parameter(MODEL, "model.geom.*_foot.friction.slide").metadata["unit"] == "4 numbers"
+    assert fields.parameter(MODEL, "model.body.*_hip.mass").metadata["unit"] == "kg, 4 numbers"
     for path, values, expected in (
         (group, [0.3, 0.5], [0.3, 0.5]),
         (f"{group}.relative", [1.0, 2.0], [0.2, 0.4]),

@@ -5,6 +5,7 @@ for `stat.meaninertia`, which scales the solver's tolerance. What MuJoCo's compi
 geoms (inertia, bounding volumes) is taken from models that are compiled for each value.
 """
 
+import dataclasses
 import fnmatch
 import re
 from collections.abc import Callable, Mapping
@@ -373,7 +374,9 @@ def _group_parameter(model: mujoco.MjModel, path: str) -> Parameter:
     if max(values) != min(values):
         differ = f"{len(values)} numbers from {min(values):g} to {max(values):g} differ"
         raise InputError(f"axis {path} has no nominal value, {differ}: multiply them by {path}{RELATIVE}")
-    return about[0]
+    told = dict(about[0].metadata)
+    told["unit"] = ", ".join(filter(None, (told["unit"], f"{len(members)} numbers")))
+    return dataclasses.field(default=about[0].default, metadata=told)
 
 
 def _expand_groups(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str, Any]:
