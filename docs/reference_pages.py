@@ -9,6 +9,7 @@ import inspect
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import sweep
@@ -28,8 +29,17 @@ from sweep.study import columns, design_kinds, designs, distributions
 from sweep.study.analytic_limits import KEYS as THEORY_KEYS
 from sweep.study.design_kinds.base import GRIDS, Design
 from sweep.study.study import Expectation, StudySchema
+from sweep.systems.mujoco_model import (
+    disturbances,
+    fields,
+    motors,
+    onnx_operators,
+    payloads,
+    policy_spec,
+    terrain_heights,
+    tracking,
+)
 from sweep.systems.mujoco_model import metrics as own_metrics
-from sweep.systems.mujoco_model import onnx_operators, policy_spec, tracking
 
 FOLDER = Path(__file__).parent / "reference"
 NOTE = "<!-- written by `python docs/reference_pages.py` -->"
@@ -57,6 +67,7 @@ def pages() -> dict[str, str]:
         "policy_file.md": policy_file_page(),
         "python.md": python_page(),
         "formulas.md": formulas_page(),
+        "model_paths.md": model_paths_page(),
         "formats.md": formats_page(),
     }
 
@@ -454,6 +465,57 @@ def formulas_page() -> str:
         "## Corrections of the printed text",
         "The code differs from the sources where these have errors. All other formulas are as printed.",
         table(("formula", "error of the printed text, or difference from it"), corrections),
+    )
+
+
+def numbers_table(module: ModuleType, numbers: Mapping[str, Any]) -> str:
+    """Return the parameters of a mapping of a module as a table, with the comments beside them in its source.
+
+    Args:
+        module: The module in which the mapping is written, a line for each parameter.
+        numbers: Parameters by name.
+    """
+    source = inspect.getsource(module)
+    rows = []
+    for name, number in numbers.items():
+        said = re.search(rf'^    "{name}": [^#\n]*#? ?(.*)$', source, re.MULTILINE)
+        unit = format_unit(number.metadata["unit"])
+        rows.append((code(name), unit, f"{number.default:g}", said[1] if said else ""))
+    return table(("number", "unit", "default", "meaning"), rows)
+
+
+def model_paths_page() -> str:
+    """Numbers of a MuJoCo model that can be axes, and why the others cannot."""
+    sizes = list(dict.fromkeys(name for names in fields.SIZES.values() for name in names))
+    extra = {"actuator": ("kp", "kv", fields.STRENGTH)}
+    rows = []
+    for kind, varied in [*fields.VARIED.items(), (fields.OPTION, fields.OPTIONS)]:
+        for name, number in varied.items():
+            names = sizes if (kind, name) == ("geom", "size") else number.names
+            rows.append((code(kind), code(name), ", ".join(code(f".{one}") for one in names), format_unit(number.unit)))
+        rows += [(code(kind), code(name), "", "") for name in extra.get(kind, ())]
+    settings = ", ".join(map(code, fields.SETTINGS))
+    return join_parts(
+        "# Paths of a MuJoCo model",
+        "`model.KIND.NAME.FIELD` is a number of the compiled model, and can be an axis of a study. A field of several "
+        "numbers needs a component, such as `model.geom.floor.friction.slide`. Components without a name have numbers "
+        "from 0. Units that depend on the element, such as those of a joint's range, are left out. "
+        "[Models of your own](../own_model_reference.md#paths) explains groups and derived quantities.",
+        table(("kind", "field", "components", "unit"), rows),
+        "`kp` and `kv` are of a position servo. `strength` is a factor of the forces of an actuator, limits included. "
+        f"`model.option` also has settings of the simulation: {settings}.",
+        "## Fields that cannot vary",
+        table(("field", "reason"), ((", ".join(map(code, names.split())), why) for names, why in fields.FIXED.items())),
+        "Addresses, types, groups and flags, which are whole numbers, make another model.",
+        "## `model.terrain`",
+        "[Vary the terrain](../howto/vary_the_terrain.md) says which kind of terrain uses which number.",
+        numbers_table(terrain_heights, terrain_heights.NUMBERS),
+        "## `push.NAME`",
+        numbers_table(disturbances, disturbances.PUSH),
+        "## `payload.NAME`",
+        numbers_table(payloads, payloads.PAYLOAD),
+        "## `motor.NAME`",
+        numbers_table(motors, motors.MOTOR),
     )
 
 

@@ -1,4 +1,4 @@
-"""Draws the pictures of docs/formulas.md: `python research/formulas_figures.py`."""
+"""Draws the pictures of research/formulas.md: `python research/formulas_figures.py`."""
 
 from pathlib import Path
 

@@ -16,7 +16,7 @@ PUSH: Mapping[str, Parameter] = {  # numbers of a push
     "direction": quantity(0.0, "rad"),  # in the horizontal plane, from the world's x axis
     "elevation": quantity(0.0, "rad"),  # above the horizontal plane
     "start": quantity(1.0, "s", at_least=0),  # from the start of the rollout
-    "length": quantity(0.05, "s", above=0),
+    "length": quantity(0.05, "s", above=0),  # duration of the push
     "spread": quantity(0.0, "s", at_least=0),  # the push begins at a random time from `start` to `start + spread`
 }
 

@@ -139,6 +139,19 @@ SERVO = {  # what is written of a position servo: gain and bias together, or its
 STRENGTH = "strength"  # factor of the forces of an actuator, its limit included
 RELATIVE = ".relative"  # end of a path of a group whose values are factors
 SETTINGS = {name: NumberSpec(names=("",), field=f"opt.{name}") for name in (*CHOSEN, *COUNTED, TIMESTEP)}
+FIXED = {  # why no other field of `mujoco.batch` can vary, by patterns of their names
+    "*_invweight0 *_length0 actuator_acc0 actuator_lengthrange body_subtreemass body_margin bvh_aabb cam_mat0 *_pos0 "
+    "*_poscom0 light_dir0 dof_M0 dof_length efm0_L geom_aabb geom_rbound": "computed from other fields",
+    "body_quat body_iquat geom_quat site_quat jnt_axis": "unit vectors: no component can change alone",
+    "qpos0 key_*": "start poses: use `begin` or the keyframe",
+    "wrap_prm": "the path of a tendon: another model",
+    "actuator_delay sensor_delay sensor_interval": "the compiled model has buffers of this size; vary `noise.delay`",
+    "*_springyield": "MuJoCo 4: a yielding spring has a plastic state, so it is another model",
+    "flex_*": "deformable bodies",
+    "opt.o_* opt.sleep_tolerance": "contact override and sleeping bodies, which are not used here",
+    "cam_* light_* mat_* *_rgba tendon_width": "only for pictures",
+    "*_user numeric_data tuple_objprm sensor_noise": "MuJoCo does not use them",
+}
 
 
 def parameter(model: mujoco.MjModel, path: str) -> Parameter:

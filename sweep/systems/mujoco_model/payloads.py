@@ -16,10 +16,10 @@ from sweep.core.errors import InputError, require_choice
 from sweep.core.parameters import quantity
 
 PAYLOAD: Mapping[str, Parameter] = {  # numbers of a payload
-    "mass": quantity(0.0, "kg", at_least=0),
+    "mass": quantity(0.0, "kg", at_least=0),  # of the payload
     "x": quantity(0.0, "m"),  # of its centre of mass, in the body's frame
-    "y": quantity(0.0, "m"),
-    "z": quantity(0.0, "m"),
+    "y": quantity(0.0, "m"),  # likewise
+    "z": quantity(0.0, "m"),  # likewise
     "radius": quantity(0.0, "m", at_least=0),  # of a solid ball; 0: a point
 }
 PREFIX = "payload_"  # of the bodies' names

@@ -14,17 +14,17 @@ from sweep.core.parameters import choice, quantity
 
 NUMBERS: Mapping[str, Parameter] = {  # of a terrain, by key; each kind uses some of them: `KINDS`
     "slope": quantity(0.2, "-", at_least=-2, at_most=2),  # rise over run
-    "rise": quantity(0.1, "m", at_least=-1, at_most=1),  # of each stair; below 0 they go down
+    "rise": quantity(0.1, "m", at_least=-1, at_most=1),  # height of each stair; below 0 they go down
     "run": quantity(0.3, "m", at_least=0.01),  # length of each stair
     "steps": quantity(10.0, "steps", at_least=0, at_most=1000),  # number of stairs
     "height": quantity(0.1, "m", at_least=0, at_most=8),  # range of random heights, or of an image's brightness
     "spacing": quantity(0.2, "m", at_least=0.01),  # distance between random heights
     "gap": quantity(0.1, "m", at_least=0),  # width of gaps
     "land": quantity(0.4, "m", at_least=0.01),  # length of the ground between gaps, side of a stepping stone
-    "depth": quantity(0.5, "m", at_least=0, at_most=8),  # of gaps
+    "depth": quantity(0.5, "m", at_least=0, at_most=8),  # depth of gaps
     "start": quantity(0.5, "m"),  # how far the ground is level from the middle on
     "heading": quantity(0.0, "rad"),  # direction of the ascent and of the way over gaps, from the x axis
-    "seed": quantity(0.0, "index", at_least=0, at_most=2**31),
+    "seed": quantity(0.0, "index", at_least=0, at_most=2**31),  # of random heights
 }
 ROUNDING = 1e-9  # of a cell, within which a place counts as on its edge
 
