@@ -49,6 +49,8 @@ def reserve() -> int:
 def upload(deposit: str, folder: Path) -> int:
     """Upload the files of a release and publish its deposit."""
     metadata = json.loads((folder / ".zenodo.json").read_text(encoding="utf-8"))
+    metadata.pop("doi", None)  # which the deposit has
+    metadata["prereserve_doi"] = True
     metadata["publication_date"] = f"{datetime.now(UTC):%Y-%m-%d}"
     url = f"{API}/{deposit}"
     bucket = request("GET", url)["links"]["bucket"]

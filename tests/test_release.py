@@ -13,6 +13,9 @@ from pathlib import Path
 
 import pytest
 import yaml
+from packaging.requirements import Requirement
+from packaging.version import Version
+from pandas.compat._optional import VERSIONS
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -120,11 +123,13 @@ def test_without_a_token_nothing_is_asked(archive):
 
 def test_a_release_is_archived_with_its_metadata(archive, tmp_path):
     (tmp_path / "wheel.whl").write_bytes(b"wheel")
-    (tmp_path / ".zenodo.json").write_text('{"title": "insect-sweep"}')
+    (tmp_path / ".zenodo.json").write_text(f'{{"title": "insect-sweep", "doi": "{DOI}"}}')
     assert DOI in zenodo(archive, "upload", "8", str(tmp_path), ZENODO_TOKEN="secret").stdout
     puts = {path: body for method, path, body, _ in archive.asked if method == "PUT"}
     assert puts.pop("/bucket/wheel.whl") == b"wheel"
-    assert json.loads(puts.pop("/8"))["metadata"]["title"] == "insect-sweep"
+    metadata = json.loads(puts.pop("/8"))["metadata"]
+    assert metadata["title"] == "insect-sweep"
+    assert "doi" not in metadata  # one that is given counts as another archive's
     assert not puts
     assert archive.asked[-1][:2] == ("POST", "/8/actions/publish")
 
@@ -141,6 +146,17 @@ def test_the_conda_recipe_asks_for_what_the_wheel_asks_for():
     assert sorted(run) == sorted(wanted)
     assert recipe["build"]["python"]["entry_points"] == [f"{k} = {v}" for k, v in PROJECT["scripts"].items()]
     assert (ROOT / recipe["about"]["license_file"]).exists()
+
+
+def test_lower_bounds_are_those_of_pandas_too():
+    """Pandas refuses an older Jinja2 and the like where it is used, whatever installed it."""
+    extras = [requirement for extra in PROJECT["optional-dependencies"].values() for requirement in extra]
+    allowed = [Requirement(text) for text in (*PROJECT["dependencies"], *extras)]
+    shared = [one for one in allowed if one.name in VERSIONS]
+    assert len(shared) > 4
+    for one in shared:
+        lowest = max(Version(part.version) for part in one.specifier if part.operator == ">=")
+        assert lowest >= Version(VERSIONS[one.name]), one.name
 
 
 def test_images_hold_what_their_script_reads():
