@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def run(overrides: list[str]) -> pd.DataFrame:
-    """Rows of a run, see `sweep.run`."""
+    """Run a study and return its rows, see `sweep.run`."""
     from sweep.cli.execution import Flags, execute
     from sweep.runs import runner
 
@@ -76,7 +76,7 @@ def _load_columns(folder: Path, exp: Experiment, where: str | None, columns: Seq
 
 @dataclass(frozen=True)
 class Page:
-    """A page of HTML that notebooks show in a frame of its own, as its styles are not theirs."""
+    """A page of HTML that a notebook shows in a frame, so that their styles do not mix."""
 
     html: str
 
@@ -98,13 +98,14 @@ class Accessor:
         self._rows, self._folder = rows.drop(columns=names), Path(rows.attrs["folder"])
 
     def map(self, x: str = "", y: str = "") -> Figure:
-        """The map of success over two parameters, the first two that vary unless named. Raises `InputError`."""
+        """Draw the map of success over two parameters, by default the first two that vary. Raises `InputError`."""
         found = self._results()
         with plot_style():
             return maps.success_map(found.rows, found.stored, tuple(name for name in (x, y) if name))
 
     def draws(self) -> Figure:
-        """Every draw, what matters, and where they fail. Raises `InputError`."""
+        """Draw the overview of random draws: every draw, the importance of each parameter, margins to failure. Raises
+        `InputError`."""
         found = self._results()
         if not draws.drawn_columns(found):
             raise InputError(f"{self._folder} has no axis with a distribution of numbers: use `map` instead")
@@ -112,11 +113,13 @@ class Accessor:
             return draws.draw_overview(found)
 
     def histories(self) -> pd.DataFrame:
-        """What `study.keep` kept of these rows: `point_id`, `outcome`, `time_s`, its columns. Raises `InputError`."""
+        """Return the stored time series (`study.keep`) of these rows: `point_id`, `outcome`, `time_s`, its columns.
+        Raises `InputError`."""
         return time_series_plots.load_samples(self._results())
 
     def to_xarray(self) -> "xarray.Dataset":
-        """These rows on the grid of the axes that were listed, with a dimension `replicate` where points repeat.
+        """Convert these rows to an xarray dataset on the grid of the listed axes, with a dimension `replicate` where
+        points repeat.
 
         Points that were not run are NaN; `attrs` hold units. Raises `InputError` where there is no grid or no xarray.
         """
@@ -138,11 +141,11 @@ class Accessor:
         return grid
 
     def report(self) -> Page:
-        """The page that `sweep report` writes; `str()` of it is the HTML."""
+        """Return the page that `sweep report` writes; `str()` of it is the HTML."""
         return Page(page.render_page(self._results()))
 
     def replay(self, row: Any = 0) -> "Replay":
-        """The rollout of the row with that label, simulated again in its batch.
+        """Simulate the rollout of the row with that label again, in its batch, and return the replay.
 
         `trace` has what was recorded, `again` its figures and labels, `stored` those of the row. Raises `InputError`.
         """

@@ -1,4 +1,4 @@
-"""Which axes changed nothing, as far as the rows of a study tell."""
+"""Which axes of a study changed nothing, judged from its rows."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from sweep.study.designs import Axis
 
 
 class AxisPairs(NamedTuple):
-    """Rows that differ in one axis alone."""
+    """Result of comparing rows that differ in one axis alone, made by `compare_along_axes`."""
 
     rollouts: int  # rows that have such a partner
     same: bool  # whether partners are equal in all metrics and labels, to the last bit

@@ -196,7 +196,7 @@ def outcome_changes(pairs: pd.DataFrame) -> np.ndarray:
 def flips_by_region(
     pairs: pd.DataFrame, axes: list[str], unit: np.ndarray | None = None, bins: int = BINS
 ) -> pd.DataFrame:
-    """Count flips in each region of the parameter space: the crossed thirds of the axes.
+    """Count flips in each region of the parameter space; regions are combinations of equal bins of the axes.
 
     Args:
         pairs: Pairs of rows (n), see `pair_rows`.

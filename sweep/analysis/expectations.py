@@ -1,4 +1,4 @@
-"""Expectations of a study: shares of its rows within limits."""
+"""Expectations of a study: bounds on the share of its rows that meet a condition."""
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,7 @@ from sweep.study.study import Expectation
 
 
 def unmet_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame, exp: Experiment) -> list[str]:
-    """Describe each expectation that the rows do not meet in a line.
+    """Return a line of text for each expectation that the rows do not meet.
 
     Args:
         expectations: Conditions and the limits of their shares.

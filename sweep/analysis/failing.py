@@ -1,4 +1,4 @@
-"""Shapley shares of the varied parameters in failure, from existing rows.
+"""Attribution of failures to the varied parameters by Shapley values, from existing rows.
 
 The measure is the squared distance between the distributions of the parameters in failures and in successes, in the
 space of a kernel (the Hilbert-Schmidt independence criterion of parameters and failure, up to a factor). The distance
@@ -29,7 +29,8 @@ GROUPS = 10  # groups of the jackknife
 
 
 def failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
-    """Estimate the share of each varied parameter in failure, with its 95 % interval; the largest first.
+    """Estimate how much each varied parameter contributes to failures (Shapley values), with 95 % intervals; the
+    largest first.
 
     Invalid rollouts count as failures.
 

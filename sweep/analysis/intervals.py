@@ -12,7 +12,7 @@ FEW_UNITS = 5  # with fewer that have the rarer outcome, the variance between th
 
 
 class Interval(NamedTuple):
-    """Lower and upper end, of the shape of the counts; 0 to 1 without a trial."""
+    """Confidence interval of a probability: lower and upper end, of the shape of the counts; 0 to 1 without a trial."""
 
     low: np.ndarray
     high: np.ndarray

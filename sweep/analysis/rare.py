@@ -1,4 +1,4 @@
-"""Probability of rare failures, and their modes, of studies that search for failures."""
+"""Rare failures: their probability and their modes, from studies that sample failures adaptively."""
 
 import numpy as np
 import pandas as pd
@@ -25,7 +25,7 @@ def estimate_failure_probability(rows: pd.DataFrame, exp: Experiment) -> Failure
 
 
 def failure_modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
-    """Group failures into modes, with the causes of each and where it lies.
+    """Group failures into modes; list the causes of each mode and the parameter values at which it lies.
 
     Modes are the components of the normal mixture fitted to the failures, as for the next round of importance sampling.
 

@@ -24,7 +24,8 @@ NO_UNIT = SamplingUnit("none")  # of a grid without noise
 
 
 def has_draws(study: Study) -> bool:
-    """Return whether the points of a study are draws of its design, rather than of a grid or a file."""
+    """Return whether the points of a study are drawn at random by its design, rather than taken from a grid or a
+    file."""
     return study.design.num > 0 and not study.points
 
 
@@ -36,7 +37,7 @@ def independent_unit(study: Study) -> SamplingUnit:
 
 
 def draw_ids(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
-    """Return the number of the draw of each row; of a grid, the replicate.
+    """Return the number of the draw of each row; without draws, the number of its replicate.
 
     Args:
         rows: Rows of a study (n), with the column `replicate`.
@@ -85,7 +86,8 @@ def pair_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
 
 
 def has_independent_rows(rows: pd.DataFrame, exp: Experiment) -> bool:
-    """Whether every row is a draw of its own, and the draws are independent or more evenly spread than that.
+    """Return whether every row is a separate draw, and draws are independent or spread more evenly than independent
+    ones.
 
     Replicates at a single condition are draws of their noise.
 

@@ -455,7 +455,8 @@ def total_effects(values: np.ndarray, weights: list[np.ndarray]) -> np.ndarray:
 
 
 def outcome_values(rows: pd.DataFrame, figure: str | None) -> pd.Series:
-    """Return 1 or 0 for success, or the column `figure`; NaN where a rollout is invalid.
+    """Return the values whose sensitivity is estimated: 1 or 0 for success, or the column `figure`; NaN for invalid
+    rollouts.
 
     Args:
         rows: Rows of a study (n).

@@ -20,7 +20,8 @@ POWER = 0.9  # of the test of fixed size, printed for comparison
 
 
 def log_e_value(lost: ArrayLike, gained: ArrayLike) -> np.ndarray:
-    """Return log E after given numbers of discordant pairs in each direction, of the shape of the counts."""
+    """Return the log of the e-value (evidence against equal rates) after given numbers of discordant pairs in each
+    direction."""
     from scipy.special import betaln  # slow to import
 
     b, c = np.asarray(lost, float), np.asarray(gained, float)

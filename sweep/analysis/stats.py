@@ -13,7 +13,8 @@ from sweep.core.distinct_values import count_distinct, number_distinct
 
 @dataclass(frozen=True)
 class Rate:
-    """Successes among valid rollouts with a 95 % interval, NaN if there is none; invalid ones are counted apart."""
+    """Number of successes among valid rollouts, with a 95 % interval (NaN without one); invalid rollouts are counted
+    separately."""
 
     total: int
     invalid: int
@@ -28,7 +29,7 @@ class Rate:
 
     @property
     def share(self) -> float:
-        """Successes over valid rollouts; NaN without any."""
+        """Share of the valid rollouts that succeed; NaN without a valid rollout."""
         return self.success / self.valid_count if self.valid_count else np.nan
 
     @property
@@ -38,7 +39,7 @@ class Rate:
 
     @property
     def invalid_share(self) -> float:
-        """Invalid rollouts over all."""
+        """Share of all rollouts that are invalid."""
         return self.invalid / self.total if self.total else 0.0
 
     @property

@@ -50,7 +50,8 @@ def configure() -> None:
 
 
 def start_device_search() -> None:
-    """Let JAX search for devices in a thread, which takes most of a second on a GPU. A later caller sees errors."""
+    """Let JAX search for devices in a thread, which takes most of a second on a GPU; the first user of a device sees
+    errors."""
     configure()
 
     def found() -> None:
@@ -97,7 +98,8 @@ def on_cpu() -> contextlib.AbstractContextManager:
 
 
 def reuse_threshold() -> int:
-    """Cost from which `batch_last_vmap` keeps a value in memory: a GPU's compiler decides that itself."""
+    """Return the cost above which `batch_last_vmap` stores a value rather than recompute it; never on a GPU, whose
+    compiler decides."""
     return 8 if jax.default_backend() == "cpu" else NEVER
 
 
@@ -210,7 +212,8 @@ def batch_axes(tree: Any) -> Any:
 
 
 def program_signature(tree: Any) -> Any:
-    """All of `tree` that a compiled program depends on: its static values, and which leaves have a batch axis."""
+    """Return everything in `tree` that a compiled program depends on: static values, and which leaves have a batch
+    axis."""
     return jax.tree.structure(tree), tuple(bool(np.ndim(leaf)) for leaf in jax.tree.leaves(tree))
 
 

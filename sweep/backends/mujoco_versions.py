@@ -33,7 +33,7 @@ YIELDING = {
 
 
 def expanded_values(batch: Batch, written: Collection[str]) -> dict[str, np.ndarray]:
-    """Return the fields of numbers in which the models of a batch may differ, (n, ...) each.
+    """Return the numeric model fields that may differ between the models of a batch, (n, ...) each.
 
     Args:
         batch: The batch of n models.

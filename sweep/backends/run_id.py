@@ -1,4 +1,5 @@
-"""Identity of the way in which a row was simulated: only rows of one `run_id` are equal bit for bit."""
+"""The `run_id` of a row: a hash of everything that changes its bits; rows with one `run_id` are reproducible bit for
+bit."""
 
 import hashlib
 import os

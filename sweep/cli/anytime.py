@@ -64,6 +64,6 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
 
 
 def named_rows(rows: pd.DataFrame, exp: Experiment, condition: str | None) -> pd.DataFrame:
-    """Rows of a study that meet a condition, in which axes can be used by name."""
+    """Select the rows of a study that meet a condition, which may name axes as the study does."""
     rows = name_axes(rows, exp.study.axes)
     return rows[mask(rows, condition)]

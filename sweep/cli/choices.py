@@ -40,7 +40,7 @@ def refuse_unknown(overrides: list[str]) -> None:
 
 
 def outside_of_project() -> str:
-    """End of an error message about an unknown choice; says that no project is found, empty in a project."""
+    """Return the end of an error message about an unknown choice: that no project was found; empty inside a project."""
     return (
         ""
         if project.find_project()

@@ -1,4 +1,4 @@
-"""Exit codes of the commands."""
+"""Exit codes of `sweep`, and their meanings."""
 
 DONE, BAD_INPUT, INVALID, UNEXPECTED, FAULT, INTERRUPTED = 0, 2, 3, 4, 5, 130
 MEANINGS = {

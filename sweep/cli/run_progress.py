@@ -29,7 +29,7 @@ class Pace:
         self._compiled, self._first = compilation_seconds(), (0, 0.0)
 
     def count(self, rollouts: int) -> None:
-        """Add finished rollouts."""
+        """Add a number of finished rollouts to the estimate."""
         self.done, self.last = self.done + rollouts, time.perf_counter()
         if not self._first[0]:
             self._first = rollouts, self.last
@@ -61,7 +61,7 @@ class LiveColumn(ProgressColumn):
         self.text = text
 
     def render(self, task: Task) -> Text:
-        """Return the present text."""
+        """Return the column's current text."""
         return Text(self.text(), no_wrap=True)
 
 

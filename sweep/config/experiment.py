@@ -78,7 +78,7 @@ class Experiment:
 
     @property
     def folder(self) -> Path:
-        """Folder of the study's rows."""
+        """Folder in which the study's rows are stored."""
         return Path(self.out or f"results/{self.study.name}")
 
 

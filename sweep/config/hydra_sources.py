@@ -54,7 +54,7 @@ class GroupFiles(ConfigSource):
         return config_path in GROUPS
 
     def is_config(self, config_path: str) -> bool:
-        """Return whether `group/name` is a file or a kind."""
+        """Return whether `group/name` names a configuration file, or a kind of the group."""
         group, _, name = config_path.partition("/")
         return group in GROUPS and (project.find_file(group, name) is not None or find_schema(group, name) is not None)
 

@@ -1,1 +1,1 @@
-"""What a simulated system and its engines offer: all that studies, analysis, runs and reports know of them."""
+"""The interface of simulated systems and their engines: all that studies, analysis, runs and reports know of them."""

@@ -25,10 +25,11 @@ class TimeSeriesRequest(NamedTuple):
 
 
 class FootContacts(Protocol):
-    """Ground under the feet of a trace, as the system that made the trace computes it."""
+    """Contacts of the feet with the ground in a trace, computed by the system that made the trace."""
 
     def friction_share(self, trace: "Trace") -> np.ndarray:
-        """Return how much of its friction each foot uses, (F, N): 1 where it slips, NaN where it carries nothing."""
+        """Return the share of its friction limit that each foot uses, (F, N): 1 where it slips, NaN where it carries no
+        load."""
         ...
 
     def depth(self, trace: "Trace", points: np.ndarray, frames: np.ndarray) -> np.ndarray:
@@ -75,7 +76,7 @@ class Trace:
 
 
 class NoTrace(NamedTuple):
-    """Takes the place of a `Trace` where the rollout's model cannot be compiled for drawing."""
+    """Stands in for a `Trace` where the rollout's model cannot be compiled for drawing."""
 
     reason: str
 
@@ -102,7 +103,7 @@ def count_substeps(period: float, step: float, message: str) -> int:
 
 
 def same_bits(a: Any, b: Any) -> bool:
-    """Whether two metrics are equal to the last bit.
+    """Return whether two metrics are equal to the last bit.
 
     Args:
         a: number or array; it is compared in double precision.
@@ -131,7 +132,7 @@ class Engine(Protocol):
         ...
 
     def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """Find parameters that cannot change a bit of any metric, from the program alone: nothing is simulated.
+        """Find parameters that cannot change any metric, by analysing the program; nothing is simulated.
 
         Args:
             sides: world and belief with values of parameters, by column.

@@ -1,4 +1,4 @@
-"""The contract between studies and the systems that they simulate.
+"""The interface through which studies use the systems that they simulate.
 
 Studies, analysis and reports use a system only through this contract: parameters by path, two sides (world and belief)
 that are opaque to them, engines that simulate both, metrics by column, and causes by name.
@@ -27,7 +27,7 @@ Limits = Any  # of figures, by which a system judges
 
 
 class AuditVariant(NamedTuple):
-    """Another way to simulate a rollout that should not change its outcome, see `sweep audit`."""
+    """A variant of the simulation that should not change a rollout's outcome, see `sweep audit`."""
 
     description: str
     change: Callable[[EngineSettings], EngineSettings] = lambda settings: settings
@@ -35,7 +35,7 @@ class AuditVariant(NamedTuple):
 
 
 class System(Protocol):
-    """A system at its nominal parameters: what a study simulates. Hashable; equal systems simulate alike.
+    """The system that a study simulates, at its nominal parameters. Hashable; equal systems simulate alike.
 
     A column is the path of a parameter such as `contact.friction`, or `engine.name`, prefixed `world.` or `belief.`
     where only one side has it.
@@ -191,7 +191,7 @@ class System(Protocol):
         ...
 
     def device(self, settings: EngineSettings) -> str:
-        """Name the device of an engine, as far as it may change bits of a row."""
+        """Name the device of an engine, in as much detail as can change the bits of a row."""
         ...
 
     def run_id(self, settings: EngineSettings) -> str:

@@ -1,4 +1,4 @@
-"""Causes that a user writes as conditions on metrics, in the language of `--where`."""
+"""Causes of failure that a user writes as conditions on metrics, in the language of `--where`."""
 
 import ast
 from collections.abc import Collection, Mapping
@@ -27,7 +27,7 @@ class Condition(NamedTuple):
         return f"not {self.text}" if self.cause == MISSED else self.text
 
     def judge(self, columns: Columns) -> JudgedCause:
-        """Judge rows (n,) by their metrics; conditions are known at the end only."""
+        """Return which rows (n,) the cause applies to, by their metrics at the end of the rollout."""
         found = np.asarray(evaluate(self.text, columns.__getitem__))
         holds = ~found if self.cause == MISSED else found
         invalid, none = self.cause == UNTRUSTED, np.zeros(holds.shape, int)

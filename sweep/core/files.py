@@ -123,7 +123,7 @@ def read_limited(path: Path, most: int = MOST_READ) -> bytes:
 
 
 def descriptor(path: Path) -> int | None:
-    """Return the file descriptor that a path such as /dev/stdout or /dev/fd/3 stands for; None for other paths.
+    """Return the file descriptor that a path such as /dev/stdout or /dev/fd/3 names; None for other paths.
 
     The file behind it may be appended to by other programs, so it must not be replaced.
     """
@@ -175,7 +175,7 @@ def decode_text(text: str) -> bytes:
 
 
 def separate_hard_link(path: Path) -> None:
-    """Make a file one of its own where it has other names as well, before it is written to in place.
+    """Replace a file that has several hard links by a copy of its own, before it is changed in place.
 
     Whoever made a results folder may have linked a name in it to another file, as backups by hard links do. Raises
     `InputError` and `Fault` as `write_atomically` does.

@@ -64,12 +64,12 @@ class CommonStart(Protocol):
         ...
 
     def foot_holds(self) -> "FootHolds":
-        """Return which feet hold where, before any is loaded."""
+        """Return the touchdown points before any foot is loaded."""
         ...
 
 
 class CommonTick(Protocol):
-    """What every system reports to `Metric.update`: the s samples since the report before.
+    """What every system reports to `Metric.update`: the s samples since the previous report.
 
     The hexapod reports one sample at the end of each control tick. MuJoCo models report every physics step: `native`
     all those of a tick at once, `mjx` one at a time. A metric must not depend on how samples are grouped.
@@ -122,7 +122,7 @@ class CommonTick(Protocol):
         ...
 
     def motion_along(self, before: Array) -> tuple[Array | None, Array]:
-        """Return the way along the commanded direction, and the time in which the command moves the base.
+        """Return how far the base went along the commanded direction, and for how long the command moved it.
 
         Args:
             before: Position of the base (..., 3) at the report before.
@@ -144,7 +144,7 @@ class CommonRollout(Protocol):
 
     @property
     def time(self) -> Array:
-        """Simulated time (...) in s."""
+        """Simulated time (...) of the rollout in s."""
         ...
 
     @property
@@ -162,7 +162,7 @@ class CommonRollout(Protocol):
 
 
 class FootHolds(Protocol):
-    """Where feet took hold, by the system's own rule; a state of metrics, hence a pytree."""
+    """Points where the feet touched down, by the system's own contact rule; a metric's state, hence a pytree."""
 
     def update(self, ctx: Any) -> tuple["FootHolds", Array]:
         """Return the state after a report, and the largest slip of each loaded foot (..., feet) in it (m)."""
@@ -170,7 +170,8 @@ class FootHolds(Protocol):
 
 
 class ContinuousTwin(NamedTuple):
-    """A continuous metric that crosses its limit when a count is missed, and so gives the count a smooth margin."""
+    """A continuous metric that crosses its limit when a count metric misses its threshold; gives the count a smooth
+    margin."""
 
     metric: str
     limit: float
@@ -231,7 +232,7 @@ class Cause:
 
     @property
     def companion(self) -> str:
-        """Name of the second metric of the margin, the twin or the lead; empty if there is none."""
+        """Name of the second metric that enters the margin, the twin or the lead; empty if there is none."""
         other = self.twin or self.lead
         return other.metric if other else ""
 
@@ -261,7 +262,7 @@ class Cause:
 
 
 class Metric[S](NamedTuple):
-    """Numbers of a rollout that share a state `S`, a pytree of arrays; each module of metrics defines one as `METRIC`.
+    """A group of metrics that share a state `S`, a pytree of arrays; each metric module defines one as `METRIC`.
 
     `begin(start)` returns the state before the first report, `update(state, ctx)` the state after one more, and
     `compute(state, rollout)` the values by column.
@@ -289,7 +290,7 @@ def merge_columns(metrics: Iterable[Metric[Any]]) -> dict[str, str]:
 
 
 def initial_state[S](kind: Callable[..., S], *values: Any) -> Callable[[CommonStart], S]:
-    """Make a `begin` that returns a constant state in the rollout's precision.
+    """Make a metric's `begin` that returns constant values in the rollout's precision.
 
     Args:
         kind: Class of the state.
@@ -305,7 +306,7 @@ def initial_state[S](kind: Callable[..., S], *values: Any) -> Callable[[CommonSt
 def end_metric(
     compute: Callable[[tuple[()], Any], dict[str, Array]], columns: Mapping[str, str], **options: Any
 ) -> Metric[tuple[()]]:
-    """Make a metric that carries no state: the rollout at its end gives its columns.
+    """Make a metric without a state, whose columns are computed at the end of the rollout.
 
     Args:
         compute: See `Metric`; its state is empty.
@@ -321,7 +322,7 @@ def extremes(
     causes: tuple[Cause, ...] = (),
     **options: Any,
 ) -> Metric[tuple[Array, ...]]:
-    """Make a metric of the largest or least values of quantities over all reports.
+    """Make a metric of the largest or smallest values that quantities take in any report.
 
     Args:
         values: The quantities of a report, in the order of `columns`.
@@ -390,7 +391,7 @@ def compute_columns(metrics: Iterable[Metric[Any]], states: Iterable[Any], rollo
 
 
 def freeze_ended(going: Array, new: Any, old: Any) -> Any:
-    """Keep the states of rollouts that have ended.
+    """Keep the states of rollouts that have ended, and take the new states of the others.
 
     Args:
         going: Which of the n rollouts go on (n,), or whether a single one does ().

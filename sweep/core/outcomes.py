@@ -14,7 +14,8 @@ Columns = Mapping[str, np.ndarray]  # metrics (n,) by name
 
 @dataclass(frozen=True)
 class JudgedCause:
-    """A cause of n rows beside its threshold: an entry of the table from which `classify_rows` takes the labels."""
+    """One cause judged for n rows: where it applies, when it first applied, and its margin; input of
+    `classify_rows`."""
 
     name: str
     key: str  # of the threshold in `outcome`; empty without one
@@ -26,7 +27,7 @@ class JudgedCause:
 
 
 def judge_cause(cause: Cause, columns: Columns, limit: float, end_stage: np.ndarray) -> JudgedCause:
-    """Judge rows by a cause of a metric.
+    """Judge rows by the cause of a metric: where its threshold is crossed, when, and by which margin.
 
     Args:
         cause: The cause.

@@ -105,7 +105,7 @@ def flag(default: bool) -> Any:
 
 
 def exclude_from_run_id(member: Any) -> Any:
-    """Exclude a parameter that changes no row from the `repr` of the settings, and thereby from `run_id`."""
+    """Exclude a parameter that changes no row from the `repr` of its settings, and thereby from `run_id`."""
     member.repr = False
     return member
 

@@ -20,7 +20,7 @@ _compiled = 0.0  # s that this process has spent on compiling
 
 @contextmanager
 def show_wait(step: Callable[[], str] | str) -> Iterator[None]:
-    """Print a description and the elapsed time to the standard error, from a thread, while this context runs."""
+    """Print a step's description and its elapsed time to the standard error, from a thread, while this context runs."""
     done, start, terminal = threading.Event(), time.perf_counter(), sys.stderr.isatty()
 
     def tell() -> None:

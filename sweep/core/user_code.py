@@ -1,4 +1,4 @@
-"""Code of users while it runs: in which folder, what it prints, where it fails, and whether it returns.
+"""Running users' code: its working folder, its printed lines, the place of its errors, and calls that do not return.
 
 Imports nothing slow.
 """
@@ -66,7 +66,7 @@ def take_output(with_tracebacks: bool = False) -> list[str]:
 
 @contextlib.contextmanager
 def run_user_code(what: str, folder: Path) -> Iterator[None]:
-    """Run code of a user within this context.
+    """Run code of a user within this context: in its folder, with its printed lines collected and its errors located.
 
     Relative paths are those of its folder, or of the one that it has changed to; ours stay as they are. What it prints
     is kept for `take_output`. A call that does not return is reported on the standard error.
@@ -90,7 +90,7 @@ def run_user_code(what: str, folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def report_silence(what: str, after: float | None = None) -> Iterator[None]:
-    """Report on the standard error if the code in this context takes long.
+    """Print a note on the standard error if the code in this context takes long.
 
     Args:
         what: what runs.

@@ -89,7 +89,7 @@ class Matrix(NamedTuple):
 
     @property
     def transpose(self) -> "Matrix":
-        """The transposed matrix."""
+        """Return the transposed matrix."""
         return Matrix(*(Vector(*parts) for parts in zip(*self, strict=True)))
 
     def plus(self, other: "Matrix") -> "Matrix":
@@ -106,7 +106,7 @@ class Matrix(NamedTuple):
 
     @property
     def negative(self) -> "Matrix":
-        """The matrix times -1."""
+        """Return the matrix times -1."""
         return Matrix(*(-row for row in self))
 
     def times(self, other: "Matrix") -> "Matrix":

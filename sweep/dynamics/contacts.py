@@ -1,4 +1,4 @@
-"""Contact points: their viscoelastic law with a Coulomb limit (monograph 1.2.2), and what they do to root bodies.
+"""Contact points: the viscoelastic law with a Coulomb limit (monograph 1.2.2), and the forces on the bodies in contact.
 
 The damping is evaluated implicitly. A contact point of the model that rolls is the centre of its sphere; it touches a
 radius below, along the surface's normal. There a Coulomb moment of a given arm times the normal force opposes the
@@ -47,7 +47,7 @@ class ContactGeometry(NamedTuple):
     damping: Float[Array, " n"] | float  # N s/m, d_n and the surface's own
 
     def rotate(self, rotation: Matrix) -> "ContactGeometry":
-        """The geometry in other axes."""
+        """Return the geometry with all vectors rotated to other axes."""
         return self._replace(normal=rotation @ self.normal, stretch=rotation @ self.stretch)
 
 
@@ -199,7 +199,7 @@ def update_anchors(
 
 
 class ResistingMoments(NamedTuple):
-    """Moments on the spheres at a rate of turning, and how they fall with it."""
+    """Moments against rolling and spinning of spheres (N m), and how fast they grow with the angular rate."""
 
     moment: Vector  # (m,) N m
     slope: Matrix  # (m,) -d moment / d rate, N m s/rad
@@ -225,7 +225,7 @@ def resisting_moments(
 
 
 class ContactArm(NamedTuple):
-    """Relation of a root body to n contact points: it carries some of them, and others stand on it."""
+    """How a root body takes part in n contact points: it carries some of them, and others stand on it."""
 
     body: int
     share: Float[Array, " n"] | None  # 1 carries, -1 is stood on, 0 neither; None: it carries all
@@ -274,7 +274,8 @@ class ContactSet(NamedTuple):
 
 
 def body_arms(points: Vector, body: Array, owner: Sequence[int], origins: Sequence[Vector]) -> tuple[ContactArm, ...]:
-    """Arms of free bodies to points `at` that `owner` carries and that stand on `body`; their origins, base axes."""
+    """Return the contact arms of free bodies: to points that they carry (`owner`) and to points that stand on them
+    (`body`)."""
     shares = [jnp.equal(np.array(owner), k) - (body == k).astype(points.x.dtype) for k in range(len(origins))]
     return tuple(
         ContactArm(k + 1, share, points - origin) for k, (share, origin) in enumerate(zip(shares, origins, strict=True))

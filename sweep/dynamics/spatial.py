@@ -40,7 +40,7 @@ class SpatialVector(NamedTuple):
         return self.linear.dot(other.linear) + self.angular.dot(other.angular)
 
     def rotate(self, rotation: Matrix) -> "SpatialVector":
-        """Rotate to other axes."""
+        """Return the vector with both parts rotated to other axes."""
         return SpatialVector(rotation @ self.linear, rotation @ self.angular)
 
 

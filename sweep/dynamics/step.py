@@ -95,7 +95,7 @@ class StepReport(NamedTuple):
 
 
 class DriveLimits(NamedTuple):
-    """Faults of execution: gain and torque limit of each joint, and an external push."""
+    """Execution faults in one step: gain and torque limit of each joint, and an external push."""
 
     gain: Float[Array, "6 3"]  # 0 for a dead joint
     torque: Float[Array, "6 3"]  # N m

@@ -133,27 +133,28 @@ class BatchEngine:
         raise NotImplementedError
 
     def rollout_outputs(self, world: Case, belief: Case, key: Array) -> Any:
-        """All that the metrics of one rollout are made of: to be traced, not to be run."""
+        """Return the values that the metrics of one rollout are computed from; this function is traced by JAX, not
+        run."""
         raise NotImplementedError
 
     def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """See `Engine`."""
+        """Find parameters that cannot change any metric, see `Engine.find_unread_columns`."""
         with devices.precision(self.settings):
             return find_unread_columns(self.rollout_outputs, sides, ends)
 
     @devices.convert_memory_errors()
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Metrics:
-        """See `Engine`. The simulation stops early once every rollout is over."""
+        """Simulate a batch, see `Engine.run`. The simulation stops once every rollout is over."""
         return self._simulate(world, belief, streams)[0]
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
-        """See `Engine`."""
+        """Simulate a batch and record one of its rollouts, see `Engine.trace`."""
         return require_trace(self.traces(world, belief, streams, 1, np.array([slot]))[0])
 
     def traces(
         self, world: Case, belief: Case, streams: np.ndarray, every: int, slots: np.ndarray | None = None
     ) -> list[Trace | NoTrace]:
-        """See `Engine`; `slots` selects rollouts, by default all."""
+        """Simulate a batch and record the rollouts at the indices `slots`, by default all, see `Engine.traces`."""
         slots = np.arange(self.width) if slots is None else slots
         figures, parts = self._simulate(world, belief, streams, slots, every)
         records = jax.tree.map(lambda *each: np.concatenate(each), *parts)

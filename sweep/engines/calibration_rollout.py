@@ -55,33 +55,33 @@ class CalibratingEngine:
         self._learn: dict[Any, Callable[..., Any]] = {}
 
     def rollout_bytes(self) -> int | None:
-        """Bytes of the larger of both rollouts, see `Engine`."""
+        """Return the bytes of the larger of both rollouts, see `Engine.rollout_bytes`."""
         sizes = self._poses.rollout_bytes(), self._then.rollout_bytes()
         return None if None in sizes else max(size for size in sizes if size is not None)
 
     def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """See `Engine`. Empty: two rollouts and an estimation between them are not one program."""
+        """Return no columns: the two rollouts and the estimation between them are not one program to analyse."""
         return set()
 
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Metrics:
-        """Metrics of both rollouts as one row, see `Engine`."""
+        """Simulate calibration and manoeuvre of a batch; return the metrics of both as one row, see `Engine.run`."""
         sides, before = self._run_calibration(world, belief, streams)
         return self._join_metrics(before, self._then.run(*sides, streams))
 
     def run_with_time_series(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
-        """See `Engine`. Raises `InputError`, since the two rollouts have no common clock."""
+        """Raise `InputError`: the calibration and the manoeuvre have no common clock for time series."""
         raise InputError("study.keep is not allowed with control.calibrate = simulated: none, sizes")
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
-        """Poses and manoeuvre as one trace, see `Engine`."""
+        """Record calibration poses and manoeuvre of one rollout as one trace, see `Engine.trace`."""
         sides, before = self._run_calibration(world, belief, streams)
         first = self._poses.trace(_pose_case(world), _pose_case(belief), streams, slot)
         return self._join_traces(before, slot, first, self._then.trace(*sides, streams, slot))
 
     def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace | NoTrace]:
-        """Poses and manoeuvre of each rollout as one trace, see `Engine`."""
+        """Record calibration poses and manoeuvre of each rollout as one trace, see `Engine.traces`."""
         sides, before = self._run_calibration(world, belief, streams)
         firsts = self._poses.traces(_pose_case(world), _pose_case(belief), streams, every)
         thens = self._then.traces(*sides, streams, every)

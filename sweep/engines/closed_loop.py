@@ -88,7 +88,7 @@ def classify_sensing(noise: Noise) -> Sensing:
 
 
 def count_ticks(plans: Plan, period: float) -> int:
-    """Number of control ticks that the longest rollout of a batch may take.
+    """Return the number of control ticks that the longest rollout of a batch may take.
 
     Args:
         plans: plans of the batch, stage durations (rollouts, stages) in s. Infinite and NaN durations are ignored.

@@ -84,7 +84,7 @@ class MjxEngine(BatchEngine):
             self.physics = physics.make_physics(settings, self.topology)
 
     def rollout_bytes(self) -> int:
-        """See `Engine`. Nothing is compiled for it."""
+        """Return the bytes of plan, state and metrics of one rollout, without compiling anything."""
         with devices.precision(self.settings):
             start = partial(self._start, classify_sensing(self._nominal[0].noise))
             held = jax.eval_shape(start, *devices.as_arrays(self._nominal), jax.random.key(0))
@@ -94,7 +94,7 @@ class MjxEngine(BatchEngine):
     def run_with_time_series(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
-        """See `Engine`."""
+        """Simulate a batch and record columns of some rollouts over time, see `Engine.run_with_time_series`."""
         figures, parts = self._simulate(world, belief, streams, slots, watch.every, watch)
         return figures, np.concatenate([np.zeros((0, len(slots), len(watch.columns)), np.float32), *parts])
 
@@ -355,7 +355,7 @@ class MjxEngine(BatchEngine):
         return chunk, None
 
     def rollout_outputs(self, world: Case, belief: Case, key: Array) -> dict[str, Array]:
-        """See `BatchEngine`: the metrics."""
+        """Return the metrics of one rollout, see `BatchEngine.rollout_outputs`."""
         plan, carry = self._start(classify_sensing(world.noise), world, belief, key)
 
         def tick(carry: Carry, number: Array) -> tuple[Carry, None]:

@@ -137,7 +137,7 @@ class XlaBatch:
             self._carried = self._tick(self._carried, k)
 
     def read_all(self) -> LoopState:
-        """The carry of all rollouts."""
+        """Return the carried values of all rollouts."""
         return self._carried
 
     def read(self, select: Callable[[Any], Any]) -> Any:
@@ -157,14 +157,14 @@ class NativeEngine(BatchEngine):
         self.fused = settings.compiler != "xla"
 
     def rollout_bytes(self) -> None:
-        """None: C code owns plan, state and metrics."""
+        """Return None: C code owns plan, state and metrics."""
         return None
 
     @devices.convert_memory_errors()
     def run_with_time_series(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
-        """See `Engine`."""
+        """Simulate a batch and record columns of some rollouts over time, see `Engine.run_with_time_series`."""
         figures, parts = self._simulate(world, belief, streams, slots, watch.every)
         return figures, np.concatenate([select_columns(self._nominal[0], part, watch.columns) for part in parts])
 
@@ -264,7 +264,7 @@ class NativeEngine(BatchEngine):
         return self._programs[form]
 
     def rollout_outputs(self, world: Case, belief: Case, key: Array) -> Any:
-        """See `BatchEngine`: the metrics, and the inputs of C MuJoCo, whose results are constants here."""
+        """Return the metrics of one rollout and the inputs of C MuJoCo, whose results count as constants."""
         plan, (between, state) = self._start(classify_sensing(world.noise), world, belief, key)
         between = between._replace(steps=jax.tree.map(jnp.zeros_like, between.steps))
 
@@ -280,7 +280,7 @@ class NativeEngine(BatchEngine):
         return state, inputs, compute_metrics(world, plan, between.loop)
 
     def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """See `Engine`. Such a parameter must not change MuJoCo's model either, from its low to its high end."""
+        """Find parameters that change neither a metric nor MuJoCo's model, see `Engine.find_unread_columns`."""
         unread = super().find_unread_columns(sides, ends)
         models = {c: [model_bytes(self._model(sides({c: end})[0])) for end in ends[c]] for c in sorted(unread)}
         return {c for c, (low, high) in models.items() if low == high}

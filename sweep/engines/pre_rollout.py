@@ -1,4 +1,4 @@
-"""What precedes a rollout: the optional calibration of the robot, and the plan from its belief.
+"""What happens before a rollout: the optional calibration of the robot, and planning from its belief.
 
 Calibration is computed here, not simulated. It assumes drives so soft that every foot stays where it stands while the
 base moves; joint angles then follow from the true sizes. `calibration_rollout` simulates it.
@@ -28,7 +28,7 @@ ERRORS, PLACES = 1, 2  # folded into a rollout's key to draw errors of calibrati
 
 
 def prepare_belief(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, LearnedState]:
-    """Calibrate and touch as the settings ask, and plan by the resulting belief.
+    """Run calibration and touch as the settings ask, and plan from the resulting belief.
 
     Args:
         world: simulated parameters.

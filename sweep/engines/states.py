@@ -1,4 +1,4 @@
-"""Names of the columns that can be recorded over time, as in `study.keep`."""
+"""Columns that can be recorded over time (`study.keep`), and how they are taken from the states of a rollout."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial

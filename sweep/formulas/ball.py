@@ -26,7 +26,7 @@ CentreDistance = Annotated[Scalar, positive("m", 1.1)]
 
 
 class StabilisingMove(NamedTuple):
-    """Shapes at time tau and the constants of delta (times in s, `ubar` in 1/s^2)."""
+    """Result of `stabilise_delta`: the shapes at time tau, and the constants of delta (times in s, `ubar` in 1/s^2)."""
 
     ubar: Annotated[Float[Array, "..."], "1/s^2"]
     tau1: Annotated[Float[Array, "..."], "s"]
@@ -73,7 +73,7 @@ def stabilise_delta(
 
 
 class LateralMove(NamedTuple):
-    """Shape of the sideways move."""
+    """Result of `lateral_mu`: the shape mu of the lateral motion at time tau."""
 
     mu: Annotated[Float[Array, "..."], ""]
 
@@ -157,7 +157,7 @@ def climbing_rate(omega0: Scalar, effort: Scalar, R: Scalar) -> Array:
 
 
 class BallAngularRate(NamedTuple):
-    """Rate of the ball (rad/s)."""
+    """Result of `ball_omega`: the angular rate of the ball (rad/s)."""
 
     omega: Annotated[Float[Array, "..."], "rad/s"]
 
@@ -224,7 +224,7 @@ def _ratio(m: Scalar, M: Scalar, R: Scalar, rho: Scalar) -> Scalar:
 
 
 class TurnRadius(NamedTuple):
-    """Radius (m) of the ball's circle."""
+    """Result of `ball_turn`: the radius (m) of the circle on which the ball rolls."""
 
     rho_exact: Annotated[Float[Array, "..."], "m"]
     rho_approx: Annotated[Float[Array, "..."], "m"]

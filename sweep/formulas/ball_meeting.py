@@ -14,7 +14,7 @@ from sweep.formulas.formula import Input, Scalar, formula, positive
 
 
 class Approach(NamedTuple):
-    """Commanded speed of the ball, and the time constant with which the ball reaches it."""
+    """Result of `ball_approach`: the speed to command, and the time constant with which the ball reaches it."""
 
     v: Annotated[Float[Array, "..."], "m/s"]
     tau: Annotated[Float[Array, "..."], "s"]
@@ -42,7 +42,8 @@ def ball_approach(
 
 
 class Impact(NamedTuple):
-    """Coefficient of restitution, and the speed at which landing feet miss the ball's footholds by d."""
+    """Result of `ball_impact`: the coefficient of restitution, and the rebound speed at which landing feet miss by
+    d."""
 
     e: Annotated[Float[Array, "..."], ""]
     v: Annotated[Float[Array, "..."], "m/s"]

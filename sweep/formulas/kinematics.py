@@ -20,7 +20,7 @@ def _side(leg: int) -> Array:
 
 
 class Foot(NamedTuple):
-    """The foot relative to the hip, base axes."""
+    """Position of a foot relative to its hip, base axes."""
 
     foot: Annotated[Float[Array, "... 3"], "m"]
 
@@ -75,7 +75,7 @@ def mounts(b_p: Annotated[Scalar, positive("m", 0.525)]) -> Mounts:
 
 
 class CycleFoot(NamedTuple):
-    """The foot in the axes of its step cycle."""
+    """Position of a foot in the axes of its step cycle."""
 
     xy: Annotated[Float[Array, "... 2"], "m"]
 
@@ -100,7 +100,7 @@ def step_cycle(
 
 
 class TransferShare(NamedTuple):
-    """Share of the path that is done, and its rate."""
+    """Covered share of a swing's path, and its rate."""
 
     lam: Annotated[Float[Array, "..."], ""]
     dlam: Annotated[Float[Array, "..."], "1/s"]

@@ -37,7 +37,7 @@ def leg_mass_centre(
 
 
 class MassCentre(NamedTuple):
-    """Derivative of the robot's mass centre by the centre of its base, both relative to the ball's centre."""
+    """Derivative of the robot's mass centre by the position of its base, both relative to the ball's centre."""
 
     D: Annotated[Float[Array, "3 3"], ""]
 

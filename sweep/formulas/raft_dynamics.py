@@ -75,7 +75,8 @@ def wrench(
 
 
 class Linear(NamedTuple):
-    """Rows: forces x, y, z (world), moments x, y, z (body). Columns: x, y, z, three small rotations, their rates."""
+    """Linearised forces (rows x, y, z, world axes) and moments (body axes) of a raft by its position, rotation and
+    rates (columns)."""
 
     matrix: Annotated[Float[Array, "6 12"], "SI"]
 
@@ -134,7 +135,7 @@ def raft_modes(raft: RaftBody) -> Modes:
 
 
 class RaftMotion(NamedTuple):
-    """The raft's state at the end of its motion."""
+    """Result of `raft_ode`: the state of the raft at the end of its motion."""
 
     state: Annotated[Float[Array, " 18"], "SI"]
 

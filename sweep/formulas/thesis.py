@@ -23,7 +23,7 @@ Shin = Annotated[Scalar, positive("", 2.0)]
 
 
 class ThesisFk(NamedTuple):
-    """Foot, its derivatives by (phi, psi, gam), and their determinant."""
+    """Result of `thesis_fk`: the foot, its derivatives by (phi, psi, gam), and their determinant."""
 
     foot: Annotated[Float[Array, "... 3"], "length"]
     J: Annotated[Float[Array, "... 3 3"], "length/rad"]
@@ -164,7 +164,7 @@ def _leg_of_triangle(hypotenuse: Array, other: Array) -> Array:
 
 
 class ThesisStep(NamedTuple):
-    """Longest moves of a foot."""
+    """Result of `thesis_step`: the longest moves of a foot in support and in transfer."""
 
     support: Annotated[Float[Array, "..."], "length"]
     transfer: Annotated[Float[Array, "..."], "length"]

@@ -121,7 +121,7 @@ def transpose(order: tuple[int, ...], x: Values) -> Values:
 
 
 def window_of(window: tuple[slice, ...], x: Values) -> Values:
-    """Slice an array."""
+    """Return a window (slice) of an array along all axes but the batch."""
     return x[window]
 
 

@@ -158,7 +158,7 @@ class Writer:
         return self._size - 1
 
     def constant(self, value: Values) -> int:
-        """Number of a known value."""
+        """Return the number of a value that is known while tracing."""
         value = np.ascontiguousarray(value)
         what = value.dtype.str, value.shape, value.tobytes()
         if what not in self._constants:

@@ -91,7 +91,7 @@ def atan(x: Array) -> Array:
 
 
 def exp(x: Array) -> Array:
-    """Exponential function."""
+    """Exponential function, from arithmetic alone."""
     x = jnp.clip(x, -87.0, 89.0)
     power = jnp.round(x * 1.442695041)
     rest = (x - power * LN2[0]) - power * LN2[1]

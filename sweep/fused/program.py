@@ -156,7 +156,7 @@ class Program:
 
     @property
     def top(self) -> Block:
-        """The outermost block."""
+        """Outermost block of the program."""
         return self.blocks[0]
 
     def node(self, op: str, args: Sequence[Node], dtype: str, extra: Extra = None, leg: bool | None = None) -> Node:

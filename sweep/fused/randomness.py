@@ -68,13 +68,13 @@ def fold_in(key: Array, number: Array) -> Array:
 
 
 def random_bits(key: Array, shape: tuple[int, ...]) -> Array:
-    """Random words of 32 bits."""
+    """Return random 32-bit words, bit for bit those of JAX."""
     a, b = _counted(key, int(np.prod(shape)))
     return (a ^ b).reshape(shape)
 
 
 def random_long_bits(key: Array, shape: tuple[int, ...]) -> Array:
-    """Random words of 64 bits."""
+    """Return random 64-bit words, bit for bit those of JAX."""
     a, b = _counted(key, int(np.prod(shape)))
     return ((a.astype(jnp.uint64) << jnp.uint64(32)) | b.astype(jnp.uint64)).reshape(shape)
 

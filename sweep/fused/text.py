@@ -30,11 +30,11 @@ class LlvmText:
         self._fresh = 0
 
     def body(self) -> str:
-        """The lines printed so far."""
+        """Return the lines printed so far."""
         return "\n".join(f"  {line}" if not line.endswith(":") else line for line in self.lines)
 
     def fresh_name(self) -> str:
-        """A name that is not in use."""
+        """Return a name that no value of the printed function has."""
         self._fresh += 1
         return f"%v{self._fresh}"
 
@@ -50,7 +50,7 @@ class LlvmText:
         return name
 
     def start_block(self, label: str) -> None:
-        """Begin a basic block."""
+        """Begin a basic block of LLVM code with a label."""
         self.lines.append(f"{label}:")
         self.label = label
 

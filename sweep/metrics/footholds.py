@@ -26,7 +26,8 @@ def update(state: Last, ctx: MetricTick) -> Last:
 
 
 def compute(state: Last, rollout: Rollout) -> dict[str, Array]:
-    """Number of feet that ended at their planned face, and the gap of the worst one."""
+    """Return the number of feet that ended on their planned face, and the distance of the worst one from it, by
+    column."""
     feet, free = state
     target = to_world(rollout.plan.foothold[-1], rollout.plan.foot_frame[-1], free)
     here, there = (surface_at(rollout.world.obstacle, p, body_poses(free)) for p in (feet, target))

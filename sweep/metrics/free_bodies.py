@@ -65,7 +65,8 @@ def update(state: BodiesMotion, ctx: MetricTick) -> BodiesMotion:
 
 
 def compute(state: BodiesMotion, rollout: Rollout) -> dict[str, Array]:
-    """Displacements so far, and speeds over the last part of the plan."""
+    """Return the displacements of the free bodies so far, and the speeds over the final interval of the plan, by
+    column."""
     manoeuvre = rollout.world.manoeuvre
     if manoeuvre.drives_body:
         aim, velocity = manoeuvre.obstacle_speed(jnp.sum(rollout.plan.duration)), state.tail.mean_velocity(*state.ended)

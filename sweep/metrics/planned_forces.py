@@ -16,7 +16,7 @@ def compute(state: None, rollout: Rollout) -> dict[str, Array]:
 
 
 def imbalance(plan: Plan) -> Float[Array, " s"]:
-    """Weight that the planned forces of each stage leave unsupported; empty without planned forces."""
+    """Return the weight that the planned forces of each stage leave unsupported; empty without planned forces."""
     forces = plan.layer(Feedforward)
     return jnp.zeros_like(plan.duration) if forces is None else forces.imbalance
 

@@ -1,4 +1,4 @@
-"""Slip: distance of loaded feet from where they took hold."""
+"""Slip: distance of loaded feet from the points where they touched down."""
 
 from sweep.core.metric import Cause, LeadingMetric
 from sweep.core.shared_metrics import slip

@@ -71,12 +71,12 @@ class RolloutStart(NamedTuple):
 
     @property
     def base_position(self) -> Float[Array, " 3"]:
-        """See `CommonStart`."""
+        """Return the position (3,) of the base at the start (m, world axes)."""
         return self.position
 
     @property
     def base_quat(self) -> Float[Array, " 4"]:
-        """See `CommonStart`."""
+        """Return the orientation (4,) of the base at the start, body to world."""
         return self.quat
 
     def constant(self, value: Any) -> Array:
@@ -84,7 +84,7 @@ class RolloutStart(NamedTuple):
         return jnp.asarray(value, self.feet.dtype if np.asarray(value).dtype.kind == "f" else None)
 
     def foot_holds(self) -> "FootHold":
-        """See `CommonStart`."""
+        """Return the touchdown points before any foot is loaded."""
         return FootHold.at_start(self)
 
 
@@ -112,17 +112,17 @@ class MetricTick(NamedTuple):
 
     @property
     def base_position(self) -> Float[Array, "1 3"]:
-        """See `CommonTick`."""
+        """Return the position (1, 3) of the base at the end of the tick (m, world axes)."""
         return self.tick.truth.position[None]
 
     @property
     def base_quat(self) -> Float[Array, "1 4"]:
-        """See `CommonTick`."""
+        """Return the orientation (1, 4) of the base at the end of the tick, body to world."""
         return self.tick.truth.quat[None]
 
     @property
     def base_velocity(self) -> Float[Array, "1 3"]:
-        """See `CommonTick`."""
+        """Return the velocity (1, 3) of the base at the end of the tick (m/s, world axes)."""
         return self.tick.truth.velocity[None]
 
     @property
@@ -167,7 +167,7 @@ def time_left(ctx: MetricTick) -> Float[Array, ""]:
 
 
 class FootHold(NamedTuple):
-    """Where feet took hold (m), in the axes of the body under them, which body that is, and which feet hold.
+    """Points where the feet touched down (m), in the axes of the body under each foot; that body; and which feet hold.
 
     A foot that slides from one body to another without a swing keeps the point on the first one.
     """
@@ -203,7 +203,7 @@ class FootHold(NamedTuple):
 
 
 class PlanTail(NamedTuple):
-    """Positions (m) and time (s) at the start of the plan's last part, for mean velocities since then."""
+    """Positions (m) and time (s) at the start of the plan's final interval, for mean velocities since then."""
 
     place: Float[Array, "*k 3"]
     time: Float[Array, ""]
@@ -225,7 +225,7 @@ class PlanTail(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """A rollout up to the last tick, from which metrics are computed."""
+    """A rollout after its last tick, from which metrics are computed."""
 
     world: Case
     plan: Plan

@@ -52,7 +52,8 @@ def update(state: Balls, ctx: MetricTick) -> Balls:
 
 
 def compute(state: Balls, rollout: Rollout) -> dict[str, Array]:
-    """Speed at which the balls met, their largest gap during the transfer, and the end of the second ball."""
+    """Return the speed at which the balls met, their largest gap during the transfer, and the second ball's end state,
+    by column."""
     return {
         "meeting_speed_mps": state.meeting,
         "balls_apart_max_m": state.apart,

@@ -1,4 +1,4 @@
-"""Faults in execution: weak drives, a dead joint, a push, a wrong start pose."""
+"""Parameters of execution faults: weak drives, a dead joint, a push, a wrong start pose."""
 
 from sweep.core.parameters import parameters, quantity
 from sweep.models.legs import N_JOINTS
@@ -6,7 +6,7 @@ from sweep.models.legs import N_JOINTS
 
 @parameters
 class Execution:
-    """Errors of execution, all off by default."""
+    """Faults in the execution of a plan, all off by default."""
 
     torque_scale: float = quantity(1.0, "-", at_least=0, at_most=1)  # multiplies the drives' torque limit
     dead_joint: float = quantity(-1, "index", at_least=-1, at_most=N_JOINTS - 1)  # of `JOINTS`; -1: none

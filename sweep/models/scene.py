@@ -96,7 +96,7 @@ def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
 
 
 def find_too_small(case: Case) -> np.ndarray:
-    """Which cases of a batch have a body with so little mass or inertia that MuJoCo does not compile the model.
+    """Return which cases of a batch have a body with too little mass or inertia for MuJoCo to compile the model.
 
     Args:
         case: the case, with varied quantities as arrays (n,).

@@ -132,7 +132,7 @@ class HalfSpace:
 
 @dataclass(frozen=True, kw_only=True)
 class Sphere:
-    """A sphere."""
+    """A sphere as an obstacle's solid, with signed distances to links and base."""
 
     name: str
     radius: Any
@@ -182,7 +182,7 @@ class _Convex(ABC):
 
     @abstractmethod
     def edge_cross_axes(self, along: Float[Array, "n 3"], points: Float[Array, "n 3"]) -> list[Array]:
-        """Axes (n, 3) normal to the solid's edges and to edges along `along` whose innermost points are `at`."""
+        """Axes (n, 3) normal to the solid's edges and to edges along `along`, whose innermost points are `points`."""
 
     def to_solid_frame(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """Transform points from the world frame to the solid's frame (m)."""

@@ -1,4 +1,4 @@
-"""The Foxglove layout that is written beside a trace."""
+"""The Foxglove layout file that is written beside an MCAP trace."""
 
 from itertools import cycle
 from typing import Any

@@ -51,7 +51,7 @@ def largest_failure(rows: pd.DataFrame, exp: Experiment) -> str:
 
 
 def sample_size(rows: pd.DataFrame, exp: Experiment) -> str:
-    """Say how many independent units the rows of a study are, or that they are no random sample."""
+    """State how many independent observations the rows of a study are, or that they are no random sample."""
     units = unit_numbers(rows, exp)
     number = 0 if units is None else number_distinct(units).max(initial=-1) + 1
     if number <= 1:  # one replicate of a grid is the grid
@@ -76,6 +76,6 @@ def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:
 
 
 def count_placed(rows: pd.DataFrame) -> str:
-    """Say how many rollouts a search for failures has placed, and how many failed; a count, not a rate."""
+    """State how many rollouts an adaptive search has placed and how many failed; a count, not a rate."""
     failed, invalid = (int((rows["outcome"] == kind).sum()) for kind in ("failure", "invalid"))
     return f"{len(rows):,} rollouts placed where failures are expected, of which {failed:,} failed, {invalid:,} invalid"

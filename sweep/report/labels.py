@@ -24,7 +24,7 @@ def outcome_kind(rows: pd.DataFrame) -> pd.Series:
 
 
 def kind_meaning(kind: str, exp: Experiment) -> str:
-    """What success, or a cause, means, in a sentence."""
+    """Describe the meaning of success, or of a cause, in a sentence."""
     nothing = "no cause of failure or invalidity occurred"
     return exp.system.cause_meanings(exp.thresholds).get(kind, nothing)
 

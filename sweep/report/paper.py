@@ -277,7 +277,7 @@ def macro_name(text: str) -> str:
 
 
 def escape_latex(text: str) -> str:
-    """Escape text for LaTeX."""
+    """Escape LaTeX's special characters in a text."""
     words = {"\\": "backslash", "~": "asciitilde", "^": "asciicircum", "<": "less", ">": "greater"}
     special = {c: rf"\text{word}{{}}" for c, word in words.items()} | {c: f"\\{c}" for c in "&%$#_{}"}
     return tables.latex_signs("".join(special.get(c, c) for c in text))

@@ -59,7 +59,7 @@ def make_replays(
 def simulate_again(
     exp: Experiment, rows: pd.DataFrame, planned: pd.DataFrame, rate: float = MAX_RATE
 ) -> Iterator[tuple[pd.Series, Trace, dict[str, Any]]]:
-    """Simulate rows again and record them.
+    """Simulate stored rows again, and record their replays.
 
     A line on the standard error names each rollout whose model cannot be drawn; it is left out.
 
@@ -106,7 +106,7 @@ def pack_batches(rows: pd.DataFrame, widest: int) -> pd.DataFrame:
 
 
 def write_replay(folder: Path, row: pd.Series, trace: Trace) -> None:
-    """Store the replay of a row."""
+    """Store the replay of a row in the study's folder."""
     file = replay_path(folder, row)
     file.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(file, json.dumps(replay_content(row, trace)).encode())

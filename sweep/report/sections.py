@@ -79,7 +79,8 @@ def list_sections(results: Results) -> Iterator[Section]:
 
 
 def cut_section(results: Results, x: str, y: str, remaining: list[str]) -> Section:
-    """Section at the nominal values of the `remaining` parameters, or at a few values of a single other parameter."""
+    """Return the section of a map at nominal values of the `remaining` parameters, or at a few values of a single
+    one."""
     rows = results.rows
     if len(remaining) == 1:
         values = np.sort(rows[remaining[0]].unique())

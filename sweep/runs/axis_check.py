@@ -39,7 +39,7 @@ class InactiveStretch(NamedTuple):
 
 @dataclass
 class AxisCheckReport:
-    """Result of `run --check`."""
+    """Result of `sweep run --check`: axes without effect, and metrics that do not repeat."""
 
     axes: int  # number of axes that were tried
     engines: list[str]

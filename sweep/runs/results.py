@@ -62,7 +62,7 @@ class Results:
 
     @property
     def name(self) -> str:
-        """Name of the study."""
+        """Name of the study, or of its scenario."""
         return self.exp.study.name
 
     @cached_property

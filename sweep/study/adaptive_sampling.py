@@ -23,7 +23,7 @@ LEAD = "margin"  # column that subset simulation follows by default
 
 
 class Draws(NamedTuple):
-    """Draws of one round: what a search yields and the study simulates."""
+    """Draws of one round of adaptive sampling: a search yields them, and the study simulates them."""
 
     shares: Float[np.ndarray, "n d"]  # quantiles, before axes are correlated
     numbers: Int[np.ndarray, " n"]  # of the draws: each has noise of its own
@@ -31,7 +31,7 @@ class Draws(NamedTuple):
 
 
 class RoundSummary(NamedTuple):
-    """Summary of the rollouts of one round: what a search receives."""
+    """Outcomes of the rollouts of one round, which the search receives."""
 
     failed: Bool[np.ndarray, " n"]  # invalid ones among them
     lead: Float[np.ndarray, " n"]  # the smaller, the nearer to failure

@@ -121,7 +121,7 @@ def _power_of_ten(exponent: np.ndarray) -> np.ndarray:
 
 
 def text_hash(text: str) -> np.uint64:
-    """Hash a text to 64 bits."""
+    """Hash a text to a 64-bit integer."""
     return np.uint64(int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest()))
 
 

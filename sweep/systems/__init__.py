@@ -18,7 +18,7 @@ FORMER_NAMES = {"own": "mujoco"}  # words for a system that older scenarios have
 
 
 class SystemKind(NamedTuple):
-    """How the configuration of a system is composed and read; an entry of `SYSTEMS`."""
+    """How the configuration of a kind of system is composed and read; an entry of `SYSTEMS`."""
 
     config: str  # name of Hydra's primary configuration
     keys: tuple[str, ...]  # keys of its configuration, beside the common ones

@@ -1,4 +1,4 @@
-"""`sweep audit`: simulate rollouts again in other ways, and count flipped outcomes."""
+"""`sweep audit`: simulate rollouts again in variants of the simulation, and count flipped outcomes."""
 
 import argparse
 import sys
@@ -17,7 +17,7 @@ COMMAND = Command(
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the folder, the number of rollouts, and the ways."""
+    """Add the folder, the number of rollouts, and the variants."""
     add_folder(parser)
     parser.add_argument("--points", type=int, default=32, help="number of rollouts of each kind, drawn at random (32)")
     parser.add_argument(

@@ -32,7 +32,7 @@ begin, policy, figures, PARAMETERS, FIGURES = make_controller(exp.case, exp.sett
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add no flags: all words are values of the configuration."""
+    """Add no flags: every word of the command line is an override of the configuration."""
     parser.others = is_value
     parser.usage = "sweep export-model scenario=NAME [group.name=value ...] out=DIR"
     parser.description = __doc__

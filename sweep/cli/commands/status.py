@@ -11,7 +11,7 @@ COMMAND = Command(Section.READ, "show progress and outcomes of a study")
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the folder."""
+    """Add the argument for the folder of results."""
     add_folder(parser)
 
 

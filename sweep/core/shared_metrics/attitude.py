@@ -1,4 +1,4 @@
-"""Tilt of the base."""
+"""Tilt of the base: the largest and the final angle between its upward axis and the vertical."""
 
 from typing import Any, NamedTuple
 
@@ -13,12 +13,12 @@ class Tilt(NamedTuple):
 
 
 def begin(start: CommonStart) -> Tilt:
-    """Initial state, before the first report."""
+    """Return the initial state: no tilt yet."""
     return Tilt(start.constant(0.0), start.base_quat)
 
 
 def update(state: Tilt, ctx: CommonTick) -> Tilt:
-    """Update the largest tilt."""
+    """Update the largest tilt (deg) and the base's last orientation."""
     tilt = ctx.tilt_deg
     return Tilt(array_namespace(tilt).maximum(state.largest, tilt), ctx.base_quat[..., -1, :])
 
@@ -38,7 +38,7 @@ def tilt_deg(quat: Array, xp: Any) -> Array:
 
 
 def compute(state: Tilt, rollout: CommonRollout) -> dict[str, Array]:
-    """Largest and final tilt."""
+    """Return the largest and the final tilt (deg), by column."""
     xp = array_namespace(state.quat)
     return {"tilt_max_deg": state.largest, "end_tilt_deg": tilt_deg(xp.moveaxis(state.quat, -1, 0), xp)}
 

@@ -6,7 +6,7 @@ from sweep.core.metric import Array, CommonTick, array_namespace, extremes
 
 
 def least_height(ctx: CommonTick) -> Iterator[Array]:
-    """Least height of the base's origin (m)."""
+    """Return the smallest height (m) of the base's origin since the previous report."""
     height = ctx.base_position[..., 2]
     yield array_namespace(height).min(height, axis=-1)
 

@@ -1,10 +1,10 @@
-"""Energy that a way costs."""
+"""Cost of transport: work over weight times distance."""
 
 from sweep.core.metric import Array, CommonRollout, array_namespace, end_metric
 
 
 def compute(state: tuple[()], rollout: CommonRollout) -> dict[str, Array]:
-    """Energy over weight and way, from the columns of other metrics."""
+    """Compute the cost of transport: the work over weight times distance, from columns of other metrics."""
     way = rollout.columns["travelled_m"]
     xp = array_namespace(way)
     return {"cost_of_transport": rollout.columns["energy_j"] / (rollout.weight * xp.maximum(xp.abs(way), 1e-9))}

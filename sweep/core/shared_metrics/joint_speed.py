@@ -6,7 +6,7 @@ from sweep.core.metric import Array, CommonTick, array_namespace, extremes
 
 
 def largest_rate(ctx: CommonTick) -> Iterator[Array]:
-    """Largest rate of a joint (rad/s)."""
+    """Return the largest rate (rad/s) of any joint since the previous report."""
     rates = ctx.joint_rates
     xp = array_namespace(rates)
     yield xp.max(xp.abs(rates), axis=(-2, -1))

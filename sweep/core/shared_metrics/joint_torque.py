@@ -4,7 +4,7 @@ from sweep.core.metric import Array, CommonRollout, CommonStart, CommonTick, Met
 
 
 def begin(start: CommonStart) -> Array:
-    """No torque of any group of joints yet."""
+    """Return the initial state: zero peak torque for each group of joints."""
     return start.constant([0.0] * start.torque_groups)
 
 
@@ -16,7 +16,7 @@ def update(state: Array, ctx: CommonTick) -> Array:
 
 
 def compute(state: Array, rollout: CommonRollout) -> dict[str, Array]:
-    """Largest torque of all joints."""
+    """Return the largest torque (N m) of all joints, by column."""
     return {"torque_max_nm": array_namespace(state).max(state, axis=-1)}
 
 

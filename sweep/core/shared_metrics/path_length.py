@@ -6,19 +6,19 @@ from sweep.core.metric import Array, CommonStart, CommonTick, Metric, array_name
 
 
 class Path(NamedTuple):
-    """Position of the base now, and the length of its path so far (m)."""
+    """Current position of the base, and the length of its path so far (m)."""
 
     position: Array
     length: Array
 
 
 def begin(start: CommonStart) -> Path:
-    """Initial state, before the first report."""
+    """Return the initial state: the base at its start, with a path of length 0."""
     return Path(start.base_position, start.constant(0.0))
 
 
 def update(state: Path, ctx: CommonTick) -> Path:
-    """Add the distances between successive samples."""
+    """Add the distances between successive positions of the base to the path length."""
     samples = ctx.base_position
     xp = array_namespace(samples)
     steps = samples - xp.concatenate([state.position[..., None, :], samples[..., :-1, :]], axis=-2)

@@ -1,4 +1,4 @@
-"""Slip: distance of loaded feet from where they took hold."""
+"""Slip: distance of loaded feet from the points where they touched down."""
 
 from typing import NamedTuple
 
@@ -6,19 +6,19 @@ from sweep.core.metric import Array, CommonStart, CommonTick, FootHolds, Metric,
 
 
 class Slip(NamedTuple):
-    """Where feet hold, and the largest slip so far (m)."""
+    """Touchdown points of the feet, and the largest slip so far (m)."""
 
     holds: FootHolds
     largest: Array
 
 
 def begin(start: CommonStart) -> Slip:
-    """Initial state; no foot is loaded yet."""
+    """Return the initial state, in which no foot is loaded."""
     return Slip(start.foot_holds(), start.constant(0.0))
 
 
 def update(state: Slip, ctx: CommonTick) -> Slip:
-    """Update the largest slip."""
+    """Update the touchdown points and the largest slip (m)."""
     holds, slips = state.holds.update(ctx)
     xp = array_namespace(slips)
     return Slip(holds, xp.maximum(state.largest, xp.max(slips, axis=-1)))

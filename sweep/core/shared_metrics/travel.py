@@ -6,7 +6,7 @@ from sweep.core.metric import Array, CommonRollout, CommonStart, CommonTick, Met
 
 
 class Travel(NamedTuple):
-    """Positions of the base at the start and now (m), way along the commanded direction (m), time of its motion.
+    """Start and current position of the base (m), its displacement along the command (m), and the time of motion (s).
 
     The way is None where the direction never changes: it follows from the two positions, without a sum's rounding.
     """
@@ -18,20 +18,20 @@ class Travel(NamedTuple):
 
 
 def begin(start: CommonStart) -> Travel:
-    """Initial state, before the first report."""
+    """Return the initial state: the base at its start, without displacement."""
     zero = start.constant(0.0)
     return Travel(start.base_position, start.base_position, zero if start.direction_varies else None, zero)
 
 
 def update(state: Travel, ctx: CommonTick) -> Travel:
-    """Add the way along the commanded direction."""
+    """Update the base's position, and add its displacement along the commanded direction."""
     way, moving = ctx.motion_along(state.position)
     total = None if state.way is None else state.way + way
     return Travel(state.start, ctx.base_position[..., -1, :], total, state.moving + moving)
 
 
 def compute(state: Travel, rollout: CommonRollout) -> dict[str, Array]:
-    """Ways, and the mean speed."""
+    """Return the distances that the base covered (m), and its mean speed (m/s), by column."""
     between = state.position - state.start
     xp = array_namespace(between)
     way = rollout.displacement_along(between) if state.way is None else state.way

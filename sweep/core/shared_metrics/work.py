@@ -4,12 +4,12 @@ from sweep.core.metric import Array, CommonRollout, CommonTick, Metric, initial_
 
 
 def update(state: Array, ctx: CommonTick) -> Array:
-    """Add the positive work of a report."""
+    """Add the drives' positive work since the previous report."""
     return state + ctx.positive_work
 
 
 def compute(state: Array, rollout: CommonRollout) -> dict[str, Array]:
-    """Positive work in J."""
+    """Return the drives' positive work (J), by column."""
     return {"energy_j": rollout.integral(state)}
 
 

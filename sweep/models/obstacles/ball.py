@@ -23,7 +23,8 @@ FLOOR, BALL = range(2)
 def point_at_elevation(
     obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, elevation: Number
 ) -> Float[Array, " 3"]:
-    """Chart of feet on the ball, `aside` of the middle plane (R), at an elevation (deg): 0 behind it, 90 on top."""
+    """Return a foothold on the ball from chart coordinates: `aside` of the middle plane (R), at an elevation (deg; 0
+    behind, 90 on top)."""
     angle, out = jnp.radians(jnp.asarray(elevation, float)), jnp.asarray(aside, float)
     round_ = jnp.sqrt(1 - out**2)
     return (obstacle.radius - depth) * point(-round_ * jnp.cos(angle), side * out, round_ * jnp.sin(angle))
@@ -32,7 +33,7 @@ def point_at_elevation(
 def cap_point(
     obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """Chart of feet on the ball's upper half, `ahead` of its centre (R)."""
+    """Return a foothold on the ball's upper half from chart coordinates: `aside` and `ahead` of its centre (R)."""
     x, y = (jnp.asarray(part, float) for part in (ahead, side * aside))
     return (obstacle.radius - depth) * point(x, y, jnp.sqrt(1 - x**2 - y**2))
 
@@ -40,14 +41,14 @@ def cap_point(
 def floor_point(
     obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """Chart of feet on the floor, `aside` and `ahead` of the ball's centre (in units of R)."""
+    """Return a foothold on the floor from chart coordinates: `aside` and `ahead` of the ball's centre (R)."""
     return point(ahead * obstacle.radius, side * aside * obstacle.radius, -obstacle.radius - depth)
 
 
 def tangent_base_position(
     obstacle: "Ball", side: float, unit: Number, depth: Number, elevation: Number, distance: Number, ahead: Number = 0.0
 ) -> Float[Array, " 3"]:
-    """Chart of bases that are tangent to a circle about the ball's centre.
+    """Return a base position, tangent to a circle about the ball's centre, from chart coordinates.
 
     Args:
         obstacle: The ball.
@@ -67,7 +68,7 @@ def tangent_base_position(
 
 
 def tangent_pitch(obstacle: "Ball", unit: Number, elevation: Number, distance: Number, ahead: Number = 0.0) -> Array:
-    """Pitch of a base in the chart `tangent_base_position`.
+    """Return the pitch of a base at chart coordinates of `tangent_base_position`.
 
     Args:
         obstacle: The ball.
@@ -83,7 +84,7 @@ def tangent_pitch(obstacle: "Ball", unit: Number, elevation: Number, distance: N
 
 
 def pitch_pivot(obstacle: "Ball", unit: Number, *numbers: Number) -> Float[Array, " 3"]:
-    """Point about which bases of the chart `tangent_base_position` turn (m): the ball's centre."""
+    """Return the point (m) about which bases of `tangent_base_position` turn: the ball's centre."""
     return jnp.zeros(3)
 
 
@@ -154,7 +155,7 @@ class Ball(ObstacleDefaults):
         return FreeState(position[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), velocity[None], turn[None])
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The floor and the ball."""
+        """Return the solids: the floor and the ball."""
         floor = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0))
         return floor, Sphere(name="ball", radius=self.radius, centre=bodies.position[0], body=0)
 

@@ -33,7 +33,7 @@ class Beam(StaticObstacle):
     thickness: float = quantity(0.1, "m", above=0)  # of the beam, from its top down
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The beam and both ledges; the beam overlaps the ledges by the foot radius."""
+        """Return the solids: the beam and both ledges; the beam overlaps the ledges by the foot radius."""
         half, length, thickness = self.height / 2, self.length / 2, self.thickness / 2
         ledges = (("near_ledge", LEDGE_HALF), ("far_ledge", -self.length - LEDGE_HALF))
         return (

@@ -19,7 +19,8 @@ DEPTH = 3.0  # m, that the house reaches back in y
 def wall_point(
     obstacle: "Corner", side: float, unit: Number, depth: Number, aside: Number, above: Number
 ) -> Float[Array, " 3"]:
-    """Chart of feet on a wall: `aside` of the corner's edge, `above` the roof."""
+    """Return a foothold on a wall of the corner from chart coordinates: `aside` of the corner's edge, `above` the
+    roof."""
     x = aside * unit
     return point(side * x, -x / jnp.tan(obstacle.half_angle), obstacle.height + above * unit)
 
@@ -27,7 +28,7 @@ def wall_point(
 def roof_point(
     obstacle: "Corner", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """Chart of feet on the roof: `aside` of the middle, `ahead` of the corner's edge."""
+    """Return a foothold on the roof from chart coordinates: `aside` of the middle, `ahead` of the corner's edge."""
     return point(side * (aside * unit), -ahead * unit, obstacle.height)
 
 
@@ -56,7 +57,7 @@ class Corner(StaticObstacle):
         return jnp.stack([jnp.stack([-cos, sin, zero]), jnp.stack([cos, sin, zero])])
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The floor and the house, whose back wall no robot reaches."""
+        """Return the solids: the floor and the house, whose back wall no robot reaches."""
         half = DEPTH * array_module(self.half_angle).tan(self.half_angle)
         polygon = ((0.0, 0.0), (half, -DEPTH), (-half, -DEPTH))
         floor = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0))

@@ -28,7 +28,7 @@ class Kerb(StaticObstacle):
     height: float = quantity(0.1, "m", above=0, at_most=1)  # of the ground beyond the edge, above that before it
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The lower ground and the raised block, which ends where no robot reaches."""
+        """Return the solids: the lower ground, and the raised block, which ends where no robot reaches."""
         floor, half = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0)), self.height / 2
         return floor, Box(name="kerb", position=(HALF, 0.0, half), half=(HALF, HALF, half), colour=SOIL)
 

@@ -35,7 +35,8 @@ ON_LEDGE, _ = level_ground_charts(lambda obstacle: (0.0, obstacle.ledge_height),
 def rung_point(
     obstacle: "Ladder", side: float, unit: Number, depth: Number, rung: Number, aside: Number, out: Number
 ) -> Float[Array, " 3"]:
-    """Chart of feet on a rung's top, `out` of the ladder's plane (rung depths)."""
+    """Return a foothold on a rung from chart coordinates: the rung, `aside`, and `out` of the ladder's plane (rung
+    depths)."""
     return point(side * aside * unit, obstacle.y_at_rung(rung) + depth, out * obstacle.rung_depth)
 
 
@@ -43,7 +44,7 @@ def base_along_ladder(
     obstacle: "Ladder", side: float, unit: Number, depth: Number, up: Number, out: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Float[Array, " 3"]:  # fmt: skip
-    """Chart of bases along the ladder: `up` from below (rungs), `out` of its plane, pitched by a share of its lean.
+    """Return a base position along the ladder from chart coordinates: `up` from below (rungs), `out` of its plane.
 
     `more_ahead`, `more_out` and `more_pitch` move the base with the ladder's `extra_height`: shares of it along the
     ladder and out of its plane, and shares of the lean for every unit of it.
@@ -57,7 +58,8 @@ def base_over_ledge(
     obstacle: "Ladder", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Float[Array, " 3"]:  # fmt: skip
-    """Chart of bases beyond and above the ledge's edge; extra shares as in `base_along_ladder`, in base axes."""
+    """Return a base position beyond and above the ledge's edge from chart coordinates; extra shares as in
+    `base_along_ladder`."""
     out, back = more_out * obstacle.extra_height, (1 - more_ahead) * obstacle.extra_height
     angle = jnp.asarray(base_pitch(obstacle, unit, ahead, above, pitch, more_ahead, more_out, more_pitch))
     sin, cos = jnp.sin(angle), jnp.cos(angle)
@@ -69,7 +71,7 @@ def base_pitch(
     obstacle: "Ladder", unit: Number, one: Number, other: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Number:  # fmt: skip
-    """Pitch of a base in the charts along the ladder and over the ledge (rad, nose up)."""
+    """Return the pitch (rad, nose up) of a base at chart coordinates along the ladder or over the ledge."""
     return (pitch + more_pitch * obstacle.extra_height / unit) * obstacle.lean
 
 
@@ -147,7 +149,7 @@ class Ladder(ObstacleDefaults):
         return rails, self.rungs * self.width * self.rung_height * self.rung_depth
 
     def bars(self) -> Bars:
-        """The boxes of rails and rungs."""
+        """Return the boxes of rails and rungs, in the ladder's own axes."""
         aside = (self.width + self.rail_breadth) / 2
         rail = point(self.rail_breadth / 2, self.length / 2, self.rail_depth / 2)
         rung = point(self.width / 2, self.rung_height / 2, self.rung_depth / 2)
@@ -206,7 +208,7 @@ class Ladder(ObstacleDefaults):
         }
 
     def start(self) -> FreeState:
-        """The ladder at rest, `gap` away from floor and wall."""
+        """Return the ladder at rest, `gap` away from floor and wall."""
         lean, edge = jnp.asarray(self.lean), self.rail_depth / 2
         sin, cos, zero = jnp.sin(lean), jnp.cos(lean), jnp.zeros_like(lean)
         y = self.gap + (self.length - self.centre) * cos + edge * sin
@@ -220,7 +222,7 @@ class Ladder(ObstacleDefaults):
         return BodyPoses(start.position, matrix(start.quat))
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """Floor, ledge and bars; the ledge ends where no robot reaches."""
+        """Return the solids: floor, ledge and bars; the ledge ends where no robot reaches."""
         bars, ledge = self.bars(), self.ledge_height / 2
         place = bodies.position[0] + bars.centre @ bodies.rotation[0].T
         names = ("rail_right", "rail_left", *(f"rung{k}" for k in range(1, self.rungs + 1)))

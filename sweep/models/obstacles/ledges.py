@@ -29,7 +29,8 @@ FAR, _ = level_ground_charts(lambda obstacle: (obstacle.width, obstacle.height))
 def base_between(
     obstacle: "Ledges", side: float, unit: Number, depth: Number, ahead: Number, above: Number
 ) -> Float[Array, " 3"]:
-    """Chart of bases `ahead` of the ball's centre (R), `above` half the ledges' height over that centre."""
+    """Return a base position between the ledges from chart coordinates: `ahead` of the ball's centre (R), `above` half
+    the ledges' height."""
     return point(ahead * obstacle.radius, 0.0, 0.5 * obstacle.height + above * unit)
 
 
@@ -72,7 +73,7 @@ class Ledges(Ball):
         return self.width - self.radius
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """Floor, ball and ledges, which end where no robot reaches."""
+        """Return the solids: floor, ball and ledges, which end where no robot reaches."""
         half = (DEPTH / 2, BREADTH / 2, self.height / 2)
         near = Box(name="near_ledge", position=(-DEPTH / 2, 0.0, half[2]), half=half, colour=SOIL)
         far = Box(name="far_ledge", position=(self.width + DEPTH / 2, 0.0, half[2]), half=half, colour=SOIL)
@@ -83,7 +84,8 @@ class Ledges(Ball):
         return jnp.stack([-points[:, 0], points[:, 0] - self.width], axis=-1)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Floor, ball or a ledge, whichever is deepest; the ball's first site touches the floor, its second a wall."""
+        """Return the surface of floor, ball or a ledge, whichever is deepest; one site of the ball touches the floor,
+        the other a wall."""
         lies = super().surface(points, owner, bodies)
         assert lies.rolling is not None
         dtype, own = points.dtype, np.array(owner) >= 0

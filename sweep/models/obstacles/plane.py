@@ -15,19 +15,19 @@ from sweep.models.solids import HalfSpace, Solid, array_module
 def ground_point(
     obstacle: "Plane", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """Chart of feet on the ground, `ahead` of the world's origin."""
+    """Return a foothold on the ground from chart coordinates: `aside` and `ahead` of the world's origin."""
     return obstacle.rotation() @ point(ahead * unit, side * aside * unit, -depth)
 
 
 def base_over_ground(
     obstacle: "Plane", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number = 0.0
 ) -> Float[Array, " 3"]:
-    """Chart of bases `above` the ground, pitched against it (deg, nose up)."""
+    """Return a base position `above` the ground from chart coordinates, pitched against it (deg, nose up)."""
     return obstacle.rotation() @ point(ahead * unit, 0.0, above * unit)
 
 
 def base_pitch(obstacle: "Plane", unit: Number, ahead: Number, above: Number, pitch: Number = 0.0) -> Array:
-    """Pitch of a base in the chart `base_over_ground` (rad, nose up)."""
+    """Return the pitch (rad, nose up) of a base at chart coordinates of `base_over_ground`."""
     return obstacle.slope + jnp.radians(jnp.asarray(pitch, float))
 
 
@@ -52,12 +52,12 @@ class Plane(StaticObstacle):
         return jnp.stack(rows)
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The ground as a half-space."""
+        """Return the ground as a half-space."""
         sin, cos = (getattr(array_module(self.slope), name)(self.slope) for name in ("sin", "cos"))
         return (HalfSpace(name="ground", normal=(-sin, 0.0, cos)),)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """The plane's depth and normal, the same everywhere."""
+        """Return depth and normal of the plane under each point; the normal is the same everywhere."""
         normal = self.rotation()[:, 2].astype(points.dtype)
         n = points.shape[0]
         none = jnp.zeros(n, jnp.int32)

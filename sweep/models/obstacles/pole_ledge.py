@@ -17,7 +17,7 @@ FLOOR, SIDE, TOP, LEDGE, WALL = range(5)
 def side_point(
     obstacle: "PoleLedge", side: float, unit: Number, depth: Number, ahead: Number, above: Number
 ) -> Float[Array, " 3"]:
-    """Chart of feet on the pole's side: `ahead` of its axis (r), `above` its top."""
+    """Return a foothold on the pole's side from chart coordinates: `ahead` of its axis (r), `above` its top."""
     y = -ahead * obstacle.radius
     return point(side * jnp.sqrt(jnp.asarray(obstacle.radius - depth) ** 2 - y**2), y, obstacle.height + above * unit)
 
@@ -25,14 +25,14 @@ def side_point(
 def top_point(
     obstacle: "PoleLedge", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """Chart of feet on the pole's top, from its axis (r)."""
+    """Return a foothold on the pole's top from chart coordinates: `aside` and `ahead` of its axis (r)."""
     return point(side * aside * obstacle.radius, -ahead * obstacle.radius, obstacle.height - depth)
 
 
 def ledge_point(
     obstacle: "PoleLedge", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """Chart of feet on the ledge: `aside` of the middle (r), `ahead` of its edge."""
+    """Return a foothold on the ledge from chart coordinates: `aside` of the middle (r), `ahead` of its edge."""
     return point(side * aside * obstacle.radius, -obstacle.radius - ahead * unit, obstacle.ledge_height - depth)
 
 
@@ -57,7 +57,7 @@ class PoleLedge(StaticObstacle):
     ledge_height: float = quantity(2.076660689865613, "m", above=0)  # h1, of the ledge above the floor
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """Floor, pole and ledge, which ends where no robot reaches."""
+        """Return the solids: floor, pole and ledge, which ends where no robot reaches."""
         half, ledge = self.height / 2, self.ledge_height / 2
         return (
             HalfSpace(name="floor", normal=(0.0, 0.0, 1.0)),

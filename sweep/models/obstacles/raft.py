@@ -132,7 +132,7 @@ class Raft(ObstacleDefaults):
         return FreeState(jnp.stack([x, jnp.zeros_like(x), z])[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), still, still)
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """Banks and raft; the banks end where no robot reaches."""
+        """Return the solids: banks and raft; the banks end where no robot reaches."""
         bank = {"half": (SHORE / 2, SHORE / 2, 0.5), "colour": SOIL}
         return (
             Box(name="near_bank", position=(-SHORE / 2, 0.0, -0.5), **bank),
@@ -168,7 +168,7 @@ class Raft(ObstacleDefaults):
         return -jnp.concatenate([plane * force, heading * torque])
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Banks or raft, whichever is deeper, by the nearest face of each; the raft's edges touch the banks' walls."""
+        """Return the surface of banks or raft, whichever is deeper; the raft's edges touch the banks' walls."""
         dtype, own = points.dtype, np.array(owner) >= 0
         half = self.half_size.astype(dtype)
         beyond = jnp.stack([-points[:, 0], points[:, 0] - self.water_width], axis=-1)  # of each wall

@@ -19,7 +19,7 @@ FOOT_RADIUS = 1e-3  # m, of the native engine's spheres: a larger one rolls unde
 
 
 class FreeState(NamedTuple):
-    """Poses and velocities of the obstacle's k free bodies, world axes; engines and estimators make them."""
+    """Poses and velocities of the obstacle's k free bodies, world axes; made by engines and estimators."""
 
     position: Float[Array, "k 3"]  # m, of the body frame, which is at the mass centre
     quat: Float[Array, "k 4"]

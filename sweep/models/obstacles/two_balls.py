@@ -26,7 +26,7 @@ SECOND = BALL + 1
 def base_above_ball(
     obstacle: "TwoBalls", side: float, unit: Number, depth: Number, ahead: Number, above: Number
 ) -> Float[Array, " 3"]:
-    """Chart of bases `ahead` of a ball's centre (R), above its top."""
+    """Return a base position above a ball from chart coordinates: `ahead` of its centre (R), above its top."""
     return point(ahead * obstacle.radius, 0.0, obstacle.radius + above * unit)
 
 
@@ -52,7 +52,7 @@ class TwoBalls(Ball):
     contact_sites = (("ball", 0), ("second_ball", 1), ("between", 1))
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """The floor and both balls."""
+        """Add the floor and both balls to a MuJoCo spec."""
         super().add_to(spec, friction)
         add_contact_pair(spec, "ball", "second_ball", friction * self.ball_grip, self.impact_damping)
 
@@ -73,12 +73,13 @@ class TwoBalls(Ball):
         return FreeState(*[jnp.concatenate(both) for both in zip(first, second, strict=True)])
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The floor and both balls."""
+        """Return the solids: the floor and both balls."""
         second = Sphere(name="second_ball", radius=self.radius, centre=bodies.position[1], body=1)
         return *super().solids(bodies), second
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Floor or a ball, whichever is deepest; the second ball's centre feels the floor, and then the first ball."""
+        """Return the surface of floor or a ball, whichever is deepest; the second ball touches the floor and the first
+        ball."""
         one = super().surface(points, owner, bodies)
         assert one.rolling is not None
         dtype, own = points.dtype, np.array(owner) >= 0

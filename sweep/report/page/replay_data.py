@@ -29,7 +29,7 @@ class ShownReplay(NamedTuple):
 
 
 class Replays(NamedTuple):
-    """All replays of a page."""
+    """The replays that a page embeds: their descriptions, their states as text, and the robot models."""
 
     about: list[dict[str, Any]]
     streams: list[str]

@@ -1,4 +1,4 @@
-"""The protocol of study designs: how axes are drawn, and what the rows of a study then say.
+"""The protocol of study designs: how axes are drawn, and which statistics the rows of a study allow.
 
 A design is a subclass of `Design`, or of `AdaptiveDesign` if it decides about its next points from finished rows. Its
 dataclass fields are settings of its own under `study.design`. All other rooms ask the design of a study, and name none.
@@ -24,7 +24,7 @@ GRIDS = FULL, ONE_AT_A_TIME = "full", "one_at_a_time"  # how listed axes are com
 
 
 class SamplingUnit(NamedTuple):
-    """What a design draws independently: the rows of one unit count as one observation."""
+    """What a design draws independently of the rest: the rows of one unit count as one observation."""
 
     name: str
     # whether draws of a unit are spread more evenly than independent ones: intervals then follow from the spread
@@ -75,7 +75,7 @@ class FailureEstimate(Protocol):
 
     @property
     def probability(self) -> float:
-        """The estimate."""
+        """The estimated probability of failure."""
         ...
 
     @property

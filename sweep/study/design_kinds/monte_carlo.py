@@ -26,7 +26,8 @@ class MonteCarlo(Design):
 
 
 def advise_plain_draws(probability: float) -> str:
-    """Return the end of a search's estimate: advice to draw independently where failures are not rare, else nothing."""
+    """Return advice to use independent draws where failures are not rare, as the end of an estimate's text; else
+    empty."""
     return f"; it is not rare: study.design.kind={MonteCarlo.kind} is as precise" if probability > RARE else ""
 
 

@@ -22,15 +22,15 @@ class Morris(Design):
 
     @property
     def sampling_unit(self) -> SamplingUnit:
-        """Return the trajectory."""
+        """Return the trajectory as the unit that is drawn independently."""
         return SamplingUnit("trajectory")
 
     def block_size(self, d: int) -> int:
-        """Return d + 1."""
+        """Return the number of draws of a trajectory: d + 1."""
         return d + 1
 
     def sample(self, ctx: DrawContext) -> np.ndarray:
-        """Draw the trajectories."""
+        """Draw the trajectories, as quantiles of the axes."""
         from SALib.sample import morris  # slow to import
 
         grid = self.trajectory_grid

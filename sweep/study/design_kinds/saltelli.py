@@ -10,7 +10,8 @@ from sweep.study.design_kinds.sobol import warn_of_unbalanced_draws
 
 
 class Saltelli(Design):
-    """Blocks of a draw of A, that draw with one coordinate of B for each axis, and a draw of B."""
+    """Saltelli's design: blocks of a draw of sample A, d copies of it with one coordinate of B each, and a draw of
+    B."""
 
     kind: ClassVar[str] = "saltelli"
     meaning: ClassVar[str] = "Sobol indices"
@@ -27,11 +28,11 @@ class Saltelli(Design):
 
     @property
     def sampling_unit(self) -> SamplingUnit:
-        """Return the block."""
+        """Return the block as the unit that is drawn independently."""
         return SamplingUnit("block")
 
     def block_size(self, d: int) -> int:
-        """Return d + 2."""
+        """Return the number of draws of a block: d + 2."""
         return d + 2
 
     def select_rate_draws(self, draws: np.ndarray, d: int) -> np.ndarray:
@@ -39,7 +40,7 @@ class Saltelli(Design):
         return draws % self.block_size(d) == 0
 
     def sample(self, ctx: DrawContext) -> np.ndarray:
-        """Draw the blocks from a Sobol sequence."""
+        """Draw the blocks of samples A and B from a Sobol sequence."""
         from SALib.sample import sobol  # slow to import
 
         problem = {"num_vars": len(ctx.axes), "names": [*ctx.axes], "bounds": [[0.0, 1.0]] * len(ctx.axes)}

@@ -46,7 +46,7 @@ class Sobol(Design):
 
     @property
     def sampling_unit(self) -> SamplingUnit:
-        """Return the scramble.
+        """Return the scramble as the unit that is drawn independently.
 
         One scramble has no spread. Independent draws vary more, so that their interval is safe.
         """
@@ -66,7 +66,7 @@ class Sobol(Design):
         return draws % self.scrambles if self.scrambles > 1 else draws
 
     def sample(self, ctx: DrawContext) -> np.ndarray:
-        """Draw from all scrambles in turn."""
+        """Draw from all scrambled Sobol sequences in turn."""
         from scipy.stats import qmc  # slow to import
 
         d = len(ctx.axes)

@@ -67,7 +67,7 @@ class Subset(AdaptiveDesign):
 
     @property
     def sampling_unit(self) -> SamplingUnit:
-        """Return the run."""
+        """Return the run of subset simulation as the unit that is drawn independently."""
         return SamplingUnit("run")
 
     @property
@@ -140,7 +140,7 @@ class SubsetEstimate:
 
     @property
     def probability(self) -> float:
-        """The mean over runs."""
+        """The estimated probability of failure: the mean over the runs."""
         return float(self.run_probabilities.mean())
 
     @property

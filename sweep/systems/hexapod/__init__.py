@@ -196,7 +196,8 @@ class Hexapod:
         yield from _plan_inputs(self.case, plan_table.default_plan_content(self.case))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
-        """Refuse sizes of a wrong unit, robots that MuJoCo cannot compile, and too long time steps, see `System`."""
+        """Refuse sizes in a wrong unit, robots that MuJoCo cannot compile, and too long time steps; see
+        `System.check`."""
         for column in table.columns:
             if not column.startswith("axis.") and table[column].dtype.kind == "f":
                 _check_size(column, self.parameter(column, settings), table[column].max())
@@ -278,7 +279,7 @@ class Hexapod:
         return world, belief
 
     def with_delay_buffer(self, table: "pd.DataFrame") -> "Hexapod":
-        """Return this system with sensor buffers for the longest delay of a table, see `System`."""
+        """Return this system with sensor buffers for the longest delay in a points table."""
 
         def of(name: str) -> Any:
             columns = [c for c in table.columns if split_side(c)[1] == f"noise.{name}"]

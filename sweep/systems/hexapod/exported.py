@@ -47,7 +47,8 @@ BELIEVED = "robot", "drive", "contact", "obstacle", "manoeuvre"  # groups whose 
 
 
 class Controller(NamedTuple):
-    """Members of the module of a user's controller."""
+    """The members of an exported controller's module: `begin`, `policy`, `figures` and the tables of parameters and
+    metrics."""
 
     begin: Callable[..., Any]
     policy: Callable[..., Any]

@@ -67,7 +67,7 @@ MEANINGS = {cause.name: cause.sentence for cause in CAUSES}
 def judge(
     figures: Mapping[str, np.ndarray], limits: tuple[Condition, ...], stages: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Label rows: the causes that every model has first, then the first condition that holds; see `System.judge`."""
+    """Label rows: causes that every model has come first, then the first condition that holds; see `System.judge`."""
     none = np.zeros(len(next(iter(figures.values()))), int)
     causes = [judge_cause(cause, figures, cause.limit(cause.default), none) for cause in CAUSES]
     causes += [condition.judge(figures) for condition in limits]
@@ -119,7 +119,7 @@ class MujocoModel(ModelSpec):
         return self.time_series_columns(trace.qpos, trace.qvel) | dict(trace.columns)
 
     def model_xml(self, trace: Trace, settings: EngineSettings) -> str:
-        """Refuse, see `System`: the model is a file of the project."""
+        """Raise `InputError`: the model is a file of the project already."""
         raise InputError("--model is not allowed: the model is a file of the project")
 
     @property
@@ -129,7 +129,7 @@ class MujocoModel(ModelSpec):
         return (*state, *self.policy_columns)
 
     def source_files(self) -> dict[str, Path]:
-        """See `System`: those of the model and of the controller."""
+        """Return the source files of the model and its controller, by path within the project."""
         if _content_digest(self) != self.config.content:
             raise InputError("model or controller changed after the study was run")
         found, place = {}, files.project_folder().resolve()
@@ -183,7 +183,7 @@ class MujocoModel(ModelSpec):
         return getattr(settings, name) if root == "engine" else self.parameter(column, settings).default
 
     def iterate_physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """See `System`: the model as a whole, and what is varied of it."""
+        """Yield the physical inputs: a digest of the whole model, and the numbers of it that vary."""
         about = self.config
         yield from self.controller_values
         yield "model", about.content
@@ -203,7 +203,7 @@ class MujocoModel(ModelSpec):
         return 0
 
     def default_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """See `System`: a model's number that is varied counts where it is not that of the model."""
+        """Yield varied numbers of the model at their nominal values, which do not count for point ids."""
         yield from self._varied_numbers(paths)
         yield "noise.action_delay", 0.0
         yield from ((path, 0.0) for path in self.parameters if path.startswith(f"{initial_state.START}."))
@@ -295,7 +295,7 @@ class MujocoModel(ModelSpec):
             terrain.check_range(chosen, numbers)
 
     def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
-        """See `System`: a controller may draw, too."""
+        """Return which rows draw random numbers: those with sensor errors, and all rows if the controller may draw."""
         return np.ones(len(rows), dtype=bool)
 
     def make_sides(self, values: Values) -> tuple[SideValues, SideValues]:
@@ -343,7 +343,7 @@ class MujocoModel(ModelSpec):
         return MjxModelEngine(system, settings)
 
     def run_id(self, settings: EngineSettings) -> str:
-        """See `System`: on native nothing of width or threads changes bits."""
+        """Hash how a row is simulated; on C MuJoCo neither the batch width nor the number of threads counts."""
         settings = replace(settings, width=0) if settings.name == "native" else settings
         kernels = (f"warp-lang {metadata.version('warp-lang')}",) if settings.name == "warp" else ()
         return run_id.run_id(settings, _content_digest(self), *kernels)

@@ -13,7 +13,7 @@ from sweep.systems.mujoco_model.tick import ModelParts, ModelRollout, ModelStart
 
 
 class ModelMetrics(NamedTuple):
-    """States of all metrics of n rollouts, a pytree of NumPy or JAX arrays; engines carry it."""
+    """States of all metrics of n rollouts, a pytree of NumPy or JAX arrays that engines carry."""
 
     steps: Array  # (n,), physics steps so far
     start: Array  # positions (n, nq)

@@ -11,7 +11,8 @@ JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
 class JointControl(NamedTuple):
-    """A proportional-derivative law for each of the nu actuators; those that have none get their command as it is."""
+    """A proportional-derivative law for each of the nu actuators; the commands of actuators without one are their
+    controls."""
 
     qpos: np.ndarray  # (nu,) index of the joint's position
     qvel: np.ndarray  # (nu,) index of the joint's velocity

@@ -1,4 +1,4 @@
-"""Batches of a MuJoCo model at their first tick: models with their own values, controller inputs, and poses."""
+"""Start of a batch of a MuJoCo model: models with their own values, controller inputs, and poses."""
 
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ PUSH_KEY, START_KEY = 2**31 - 1, 2**31 - 2  # of random pushes and initial state
 
 
 class BatchStart(NamedTuple):
-    """A batch of n rollouts at their first control tick."""
+    """A batch of n rollouts before their first control tick, made by `start_batch`."""
 
     batch: Batch  # at the keyframe
     qpos: np.ndarray  # (n, nq), of the batch: what is written here is where it goes on from
@@ -59,7 +59,8 @@ class BatchStart(NamedTuple):
         return self.ground.make_picture_model(self.batch, slot, self.alone)
 
     def energy(self, qpos: Any = None, qvel: Any = None) -> np.ndarray:
-        """Potential and kinetic energy (J) of each model, (n,), as it is, or at given qpos (n, nq) and qvel (n, nv).
+        """Return the potential and kinetic energy (J) of each model (n,), in its present state or at given qpos (n, nq)
+        and qvel (n, nv).
 
         All that follows from the state is worked out; where that is not finite, energy is NaN.
         """
@@ -75,7 +76,7 @@ class BatchStart(NamedTuple):
         return np.where(finite, found.sum(axis=1), np.nan)
 
     def current_sensors(self) -> np.ndarray:
-        """Sensors (n, nsensordata) of the state as it is, by MuJoCo's forward pass."""
+        """Return the sensors (n, nsensordata) of the present state, by MuJoCo's forward pass."""
         self.batch.forward(np.flatnonzero(self._finite()))
         return self.sensors
 
@@ -86,7 +87,7 @@ class BatchStart(NamedTuple):
 def start_batch(
     spec: ModelSpec, settings: EngineSettings, world: SideValues, belief: SideValues, streams: np.ndarray
 ) -> BatchStart:
-    """Rollouts of a batch of two sides. Raises `InputError` where MuJoCo makes no batch of such a model."""
+    """Make the rollouts of a batch from world and belief. Raises `InputError` where MuJoCo cannot batch the model."""
     n, number = len(streams), np.dtype(settings.precision).type
     ground = spec.make_terrain(world, n)
     model = ground.with_heights(spec.compile_with_fields(len(ground.heights))) if ground else spec.model
@@ -145,7 +146,8 @@ def draw_even(streams: np.ndarray, purpose: int, count: int) -> np.ndarray:
 
 
 def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) -> dict[str, Any]:
-    """Inputs of the controllers from both sides: `belief` by name, and `delay`, `white` and `bias` of observations."""
+    """Return the inputs of the controllers: `belief` by name, and the observation errors `delay`, `white` and
+    `bias`."""
     noise = world_numbers(spec, world)
     told = spec.believed_values({**belief.select_group("model"), **belief.select_group("controller")})
     found = {"belief": told, **{name: noise[f"noise.{name}"] for name in ("delay", "white", "bias")}}
@@ -158,7 +160,7 @@ def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) ->
 
 
 def world_numbers(spec: ModelSpec, world: SideValues) -> dict[str, Any]:
-    """Return the numbers of noise, pushes, payloads, motors and the start by path, as they are in the world."""
+    """Return the simulated numbers of noise and pushes, by path."""
     groups = (world.select_group(name) for name in ("noise", *PHYSICAL))
     return {**dict(spec.controller_values), **{path: value for group in groups for path, value in group.items()}}
 
@@ -169,7 +171,7 @@ def without_random_start(spec: ModelSpec) -> SideValues:
 
 
 def count_ticks(spec: ModelSpec, duration: Any) -> np.ndarray:
-    """Control ticks (n,) of rollouts whose controllers would end them after a `duration` (n,) in s.
+    """Return the number of control ticks (n,) of rollouts whose controllers end them after a `duration` (n,) in s.
 
     Raises `InputError` where one is shorter than a tick.
     """
@@ -181,6 +183,7 @@ def count_ticks(spec: ModelSpec, duration: Any) -> np.ndarray:
 
 
 def differing_fields(begun: BatchStart) -> dict[str, np.ndarray]:
-    """Return the fields in which a batch's models differ from its own, (n, ...): written ones and derived ones."""
+    """Return the fields in which the models of a batch differ from the nominal model, (n, ...): written and derived
+    ones."""
     model, found = begun.batch.model, mujoco_versions.expanded_values(begun.batch, begun.written)
     return {name: rows for name, rows in sorted(found.items()) if (rows != fields.field_values(model, name)).any()}

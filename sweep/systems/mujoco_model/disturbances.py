@@ -22,14 +22,14 @@ PUSH: Mapping[str, Parameter] = {  # numbers of a push
 
 
 class PushedBody(NamedTuple):
-    """A push of a scenario: its name, and the body whose centre of mass it acts on."""
+    """A push of a scenario: its name, and the body at whose centre of mass it acts."""
 
     name: str
     body: str
 
 
 class TickForces(NamedTuple):
-    """What acts on rollouts beside their actuators, by row."""
+    """Pushes and delays of commands that act on n rollouts, one row for each rollout."""
 
     delay: Any  # (n,) physics steps by which commands are late, whole
     force: Any  # (n, p, 3) N, of each push
@@ -56,7 +56,7 @@ class TickForces(NamedTuple):
 
 
 def parse_pushes(given: Any, bodies: list[str]) -> tuple[tuple[PushedBody, ...], dict[str, Any]]:
-    """Return the pushes of a configuration, and their numbers by path. Raises `InputError`.
+    """Parse the pushes of a configuration; return them, and their numbers by path. Raises `InputError`.
 
     Args:
         given: For each name a mapping with `body` and keys of `PUSH`.
@@ -79,7 +79,7 @@ def parse_pushes(given: Any, bodies: list[str]) -> tuple[tuple[PushedBody, ...],
 
 
 def make_forces(pushes: tuple[PushedBody, ...], values: Mapping[str, Any], luck: np.ndarray) -> TickForces:
-    """Return what acts on n rollouts.
+    """Return the pushes and command delays that act on n rollouts.
 
     Args:
         pushes: The pushes of the scenario.

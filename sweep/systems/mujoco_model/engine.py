@@ -35,7 +35,7 @@ RECORDED = (*STEPS, "solver_niter", "M", *BALANCE)
 
 
 class TickSample(NamedTuple):
-    """What is recorded at the end of a tick, of some rollouts."""
+    """State and forces of some rollouts, recorded at the end of a control tick."""
 
     time: float
     ctrl: np.ndarray
@@ -50,12 +50,13 @@ BatchResult = tuple[Metrics, list[TickSample], list[mujoco.MjModel]]  # of a bat
 
 @cache
 def print_note(line: str) -> None:
-    """Print what a user should know before a study starts, once, on the standard error."""
+    """Print a note for the user on the standard error before a study starts; each note appears once."""
     print(f"sweep: note: {line}", file=sys.stderr)
 
 
 class ModelEngine:
-    """An `Engine`, but for `dynamics` and for the way from one tick to the next. Raises `InputError`."""
+    """Base class of engines for user models: subclasses name their `dynamics` and simulate the ticks. Raises
+    `InputError`."""
 
     stages: tuple[str, ...] = ("run",)  # there are no others
     dynamics: str
@@ -92,7 +93,7 @@ class ModelEngine:
         return batch.start_batch(self._spec, self._settings, world, SideValues(), np.zeros(1, np.int64))
 
     def check_start(self) -> None:
-        """Raise `InputError` where the controller's first controls are not finite, all being nominal."""
+        """Raise `InputError` where the controller's first controls are not finite at nominal values."""
         begun = self._start_nominal()
         with self._within():
             self._programs.check_start(begun)
@@ -104,7 +105,8 @@ class ModelEngine:
             return self._programs.evaluate_first_tick(begun)
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
-        """Raise `InputError` where models cannot differ in what `paths` name; what is to be known before, as lines."""
+        """Raise `InputError` where the models of a batch cannot differ in what `paths` name; return cautions, one line
+        each."""
         return ()
 
     def rollout_bytes(self) -> None:
@@ -122,7 +124,8 @@ class ModelEngine:
     def run_with_time_series(
         self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
-        """Figures, and columns over time, see `Engine`."""
+        """Simulate a batch; return its metrics, and columns of some rollouts over time, see
+        `Engine.run_with_time_series`."""
         found, frames, _ = self._simulate_columns(world, belief, streams, slots, watch.every)
         columns = [self._spec.time_series_columns(frame.qpos, frame.qvel, frame.policy) for frame in frames]
         none = np.full(len(slots), np.nan)  # of a column that another model or controller of the study has
@@ -130,13 +133,13 @@ class ModelEngine:
         return found, np.stack(samples) if samples else np.zeros((0, len(slots), len(watch.columns)))
 
     def trace(self, world: SideValues, belief: SideValues, streams: np.ndarray, slot: int) -> Trace:
-        """One rollout recorded, see `Engine`."""
+        """Simulate a batch and record one of its rollouts, see `Engine.trace`."""
         return self.traces(world, belief, streams, 1, [slot])[0]
 
     def traces(
         self, world: SideValues, belief: SideValues, streams: np.ndarray, every: int, slots: Any = None
     ) -> list[Trace]:
-        """See `Engine`; of some `slots`, if they are named."""
+        """Simulate a batch and record the rollouts at the indices `slots`, by default all, see `Engine.traces`."""
         slots = range(len(streams)) if slots is None else slots
         found, frames, models = self._simulate_columns(world, belief, streams, slots, every)
         if not frames:  # all rollouts end before the first one
@@ -173,14 +176,14 @@ class ModelEngine:
 
 
 def joint_levers(model: mujoco.MjModel) -> np.ndarray:
-    """How much of an actuator's force (nu, J) each of the `single_joints` has, of those that drive one."""
+    """Return the moment arms (nu, J) from the forces of actuators to the `single_joints` that they drive."""
     joints, kind = single_joints(model), int(mujoco.mjtTrn.mjTRN_JOINT)
     driven = (model.actuator_trnid[:, :1] == joints) & (model.actuator_trntype[:, None] == kind)
     return driven * model.actuator_gear[:, :1]
 
 
 class NativeModelEngine(ModelEngine):
-    """The engine on C MuJoCo, whose bits are the same on all cores."""
+    """Engine that simulates user models on C MuJoCo; its bits do not depend on the number of cores."""
 
     dynamics = "C MuJoCo"
 
@@ -313,7 +316,7 @@ class TickStepper:
 
 
 def find_unsolved_steps(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Which steps (n, s) took all of the solver's iterations and are not solved by them.
+    """Return which steps (n, s) the solver left unsolved after all of its iterations.
 
     What PGS and noslip find balances whatever it is, so that of theirs the iterations alone are known.
     """

@@ -27,7 +27,7 @@ OPTION, ROOT = "option", "model"
 
 
 class NumberSpec(NamedTuple):
-    """Unit, bounds and component names of a field that may vary."""
+    """Unit, bounds and component names of a model field that may vary."""
 
     unit: str = ""
     at_least: float = -np.inf
@@ -46,7 +46,7 @@ class NumberLocation(NamedTuple):
 
 
 class Element(NamedTuple):
-    """The element of a model that a path names, and the attribute."""
+    """The model element that a path names, such as a geom, and the path's attribute."""
 
     kind: str
     number: int  # as MuJoCo counts things of the kind; of options, which are one thing, 0
@@ -172,7 +172,7 @@ def parameter(model: mujoco.MjModel, path: str) -> Parameter:
 
 
 def select_quantities(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Select the values, by path, in which the models of one batch may differ."""
+    """Select the values, by path, that may differ between the models of one batch."""
     return {path: value for path, value in values.items() if parameter(model, path).metadata["role"] == "quantity"}
 
 
@@ -284,7 +284,7 @@ def find_element(model: mujoco.MjModel, path: str) -> Element:
 
 
 def locate_numbers(model: mujoco.MjModel, path: str) -> tuple[NumberSpec, list[NumberLocation]]:
-    """Return what a path varies, and where its numbers are in the model. Raises `InputError`."""
+    """Return the meaning of a path, and where its numbers are in the model. Raises `InputError`."""
     if is_group(path):
         every = [locate_numbers(model, member) for member in group_members(model, path)]
         return every[0][0], [place for _, places in every for place in places]

@@ -43,7 +43,7 @@ _READ: dict[str, tuple[Path, str]] = {}  # of modules by name: the project that 
 
 
 class Policy(NamedTuple):
-    """What a user's module says, or what a network is."""
+    """A controller that was loaded: the members of a user's module, or those made from a network."""
 
     policy: Callable[..., Any]
     files: tuple[Path, ...]  # its source, what lies beside it in a package, and its `FILES`
@@ -61,7 +61,8 @@ class Policy(NamedTuple):
 
     @property
     def joint_control(self) -> JointControl | None:
-        """The law that turns commands into controls at every physics step; None where they are controls."""
+        """The joint control law that turns commands into controls at every physics step; None where commands are
+        controls."""
         return self.learned.joint_control if self.learned else None
 
 
@@ -71,7 +72,7 @@ def project_folder() -> Path:
 
 
 def load_model(mjcf: str, ground: TerrainConfig | None = None, fields: int = 1) -> mujoco.MjModel:
-    """Compile the model of a file, MJCF or URDF. Raises `InputError`.
+    """Load and compile the model in an MJCF or URDF file. Raises `InputError`.
 
     Args:
         mjcf: The file, from the project's folder.
@@ -395,7 +396,8 @@ def _module(controller: str, name: str) -> ModuleType:
 
 
 def code_folder(source: Path, named: Sequence[str]) -> Path:
-    """The folder that a module's relative paths are from: its own, if its `FILES` are there, else the project's."""
+    """Return the folder that a module's relative paths start from: its own if its `FILES` are there, else the
+    project's."""
     beside = source.resolve().parent
     return beside if named and all((beside / file).is_file() for file in named) else project_folder().resolve()
 

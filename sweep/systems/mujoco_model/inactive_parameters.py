@@ -15,7 +15,7 @@ SENSED, FREE = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtJoint.mjJNT_FREE
 
 
 def explain_inactive(spec: ModelSpec, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
-    """Why a column cannot change anything, as far as the model proves it: see `System.explain_inactive_column`."""
+    """Explain why a column cannot change anything, if the model proves it; see `System.explain_inactive_column`."""
     side, path = split_side(column)
     root = path.partition(".")[0]
     if root == "noise":

@@ -1,4 +1,4 @@
-"""A learned policy in its place: terms read from the model's state, the network, and controls from its action."""
+"""A learned policy fitted to a model: observation terms from the state, the network, and controls from its action."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 class Term(NamedTuple):
-    """A term of an observation as the model has it."""
+    """A term of a policy's observation, fitted to a model."""
 
     spec: TermSpec
     size: int
@@ -35,7 +35,7 @@ class Term(NamedTuple):
 
 
 class LearnedPolicy(NamedTuple):
-    """A learned policy for one model: the functions of a controller, and what it was made from."""
+    """A learned policy fitted to one model: the functions of a controller, and the specification behind them."""
 
     spec: PolicySpec
     inputs: Mapping[str, tuple[Term, ...]]  # by the network's input
@@ -50,7 +50,7 @@ class LearnedPolicy(NamedTuple):
     assemble: Callable[..., Any]  # (belief, observation, state) -> numbers of each input, by name, and the next state
 
     def split_terms(self, numbers: Mapping[str, Any]) -> dict[str, list[tuple[str, str, np.ndarray]]]:
-        """Split the numbers of each input into its terms: name, unit and numbers; of stacked ticks the last one.
+        """Split the numbers of each network input into its terms: name, unit and numbers; of stacked ticks the last.
 
         Args:
             numbers: Numbers of each input, by its name.
@@ -95,12 +95,12 @@ class LearnedPolicy(NamedTuple):
 
     @property
     def measured_terms(self) -> dict[str, Term]:
-        """The terms that are measured, by label: those that sensor errors apply to."""
+        """The terms that are measured and therefore have sensor errors, by label."""
         return {one.spec.label: one for terms in self.inputs.values() for one in terms if one.raw is not None}
 
 
 def spec_file(network: Path) -> Path:
-    """Return where the specification of a network is."""
+    """Return the path of a network's specification file."""
     return network.with_name(f"{network.stem}{policy_spec.SUFFIX}")
 
 

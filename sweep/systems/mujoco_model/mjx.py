@@ -78,7 +78,8 @@ INSTEAD = {  # by a part of what MJX says
 
 
 class MjxModelEngine(ModelEngine):
-    """See `Engine`. Raises `InputError` where MJX cannot simulate the model, or would leave a part of it out."""
+    """Engine that simulates user models on MJX. Raises `InputError` where MJX cannot simulate a model or would ignore a
+    part of it."""
 
     dynamics = "mjx"
 
@@ -106,7 +107,7 @@ class MjxModelEngine(ModelEngine):
         self._ticks = jax.jit(self._run_ticks, donate_argnums=2)
 
     def known_differences(self) -> Iterator[str]:
-        """Where MJX is known to part from C MuJoCo, each a line."""
+        """Describe the known differences of MJX from C MuJoCo for this model, a line each."""
         model = self._model
         if model.nplugin:
             yield f"{self._settings.name} ignores the model's plugins, C MuJoCo does not"
@@ -160,7 +161,7 @@ class MjxModelEngine(ModelEngine):
         return InputError(f"engine.name = {self._settings.name} is not allowed: {why} ({instead}or engine=native)")
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
-        """Refuse what MJX does not vary; cautions beside it, see `ModelEngine`."""
+        """Refuse numbers that MJX cannot vary, and return cautions; see `ModelEngine.check_varied`."""
         grounds, paths = ([path for path in paths if terrain.is_terrain(path) == one] for one in (True, False))
         if grounds and self._impl == "warp":
             raise self._refusal(f"Warp has one terrain for all rollouts, which {grounds[0]} varies", "engine=mjx, ")
@@ -172,14 +173,14 @@ class MjxModelEngine(ModelEngine):
         return self.known_differences()
 
     def run(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> Metrics:
-        """Metrics of a batch; the engine's first one is compared with C MuJoCo before, see `_cross_check`."""
+        """Simulate a batch and return its metrics; the engine's first batch is compared with C MuJoCo before."""
         self._cross_check(world, belief, streams)
         return super().run(world, belief, streams)
 
     def run_with_time_series(
         self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
-        """Metrics, and columns over time; the engine's first batch is compared with C MuJoCo before."""
+        """Simulate a batch with columns over time; the engine's first batch is compared with C MuJoCo before."""
         self._cross_check(world, belief, streams)
         return super().run_with_time_series(world, belief, streams, slots, watch)
 
@@ -469,7 +470,7 @@ def custom_numeric(model: mujoco.MjModel, name: str) -> np.ndarray | None:
 
 
 def count_geom_pairs(model: mujoco.MjModel) -> int:
-    """Count the pairs of geoms that may touch: those of the file, and those that MuJoCo's filters let through."""
+    """Count the pairs of geoms that may touch: explicit pairs, and those that MuJoCo's filters let through."""
     one, other = np.triu_indices(model.ngeom, 1)
     bodies = model.geom_bodyid[one], model.geom_bodyid[other]
     welds = [model.body_weldid[body] for body in bodies]

@@ -71,7 +71,8 @@ TERM_NOISE = {  # errors of one term of a learned policy's observation, in its u
 
 @dataclass(frozen=True)
 class SideValues:
-    """Values in which a side differs from the nominal model, by path: numbers, or arrays over a batch."""
+    """Values by path in which the world or the belief differs from the nominal model: numbers, or arrays over a
+    batch."""
 
     values: tuple[tuple[str, Any], ...] = ()
 
@@ -109,7 +110,7 @@ class ModelSpec:
         return fields.with_options(compiled, dict(self.config.option))
 
     def load_source(self) -> mujoco.MjSpec:
-        """Load what the model is compiled from. Raises `InputError`."""
+        """Load the source (MJCF or URDF) from which the model is compiled. Raises `InputError`."""
         return self._load_source(1)
 
     def _load_source(self, count: int) -> mujoco.MjSpec:
@@ -144,7 +145,7 @@ class ModelSpec:
 
     @cached_property
     def controller(self) -> files.Policy:
-        """The loaded controller."""
+        """The controller that the configuration names, loaded."""
         about = self.config
         return files.load_controller(about.controller, self.model, self.keyframe_index, about.period)
 
@@ -234,7 +235,7 @@ class ModelSpec:
         return [self.state_slices[name] for name in names] or [usual]
 
     def believed_values(self, values: Values) -> dict[str, Any]:
-        """Return what the controller believes by its own names; `values` by path replace nominal ones."""
+        """Return what the controller believes, by its own names; `values` by path replace nominal ones."""
         paths = {**self.controller.believes, **{name: f"controller.{name}" for name in self.controller.parameters}}
         return {name: values[path] if path in values else self.nominal_value(path) for name, path in paths.items()}
 

@@ -22,7 +22,7 @@ DRAWS = "Random", "Multinomial", "Bernoulli"  # what the names of operators begi
 
 
 class Network(NamedTuple):
-    """A network that was read from a file."""
+    """A neural network read from an ONNX file."""
 
     name: str  # as messages call it
     inputs: Mapping[str, Shape]
@@ -31,13 +31,13 @@ class Network(NamedTuple):
     evaluate: Callable[[Mapping[str, Any]], dict[str, Any]]  # outputs by name, of inputs by name, in their shapes
 
     def input_shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input for one rollout: sizes that may be any are 1, but for the last of an input."""
+        """Return the shape of an input for one rollout; free sizes are 1, except for the last axis."""
         shape = self.inputs[name]
         return tuple(-1 if one is None and k == len(shape) - 1 else (one or 1) for k, one in enumerate(shape))
 
 
 def read_network(name: str, file: Path) -> Network:
-    """Read a network, or take it from the cache if its files are as they were.
+    """Read a network from an ONNX file, or from the cache if the files have not changed.
 
     Args:
         name: The name that messages give, such as `walk.onnx`.

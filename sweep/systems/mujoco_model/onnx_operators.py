@@ -1,4 +1,4 @@
-"""Operators of ONNX as functions of arrays: the closed list that a network may have.
+"""ONNX operators as functions of arrays: the closed list of those that a network may use.
 
 An operator whose arguments are all NumPy arrays is evaluated by NumPy, so that shapes and other constants are known
 when JAX traces the network. Definitions: https://onnx.ai/onnx/operators.
@@ -20,7 +20,7 @@ CELL = {"activations", "activation_alpha", "activation_beta", "clip", "input_for
 
 
 class OperatorCall:
-    """One node of a graph: its attributes, how many outputs it has, and the operator set that defines it."""
+    """One node of an ONNX graph: its attributes, its number of outputs, and the version of its operator set."""
 
     def __init__(self, name: str, attributes: Mapping[str, Any], outputs: int, opset: int):
         self.name, self.attributes, self.outputs, self.opset = name, attributes, outputs, opset
@@ -30,7 +30,7 @@ class OperatorCall:
         return self.attributes.get(name, default)
 
     def option(self, name: str, given: Sequence[Any], place: int, default: Any = None) -> Any:
-        """Return what is an attribute in older operator sets and a constant input in newer ones.
+        """Return a value that is an attribute in older operator sets and a constant input in newer ones.
 
         Args:
             name: Name of the attribute.

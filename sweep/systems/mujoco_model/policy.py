@@ -1,4 +1,4 @@
-"""A controller of a user's own, as one program of a fixed shape that is called tile by tile.
+"""A user's controller as one compiled program of a fixed shape, which is called tile by tile.
 
 XLA gives other last bits at other widths, and at other places of one, so that a row would depend on what runs beside
 it. A tile never changes, and goes through its rollouts by the same instructions one after the other; a controller of
@@ -40,14 +40,14 @@ def numbers_of(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class ControllerEnd(NamedTuple):
-    """What the metric of a user's controller computes its columns from, beside what it has measured."""
+    """Belief and final state of a user's controller, from which its own metrics are computed."""
 
     belief: Mapping[str, Any]
     state: Any  # of the controller
 
 
 def make_user_metric(control: files.Policy) -> Metric[Any]:
-    """Make a metric of a controller's `measure` and `figures`: its columns are those of `FIGURES`.
+    """Make a metric from a controller's `measure` and `figures`; its columns are those of `FIGURES`.
 
     It begins with, and is updated by, all that can be observed by name.
     """
@@ -61,14 +61,15 @@ def make_user_metric(control: files.Policy) -> Metric[Any]:
 
 
 class FirstTick(NamedTuple):
-    """What a controller observes and commands at the nominal start, without errors."""
+    """Observations and commands of a controller at the nominal start, without sensor errors."""
 
     inputs: dict[str, list[tuple[str, str, np.ndarray]]]  # terms of each input: name, unit and numbers
     commands: list[tuple[str, float, float]]  # actuator, number of the network (NaN without one), command
 
 
 class ControllerPrograms:
-    """The controller of a user model for any number of rollouts. Raises `InputError` where it is none.
+    """Compiled functions of a user's controller, for any number of rollouts. Raises `InputError` where it is no valid
+    controller.
 
     `begin(belief, key) -> (start, state, duration)`: positions (nq,) and seconds, or None for the model's own.
     `policy(belief, observation, state, key) -> (ctrl, state)`: once a tick, of an observation (k,), controls (nu,).
@@ -100,7 +101,8 @@ class ControllerPrograms:
         )
 
     def begin_controller(self, policy_inputs: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-        """Start, state and duration of one rollout, which is endless where the controller names none."""
+        """Call the controller's `begin` for one rollout: start position, state and duration, which is endless where it
+        names none."""
         key = jax.random.fold_in(jax.random.wrap_key_data(policy_inputs["key"]), 0)
         start, state, duration = self._begin(self._belief(policy_inputs, jnp.int32(0)), key)
         return start, state, jnp.asarray(jnp.inf if duration is None else duration)
@@ -116,7 +118,8 @@ class ControllerPrograms:
     def start_rollout(
         self, policy_inputs: Mapping[str, Any], state: Any, observable: Array, ticks: Array
     ) -> dict[str, Any]:
-        """What one rollout carries from tick to tick, of its `state` and the model's (s,) at first."""
+        """Return the values that one rollout carries from tick to tick, from the controller's `state` and the
+        observable state (s,)."""
         key, seen = (
             jax.random.fold_in(jax.random.wrap_key_data(policy_inputs["key"]), 1),
             self._spec.observe_state(observable),
@@ -144,7 +147,8 @@ class ControllerPrograms:
         return jnp.concatenate([jnp.full(one.size, errors[label]) for label, one in learned.measured_terms.items()])
 
     def tick_controller(self, policy_inputs: Mapping[str, Any], carried: Any, observable: Array) -> tuple[Array, Any]:
-        """Controls (nu,) of one rollout, or what it is told (k,), and what it carries on, after a state (s,)."""
+        """Run one control tick of one rollout: controls (nu,), or the observation (k,) of a batched controller, and the
+        next carry."""
         tick, seen = carried["tick"], self._spec.observe_state(observable)
         policy_key, noise = jax.random.split(
             jax.random.fold_in(jax.random.wrap_key_data(policy_inputs["key"]), 2 + tick)
@@ -179,14 +183,14 @@ class ControllerPrograms:
     def compute_rollout_metrics(
         self, policy_inputs: Mapping[str, Any], carried: Any, observable: Array
     ) -> dict[str, Array]:
-        """The controller's own figures of one rollout that ends with a state (s,), by name."""
+        """Compute the controller's own metrics of one rollout, by name, from the observable state (s,) at its end."""
         measured = self._measured(policy_inputs, carried, observable)
         belief = self._belief(policy_inputs, carried["ticks"] - 1)
         found = self._metric.compute(measured["measurement"], ControllerEnd(belief, carried["state"]))
         return found | (self._tracking.compute(measured["tracking"]) if self._tracking else {})
 
     def rollout_outputs(self, world: SideValues, belief: SideValues, key: Array) -> Any:
-        """What the controller gives, and what reaches MuJoCo's model, of one rollout: to be traced, not to be run."""
+        """Return controller outputs and model inputs of one rollout; this function is traced by JAX, not run."""
         spec = self._spec
         policy_inputs = {**controller_inputs(spec, world, belief), "key": jax.random.key_data(key)}
         policy_inputs["delay"] = jnp.rint(jnp.asarray(policy_inputs["delay"])).astype(jnp.int32)
@@ -220,7 +224,7 @@ class ControllerPrograms:
         return freeze_ended(within, new, old)
 
     def check_start(self, begun: BatchStart) -> None:
-        """Raise `InputError` where the first controls are not finite, or a second call gives others.
+        """Raise `InputError` where the first controls are not finite, or a second call returns different ones.
 
         The calls are for the nominal start; one of a batched controller lies between the two that must agree.
         """
@@ -284,7 +288,7 @@ class ControllerPrograms:
         return InputError(f"model.controller = {self._spec.config.controller} {what}")
 
     def call_user_code(self, function: Callable[..., Any], *args: Any, when: str = "", is_own: bool = True) -> Any:
-        """Call a function that runs code of the user, see `run_user_code`.
+        """Call a function that runs the user's code, and locate its errors; see `run_user_code`.
 
         Args:
             function: the function.
@@ -308,7 +312,8 @@ class ControllerPrograms:
             raise self._error(f"fails{when}: {reason or format_user_exception(error)}") from None
 
     def compute_controls(self, policy_output: np.ndarray, when: str = "") -> np.ndarray:
-        """Controls (n, nu) of what the program gives (n, ...): they are it, or what a batched controller is told."""
+        """Return controls (n, nu) from the program's output (n, ...), which a batched controller receives as its
+        observation."""
         if not self._spec.controller.batched:
             return policy_output
         policy_output, controls = np.array(policy_output), self._spec.model.nu
@@ -360,7 +365,7 @@ class ControllerPrograms:
 
 
 class ControllerBatch:
-    """Controllers of n rollouts, called in tiles of `TILE` rollouts.
+    """The controllers of n rollouts, called in tiles of `TILE` rollouts.
 
     The last tile is filled up with copies of the last rollout. `policy_inputs` has one row for each rollout.
     """
@@ -374,11 +379,11 @@ class ControllerBatch:
         self.start, self.duration = self._joined(starts), self._joined(durations)
 
     def enter(self, observable: np.ndarray, ticks: np.ndarray) -> None:
-        """Begin with states (n, s), for a number of ticks (n,)."""
+        """Begin the rollouts from observable states (n, s), for a number of ticks (n,)."""
         self._carried = self._of_tiles(self._programs.enter, observable, ticks.astype(np.int32))
 
     def tick(self, observable: np.ndarray) -> np.ndarray:
-        """Controls (n, nu) at the next tick, after states (n, s)."""
+        """Return the controls (n, nu) of the next tick, from observable states (n, s)."""
         self._tick += 1
         parts, self._carried = zip(*self._of_tiles(self._programs.tick, observable), strict=True)
         return self._joined([self._programs.compute_controls(one, self._when) for one in parts])
@@ -392,7 +397,7 @@ class ControllerBatch:
         return np.concatenate(tiles)[slots].astype(float)
 
     def finish(self, observable: np.ndarray) -> dict[str, np.ndarray]:
-        """The controllers' own figures, (n,) by name, of states (n, s) at the end."""
+        """Return the controllers' own metrics (n,), by name, from observable states (n, s) at the end."""
         parts = self._of_tiles(self._programs.finish, observable)
         return {name: self._joined([one[name] for one in parts]) for name in parts[0]}
 

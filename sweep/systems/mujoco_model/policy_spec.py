@@ -1,4 +1,4 @@
-"""How a learned policy was trained, as `walk.policy.yaml` beside `walk.onnx` says it: checked dataclasses.
+"""Specification of how a learned policy was trained (`walk.policy.yaml` beside `walk.onnx`), as checked dataclasses.
 
 Three sources are read: the file, then the metadata that exporters of mjlab and Isaac Lab write into the network, then
 the preset of a training framework. The first one that has a value wins.
@@ -127,7 +127,7 @@ class RecurrentSpec:
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """A learned policy as it was trained."""
+    """Specification of a learned policy: its observation, action, period and joints, as it was trained."""
 
     preset: str = ""  # conventions of a framework: playground, playground_gait, mjlab or isaaclab
     period: float = 0.0  # time between two calls of the network (s); by default `model.period` of the scenario
@@ -182,7 +182,7 @@ def parse_policy(error_prefix: str, given: Mapping[str, Any], metadata: Mapping[
 
 
 def read_metadata(error_prefix: str, metadata: Mapping[str, str]) -> dict[str, Any]:
-    """Read what exporters of mjlab and Isaac Lab write into a network: lists, separated by commas, by name."""
+    """Read the comma-separated lists that exporters of mjlab and Isaac Lab write into a network, by name."""
 
     def words(key: str) -> list[str]:
         return [one.strip() for one in metadata.get(key, "").split(",") if one.strip()]
@@ -237,7 +237,7 @@ def parse_terms(error_prefix: str, given: Any) -> tuple[TermSpec, ...]:
 
 
 def require_own_labels(error_prefix: str, labels: Sequence[str], where: str) -> None:
-    """Raise `InputError` where two terms have one label.
+    """Raise `InputError` where two terms have the same label.
 
     Args:
         error_prefix: What messages begin with.
@@ -249,7 +249,7 @@ def require_own_labels(error_prefix: str, labels: Sequence[str], where: str) -> 
 
 
 def require_clip(key: str, clip: Sequence[float]) -> None:
-    """Raise `InputError` unless a clip is empty, or a smaller and a larger number.
+    """Raise `InputError` unless a clip range is empty, or a lower and an upper limit.
 
     Args:
         key: The key, for messages.

@@ -1,4 +1,4 @@
-"""What engines of MuJoCo models report to metrics: the rollouts of a batch before, during and after their ticks.
+"""What engines of MuJoCo models report to metrics: a batch of rollouts before, during and after its ticks.
 
 All of them offer what every system offers (see `sweep.core.metric`), and what MuJoCo recorded of each physics step
 beside it. Arrays have the rollouts first: (n, ...), those of a report (n, s, ...) for s physics steps.
@@ -29,7 +29,7 @@ def as_places(numbers: np.ndarray) -> Places:
 
 
 class ModelParts:
-    """Where the parts of a model, of which metrics are made, are in MuJoCo's arrays."""
+    """Indices of a model's parts, such as feet and hinge joints, in MuJoCo's arrays."""
 
     def __init__(self, own: ModelSpec):
         model = own.model
@@ -91,12 +91,12 @@ class ModelStart(NamedTuple):
 
     @property
     def base_position(self) -> Array:
-        """See `CommonStart`; of the first free joint."""
+        """Return the position (n, 3) of the base, the first free joint, at the start (m, world axes)."""
         return self.qpos[:, self.parts.base_position]
 
     @property
     def base_quat(self) -> Array:
-        """See `CommonStart`; of the first free joint."""
+        """Return the orientation (n, 4) of the base, the first free joint, at the start, body to world."""
         return self.qpos[:, self.parts.base_quat]
 
     def constant(self, value: Any) -> Array:
@@ -106,13 +106,13 @@ class ModelStart(NamedTuple):
         return xp.broadcast_to(xp.asarray(value, dtype), (len(self.qpos), *value.shape))
 
     def foot_holds(self) -> "TouchHolds":
-        """See `CommonStart`."""
+        """Return the touchdown points before any foot is loaded."""
         feet = self.parts.feet_count
         return TouchHolds(self.constant(np.zeros((feet, 2))), self.constant(np.zeros(feet, bool)))
 
 
 class ModelTick:
-    """Physics steps that were simulated since the report before, of all rollouts of a batch.
+    """The physics steps of all rollouts of a batch since the previous report.
 
     Args:
         parts: Places of the model's parts.
@@ -128,22 +128,22 @@ class ModelTick:
 
     @property
     def sample_period(self) -> float:
-        """Physics time step (s)."""
+        """Physics time step: the time between two samples (s)."""
         return self.parts.timestep
 
     @property
     def base_position(self) -> Array:
-        """See `CommonTick`; of the first free joint."""
+        """Return the positions (n, s, 3) of the base, the first free joint (m, world axes)."""
         return self.steps["qpos"][..., self.parts.base_position]
 
     @property
     def base_quat(self) -> Array:
-        """See `CommonTick`; of the first free joint."""
+        """Return the orientations (n, s, 4) of the base, the first free joint, body to world."""
         return self.steps["qpos"][..., self.parts.base_quat]
 
     @property
     def base_velocity(self) -> Array:
-        """See `CommonTick`; of the first free joint."""
+        """Return the velocities (n, s, 3) of the base, the first free joint (m/s, world axes)."""
         return self.steps["qvel"][..., self.parts.base_velocity]
 
     @property
@@ -159,13 +159,13 @@ class ModelTick:
 
     @property
     def tilt_deg(self) -> Array:
-        """Largest angle (n,) of the first free joint's body from how it stood at the start."""
+        """Return the largest angle (n,) in deg between the base's upward axis and that at the start."""
         start = self.start[:, None, self.parts.base_quat]
         return arccos_deg(cosine_of_tilt(self.base_quat, start).min(axis=1))
 
     @property
     def joint_rates(self) -> Array:
-        """See `CommonTick`."""
+        """Return the rates (n, s, k) of the hinge joints (rad/s)."""
         return self.steps["qvel"][..., self.parts.hinge_dofs]
 
     @property
@@ -195,13 +195,14 @@ class ModelTick:
 
 
 class TouchHolds(NamedTuple):
-    """Where each foot touched the ground last, in the ground's plane (m), and which feet are loaded."""
+    """Points where the feet last touched down, in the ground's plane (m), and which feet are loaded."""
 
     place: Array  # (n, feet, 2)
     loaded: Array  # (n, feet)
 
     def update(self, ctx: ModelTick) -> tuple["TouchHolds", Array]:
-        """Return the state after a report, and the farthest that each foot was from there while loaded (n, feet)."""
+        """Return the state after a report, and the largest distance of each loaded foot from its touchdown point (n,
+        feet)."""
         loaded, place = ctx.foot_loads > LOADED, ctx.steps["site_xpos"][:, :, ctx.parts.foot_sites, :2]
         xp = array_namespace(place)
         before = xp.concatenate([self.loaded[:, None], loaded[:, :-1]], axis=1)
@@ -214,7 +215,7 @@ class TouchHolds(NamedTuple):
 
 
 class ModelRollout(NamedTuple):
-    """The rollouts of a batch after their last tick, in NumPy's arrays (n, ...)."""
+    """The rollouts of a batch after their last tick, as NumPy arrays (n, ...)."""
 
     parts: ModelParts
     steps: np.ndarray  # number of physics steps
@@ -228,12 +229,12 @@ class ModelRollout(NamedTuple):
 
     @property
     def time(self) -> np.ndarray:
-        """Simulated time (s)."""
+        """Simulated time of each rollout (s)."""
         return self.steps * self.parts.timestep
 
     @property
     def weight(self) -> np.ndarray:
-        """Weight of the model (N)."""
+        """Weight of each model (N)."""
         return self.mass * GRAVITY
 
     def integral(self, total: np.ndarray) -> np.ndarray:
@@ -296,7 +297,7 @@ def share_of_steps(
 
 
 def share_at_limit(values: Array, limits: Array) -> Array:
-    """Return shares of numbers at an end of their range, summed over steps.
+    """Return the share of values that are at an end of their range, summed over steps.
 
     Args:
         values: Numbers (n, s, k).

@@ -1,4 +1,4 @@
-"""Metrics of MuJoCo models that the built-in robot does not have; each module is one, and a new one is found by itself.
+"""Metrics that only user MuJoCo models have; each module is one, and new modules are found automatically.
 
 Those of `sweep.core.shared_metrics` exist for models as well. Their causes do not: a scenario defines its own.
 """

@@ -1,4 +1,4 @@
-"""Touches of parts that should touch nothing."""
+"""Unwanted contacts: contacts of parts that are listed in `model.collisions`."""
 
 from typing import NamedTuple
 
@@ -7,20 +7,20 @@ from sweep.systems.mujoco_model.tick import Array, ModelRollout, ModelTick
 
 
 class Collisions(NamedTuple):
-    """Number of steps with a touch, and loads added up over steps (N)."""
+    """Number of steps with an unwanted contact, and the sum of its loads over steps (N)."""
 
     touched: Array
     load: Array
 
 
 def update(state: Collisions, ctx: ModelTick) -> Collisions:
-    """Add the touches of a report."""
+    """Add the unwanted contacts since the previous report."""
     touch = ctx.steps["sensordata"][..., ctx.parts.collision_sensors].sum(axis=2)
     return Collisions(state.touched + (touch > 0).sum(axis=1), state.load + touch.sum(axis=1))
 
 
 def compute(state: Collisions, rollout: ModelRollout) -> dict[str, Array]:
-    """Share of the steps with a touch, and the impulse."""
+    """Return the share of steps with an unwanted contact, and the impulse (N s), by column."""
     return {"collision_share": rollout.share(state.touched), "collision_impulse_ns": rollout.integral(state.load)}
 
 

@@ -1,11 +1,11 @@
-"""Way of the base to the side."""
+"""Lateral drift of the base from the commanded direction."""
 
 from sweep.core.metric import end_metric
 from sweep.systems.mujoco_model.tick import Array, ModelRollout
 
 
 def compute(state: tuple[()], rollout: ModelRollout) -> dict[str, Array]:
-    """Way to the left of the commanded direction."""
+    """Return how far the base moved to the left of the commanded direction (m), by column."""
     way = (rollout.last - rollout.start)[:, rollout.parts.base_position]
     return {"drift_m": way @ rollout.parts.left}
 

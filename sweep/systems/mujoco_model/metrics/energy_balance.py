@@ -1,4 +1,4 @@
-"""Growth of energy that neither actuators nor pushes caused."""
+"""Growth of mechanical energy beyond the work of actuators and pushes."""
 
 from typing import NamedTuple
 
@@ -7,19 +7,19 @@ from sweep.systems.mujoco_model.tick import Array, ModelRollout, ModelTick
 
 
 class Work(NamedTuple):
-    """Power of the actuators, added up over steps (W), and work of pushes (J)."""
+    """Power of the actuators summed over steps (W), and work of the pushes (J)."""
 
     power: Array
     pushes: Array
 
 
 def update(state: Work, ctx: ModelTick) -> Work:
-    """Add the work of a report."""
+    """Add the actuator power and the work of pushes since the previous report."""
     return Work(state.power + ctx.power.sum(axis=(1, 2)), state.pushes + ctx.steps.get("push_work", 0.0))
 
 
 def compute(state: Work, rollout: ModelRollout) -> dict[str, Array]:
-    """Growth of energy less the work."""
+    """Return the growth of mechanical energy beyond the work of actuators and pushes (J), by column."""
     return {"energy_gained_j": rollout.gained - rollout.integral(state.power) - state.pushes}
 
 

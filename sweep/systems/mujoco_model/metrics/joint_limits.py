@@ -4,7 +4,7 @@ from sweep.systems.mujoco_model.tick import Array, ModelTick, share_at_limit, sh
 
 
 def add_shares_of_joints(ctx: ModelTick) -> Array:
-    """Add the shares of joints at an end of their range over the steps of a report, (n,)."""
+    """Sum over steps the share of joints that are at an end of their range, (n,)."""
     positions = ctx.steps["qpos"][..., ctx.parts.limited_positions]
     return share_at_limit(positions, ctx.limits["jnt_range"][:, ctx.parts.limited_joints])
 

@@ -1,4 +1,4 @@
-"""Loads of the feet."""
+"""Largest load on the feet."""
 
 from collections.abc import Iterator
 
@@ -7,7 +7,7 @@ from sweep.systems.mujoco_model.tick import Array, ModelTick
 
 
 def largest_load(ctx: ModelTick) -> Iterator[Array]:
-    """Largest load of a foot (N)."""
+    """Return the largest load (N) on any foot since the previous report."""
     yield ctx.foot_loads.max(axis=(1, 2))
 
 

@@ -1,10 +1,10 @@
-"""Time that actuators spend at their limits of force."""
+"""Time that actuators spend at their force limits."""
 
 from sweep.systems.mujoco_model.tick import Array, ModelTick, share_at_limit, share_of_steps
 
 
 def add_shares_of_actuators(ctx: ModelTick) -> Array:
-    """Add the shares of actuators at their limit of force over the steps of a report, (n,)."""
+    """Sum over steps the share of actuators that are at their force limit, (n,)."""
     chosen = ctx.parts.force_limited
     return share_at_limit(ctx.steps["actuator_force"][..., chosen], ctx.limits["actuator_forcerange"][:, chosen])
 

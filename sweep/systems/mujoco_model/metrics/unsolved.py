@@ -11,7 +11,8 @@ BALANCED = 0.01  # share of the forces, up to which those of a step are in balan
 
 @np.errstate(invalid="ignore", over="ignore")
 def is_unbalanced(mass: Array, qacc: Array, smooth: Array, constraint: Array) -> Array:
-    """Return which steps a solver left unsolved: of M a = f + Jᵀλ more than a small share does not hold.
+    """Return in which steps forces and accelerations are out of balance: M a = f + Jᵀλ fails by more than a small
+    share.
 
     Each component counts by its own inertia, M's diagonal, so that forces and moments are both in √kg m/s². What is
     left over is the gradient of what the solver minimizes, and 0 at its minimum.

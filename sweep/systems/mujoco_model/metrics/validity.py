@@ -1,4 +1,4 @@
-"""What makes a rollout invalid: numbers that are not finite, and full buffers."""
+"""Validity of a rollout: its numbers stay finite, and no buffer of the engine is full."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ def update(state: Array, ctx: ModelTick) -> Array:
 
 
 def compute(state: Array, rollout: ModelRollout) -> dict[str, Array]:
-    """Return 1 where the rollout is invalid; any column that is not finite makes it so."""
+    """Return 1 where a rollout is invalid: a number was not finite or a buffer was full."""
     finite = state & np.isfinite(np.stack([*rollout.columns.values()])).all(axis=0) & ~rollout.broken
     return {"not_finite": (~finite).astype(float), "buffer_full": rollout.full.astype(float)}
 
