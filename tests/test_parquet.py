@@ -24,6 +24,26 @@ def written(table, **options):
     return sink.getvalue()
 
 
+def lying(content, truths):
+    """The bytes of a Parquet file whose end gives other numbers, in as many bytes."""
+    content = content.to_pybytes()
+    start = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
+    end = content[start:]
+    for true, told in truths.items():
+        size = -(-(2 * true).bit_length() // 7)  # of a Thrift integer: 7 bits a byte, the sign in the lowest
+        old, new = (
+            bytes((2 * n >> 7 * k & 127) | (128 if k < size - 1 else 0) for k in range(size)) for n in (true, told)
+        )
+        assert old in end
+        end = end.replace(old, new)
+    return content[:start] + end
+
+
+def zeros(number, **options):
+    """A file of one column of zeros, without a dictionary."""
+    return written({"wall_s": np.zeros(number)}, use_dictionary=False, **{"row_group_size": 2**26} | options)
+
+
 def repeated(words, number):
     return pa.DictionaryArray.from_arrays(pa.array(np.zeros(number, np.int32)), words)
 
@@ -47,6 +67,10 @@ def repeated(words, number):
         (lambda: written({"point_id": ["../../x"]}), "column point_id holds"),
         (lambda: written({"run_id": ["ab", None]}), "column run_id lacks values"),
         (lambda: written({"a\nb": [1.0]}), "a column called"),
+        (lambda: lying(zeros(36_000_000), {36_000_000: 10}), "expand to 288,"),
+        (lambda: written({"stage": [LONG * 68]}, use_dictionary=False), "a page of 68,"),
+        (lambda: zeros(16_000, data_page_size=8, write_batch_size=1), "more than 15,"),
+        (lambda: lying(zeros(300, row_group_size=100), {300: 299}), "contradict each other"),
         (lambda: pa.py_buffer(b"PAR1" + bytes(50) + b"PAR1"), "cannot be read as a table"),
     ],
 )
@@ -67,6 +91,13 @@ def test_a_table_is_read_as_it_was_written(tmp_path):
     pd.testing.assert_frame_equal(read_parquet(file).to_pandas(), rows)
     some = read_parquet(file, ["point_id", "a", "lacking"])
     pd.testing.assert_frame_equal(some.to_pandas(), rows[["point_id", "a"]])
+
+
+def test_a_file_has_bytes_for_the_names_of_its_rows(tmp_path):
+    (tmp_path / FILE).write_bytes(written({"slot": repeated(pa.array([0]), 2_000_000)}))
+    assert len(read_parquet(tmp_path / FILE)) == 2_000_000  # samples of few rollouts
+    with pytest.raises(InputError, match="do not name 2,000,000 rollouts"):
+        read_parquet(tmp_path / FILE, has_row_names=True)
 
 
 def test_all_parts_together_expand_to_no_more_than_their_size_warrants(monkeypatch):

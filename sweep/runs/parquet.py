@@ -14,23 +14,27 @@ import pyarrow.compute
 import pyarrow.parquet as pq
 
 from sweep.core.errors import InputError
+from sweep.runs.parquet_pages import iterate_page_sizes
 from sweep.study.columns import FORMULA, NAMES, WORDS
 
 pc: Any = pyarrow.compute  # whose functions exist only once it is imported
 # a file may expand to ALWAYS_ALLOWED bytes; to more only up to MAX_RATIO times its size, and never beyond MAX_EXPANSION
 ALWAYS_ALLOWED, MAX_EXPANSION, MAX_RATIO = 256 * 2**20, 64 * 2**30, 1000
+FEW_PAGES, LEAST_PAGE = 10_000, 256  # a file may have FEW_PAGES pages; more only of LEAST_PAGE bytes on average
+FEW_ROWS = 1_000_000  # a table of rollouts may have as many rows; more only with a byte for each, as ids take 8
 WIDTHS = {"BOOLEAN": 1, "INT32": 4, "FLOAT": 4, "INT64": 8, "DOUBLE": 8, "BYTE_ARRAY": 4}  # bytes; of text its number
 TEXT = "BYTE_ARRAY"
 HEX_NAME = "^[0-9a-f]{1,64}$"  # of `NAMES`
 PRINTABLE = rf"^([^{re.escape(FORMULA)}\pC]\PC*)?$"  # of other words: no control characters, and no formula
 
 
-def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
+def read_parquet(path: Path, columns: Sequence[str] | None = None, has_row_names: bool = False) -> pa.Table:
     """Read a table of numbers and words, as result folders hold them.
 
     Args:
         path: The file. Columns that are not asked for are not read.
         columns: Names of the columns to read, in this order; None for all. Those that the file lacks are left out.
+        has_row_names: Whether each row has an id of its own, as rollouts do and samples of a rollout do not.
 
     Returns:
         The table, with words as Arrow strings.
@@ -41,9 +45,13 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     try:
         with pa.OSFile(os.fsencode(path)) as source:
             metadata, size = pq.read_metadata(source), source.size()
+            if has_row_names and metadata.num_rows > max(FEW_ROWS, size):
+                raise InputError(
+                    f"{path} is not allowed: its {size:,} bytes do not name {metadata.num_rows:,} rollouts"
+                )
             names = column_names(path, metadata)
             chosen = names if columns is None else [name for name in dict.fromkeys(columns) if name in names]
-            words = _check_sizes(path, metadata, [names.index(name) for name in chosen], size)
+            words = _check_sizes(path, source, metadata, [names.index(name) for name in chosen])
             # as dictionaries, so that repeated words take no memory until their size is known; this also refuses
             # encodings that repeat words in another way
             file = pq.ParquetFile(source, metadata=metadata, read_dictionary=words)
@@ -113,22 +121,30 @@ def check_expansion(path: Path, total: int, size: int) -> None:
         )
 
 
-def _check_sizes(path: Path, metadata: pq.FileMetaData, chosen: Sequence[int], size: int) -> list[str]:
-    """Refuse columns that expand too far by what the file declares; return the names of those with words."""
-    words, total = [], 0
+def _check_sizes(path: Path, source: pa.OSFile, metadata: pq.FileMetaData, chosen: Sequence[int]) -> list[str]:
+    """Refuse columns that expand too far by what their pages declare; return the names of those with words."""
+    words, total, pages, size = [], 0, 0, source.size()
     for k in chosen:
         column = metadata.schema.column(k)
         if column.max_repetition_level or column.max_definition_level > 1 or column.physical_type not in WIDTHS:
             raise InputError(f"{path} is not allowed: column {column.name} holds neither numbers nor words")
         if column.physical_type == TEXT:
             words.append(column.name)
-    for number in range(metadata.num_row_groups):
-        group = metadata.row_group(number)
+    groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
+    numbers = [group.num_rows for group in groups]
+    if min(numbers, default=0) < 0 or sum(numbers) != metadata.num_rows:
+        raise InputError(f"{path} is damaged: its numbers of rows contradict each other")
+    for group in groups:
         for k in chosen:
             column = group.column(k)
             if column.num_values != group.num_rows:
                 raise InputError(f"{path} is damaged: its columns differ in length")
-            total += column.num_values * WIDTHS[column.physical_type] + max(column.total_uncompressed_size, 0)
+            total += column.num_values * WIDTHS[column.physical_type]
+            starts = (column.data_page_offset, column.dictionary_page_offset or column.data_page_offset)
+            for page in iterate_page_sizes(source, min(starts), column.total_compressed_size):
+                total, pages = total + page, pages + 1
+                if pages > FEW_PAGES + size // LEAST_PAGE:
+                    raise InputError(f"{path} is not allowed: its {size:,} bytes have more than {pages - 1:,} pages")
     check_expansion(path, total, size)
     return words
 

@@ -163,7 +163,7 @@ def read_points(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFr
     content = path.stat().st_size, files.digest_file(path)
     if content not in [(entry.length, entry.sha256) for entry in listed]:
         raise DamagedFile(f"{path} is damaged: repeat the same `sweep run` to repair it")
-    return read_parquet(path, columns).to_pandas()
+    return read_parquet(path, columns, has_row_names=True).to_pandas()
 
 
 def to_frame(table: pa.Table) -> pd.DataFrame:
@@ -305,7 +305,7 @@ def read_table(folder: Path, entry: Entry, columns: Sequence[str] | None = None)
         problem = files.os_error_text(error)
     if problem:
         raise InputError(f"{path} is damaged ({problem}): repeat the same `sweep run` to simulate it again")
-    return read_parquet(path, columns)
+    return read_parquet(path, columns, has_row_names=bool(entry.batches))
 
 
 def read_rows(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
