@@ -29,8 +29,10 @@ from interval_coverage import (
 )
 from scipy.stats import beta, binom, norm
 
-from sweep.analysis import compare, failing, sampling_units, sensitivity, sequential
+from sweep.analysis import compare, failing, sampling_units, screening, sensitivity, sequential
 from sweep.analysis.sample import is_sample, pooled_rate
+from sweep.core.errors import InputError
+from sweep.report.headline import sample_size
 from sweep.report.statistics import sensitivity_methods
 from sweep.runs import refine
 from sweep.study import design_kinds
@@ -141,6 +143,14 @@ def test_morris_has_no_p_and_its_trajectories_are_units():
     units = sampling_units.unit_numbers(rows, exp)
     assert units is not None
     assert np.bincount(units).tolist() == [9] * 50
+    assert sample_size(rows, exp) == "50 independent trajectories"
+
+
+def test_an_index_of_draws_that_agree_names_what_is_lacking():
+    exp = study(AXES, design={"num": 100})
+    rows = points(exp)
+    with pytest.raises(InputError, match="all 100 valid draws agree"):
+        screening.pawn_indices(judged(rows, [True] * 100), exp)
 
 
 @pytest.mark.parametrize(

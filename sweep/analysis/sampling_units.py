@@ -106,7 +106,7 @@ def has_independent_rows(rows: pd.DataFrame, exp: Experiment) -> bool:
 def interval_method(study: Study) -> str:
     """Name the method of the intervals of `condition_rates`, for titles and captions."""
     unit = independent_unit(study)
-    return f"Student's t over {unit.name}s" if unit.is_even and not study.budget else draw_interval_method(study)
+    return f"Student's t over {unit.plural}" if unit.is_even and not study.budget else draw_interval_method(study)
 
 
 def draw_interval_method(study: Study) -> str:

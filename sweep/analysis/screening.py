@@ -120,7 +120,9 @@ def _sample(
         value = value.groupby(draws).transform("mean")[~pd.Series(draws).duplicated().to_numpy()]
         rows = rows.loc[value.index]
     valid = value.notna()
-    if valid.sum() < LEAST or value[valid].nunique() < 2:
-        raise InputError(f"{what} {LEAST} valid draws of values that vary, here: {valid.sum()}")
+    if valid.sum() < LEAST:
+        raise InputError(f"{what} {LEAST} valid draws, here: {valid.sum()}")
+    if value[valid].nunique() < 2:
+        raise InputError(f"{what} a result that varies: all {valid.sum()} valid draws agree")
     chosen = rows.loc[valid, names].head(MOST)
     return names, chosen.to_numpy(float), value[valid].head(MOST).to_numpy()

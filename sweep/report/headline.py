@@ -56,7 +56,7 @@ def sample_size(rows: pd.DataFrame, exp: Experiment) -> str:
     number = 0 if units is None else number_distinct(units).max(initial=-1) + 1
     if number <= 1:  # one replicate of a grid is the grid
         return "the points were chosen: no random sample" if len(rows) > 1 else "a single rollout"
-    return f"{number:,} independent {independent_unit(exp.study).name}s"
+    return f"{number:,} independent {independent_unit(exp.study).plural}"
 
 
 def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:

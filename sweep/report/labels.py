@@ -7,6 +7,7 @@ from pathlib import PurePosixPath
 
 import pandas as pd
 
+from sweep.analysis.compare import SECOND
 from sweep.config.experiment import Experiment
 from sweep.contract.system import split_side
 from sweep.core.outcomes import SUCCESS
@@ -147,6 +148,9 @@ def heading(column: str, exp: Experiment | None = None) -> str:
 
 def words_and_unit(column: str, exp: Experiment | None = None) -> tuple[str, str]:
     """Label of a column, and its unit."""
+    if column.endswith(SECOND):
+        words, unit = words_and_unit(column.removesuffix(SECOND), exp)
+        return f"{words}{SECOND}", unit
     if "." not in column:
         return name_and_unit(column)
     return axis_words(column, exp), column_unit(column, exp) if exp else ""

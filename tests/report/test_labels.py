@@ -72,3 +72,7 @@ def test_an_axis_that_another_column_ends_like_is_ambiguous():
         column(name_axes(rows, exp.study.axes), "mass")
     rows.attrs["axes"] = {"shin": "axis.shin"}
     assert column(rows, "shin") == "axis.shin"
+
+
+def test_columns_of_the_second_run_have_the_units_of_the_first():
+    assert [*unique_headings(["t_cause_s", "t_cause_s (B)"]).values()] == ["t cause [s]", "t cause (B) [s]"]

@@ -31,6 +31,11 @@ class SamplingUnit(NamedTuple):
     # between units, and a test that takes draws for independent is safe
     is_even: bool = False
 
+    @property
+    def plural(self) -> str:
+        """Return the name of several units."""
+        return f"{self.name[:-1]}ies" if self.name.endswith("y") else f"{self.name}s"
+
 
 DRAW = SamplingUnit("draw")  # with all its replicates and grid points
 
