@@ -6,7 +6,7 @@ of several parameters together contains interactions; Shapley values split it am
 2021).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 from math import comb
 
@@ -60,7 +60,7 @@ def failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     draws = [len(np.unique(part)) for part in np.split(unit, [len(bad)])]
     if min(draws) < FEWEST:
         raise InputError(f"shares of failure need {FEWEST} failures and successes, here: {draws[0]} and {draws[1]}")
-    kernels = np.stack([_kernel(rows[axis.column], plain, used) for axis in axes], axis=2)
+    kernels = [_kernel(rows[axis.column], plain, used) for axis in axes]
     left_out = _left_out(np.concatenate([failing[bad], plain[good]]), unit)
     apart = dict(_distances(kernels, left_out[: len(bad)], left_out[len(bad) :], unit))
     shapley = np.stack([_shapley(apart, k, len(axes)) for k in range(len(axes))])
@@ -127,7 +127,7 @@ def _left_out(weight: np.ndarray, unit: np.ndarray) -> Float[np.ndarray, "n g"]:
 
 
 def _distances(
-    kernels: Float[np.ndarray, "n n d"],
+    kernels: Sequence[Float[np.ndarray, "n n"]],
     bad: Float[np.ndarray, "b g"],
     good: Float[np.ndarray, "c g"],
     unit: np.ndarray,
@@ -136,15 +136,24 @@ def _distances(
 
     Only pairs of rows of different units (n,) count. As the mean of a kernel is 1, a parameter without influence
     changes no distance.
+
+    Args:
+        kernels: Kernel matrix of each of d parameters.
+        bad: Weights of the failures, with each of g groups left out.
+        good: Weights of the successes.
+        unit: Number of the independent unit of each row.
     """
-    b, d = len(bad), kernels.shape[2]
+    b, d = len(bad), len(kernels)
     other = (unit[:, None] != unit[None]).astype(float)
     blocks = ((slice(0, b), slice(0, b)), (slice(b, None), slice(b, None)), (slice(0, b), slice(b, None)))
     weights = ((bad, bad), (good, good), (bad, good))
     totals = [((other[block] @ right) * left).sum(axis=0) for block, (left, right) in zip(blocks, weights, strict=True)]
     for size in range(d + 1):
         for chosen in combinations(range(d), size):
-            kernel = np.prod(kernels[:, :, list(chosen)], axis=2) * other
+            kernel = np.ones_like(other)
+            for k in chosen:
+                kernel *= kernels[k]
+            kernel *= other
             failures, successes, across = (
                 ((kernel[block] @ right) * left).sum(axis=0) / total
                 for block, (left, right), total in zip(blocks, weights, totals, strict=True)

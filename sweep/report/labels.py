@@ -21,7 +21,8 @@ READ = {end: format_unit(unit) for end, unit in UNITS.items()} | {"deg": "°"}  
 
 def outcome_kind(rows: pd.DataFrame) -> pd.Series:
     """Kind of each row: `success`, `invalid`, or the name of the cause."""
-    return rows["cause"].astype(object).where(rows["outcome"] != SUCCESS, SUCCESS).astype(str)
+    cause = rows["cause"] if rows["cause"].dtype == "str" else rows["cause"].astype(object)
+    return cause.where(rows["outcome"] != SUCCESS, SUCCESS).astype(str)
 
 
 def kind_meaning(kind: str, exp: Experiment) -> str:
