@@ -14,7 +14,8 @@ from sweep.models.obstacles import OBSTACLES
 
 TOGETHER = ("obstacle", "manoeuvre")  # which have to fit
 CHOICES = [f"{group}={name}" for group in GROUPS if group not in (*TOGETHER, "plan") for name in shipped_choices(group)]
-CHOICES.remove("engine=warp")  # of own models alone
+for name in ("engine=warp", "engine=kernel"):  # of own models alone
+    CHOICES.remove(name)
 
 
 @pytest.mark.parametrize("choice", CHOICES)

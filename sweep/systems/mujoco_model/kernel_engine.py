@@ -442,6 +442,7 @@ class KernelModelEngine(ModelEngine):
         places = [int(np.flatnonzero(chosen == slots[k])[0]) for k in both]
         again, samples, _ = self._native._simulate(rows[0], rows[1], streams[chosen], places, every)
         for name, values in again.items():
+            found[name] = np.array(found[name])  # those that JAX has computed cannot be written
             found[name][chosen] = values
         for frame, sample in zip(frames, samples, strict=False):
             for name in ("ctrl", "qpos", "qvel", "force", "policy"):
