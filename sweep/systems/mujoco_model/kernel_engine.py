@@ -37,6 +37,7 @@ from sweep.systems.mujoco_model.kernel.layout import find_layout, find_stack, re
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, flatten_scalars, stack_values
 from sweep.systems.mujoco_model.kernel.smooth import compute_smooth
+from sweep.systems.mujoco_model.kernel.solver import TRIALS
 from sweep.systems.mujoco_model.kernel.step import (
     Push,
     StepResult,
@@ -50,7 +51,7 @@ from sweep.systems.mujoco_model.kernel.variation import find_varied_elements
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 from sweep.systems.mujoco_model.policy import ControllerBatch
 
-TRIALS = {False: 3, True: 4}  # of a search for a step's length, by whether cones are elliptic
+LEAST_ITERATIONS = 30  # of Newton's method, at most: models for MJX often have one, which solves no step
 FORCED = {int(getattr(mujoco.mjtSensor, f"mjSENS_{name}")) for name in ("TOUCH", "ACCELEROMETER", "ACTUATORFRC")}
 
 
@@ -100,7 +101,7 @@ class KernelModelEngine(ModelEngine):
         super().__init__(spec, settings)
         model = self._model
         self._is_inside = not (spec.controller.batched or spec.controller.learned)
-        self._iterations, self._trials = int(model.opt.iterations), TRIALS[bool(model.opt.cone)]
+        self._iterations = max(int(model.opt.iterations), LEAST_ITERATIONS)
         self._read_sensors = self._find_read_sensors()
         self._watched = guard.find_pairs(self._layout, model)
         self._programs_by_form: dict[Any, Any] = {}
@@ -142,9 +143,7 @@ class KernelModelEngine(ModelEngine):
     def agreement(self) -> "agreement.Agreement":
         """How well accelerations agree with C MuJoCo's on random states; computed once."""
         if self._agreement is None:
-            self._agreement = agreement.compare_accelerations(
-                self._layout, self._model, self._spec.keyframe_index, self._trials
-            )
+            self._agreement = agreement.compare_accelerations(self._layout, self._model, self._spec.keyframe_index)
         return self._agreement
 
     def run(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> Metrics:
@@ -187,7 +186,7 @@ class KernelModelEngine(ModelEngine):
             state = rebuild(values)
             controls = self._controls(state, target, acting.motors)
             pushes, force = self._pushes(acting, first_step + place)
-            after, result = step(self._layout, numbers, state, controls, pushes, self._iterations, self._trials)
+            after, result = step(self._layout, numbers, state, controls, pushes, self._iterations, TRIALS)
             qpos, qvel, warm = write_state(self._layout, self._model, after)
             recorded = self._record(numbers, state, result, qpos, qvel)
             if force is not None:
@@ -285,7 +284,7 @@ class KernelModelEngine(ModelEngine):
         """Sensors of a state by MuJoCo's forward pass."""
         state = read_state(self._layout, self._model, qpos, qvel, warm)
         if any(int(self._model.sensor_type[k]) in FORCED for k in self._read_sensors):
-            result, _ = solve_forward(self._layout, numbers, state, controls, (), self._iterations, self._trials)
+            result, _ = solve_forward(self._layout, numbers, state, controls, (), self._iterations, TRIALS)
         else:
             smooth = compute_smooth(self._layout, numbers, state)
             drives = compute_forces(self._layout, numbers, state, smooth, controls, ())[2]

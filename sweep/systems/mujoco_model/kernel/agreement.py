@@ -11,6 +11,7 @@ from sweep.core.errors import InputError
 from sweep.fused import eager
 from sweep.systems.mujoco_model.kernel.layout import FREE, PLANE, Layout
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.solver import TRIALS
 from sweep.systems.mujoco_model.kernel.step import read_state, solve_forward, write_state
 
 STATES = 256
@@ -94,16 +95,13 @@ def _strict(model: mujoco.MjModel) -> mujoco.MjModel:
     return model
 
 
-def compare_accelerations(
-    layout: Layout, model: mujoco.MjModel, keyframe: int, trials: int, count: int = STATES
-) -> Agreement:
+def compare_accelerations(layout: Layout, model: mujoco.MjModel, keyframe: int, count: int = STATES) -> Agreement:
     """Compare accelerations of random states with those of `mj_forward`, in double precision by NumPy.
 
     Args:
         layout: The stacks.
         model: The model.
         keyframe: Index of the keyframe about which states are drawn; -1 for none.
-        trials: Trials of each search for a step's length.
         count: Number of states.
     """
     drawn = draw_states(model, keyframe, count)
@@ -117,7 +115,7 @@ def compare_accelerations(
 
         def forward(qpos, qvel, warm, ctrl):
             state = read_state(layout, model, qpos, qvel, warm)
-            result, _ = solve_forward(layout, ModelNumbers(model, {}, {}), state, ctrl, (), ITERATIONS, trials + 2)
+            result, _ = solve_forward(layout, ModelNumbers(model, {}, {}), state, ctrl, (), ITERATIONS, TRIALS)
             moved = state._replace(
                 warm_base=result.solution.acceleration.base, warm=result.solution.acceleration.joints
             )

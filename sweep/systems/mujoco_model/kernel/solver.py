@@ -4,10 +4,12 @@ The matrix has the form of the robot's tree: a joint meets those between it and 
 from the tips inward, so that nothing is filled in; the base's 6x6 block is last.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from sweep.systems.mujoco_model.kernel.constraints import (
     Constraints,
@@ -32,6 +34,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
 from sweep.systems.mujoco_model.kernel.smooth import STILL, Smooth, Spatial, inner_joints
 
 Joint = tuple[int, int]
+TRIALS = 20  # of a search for a step's length, at most; mostly one or two are enough
 NEVER = 1e10  # a step length that is never reached
 CONVERGED = 32  # a step is solved when so many rounding errors of all forces are left over
 ROUNDING = 32  # a slope of so many rounding errors of that at the start is level
@@ -305,11 +308,12 @@ class Problem(NamedTuple):
         of all such places in the bracket the one with the largest change of slope; else the middle.
         """
         slope_at_0, bend_at_0 = -self._power(way, left), self._power(way, moved)
-        like = slope_at_0.value
-        length, low, high = ONE, Scalar(jnp.zeros_like(like)), Scalar(jnp.full_like(like, NEVER))
-        constraints, flat = self.constraints, slope_at_0 * -float(ROUNDING * jnp.finfo(like.dtype).eps)
+        like, constraints = slope_at_0.value, self.constraints
+        flat = slope_at_0 * -float(ROUNDING * jnp.finfo(like.dtype).eps)
         turns = self._turning_points(residuals, changed)
-        for _ in range(trials):
+
+        def try_length(state: tuple[Any, ...]) -> tuple[Any, ...]:
+            count, _, length, low, high = state[0], state[1], *(Scalar(x) for x in state[2:])
             first, second = Total(), Total()
             for one, residual, change in zip(constraints.contacts, residuals.contacts, changed.contacts, strict=True):
                 a, b = contact_line(one, residual + change * length, change, constraints.is_elliptic)
@@ -329,9 +333,14 @@ class Problem(NamedTuple):
             is_found = ~(flat < slope) & ~(slope < -flat)
             is_open = ~(high < Scalar(NEVER / 10))
             within = (low < new) & (new < high) | is_open
-            inside = where(within, new, self._choose_turn(turns, low, high))
-            length = where(is_found, length, inside)
-        return length
+            is_out = ~(is_found | within)
+            choose = partial(self._choose_turn, turns)
+            new = jax.lax.cond(is_out, lambda a, b, _: choose(a, b), lambda *x: x[2], low.value, high.value, new.value)
+            return count + 1, is_found, where(is_found, length, Scalar(new)).value, low.value, high.value
+
+        start = jnp.int32(0), jnp.zeros_like(like, bool), *(jnp.full_like(like, x) for x in (1.0, 0.0, NEVER))
+        found = jax.lax.while_loop(lambda state: (state[0] < trials) & ~state[1], try_length, start)
+        return Scalar(found[2])
 
     def _turning_points(self, residuals: Residuals, changed: Residuals) -> list[tuple[Scalar, Scalar, int]]:
         """Return step lengths at which joints with friction turn, with the changes of slope there."""
@@ -344,8 +353,9 @@ class Problem(NamedTuple):
                 found.append((place, where(moves, size * row.most, ZERO), self.n(row.joint)))
         return found
 
-    def _choose_turn(self, turns: list[tuple[Scalar, Scalar, int]], low: Scalar, high: Scalar) -> Scalar:
+    def _choose_turn(self, turns: list[tuple[Scalar, Scalar, int]], shorter: Array, longer: Array) -> Any:
         """Return the turning point between two step lengths with the largest change of slope; their middle for none."""
+        low, high = Scalar(shorter), Scalar(longer)
         best, middle = Scalar(jnp.zeros_like(low.value)), (low + high) * 0.5
         inner = [(place, where((low < place) & (place < high), jump, ZERO), n) for place, jump, n in turns]
         for _, jump, n in inner:
@@ -356,8 +366,8 @@ class Problem(NamedTuple):
             chosen.add(where(is_best, place, ZERO), n)
             count.add(where(is_best, ONE, ZERO), n)
         if not inner:
-            return middle
-        return where(count.value > ZERO, chosen.value / largest(count.value, ONE), middle)
+            return middle.value
+        return where(count.value > ZERO, chosen.value / largest(count.value, ONE), middle).value
 
 
 class Iterate(NamedTuple):
