@@ -56,6 +56,18 @@ def test_the_dry_run_names_numbers_that_a_users_controller_does_not_read(tmp_pat
     assert [line.split()[1] for line in told] == ["forgotten", "load", "late"]
 
 
+def test_an_axis_that_changes_a_metric_and_no_outcome_has_an_effect(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("model.xml").write_text(MODEL)
+    Path("forgets.py").write_text(CONTROLLER)
+    Path("study.yaml").write_text("\n".join(line for line in STUDY.splitlines() if "mass" not in line))
+    assert main(["run", "study=study.yaml", "out=out"]) == 0
+    capsys.readouterr()
+    assert main(["stats", "out"]) == 0
+    told = [line.strip() for line in capsys.readouterr().out.splitlines() if "changed no metric" in line]
+    assert [line.split()[1] for line in told] == ["forgotten", "late"]
+
+
 @pytest.mark.usefixtures("fake_engine")
 def test_summary_and_statistics_of_a_grid_name_an_axis_without_an_effect(tmp_path, capsys):
     assert main(["run", *GRID, TORQUE, f"out={tmp_path}"]) == 0
