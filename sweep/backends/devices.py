@@ -98,7 +98,7 @@ def on_cpu() -> contextlib.AbstractContextManager:
 
 
 def reuse_threshold() -> int:
-    """Return the cost above which `batch_last_vmap` stores a value rather than recompute it; never on a GPU, whose
+    """Return the cost above which `batch_last_vmap` stores a value instead of computing it again; none on a GPU, whose
     compiler decides."""
     return 8 if jax.default_backend() == "cpu" else NEVER
 

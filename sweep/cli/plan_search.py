@@ -262,7 +262,7 @@ def plan_content(case: Case, changes: Mapping[str, float]) -> Content:
 
 
 def add_slopes(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes: Mapping[str, float]) -> Content:
-    """Add slopes to a plan's content, by which the numbers at `paths` follow sizes."""
+    """Add slopes to a plan's content: how much the number at each path changes for a unit of each size."""
     if not sizes:
         return content
     part = {**content.get(SLOPES, {})}

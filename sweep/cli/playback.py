@@ -136,7 +136,7 @@ def simulate_configuration(overrides: list[str], beside: list[str]) -> tuple[Res
 
 
 def compose_single(overrides: list[str]) -> tuple[Experiment, pd.DataFrame]:
-    """Compose the experiment and plan of a single rollout. Raises `InputError` for a study."""
+    """Compose the experiment of a single rollout and its one-row table of points. Raises `InputError` for a study."""
     exp = compose(overrides)
     if not exp.study.single:
         raise InputError(f"{exp.study.name} is a study: run it, then sweep view DIR ID shows one of its rows")

@@ -122,7 +122,7 @@ class System(Protocol):
         ...
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
-        """Return the field that describes a column. Raises `InputError` for columns that cannot vary."""
+        """Return the description of the parameter in a column. Raises `InputError` for parameters that cannot vary."""
         ...
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
@@ -146,7 +146,7 @@ class System(Protocol):
         ...
 
     def explain_inactive_column(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
-        """Explain why a column may change nothing; empty where no reason is known."""
+        """Explain why a parameter may change no metric, as one that only the belief uses; empty without a reason."""
         ...
 
     def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:

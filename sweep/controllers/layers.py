@@ -202,7 +202,7 @@ class HeldLegs(Layer):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Feedforward(Layer):
-    """Layer that holds on with planned foot forces, given at K evenly spaced instants of each of S stages.
+    """Layer that produces planned foot forces by offsets of joint targets, at K instants of each of S stages.
 
     A planned force is commanded as an offset of the joint targets. The force acts as planned only if the foothold is
     exactly where the foot stands: with stiff drives, an error of 1 mm is a force as large as the robot's weight.

@@ -105,7 +105,7 @@ class CommonTick(Protocol):
 
     @property
     def joint_rates(self) -> Array:
-        """Rates of hinge joints (..., v, k) in rad/s: v values of each of k groups."""
+        """Rates of hinge joints (..., v, k) in rad/s: v values of each of k groups of joints."""
         ...
 
     @property

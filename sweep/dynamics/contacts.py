@@ -241,7 +241,7 @@ class ContactArm(NamedTuple):
         return m, m.transpose.times_cross_matrix(-self.at).transpose
 
     def twist_columns(self, m: Matrix) -> tuple[Matrix, Matrix]:
-        """Columns of a matrix that acts on velocities of the points, transformed to the body's twist."""
+        """Blocks by which a matrix on velocities of points acts on the body's linear and angular velocity."""
         m = m if self.share is None else m.scale(self.share)
         return m, m.times_cross_matrix(-self.at)
 

@@ -9,7 +9,7 @@ from sweep.formulas.formula import Input, Scalar, formula, positive
 
 
 class ServoGains(NamedTuple):
-    """`torque` at the joint (N m); the closed loop's poles (1/s), the fastest first."""
+    """Response of a servo: `torque` at the joint (N m), and the closed loop's poles (1/s), the fastest first."""
 
     chi2: Annotated[Float[Array, "..."], "N*m*s/rad"]
     torque: Annotated[Float[Array, "..."], "N*m"]

@@ -38,7 +38,7 @@ def hydro(
     d: HalfHeight,
     gamma: WaterWeight,
 ) -> Hydro:
-    """Buoyant force and moment on a tilted raft.
+    """Buoyant force and moment on a raft, tilted so that the vertical has components a31 and a32 in its axes.
 
     Exact. Nan if the tilt is 90 degrees or more.
     """

@@ -217,7 +217,7 @@ class Arrays:
         return self.program.node("load", (), region.dtype, Address(region, index, depth, 0), leg=False)
 
     def load_array(self, region: Any, shape: tuple, depth: int) -> Array:
-        """Array of `shape` in a memory region, as the block at `depth` sees it."""
+        """Load an array of `shape` from a memory region, for a block that is nested in `depth` loops."""
         at = np.arange(math.prod(shape)).reshape(shape)
         return build_array(shape, lambda i: self.load(region, int(at[i]), depth))
 

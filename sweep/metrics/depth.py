@@ -11,7 +11,7 @@ from sweep.models.obstacles.surface import surface_at
 
 
 def largest_depth(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
-    """Largest depth of an actual foot position inside the obstacle (m)."""
+    """Largest depth (m) of a simulated foot inside the obstacle in this tick."""
     yield jnp.max(surface_at(ctx.world.obstacle, ctx.tick.joints[:, -1], ctx.tick.bodies).depth)
 
 

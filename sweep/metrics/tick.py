@@ -151,7 +151,7 @@ class MetricTick(NamedTuple):
         return self.tick.effort
 
     def motion_along(self, before: Float[Array, " 3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Return the way (m) along the stage's planned direction, and the time (s) if the plan moves the base."""
+        """Return the distance (m) in this tick along the planned direction, and the tick's length (s); 0 at rest."""
         way = self.plan.position[self.stage] - self.stage_start
         length = jnp.linalg.norm(way)
         moving = (length > 1e-6) & ~self.finished

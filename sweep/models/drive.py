@@ -58,8 +58,8 @@ def interpolate_target(start: Servo, end: Servo, share: Array | float) -> Servo:
     """Interpolate the target angles within a control tick; a target that is held for the whole tick ratchets the feet.
 
     Args:
-        old: The last tick's command.
-        new: This tick's command, whose gains and torques apply.
+        start: The last tick's command.
+        end: This tick's command, whose gains and torques apply.
         share: Elapsed share of the tick, 0 to 1.
     """
     return end._replace(target=start.target + share * (end.target - start.target))

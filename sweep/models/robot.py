@@ -62,7 +62,7 @@ def total_mass(robot: Robot) -> Array | float:
 
 
 def leg_unit(robot: Robot) -> Array | float:
-    """Unit of lengths in plans (m): the base length that fits these legs in the book's proportions, nominally a_r."""
+    """Unit of lengths in plans (m): thigh and shin, scaled so that the monograph's robot has its base length a_r."""
     return (robot.thigh + robot.shin) * (1.05 / 0.855)
 
 

@@ -53,7 +53,7 @@ class Step(NamedTuple):
 
 
 def body_advance(gait: Sequence[Sequence[int]], step: Step) -> Array | float:
-    """Return how far the body moves during one swing (m): the front legs' stance lasts n - 1 swings and covers 2 x*.
+    """Return how far the body moves during one swing (m): 2 x* / (n - 1), with n groups of legs that land at x*.
 
     For the tripod 2 x*, so that v_o = k' x*/t* with k' = 2; for the gallop x*.
 

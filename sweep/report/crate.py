@@ -42,7 +42,7 @@ MEANINGS = {
 
 
 def write_crate(results: Results, out: Path, license_: str, zipped: bool, author: str = "") -> Path:
-    """Write the crate of a study.
+    """Write a study as an RO-Crate: its data with metadata, in a folder or an archive.
 
     Args:
         results: study with its folder.

@@ -384,7 +384,7 @@ class RefinedPanel:
 
 
 def summarize_panels(exp: Experiment, rows: pd.DataFrame) -> list[RefinedPanel]:
-    """Summarize a refined study, panel by panel.
+    """Summarize a refined study, once for each combination of values of its listed axes.
 
     Args:
         exp: Experiment of the study.

@@ -100,7 +100,7 @@ def load_experiment(folder: Path) -> Experiment:
 
 
 def empty_rows(folder: Path, exp: Experiment) -> pd.DataFrame:
-    """Return a table without rows that has the columns of a folder's rows with their types, and the names of its axes.
+    """Return a table without rows, with columns and types of a folder's rows; conditions may use its axes' names.
 
     Args:
         folder: Folder of the study.

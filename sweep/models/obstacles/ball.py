@@ -23,7 +23,7 @@ FLOOR, BALL = range(2)
 def point_at_elevation(
     obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, elevation: Number
 ) -> Float[Array, " 3"]:
-    """Return a foothold on the ball from chart coordinates: `aside` of the middle plane (R), at an elevation (deg; 0
+    """Return the foothold on the ball at an elevation, `aside` radii R from the middle plane (elevation in deg; 0
     behind, 90 on top)."""
     angle, out = jnp.radians(jnp.asarray(elevation, float)), jnp.asarray(aside, float)
     round_ = jnp.sqrt(1 - out**2)
@@ -139,7 +139,7 @@ class Ball(ObstacleDefaults):
         add_rolling_contact(spec.worldbody, bodies, self.radius, resistance)
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
-        """Mass and inertia of the ball."""
+        """MuJoCo's mass and inertia of the ball, by field and body."""
         inertia = 2 / 5 * self.mass * self.radius**2
         return {
             "body_mass": {"ball": jnp.asarray(self.mass)},

@@ -114,7 +114,7 @@ def kind_codes(rows: pd.DataFrame, kinds: list[dict[str, Any]]) -> np.ndarray:
 
 
 def page_kinds(results: Results) -> list[dict[str, Any]]:
-    """Kinds of outcomes that occur, with label, colour and shape."""
+    """Kinds of outcomes that occur in a study, each with its label, colour and shape on the page."""
     counts, system = outcome_kind(results.rows).value_counts(), results.exp.system
     known = [name for name in ("success", *system.causes) if name in counts]
     return [

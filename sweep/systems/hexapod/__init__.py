@@ -254,7 +254,7 @@ class Hexapod:
         return LANES * devices.count_cores() if settings.fusible else 0
 
     def explain_inactive_column(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
-        """Explain parameters that only the other side, or another engine, uses; see `System`."""
+        """Explain parameters that only the world, only the belief or only another engine uses; see `System`."""
         side, path = split_side(column)
         if side == "world" and path.startswith(("manoeuvre.", "control.")):
             return "plans depend on the belief only"

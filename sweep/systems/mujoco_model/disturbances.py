@@ -29,7 +29,7 @@ class PushedBody(NamedTuple):
 
 
 class TickForces(NamedTuple):
-    """Pushes and delays of commands that act on n rollouts, one row for each rollout."""
+    """Pushes, delays of commands and limits of motors of n rollouts, one row for each rollout."""
 
     delay: Any  # (n,) physics steps by which commands are late, whole
     force: Any  # (n, p, 3) N, of each push

@@ -165,7 +165,7 @@ class ModelTick:
 
     @property
     def joint_rates(self) -> Array:
-        """Return the rates (n, s, k) of the hinge joints (rad/s)."""
+        """Return the rates of k hinge joints in s physics steps of n rollouts, (n, s, k) rad/s."""
         return self.steps["qvel"][..., self.parts.hinge_dofs]
 
     @property

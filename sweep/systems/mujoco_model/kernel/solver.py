@@ -161,7 +161,7 @@ class Problem(NamedTuple):
             joints[joint].add(self.smooth.motions[joint].dot(wrench), n if self.n(joint) == 1 else 1)
 
     def solve(self, right: Acceleration, curves: list[Symmetric] | None, stiff: dict[Joint, Scalar]) -> Acceleration:
-        """Solve (M + Jᵀ C J + diag) x = right.
+        """Solve one linear system of Newton's method, (M + Jᵀ C J + diag) x = right.
 
         Args:
             right: The right side.
@@ -263,7 +263,7 @@ class Problem(NamedTuple):
         return Iterate(acceleration, momentum, residuals, pull, left / (self.norm(self.force) + self.norm(pull)))
 
     def norm(self, force: Acceleration) -> Scalar:
-        """Return the length of generalized forces, () N or N m."""
+        """Return the Euclidean norm of generalized forces, one number: forces (N) and torques (N m) count alike."""
         total = Total()
         if self.layout.has_free_base:
             for x in _parts(force.base):
