@@ -221,7 +221,7 @@ def to_traces(
                 metrics=row,
                 torque_limit=float(np.max(world.drive.torque_limit)),
                 contacts=SurfaceContacts(),
-                **kept,
+                **kept,  # pyright: ignore[reportArgumentType]
             )
         )
     return traces

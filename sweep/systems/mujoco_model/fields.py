@@ -389,7 +389,7 @@ def _group_parameter(model: mujoco.MjModel, path: str) -> Parameter:
         raise InputError(f"axis {path} has no nominal value, {differ}: multiply them by {path}{RELATIVE}")
     told = dict(about[0].metadata)
     told["unit"] = ", ".join(filter(None, (told["unit"], f"{len(members)} numbers")))
-    return dataclasses.field(default=about[0].default, metadata=told)
+    return dataclasses.field(default=values[0], metadata=told)  # pyright: ignore[reportReturnType]
 
 
 def _expand_groups(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str, Any]:
