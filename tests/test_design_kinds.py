@@ -24,7 +24,7 @@ from sweep.study.design_kinds.base import Design, SamplingUnit
 
 @dataclass(frozen=True)
 class Antithetic(Design):
-    kind: ClassVar[str] = "antithetic"
+    kind: ClassVar[str] = "own_pairs"
     meaning: ClassVar[str] = "means of monotonic columns"
     can_add_draws: ClassVar[bool] = True
     centre: float = 0.5  # about which draws are mirrored
@@ -41,7 +41,7 @@ class Antithetic(Design):
         return np.stack([x, (2 * self.centre - x) % 1], axis=1).reshape(-1, len(ctx.axes))
 
 
-DESIGNS = {"antithetic": Antithetic}
+DESIGNS = {"own_pairs": Antithetic}
 """
 STUDY = [
     "run", "scenario=walk_tripod", "study.name=own", "scenario.expect=[]", "study.design.num=4",
@@ -65,7 +65,7 @@ def home(fake_engine, monkeypatch, tmp_path):
 
 def test_a_project_adds_a_design_in_one_file(home, capsys):
     (home / "own.py").write_text(OWN)
-    here = [*STUDY, "study.design.kind=antithetic", "out=own"]
+    here = [*STUDY, "study.design.kind=own_pairs", "out=own"]
     assert main([*here, "study.design.centre=0.25"]) == 0
     rows = store.read_rows(home / "own").sort_values("replicate")
     shares = (rows["world.contact.friction"].to_numpy() - 0.2).reshape(4, 2)
@@ -79,29 +79,29 @@ def test_a_project_adds_a_design_in_one_file(home, capsys):
     capsys.readouterr()
     assert main([*STUDY, "study.design.centre=0.25", "out=other"]) == 2
     one_line(capsys.readouterr().err, "study.design.centre = 0.25 is not allowed with study.design.kind = monte_carlo: "
-             "it needs kind = antithetic (default 0.5)")  # fmt: skip
+             "it needs kind = own_pairs (default 0.5)")  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ('{"antithetic": Antithetic}', "[Antithetic]", "own.Antithetic'>] is not allowed: classes by kind"),
-        ('{"antithetic": Antithetic}', '{"antithetic": 3}', "DESIGNS has antithetic: 3, not a subclass of Design"),
-        ('{"antithetic": Anti', '{"anti": Anti', "whose kind is 'antithetic'"),
-        ("def sample", "def smple", "module own: design antithetic has no sample"),
-        ("    meaning:", "    means:", "module own: design antithetic has no meaning"),
-        ('"antithetic"', '"sobol"', "module own: design sobol exists already: choose another name"),
+        ('{"own_pairs": Antithetic}', "[Antithetic]", "own.Antithetic'>] is not allowed: classes by kind"),
+        ('{"own_pairs": Antithetic}', '{"own_pairs": 3}', "DESIGNS has own_pairs: 3, not a subclass of Design"),
+        ('{"own_pairs": Anti', '{"anti": Anti', "whose kind is 'own_pairs'"),
+        ("def sample", "def smple", "module own: design own_pairs has no sample"),
+        ("    meaning:", "    means:", "module own: design own_pairs has no meaning"),
+        ('"own_pairs"', '"sobol"', "module own: design sobol exists already: choose another name"),
         (
             "float = 0.5",
             'float = __import__("dataclasses").field(default_factory=float)',
-            "setting centre of design antithetic has no default",
+            "setting centre of design own_pairs has no default",
         ),
-        ("centre: float = 0.5", "scrambles: int = 4", "setting scrambles of design antithetic has another type or def"),
+        ("centre: float = 0.5", "scrambles: int = 4", "setting scrambles of design own_pairs has another type or def"),
     ],
 )
 def test_what_is_wrong_with_a_design_of_ones_own_is_one_line(home, capsys, old, new, told):
     (home / "own.py").write_text(OWN.replace(old, new))
-    assert main([*STUDY, "study.design.kind=antithetic"]) == 2
+    assert main([*STUDY, "study.design.kind=own_pairs"]) == 2
     one_line(capsys.readouterr().err, told)
 
 
