@@ -195,6 +195,29 @@ def test_rows_equal_those_of_native(project, capsys):
     pd.testing.assert_frame_equal(alone[names], here[names], check_exact=True)  # bits depend on no batch
 
 
+def test_stored_kernels_are_told_apart_by_schedules_and_motors(project):
+    """Both are constants of the kernel, which a later run would find stored."""
+    fast = simulate("engine=kernel", "out=results/fast", "+schedule.speed=[[0,0.4]]")
+    for name, *more in (
+        ("slow", "+schedule.speed=[[0,0.1]]"),
+        ("weak", "+motor.all={joints: '*', stall_torque: 4, no_load_speed: 20}"),
+    ):
+        here = simulate("engine=kernel", f"out=results/{name}", *more)
+        there = simulate("engine=native", f"out=results/{name}_native", *more)
+        # weak robots fall, and trajectories part sooner: 4e-8 m were measured
+        np.testing.assert_allclose(here["travelled_m"], there["travelled_m"], rtol=0, atol=1e-6)
+        assert np.abs(here["travelled_m"] - fast["travelled_m"]).min() > 1e-4
+
+
+def test_models_are_an_axis(project):
+    heavy = Path("quadruped.xml").read_text().replace('mass="8"', 'mass="9"')
+    Path("heavy.xml").write_text(heavy)
+    more = "+study.axes.world={path: model.mjcf, values: [quadruped.xml, heavy.xml]}", "study.axes.load.values=[6]"
+    here, there = (simulate(f"engine={one}", f"out=results/{one}", *more) for one in ("kernel", "native"))
+    assert len(here) == 8
+    np.testing.assert_allclose(here["travelled_m"], there["travelled_m"], rtol=1e-8, atol=1e-8)
+
+
 def test_rollouts_with_other_touches_are_simulated_by_native(project, capsys):
     """Shins that may touch the trunk, in a trot with the legs drawn up to it."""
     own = Path("quadruped.xml")

@@ -105,7 +105,6 @@ class KernelModelEngine(ModelEngine):
         self._read_sensors = self._find_read_sensors()
         self._watched = guard.find_pairs(self._layout, model)
         self._programs_by_form: dict[Any, Any] = {}
-        self._agreement: agreement.Agreement | None = None
 
     def _find_read_sensors(self) -> set[int]:
         """Sensors that the controller may read. Raises `InputError` where the kernel does not compute one of them."""
@@ -120,9 +119,9 @@ class KernelModelEngine(ModelEngine):
         return read
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
-        """Refuse what the kernel does not read, see `ModelEngine`; say how well it agrees with C MuJoCo."""
+        """Raise `InputError` for numbers of the model that the kernel does not read, see `ModelEngine`."""
         numbers = ModelNumbers(self._model, {}, {})
-        jax.eval_shape(partial(self._forward, numbers))
+        jax.eval_shape(partial(self._read_numbers, numbers))
         for path in paths:
             for place in fields.locate_numbers(self._model, path)[1]:
                 ground = place.field.startswith("body_pos") and not self._model.body_weldid[place.flat // 3]
@@ -130,29 +129,19 @@ class KernelModelEngine(ModelEngine):
                     raise refuse(f"{path} that differs between rollouts")
         return ()
 
-    def _forward(self, numbers: ModelNumbers) -> Any:
+    def _read_numbers(self, numbers: ModelNumbers) -> None:
+        """Trace a forward pass, which reads all numbers of the model that the kernel uses."""
         model = self._model
         zeros = (jnp.zeros(size) for size in (model.nq, model.nv, model.nv, model.nu))
         qpos, qvel, warm, ctrl = zeros
         state = read_state(self._layout, model, qpos, qvel, warm)
         result, _ = solve_forward(self._layout, numbers, state, ctrl, (), 1, 1)
-        values = sensors.compute_sensors(self._layout, numbers, state, result)
-        return stack_values([*values, Scalar(jnp.zeros(()))], qpos.dtype), result.solution.error.value
+        sensors.compute_sensors(self._layout, numbers, state, result)
 
-    @property
-    def agreement(self) -> "agreement.Agreement":
-        """How well accelerations agree with C MuJoCo's on random states; computed once."""
-        if self._agreement is None:
-            self._agreement = agreement.compare_accelerations(self._layout, self._model, self._spec.keyframe_index)
-        return self._agreement
-
-    def run(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> Metrics:
-        """Simulate a batch; before the first one, accelerations are compared with C MuJoCo's."""
-        if self._settings.cross_check and self._agreement is None:
-            found = self.agreement
-            found.require(self._spec.config.mjcf)
-            print_note(f"kernel: {found}")
-        return super().run(world, belief, streams)
+    @cached_property
+    def agreement(self) -> agreement.Agreement:
+        """How well accelerations agree with C MuJoCo's on random states."""
+        return agreement.compare_accelerations(self._layout, self._model, self._spec.keyframe_index)
 
     def _tick(self, varied: Any, inputs: Inputs, carry: Carry, number: Array) -> tuple[Carry, dict[str, Array]]:
         """One control tick of one rollout, whose model has numbers of its own where `varied` says so."""
@@ -336,7 +325,7 @@ class KernelModelEngine(ModelEngine):
         return begun, outside, varied, inputs, carry, ticks, at_first
 
     def _find_varied(self, world: SideValues) -> dict[str, np.ndarray]:
-        paths = fields.select_quantities(self._model, world.select_group("model"))
+        paths = fields.select_quantities(self._model, self._spec.model_values(world))
         return find_varied_elements(self._model, paths, self._spec.payloads)
 
     @cached_property
@@ -377,7 +366,8 @@ class KernelModelEngine(ModelEngine):
                     return (str(missing),)
 
             spec, settings = self._spec, self._settings
-            about = (repr(spec.config), spec.delay_buffer, spec.action_buffer, spec.pushes, settings.precision)
+            parts = spec.pushes, spec.payloads, spec.motors, spec.schedules  # all that the program contains
+            about = (repr(spec.config), spec.delay_buffer, spec.action_buffer, *parts, settings.precision)
             (code,) = program_cache.load_or_compile((*about, key), jax.local_devices()[:1], made)
             if isinstance(code, str):
                 raise InputError(
@@ -392,6 +382,9 @@ class KernelModelEngine(ModelEngine):
         self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: Any = (), every: int = 1
     ) -> BatchResult:
         slots = np.asarray(list(slots), int)
+        if self._settings.cross_check:
+            self.agreement.require(self._spec.config.mjcf)
+            print_note(f"kernel: {self.agreement}")
         with self._within():
             begun, outside, varied, inputs, carry, ticks, at_first = self._start(world, belief, streams)
             longest = int(ticks.max(initial=0))
