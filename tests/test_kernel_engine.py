@@ -134,7 +134,7 @@ def test_touches_that_it_does_not_simulate_are_never_missed():
     )
     model = mujoco.MjModel.from_xml_string(text.replace('contype="0"', 'contype="1"'))
     layout, data = find_layout(model), mujoco.MjData(model)
-    pairs, numbers, rng = guard.find_pairs(layout, model), ModelNumbers(model, {}, {}), np.random.default_rng(0)
+    pairs, numbers, rng = guard.find_pairs(model), ModelNumbers(model, {}, {}), np.random.default_rng(0)
     rows, distances = [], []
     for k in range(150):
         mujoco.mj_resetData(model, data)

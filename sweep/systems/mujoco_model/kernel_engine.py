@@ -5,6 +5,7 @@ NumPy controller is called between ticks, in tiles of a fixed size. Bits depend 
 the device's other rollouts.
 """
 
+import operator
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cached_property, partial
@@ -59,40 +60,39 @@ Rows = Any  # an array of one rollout, or of a batch with a leading axis
 
 
 class Inputs(NamedTuple):
-    """What does not change from tick to tick, of one rollout."""
+    """Inputs of one rollout, which do not change from tick to tick."""
 
-    policy: Any  # to the controller; () where it is called between ticks
+    policy: Any  # inputs of the controller; () where it is called between ticks
     rows: dict[str, Rows]  # fields in which models differ, in MuJoCo's shapes
     limits: dict[str, Rows]  # (..., 2)
     acting: disturbances.TickForces  # without the axis of rollouts
 
 
 class Carry(NamedTuple):
-    """What changes, of one rollout."""
+    """State of one rollout, of its controller and of its metrics, which changes from tick to tick."""
 
     qpos: Rows
     qvel: Rows
     warm: Rows  # (nv,) accelerations of the step before
-    metrics: Any
-    controller: Any  # what it carries; () where it is called between ticks
+    metrics: Any  # states of all metrics
+    controller: Any  # its state; () where it is called between ticks
     command: Rows  # (nu,) of this tick; of a controller in the kernel, of the tick before
     observable: Rows  # (s,) see `ModelSpec.observable_state`
     force: Rows  # (nu,) of the actuators in the last step
     acting: dict[str, Rows]  # see `MjxModelEngine`
     before: Rows  # (nu,) command of the tick before
-    tick: Rows
-    ticks: Rows
+    tick: Rows  # number of the next tick
+    ticks: Rows  # number of ticks of the rollout
     wrong: Rows  # whether a command was not finite
-    strange: Rows  # whether something happened that the kernel does not simulate, or a step was not solved
-
-
-def has_ended(carry: Carry) -> Array:
-    """Return whether a rollout has ended."""
-    return carry.wrong
+    needs_native: Rows  # whether something happened that the kernel does not simulate, or a step was not solved
+    over: Rows  # whether the rollout has ended: on a GPU a warp stops when all of its rollouts have
 
 
 class KernelModelEngine(ModelEngine):
-    """See `Engine`. Raises `InputError` where the kernel cannot simulate the model."""
+    """The engine that compiles controller, MuJoCo's step and metrics of a tick into one kernel.
+
+    Raises `InputError` where the kernel cannot simulate the model.
+    """
 
     dynamics = "kernel"
 
@@ -103,8 +103,9 @@ class KernelModelEngine(ModelEngine):
         self._is_inside = not (spec.controller.batched or spec.controller.learned)
         self._iterations = max(int(model.opt.iterations), LEAST_ITERATIONS)
         self._read_sensors = self._find_read_sensors()
-        self._watched = guard.find_pairs(self._layout, model)
+        self._watched = guard.find_pairs(model)
         self._programs_by_form: dict[Any, Any] = {}
+        self._first, self._enter, self._finish = self._programs.compile_for_batches()
 
     def _find_read_sensors(self) -> set[int]:
         """Sensors that the controller may read. Raises `InputError` where the kernel does not compute one of them."""
@@ -132,8 +133,7 @@ class KernelModelEngine(ModelEngine):
     def _read_numbers(self, numbers: ModelNumbers) -> None:
         """Trace a forward pass, which reads all numbers of the model that the kernel uses."""
         model = self._model
-        zeros = (jnp.zeros(size) for size in (model.nq, model.nv, model.nv, model.nu))
-        qpos, qvel, warm, ctrl = zeros
+        qpos, qvel, warm, ctrl = (jnp.zeros(size) for size in (model.nq, model.nv, model.nv, model.nu))
         state = read_state(self._layout, model, qpos, qvel, warm)
         result, _ = solve_forward(self._layout, numbers, state, ctrl, (), 1, 1)
         sensors.compute_sensors(self._layout, numbers, state, result)
@@ -163,13 +163,13 @@ class KernelModelEngine(ModelEngine):
             delayed, kept = disturbances.delay_commands(past[None], commands[None], acting.delay)
             late, extra["past"] = delayed[0], kept[0]
         numbers = ModelNumbers(self._model, inputs.rows, varied)
-        strange = carry.strange
+        needs_native = carry.needs_native
         state, rebuild = flatten_scalars(read_state(self._layout, self._model, carry.qpos, carry.qvel, carry.warm))
         first_step = carry.tick * len(self._shares)
         limits = {name: rows[None] for name, rows in inputs.limits.items()}
 
         def one_step(moving: Any, given: Any) -> tuple[Any, None]:
-            values, metrics, extra, strange, _ = moving
+            values, metrics, extra, needs_native, _ = moving
             (share, place, delayed), extra = given, dict(extra)
             target = before + share * (command - before) if delayed is None else delayed
             state = rebuild(values)
@@ -184,17 +184,17 @@ class KernelModelEngine(ModelEngine):
                 way = (places - last[0]) / 2  # at the mean of the speeds before and after a step
                 recorded["push_work"] = (extra["wrench"] * way).sum()[None]
                 extra |= {"wrench": force, "places": jnp.stack([last[1], places])}
-            strange = strange | going & result.is_unsolved
+            needs_native = needs_native | going & result.is_unsolved
             metrics = self._update(metrics, recorded, limits, going)
             sensed, pull = recorded["sensordata"][0, 0], recorded["actuator_force"][0, 0]
             arrays = [jnp.asarray(x, qpos.dtype) for x in flatten_scalars(after)[0]]
-            return (arrays, metrics, extra, strange, (qpos, qvel, warm, sensed, pull, controls)), None
+            return (arrays, metrics, extra, needs_native, (qpos, qvel, warm, sensed, pull, controls)), None
 
         model, dtype = self._model, carry.qpos.dtype
         none = (carry.qpos, carry.qvel, carry.warm, jnp.zeros(model.nsensordata, dtype), carry.force, command)
         steps = jnp.arange(len(self._shares))
-        (_, metrics, extra, strange, last), _ = jax.lax.scan(
-            one_step, (state, carry.metrics, extra, strange, none), (shares, steps, late)
+        (_, metrics, extra, needs_native, last), _ = jax.lax.scan(
+            one_step, (state, carry.metrics, extra, needs_native, none), (shares, steps, late)
         )
         qpos, qvel, warm, sensed, force, controls = last
         if self._spec.config.sensors == "current":
@@ -202,10 +202,10 @@ class KernelModelEngine(ModelEngine):
         if self._watched:
             state = read_state(self._layout, self._model, qpos, qvel, warm)
             smooth = compute_smooth(self._layout, numbers, state)
-            strange = strange | going & guard.is_near(self._layout, numbers, state, smooth, self._watched)
+            needs_native = needs_native | going & guard.is_near(self._layout, numbers, state, smooth, self._watched)
         observable = jnp.concatenate([qpos, qvel, sensed])
         new = Carry(qpos, qvel, warm, metrics, controller, command, observable, force, extra, command,
-                    carry.tick + 1, carry.ticks, wrong, strange)  # fmt: skip
+                    carry.tick + 1, carry.ticks, wrong, needs_native, carry.tick + 1 >= carry.ticks)  # fmt: skip
         return new, {"ctrl": command, "qpos": qpos, "qvel": qvel, "force": force}
 
     def _update(self, metrics: Any, recorded: Any, limits: Any, going: Array) -> Any:
@@ -240,8 +240,8 @@ class KernelModelEngine(ModelEngine):
         for body in self._spec.pushed_bodies:
             stack, member = find_stack(self._layout, int(body))
             centre = state.position + result.smooth.places[stack].centre
-            rows.append([one.value[member] if one.is_stack else one.value for one in centre])
-        return jnp.stack([jnp.stack([jnp.asarray(one) for one in row]) for row in rows])
+            rows.append(stack_values([*centre.member(member)], state.position.x.value.dtype))
+        return jnp.stack(rows)
 
     def _record(self, numbers: Any, state: Any, result: StepResult, qpos: Array, qvel: Array) -> dict[str, Array]:
         """What metrics read of one step, (1, 1, ...): positions and velocities at its end, the rest at its start."""
@@ -250,7 +250,7 @@ class KernelModelEngine(ModelEngine):
         for drive in result.drives:
             for k, number in enumerate(drive.actuators):
                 for found, one in ((force, drive.force), (velocity, drive.velocity)):
-                    found[number] = Scalar(one.value[k]) if one.is_stack else one
+                    found[number] = one.member(k)
         sensed = sensors.compute_sensors(self._layout, numbers, state, result)
         sites = [[Scalar(0.0)] * 3 for _ in range(model.nsite)]
         for number in self._foot_sites:
@@ -293,7 +293,7 @@ class KernelModelEngine(ModelEngine):
         begun = batch.start_batch(spec, self._settings, world, belief, streams)
         outside = None if self._is_inside else ControllerBatch(self._programs, begun.policy_inputs, n)
         if outside is None:
-            start, state, duration = self._first(begun.policy_inputs)
+            start, state, duration = self._programs.call_compiled(self._first, begun.policy_inputs)
         else:
             start, state, duration = outside.start, (), outside.duration
         at_first = begun.place(start)
@@ -303,7 +303,7 @@ class KernelModelEngine(ModelEngine):
             outside.enter(spec.observable_state(begun.qpos, begun.qvel, begun.sensors), ticks)
             controller = ()
         else:
-            controller = self._enter(begun.policy_inputs, state, observable, ticks)
+            controller = self._programs.call_compiled(self._enter, begun.policy_inputs, state, observable, ticks)
         model, qpos, qvel = self._model, number(begun.qpos), number(begun.qvel)
         zeros = partial(np.zeros, dtype=number)
         extra = {}
@@ -314,7 +314,7 @@ class KernelModelEngine(ModelEngine):
         metrics = jax.tree.map(np.asarray, self._meter.start(qpos, qvel))
         carry = Carry(qpos, qvel, zeros((n, model.nv)), metrics, jax.tree.map(np.asarray, controller),
                       zeros((n, model.nu)), observable, zeros((n, model.nu)), extra, zeros((n, model.nu)),
-                      np.zeros(n, np.int32), ticks, np.zeros(n, bool), np.zeros(n, bool))  # fmt: skip
+                      np.zeros(n, np.int32), ticks, *(np.zeros(n, bool) for _ in range(3)))  # fmt: skip
         varied = self._find_varied(world)
         rows = {
             name: number(np.reshape(begun.batch.expand(name), (n, *np.shape(mask)))) for name, mask in varied.items()
@@ -328,47 +328,33 @@ class KernelModelEngine(ModelEngine):
         paths = fields.select_quantities(self._model, self._spec.model_values(world))
         return find_varied_elements(self._model, paths, self._spec.payloads)
 
-    @cached_property
-    def _first(self) -> Any:
-        return jax.jit(jax.vmap(self._programs.begin_controller))
-
-    @cached_property
-    def _enter(self) -> Any:
-        return jax.jit(jax.vmap(self._programs.start_rollout))
-
-    @cached_property
-    def _finish(self) -> Any:
-        return jax.jit(jax.vmap(self._programs.compute_rollout_metrics))
-
     def _compile(self, varied: Any, inputs: Inputs, carry: Carry, n: int, ticks: int, room: int) -> Any:
         """Compile the kernel for batches of a form: `Kernel` on a CPU, `Ptx` on a GPU."""
-        of_inputs, of_carry = (
+        shapes = of_inputs, of_carry = tuple(
             jax.tree.map(lambda one: jax.ShapeDtypeStruct(one.shape[1:], one.dtype), tree) for tree in (inputs, carry)
         )
-        shapes = of_inputs, of_carry
         on_cpu = jax.default_backend() == "cpu"
         lanes = kernel.choose_lanes(n, devices.count_cores()) if on_cpu else 0
         form = jax.tree.structure(shapes), [(x.shape, str(x.dtype)) for x in jax.tree.leaves(shapes)]
         marks = [(name, np.packbits(mask).tobytes()) for name, mask in sorted(varied.items())]
-        key = (str(form), marks, lanes, None if on_cpu else (n, ticks, room))
-        key = repr(key)
+        key = repr((form, marks, lanes, None if on_cpu else (n, ticks, room)))
         if key not in self._programs_by_form:
             tick = partial(self._tick, varied)
 
-            def made() -> tuple[Any]:
+            def compile_code() -> tuple[Any]:
                 try:
                     if on_cpu:
                         return (kernel.compile_function(tick, of_inputs, of_carry, self._layout.group, lanes),)
-                    return (
-                        launch.compile_to_ptx(tick, of_inputs, of_carry, has_ended, ticks, room, n, self._layout.group),
-                    )
+                    is_over = operator.attrgetter("over")
+                    group = self._layout.group
+                    return (launch.compile_to_ptx(tick, of_inputs, of_carry, is_over, ticks, room, n, group),)
                 except Unsupported as missing:
                     return (str(missing),)
 
             spec, settings = self._spec, self._settings
             parts = spec.pushes, spec.payloads, spec.motors, spec.schedules  # all that the program contains
             about = (repr(spec.config), spec.delay_buffer, spec.action_buffer, *parts, settings.precision)
-            (code,) = program_cache.load_or_compile((*about, key), jax.local_devices()[:1], made)
+            (code,) = program_cache.load_or_compile((*about, key), jax.local_devices()[:1], compile_code)
             if isinstance(code, str):
                 raise InputError(
                     f"engine.name = kernel is not allowed: the compiler has no rule for {code}, which the controller "
@@ -406,7 +392,7 @@ class KernelModelEngine(ModelEngine):
             end = running.finish()
             observable = np.asarray(end.observable)
             if outside is None:
-                measured = self._finish(begun.policy_inputs, end.controller, observable)
+                measured = self._programs.call_compiled(self._finish, begun.policy_inputs, end.controller, observable)
                 measured = {name: np.asarray(values, float) for name, values in measured.items()}
             else:
                 measured = outside.finish(np.asarray(observable, float))
@@ -415,20 +401,20 @@ class KernelModelEngine(ModelEngine):
         gained = begun.energy(last.last, last.speed) - at_first
         found = self._meter.compute(last, begun.mass, gained, wrong, np.zeros(len(streams), bool)) | measured
         models = [begun.batch.get_model(int(slot)) for slot in slots]
-        strange = np.flatnonzero(np.asarray(end.strange))
-        found[ON_NATIVE] = np.asarray(end.strange, float)
-        if len(strange):
-            self._simulate_again((world, belief), streams, strange, found, slots, every, frames)
+        needs_native = np.flatnonzero(np.asarray(end.needs_native))
+        found[ON_NATIVE] = np.asarray(end.needs_native, float)
+        if len(needs_native):
+            print_note(
+                "kernel: rollouts in which geoms come near that it does not let touch, or a step is left unsolved, are "
+                f"simulated again by native: their column {ON_NATIVE} is 1"
+            )
+            self._simulate_again((world, belief), streams, needs_native, found, slots, every, frames)
         return found, frames, models
 
     def _simulate_again(
         self, sides: Any, streams: np.ndarray, chosen: np.ndarray, found: Metrics, slots: Any, every: int, frames: Any
     ) -> None:
         """Simulate some rollouts on C MuJoCo, and write what it finds over what the kernel found."""
-        print_note(
-            "kernel: rollouts in which geoms come near that it does not let touch, or a step is left unsolved, are "
-            f"simulated again by native: {len(chosen)} of the first {len(streams)} (column {ON_NATIVE})"
-        )
         rows = [SideValues(tuple((path, x[chosen] if np.ndim(x) else x) for path, x in side.values)) for side in sides]
         both = [k for k, slot in enumerate(slots) if slot in chosen]
         places = [int(np.flatnonzero(chosen == slots[k])[0]) for k in both]
@@ -486,7 +472,7 @@ class _GpuRunner:
         return np.asarray(self._carry.observable)
 
     def advance(self, first: int, count: int) -> Any:
-        """See `_CpuRunner`."""
+        """Simulate ticks; return what is recorded of the chosen rollouts, (ticks, slots, ...) by name."""
         if count not in self._calls:
             room = 0 if self._slots is None else len(self._slots)
             code = self._make(self._inputs, self._carry, self._n, count, room)
@@ -500,5 +486,5 @@ class _GpuRunner:
         return jax.tree.map(np.asarray, record)
 
     def finish(self) -> Carry:
-        """See `_CpuRunner`."""
+        """Return the carry at the end, (n, ...)."""
         return jax.tree.map(np.asarray, self._carry)

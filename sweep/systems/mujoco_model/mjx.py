@@ -8,7 +8,7 @@ model with a row for each rollout.
 
 import io
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from copy import copy
 from importlib.util import find_spec
@@ -36,6 +36,7 @@ from sweep.systems.mujoco_model.engine import (
     find_unsolved_steps,
     print_note,
 )
+from sweep.systems.mujoco_model.geom_pairs import find_geom_pairs
 from sweep.systems.mujoco_model.metrics.unsolved import BALANCE, is_unbalanced
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 from sweep.systems.mujoco_model.tick import STEPS
@@ -101,9 +102,7 @@ class MjxModelEngine(ModelEngine):
             raise self._refusal("it cannot compile a NumPy controller", "one of JAX's, ")
         with self._within(), report_silence(f"{settings.name}, which traces {self._about},", after=SOON):
             self._check()
-        # made once: a function of its own in every run would be traced and compiled anew
-        each = self._programs.begin_controller, self._programs.start_rollout, self._programs.compute_rollout_metrics
-        self._first, self._enter, self._finish = (jax.jit(jax.vmap(one)) for one in each)
+        self._first, self._enter, self._finish = self._programs.compile_for_batches()
         self._ticks = jax.jit(self._run_ticks, donate_argnums=2)
 
     def known_differences(self) -> Iterator[str]:
@@ -258,7 +257,7 @@ class MjxModelEngine(ModelEngine):
                     last = carry["ctrl"], carry["sim_state"]["qpos"], carry["sim_state"]["qvel"], carry["force"]
                     states, policy = (np.asarray(x)[slots] for x in last), self._read_policy(carry["carried"], slots)
                     frames.append(TickSample((k + every) * spec.config.period, *states, policy=policy))
-            measured = self._call(self._finish, policy_inputs, carry["carried"], carry["seen"])
+            measured = self._programs.call_compiled(self._finish, policy_inputs, carry["carried"], carry["seen"])
         measured = {name: np.asarray(values, float) for name, values in measured.items()}
         last = jax.tree.map(np.asarray, carry["metric_state"])
         wrong, full = (np.asarray(carry[name]) for name in ("wrong", "full"))
@@ -284,7 +283,7 @@ class MjxModelEngine(ModelEngine):
         print_note(f"{self._settings.name} compiles {self._about}")
         begun = batch.start_batch(spec, self._settings, world, belief, streams)
         policy_inputs = jax.device_put(begun.policy_inputs)
-        start, state, duration = self._call(self._first, policy_inputs)
+        start, state, duration = self._programs.call_compiled(self._first, policy_inputs)
         at_first = begun.place(start)
         seen = jnp.asarray(spec.observable_state(begun.qpos, begun.qvel, begun.sensors), float)
         ticks = batch.count_ticks(spec, duration)
@@ -294,7 +293,7 @@ class MjxModelEngine(ModelEngine):
         carry = {
             "sim_state": sim_state,
             "metric_state": self._meter.start(sim_state["qpos"], sim_state["qvel"]),
-            "carried": self._call(self._enter, policy_inputs, state, seen, ticks.astype(np.int32)),
+            "carried": self._programs.call_compiled(self._enter, policy_inputs, state, seen, ticks.astype(np.int32)),
             "seen": seen,
             "wrong": jnp.zeros(n, bool),
             "full": jnp.zeros(n, bool),
@@ -324,12 +323,7 @@ class MjxModelEngine(ModelEngine):
         """What goes on after `count` more ticks from the tick `first` on, see `_run_ticks`."""
         last = first + count
         when = f" in tick {last}" if count == 1 else f" in ticks {first + 1} to {last}"
-        return self._call(self._ticks, fixed, count, carry, when=when)
-
-    def _call(self, program: Callable[..., Any], *policy_inputs: Any, when: str = "") -> Any:
-        """Results of a program that has the controller in it; an error of the user's code becomes one line."""
-        finished = jax.block_until_ready  # else the error would be that of whoever looks at the results
-        return self._programs.call_user_code(lambda: finished(program(*policy_inputs)), when=when, is_own=False)
+        return self._programs.call_compiled(self._ticks, fixed, count, carry, when=when)
 
     def _put(self, begun: batch.BatchStart) -> tuple[Any, Any, dict[str, Array]]:
         """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""
@@ -471,19 +465,7 @@ def custom_numeric(model: mujoco.MjModel, name: str) -> np.ndarray | None:
 
 def count_geom_pairs(model: mujoco.MjModel) -> int:
     """Count the pairs of geoms that may touch: explicit pairs, and those that MuJoCo's filters let through."""
-    one, other = np.triu_indices(model.ngeom, 1)
-    bodies = model.geom_bodyid[one], model.geom_bodyid[other]
-    welds = [model.body_weldid[body] for body in bodies]
-    parents = [model.body_weldid[model.body_parentid[weld]] for weld in welds]
-    types, able = model.geom_contype, model.geom_conaffinity
-    may = ((types[one] & able[other]) | (types[other] & able[one])) != 0
-    may &= welds[0] != welds[1]
-    if not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
-        is_parent = (welds[0] == parents[1]) | (welds[1] == parents[0])
-        may &= ~(is_parent & (welds[0] != 0) & (welds[1] != 0))
-    low, high = np.minimum(*bodies), np.maximum(*bodies)
-    may &= ~np.isin((low << 16) + high, model.exclude_signature)
-    return int(may.sum()) + model.npair
+    return len(find_geom_pairs(model)) + model.npair
 
 
 def limited_contact_dims(model: mujoco.MjModel) -> list[int]:

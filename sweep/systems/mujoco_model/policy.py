@@ -311,6 +311,27 @@ class ControllerPrograms:
                 raise
             raise self._error(f"fails{when}: {reason or format_user_exception(error)}") from None
 
+    def compile_for_batches(self) -> tuple[Callable[..., Any], ...]:
+        """Return functions over a batch: begin controllers, start rollouts, and compute the controllers' metrics.
+
+        To be called once: functions made in every run would be traced and compiled anew.
+        """
+        each = self.begin_controller, self.start_rollout, self.compute_rollout_metrics
+        return tuple(jax.jit(jax.vmap(one)) for one in each)
+
+    def call_compiled(self, program: Callable[..., Any], *inputs: Any, when: str = "") -> Any:
+        """Wait for the results of a compiled program that has the controller in it, so that its errors are raised here.
+
+        Args:
+            program: The program.
+            *inputs: Its inputs.
+            when: ` in tick 3`, for messages.
+
+        Raises:
+            InputError: names the controller, the tick, and the file and line that failed.
+        """
+        return self.call_user_code(lambda: jax.block_until_ready(program(*inputs)), when=when, is_own=False)
+
     def compute_controls(self, policy_output: np.ndarray, when: str = "") -> np.ndarray:
         """Return controls (n, nu) from the program's output (n, ...), which a batched controller receives as its
         observation."""
@@ -407,7 +428,7 @@ class ControllerBatch:
 
     def _call(self, function: Callable[[], Any]) -> Any:
         """Wait for the results of compiled programs, so that their errors are raised here."""
-        return self._programs.call_user_code(lambda: jax.block_until_ready(function()), when=self._when, is_own=False)
+        return self._programs.call_compiled(function, when=self._when)
 
     def _of_tiles(self, program: Callable[..., Any], *more: np.ndarray) -> list[Any]:
         """Call a program for each tile with its inputs, its carried state and its rows of `more`."""

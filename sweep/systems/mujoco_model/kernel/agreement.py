@@ -105,7 +105,7 @@ def compare_accelerations(layout: Layout, model: mujoco.MjModel, keyframe: int, 
         count: Number of states.
     """
     drawn = draw_states(model, keyframe, count)
-    ground = set(layout.planes)
+    ground = {plane.geom for plane in layout.planes}
 
     def only_ground(data: mujoco.MjData) -> bool:
         return all({c.geom1, c.geom2} & ground for c in data.contact[: data.ncon])

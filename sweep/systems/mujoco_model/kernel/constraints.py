@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from sweep.systems.mujoco_model.kernel.layout import BOX, CAPSULE, Layout, may_touch, refuse
+from sweep.systems.mujoco_model.geom_pairs import may_touch
+from sweep.systems.mujoco_model.kernel.layout import BOX, CAPSULE, Layout, Plane, refuse
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers, power_of
 from sweep.systems.mujoco_model.kernel.scalars import (
     NOTHING,
@@ -19,6 +20,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     Symmetric,
     Vector,
     clip,
+    known_vector,
     largest,
     outer_product,
     rotate,
@@ -34,7 +36,7 @@ CORNERS = np.array([[1, y, z] for y in (-1, 1) for z in (-1, 1)], float)  # one 
 
 
 class Law(NamedTuple):
-    """How a constraint answers: stiffness, damping, and impedance by depth, see `mj_makeImpedance`."""
+    """Stiffness and damping of a constraint, and its impedance by depth, of MuJoCo's `solref` and `solimp`."""
 
     stiffness: Scalar  # 1/s^2
     damping: Scalar  # 1/s
@@ -96,16 +98,16 @@ def find_points(layout: Layout, numbers: ModelNumbers, plane: int) -> list[Point
             columns = numbers.rotation("geom_quat", geoms)
             real = np.ones(len(geoms), bool)
 
-            def turned(v: Vector, columns: Any = columns) -> Vector:
+            def to_body_axes(v: Vector, columns: Any = columns) -> Vector:
                 return v if columns is None else rotate(columns, v)
 
             size = [numbers.get("geom_size", geoms, k) for k in range(3)]
             if model.geom_type[geoms[0]] == BOX:
                 for one in CORNERS:
-                    corner = turned(Vector(*(a * float(b) for a, b in zip(size, one, strict=True))))
+                    corner = to_body_axes(Vector(*(a * float(b) for a, b in zip(size, one, strict=True))))
                     singles.append(Point(s, place, corner, ZERO, None, stack.bodies, geoms, real))
             elif model.geom_type[geoms[0]] == CAPSULE:
-                along = turned(Vector(ZERO, ZERO, ONE))
+                along = to_body_axes(Vector(ZERO, ZERO, ONE))
                 for side in (1.0, -1.0):
                     end = place + along * (size[1] * side)
                     singles.append(Point(s, end, NOTHING, size[0], along, stack.bodies, geoms, real))
@@ -153,15 +155,9 @@ def find_contacts(layout: Layout, numbers: ModelNumbers, state: RobotState, smoo
     """Find the contacts of a state with all planes; those that are apart have no weight."""
     found = []
     for plane in layout.planes:
-        matrix = np.zeros(9)
-        mujoco.mju_quat2Mat(matrix, _world_quat(numbers.model, plane))
-        matrix[np.abs(matrix) < 1e-15] = 0
-        normal = Vector(*(Scalar(x) for x in matrix.reshape(3, 3)[:, 2]))
-        start = numbers.vector("geom_pos", np.array([plane]))
-        if numbers.model.geom_bodyid[plane]:
-            start = Vector(*(Scalar(float(x)) for x in _world_position(numbers.model, plane)))
+        normal, start = known_vector(plane.normal), locate_plane(numbers, plane)
         height = normal.dot(state.position - start)
-        for point in find_points(layout, numbers, plane):
+        for point in find_points(layout, numbers, plane.geom):
             place = smooth.places[point.stack]
             centre = place.origin + rotate(place.axes, point.centre)
             if not all(one.is_exactly(0) for one in point.corner):
@@ -171,26 +167,15 @@ def find_contacts(layout: Layout, numbers: ModelNumbers, state: RobotState, smoo
             at = centre - normal * (point.radius + distance * 0.5)
             along = None if point.along is None else rotate(place.axes, point.along)
             frame = (normal, *_tangents(normal, along))
-            found.append(_contact(numbers, plane, point, distance, at, frame, place.motion.velocity_at(at)))
+            found.append(_contact(numbers, plane.geom, point, distance, at, frame, place.motion.velocity_at(at)))
     return found
 
 
-def _world_quat(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """Orientation of a geom that belongs to the world; its bodies do not move."""
-    quat, body = model.geom_quat[geom].copy(), int(model.geom_bodyid[geom])
-    while body:
-        mujoco.mju_mulQuat(quat, model.body_quat[body].copy(), quat.copy())
-        body = int(model.body_parentid[body])
-    return quat
-
-
-def _world_position(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    place, body = model.geom_pos[geom].copy(), int(model.geom_bodyid[geom])
-    while body:
-        turned = np.zeros(3)
-        mujoco.mju_rotVecQuat(turned, place, model.body_quat[body])
-        place, body = turned + model.body_pos[body], int(model.body_parentid[body])
-    return place
+def locate_plane(numbers: ModelNumbers, plane: Plane) -> Vector:
+    """Return a place of a plane in the world (m), which may differ between rollouts."""
+    if numbers.model.geom_bodyid[plane.geom]:
+        return known_vector(plane.position)
+    return numbers.vector("geom_pos", np.array([plane.geom]))
 
 
 def _tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:
@@ -198,7 +183,7 @@ def _tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:
     n = np.array([float(one.value) for one in normal])
     usual = np.array([0.0, 1, 0]) if abs(n[1]) < 0.5 else np.array([0.0, 0, 1])
     usual = usual - n * (n @ usual)
-    usual = Vector(*(Scalar(float(x)) for x in usual / np.linalg.norm(usual)))
+    usual = known_vector(usual / np.linalg.norm(usual))
     if along is None:
         return usual, normal.cross(usual)
     flat = along - normal * normal.dot(along)
@@ -252,14 +237,14 @@ def _mix(numbers: ModelNumbers, geoms: np.ndarray, plane: np.ndarray, winner: in
         share = each[0] / (each[0] + each[1])
         friction = largest(numbers.get("geom_friction", geoms, 0), numbers.get("geom_friction", plane, 0))
 
-    def mixed(name: str, k: int) -> Scalar:
+    def mix_number(name: str, k: int) -> Scalar:
         return share * numbers.get(name, geoms, k) + (1 - share) * numbers.get(name, plane, k)
 
-    reference = [mixed("geom_solref", k) for k in range(2)]
+    reference = [mix_number("geom_solref", k) for k in range(2)]
     if not winner and min(float(numbers.model.geom_solref[g, 0]) for g in (*geoms, *plane)) <= 0:
         least = [smallest(numbers.get("geom_solref", geoms, k), numbers.get("geom_solref", plane, k)) for k in range(2)]
         reference = least  # direct formats are not mixed
-    return make_law(numbers, reference, [mixed("geom_solimp", k) for k in range(5)]), largest(friction, 1e-5)
+    return make_law(numbers, reference, [mix_number("geom_solimp", k) for k in range(5)]), largest(friction, 1e-5)
 
 
 def make_law(numbers: ModelNumbers, reference: list[Scalar], impedance: list[Scalar]) -> Law:

@@ -10,6 +10,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Bool
 
+from sweep.systems.mujoco_model.geom_pairs import find_geom_pairs
+from sweep.systems.mujoco_model.kernel.constraints import locate_plane
 from sweep.systems.mujoco_model.kernel.layout import (
     BOX,
     CAPSULE,
@@ -19,7 +21,6 @@ from sweep.systems.mujoco_model.kernel.layout import (
     SPHERE,
     Layout,
     find_stack,
-    may_touch,
 )
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import (
@@ -27,9 +28,11 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     Scalar,
     Vector,
     clip,
+    known_vector,
     largest,
     rotate,
     rotate_back,
+    rotation_matrix,
     smallest,
     square_root,
     where,
@@ -52,33 +55,18 @@ class Hull(NamedTuple):
     is_box: bool
 
 
-def find_pairs(layout: Layout, model: mujoco.MjModel) -> list[tuple[int, int]]:
+def find_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
     """Return the pairs of geoms that may touch and that the kernel does not simulate."""
-    found = []
-    excluded = set(model.exclude_signature.tolist())
-    filters = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
-    for a in range(model.ngeom):
-        for b in range(a + 1, model.ngeom):
-            one, other = sorted((int(model.geom_bodyid[a]), int(model.geom_bodyid[b])))
-            welds = [int(model.body_weldid[body]) for body in (one, other)]
-            parents = [int(model.body_weldid[model.body_parentid[weld]]) for weld in welds]
-            related = all(welds) and (welds[0] == parents[1] or welds[1] == parents[0])
-            if welds[0] == welds[1] or (filters and related) or (one << 16) + other in excluded:
-                continue
-            shapes = [int(model.geom_type[g]) for g in (a, b)]
-            simulated = PLANE in shapes and any(shape in SHAPES for shape in shapes)
-            if may_touch(model, a, b) and not simulated:
-                found.append((a, b))
-    return found
+    kinds = model.geom_type[pairs := find_geom_pairs(model)]
+    is_simulated = (kinds == PLANE).any(axis=1) & np.isin(kinds, SHAPES).any(axis=1)
+    return [(int(a), int(b)) for a, b in pairs[~is_simulated]]
 
 
 def enclose(layout: Layout, model: mujoco.MjModel, geom: int) -> Hull:
     """Return what encloses a geom of the robot."""
     stack, member = find_stack(layout, int(model.geom_bodyid[geom]))
     kind, size = int(model.geom_type[geom]), model.geom_size[geom]
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
-    axes, place = matrix.reshape(3, 3), model.geom_pos[geom].copy()
+    axes, place = rotation_matrix(model.geom_quat[geom]), model.geom_pos[geom].copy()
     if kind in (SPHERE, CAPSULE, CYLINDER):
         return Hull(stack, member, place, axes, np.array([size[0], 0.0 if kind == SPHERE else size[1], 0]), False)
     if kind in (BOX, ELLIPSOID):
@@ -108,14 +96,14 @@ def is_near(
         smooth: What it makes of the robot.
         pairs: Geoms, see `find_pairs`.
     """
-    model = numbers.model
-    near = jnp.asarray(False)
+    model, near = numbers.model, jnp.asarray(False)
+    planes = {plane.geom: plane for plane in layout.planes}
     kinds: dict[str, list[tuple[Hull, Any]]] = {"plane": [], "box": [], "capsule": []}
     for a, b in pairs:
         if int(model.geom_type[b]) == PLANE:
             a, b = b, a
         if int(model.geom_type[a]) == PLANE:
-            kinds["plane"].append((enclose(layout, model, b), a))
+            kinds["plane"].append((enclose(layout, model, b), planes[a]))
             continue
         one, other = enclose(layout, model, a), enclose(layout, model, b)
         if other.is_box and not one.is_box:
@@ -139,38 +127,30 @@ def _join(values: list[Scalar], dtype: Any) -> Scalar:
 def _placed(smooth: Smooth, hulls: list[Hull]) -> tuple[Vector, list[Vector], list[Scalar]]:
     """Places, axes and sizes of a row of hulls, from the base's origin and in the world's axes."""
 
-    def member(number: Scalar, k: int) -> Scalar:
-        return Scalar(number.value[k]) if number.is_stack else number
-
     every: list[list[Vector]] = []
     for hull in hulls:
         place = smooth.places[hull.stack]
-        axes = [Vector(*(member(x, hull.member) for x in one)) for one in place.axes]
-        origin = Vector(*(member(x, hull.member) for x in place.origin))
-        columns = [rotate((axes[0], axes[1], axes[2]), _vector(hull.axes[:, k])) for k in range(3)]
-        every.append([origin + rotate((axes[0], axes[1], axes[2]), _vector(hull.place)), *columns])
-    dtype = next(x.value.dtype for place in smooth.places for v in place.axes for x in v if not x.is_known)
+        x, y, z = (one.member(hull.member) for one in place.axes)
+        columns = [rotate((x, y, z), known_vector(hull.axes[:, k])) for k in range(3)]
+        origin = place.origin.member(hull.member) + rotate((x, y, z), known_vector(hull.place))
+        every.append([origin, *columns])
+    dtype = _dtype(smooth)
     joined = [Vector(*(_join([one[k][i] for one in every], dtype) for i in range(3))) for k in range(4)]
     sizes = [Scalar(np.array([hull.size[k] for hull in hulls])) for k in range(3)]
     return joined[0], joined[1:], sizes
 
 
-def _vector(values: np.ndarray) -> Vector:
-    return Vector(*(Scalar(0.0 if abs(x) < 1e-15 else float(x)) for x in values))
+def _dtype(smooth: Smooth) -> Any:
+    """The precision of a rollout's numbers."""
+    return next(x.value.dtype for place in smooth.places for axis in place.axes for x in axis if not x.is_known)
 
 
 def _plane_distance(numbers: ModelNumbers, state: RobotState, smooth: Smooth, row: list[Any]) -> Scalar:
     """Height (n,) of the lowest point of each hull above its plane."""
     place, axes, size = _placed(smooth, [hull for hull, _ in row])
-    model = numbers.model
-    normals, starts = [], []
-    for _, plane in row:
-        data = np.zeros(9)
-        mujoco.mju_quat2Mat(data, model.geom_quat[plane])
-        normals.append(data.reshape(3, 3)[:, 2])
-        starts.append(model.geom_pos[plane])
-    normal = Vector(*(Scalar(np.array([one[k] for one in normals])) for k in range(3)))
-    start = Vector(*(Scalar(np.array([one[k] for one in starts])) for k in range(3)))
+    places = [locate_plane(numbers, plane) for _, plane in row]
+    start = Vector(*(_join([one[k] for one in places], _dtype(smooth)) for k in range(3)))
+    normal = Vector(*(Scalar(np.array([plane.normal[k] for _, plane in row])) for k in range(3)))
     height = normal.dot(state.position + place - start)
     is_box = np.array([hull.is_box for hull, _ in row])
     reach = [_absolute(normal.dot(one)) for one in axes]

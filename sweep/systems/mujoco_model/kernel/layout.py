@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from sweep.core.errors import InputError
+from sweep.systems.mujoco_model.geom_pairs import may_touch
 
 FREE, BALL, SLIDE, HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{one}")) for one in ("FREE", "BALL", "SLIDE", "HINGE"))
 GEOM = mujoco.mjtGeom
@@ -43,13 +44,21 @@ class Stack(NamedTuple):
         return len(self.bodies)
 
 
+class Plane(NamedTuple):
+    """A plane of the world that geoms may touch."""
+
+    geom: int  # id
+    position: np.ndarray  # (3,) m
+    normal: np.ndarray  # (3,)
+
+
 class Layout(NamedTuple):
     """The stacks of a model, each after that of its parents; the first is the base."""
 
     stacks: tuple[Stack, ...]
     group: int  # bodies of a stack
     has_free_base: bool
-    planes: tuple[int, ...]  # ids of geoms
+    planes: tuple[Plane, ...]
 
     @property
     def joints(self) -> list[tuple[int, int]]:
@@ -67,7 +76,7 @@ class Layout(NamedTuple):
 def find_layout(model: mujoco.MjModel) -> Layout:
     """Find the like limbs of a model. Raises `InputError` where the kernel cannot simulate it."""
     check_features(model)
-    planes = tuple(g for g in range(model.ngeom) if model.geom_type[g] == PLANE and _collides(model, g))
+    planes = find_planes(model)
     children: dict[int, list[int]] = {b: [] for b in range(model.nbody)}
     for body in range(1, model.nbody):
         children[int(model.body_parentid[body])].append(body)
@@ -81,7 +90,7 @@ def find_layout(model: mujoco.MjModel) -> Layout:
     def touching(body: int) -> list[int]:
         mine = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body and model.body_weldid[body]]
         shaped = [g for g in mine if model.geom_type[g] in SHAPES]  # `guard` watches the others
-        return [g for g in shaped if any(may_touch(model, g, plane) for plane in planes)]
+        return [g for g in shaped if any(may_touch(model, g, plane.geom) for plane in planes)]
 
     def own_joints(body: int) -> list[int]:
         first = model.body_jntadr[body]
@@ -142,19 +151,20 @@ def find_stack(layout: Layout, body: int) -> tuple[int, int]:
     raise refuse(f"contacts, sensors or pushes of body number {body}, which does not move")
 
 
+def find_planes(model: mujoco.MjModel) -> tuple[Plane, ...]:
+    """Return the planes of a model that collide, where they are in the world."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    normals = data.geom_xmat.reshape(-1, 3, 3)[:, :, 2]
+    normals[np.abs(normals) < 1e-15] = 0  # so that constants fold
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    found = np.flatnonzero((model.geom_type == PLANE) & collides)
+    return tuple(Plane(int(g), data.geom_xpos[g].copy(), normals[g].copy()) for g in found)
+
+
 def drives(model: mujoco.MjModel, joint: int) -> list[int]:
     """Return the actuators of a joint."""
     return [k for k in range(model.nu) if model.actuator_trnid[k, 0] == joint]
-
-
-def may_touch(model: mujoco.MjModel, one: int, other: int) -> bool:
-    """Whether MuJoCo's filter by types lets two geoms touch."""
-    types, able = model.geom_contype, model.geom_conaffinity
-    return bool(types[one] & able[other] or types[other] & able[one])
-
-
-def _collides(model: mujoco.MjModel, geom: int) -> bool:
-    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 
 def refuse(what: str) -> InputError:
@@ -164,27 +174,26 @@ def refuse(what: str) -> InputError:
 
 def check_features(model: mujoco.MjModel) -> None:
     """Raise `InputError`, naming the first feature of a model that the kernel does not simulate."""
-    opt, jnt, act = model.opt, model.jnt_type, mujoco
-    on_joint = np.isin(model.actuator_trntype, [int(act.mjtTrn.mjTRN_JOINT), int(act.mjtTrn.mjTRN_JOINTINPARENT)])
+    opt, jnt = model.opt, model.jnt_type
+    on_joint = np.isin(model.actuator_trntype, [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)])
     driven = jnt[model.actuator_trnid[:, 0]] if on_joint.all() and model.nu else np.zeros(0, int)
-    gains = np.isin(model.actuator_gaintype, [int(act.mjtGain.mjGAIN_FIXED), int(act.mjtGain.mjGAIN_AFFINE)])
-    biases = np.isin(model.actuator_biastype, [int(act.mjtBias.mjBIAS_NONE), int(act.mjtBias.mjBIAS_AFFINE)])
+    gains = np.isin(model.actuator_gaintype, [int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)])
+    biases = np.isin(model.actuator_biastype, [int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)])
     free = np.flatnonzero(jnt == FREE)
     first = model.jnt_dofadr[free[0]] if len(free) else 0
     of_base = slice(first, first + 6 * len(free))
-    integrators = [int(act.mjtIntegrator.mjINT_EULER), int(act.mjtIntegrator.mjINT_IMPLICITFAST)]
-    planes = [g for g in range(model.ngeom) if model.geom_type[g] == PLANE]
-    touching = [
-        g
-        for g in range(model.ngeom)
-        if model.body_weldid[model.geom_bodyid[g]] and any(may_touch(model, g, plane) for plane in planes)
-    ]
+    integrators = [int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)]
+    planes = [plane.geom for plane in find_planes(model)]
     moving = model.body_weldid[model.geom_bodyid] != 0
     things = [g for g in range(model.ngeom) if not moving[g] and model.geom_type[g] != PLANE]
     static = [g for g in things if any(may_touch(model, g, int(other)) for other in np.flatnonzero(moving))]
-    shaped = [g for g in touching if model.geom_type[g] in SHAPES]
+    shaped = [
+        g
+        for g in np.flatnonzero(moving & np.isin(model.geom_type, SHAPES)).tolist()
+        if any(may_touch(model, g, plane) for plane in planes)
+    ]
     dims = sorted({int(model.geom_condim[g]) for g in (*shaped, *planes)} - {1, 3}) if shaped else []
-    disabled = int(opt.disableflags) & ~int(act.mjtDisableBit.mjDSBL_MIDPHASE)
+    disabled = int(opt.disableflags) & ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
     other = [name for name in UNKNOWN_FIELDS if np.any(getattr(model, name, 0))]
     wrong = {
         "ball joints": (jnt == BALL).any(),
@@ -206,12 +215,12 @@ def check_features(model: mujoco.MjModel) -> None:
         "fluid forces": opt.density or opt.viscosity or np.any(opt.wind),
         "gravity compensation": model.body_gravcomp.any(),
         "noslip iterations": opt.noslip_iterations,
-        f"the integrator {act.mjtIntegrator(int(opt.integrator)).name}": int(opt.integrator) not in integrators,
+        f"the integrator {mujoco.mjtIntegrator(int(opt.integrator)).name}": int(opt.integrator) not in integrators,
         f"contact dimensions {dims}": len(dims),
         f"geom {model.geom(static[0]).name or static[0]}, which is no plane, as ground" if static else "": len(static),
         "disabled features of MuJoCo": disabled,
         "override of contacts or forward-inverse comparison": int(opt.enableflags)
-        & ~int(act.mjtEnableBit.mjENBL_ENERGY),
+        & ~int(mujoco.mjtEnableBit.mjENBL_ENERGY),
         f"{', '.join(other)}": len(other),
     }
     for what, is_there in wrong.items():

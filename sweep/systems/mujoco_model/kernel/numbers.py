@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from sweep.systems.mujoco_model import fields
-from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, largest, quaternion_axes
+from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, largest, quaternion_axes, rotation_matrix
 
 
 class ModelNumbers:
@@ -57,11 +57,7 @@ class ModelNumbers:
         quats = np.asarray(getattr(self.model, name)[ids], float)
         if np.array_equal(quats, np.tile([1.0, 0, 0, 0], (len(quats), 1))):
             return None
-        matrices = np.zeros((len(quats), 9))
-        for matrix, quat in zip(matrices, quats, strict=True):
-            mujoco.mju_quat2Mat(matrix, quat)
-        matrices = matrices.reshape(-1, 3, 3)
-        matrices[np.abs(matrices) < 1e-15] = 0
+        matrices = np.stack([rotation_matrix(quat) for quat in quats])
 
         def column(k: int) -> Vector:
             return Vector(*(Scalar(matrices[:, i, k] if len(ids) > 1 else matrices[0, i, k]) for i in range(3)))

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Union
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from jaxtyping import Array
 
@@ -93,6 +94,10 @@ class Scalar:
     def __lt__(self, other: Operand) -> Any:
         return _apply(lambda a, b: a < b, self, as_scalar(other))
 
+    def member(self, k: int) -> "Scalar":
+        """Return the number of one body of a stack."""
+        return Scalar(self.value[k]) if self.is_stack else self
+
     def total(self, n: int) -> "Scalar":
         """Sum over the n bodies of a stack."""
         if self.is_stack:
@@ -152,7 +157,7 @@ def square_root(number: Operand) -> Scalar:
 
 
 class Vector(NamedTuple):
-    """Three components."""
+    """Three components, which fold constants; `sweep.core.vectors.Vector` is one of arrays."""
 
     x: Scalar
     y: Scalar
@@ -171,6 +176,10 @@ class Vector(NamedTuple):
 
     def __neg__(self) -> "Vector":
         return Vector(*(-a for a in self))
+
+    def member(self, k: int) -> "Vector":
+        """Return the vector of one body of a stack."""
+        return Vector(*(one.member(k) for one in self))
 
     def dot(self, other: "Vector") -> Scalar:
         """Return the scalar product."""
@@ -223,6 +232,19 @@ def outer_product(v: Vector, factor: Operand) -> Symmetric:
     """Return factor v vᵀ."""
     w = v * factor
     return Symmetric(w.x * v.x, w.y * v.y, w.z * v.z, w.x * v.y, w.x * v.z, w.y * v.z)
+
+
+def rotation_matrix(quat: np.ndarray) -> np.ndarray:
+    """Return the matrix (3, 3) of a known unit quaternion; what is 0 but for rounding is 0, so that it folds."""
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quat)
+    matrix[np.abs(matrix) < 1e-15] = 0
+    return matrix.reshape(3, 3)
+
+
+def known_vector(values: np.ndarray) -> Vector:
+    """Return a vector (3,) that is known when the program is made."""
+    return Vector(*(Scalar(float(x)) for x in values))
 
 
 Axes = tuple[Vector, Vector, Vector]  # of a body, in world axes: the columns of its rotation matrix

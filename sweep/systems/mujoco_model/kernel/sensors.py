@@ -23,7 +23,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     square_root,
     where,
 )
-from sweep.systems.mujoco_model.kernel.smooth import RobotState, relative_acceleration
+from sweep.systems.mujoco_model.kernel.smooth import RobotState, Spatial, relative_acceleration
 from sweep.systems.mujoco_model.kernel.step import StepResult
 
 Sensor = mujoco.mjtSensor
@@ -47,14 +47,13 @@ class Frame:
         self, layout: Layout, numbers: ModelNumbers, state: RobotState, result: StepResult, kind: int, number: int
     ):
         model, ids = numbers.model, np.array([number])
-        self._numbers, self._state, self._result = numbers, state, result
+        self._state, self._result = state, result
         names = {SITE: "site", GEOM: "geom"}
         body = int(number if kind in (BODY, XBODY) else getattr(model, f"{names[kind]}_bodyid")[number])
         self._stack, self._member = find_stack(layout, body)
-        stack, place = layout.stacks[self._stack], result.smooth.places[self._stack]
-        self._layout, self._pick = layout, (lambda one: _member(one, self._member) if stack.n > 1 else one)
-        origin, (x, y, z) = self._vector(place.origin), place.axes
-        axes: Axes = self._vector(x), self._vector(y), self._vector(z)
+        self._layout, place = layout, result.smooth.places[self._stack]
+        x, y, z = (one.member(self._member) for one in place.axes)
+        origin, axes = place.origin.member(self._member), (x, y, z)
         prefix = {SITE: "site", GEOM: "geom", BODY: "body_i", XBODY: ""}[kind]
         prefix = f"{prefix}_" if kind in names else prefix
         self.offset = rotate(axes, numbers.vector(f"{prefix}pos", ids)) if prefix else NOTHING
@@ -63,11 +62,8 @@ class Frame:
         self.own_quat = np.asarray(getattr(model, f"{prefix}quat")[number]) if prefix else np.array([1.0, 0, 0, 0])
         self.place = origin + self.offset  # from the base's origin
         moving = place.motion
-        self.spin = self._vector(moving.angular)
-        self.velocity = self._vector(moving.linear) + self.spin.cross(self.place)
-
-    def _vector(self, vector: Vector) -> Vector:
-        return Vector(*(self._pick(one) for one in vector))
+        self.spin = moving.angular.member(self._member)
+        self.velocity = moving.linear.member(self._member) + self.spin.cross(self.place)
 
     @property
     def position(self) -> Vector:
@@ -79,16 +75,14 @@ class Frame:
         """Acceleration less gravity (m/s^2), world axes."""
         smooth, found = self._result.smooth, self._result.solution.acceleration
         place = smooth.places[self._stack]
-        spin_rate = self._vector(place.spin_rate)
-        total = self._vector(place.acceleration) + relative_acceleration(self.spin, spin_rate, self.offset)
+        spin_rate = place.spin_rate.member(self._member)
+        total = place.acceleration.member(self._member) + relative_acceleration(self.spin, spin_rate, self.offset)
         moved = found.base.velocity_at(self.place) if self._layout.has_free_base else NOTHING
         for s in self._layout.ancestors(self._stack):
             for k in range(len(self._layout.stacks[s].joints)):
-                motion, rate = smooth.motions[s, k], found.joints[s, k]
-                if self._layout.stacks[s].n > 1:
-                    motion = type(motion)(self._vector(motion.linear), self._vector(motion.angular))
-                    rate = self._pick(rate)
-                moved = moved + motion.velocity_at(self.place) * rate
+                linear, angular = (part.member(self._member) for part in smooth.motions[s, k])
+                rate = found.joints[s, k].member(self._member)
+                moved = moved + Spatial(linear, angular).velocity_at(self.place) * rate
         return total + moved
 
     @property
@@ -96,11 +90,6 @@ class Frame:
         """Orientation, which is computed for frames of the base alone."""
         own = tuple(Scalar(float(x)) for x in self.own_quat)
         return multiply_quaternions(self._state.quat, own)
-
-
-def _member(number: Scalar, member: int) -> Scalar:
-    """The number of one body of a stack."""
-    return Scalar(number.value[member]) if number.is_stack else number
 
 
 def compute_sensors(
@@ -176,7 +165,7 @@ def _joint(read: Callable[[RobotState, tuple[int, int]], Scalar]) -> Callable[..
         for s, place in layout.joints:
             ids = layout.stacks[s].joints[place]
             if joint in ids:
-                return [_member(read(state, (s, place)), int(np.flatnonzero(ids == joint)[0]))]
+                return [read(state, (s, place)).member(int(np.flatnonzero(ids == joint)[0]))]
         raise refuse("sensors of the free joint")
 
     return rule
@@ -186,7 +175,7 @@ def _actuator(read: Callable[[Any], Scalar]) -> Callable[..., list[Scalar]]:
     def rule(layout: Layout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int) -> list[Scalar]:
         number = int(numbers.model.sensor_objid[k])
         (drive,) = [one for one in result.drives if number in one.actuators]
-        return [_member(read(drive), int(np.flatnonzero(drive.actuators == number)[0]))]
+        return [read(drive).member(int(np.flatnonzero(drive.actuators == number)[0]))]
 
     return rule
 
@@ -205,9 +194,8 @@ def _touch(layout: Layout, numbers: ModelNumbers, state: RobotState, result: Ste
         at = contact.at
         if len(mine) > 1 and mine.sum() == 1:
             member = int(np.flatnonzero(mine)[0])
-            force, at = _member(force, member), Vector(*(_member(one, member) for one in at))
-            normal = Vector(*(_member(one, member) for one in contact.frame[0]))
-            total = total + _if_hit(numbers, site, frame, at, -normal, force)
+            force, at = force.member(member), at.member(member)
+            total = total + _if_hit(numbers, site, frame, at, -contact.frame[0].member(member), force)
         else:  # rows of one body
             total = total + _if_hit(numbers, site, frame, at, -contact.frame[0], force).total(1)
     return [total]

@@ -103,8 +103,7 @@ def write_state(layout: Layout, model: mujoco.MjModel, state: RobotState) -> tup
             (warm, state.warm, model.jnt_dofadr[ids]),
         ):
             for k, place in enumerate(at):
-                one = numbers[joint]
-                values[place] = Scalar(one.value[k]) if one.is_stack else one
+                values[place] = numbers[joint].member(k)
     if layout.has_free_base:
         free = int(model.body_jntadr[layout.stacks[0].bodies[0]])
         q, v = int(model.jnt_qposadr[free]), int(model.jnt_dofadr[free])
