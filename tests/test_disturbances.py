@@ -1,16 +1,16 @@
 """Errors of execution of own models against mechanics: pushes of bodies, and commands that come late."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from own_rollouts import prepare_batch, write_texts
 from small_study import one_line
 
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.runs import batches, store
+from sweep.runs import store
 from sweep.runs.axis_effects import find_unread_columns
 from sweep.runs.runner import select_points
 
@@ -37,21 +37,15 @@ study: {axes: {size: {path: push.kick.impulse, values: [0.0, 3.0]}}}
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name, text in {"model.xml": MODEL, "sine.py": SINE, "one.yaml": STUDY, "sweep.yaml": "modules: []"}.items():
-        Path(name).write_text(text)
+    write_texts({"model.xml": MODEL, "sine.py": SINE, "one.yaml": STUDY})
     return tmp_path
 
 
 def simulate(engine, *more):
     """Velocities (rollouts, ticks, nv) and metrics of a study on an engine, in double precision."""
-    exp = compose(["study=one.yaml", f"engine={engine}", "engine.precision=float64", *more])
-    rows = select_points(exp)
-    exp = batches.with_delay_buffer(exp, rows)
-    rows = batches.assign_batches(exp, pd.DataFrame(), rows).assign(width=len(rows))
-    task = batches.make_batch(exp, rows)
-    made = exp.system.make_engine(replace(task.settings, cross_check=True), task.world, task.belief, None)
-    found = made.run(task.world, task.belief, task.streams)
-    return np.stack([one.qvel for one in made.traces(task.world, task.belief, task.streams, 1)]), found
+    made, batch = prepare_batch(f"engine={engine}", "engine.precision=float64", *more)
+    found = made.run(*batch)
+    return np.stack([one.qvel for one in made.traces(*batch, 1)]), found
 
 
 @pytest.mark.parametrize("engine", ["native", pytest.param("mjx", marks=pytest.mark.slow)])

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from own_rollouts import write_texts
 from small_study import one_line
 
 from sweep.cli.main import main
@@ -40,16 +41,15 @@ study:
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("worlds").mkdir()
-    for name, text in {
-        "worlds/low.xml": MODEL.replace("HEIGHT", "1").replace("MASS", "1"),
-        "worlds/high.xml": MODEL.replace("HEIGHT", "2").replace("MASS", "2"),
-        "gentle.py": POLICY.replace("FORCE", "1.0"),
-        "bare.py": BARE,
-        "one.yaml": STUDY,
-        "sweep.yaml": "modules: []",
-    }.items():
-        Path(name).write_text(text)
+    write_texts(
+        {
+            "worlds/low.xml": MODEL.replace("HEIGHT", "1").replace("MASS", "1"),
+            "worlds/high.xml": MODEL.replace("HEIGHT", "2").replace("MASS", "2"),
+            "gentle.py": POLICY.replace("FORCE", "1.0"),
+            "bare.py": BARE,
+            "one.yaml": STUDY,
+        }
+    )
     return tmp_path
 
 

@@ -1,11 +1,7 @@
 """Friction of a pair of geoms as an axis, against mechanics."""
 
-import pandas as pd
 import pytest
-
-from sweep.config.experiment import compose
-from sweep.runs import batches
-from sweep.runs.runner import select_points
+from own_rollouts import prepare_batch, write_texts
 
 GRAVITY = 9.81
 MODEL = f"""<mujoco><option timestep="0.0005" integrator="Euler" cone="elliptic" gravity="0 0 -{GRAVITY}"/>
@@ -34,14 +30,9 @@ study: {axes: {one: {path: AXIS, side: world, values: [LOW, HIGH]},
 def simulate(folder, axis, low, high):
     """Positions and velocities of two rollouts over time."""
     study = STUDY.replace("AXIS", axis).replace("LOW", str(low)).replace("HIGH", str(high))
-    texts = {"model.xml": MODEL, "still.py": STILL, "one.yaml": study, "sweep.yaml": "modules: []"}
-    for name, text in texts.items():
-        (folder / name).write_text(text)
-    exp = compose(["study=one.yaml"])
-    rows = batches.assign_batches(exp, pd.DataFrame(), select_points(exp)).assign(width=2)
-    task = batches.make_batch(exp, rows)
-    made = exp.system.make_engine(task.settings, task.world, task.belief, None)
-    return [(one.qpos, one.qvel) for one in made.traces(task.world, task.belief, task.streams, 1)]
+    write_texts({"model.xml": MODEL, "still.py": STILL, "one.yaml": study}, folder)
+    engine, batch = prepare_batch()
+    return [(one.qpos, one.qvel) for one in engine.traces(*batch, 1)]
 
 
 # both directions of the contact have a friction of their own

@@ -1,17 +1,14 @@
 """Initial states, payloads and motors of own models against mechanics, on both engines."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
+from own_rollouts import prepare_batch, write_texts
 from small_study import one_line
 
 from sweep.cli.main import main
-from sweep.config.experiment import compose
-from sweep.runs import batches, store
-from sweep.runs.runner import select_points
+from sweep.runs import store
 
 STEP, PERIOD = 0.002, 0.02
 SIZE, MASS = np.array([0.1, 0.2, 0.3]), 2.0  # half sizes and mass of the box
@@ -41,21 +38,15 @@ ENGINES = pytest.mark.parametrize("engine", ["native", pytest.param("mjx", marks
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name, text in {"model.xml": MODEL, "full.py": CONTROL, "sweep.yaml": "modules: []"}.items():
-        Path(name).write_text(text)
+    write_texts({"model.xml": MODEL, "full.py": CONTROL})
     return tmp_path
 
 
 def simulate(engine, axis, more="", *words):
     """Traces and metrics of a study on an engine, in double precision."""
     Path("one.yaml").write_text(STUDY.format(axis=axis, more=more))
-    exp = compose(["study=one.yaml", f"engine={engine}", "engine.precision=float64", *words])
-    rows = select_points(exp)
-    exp = batches.with_delay_buffer(exp, rows)
-    rows = batches.assign_batches(exp, pd.DataFrame(), rows).assign(width=len(rows))
-    task = batches.make_batch(exp, rows)
-    made = exp.system.make_engine(replace(task.settings, cross_check=False), task.world, task.belief, None)
-    return made.traces(task.world, task.belief, task.streams, 1), made.run(task.world, task.belief, task.streams)
+    made, batch = prepare_batch(f"engine={engine}", "engine.precision=float64", *words, cross_check=False)
+    return made.traces(*batch, 1), made.run(*batch)
 
 
 @ENGINES

@@ -1,19 +1,18 @@
 """Terrain of own models: heights at points, seeds, a ball that rolls down, where robots start, and mistakes."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 import pytest
+from own_rollouts import prepare_batch, write_texts
 from small_study import one_line
 
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.runs import batches, store
+from sweep.runs import store
 from sweep.runs.runner import select_points
 from sweep.systems.mujoco_model.terrain_heights import NUMBERS, compute_heights
 
@@ -40,20 +39,15 @@ study: {axes: {one: {path: model.terrain.slope, values: [-0.2, 0.0, 0.3]}}}
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name, text in {"model.xml": MODEL, "still.py": STILL, "one.yaml": STUDY, "sweep.yaml": "modules: []"}.items():
-        Path(name).write_text(text)
+    write_texts({"model.xml": MODEL, "still.py": STILL, "one.yaml": STUDY})
     return tmp_path
 
 
 def simulate(*more) -> tuple[list[Any], dict[str, Any]]:
     """Traces and metrics of a study's rollouts in one batch."""
-    exp = compose(["study=one.yaml", "engine.precision=float64", *more])
-    rows = select_points(exp)
-    rows = batches.assign_batches(exp, pd.DataFrame(), rows).assign(width=len(rows))
-    task = batches.make_batch(exp, rows)
-    made = exp.system.make_engine(replace(task.settings, cross_check=True), task.world, task.belief, None)
-    found = made.run(task.world, task.belief, task.streams)
-    return list(made.traces(task.world, task.belief, task.streams, 1)), found
+    engine, batch = prepare_batch("engine.precision=float64", *more)
+    found = engine.run(*batch)
+    return list(engine.traces(*batch, 1)), found
 
 
 def heights(kind, x, y=(0.0,), **numbers):

@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweep.contract.system import Parameter
-from sweep.core.errors import InputError, require_choice
+from sweep.core.errors import require_choice
 from sweep.core.parameters import quantity
 from sweep.systems.mujoco_model.motors import MotorLimits
+from sweep.systems.mujoco_model.named_groups import iterate_named
 
 PUSH: Mapping[str, Parameter] = {  # numbers of a push
     "impulse": quantity(0.0, "N*s"),  # delivered evenly within `length`
@@ -62,18 +63,11 @@ def parse_pushes(given: Any, bodies: list[str]) -> tuple[tuple[PushedBody, ...],
         given: For each name a mapping with `body` and keys of `PUSH`.
         bodies: Bodies of the model.
     """
-    if not isinstance(given, Mapping) or not all(isinstance(one, Mapping) for one in given.values()):
-        raise InputError(f"push = {given!r:.80} is not allowed: pushes by name, such as {{kick: {{body: trunk}}}}")
     pushes, numbers = [], {}
-    for name, said in given.items():
-        if not str(name).isidentifier():
-            raise InputError(f"push.{name} is not allowed: a name has letters, digits and _")
-        if "body" not in said:
-            raise InputError(f"push.{name} needs the key body")
+    such = "pushes by name, such as {kick: {body: trunk}}"
+    for name, said in iterate_named("push", given, such, ("body", *PUSH), ("body",)):
         require_choice(said["body"], bodies, f"push.{name}.body: {said['body']}")
-        for key in said:
-            require_choice(key, ("body", *PUSH), f"push.{name}: {key}")
-        pushes.append(PushedBody(str(name), str(said["body"])))
+        pushes.append(PushedBody(name, str(said["body"])))
         numbers |= {f"push.{name}.{key}": value for key, value in said.items() if key != "body"}
     return tuple(pushes), numbers
 

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
+from sweep.contract.engine import single_joints
 from sweep.contract.system import Parameter
 from sweep.core.parameters import quantity
 
@@ -23,7 +24,6 @@ BASE_UNITS = {
     "yaw_rate": "rad/s",
 }
 JOINT_UNITS = {"joint_positions": "rad", "joint_velocities": "rad/s"}  # of slides: m, m/s
-SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 START, RANDOM, JOINT = "start", "start.random", "start.joint"
 
 
@@ -62,11 +62,6 @@ class StartOffsets(NamedTuple):
             moved = np.clip(qpos[:, places] + self.positions, low, high)
             qpos[:, places] = np.where(self.positions != 0, moved, qpos[:, places])
         qvel[:, model.jnt_dofadr[joints]] += self.velocities
-
-
-def single_joints(model: mujoco.MjModel) -> np.ndarray:
-    """Return the numbers (j,) of the hinges and slides of a model."""
-    return np.flatnonzero(np.isin(model.jnt_type, SINGLE))
 
 
 def start_parameters(model: mujoco.MjModel, has_base: bool) -> dict[str, Parameter]:

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from sweep.contract.engine import single_joints
 from sweep.core.errors import InputError, require_choice
 from sweep.core.project import read_yaml
 from sweep.core.rotations import conjugate, rotate
 from sweep.systems.mujoco_model import actuation, policy_spec
-from sweep.systems.mujoco_model.initial_state import SINGLE
 from sweep.systems.mujoco_model.onnx_network import Network
 from sweep.systems.mujoco_model.policy_spec import ActionSpec, PolicySpec, RecurrentSpec, TermSpec
 
@@ -223,7 +223,7 @@ def _joint_names(error_prefix: str, names: Any, model: mujoco.MjModel) -> list[s
     known = {model.joint(j).name: j for j in range(model.njnt)}
     for name in names:
         require_choice(name, [one for one in known if one], f"{error_prefix}: joint {name}")
-        if model.jnt_type[known[name]] not in SINGLE:
+        if known[name] not in single_joints(model):
             raise InputError(f"{error_prefix}: joint {name} is not allowed: a hinge or a slide")
     if not len(names):
         raise InputError(f"{error_prefix} needs the key joints: the model has no actuators of joints")

@@ -9,9 +9,10 @@ import numpy as np
 from mujoco.batch import Batch
 
 from sweep.contract.system import Parameter
-from sweep.core.errors import InputError, require_choice
+from sweep.core.errors import InputError
 from sweep.core.parameters import quantity
 from sweep.systems.mujoco_model.actuation import JOINT
+from sweep.systems.mujoco_model.named_groups import iterate_named
 
 MOTOR: Mapping[str, Parameter] = {  # numbers of the motors of some joints
     "stall_torque": quantity(0.0, "N*m", above=0),  # at rest, if `torque_limit` allows it
@@ -79,24 +80,16 @@ def parse_motors(given: Any, model: mujoco.MjModel) -> tuple[tuple[MotorGroup, .
         given: For each name a mapping with `joints`, a pattern of names, and keys of `MOTOR`.
         model: The model.
     """
-    if not isinstance(given, Mapping) or not all(isinstance(one, Mapping) for one in given.values()):
-        such = "motors by name, such as {legs: {joints: '*', stall_torque: 30, no_load_speed: 20}}"
-        raise InputError(f"motor = {given!r:.80} is not allowed: {such}")
     groups, numbers, taken = [], {}, {}
-    for name, said in given.items():
-        if not str(name).isidentifier():
-            raise InputError(f"motor.{name} is not allowed: a name has letters, digits and _")
-        for key in said:
-            require_choice(key, ("joints", *MOTOR), f"motor.{name}: {key}")
-        if missing := [key for key in ("joints", *NEEDED) if key not in said]:
-            raise InputError(f"motor.{name} needs the key {missing[0]}")
+    such = "motors by name, such as {legs: {joints: '*', stall_torque: 30, no_load_speed: 20}}"
+    for name, said in iterate_named("motor", given, such, ("joints", *MOTOR), ("joints", *NEEDED)):
         actuators = _find_motors(f"motor.{name}", str(said["joints"]), model)
         for one in actuators:
             if one in taken:
                 joint = model.joint(int(model.actuator_trnid[one, 0])).name
                 raise InputError(f"motor.{name}.joints = {said['joints']}: {joint} is in motor.{taken[one]}, too")
             taken[one] = name
-        groups.append(MotorGroup(str(name), actuators))
+        groups.append(MotorGroup(name, actuators))
         numbers |= {f"motor.{name}.{key}": value for key, value in said.items() if key != "joints"}
     return tuple(groups), numbers
 

@@ -14,6 +14,7 @@ from mujoco.batch import Batch
 from sweep.contract.system import Parameter
 from sweep.core.errors import InputError, require_choice
 from sweep.core.parameters import quantity
+from sweep.systems.mujoco_model.named_groups import iterate_named
 
 PAYLOAD: Mapping[str, Parameter] = {  # numbers of a payload
     "mass": quantity(0.0, "kg", at_least=0),  # of the payload
@@ -39,21 +40,13 @@ def parse_payloads(given: Any, bodies: list[str]) -> tuple[tuple[Payload, ...], 
         given: For each name a mapping with `body` and keys of `PAYLOAD`.
         bodies: Bodies of the model.
     """
-    if not isinstance(given, Mapping) or not all(isinstance(one, Mapping) for one in given.values()):
-        such = "payloads by name, such as {box: {body: trunk, mass: 2}}"
-        raise InputError(f"payload = {given!r:.80} is not allowed: {such}")
     payloads, numbers = [], {}
-    for name, said in given.items():
-        if not str(name).isidentifier():
-            raise InputError(f"payload.{name} is not allowed: a name has letters, digits and _")
-        if "body" not in said:
-            raise InputError(f"payload.{name} needs the key body")
+    such = "payloads by name, such as {box: {body: trunk, mass: 2}}"
+    for name, said in iterate_named("payload", given, such, ("body", *PAYLOAD), ("body",)):
         require_choice(said["body"], bodies, f"payload.{name}.body: {said['body']}")
         if f"{PREFIX}{name}" in bodies:
             raise InputError(f"payload.{name} is not allowed: the model has a body {PREFIX}{name}")
-        for key in said:
-            require_choice(key, ("body", *PAYLOAD), f"payload.{name}: {key}")
-        payloads.append(Payload(str(name), str(said["body"])))
+        payloads.append(Payload(name, str(said["body"])))
         numbers |= {f"payload.{name}.{key}": value for key, value in said.items() if key != "body"}
     return tuple(payloads), numbers
 
