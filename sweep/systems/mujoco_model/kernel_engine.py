@@ -38,7 +38,6 @@ from sweep.systems.mujoco_model.kernel.layout import find_layout, find_stack, re
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, flatten_scalars, stack_values
 from sweep.systems.mujoco_model.kernel.smooth import compute_smooth
-from sweep.systems.mujoco_model.kernel.solver import TRIALS
 from sweep.systems.mujoco_model.kernel.step import (
     Push,
     StepResult,
@@ -135,7 +134,7 @@ class KernelModelEngine(ModelEngine):
         model = self._model
         qpos, qvel, warm, ctrl = (jnp.zeros(size) for size in (model.nq, model.nv, model.nv, model.nu))
         state = read_state(self._layout, model, qpos, qvel, warm)
-        result, _ = solve_forward(self._layout, numbers, state, ctrl, (), 1, 1)
+        result, _ = solve_forward(self._layout, numbers, state, ctrl, (), 1)
         sensors.compute_sensors(self._layout, numbers, state, result)
 
     @cached_property
@@ -175,7 +174,7 @@ class KernelModelEngine(ModelEngine):
             state = rebuild(values)
             controls = self._controls(state, target, acting.motors)
             pushes, force = self._pushes(acting, first_step + place)
-            after, result = step(self._layout, numbers, state, controls, pushes, self._iterations, TRIALS)
+            after, result = step(self._layout, numbers, state, controls, pushes, self._iterations)
             qpos, qvel, warm = write_state(self._layout, self._model, after)
             recorded = self._record(numbers, state, result, qpos, qvel)
             if force is not None:
@@ -273,7 +272,7 @@ class KernelModelEngine(ModelEngine):
         """Sensors of a state by MuJoCo's forward pass."""
         state = read_state(self._layout, self._model, qpos, qvel, warm)
         if any(int(self._model.sensor_type[k]) in FORCED for k in self._read_sensors):
-            result, _ = solve_forward(self._layout, numbers, state, controls, (), self._iterations, TRIALS)
+            result, _ = solve_forward(self._layout, numbers, state, controls, (), self._iterations)
         else:
             smooth = compute_smooth(self._layout, numbers, state)
             drives = compute_forces(self._layout, numbers, state, smooth, controls, ())[2]

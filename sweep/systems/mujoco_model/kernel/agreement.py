@@ -11,7 +11,6 @@ from sweep.core.errors import InputError
 from sweep.fused import eager
 from sweep.systems.mujoco_model.kernel.layout import FREE, PLANE, Layout
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
-from sweep.systems.mujoco_model.kernel.solver import TRIALS
 from sweep.systems.mujoco_model.kernel.step import read_state, solve_forward, write_state
 
 STATES = 256
@@ -21,7 +20,7 @@ SEED = 20
 
 
 class Agreement(NamedTuple):
-    """Relative differences of accelerations, of states with contacts that the kernel simulates."""
+    """Relative differences of accelerations from C MuJoCo's, in states all of whose contacts the kernel simulates."""
 
     states: int
     in_contact: int
@@ -43,7 +42,11 @@ class Agreement(NamedTuple):
 
 
 def draw_states(model: mujoco.MjModel, keyframe: int, count: int) -> list[mujoco.MjData]:
-    """Draw states about the start of a rollout, with the lowest point a little in the ground, after `mj_forward`."""
+    """Draw random states around the start of a rollout, with the robot's lowest point just below the ground.
+
+    Returns:
+        The states, for which `mj_forward` has been called with a solver that converges.
+    """
     model = _strict(model)
     rng, found = np.random.default_rng(SEED), []
     free = np.flatnonzero(model.jnt_type == FREE)
@@ -99,7 +102,7 @@ def compare_accelerations(layout: Layout, model: mujoco.MjModel, keyframe: int, 
     """Compare accelerations of random states with those of `mj_forward`, in double precision by NumPy.
 
     Args:
-        layout: The stacks.
+        layout: Stacks of like bodies of the robot.
         model: The model.
         keyframe: Index of the keyframe about which states are drawn; -1 for none.
         count: Number of states.
@@ -115,7 +118,7 @@ def compare_accelerations(layout: Layout, model: mujoco.MjModel, keyframe: int, 
 
         def forward(qpos, qvel, warm, ctrl):
             state = read_state(layout, model, qpos, qvel, warm)
-            result, _ = solve_forward(layout, ModelNumbers(model, {}, {}), state, ctrl, (), ITERATIONS, TRIALS)
+            result, _ = solve_forward(layout, ModelNumbers(model, {}, {}), state, ctrl, (), ITERATIONS)
             moved = state._replace(
                 warm_base=result.solution.acceleration.base, warm=result.solution.acceleration.joints
             )

@@ -44,7 +44,7 @@ class Law(NamedTuple):
 
 
 class Point(NamedTuple):
-    """A place of a body that can touch a plane: the lowest of a sphere, of an end of a capsule, or a box's corner."""
+    """A point of a body that can touch a plane: of a sphere, of an end of a capsule, or a corner of a box."""
 
     stack: int
     centre: Vector  # in the body's axes
@@ -57,7 +57,7 @@ class Point(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """A row of contacts at a state: of one point, with its frame, weights and what it asks for."""
+    """Contacts of like points with a plane: frame, inverse regularization, and wanted acceleration."""
 
     point: Point
     at: Vector  # from the base's origin
@@ -69,7 +69,7 @@ class Contact(NamedTuple):
 
 
 class JointRow(NamedTuple):
-    """A limit of a joint, or its friction: one number of its acceleration."""
+    """Constraint on the acceleration of one joint of each limb: a limit of its range, or its friction."""
 
     joint: tuple[int, int]
     side: Scalar  # of the joint's acceleration in the row
@@ -124,7 +124,7 @@ def _is_known(point: Point) -> bool:
 
 
 def _pack(singles: list[Point], group: int) -> list[Point]:
-    """Put points of one body side by side; what is left free repeats the first, and is not real."""
+    """Put points of one body into rows of `group`; free places repeat the first point and are marked as not real."""
     found = []
     for first in range(0, len(singles), group):
         chosen = singles[first : first + group]
@@ -179,7 +179,7 @@ def locate_plane(numbers: ModelNumbers, plane: Plane) -> Vector:
 
 
 def _tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:
-    """Tangents as `mju_makeFrame` chooses them, beside an axis where that is not upright on the plane."""
+    """Tangents as `mju_makeFrame` chooses them: the first one along a capsule's axis, if that is not upright."""
     n = np.array([float(one.value) for one in normal])
     usual = np.array([0.0, 1, 0]) if abs(n[1]) < 0.5 else np.array([0.0, 0, 1])
     usual = usual - n * (n @ usual)
@@ -319,14 +319,14 @@ def _joint_law(numbers: ModelNumbers, kind: str, ids: np.ndarray) -> Law:
 
 
 class ContactSlope(NamedTuple):
-    """Force of a row of contacts at a residual, and the cost's second derivative."""
+    """Force of a row of contacts at a residual, and the second derivative of the cost, in the contact's frame."""
 
     force: Vector  # along normal and tangents
     curve: Symmetric  # likewise
 
 
 def contact_slope(contact: Contact, residual: Vector, is_elliptic: bool) -> ContactSlope:
-    """Return the force of a row of contacts, and how it stiffens, in the contact's frame."""
+    """Return the force of a row of contacts and the second derivative of its cost, in the contact's frame."""
     weight = contact.weight
     if contact.friction is None:
         inside = residual.x < ZERO

@@ -45,7 +45,7 @@ CYLINDER, ELLIPSOID = int(GEOM.mjGEOM_CYLINDER), int(GEOM.mjGEOM_ELLIPSOID)
 
 
 class Hull(NamedTuple):
-    """What encloses a geom: a capsule, or a box, in the body's axes."""
+    """A capsule or a box that encloses a geom, in the body's axes."""
 
     stack: int
     member: int
@@ -63,7 +63,7 @@ def find_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
 
 
 def enclose(layout: Layout, model: mujoco.MjModel, geom: int) -> Hull:
-    """Return what encloses a geom of the robot."""
+    """Return a capsule or a box that encloses a geom of the robot."""
     stack, member = find_stack(layout, int(model.geom_bodyid[geom]))
     kind, size = int(model.geom_type[geom]), model.geom_size[geom]
     axes, place = rotation_matrix(model.geom_quat[geom]), model.geom_pos[geom].copy()
@@ -90,10 +90,10 @@ def is_near(
     """Return whether any of the pairs touches, or nearly so.
 
     Args:
-        layout: The stacks.
-        numbers: The rollout's model.
-        state: The state.
-        smooth: What it makes of the robot.
+        layout: Stacks of like bodies of the robot.
+        numbers: Numbers of the rollout's model.
+        state: State of the robot.
+        smooth: Kinematics of the state.
         pairs: Geoms, see `find_pairs`.
     """
     model, near = numbers.model, jnp.asarray(False)
@@ -118,7 +118,7 @@ def is_near(
 
 
 def _join(values: list[Scalar], dtype: Any) -> Scalar:
-    """A number of each pair of a row."""
+    """Join the numbers of the pairs of a row to one number of the row."""
     if all(one.is_known for one in values):
         return Scalar(np.array([one.value for one in values], float))
     return Scalar(jnp.stack([jnp.asarray(one.value, dtype) for one in values]))
@@ -163,7 +163,10 @@ def _absolute(number: Scalar) -> Scalar:
 
 
 def _box_distance(numbers: ModelNumbers, state: RobotState, smooth: Smooth, row: list[Any]) -> Scalar:
-    """Distance (n,) of each capsule from its box, at least: at some places along the capsule, less half their gap."""
+    """Lower bound (n,) of the distance of each capsule from its box.
+
+    The distance is computed at some places along the capsule, and reduced by half the gap between them.
+    """
     boxes, capsules = ([pair[k] for pair in row] for k in range(2))
     place, axes, size = _placed(smooth, boxes)
     middle, along, capsule = _placed(smooth, capsules)

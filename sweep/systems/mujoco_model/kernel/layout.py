@@ -1,4 +1,4 @@
-"""Which bodies of a model are alike, and what of the model the kernel can simulate.
+"""Stacks of like bodies of a model, and the features of models that the kernel simulates.
 
 Bodies form stacks: the base alone, and limbs that are alike joint by joint, such as the four hips of a quadruped, in
 which one operation computes all. A stack is a body alone (n = 1) or one body of each of `Layout.group` limbs.
@@ -31,7 +31,7 @@ FEW = 2  # bodies of a stack, at least
 
 
 class Stack(NamedTuple):
-    """Like bodies, one of each limb, or one body alone."""
+    """Like bodies, one of each limb, in which one operation computes all; or one body alone."""
 
     bodies: np.ndarray  # (n,) ids
     parent: int  # index of the stack that holds their parents; -1 for the world's
@@ -62,8 +62,12 @@ class Layout(NamedTuple):
 
     @property
     def joints(self) -> list[tuple[int, int]]:
-        """Stack and place in it of each joint (or row of joints), from the base outward."""
+        """All joints from the base outward: index of the stack, and number of the joint in it."""
         return [(s, k) for s, stack in enumerate(self.stacks) for k in range(len(stack.joints))]
+
+    def moving_joints(self, stack: int) -> list[tuple[int, int]]:
+        """Return the joints that move the bodies of a stack, from the base outward."""
+        return [(s, k) for s in self.ancestors(stack) for k in range(len(self.stacks[s].joints))]
 
     def ancestors(self, stack: int) -> list[int]:
         """Return the stacks from the base to `stack`, which is the last."""
@@ -74,7 +78,7 @@ class Layout(NamedTuple):
 
 
 def find_layout(model: mujoco.MjModel) -> Layout:
-    """Find the like limbs of a model. Raises `InputError` where the kernel cannot simulate it."""
+    """Find the stacks of like bodies of a model. Raises `InputError` where the kernel cannot simulate the model."""
     check_features(model)
     planes = find_planes(model)
     children: dict[int, list[int]] = {b: [] for b in range(model.nbody)}

@@ -1,4 +1,4 @@
-"""What sensors read in a state, for the types that policies of legged robots use."""
+"""Readings of sensors in a state, for the types of sensors that policies of legged robots use."""
 
 from collections.abc import Callable, Container
 from typing import Any
@@ -35,12 +35,12 @@ class Frame:
     """A frame that is fixed in a body of the robot: a site, a geom, or the body itself.
 
     Args:
-        layout: The stacks.
-        numbers: The rollout's model.
-        state: The state.
-        result: What the step's start has computed.
-        kind: MuJoCo's type of the object.
-        number: Its id.
+        layout: Stacks of like bodies of the robot.
+        numbers: Numbers of the rollout's model.
+        state: State of the robot.
+        result: Kinematics, forces and accelerations of the state.
+        kind: MuJoCo's type of the object, such as a site.
+        number: Id of the object.
     """
 
     def __init__(
@@ -72,17 +72,16 @@ class Frame:
 
     @property
     def acceleration(self) -> Vector:
-        """Acceleration less gravity (m/s^2), world axes."""
+        """Acceleration minus gravity (m/s^2), in world axes, as an accelerometer feels it."""
         smooth, found = self._result.smooth, self._result.solution.acceleration
         place = smooth.places[self._stack]
         spin_rate = place.spin_rate.member(self._member)
         total = place.acceleration.member(self._member) + relative_acceleration(self.spin, spin_rate, self.offset)
         moved = found.base.velocity_at(self.place) if self._layout.has_free_base else NOTHING
-        for s in self._layout.ancestors(self._stack):
-            for k in range(len(self._layout.stacks[s].joints)):
-                linear, angular = (part.member(self._member) for part in smooth.motions[s, k])
-                rate = found.joints[s, k].member(self._member)
-                moved = moved + Spatial(linear, angular).velocity_at(self.place) * rate
+        for joint in self._layout.moving_joints(self._stack):
+            linear, angular = (part.member(self._member) for part in smooth.motions[joint])
+            rate = found.joints[joint].member(self._member)
+            moved = moved + Spatial(linear, angular).velocity_at(self.place) * rate
         return total + moved
 
     @property
@@ -98,10 +97,11 @@ def compute_sensors(
     """Compute the sensors of a state.
 
     Args:
-        layout: The stacks.
-        numbers: The rollout's model.
-        state: The state.
-        result: What was computed of it; without solution where no wanted sensor needs one.
+        layout: Stacks of like bodies of the robot.
+        numbers: Numbers of the rollout's model.
+        state: State of the robot.
+        result: Kinematics, forces and accelerations of the state; without accelerations where no wanted sensor
+            needs them.
         wanted: Ids of sensors; None for all.
 
     Returns:

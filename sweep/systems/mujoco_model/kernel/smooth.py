@@ -27,7 +27,7 @@ UPRIGHT: Axes = (Vector(ONE, ZERO, ZERO), Vector(ZERO, ONE, ZERO), Vector(ZERO, 
 
 
 class Spatial(NamedTuple):
-    """A motion (of the base's origin, and turning), or a force and its moment about that origin."""
+    """Velocity of a body at the base's origin and angular velocity; or a force and its moment about that origin."""
 
     linear: Vector
     angular: Vector
@@ -46,7 +46,7 @@ class Spatial(NamedTuple):
         return self.linear.dot(other.linear) + self.angular.dot(other.angular)
 
     def velocity_at(self, point: Vector) -> Vector:
-        """Return the velocity of a point of a body that moves so."""
+        """Return the velocity of a point of the body that has this motion."""
         return self.linear + self.angular.cross(point)
 
     def total(self, n: int) -> "Spatial":
@@ -92,7 +92,7 @@ NO_INERTIA = RigidInertia(ZERO, NOTHING, NO_MATRIX)
 
 
 class BodyPlace(NamedTuple):
-    """Where the bodies of a stack are, and how they move."""
+    """Place, axes and motion of the bodies of a stack."""
 
     origin: Vector  # from the base's origin
     axes: Axes
@@ -103,7 +103,7 @@ class BodyPlace(NamedTuple):
 
 
 class Smooth(NamedTuple):
-    """What a state makes of a robot, before any force."""
+    """Kinematics, mass matrix and bias forces of a state."""
 
     places: tuple[BodyPlace, ...]  # by stack
     motions: dict[tuple[int, int], Spatial]  # of each joint per unit of its rate
@@ -115,7 +115,7 @@ class Smooth(NamedTuple):
 
 
 class RobotState(NamedTuple):
-    """A state by components; motions and accelerations are in the world's axes."""
+    """State of a robot by base and joints; motions and accelerations are in world axes."""
 
     position: Vector  # of the base
     quat: tuple[Scalar, Scalar, Scalar, Scalar]
@@ -199,13 +199,12 @@ def compute_smooth(layout: Layout, numbers: ModelNumbers, state: RobotState) -> 
 
 def inner_joints(layout: Layout, joint: tuple[int, int]) -> list[tuple[int, int]]:
     """Return the joints between the base and `joint`, from the base outward, without itself."""
-    stack, place = joint
-    found = [(s, k) for s in layout.ancestors(stack)[:-1] for k in range(len(layout.stacks[s].joints))]
-    return found + [(stack, k) for k in range(place)]
+    moving = layout.moving_joints(joint[0])
+    return moving[: moving.index(joint)]
 
 
 def relative_acceleration(spin: Vector, spin_rate: Vector, arm: Vector) -> Vector:
-    """Return the acceleration of a point of a body beyond that of another, `arm` away."""
+    """Return the acceleration of a point relative to another point of the same body, from which it is `arm` away."""
     return spin_rate.cross(arm) + spin.cross(spin.cross(arm))
 
 

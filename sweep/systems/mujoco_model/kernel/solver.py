@@ -41,7 +41,7 @@ ROUNDING = 32  # a slope of so many rounding errors of that at the start is leve
 
 
 class Acceleration(NamedTuple):
-    """Accelerations, or forces dual to them: of the base, and of each joint."""
+    """Accelerations of the base and of each joint; or generalized forces on them."""
 
     base: Spatial
     joints: dict[Joint, Scalar]
@@ -70,7 +70,7 @@ class Residuals(NamedTuple):
 
 
 class Total:
-    """A sum of numbers of single bodies and of stacks, which are added up last."""
+    """A sum of numbers; those of stacks are added up over the stack once, when the sum is asked for."""
 
     def __init__(self, single: Scalar = ZERO):
         self._single, self._stack = single, ZERO
@@ -102,11 +102,6 @@ class Problem(NamedTuple):
         """Return the number of bodies in the joint's stack."""
         return self.layout.stacks[joint[0]].n
 
-    def chain(self, stack: int) -> list[Joint]:
-        """Return the joints that move a stack's bodies, from the base outward."""
-        ancestors = self.layout.ancestors(stack)
-        return [(s, k) for s in ancestors for k in range(len(self.layout.stacks[s].joints))]
-
     def momentum(self, a: Acceleration) -> Acceleration:
         """Return M a."""
         smooth, has_base = self.smooth, self.layout.has_free_base
@@ -129,12 +124,12 @@ class Problem(NamedTuple):
         )
 
     def residuals(self, a: Acceleration, wanted: bool) -> Residuals:
-        """Return what accelerations give constraints, less what these ask for if `wanted`."""
+        """Return the accelerations along all constraints, minus the wanted ones if `wanted`."""
         contacts = []
         for one in self.constraints.contacts:
             moved = a.base if self.layout.has_free_base else STILL
             at_point = moved.velocity_at(one.at)
-            for joint in self.chain(one.point.stack):
+            for joint in self.layout.moving_joints(one.point.stack):
                 at_point = at_point + self.smooth.motions[joint].velocity_at(one.at) * a.joints[joint]
             given = Vector(*(direction.dot(at_point) for direction in one.frame))
             contacts.append(given - one.wanted if wanted else given)
@@ -157,7 +152,7 @@ class Problem(NamedTuple):
         if self.layout.has_free_base:
             for total, part in zip(base, _parts(wrench), strict=True):
                 total.add(part, n)
-        for joint in self.chain(contact.point.stack):
+        for joint in self.layout.moving_joints(contact.point.stack):
             joints[joint].add(self.smooth.motions[joint].dot(wrench), n if self.n(joint) == 1 else 1)
 
     def solve(self, right: Acceleration, curves: list[Symmetric] | None, stiff: dict[Joint, Scalar]) -> Acceleration:
@@ -228,7 +223,7 @@ class Problem(NamedTuple):
 
     def _add_contact(self, contact: Any, curve: Symmetric, corner: Any, side: Any, entries: Any) -> None:
         """Add Jᵀ C J of a row of contacts."""
-        n, at, chain = len(contact.point.real), contact.at, self.chain(contact.point.stack)
+        n, at, chain = len(contact.point.real), contact.at, self.layout.moving_joints(contact.point.stack)
         moved = [self.smooth.motions[joint].velocity_at(at) for joint in chain]
         pushed = [curve @ one for one in moved]
         if self.layout.has_free_base:
@@ -253,7 +248,7 @@ class Problem(NamedTuple):
                 entries[chain[j], joint].add(moved[j].dot(pushed[i]), m)
 
     def start(self, warm: Acceleration) -> "Iterate":
-        """Begin at accelerations."""
+        """Return the first iterate, at given accelerations."""
         residuals = self.residuals(warm, wanted=True)
         return self._iterate(warm, self.momentum(warm), residuals)
 
@@ -272,8 +267,8 @@ class Problem(NamedTuple):
             total.add(x * x, self.n(joint))
         return square_root(total.value)
 
-    def descend(self, now: "Iterate", trials: int) -> "Iterate":
-        """Take one step of Newton's, with a search for its length of some trials."""
+    def descend(self, now: "Iterate") -> "Iterate":
+        """Return the next iterate: Newton's direction, and a search for the step length of least cost."""
         is_elliptic = self.constraints.is_elliptic
         slopes = [
             contact_slope(one, residual, is_elliptic)
@@ -286,7 +281,7 @@ class Problem(NamedTuple):
         left = self.force.minus(now.momentum)
         way = self.solve(left.add_scaled(ONE, now.pull), curves, stiff)
         moved, changed = self.momentum(way), self.residuals(way, wanted=False)
-        length = self._search(way, left, moved, now.residuals, changed, trials)
+        length = self._search(way, left, moved, now.residuals, changed)
         return self._iterate(
             now.acceleration.add_scaled(length, way),
             now.momentum.add_scaled(length, moved),
@@ -301,7 +296,7 @@ class Problem(NamedTuple):
             total.add(x * other.joints[joint], self.n(joint))
         return total.value
 
-    def _search(self, way: Any, left: Any, moved: Any, residuals: Residuals, changed: Residuals, trials: int) -> Scalar:
+    def _search(self, way: Any, left: Any, moved: Any, residuals: Residuals, changed: Residuals) -> Scalar:
         """Return the length of a step that makes the cost least, from a bracketed Newton's method.
 
         Where Newton's method leaves the bracket, the next length is where a joint with friction changes its direction,
@@ -339,7 +334,7 @@ class Problem(NamedTuple):
             return count + 1, is_found, where(is_found, length, Scalar(new)).value, low.value, high.value
 
         start = jnp.int32(0), jnp.zeros_like(like, bool), *(jnp.full_like(like, x) for x in (1.0, 0.0, NEVER))
-        found = jax.lax.while_loop(lambda state: (state[0] < trials) & ~state[1], try_length, start)
+        found = jax.lax.while_loop(lambda state: (state[0] < TRIALS) & ~state[1], try_length, start)
         return Scalar(found[2])
 
     def _turning_points(self, residuals: Residuals, changed: Residuals) -> list[tuple[Scalar, Scalar, int]]:
@@ -371,7 +366,7 @@ class Problem(NamedTuple):
 
 
 class Iterate(NamedTuple):
-    """Accelerations, with what is linear in them."""
+    """An iterate of Newton's method: accelerations, and the quantities that follow from them."""
 
     acceleration: Acceleration
     momentum: Acceleration
@@ -380,18 +375,17 @@ class Iterate(NamedTuple):
     error: Scalar  # what is left over of the equation, as a share of all forces
 
 
-def solve_problem(problem: Problem, warm: Acceleration, iterations: int, trials: int) -> Iterate:
+def solve_problem(problem: Problem, warm: Acceleration, iterations: int) -> Iterate:
     """Return the accelerations of a step, by Newton's method from those of the step before.
 
     Args:
         problem: The equation.
         warm: Accelerations to begin with.
         iterations: Iterations, at most: a rollout that has converged stays as it is.
-        trials: Trials of each search for a step's length.
     """
     values, rebuild = flatten_scalars(problem.start(warm))
     dtype = next(x.dtype for x in values if hasattr(x, "dtype"))
-    shapes = jax.eval_shape(lambda: flatten_scalars(problem.descend(rebuild(values), trials))[0])
+    shapes = jax.eval_shape(lambda: flatten_scalars(problem.descend(rebuild(values)))[0])
     values = [jnp.broadcast_to(jnp.asarray(x, dtype), like.shape) for x, like in zip(values, shapes, strict=True)]
     enough = float(CONVERGED * jnp.finfo(dtype).eps)
 
@@ -400,7 +394,7 @@ def solve_problem(problem: Problem, warm: Acceleration, iterations: int, trials:
 
     def body(state: tuple[Any, list[Any]]) -> tuple[Any, list[Any]]:
         count, values = state
-        after = flatten_scalars(problem.descend(rebuild(values), trials))[0]
+        after = flatten_scalars(problem.descend(rebuild(values)))[0]
         return count + 1, [jnp.asarray(x, dtype) for x in after]
 
     return rebuild(jax.lax.while_loop(goes_on, body, (jnp.int32(0), values))[1])

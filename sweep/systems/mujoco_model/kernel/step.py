@@ -42,7 +42,7 @@ UNCLAMPED = int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
 
 
 class Drive(NamedTuple):
-    """What an actuator of each joint of a row does in a step."""
+    """Force, length and velocity of the actuators of like joints in a step."""
 
     actuators: np.ndarray  # ids (n,)
     force: Scalar  # N or N m, of the actuator
@@ -51,7 +51,7 @@ class Drive(NamedTuple):
 
 
 class StepResult(NamedTuple):
-    """What a physics step computes at its start, beside the state at its end."""
+    """Kinematics, forces and accelerations at the start of a physics step."""
 
     smooth: Smooth
     problem: Problem
@@ -120,10 +120,10 @@ def compute_forces(
     """Compute all forces of a step but those of constraints.
 
     Args:
-        layout: The stacks.
-        numbers: The rollout's model.
-        state: The state.
-        smooth: What it makes of the robot.
+        layout: Stacks of like bodies of the robot.
+        numbers: Numbers of the rollout's model.
+        state: State of the robot.
+        smooth: Kinematics, mass matrix and bias forces of the state.
         ctrl: Controls (nu,).
         pushes: Forces on bodies.
 
@@ -165,11 +165,10 @@ def compute_forces(
             force = force * mask
         wrench = wrench_at(place.centre, force)
         base = base + (wrench.total(stack.n) if stack.n > 1 else wrench)
-        for s in layout.ancestors(push.stack):
-            for k in range(len(layout.stacks[s].joints)):
-                pull = smooth.motions[s, k].dot(wrench)
-                wide = stack.n > 1 and layout.stacks[s].n == 1
-                forces[s, k] = forces[s, k] + (pull.total(stack.n) if wide else pull)
+        for joint in layout.moving_joints(push.stack):
+            pull = smooth.motions[joint].dot(wrench)
+            wide = stack.n > 1 and layout.stacks[joint[0]].n == 1
+            forces[joint] = forces[joint] + (pull.total(stack.n) if wide else pull)
     return Acceleration(base, forces), damping, tuple(found)
 
 
@@ -219,23 +218,21 @@ def step(
     ctrl: Float[Array, " nu"],
     pushes: tuple[Push, ...],
     iterations: int,
-    trials: int,
 ) -> tuple[RobotState, StepResult]:
     """Advance a state by one physics step.
 
     Args:
-        layout: The stacks.
-        numbers: The rollout's model.
+        layout: Stacks of like bodies of the robot.
+        numbers: Numbers of the rollout's model.
         state: The state at the start of the step.
         ctrl: Controls.
         pushes: Forces on bodies.
         iterations: Iterations of Newton's method.
-        trials: Trials of each search for a step's length.
 
     Returns:
         The state at the end, and what was computed at the start.
     """
-    result, damping = solve_forward(layout, numbers, state, ctrl, pushes, iterations, trials)
+    result, damping = solve_forward(layout, numbers, state, ctrl, pushes, iterations)
     h, solution, problem = float(numbers.model.opt.timestep), result.solution, result.problem
     acceleration = solution.acceleration
     total = problem.force.add_scaled(ONE, solution.pull)
@@ -271,7 +268,6 @@ def solve_forward(
     ctrl: Array,
     pushes: tuple[Push, ...],
     iterations: int,
-    trials: int,
 ) -> tuple[StepResult, dict[Joint, Scalar]]:
     """Compute the accelerations of a state, see `step`, and the damping of each joint."""
     smooth = compute_smooth(layout, numbers, state)
@@ -282,6 +278,6 @@ def solve_forward(
     )
     problem = Problem(layout, smooth, constraints, force)
     warm = Acceleration(state.warm_base, state.warm)
-    solution = solve_problem(problem, warm, iterations, trials)
+    solution = solve_problem(problem, warm, iterations)
     is_unsolved = Scalar(UNBALANCED) < solution.error
     return StepResult(smooth, problem, solution, drives_, is_unsolved), damping
