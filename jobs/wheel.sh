@@ -12,7 +12,9 @@ export MPLBACKEND=agg
 rm -rf "$root"/dist "$root"/*.egg-info  # a list of sources of builds before would hide what is not found
 "$root/.venv/bin/python" -m build --no-isolation --outdir "$root/dist" "$root" >"$work/build.log" 2>&1 || { cat "$work/build.log"; exit 1; }
 
-for python in "$@"; do
+for name in "$@"; do
+  cd "$root"  # a pyenv's shim picks its Python by the folder that it is called from
+  python=$("$name" -c 'import sys; print(sys.executable)')
   echo "== $("$python" --version): $(basename "$root"/dist/*.whl)"
   rm -rf "$work/env" "$work/empty"
   mkdir "$work/empty"
