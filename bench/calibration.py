@@ -13,7 +13,7 @@ import shared
 
 from sweep.backends import devices
 from sweep.config.experiment import compose
-from sweep.engines import make
+from sweep.engines import make_engine
 from sweep.estimation.calibration import learnable_sizes
 from sweep.metrics.outcome import classify
 from sweep.models.case import Case
@@ -39,7 +39,7 @@ def row(overrides: tuple[str, ...], world_of: Case) -> list[str]:
     """Return errors of the learned sizes (%), the largest slip in the poses (mm), and how many robots finished."""
     exp = compose([*STAND, *overrides])
     world = dataclasses.replace(exp.case, robot=world_of.robot)
-    engine = make(dataclasses.replace(exp.settings, width=ROBOTS), exp.case, exp.case, exp.thresholds)
+    engine = make_engine(dataclasses.replace(exp.settings, width=ROBOTS), exp.case, exp.case, exp.thresholds)
     figures = engine.run(world, exp.case, np.arange(ROBOTS))
     cause = classify(figures, exp.thresholds, engine.stages)["cause"]
     errors = [
@@ -79,5 +79,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    devices.configure()
+    devices.configure_jax()
     main()

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from sweep.analysis import failing
 from sweep.analysis.certify import certify as tested
 from sweep.analysis.certify import learn_score, required_rows
-from sweep.analysis.intervals import CONFIDENCE
+from sweep.analysis.intervals import CONFIDENCE_LEVEL
 from sweep.cli import certification
 from sweep.config.experiment import build_experiment
 from sweep.core.files import write_atomically
@@ -76,7 +76,7 @@ def phases(failures: str, root: Path) -> Iterator[list[str]]:
     """Yield how the time of each study's regions splits into rollouts and the rest, which is run once more."""
     for k, promise in enumerate(ASKED[failures][-1]):
         folder = root / f"{k}"
-        parts = [folder, folder / certification.FRESH, folder / certification.AGAIN]
+        parts = [folder, folder / certification.FRESH_DRAWS_STUDY, folder / certification.CHECK_STUDY]
         rows = [store.read_rows(part) for part in parts if part.exists()]  # nothing is checked where nothing is found
         learning, fresh = rows[:2]
         names = certification.drawn_parameters(build_experiment(store.read_study(folder)["config"]), learning)
@@ -84,11 +84,11 @@ def phases(failures: str, root: Path) -> Iterator[list[str]]:
             certification.parameters_and_failures(learning, names),
             certification.parameters_and_failures(fresh, names),
         )
-        most, least = float(failures), required_rows(float(failures), CONFIDENCE) / len(fresh)
+        most, least = float(failures), required_rows(float(failures), CONFIDENCE_LEVEL) / len(fresh)
         times = [time.perf_counter()]
         score = learn_score(promise.shapes[0], *known, least)
         times.append(time.perf_counter())
-        tested(score, known, new, most, CONFIDENCE)
+        tested(score, known, new, most, CONFIDENCE_LEVEL)
         times.append(time.perf_counter())
         spent = [*(some["wall_s"].sum() for some in rows), 0.0][:3]
         yield [promise.name, *(f"{s:.1f}" for s in (*spent, *(b - a for a, b in pairwise(times))))]
@@ -108,7 +108,9 @@ def run_sweep(root: Path, *words: str) -> float:
 
 def shares(folder: Path) -> list[list[Any]]:
     """Return the causes of failure with their shares, the largest first."""
-    found = failing.failure_shares(store.read_rows(folder), build_experiment(store.read_study(folder)["config"]))
+    found = failing.shapley_failure_shares(
+        store.read_rows(folder), build_experiment(store.read_study(folder)["config"])
+    )
     columns = found[["axis", "share", "error", "alone"]].to_numpy().tolist()
     return [[axis_words(axis), f"{100 * share:.1f} %", f"{100 * error:.1f}", f"{alone:.2f}"]
             for axis, share, error, alone in columns]  # fmt: skip

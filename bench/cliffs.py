@@ -22,7 +22,7 @@ import shared
 
 from sweep.config.experiment import Experiment
 from sweep.contract.engine import Trace
-from sweep.core.constants import LOADED
+from sweep.core.constants import FOOT_LOAD_THRESHOLD_N
 from sweep.core.provenance import version_record
 from sweep.report.replays import simulate_again
 from sweep.runs import store
@@ -71,7 +71,7 @@ def compare_sides(rows: pd.DataFrame, high: Trace, low: Trace) -> dict[str, Any]
     during = np.flatnonzero(fall > margins.CLIFF)
     at = int(during[0]) if len(during) else n - 1
     parted = min(first_true(most > PARTING_DISTANCE), n - 1)
-    loaded = [np.linalg.norm(t.foot_force[parted], axis=-1) > LOADED for t in (high, low)]
+    loaded = [np.linalg.norm(t.foot_force[parted], axis=-1) > FOOT_LOAD_THRESHOLD_N for t in (high, low)]
     drop = -np.diff(low.margin[: at + 1].clip(-1)) if at else np.zeros(1)
     one = rows.iloc[int(np.argmin(rows["margin"]))]
     return {

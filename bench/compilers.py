@@ -38,7 +38,7 @@ def flips(name: str, num: int) -> str:
 
 def main(num: str = "64", *names: str) -> None:
     """Print one line for each scenario."""
-    devices.configure()
+    devices.configure_jax()
     print("| scenario | succeed | other outcome | other cause | XLA s | fused s |\n|---|---|---|---|---|---|")
     for name in names or sorted(path.stem for path in SCENARIOS.glob("*.yaml")):
         print(flips(name, int(num)), flush=True)

@@ -81,7 +81,7 @@ def least_inertia(case: Case) -> float:
 def main() -> None:
     """Print and write one line for each kind of drives."""
     start = time.perf_counter()
-    devices.configure()
+    devices.configure_jax()
     case = compose(["scenario=walk_tripod"]).case
     rows = [["drives", "stiffness, N m/rad", "damping, N m s/rad", "`servo_delay`, ms", "swings in the air from, ms",
              "standing from, ms"]]  # fmt: skip

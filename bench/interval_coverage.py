@@ -212,7 +212,7 @@ def share_hits(seed: int) -> np.ndarray:
     rows = points(exp)
     x = rows[[f"controller.{name}" for name in AXES]].to_numpy()
     try:
-        table = failing.failure_shares(judged(rows, x.sum(axis=1) < 1.4), exp)
+        table = failing.shapley_failure_shares(judged(rows, x.sum(axis=1) < 1.4), exp)
     except InputError:
         return np.full(2, np.nan)
     return covers(table["low"], table["high"], 0.5)
@@ -244,14 +244,14 @@ class Case(NamedTuple):
 
 def _cases() -> Iterable[Case]:
     for kind in design_kinds.list_kinds(lambda kind: kind.gives_rate and not kind.is_low_discrepancy):
-        prints = pooled_rate if design_kinds.KINDS[kind].follows_distributions else sensitivity.success_volume
+        prints = pooled_rate if design_kinds.DESIGN_BY_KIND[kind].follows_distributions else sensitivity.success_volume
         yield Case(kind, prints, "rate", "64 draws", rate_hits, {"kind": kind, "cut": 0.8, "replicates": 1, "num": 64})
     for kind, cut in (("monte_carlo", 0.8), ("monte_carlo", 0.985), ("latin_hypercube", 0.8)):
         settings = {"kind": kind, "cut": cut, "replicates": 10, "num": 64}
         yield Case(kind, pooled_rate, "rate", f"64 draws x 10 replicates, P = {cut:g}", rate_hits, settings)
     for kind in design_kinds.list_kinds(lambda kind: kind.is_low_discrepancy):
         for num, scrambles in ((64, 1), (16, 4), (64, 4)):
-            if scrambles == 1 or "scrambles" in design_kinds.own_settings(design_kinds.KINDS[kind]):
+            if scrambles == 1 or "scrambles" in design_kinds.own_settings(design_kinds.DESIGN_BY_KIND[kind]):
                 settings = {"kind": kind, "cut": 0.985, "replicates": 1, "num": num, "scrambles": scrambles}
                 yield Case(kind, pooled_rate, "rate", f"{scrambles} x {num} draws, P = 0.985", rate_hits, settings)
     for cut in (1.42, 1.4225):
@@ -282,7 +282,7 @@ def _cases() -> Iterable[Case]:
             flip_hits,
             settings,
         )
-    yield Case("monte_carlo", failing.failure_shares, "shares in failing", "256 draws", share_hits, {})
+    yield Case("monte_carlo", failing.shapley_failure_shares, "shares in failing", "256 draws", share_hits, {})
     first, total = ("first", "first_error"), ("total", "total_error")
     for metric, what, truths in ((False, "success", HALF), (True, "a metric", sobol_g_indices())):
         settings = {"method": sensitivity.sobol_indices, "kind": "saltelli", "num": 128, "metric": metric}

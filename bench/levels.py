@@ -55,7 +55,7 @@ def run_levels(d: int, truth: float, seed: int) -> SubsetEstimate:
     draws = next(search)
     try:
         while True:
-            margin = norm.isf(truth) - ndtri(draws.shares).sum(axis=1) / np.sqrt(d)
+            margin = norm.isf(truth) - ndtri(draws.quantiles).sum(axis=1) / np.sqrt(d)
             draws = search.send(RoundSummary(margin < 0, margin))
     except StopIteration as end:
         return SubsetEstimate(LEVELS.target, tuple(end.value))
@@ -77,9 +77,9 @@ def run_importance(fails: Callable[[np.ndarray], np.ndarray], d: int, num: int, 
     search = importance_sampling.start_search(d, num, WIDE, ROUNDS, seed)
     draws = next(search)
     for _ in range(ROUNDS):
-        draws = search.send(RoundSummary(fails(ndtri(draws.shares)), np.zeros(num)))
+        draws = search.send(RoundSummary(fails(ndtri(draws.quantiles)), np.zeros(num)))
     rows = pd.DataFrame({f"axis.{name}": values for name, values in draws.columns.items()})
-    rows["outcome"] = np.where(fails(ndtri(draws.shares)), "failure", "success")
+    rows["outcome"] = np.where(fails(ndtri(draws.quantiles)), "failure", "success")
     return Importance(num=num, rounds=ROUNDS).estimate_failure(rows, DrawContext((), seed))
 
 

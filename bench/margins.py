@@ -22,7 +22,7 @@ from scipy.special import ndtr
 from sweep.config.experiment import Experiment, compose
 from sweep.core.provenance import version_record
 from sweep.runs import runner, store
-from sweep.study.adaptive_sampling import Draws
+from sweep.study.adaptive_sampling import RoundDraws
 from sweep.study.study import make_points
 
 ROOT = Path(__file__).parents[1]
@@ -45,10 +45,10 @@ def simulate_errors(exp: Experiment, folder: Path, u: np.ndarray) -> pd.DataFram
     """Return the rows (n,) of rollouts whose errors have the normals `u` (n, d), stored in `folder`."""
     one_noise = np.zeros(len(u), dtype=int)  # for all, so that lines are smooth
     nothing = {"weight": np.ones(len(u)), "round": np.zeros(len(u))}
-    table = make_points(exp.study, exp.system, exp.settings, round_=Draws(ndtr(u), one_noise, nothing))
+    table = make_points(exp.study, exp.system, exp.settings, round_=RoundDraws(ndtr(u), one_noise, nothing))
     with store.lock_folder(folder):
         runner.repair_folder(exp, folder)
-        runner.run(
+        runner.run_job(
             runner.prepare_job(exp, folder, table), lambda rows: print(f"  {len(rows)} rollouts", file=sys.stderr)
         )
     return store.read_rows(folder).set_index("point_id").loc[table["point_id"]].reset_index()

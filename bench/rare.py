@@ -23,16 +23,16 @@ import shared
 from scipy.special import ndtri
 from scipy.stats import t as student
 
-from sweep.analysis.intervals import CONFIDENCE, clopper_pearson
+from sweep.analysis.intervals import CONFIDENCE_LEVEL, clopper_pearson
 from sweep.analysis.rare import estimate_failure_probability
 from sweep.config.experiment import Experiment, build_experiment, compose_values
 from sweep.core.errors import InputError
-from sweep.core.expressions import column, evaluate
+from sweep.core.expressions import evaluate_expression, find_column
 from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
 from sweep.runs import runner
 from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
-from sweep.study.adaptive_sampling import Draws
+from sweep.study.adaptive_sampling import RoundDraws
 from sweep.study.design_kinds.base import FailureEstimate
 from sweep.study.design_kinds.subset import SubsetEstimate
 from sweep.study.study import make_points
@@ -66,7 +66,7 @@ TERMS = 3  # terms of the law that extrapolates probabilities to other scales
 PLAIN = 1_000_000  # seed of plain draws, which no repetition has
 
 # a generator of rounds that receives their rows and returns all of them
-Ask = Generator[Draws, pd.DataFrame, pd.DataFrame]
+Ask = Generator[RoundDraws, pd.DataFrame, pd.DataFrame]
 Cell = dict[str, Any]
 Search = tuple[str, str, int]  # target, estimator and number of the repetition
 SEARCH = ["target", "way", "repetition"]
@@ -97,7 +97,7 @@ class Robots:
         return build_experiment({**self.values, "study": asked})
 
     @staticmethod
-    def points(exp: Experiment, draws: Draws) -> pd.DataFrame:
+    def points(exp: Experiment, draws: RoundDraws) -> pd.DataFrame:
         """Return the points of a round."""
         return make_points(exp.study, exp.system, exp.settings, round_=draws)
 
@@ -111,14 +111,14 @@ class Robots:
 
     def select_columns(self, rows: pd.DataFrame) -> pd.DataFrame:
         """Return the columns that searches need, with the leading margin."""
-        lead = evaluate(self.lead, lambda name: rows[column(rows, name)].to_numpy())
+        lead = evaluate_expression(self.lead, lambda name: rows[find_column(rows, name)].to_numpy())
         return rows.assign(lead=lead)[[*(c for c in map(str, rows) if c.startswith("axis.")), *ROW]]
 
 
-def plain(exp: Experiment, num: int, before: int) -> Draws:
+def plain(exp: Experiment, num: int, before: int) -> RoundDraws:
     """Return `num` plain draws that differ from the `before` ones."""
     shares = np.random.default_rng([PLAIN, before]).random((num, len(exp.study.axes)))
-    return Draws(shares, before + np.arange(num), {})
+    return RoundDraws(shares, before + np.arange(num), {})
 
 
 def adaptive_rounds(exp: Experiment) -> Ask:
@@ -202,7 +202,7 @@ def measure_cells(robots: Robots, kept: "Cells", given: argparse.Namespace, dead
         exps[target, "importance"] = importance(robots, kept.scales[target], num, range(1, given.repetitions + 1))
     exps = {key: some for key, some in exps.items() if key[1] in given.ways and "P" not in kept.cell(*key)}
     asks = {(*key, k): adaptive_rounds(exp) for key, some in exps.items() for k, exp in enumerate(some)}
-    asked: dict[Search, Draws] = {key: next(ask) for key, ask in asks.items()}
+    asked: dict[Search, RoundDraws] = {key: next(ask) for key, ask in asks.items()}
     ended: dict[Search, pd.DataFrame] = {}
 
     def table(key: Search) -> pd.DataFrame:
@@ -354,20 +354,20 @@ class Cells:
         cell = self.cell(target, way)
         if isinstance(found[0], SubsetEstimate):
             (one,) = found
-            taken = [share for run in one.runs for share in run.accepted]
+            taken = [share for run in one.runs for share in run.acceptance_rates]
             sets = [
                 SubsetEstimate(one.target, one.runs[k : k + SETS]) for k in range(0, len(one.runs) - SETS + 1, SETS)
             ]
             told = [some.interval for some in sets if some.run_probabilities.any()]
             cell |= {"each": one.run_probabilities.tolist(), "intervals": told,
-                     "early": len(one.stuck_runs), "why": one.stuck_runs[0].why if one.stuck_runs else "",
+                     "early": len(one.stuck_runs), "why": one.stuck_runs[0].end_reason if one.stuck_runs else "",
                      "accepted": [min(taken), max(taken)] if taken else []}  # fmt: skip
         else:
             cell |= {"each": [one.probability for one in found], "intervals": [(one.low, one.high) for one in found],
-                     "largest": [one.largest for one in found],
+                     "largest": [one.largest_weight_share for one in found],
                      "untrusted": sum(not one.is_reliable for one in found)}  # fmt: skip
         each = np.array(cell["each"])
-        half = student.ppf(0.5 + CONFIDENCE / 2, len(each) - 1) * each.std(ddof=1) / np.sqrt(len(each))
+        half = student.ppf(0.5 + CONFIDENCE_LEVEL / 2, len(each) - 1) * each.std(ddof=1) / np.sqrt(len(each))
         cell |= {"P": each.mean(), "low": max(each.mean() - half, 0.0), "high": each.mean() + half}
 
     def format_cells(self) -> str:
@@ -414,7 +414,10 @@ def truth_table(scenarios: shared.Scenarios) -> list[list[str]]:
                 continue
             cell, mean = ways[way], ways[way]["P"]
             off = np.sqrt(variation(cell) ** 2 / len(cell["each"]) + (1 - plain["P"]) / plain["failed"])
-            ratio, wide = mean / plain["P"], np.exp(student.ppf(0.5 + CONFIDENCE / 2, len(cell["each"]) - 1) * off)
+            ratio, wide = (
+                mean / plain["P"],
+                np.exp(student.ppf(0.5 + CONFIDENCE_LEVEL / 2, len(cell["each"]) - 1) * off),
+            )
             holds = sum(low <= mean <= high for low, high in cell["intervals"])
             cells += [f"{ratio:.2f} ({ratio / wide:.2f} to {ratio * wide:.2f})", f"{variation(cell):.2f}",
                       f"{holds} of {len(cell['intervals'])}", f"{cell[bad]} of {len(cell['each'])}"]  # fmt: skip
@@ -478,7 +481,7 @@ def extrapolate(scales: np.ndarray, failed: np.ndarray, counts: np.ndarray, scal
     certain = failed / (1 - share)  # 1 / variance of log P
     covariance = np.linalg.inv(terms.T @ (certain[:, None] * terms))
     log_p = (covariance @ terms.T @ (certain * np.log(share)))[0]
-    half = ndtri(0.5 + CONFIDENCE / 2) * np.sqrt(covariance[0, 0])
+    half = ndtri(0.5 + CONFIDENCE_LEVEL / 2) * np.sqrt(covariance[0, 0])
     return float(np.exp(log_p)), float(np.exp(log_p - half)), float(np.exp(log_p + half))
 
 

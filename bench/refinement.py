@@ -8,7 +8,7 @@ from scipy.ndimage import binary_dilation
 
 from sweep.config.experiment import build_experiment
 from sweep.runs import store
-from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, summarize_panels
+from sweep.runs.refine import FAILURE_LABEL, MISSING_LABEL, SUCCESS_LABEL, summarize_panels
 
 
 def main(folder: Path, whole: Path) -> None:
@@ -17,13 +17,13 @@ def main(folder: Path, whole: Path) -> None:
     rows = store.read_rows(folder)
     (found,) = summarize_panels(exp, rows)
     grid = store.read_rows(whole)
-    truth = np.full(found.grid.shape, MISSING)
-    truth[found.grid.indices(grid)] = np.where(grid["outcome"] == "success", SUCCEEDS, FAILS)
-    invalid = np.zeros(found.grid.shape, dtype=bool)
-    invalid[found.grid.indices(grid)] = grid["outcome"] == "invalid"
-    compared = (found.labels >= FAILS) & (truth != MISSING) & ~invalid
+    truth = np.full(found.lattice.shape, MISSING_LABEL)
+    truth[found.lattice.indices(grid)] = np.where(grid["outcome"] == "success", SUCCESS_LABEL, FAILURE_LABEL)
+    invalid = np.zeros(found.lattice.shape, dtype=bool)
+    invalid[found.lattice.indices(grid)] = grid["outcome"] == "invalid"
+    compared = (found.labels >= FAILURE_LABEL) & (truth != MISSING_LABEL) & ~invalid
     wrong = compared & (found.labels != truth)
-    good = truth == SUCCEEDS
+    good = truth == SUCCESS_LABEL
     edge = np.logical_and(binary_dilation(good), binary_dilation(~good))  # within one cell of the boundary
     print(found)
     print(f"whole grid: {len(grid)} rollouts ({len(grid) / len(rows):.1f} times more), {int(invalid.sum())} invalid")

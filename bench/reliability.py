@@ -69,7 +69,7 @@ def quiet(*args: str) -> tuple[int, str]:
 
 def files(folder: Path) -> list[Path]:
     """Return all files that rows are read from."""
-    named = [folder / name for name in (store.STUDY, store.POINTS, manifest.MANIFEST)]
+    named = [folder / name for name in (store.STUDY_FILE, store.POINTS_FILE, manifest.MANIFEST_FILE)]
     return named + [folder / entry.file for entry in store.current_parts(folder)]
 
 

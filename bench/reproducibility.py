@@ -19,7 +19,7 @@ from pathlib import Path
 import shared
 
 from sweep.runs import store
-from sweep.study.columns import LABELS, PLAN, TIMING
+from sweep.study.columns import LABEL_COLUMNS, PLACEMENT_COLUMNS, TIMING_COLUMNS
 
 STUDY = [
     "study=walk_map",
@@ -53,7 +53,7 @@ def start_study(out: Path, settings: list[str], environment: dict[str, str], cor
 def compare_folders(way: str, base: Path, other: Path) -> Line:
     """Return a line: bit-equal rows and metrics, equal outcomes, and whether `run_id` is equal."""
     a, b = (store.read_rows(path).set_index("point_id").sort_index() for path in (base, other))
-    names = [c for c in a.columns if c not in (*PLAN, *LABELS, *TIMING) and "." not in c]
+    names = [c for c in a.columns if c not in (*PLACEMENT_COLUMNS, *LABEL_COLUMNS, *TIMING_COLUMNS) and "." not in c]
     equal = (a[names] == b[names]) | (a[names].isna() & b[names].isna())
     same = "the same" if set(a["run_id"]) == set(b["run_id"]) else "another"
     outcomes = f"{(a['outcome'] == b['outcome']).sum()} of {len(a)}"
@@ -63,7 +63,7 @@ def compare_folders(way: str, base: Path, other: Path) -> Line:
 def run_interrupted(out: Path) -> None:
     """Run the study, killed after its first part and started again."""
     process = start_study(out, [WIDTH], {}, 0)
-    while not (out / store.STUDY).exists() or not store.finished_batches(out):
+    while not (out / store.STUDY_FILE).exists() or not store.finished_batches(out):
         time.sleep(0.05)
     process.send_signal(signal.SIGKILL)
     process.wait()

@@ -23,7 +23,7 @@ def speed(name: str, width: int) -> str:
     """Return the physics steps a second of a batch of `width` rollouts (0: the device's best)."""
     scenario, *overrides = name.split(",")
     exp = compose([f"scenario={scenario}", *overrides])
-    settings = replace(exp.settings, width=width or devices.default_width())
+    settings = replace(exp.settings, width=width or devices.default_batch_width())
     engine = MjxEngine(settings, exp.case, exp.case, exp.thresholds)
     world = replace(exp.case, contact=replace(exp.case.contact, friction=np.linspace(0.6, 1.0, settings.width)))
     with program_cache.without_cache():
@@ -45,7 +45,7 @@ def speed(name: str, width: int) -> str:
 
 def main(width: str = "0", *names: str) -> None:
     """Print one line for each scenario."""
-    devices.configure()
+    devices.configure_jax()
     for name in names or NAMES:
         print(speed(name, int(width)), flush=True)
 

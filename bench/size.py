@@ -25,7 +25,7 @@ import fake_engine  # pyright: ignore
 
 from sweep.config.experiment import compose
 from sweep.runs import manifest, runner, store
-from sweep.runs.manifest import POINTS
+from sweep.runs.manifest import POINTS_FILE
 from sweep.study.columns import metric_columns
 
 ROWS, PLANNED = 1_000_000, 10_000_000  # rollouts of the folder, and of the dry run
@@ -68,7 +68,7 @@ def make_folder(folder: Path, number: int) -> None:
             measured = {c: table[c].to_numpy() for c in metric_columns(table)}
             labels = exp.system.judge(measured, exp.thresholds, tuple(stages))
             done = pd.concat([rows, table, pd.DataFrame(labels)], axis=1).assign(wall_s=1e-4)
-            manifest.add(folder, store.write_part(folder, done, job.study_digest, job.labels_digest))
+            manifest.append_entries(folder, store.write_part(folder, done, job.study_digest, job.labels_digest))
 
 
 def measure(command: list[str], place: Path) -> list[str]:
@@ -108,7 +108,7 @@ def commands(python: str, folder: Path, out: Path, planned: int) -> dict[str, li
         ],
         "`load(columns=[2 names])`": [*code, load.format(few), one],
         "`load()`": [*code, load.format(""), one],
-        f"the plan, `{POINTS}`, alone": [*code, plan, one],
+        f"the plan, `{POINTS_FILE}`, alone": [*code, plan, one],
         f"a dry run of {planned:,} points": [*sweep, "run", *study_overrides(planned), f"out={out}/plan", "--dry-run"],
     }
 
@@ -122,7 +122,7 @@ def main() -> None:
     parser.add_argument("--sweep", default=sys.executable, metavar="PYTHON", help="interpreter of the package")
     parser.add_argument("--only", default="", help="only commands whose name has this in it")
     args = parser.parse_args()
-    if not (args.folder / store.STUDY).exists():
+    if not (args.folder / store.STUDY_FILE).exists():
         make_folder(args.folder, args.rows)
     print("| command | wall, s | processor, s | peak memory, GB |\n|:--|--:|--:|--:|")
     with tempfile.TemporaryDirectory() as out:

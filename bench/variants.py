@@ -40,12 +40,12 @@ def seconds(work: Callable[[], object]) -> float:
 
 def main() -> None:
     """Print both."""
-    devices.configure()
+    devices.configure_jax()
     nominal = compose(["robot=base"]).case
     top, batch = dynamics.topology(nominal), variants(nominal, BATCH)
     model = mjx.put_model(top.model)
     make = jax.jit(jax.vmap(partial(mjx_dynamics.varying_fields, top, model), in_axes=(devices.batch_axes(batch),)))
-    arrays = devices.as_arrays(batch)
+    arrays = devices.to_jax_arrays(batch)
     rate = BATCH / seconds(lambda: make(arrays))
     several = [batching.select_row(batch, k) for k in range(ONE_BY_ONE)]
     single = ONE_BY_ONE / seconds(lambda: [mjx.put_model(compile_model(case, geoms=False)) for case in several])

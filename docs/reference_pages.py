@@ -19,14 +19,14 @@ from sweep.config import reference
 from sweep.core import conditions, shared_metrics
 from sweep.core.groups import GROUPS
 from sweep.core.metric import Cause, Metric, merge_columns
-from sweep.core.outcomes import MISSED
-from sweep.core.parameters import UNITS, format_unit
+from sweep.core.outcomes import GOAL_MISSED
+from sweep.core.parameters import UNIT_BY_SUFFIX, format_unit
 from sweep.formulas import FORMULAS
 from sweep.replay import replay
 from sweep.report import crate, replays
 from sweep.runs import manifest, store
 from sweep.study import columns, design_kinds, designs, distributions
-from sweep.study.analytic_limits import KEYS as THEORY_KEYS
+from sweep.study.analytic_limits import LIMIT_KEYS as THEORY_KEYS
 from sweep.study.design_kinds.base import GRIDS, Design
 from sweep.study.study import Expectation, StudySchema
 from sweep.systems.mujoco_model import (
@@ -93,7 +93,7 @@ def code(text: object) -> str:
 def unit_of(column: str) -> str:
     """Return the unit that the end of a column's name says, such as `m` of `slip_max_m`."""
     suffix = column.rpartition("_")[2]
-    return {"ns": "N·s"}.get(suffix, format_unit(UNITS.get(suffix, "-")))
+    return {"ns": "N·s"}.get(suffix, format_unit(UNIT_BY_SUFFIX.get(suffix, "-")))
 
 
 def fields_table(cls: Any, head: str) -> str:
@@ -116,9 +116,9 @@ def columns_page() -> str:
                 yield from (f"### {name.replace('_', ' ')}", of(new))
 
     shared = merge_columns(shared_metrics.METRICS.values())
-    left_out = [column for name in metrics.LEFT_OUT for column in shared_metrics.METRICS[name].columns]
-    labels = {name: columns.MEANINGS[name] for name in columns.LABELS}
-    places = {name: columns.MEANINGS[name] for name in (*columns.PLAN, *columns.TIMING)}
+    left_out = [column for name in metrics.OMITTED_SHARED_METRICS for column in shared_metrics.METRICS[name].columns]
+    labels = {name: columns.COLUMN_MEANINGS[name] for name in columns.LABEL_COLUMNS}
+    places = {name: columns.COLUMN_MEANINGS[name] for name in (*columns.PLACEMENT_COLUMNS, *columns.TIMING_COLUMNS)}
     return join_parts(
         "# Columns of a row",
         "A row is one rollout. `sweep describe COLUMN` prints one entry of this page. The end of a name is the unit.",
@@ -141,14 +141,14 @@ def columns_page() -> str:
         *by_module(shared_metrics.METRICS, ()),
         "## Metrics of the built-in robot",
         "A scenario has the metrics that apply to its manoeuvre and obstacle.",
-        *by_module(metrics.OWN, shared),
+        *by_module(metrics.HEXAPOD_METRICS, shared),
         "### When causes occurred",
         "Each [cause](causes.md) that is known during a rollout has a column `CAUSE_time_s`, the time at "
         "which it first held "
         "(infinite if never), and a column `CAUSE_stage`, the number of the stage.",
         "## Metrics of a model of your own",
         "A controller adds columns by `FIGURES`.",
-        of(merge_columns(own_metrics.OWN.values()) | tracking.COLUMNS),
+        of(merge_columns(own_metrics.MODEL_METRICS.values()) | tracking.COLUMNS),
     )
 
 
@@ -182,7 +182,7 @@ def causes_page() -> str:
         "## Causes of a model of your own",
         f"Conditions under `outcome:` of the scenario name the causes of failure. `{conditions.GOAL}` must "
         "hold at the end; "
-        f"if it does not, the cause is `{MISSED}`. A row for which the condition `invalid` holds "
+        f"if it does not, the cause is `{GOAL_MISSED}`. A row for which the condition `invalid` holds "
         "has the cause "
         f"`{conditions.UNTRUSTED}`. Two causes of `invalid` are always there:",
         table(("cause", "meaning"), ((code(cause.name), cause.sentence) for cause in own_metrics.CAUSES)),
@@ -267,9 +267,9 @@ def exit_codes_page() -> str:
 def design_settings() -> str:
     """Return the keys of `study.design`, those of single kinds included, as a table."""
     said = reference.member_comments(Design)
-    counts = [f"of {kind} {cls.num_meaning}" for kind, cls in design_kinds.KINDS.items() if cls.num_meaning]
+    counts = [f"of {kind} {cls.num_meaning}" for kind, cls in design_kinds.DESIGN_BY_KIND.items() if cls.num_meaning]
     said["num"] = f"{said['num']}; {', '.join(counts)}"
-    for cls in design_kinds.KINDS.values():
+    for cls in design_kinds.DESIGN_BY_KIND.values():
         own = reference.member_comments(cls)
         said |= {name: own[name] for name in design_kinds.own_settings(cls)}
     owners = design_kinds.owners_of_settings().items()
@@ -286,8 +286,9 @@ def policy_file_page() -> str:
         rows = ((code(f.name), said[f.name]) for f in dataclasses.fields(cls))
         return table(("key", "meaning"), rows)
 
-    terms = ((code(name), format_unit(unit), ", ".join(code(k) for k, v in policy_spec.ALIASES.items() if v == name))
-             for name, unit in policy_spec.UNITS.items())  # fmt: skip
+    aliases = policy_spec.TERM_ALIASES.items()
+    terms = ((code(name), format_unit(unit), ", ".join(code(k) for k, v in aliases if v == name))
+             for name, unit in policy_spec.TERM_UNITS.items())  # fmt: skip
     presets = ((code(name), ", ".join(one if isinstance(one, str) else one["term"] for one in about["observation"]))
                for name, about in policy_spec.PRESETS.items())  # fmt: skip
     return join_parts(
@@ -364,7 +365,7 @@ def study_file_page() -> str:
         "`scale`. `from` and `to` truncate it.",
         "## `study.design`",
         f"Grids: {', '.join(map(code, GRIDS))}. Kinds:",
-        table(("kind", "use it for"), ((code(kind), cls.meaning) for kind, cls in design_kinds.KINDS.items())),
+        table(("kind", "use it for"), ((code(kind), cls.meaning) for kind, cls in design_kinds.DESIGN_BY_KIND.items())),
         design_settings(),
         "`correlation` is a list of `[axis, axis, coefficient]`: pairs of drawn axes, correlated by a Gaussian copula.",
         "## `study.expect`",
@@ -401,7 +402,7 @@ def python_page() -> str:
     """Public names of the package with signatures and docstrings."""
     objects = [("sweep.run", sweep.run), ("sweep.load", sweep.load)]
     accessor = [
-        (f"rows.sweep.{name}", member) for name, member in vars(api.Accessor).items() if not name.startswith("_")
+        (f"rows.sweep.{name}", member) for name, member in vars(api.RowsAccessor).items() if not name.startswith("_")
     ]
     errors = [("sweep.InputError", sweep.InputError), ("sweep.Fault", sweep.Fault)]
     return join_parts(
@@ -410,7 +411,7 @@ def python_page() -> str:
         "## Functions",
         *(part for name, thing in objects for part in entry(name, thing)),
         "## `rows.sweep`",
-        docstring(api.Accessor),
+        docstring(api.RowsAccessor),
         *(part for name, thing in accessor for part in entry(name, thing)),
         "## `Replay`",
         "What `rows.sweep.replay` returns:",
@@ -486,15 +487,15 @@ def numbers_table(module: ModuleType, numbers: Mapping[str, Any]) -> str:
 
 def model_paths_page() -> str:
     """Numbers of a MuJoCo model that can be axes, and why the others cannot."""
-    sizes = list(dict.fromkeys(name for names in fields.SIZES.values() for name in names))
+    sizes = list(dict.fromkeys(name for names in fields.SIZE_MEANINGS.values() for name in names))
     extra = {"actuator": ("kp", "kv", fields.STRENGTH)}
     rows = []
-    for kind, varied in [*fields.VARIED.items(), (fields.OPTION, fields.OPTIONS)]:
+    for kind, varied in [*fields.VARIABLE_NUMBERS.items(), (fields.OPTION_KIND, fields.OPTION_NUMBERS)]:
         for name, number in varied.items():
-            names = sizes if (kind, name) == ("geom", "size") else number.names
+            names = sizes if (kind, name) == ("geom", "size") else number.component_names
             rows.append((code(kind), code(name), ", ".join(code(f".{one}") for one in names), format_unit(number.unit)))
         rows += [(code(kind), code(name), "", "") for name in extra.get(kind, ())]
-    settings = ", ".join(map(code, fields.SETTINGS))
+    settings = ", ".join(map(code, fields.SETTING_NUMBERS))
     return join_parts(
         "# Paths of a MuJoCo model",
         "`model.KIND.NAME.FIELD` is a number of the compiled model, and can be an axis of a study. A field of several "
@@ -511,7 +512,7 @@ def model_paths_page() -> str:
         "[Vary the terrain](../howto/vary_the_terrain.md) says which kind of terrain uses which number.",
         numbers_table(terrain_heights, terrain_heights.NUMBERS),
         "## `push.NAME`",
-        numbers_table(disturbances, disturbances.PUSH),
+        numbers_table(disturbances, disturbances.PUSH_PARAMETERS),
         "## `payload.NAME`",
         numbers_table(payloads, payloads.PAYLOAD),
         "## `motor.NAME`",
@@ -521,21 +522,27 @@ def model_paths_page() -> str:
 
 def formats_page() -> str:
     """Files that the package writes and reads."""
-    folder, json_, parquet = f"format {store.FORMAT} of the folder", "JSON", "Parquet"
+    folder, json_, parquet = f"format {store.FOLDER_FORMAT} of the folder", "JSON", "Parquet"
     run, places = "`sweep run`", "see [columns](columns.md)"
     rows = [
         ("`study.yaml`", run, f"YAML, {folder}", STABLE, "configuration, code, versions, devices; its own digest"),
-        (f"`{manifest.POINTS}`", run, parquet, STABLE, f"the plan: a row for each rollout, {places}"),
-        (f"`{manifest.PARTS}/part-*.parquet`", run, parquet, STABLE, f"finished rows, {places}"),
-        (f"`{manifest.HISTORIES}/*.parquet`", run, parquet, STABLE, "columns of `study.keep` over time"),
-        (f"`{manifest.LAST_STATES}/*.parquet`", run, parquet, OPEN, "last second of the first ten invalid rows"),
-        (f"`{manifest.MANIFEST}`", run, f"text, {folder}", STABLE, "a line for each file that counts, see below"),
-        (f"`{store.LOG}`, `{store.LOCK}`", run, "text", OPEN, "progress; the lock of the running command"),
-        (f"`{replays.REPLAYS}/*.json`", "`sweep report --replays`", json_, OPEN, "replays of the page"),
+        (f"`{manifest.POINTS_FILE}`", run, parquet, STABLE, f"the plan: a row for each rollout, {places}"),
+        (f"`{manifest.PARTS_FOLDER}/part-*.parquet`", run, parquet, STABLE, f"finished rows, {places}"),
+        (f"`{manifest.HISTORIES_FOLDER}/*.parquet`", run, parquet, STABLE, "columns of `study.keep` over time"),
+        (f"`{manifest.LAST_STATES_FOLDER}/*.parquet`", run, parquet, OPEN, "last second of the first ten invalid rows"),
+        (f"`{manifest.MANIFEST_FILE}`", run, f"text, {folder}", STABLE, "a line for each file that counts, see below"),
+        (f"`{store.LOG_FILE}`, `{store.LOCK_FILE}`", run, "text", OPEN, "progress; the lock of the running command"),
+        (f"`{replays.REPLAYS_FOLDER}/*.json`", "`sweep report --replays`", json_, OPEN, "replays of the page"),
         ("`report.html`, `map.*`, `draws.*`", "`sweep report`", "HTML, PNG, SVG", OPEN, "the page and its pictures"),
         ("`numbers.tex`, `data/`", "`sweep export --paper`", "LaTeX, CSV", STABLE, "macros and data of a paper"),
         ("`main.tex`, `tables/`, `figures/`", "`sweep export --paper`", "LaTeX, PDF", OPEN, "text and pictures"),
-        ("crate", "`sweep export --crate`", f"RO-Crate 1.1, {crate.PROFILE}", STABLE, "all of a study for archives"),
+        (
+            "crate",
+            "`sweep export --crate`",
+            f"RO-Crate 1.1, {crate.CRATE_PROFILE}",
+            STABLE,
+            "all of a study for archives",
+        ),
         ("certificate", "`sweep certify -o`", json_, STABLE, "region, guarantee and assumptions"),
         ("pairs", "`sweep compare -o`", "CSV", STABLE, "pairs of rows that differ"),
         ("trace", "`sweep replay --mcap`", "MCAP, schemas of Foxglove", OPEN, "robot, forces, joints, stages"),
@@ -545,7 +552,7 @@ def formats_page() -> str:
     ]
     return join_parts(
         "# File formats",
-        f"Version {sweep.__version__} of the package writes and reads format {store.FORMAT} of a study's "
+        f"Version {sweep.__version__} of the package writes and reads format {store.FOLDER_FORMAT} of a study's "
         "folder. A folder of "
         "another format is refused in one line that names its version. A `stable` format changes only with "
         "the version of "
@@ -553,7 +560,7 @@ def formats_page() -> str:
         table(("file", "written by", "format", "stability", "content"), rows),
         "## A line of the manifest",
         "Sixteen digits of the line's own digest, a space, and JSON:",
-        fields_table(manifest.Entry, "key"),
+        fields_table(manifest.ManifestEntry, "key"),
     )
 
 

@@ -49,7 +49,7 @@ def simulate_again(study: str, rows: pd.DataFrame, folder: Path) -> pd.DataFrame
     points = rows[[*parameter_columns(rows), "replicate", "stream", "point_id"]]
     with store.lock_folder(folder):
         runner.repair_folder(exp, folder)
-        runner.run(runner.prepare_job(exp, folder, points), lambda *_: None)
+        runner.run_job(runner.prepare_job(exp, folder, points), lambda *_: None)
     found = store.read_rows(folder).set_index("point_id")
     return found.loc[rows["point_id"]].reset_index()
 

@@ -35,8 +35,8 @@ import yaml
 
 from sweep.analysis import sensitivity
 from sweep.analysis.intervals import wilson
-from sweep.analysis.stats import bin_values, rate, rates
-from sweep.core.expressions import column, evaluate
+from sweep.analysis.stats import bin_values, success_rate, success_rates
+from sweep.core.expressions import evaluate_expression, find_column
 from sweep.core.files import write_atomically
 from sweep.core.outcomes import SUCCESS
 from sweep.core.plot_style import plot_style
@@ -181,7 +181,7 @@ def make_target(name: str, target: dict[str, Any], out: Path, research: Path, qu
             shutil.copytree(folder, copy, dirs_exist_ok=True)
             sweep("relabel", str(copy), *target["relabel"])
             folder = copy
-        found = results.read(folder, target.get("only"))
+        found = results.read_results(folder, target.get("only"))
         if "script" not in target and target.get("picture", True):
             picture(found, target, research / "figures" / f"{name}.png")
         about = {"command": f"sweep run {shlex.join(command)}", "quick": quick and "quick" in target}
@@ -249,7 +249,7 @@ def picture(found: Results, target: dict[str, Any], path: Path) -> None:
 def summary(found: Results, target: dict[str, Any]) -> dict[str, Any]:
     """Return the results of a study, by cell and along each axis, and where they come from."""
     rows, stored = found.rows, found.stored
-    whole = rate(rows["outcome"])
+    whole = success_rate(rows["outcome"])
     return {
         "scenario": found.exp.scenario,
         "engine": found.exp.settings.name,
@@ -257,9 +257,9 @@ def summary(found: Results, target: dict[str, Any]) -> dict[str, Any]:
         "rollouts": whole.total,
         "invalid": whole.invalid,
         "valid": whole.valid_count,
-        "success": whole.success,
+        "success": whole.successes,
         "causes": causes(rows),
-        "along": {axis: along(found, axis) for axis in (*found.categorical, *found.listed_numeric)},
+        "along": {axis: along(found, axis) for axis in (*found.categorical_columns, *found.listed_numeric_columns)},
         "map": cells(found, tuple(target.get("map", ()))),
         "figures": extremes(found),
         **({"groups": groups(found.rows, target)} if "by" in target else {}),
@@ -275,12 +275,12 @@ def along(found: Results, axis: str) -> list[list[Any]]:
 
     In studies of errors one at a time, the other axes are at their nominal values.
     """
-    if found.one_at_a_time:
+    if found.is_one_at_a_time:
         every = sensitivity.one_at_a_time_rates(found.rows, found.exp)
         table = every[every["axis"] == axis]
     else:
         values = bin_values(found.rows[axis], PARTS if found.rows[axis].nunique() > VALUES else VALUES)
-        table = rates(found.rows.assign(value=values), ["value"])
+        table = success_rates(found.rows.assign(value=values), ["value"])
     counts = table[["success", "valid", "invalid"]].astype(int).to_numpy().tolist()
     values = [float(f"{value:.6g}") if isinstance(value, float) else value for value in table["value"]]
     return [[value, *count] for value, count in zip(values, counts, strict=True)]
@@ -298,23 +298,25 @@ def groups(rows: pd.DataFrame, target: dict[str, Any]) -> list[dict[str, Any]]:
 
     A value is a column, or an expression of columns.
     """
-    found, names = [], [column(rows, name) for name in target["by"]]
+    found, names = [], [find_column(rows, name) for name in target["by"]]
     for at, part in rows.groupby([rows[name].astype(object) for name in names], sort=False):
         good = part[part["outcome"] == SUCCESS]
         values = {}
         for name, expression in target.get("values", {}).items():
             drawn = np.asarray(
-                evaluate(expression or name, lambda name, good=good: good[column(good, name)].to_numpy())
+                evaluate_expression(
+                    expression or name, lambda name, good=good: good[find_column(good, name)].to_numpy()
+                )
             )
             if len(drawn) and np.isfinite(drawn).any():
                 ends = drawn[np.isfinite(drawn)]
                 told = {"min": ends.min(), "mean": ends.mean(), "rms": np.sqrt(np.mean(ends**2)), "max": ends.max()}
                 values[name] = {how: float(f"{value:.4g}") for how, value in told.items()}
-        whole = rate(part["outcome"])
+        whole = success_rate(part["outcome"])
         found.append(
             {
                 "at": dict(zip(names, at, strict=True)),
-                "success": whole.success,
+                "success": whole.successes,
                 "valid": whole.valid_count,
                 "causes": causes(part),
                 "values": values,
@@ -332,10 +334,10 @@ def causes(rows: pd.DataFrame) -> dict[str, int]:
 def cells(found: Results, chosen: tuple[str, ...]) -> dict[str, Any] | None:
     """Successes and valid rollouts in each cell of a grid over the axes of the map; None where there is no grid."""
     axes = maps.independent_parameters(found.rows, chosen)
-    if len(axes) < 2 or found.one_at_a_time:
+    if len(axes) < 2 or found.is_one_at_a_time:
         return None
     x, y = axes
-    counted = rates(found.rows, [x, y])
+    counted = success_rates(found.rows, [x, y])
     table = [counted.pivot(index=y, columns=x, values=one) for one in COUNTS]
     if table[0].isna().to_numpy().any():
         return None

@@ -22,7 +22,7 @@ from sweep.contract.engine import Trace
 from sweep.contract.trace_frames import base_pose, mass_centres
 from sweep.core.plot_style import LEG_COLORS, legend_below, new_figure, plot_style, save_figure
 from sweep.core.rotations import matrix, rotate
-from sweep.formulas.ball import GRAVITY, ROLLING, lateral_mu
+from sweep.formulas.ball import GRAVITY, ROLLING_INERTIA, lateral_mu
 from sweep.manoeuvres.balancing.ball_aside import BallAside, lateral_gain
 from sweep.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.manoeuvres.balancing.ball_descend import BallDescend
@@ -30,7 +30,7 @@ from sweep.manoeuvres.balancing.ball_over import BallCrossing
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
 from sweep.models.robot import total_mass
-from sweep.systems.hexapod.plots import ACTUAL, PLOTS, REFERENCE, SECOND
+from sweep.systems.hexapod.plots import ACTUAL_COLOUR, PLOTS, REFERENCE_COLOUR, SECOND_COLOUR
 
 FIGURES = Path(__file__).parent / "figures"
 FEET = (1, 3, 5)  # the left ones go alongside
@@ -98,10 +98,10 @@ def driven_aside(trace: Trace, case: Case, aside: BallAside) -> Figure:
     time = trace.time
     over = (mass_centres(trace, slice(None)) - trace.qpos[:, -7:-4])[:, 1]
     speeds = promised(time, case, aside)
-    axes[0].plot(time, 1e3 * trace.qvel[:, -5], color=ACTUAL, label="ball")
-    axes[0].plot(time, 1e3 * speeds, color=REFERENCE, ls="--", label="(3.3.7), with rolling friction")
+    axes[0].plot(time, 1e3 * trace.qvel[:, -5], color=ACTUAL_COLOUR, label="ball")
+    axes[0].plot(time, 1e3 * speeds, color=REFERENCE_COLOUR, ls="--", label="(3.3.7), with rolling friction")
     axes[0].set_ylabel("speed to the\nleft (mm/s)")
-    axes[1].plot(time, 1e3 * over, color=ACTUAL)
+    axes[1].plot(time, 1e3 * over, color=ACTUAL_COLOUR)
     axes[1].set(ylabel="mass centre (mm)", xlabel="time (s)")
     for ax in axes:
         ax.grid(alpha=0.3)
@@ -122,7 +122,7 @@ def promised(time: np.ndarray, case: Case, aside: BallAside) -> np.ndarray:
         * np.asarray(lateral_mu(aside.period, jnp.asarray(time)).mu)
     )
     height = ball.radius + float(plan.position[0, 2])
-    inertia = ROLLING * ball.mass * ball.radius + mass * height
+    inertia = ROLLING_INERTIA * ball.mass * ball.radius + mass * height
     own = mass * height * np.gradient(over, time)
     friction = ball.rolling_friction * (ball.mass + mass) * GRAVITY
     speeds, momentum = np.zeros(len(time)), 0.0
@@ -148,11 +148,13 @@ def draw_way(trace: Trace) -> Figure:
         forces.plot(trace.time, normal[:, foot - 1], color=LEG_COLORS[foot - 1], lw=0.8)
     heights.plot(trace.time, position[:, 2] + nose, "k", label="front of the base")
     heights.plot(trace.time, position[:, 2] - nose, "k--", label="rear of the base")
-    heights.plot(trace.time, trace.qvel[:, -6], color=REFERENCE, ls=":", label="speed of the ball (m/s)")
+    heights.plot(trace.time, trace.qvel[:, -6], color=REFERENCE_COLOUR, ls=":", label="speed of the ball (m/s)")
     heights.set(ylabel="height (m)")
     tangent = 90 - np.degrees(np.arcsin(nose / (0.5 * robot.body_length)))
-    place.plot(trace.time, np.degrees(np.arctan2(off[:, 2], -off[:, 0])), color=ACTUAL, label="place of the base")
-    place.plot(trace.time, tangent, color=SECOND, label="tangent of the base")
+    place.plot(
+        trace.time, np.degrees(np.arctan2(off[:, 2], -off[:, 0])), color=ACTUAL_COLOUR, label="place of the base"
+    )
+    place.plot(trace.time, tangent, color=SECOND_COLOUR, label="tangent of the base")
     place.set(ylabel="elevation (deg)")
     forces.set(ylabel="normal force (N)", xlabel="time (s)")
     for axes in (heights, place, forces):

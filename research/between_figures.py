@@ -17,15 +17,15 @@ from sweep.contract.engine import Trace
 from sweep.contract.trace_frames import base_pose, mass_centres
 from sweep.core.plot_style import LEG_COLORS, legend_below, new_figure, plot_style, save_figure
 from sweep.core.rotations import rotate
-from sweep.formulas.ball import GRAVITY, ROLLING
+from sweep.formulas.ball import GRAVITY, ROLLING_INERTIA
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.ledges import Ledges
 from sweep.models.robot import total_mass
 from sweep.report import maps
-from sweep.report.outcome_style import INK
+from sweep.report.outcome_style import DARK_INK
 from sweep.runs import results
 from sweep.runs.results import Results
-from sweep.systems.hexapod.plots import ACTUAL, REFERENCE, SECOND
+from sweep.systems.hexapod.plots import ACTUAL_COLOUR, REFERENCE_COLOUR, SECOND_COLOUR
 
 FIGURES = Path(__file__).parent / "figures"
 RUNS = {
@@ -60,7 +60,7 @@ def ledges(trace: Trace) -> Figure:
         ax.set(xlabel="time (s)", ylabel="across (m)")
     height = axes["b"].twinx()
     height.plot(
-        time[time >= off], base_pose(trace)[time >= off, 2], color=REFERENCE, ls="--", label="height of the base"
+        time[time >= off], base_pose(trace)[time >= off, 2], color=REFERENCE_COLOUR, ls="--", label="height of the base"
     )
     height.set_ylabel("height (m)")
     axes["c"].plot(time, trace.qvel[:, -6], "k")
@@ -82,7 +82,7 @@ def balls(trace: Trace) -> Figure:
     for end, style in ((1, "k-"), (-1, "k--")):
         ahead = np.asarray(rotate(jnp.asarray(base[:, 3:7]), jnp.array([end * half, 0.0, 0.0])))
         heights.plot(time, base[:, 2] + ahead[:, 2], style, label="base, front" if end > 0 else "base, rear")
-    for k, colour in ((-12, ACTUAL), (-6, SECOND)):
+    for k, colour in ((-12, ACTUAL_COLOUR), (-6, SECOND_COLOUR)):
         speeds.plot(time, trace.qvel[:, k], color=colour, label="first ball" if k == -12 else "second ball")
     for axes, label in ((heights, "height (m)"), (speeds, "speed (m/s)")):
         axes.set_ylabel(label)
@@ -123,7 +123,7 @@ def rolled(trace: Trace, grip: np.ndarray, mass: np.ndarray) -> np.ndarray:
     speed, way, far = np.zeros_like(grip), np.zeros_like(grip), np.zeros_like(grip)
     for one, two, step in zip(first, second, np.diff(time, prepend=time[0]), strict=True):
         resists = grip * max(one - two, 0.0) + ball.rolling_friction * (2 * mass + load) * GRAVITY
-        inertia = 2 * ROLLING * mass * ball.radius
+        inertia = 2 * ROLLING_INERTIA * mass * ball.radius
         pushed = speed + step * (one + two) / inertia
         speed = np.sign(pushed) * np.maximum(np.abs(pushed) - step * resists / inertia, 0.0)
         way = way + step * speed
@@ -139,7 +139,7 @@ def grip_map(found: Results, trace: Trace) -> Figure:
         axes = figure.axes[0]
     grip, mass = (np.sort(found.rows[name].unique()) for name in names)
     far = rolled(trace, *np.meshgrid(grip, mass)) / trace.world.obstacle_as(Ball).radius
-    axes.clabel(axes.contour(grip, mass, far, levels=WAYS, colors=INK, linewidths=1), fmt="{:g} R".format)
+    axes.clabel(axes.contour(grip, mass, far, levels=WAYS, colors=DARK_INK, linewidths=1), fmt="{:g} R".format)
     axes.set(xlabel="friction between the balls, of that of the contact", ylabel="mass of each [kg]")
     return figure
 
@@ -151,5 +151,5 @@ if __name__ == "__main__":
             path = FIGURES / f"{name}.png"
             _, trace = traced(*RUNS[name], "engine=native")
             draw = ledges if name == "ball_ledges" else balls
-            save_figure(grip_map(results.read(Path(folder)), trace) if folder else draw(trace), path)
+            save_figure(grip_map(results.read_results(Path(folder)), trace) if folder else draw(trace), path)
             print(path)

@@ -28,7 +28,7 @@ from robustness_figures import BOUNDS, bound, bounds_of, errors_of, rates
 from sweep.analysis.intervals import wilson
 from sweep.core.errors import InputError
 from sweep.core.provenance import is_current_code
-from sweep.metrics.outcome import COLUMNS
+from sweep.metrics.outcome import COLUMN_MEANINGS
 from sweep.report.labels import axis_words, name_and_unit
 
 RESEARCH = Path(__file__).parent
@@ -388,7 +388,7 @@ def outdated(text: str) -> str:
 def metrics(_: str) -> str:
     """Every figure of a rollout and what it means, as the code has them."""
     lines = ["| figure | meaning |", "|---|---|"]
-    return "\n".join([*lines, *(f"| `{name}` | {meaning} |" for name, meaning in COLUMNS.items())])
+    return "\n".join([*lines, *(f"| `{name}` | {meaning} |" for name, meaning in COLUMN_MEANINGS.items())])
 
 
 def learned(_: str) -> str:

@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sweep.core.plot_style import COLUMN, DPI, PAGE, legend_below, new_figure, plot_style
+from sweep.core.plot_style import COLUMN_WIDTH_IN, DPI, PAGE_WIDTH_IN, legend_below, new_figure, plot_style
 from sweep.formulas.ball import ball_climb, lateral_mu, stabilise_delta
 from sweep.formulas.ball_reach import max_ball
 from sweep.formulas.corner import corner_balanced, corner_equalN, corner_least_friction, corner_min_squeeze
 from sweep.formulas.raft_statics import raft_equilibrium, raft_offset_limit
 from sweep.formulas.thesis import thesis_step, thesis_workspace
-from sweep.systems.hexapod.plots import ACTUAL, REFERENCE, SECOND
+from sweep.systems.hexapod.plots import ACTUAL_COLOUR, REFERENCE_COLOUR, SECOND_COLOUR
 
 FIGURES = Path(__file__).parent / "figures"
 LEG = {"l1": 1.0, "l2": 1.0, "l3": 2.0}
@@ -32,7 +32,7 @@ def save(figure: Figure, name: str) -> None:
 
 def panels(count: int, height: float = 2.6) -> tuple[Figure, list[Axes]]:
     """An empty figure with `count` panels side by side, one as wide as a column."""
-    figure = new_figure(height, COLUMN if count == 1 else PAGE)
+    figure = new_figure(height, COLUMN_WIDTH_IN if count == 1 else PAGE_WIDTH_IN)
     axes = list(figure.subplots(1, count, squeeze=False)[0])
     for panel in axes:
         panel.grid(alpha=0.3)
@@ -44,11 +44,14 @@ def corner() -> None:
     eps = jnp.linspace(0.01, 1.2, 240)
     figure, (friction, squeeze) = panels(2)
     for limit, line in ((1, ":"), (2, "--"), (4, "-")):
-        for psi, colour, name in ((np.pi / 4, ACTUAL, "corner"), (0.0, SECOND, "pole")):
+        for psi, colour, name in ((np.pi / 4, ACTUAL_COLOUR, "corner"), (0.0, SECOND_COLOUR, "pole")):
             least = corner_least_friction(psi, eps, limit).k
             friction.plot(eps, least, color=colour, ls=line, label=f"{name}, N ≤ {limit} P")
     friction.set(xlabel="ϰ = η_c / (ζ₂ - ζ₁)", ylabel="least friction", ylim=(0, 2.8), title="balanced scheme")
-    for psi, k, colour, name in ((np.pi / 4, 1.1, ACTUAL, "corner, k = 1.1"), (0.0, 1.0, SECOND, "pole, k = 1")):
+    for psi, k, colour, name in (
+        (np.pi / 4, 1.1, ACTUAL_COLOUR, "corner, k = 1.1"),
+        (0.0, 1.0, SECOND_COLOUR, "pole, k = 1"),
+    ):
         squeeze.plot(eps, corner_balanced(psi, eps, k).N_u, color=colour, ls="--", label=f"{name}: balanced")
         squeeze.plot(eps, corner_equalN(psi, eps, k).N, color=colour, ls=":", label=f"{name}: equal N")
         squeeze.plot(eps, corner_min_squeeze(psi, eps, k).Nhat, color=colour, label=f"{name}: least of all")
@@ -62,7 +65,7 @@ def largest_ball() -> None:
     """Largest ball against friction."""
     friction = jnp.linspace(0, 1, 201)
     figure, (panel,) = panels(1)
-    for height, colour in ((1.71, ACTUAL), (1.2, SECOND), (0.8, THIRD)):
+    for height, colour in ((1.71, ACTUAL_COLOUR), (1.2, SECOND_COLOUR), (0.8, THIRD)):
         for b, line in ((0.0, "--"), (0.5, "-")):
             radius = max_ball(0.52, 0.335, height, b, friction).R
             panel.plot(friction, radius, color=colour, ls=line, label=f"hips at {height:g} m, {b:g} m apart")
@@ -74,7 +77,7 @@ def climb() -> None:
     """Least starting speed of the ball against its mass."""
     ratio = jnp.geomspace(0.1, 30, 200)
     figure, (panel,) = panels(1)
-    for degrees, colour in zip((0, 20, 40, 60), (ACTUAL, SECOND, THIRD, REFERENCE), strict=True):
+    for degrees, colour in zip((0, 20, 40, 60), (ACTUAL_COLOUR, SECOND_COLOUR, THIRD, REFERENCE_COLOUR), strict=True):
         speed = ball_climb(16.0, 16.0 * ratio, 0.84, 1.1, np.deg2rad(degrees)).v0_min
         panel.loglog(ratio, speed, color=colour, label=f"from φ₀ = {degrees}°")
     panel.set(xlabel="mass of the ball / mass of the robot", ylabel="least speed of the ball (m/s)", title="R = 0.84 m")
@@ -86,8 +89,8 @@ def shapes() -> None:
     tau = jnp.linspace(0, 1, 401)
     figure, (panel,) = panels(1)
     moves = stabilise_delta(1.0, 0.1, tau)
-    panel.plot(tau, moves.delta, color=ACTUAL, label="δ, to a new place")
-    panel.plot(tau, moves.pulse, color=SECOND, label="δ', there and back")
+    panel.plot(tau, moves.delta, color=ACTUAL_COLOUR, label="δ, to a new place")
+    panel.plot(tau, moves.pulse, color=SECOND_COLOUR, label="δ', there and back")
     panel.plot(tau, lateral_mu(1.0, tau).mu, color=THIRD, label="μ, sideways")
     panel.set(xlabel="τ / T (Δ = 0.1 T)", ylabel="share of the displacement")
     save(figure, "ball_shapes")
@@ -99,7 +102,7 @@ def raft_tilt() -> None:
     draught = 0.1
     weight = 4 * RAFT["gamma"] * RAFT["a"] * RAFT["b"] * draught
     figure, (panel,) = panels(1)
-    for axis, name, colour in ((0, "fore and aft", ACTUAL), (1, "sideways", SECOND)):
+    for axis, name, colour in ((0, "fore and aft", ACTUAL_COLOUR), (1, "sideways", SECOND_COLOUR)):
         place = np.zeros((offset.size, 3))
         place[:, axis] = offset
         place[:, 2] = 0.05
@@ -119,20 +122,20 @@ def workspace() -> None:
     z = jnp.linspace(-3, 3, 1201)
     zone = thesis_workspace(z, **LEG, R=MOUNTS)
     side = figure.add_subplot(1, 3, 1, aspect="equal", xlabel="distance from the mount", ylabel="height z")
-    side.fill_betweenx(z, zone.OA, zone.OB, color=ACTUAL, alpha=0.4, lw=0)
+    side.fill_betweenx(z, zone.OA, zone.OB, color=ACTUAL_COLOUR, alpha=0.4, lw=0)
     side.axhline(STANDING, color="k", lw=0.8, ls=":")
     top = figure.add_subplot(1, 3, 2, aspect="equal", xlabel="x", ylabel="y, outward")
     here = thesis_workspace(STANDING, **LEG, R=MOUNTS)
     angle = np.linspace(-here.phimax, here.phimax, 101)
     around = np.concatenate([angle, angle[::-1]])
     radius = np.repeat([float(here.OA), float(here.OB)], 101)
-    top.fill(radius * np.sin(around), radius * np.cos(around), color=ACTUAL, alpha=0.4, lw=0)
+    top.fill(radius * np.sin(around), radius * np.cos(around), color=ACTUAL_COLOUR, alpha=0.4, lw=0)
     top.plot(0, 0, "k.")
     solid = figure.add_subplot(1, 3, 3, projection="3d")
     for radii in (zone.OA, zone.OB):
         reach, turn = np.meshgrid(np.asarray(radii)[::40], angle[::5], indexing="ij")
         height = np.broadcast_to(z[::40, None], reach.shape)
-        solid.plot_surface(reach * np.sin(turn), reach * np.cos(turn), height, color=ACTUAL, alpha=0.5)  # pyright: ignore
+        solid.plot_surface(reach * np.sin(turn), reach * np.cos(turn), height, color=ACTUAL_COLOUR, alpha=0.5)  # pyright: ignore
     solid.set(xlabel="x", ylabel="y", zlabel="z")
     save(figure, "workspace")
 
@@ -148,8 +151,8 @@ def largest_step() -> None:
         panel.set_title(name)
         panel.set_yticks([1, 2, 3])
         step = thesis_step(jnp.array(foot), direction, here.OA, here.OB, here.phimax)
-        panel.plot(heading, step.transfer, color=ACTUAL, label="transfer")
-        panel.plot(heading, step.support, color=SECOND, label="support")
+        panel.plot(heading, step.transfer, color=ACTUAL_COLOUR, label="transfer")
+        panel.plot(heading, step.support, color=SECOND_COLOUR, label="support")
     save(figure, "largest_step")
 
 

@@ -14,12 +14,12 @@ from one_run import traced
 from sweep.config.experiment import compose
 from sweep.controllers.plan import Plan, reference_stance
 from sweep.core.plot_style import DPI, legend_below, new_figure, plot_style
-from sweep.formulas.leg import SIDE
+from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.formulas.thesis import thesis_workspace
 from sweep.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS, Waypoints
 from sweep.models.case import Case
 from sweep.models.posture import joint_targets
-from sweep.systems.hexapod.plots import ACTUAL, REFERENCE, SECOND
+from sweep.systems.hexapod.plots import ACTUAL_COLOUR, REFERENCE_COLOUR, SECOND_COLOUR
 
 FIGURES = Path(__file__).parent / "figures"
 SCENARIO = "scenario=hexagon_waypoints"
@@ -60,7 +60,9 @@ def thesis_angles(joints: np.ndarray) -> np.ndarray:
     counter-clockwise from the radius.
     """
     alpha, beta, gamma = np.moveaxis(joints, -1, 0)
-    return np.stack([alpha, SIDE * (beta - np.pi / 2), np.where(SIDE > 0, gamma - np.pi, -gamma)], axis=-1)
+    return np.stack(
+        [alpha, SIDE_BY_LEG * (beta - np.pi / 2), np.where(SIDE_BY_LEG > 0, gamma - np.pi, -gamma)], axis=-1
+    )
 
 
 def way_points(_: str) -> str:
@@ -154,11 +156,11 @@ def physics() -> None:
     for leg in CIRCLE:
         above.plot(*trace.foot_position[:, leg - 1, :2].T, color=colour(leg), lw=1.2)
         above.plot(*trace.foot_target[:, leg - 1, :2].T, "k:", lw=0.9)
-    above.plot(*trace.qpos[:, :2].T, color=ACTUAL, lw=1.6, label="centre")
+    above.plot(*trace.qpos[:, :2].T, color=ACTUAL_COLOUR, lw=1.6, label="centre")
     above.plot(*trace.base_target[:, :2].T, "k:", lw=0.9, label="planned")
     from_above(above)
     off = 1e3 * (trace.qpos[:, :3] - trace.base_target[:, :3]).T
-    for name, deviation, shade in zip("xyz", off, (ACTUAL, SECOND, REFERENCE), strict=True):
+    for name, deviation, shade in zip("xyz", off, (ACTUAL_COLOUR, SECOND_COLOUR, REFERENCE_COLOUR), strict=True):
         error.plot(trace.time, deviation, color=shade, label=name)
     error.set(xlabel="time (s)", ylabel="centre, actual\n- planned (mm)")
     error.grid(alpha=0.3)

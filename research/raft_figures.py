@@ -12,7 +12,7 @@ from one_run import traced
 from sweep.contract.engine import Trace
 from sweep.contract.trace_frames import base_pose
 from sweep.core.plot_style import LEG_COLORS, legend_below, new_figure, plot_style, save_figure
-from sweep.systems.hexapod.plots import ACTUAL
+from sweep.systems.hexapod.plots import ACTUAL_COLOUR
 
 PATH = Path(__file__).parent / "figures" / "raft_crossing.png"
 LINES = {"I": "board", "II": "push", "III": "aboard", "IV": "wait", "V": "squat", "VI": "land"}  # stages begin so
@@ -24,11 +24,11 @@ def crossing(trace: Trace) -> Figure:
     figure = new_figure(5.6)
     way, aside, heading = figure.subplots(3, 1, sharex=True)
     for axes, k in ((way, 0), (aside, 1)):
-        axes.plot(time, raft[:, k], color=ACTUAL, label="raft")
+        axes.plot(time, raft[:, k], color=ACTUAL_COLOUR, label="raft")
         axes.plot(time, base[:, k], "k", label="base")
         for leg, side in ((5, "right"), (6, "left")):
             axes.plot(time, trace.foot_position[:, leg - 1, k], color=LEG_COLORS[leg - 1], label=f"front {side} foot")
-    for pose, colour in ((raft, ACTUAL), (base, "k")):
+    for pose, colour in ((raft, ACTUAL_COLOUR), (base, "k")):
         w, x, y, z = pose[:, 3:7].T
         heading.plot(time, np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2)), color=colour)
     for axes, label in ((way, "across (m)"), (aside, "along the bank (m)"), (heading, "heading (rad)")):

@@ -13,8 +13,8 @@ import pandas as pd
 from PIL import Image
 
 from sweep.analysis.intervals import wilson
-from sweep.core.plot_style import DPI, LETTERS, legend_below, new_figure, plot_style, wrap_text
-from sweep.core.plot_style import PAGE as PAGE_WIDTH
+from sweep.core.plot_style import DPI, FONT_SIZE_PT, legend_below, new_figure, plot_style, wrap_text
+from sweep.core.plot_style import PAGE_WIDTH_IN as PAGE_WIDTH
 
 RESEARCH = Path(__file__).parent
 ERRORS = {  # what a line of the table is called, and how its numbers are told
@@ -178,7 +178,7 @@ def draw_rates(rates: pd.DataFrame, name: str) -> None:
         told = sorted(errors.unique())
         panel.set_xticks(told, labelled(told))
         panel.minorticks_off()
-        panel.set_title(wrap_text(title, 72 * PAGE_WIDTH / ACROSS - 2 * LETTERS))
+        panel.set_title(wrap_text(title, 72 * PAGE_WIDTH / ACROSS - 2 * FONT_SIZE_PT))
     panels[0, 0].set_ylim(-3, 103)
     for panel in panels[:, 0]:
         panel.set_ylabel("succeed, %")

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 
 from sweep.core.plot_style import legend_below, new_figure, plot_style
-from sweep.report.outcome_style import LOOKS
+from sweep.report.outcome_style import OUTCOME_STYLES
 
 RESEARCH = Path(__file__).parent
 ENGINES = (
@@ -249,7 +249,7 @@ def draw_precision(rows: list[Row], path: Path) -> None:
         for axes, motion in zip(panels, shown, strict=True):
             of, unit = ERRORS[motion]
             for engine, (look, mark) in DRAWN.items():
-                colour = LOOKS[look].colour
+                colour = OUTCOME_STYLES[look].colour
                 own = [row for row in rows if (row["motion"], row["engine"]) == (motion, engine)]
                 own = [row for row in own if row["error"] and (unit != "weights" or row["error"] < FELL)]
                 for row in own:
@@ -275,7 +275,7 @@ def _legend(rows: list[Row]) -> Iterator[Line2D]:
     """Engines by colour and mark, steps by size."""
     for engine, (look, mark) in DRAWN.items():
         if any(row["engine"] == engine for row in rows):
-            yield Line2D([], [], ls="", marker=mark, color=LOOKS[look].colour, label=engine)
+            yield Line2D([], [], ls="", marker=mark, color=OUTCOME_STYLES[look].colour, label=engine)
     for step in sorted({row["time_step"] for row in rows}, reverse=True):
         yield Line2D([], [], ls="", marker="o", ms=_size(step), color="grey", label=f"{1e3 * step:g} ms")
     few = ", ".join(f"{engine} by {n}" for engine, n in FEWEST.items())

@@ -41,7 +41,7 @@ def load(
 
     Returns:
         The table. `attrs["units"]` has the unit of every column with a dimension, `attrs["study"]` the study's name.
-        Of all columns, `rows.sweep` draws and replays rows (see `sweep.api.Accessor`).
+        Of all columns, `rows.sweep` draws and replays rows (see `sweep.api.RowsAccessor`).
 
     Raises:
         InputError: The folder is damaged, or a name is unknown.

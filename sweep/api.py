@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 from matplotlib.figure import Figure
 
-from sweep.analysis.sample import drop_copies
+from sweep.analysis.sample import drop_repeated_rollouts
 from sweep.config.experiment import Experiment, compose
 from sweep.core.errors import InputError
-from sweep.core.expressions import AXES, column, condition_columns, mask
+from sweep.core.expressions import AXIS_NAMES_KEY, condition_columns, condition_mask, find_column
 from sweep.core.plot_style import plot_style
 from sweep.report import draws, maps, page, time_series_plots
 from sweep.report.labels import column_unit
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 
 def run(overrides: list[str]) -> pd.DataFrame:
     """Run a study and return its rows, see `sweep.run`."""
-    from sweep.cli.execution import Flags, execute
+    from sweep.cli.execution import RunFlags, execute_experiment
     from sweep.runs import runner
 
     exp = compose(overrides)
     if exp.study.single and not exp.out:
         return _tidy(runner.run_single_batch(exp), exp)
-    execute(exp, Flags())
+    execute_experiment(exp, RunFlags())
     return load(exp.folder)
 
 
@@ -55,8 +55,8 @@ def load(folder: str | PathLike[str], where: str | None = None, columns: Sequenc
         return _load_columns(folder, exp, where, columns)
     rows = name_axes(store.read_rows(folder), exp.study.axes)
     if where:
-        rows = rows[mask(rows, where)].reset_index(drop=True)
-    aliases = {name: rows[column] for name, column in rows.attrs[AXES].items() if name not in rows}
+        rows = rows[condition_mask(rows, where)].reset_index(drop=True)
+    aliases = {name: rows[column] for name, column in rows.attrs[AXIS_NAMES_KEY].items() if name not in rows}
     rows = _tidy(rows.assign(**aliases), exp)
     rows.attrs["axes"] = [*aliases]
     rows.attrs["folder"] = str(folder)
@@ -67,15 +67,15 @@ def _load_columns(folder: Path, exp: Experiment, where: str | None, columns: Seq
     if isinstance(columns, str) or not columns:
         raise InputError(f"columns = {columns!r} is not allowed: a list of names, such as ['outcome', 'slip_max_m']")
     empty = results.empty_rows(folder, exp)
-    names = {name: column(empty, name) for name in columns}
+    names = {name: find_column(empty, name) for name in columns}
     wanted = [*dict.fromkeys([*names.values(), *condition_columns(empty, where)])]
     rows = name_axes(store.read_rows(folder, wanted), exp.study.axes)
-    chosen = rows[mask(rows, where)].reset_index(drop=True) if where else rows
+    chosen = rows[condition_mask(rows, where)].reset_index(drop=True) if where else rows
     return _tidy(pd.DataFrame({name: chosen[own] for name, own in names.items()}), exp)
 
 
 @dataclass(frozen=True)
-class Page:
+class HtmlPage:
     """A page of HTML that a notebook shows in a frame, so that their styles do not mix."""
 
     html: str
@@ -88,7 +88,7 @@ class Page:
 
 
 @pd.api.extensions.register_dataframe_accessor("sweep")
-class Accessor:
+class RowsAccessor:
     """Methods of `rows.sweep`: draw figures of rows, and simulate their rollouts again."""
 
     def __init__(self, rows: pd.DataFrame):
@@ -124,7 +124,7 @@ class Accessor:
         Points that were not run are NaN; `attrs` hold units. Raises `InputError` where there is no grid or no xarray.
         """
         found = self._results()
-        axes = found.listed_numeric + [name for name in found.categorical if name in self._rows]
+        axes = found.listed_numeric_columns + [name for name in found.categorical_columns if name in self._rows]
         if not axes:
             raise InputError(f"{self._folder} has no grid: no axis with listed values varies")
         try:
@@ -140,27 +140,27 @@ class Accessor:
                 grid[name].attrs["units"] = unit
         return grid
 
-    def report(self) -> Page:
+    def report(self) -> HtmlPage:
         """Return the page that `sweep report` writes; `str()` of it is the HTML."""
-        return Page(page.render_page(self._results()))
+        return HtmlPage(page.render_page(self._results()))
 
     def replay(self, row: Any = 0) -> "Replay":
         """Simulate the rollout of the row with that label again, in its batch, and return the replay.
 
         `trace` has what was recorded, `again` its figures and labels, `stored` those of the row. Raises `InputError`.
         """
-        from sweep.replay.replay import replay
+        from sweep.replay.replay import replay_rollout
 
         if row not in self._rows.index:
             raise InputError(f"row {row} is not among the rows of {self._folder}: give a label of their index")
-        return replay(self._folder, str(self._rows.loc[row, "point_id"]))
+        return replay_rollout(self._folder, str(self._rows.loc[row, "point_id"]))
 
     def _results(self) -> results.Results:
         if self._rows.empty:
             raise InputError(f"no row of {self._folder} is selected")
         stored = store.read_study(self._folder)
         exp = results.load_experiment(self._folder)
-        rows, copies = drop_copies(name_axes(self._rows, exp.study.axes), exp)
+        rows, copies = drop_repeated_rollouts(name_axes(self._rows, exp.study.axes), exp)
         return results.Results(self._folder, stored, exp, rows, None, len(self._rows), copies)
 
 

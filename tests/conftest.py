@@ -16,7 +16,7 @@ from sweep.runs import batches
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "bench"))  # scenes that are measured are tested, too
-devices.configure()  # before any test uses JAX: the CPU is split as for the command line
+devices.configure_jax()  # before any test uses JAX: the CPU is split as for the command line
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and all that it starts
 
 
@@ -30,7 +30,7 @@ def double():
 @pytest.fixture
 def fake_engine(monkeypatch, request):
     """Every engine that is made is a fake one, of another class where a test is parametrised by one."""
-    monkeypatch.setattr(sweep.engines, "make", getattr(request, "param", FakeEngine))
+    monkeypatch.setattr(sweep.engines, "make_engine", getattr(request, "param", FakeEngine))
     batches.forget_engine()
     yield
     batches.forget_engine()
@@ -41,7 +41,7 @@ def whole(tmp_path_factory):
     """The rows of an undisturbed run of the small study."""
     folder = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sweep.engines, "make", FakeEngine)
+        patch.setattr(sweep.engines, "make_engine", FakeEngine)
         batches.forget_engine()
         assert main(["run", *STUDY, f"out={folder}"]) == 0
         batches.forget_engine()

@@ -75,7 +75,7 @@ class FakeEngine:
 
 
 def install():
-    sweep.engines.make = FakeEngine
+    sweep.engines.make_engine = FakeEngine
 
 
 def dask_setup(worker):

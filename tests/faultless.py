@@ -3,7 +3,7 @@
 import numpy as np
 
 from sweep.metrics import METRICS, applicable_metrics
-from sweep.metrics.outcome import BOOKKEEPING
+from sweep.metrics.outcome import BOOKKEEPING_COLUMNS
 
 
 def faultless(case=None):
@@ -16,5 +16,5 @@ def faultless(case=None):
             good[cause.lead.metric] = 100.0
         if cause.known_at == "tick":
             good |= {f"{cause.name}_time_s": np.nan, f"{cause.name}_stage": -1.0}
-    assert {name for name in good if name in BOOKKEEPING} >= {"fell_time_s", "fell_stage"}
+    assert {name for name in good if name in BOOKKEEPING_COLUMNS} >= {"fell_time_s", "fell_stage"}
     return good | {"finished": 1.0, "finite": 1.0, "progress": 1.0, "feet_on_target": 6.0}

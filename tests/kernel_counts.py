@@ -36,17 +36,17 @@ ARCHITECTURE = "sm_90"  # H100 and H200
 Counts = dict[str, int]
 
 
-def kernel_printer(name: str) -> tuple[launch.Traced, cuda.GpuPrinter]:
+def kernel_printer(name: str) -> tuple[launch.TracedProgram, cuda.GpuPrinter]:
     """The program of a scenario's closed loop, and its text for a GPU; nothing is simulated."""
     exp = compose([f"scenario={name}"])
     engine = MjxEngine(replace(exp.settings, width=WIDTH), exp.case, exp.case, exp.thresholds)
-    cases = jax.tree.map(lambda x: jax.ShapeDtypeStruct((), x.dtype), devices.as_arrays((exp.case, exp.case)))
+    cases = jax.tree.map(lambda x: jax.ShapeDtypeStruct((), x.dtype), devices.to_jax_arrays((exp.case, exp.case)))
     key = jax.eval_shape(partial(jax.random.key, 0))
     plan, carry = jax.eval_shape(partial(engine._start, classify_sensing(exp.case.noise)), *cases, key)
     return launch.print_program(engine._tick, (*cases, plan), carry, lambda carry: carry.is_over, TICKS, 0, WIDTH)
 
 
-def text_counts(program: launch.Traced, printer: cuda.GpuPrinter) -> Counts:
+def text_counts(program: launch.TracedProgram, printer: cuda.GpuPrinter) -> Counts:
     """Sizes of a kernel from its text.
 
     Returns:
@@ -55,7 +55,7 @@ def text_counts(program: launch.Traced, printer: cuda.GpuPrinter) -> Counts:
     """
     lines = printer.lines
     loads, stores = (sum(bool(re.search(word, line)) for line in lines) for word in (r"= load ", r"^store "))
-    carried = sum(leaf.size for leaf in program.carried)
+    carried = sum(leaf.size for leaf in program.carry_leaves)
     return {
         "operations": sum("=" in line for line in lines) - loads,
         "loads": loads,
@@ -76,7 +76,7 @@ def ptxas_release() -> str | None:
 def register_counts(printer: cuda.GpuPrinter) -> Counts:
     """Registers of a thread, and bytes that it spills and loads again, by `ptxas`."""
     with cuda.ptx_compiler() as compiler, tempfile.NamedTemporaryFile("w", suffix=".ptx") as file:
-        file.write(compiler(printer.text()))
+        file.write(compiler(printer.module_text()))
         file.flush()
         command = ["ptxas", "-v", f"-arch={ARCHITECTURE}", file.name, "-o", "/dev/null"]
         told = subprocess.run(command, capture_output=True, text=True, check=True).stderr

@@ -11,7 +11,7 @@ import numpy as np
 
 from sweep.config.experiment import compose
 from sweep.core.metric import Metric, compute_columns
-from sweep.metrics.tick import MetricTick, Rollout, RolloutStart
+from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart
 from sweep.models.obstacles.surface import body_poses, no_free_bodies
 from sweep.models.robot import total_mass
 from sweep.systems.mujoco_model.tick import ModelParts, ModelRollout, ModelStart, ModelTick
@@ -73,8 +73,8 @@ def hexapod_columns(metrics: tuple[Metric, ...], motion: Motion) -> dict[str, fl
             loaded=on_first(sample["load"], 6) > 1,
         )  # fmt: skip
         report: Any = SimpleNamespace(
-            truth=truth, torque_peak=on_first(abs(torque), 6, 3), joints=on_first(sample["foot"], 6, 1, 3),
-            effort=motion.period * jnp.maximum(torque * rate, 0.0), bodies=body_poses(free),
+            actual=truth, torque_peak=on_first(abs(torque), 6, 3), joints=on_first(sample["foot"], 6, 1, 3),
+            positive_work=motion.period * jnp.maximum(torque * rate, 0.0), bodies=body_poses(free),
         )  # fmt: skip
         ends = jnp.asarray(False), base, still, still, zero
         return MetricTick(CASE, plan, jnp.int32(0), zero, *ends, report, motion.period, zero)
@@ -86,7 +86,7 @@ def hexapod_columns(metrics: tuple[Metric, ...], motion: Motion) -> dict[str, fl
     samples = {name: jnp.asarray(value) for name, value in vars(motion).items() if name != "period"}
     first = tuple(metric.begin(start) for metric in metrics)
     states, _ = jax.jit(lambda: jax.lax.scan(step, first, samples | {"quat": jnp.asarray(motion.quat)}))()
-    end = Rollout(CASE, plan, jnp.asarray(len(motion.position) * motion.period), jnp.int32(0))
+    end = RolloutEnd(CASE, plan, jnp.asarray(len(motion.position) * motion.period), jnp.int32(0))
     return {name: float(value) for name, value in compute_columns(metrics, states, end).items()}
 
 

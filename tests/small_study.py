@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 
 from sweep.runs import store
-from sweep.study.columns import TIMING
+from sweep.study.columns import TIMING_COLUMNS
 
 STUDY = ["study=walk_map", "study.axes.friction.num=8", "study.axes.step.num=7", "engine.width=8", "study.expect=[]"]
 BATCHES = 7
@@ -19,7 +19,7 @@ FAKE = Path(__file__).with_name("fake_engine.py")
 
 def content(folder: Path) -> pd.DataFrame:
     """Return the rows in `folder`, without columns that differ between equal runs."""
-    return store.read_rows(folder).drop(columns=list(TIMING))
+    return store.read_rows(folder).drop(columns=list(TIMING_COLUMNS))
 
 
 def start(folder: Path, *overrides: str, fake: bool = True, **environment: str) -> subprocess.Popen:

@@ -91,7 +91,7 @@ CONTRACT = {
     "sweep.contract.engine_settings",
     "sweep.backends.devices",
 }
-ALIKE = {("ROUNDS", "4"), ("AROUND", "0.05"), ("DIGITS", "12")}  # constants with one name and number, of two things
+ALIKE = {("ROUNDS", "4")}  # constants with one name and number, of two things
 
 
 def name_of(path):

@@ -7,7 +7,7 @@ from sweep.analysis import compare
 from sweep.cli.main import main
 from sweep.report import figures, page
 from sweep.runs import audit, results, store
-from sweep.systems.hexapod import WAYS
+from sweep.systems.hexapod import AUDIT_VARIANTS
 
 STUDY = ["run", "study=walk_map", "study.axes.friction.num=21", "study.axes.step.num=18", "study.expect=[]"]
 
@@ -38,14 +38,14 @@ coarse = pytest.mark.parametrize("fake_engine", [CoarseEngine], indirect=True)
 def test_flips_tell_how_far_the_boundary_moves(fake_engine, tmp_path, capsys):
     assert main([*STUDY, f"out={tmp_path}"]) == 0
     rows = store.read_rows(tmp_path)
-    near = audit.boundary_mask(results.read(tmp_path))
+    near = audit.boundary_mask(results.read_results(tmp_path))
     # every chosen point lies within a cell of the line friction = 5 ratio, and both sides of it are chosen
     away = np.abs(rows["world.contact.friction"] - 5 * rows["manoeuvre.half_step_ratio"])
     assert away[near].max() <= (1.2 - 0.05) / 20 + 5 * 0.01 + 1e-9
     assert 0 < (rows.loc[near, "outcome"] == "success").mean() < 1
     assert 30 < near.sum() < 60
     assert main(["audit", str(tmp_path), "--points", "1000"]) == 0
-    every = audit.flip_table(results.read(tmp_path))
+    every = audit.flip_table(results.read_results(tmp_path))
     assert (every["rollouts"] == every["of"]).all()
     friction, needed = rows["world.contact.friction"], 5 * rows["manoeuvre.half_step_ratio"]
     wins = (rows["outcome"] == "success") & ~near
@@ -55,19 +55,19 @@ def test_flips_tell_how_far_the_boundary_moves(fake_engine, tmp_path, capsys):
     assert elsewhere["flips"].max() > 5
     table = every[every["drawn"] == "next to the boundary"].set_index("simulated")
     assert (table["rollouts"] == near.sum()).all()
-    moved = {WAYS[way].description: shift for way, shift in
+    moved = {AUDIT_VARIANTS[way].description: shift for way, shift in
              (("again", 0), ("half_step", 0.03), ("float64", 0.005), ("other_engine", 0))}  # fmt: skip
     for name, shift in moved.items():
         assert table.loc[name, "flips"] == ((friction < needed) & (friction + shift >= needed) & near).sum(), name
     assert table["flips"].max() > 5
     assert "half the time step" in capsys.readouterr().out
-    html = page.render_page(results.read(tmp_path))
+    html = page.render_page(results.read_results(tmp_path))
     assert f"<td>successes elsewhere</td><td>{wins.sum()}</td><td>{wins.sum()}</td>" in html
     assert 'id="audit"' in html
     at = table.loc["half the time step"]
     assert f"{at['flips']:.0f} of {near.sum()} half the time step (at most {100 * at['high']:.1f} %)" in html
-    (shown,) = figures.audit_figure(results.read(tmp_path))
-    shown.data.loc[:4, f"outcome{compare.SECOND}"] = "invalid"  # of rollouts that did not flip
+    (shown,) = figures.audit_figure(results.read_results(tmp_path))
+    shown.data.loc[:4, f"outcome{compare.SECOND_RUN_MARK}"] = "invalid"  # of rollouts that did not flip
     for ax, (_, part) in zip(shown.draw().axes, every.groupby("simulated", sort=False), strict=False):
         marks = {line.get_marker(): len(line.get_xdata()) for line in ax.lines}
         assert marks["x"] == part["flips"].sum()
@@ -113,7 +113,7 @@ def test_the_boundary_of_a_walk_is_the_robots(tmp_path):
     axes = ["study.axes.friction.num=3", "study.axes.step.from=0.16", "study.axes.step.num=5", "study.expect=[]"]
     assert main(["run", "study=walk_map", *axes, f"out={tmp_path}"]) == 0
     assert main(["audit", str(tmp_path), "--points", "6"]) == 0
-    table = audit.flip_table(results.read(tmp_path))
+    table = audit.flip_table(results.read_results(tmp_path))
     assert len(table) == 10
     assert (table["invalid"] == 0).all()
     assert (table["flips"] <= 1).all()

@@ -9,7 +9,7 @@ from small_study import STUDY, one_line
 
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.contract.engine import NoTrace
+from sweep.contract.engine import MissingTrace
 from sweep.engines import batching
 from sweep.engines.native import NativeEngine
 from sweep.models import scene
@@ -66,7 +66,7 @@ def test_a_rollout_that_cannot_be_drawn_has_no_trace_and_the_others_have(monkeyp
     engine = NativeEngine(replace(exp.settings, width=2), exp.case, exp.case, exp.thresholds)
     first, second = engine.traces(world, exp.case, np.zeros(2, int), 1)
     assert len(batching.require_trace(first).time)
-    assert isinstance(second, NoTrace)
+    assert isinstance(second, MissingTrace)
     assert "mass and inertia" in second.reason
 
 
@@ -75,13 +75,13 @@ def test_a_page_leaves_out_the_replay_that_cannot_be_drawn_only(tmp_path, capsys
     draw = FakeEngine.traces
 
     def traces(self, *args):
-        return [NoTrace("too thin"), *draw(self, *args)[1:]]
+        return [MissingTrace("too thin"), *draw(self, *args)[1:]]
 
     monkeypatch.setattr(FakeEngine, "traces", traces)
     capsys.readouterr()
     assert main(["report", str(tmp_path), "--replays", "12"]) == 0
     left_out = [line for line in capsys.readouterr().err.splitlines() if "too thin" in line]
-    kept = [*(tmp_path / replays.REPLAYS).glob("*.json")]
+    kept = [*(tmp_path / replays.REPLAYS_FOLDER).glob("*.json")]
     assert left_out
     assert kept
     assert len(left_out) + len(kept) == 12

@@ -11,7 +11,7 @@ from sweep.analysis import certify
 from sweep.cli.certification import format_certificate
 from sweep.cli.main import main
 from sweep.core.errors import InputError
-from sweep.core.expressions import mask
+from sweep.core.expressions import condition_mask
 
 DRAWS = """scenario: walk_tripod
 study:
@@ -72,7 +72,7 @@ def test_a_region_is_a_condition_that_chooses_the_same_rows(shape):
     assert found.is_certified
     names = [f"robot.p{k}" for k in range(6)]
     rows = pd.DataFrame(fresh[0], columns=names)
-    assert (mask(rows, found.score.condition(names, found.threshold)) == found.contains(fresh[0])).all()
+    assert (condition_mask(rows, found.score.condition(names, found.threshold)) == found.contains(fresh[0])).all()
     assert found.upper_bound <= 0.03 < fresh[1].mean()
 
 

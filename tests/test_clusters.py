@@ -55,9 +55,9 @@ def test_workers_keep_histories_and_the_last_states_of_few_invalid_rows(tmp_path
     process = start(tmp_path, *WORKERS, *broken, "study.keep=[tilt_deg]", "study.keep_rows=20")
     _, error = process.communicate(timeout=400)
     assert process.returncode == 0, error
-    assert time_series.read(tmp_path)["point_id"].nunique() == 20
-    assert len(list((tmp_path / store.LAST_STATES).iterdir())) == 10
-    assert not repair.verify(tmp_path)[0]
+    assert time_series.read_histories(tmp_path)["point_id"].nunique() == 20
+    assert len(list((tmp_path / store.LAST_STATES_FOLDER).iterdir())) == 10
+    assert not repair.verify_folder(tmp_path)[0]
 
 
 @pytest.mark.slow
@@ -120,7 +120,7 @@ def test_a_worker_that_hangs_is_named_and_its_batch_goes_to_another(tmp_path, wh
 def test_a_scheduler_that_the_command_starts_listens_to_nobody_else():
     import distributed
 
-    with clusters.DaskLocal(workers=1).connect(clusters.WorkerStatus(print)) as dispatch:
+    with clusters.DaskLocalCluster(workers=1).connect(clusters.WorkerStatus(print)) as dispatch:
         address = dispatch.args[0].scheduler.address  # pyright: ignore
         for security in (None, distributed.Security.temporary()):
             with pytest.raises((OSError, ValueError)):
@@ -139,7 +139,10 @@ def test_jobs_of_slurm_are_given_keys_that_only_this_user_can_read(tmp_path, mon
         raise InputError("enough")
 
     monkeypatch.setattr(clusters, "_check_job", check)
-    with pytest.raises(InputError), clusters.Slurm(logs=str(tmp_path / "logs")).connect(clusters.WorkerStatus(print)):
+    with (
+        pytest.raises(InputError),
+        clusters.SlurmCluster(logs=str(tmp_path / "logs")).connect(clusters.WorkerStatus(print)),
+    ):
         pass
     assert "tls://" in seen[0]
     assert seen[1:] == [0, 0, 0, 3]
@@ -148,7 +151,7 @@ def test_jobs_of_slurm_are_given_keys_that_only_this_user_can_read(tmp_path, mon
 def test_a_cluster_without_workers_and_a_lost_scheduler_are_told(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(clusters, "JOIN_TIMEOUT_S", 1.0)
     monkeypatch.setattr(clusters, "RESTART_TIMEOUT_S", 2.0)
-    file, log = tmp_path / "scheduler.json", tmp_path / "out" / store.LOG
+    file, log = tmp_path / "scheduler.json", tmp_path / "out" / store.LOG_FILE
 
     def wait_for_text(path: Path, text: str) -> None:
         deadline = time.monotonic() + 60

@@ -29,7 +29,7 @@ def test_flips_are_counted_and_tested_among_valid_pairs():
     assert (found.pairs, found.tested_pairs, found.lost, found.gained, found.flip_count) == (11, 9, 7, 1, 8)
     assert (found.invalid_a, found.invalid_b, found.invalid_both) == (1, 1, 0)
     assert found.changed_share == pytest.approx(10 / 11)
-    assert found.p == pytest.approx(2 * (1 + 8) / 2**8)  # two-sided binomial, 1 or fewer of 8
+    assert found.p_value == pytest.approx(2 * (1 + 8) / 2**8)  # two-sided binomial, 1 or fewer of 8
     # Clopper, Pearson: the ends at which 8 or more, and 8 or fewer, of 9 have a probability of 2.5 %
     low, high = found.low, found.high
     assert 9 * low**8 * (1 - low) + low**9 == pytest.approx(0.025)
@@ -53,7 +53,7 @@ def test_several_pairs_of_a_draw_are_one_trial_of_the_test():
     assert compare.sign_flip_p(differences) == pytest.approx(exact)
     a, b = rows_of("ssssffss" * 4), rows_of("fsffsfss" * 4)
     pairs, rows = compare.pair_rows(a, b), np.repeat(np.arange(8), 4)
-    assert compare.count_flips(pairs, rows).p > compare.count_flips(pairs, np.arange(32)).p
+    assert compare.count_flips(pairs, rows).p_value > compare.count_flips(pairs, np.arange(32)).p_value
 
 
 def test_regions_tell_where_outcomes_flip():

@@ -30,7 +30,7 @@ from interval_coverage import (
 from scipy.stats import beta, binom, norm
 
 from sweep.analysis import compare, failing, sampling_units, screening, sensitivity, sequential
-from sweep.analysis.sample import is_sample, pooled_rate
+from sweep.analysis.sample import is_random_sample, pooled_rate
 from sweep.core.errors import InputError
 from sweep.report.headline import sample_size
 from sweep.report.statistics import sensitivity_methods
@@ -60,7 +60,9 @@ def test_an_interval_holds_in_many_studies(case):
 
 def test_errors_that_do_not_hold_are_not_printed():
     silent = {(case.kind, case.interval) for case in CASES if not simulate(case, 3)[1]}
-    assert silent == {(kind, "RBD-FAST index") for kind, cls in design_kinds.KINDS.items() if cls.is_low_discrepancy}
+    assert silent == {
+        (kind, "RBD-FAST index") for kind, cls in design_kinds.DESIGN_BY_KIND.items() if cls.is_low_discrepancy
+    }
 
 
 def exact_width(number: int, truth: float) -> float:
@@ -170,9 +172,9 @@ def test_pairs_of_a_draw_are_no_independent_pairs(replicates, levels):
         pairs = compare.pair_rows(named, judged(named, other))
         unit = compare.independent_unit_of_pairs(pairs, exp)
         found = compare.count_flips(pairs, unit)
-        tests.append(found.p)
+        tests.append(found.p_value)
         hits.append(covers(found.low, found.high, 2 * rate_with_noise(0.8) * (1 - rate_with_noise(0.8))))
-        decided.append(sequential.sequential_test(pairs, unit=unit).decided)
+        decided.append(sequential.sequential_test(pairs, unit=unit).is_decided)
     assert np.mean(np.array(tests) < 0.05) <= REJECTS
     assert np.mean(decided) <= REJECTS
     assert np.mean(hits) >= COVERS
@@ -187,7 +189,7 @@ def test_a_grid_is_no_sample():
     assert compare.independent_unit_of_pairs(pairs, exp) is None
     found = compare.count_flips(pairs)
     assert found.lost > 0
-    assert np.isnan([found.p, found.low, found.high]).all()
+    assert np.isnan([found.p_value, found.low, found.high]).all()
     assert "interval" not in str(found)
 
 
@@ -214,7 +216,9 @@ def test_a_share_of_failing_that_is_chance_is_not_told():
     for seed in range(30):
         exp = study(axes, seed, design={"num": 160})
         rows = points(exp)
-        found = failing.failure_shares(judged(rows, rows["controller.x1"] + 0.1 * normals(rows, seed) < 0.7), exp)
+        found = failing.shapley_failure_shares(
+            judged(rows, rows["controller.x1"] + 0.1 * normals(rows, seed) < 0.7), exp
+        )
         told.append(found.set_index("axis")["share"].notna())
     told = pd.DataFrame(told)
     assert told["controller.x1"].mean() > 0.95
@@ -239,19 +243,19 @@ def test_every_printed_interval_is_simulated():
             if isinstance(node, ast.FunctionDef) and "95 %" in (ast.get_docstring(node) or ""):
                 assert node.name in named | {"_interval"} or node.name.startswith("_"), f"{path.name}: {node.name}"
     simulated = {(case.kind, case.prints) for case in CASES}
-    for kind in design_kinds.KINDS:
+    for kind in design_kinds.DESIGN_BY_KIND:
         if not design_kinds.is_adaptive_kind(kind):
             for function in sensitivity_methods(study(AXES, design={"kind": kind, "num": 128}), 10_000).values():
                 assert (kind, function) in simulated
 
 
 def test_every_design_has_a_simulation():
-    assert {case.kind for case in CASES} - {"grid"} == set(design_kinds.KINDS)
-    for kind in filter(design_kinds.is_adaptive_kind, design_kinds.KINDS):
+    assert {case.kind for case in CASES} - {"grid"} == set(design_kinds.DESIGN_BY_KIND)
+    for kind in filter(design_kinds.is_adaptive_kind, design_kinds.DESIGN_BY_KIND):
         exp = study({"x1": {"path": "controller.x1", "distribution": EVEN}}, design={"kind": kind, "num": 100})
         rows = judged(pd.DataFrame({"controller.x1": [0.1, 0.9], "replicate": [0, 1]}), [True, False])
         assert sampling_units.unit_numbers(rows, exp) is None
-        assert not is_sample(rows, exp)
+        assert not is_random_sample(rows, exp)
         assert sensitivity.regional_sensitivity(rows, exp)["p"].isna().all()
 
 

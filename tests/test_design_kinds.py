@@ -56,7 +56,7 @@ def home(fake_engine, monkeypatch, tmp_path):
     (tmp_path / "sweep.yaml").write_text("modules: [own]\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setattr(design_kinds, "KINDS", dict(design_kinds.KINDS))
+    monkeypatch.setattr(design_kinds, "DESIGN_BY_KIND", dict(design_kinds.DESIGN_BY_KIND))
     yield tmp_path
     provenance.code_version.cache_clear()
     project._imported.cache_clear()
@@ -108,8 +108,8 @@ def test_what_is_wrong_with_a_design_of_ones_own_is_one_line(home, capsys, old, 
 @pytest.mark.parametrize("place", ASKING)
 def test_rooms_ask_the_design_and_name_no_kind(place):
     """Neither in texts that are no docstrings, nor by imports of a kind's module."""
-    kinds = re.compile(rf"\b({'|'.join(design_kinds.KINDS)})\b")
-    own = {cls.__module__ for cls in design_kinds.KINDS.values()}
+    kinds = re.compile(rf"\b({'|'.join(design_kinds.DESIGN_BY_KIND)})\b")
+    own = {cls.__module__ for cls in design_kinds.DESIGN_BY_KIND.values()}
     for name, path in MODULES.items():
         if room(name) != place:
             continue
@@ -121,5 +121,5 @@ def test_rooms_ask_the_design_and_name_no_kind(place):
 
 
 def test_every_kind_is_a_file_of_its_own():
-    assert len({cls.__module__ for cls in design_kinds.KINDS.values()}) == len(design_kinds.KINDS)
-    assert all(issubclass(cls, Design) and cls.meaning for cls in design_kinds.KINDS.values())
+    assert len({cls.__module__ for cls in design_kinds.DESIGN_BY_KIND.values()}) == len(design_kinds.DESIGN_BY_KIND)
+    assert all(issubclass(cls, Design) and cls.meaning for cls in design_kinds.DESIGN_BY_KIND.values())

@@ -34,7 +34,7 @@ def rows(u: np.ndarray, failed: np.ndarray, **more: Any) -> pd.DataFrame:
 
 
 def shares(*given: Any) -> pd.DataFrame:
-    table = failing.failure_shares(*given).set_index("axis").loc[COLUMNS]
+    table = failing.shapley_failure_shares(*given).set_index("axis").loc[COLUMNS]
     return table.assign(error=(table["high"] - table["low"]) / 2)
 
 
@@ -81,11 +81,11 @@ def test_weights_undo_where_draws_were_sought():
 def test_too_little_is_told():
     u = np.random.default_rng(4).standard_normal((100, 4))
     with pytest.raises(InputError, match="need 20 failures and successes, here: 3 and 97"):
-        failing.failure_shares(rows(u, np.arange(100) < 3), told())
+        failing.shapley_failure_shares(rows(u, np.arange(100) < 3), told())
     exp = told()
     exp.study.replicates = 10
     with pytest.raises(InputError, match="need 20 failures and successes, here: 3 and 7"):
-        failing.failure_shares(rows(u, np.arange(100) < 30), exp)
+        failing.shapley_failure_shares(rows(u, np.arange(100) < 30), exp)
 
 
 def test_a_listed_name_counts_and_draws_that_it_shares_count_once():
@@ -100,7 +100,9 @@ def test_a_listed_name_counts_and_draws_that_it_shares_count_once():
     table = pd.DataFrame(np.tile(u, (4, 1)), columns=["robot.a", "robot.b"])
     table = table.assign(replicate=np.tile(np.arange(400), 4), **{"manoeuvre.gait": np.repeat(list("wxyz"), 400)})
     failed = (table["manoeuvre.gait"] == "w") & (table["robot.a"] > -1)
-    found = failing.failure_shares(table.assign(outcome=np.where(failed, "failure", "success")), exp).set_index("axis")
+    found = failing.shapley_failure_shares(table.assign(outcome=np.where(failed, "failure", "success")), exp).set_index(
+        "axis"
+    )
     assert found.index[0] == "manoeuvre.gait"
     assert found["share"].iloc[0] > 0.7
     idle = found[found.index == "robot.b"]
@@ -112,7 +114,7 @@ def test_shares_lie_between_their_ends_and_within_0_and_1():
     """One number decides alone: its unbiased estimate may exceed 1."""
     for seed in range(8):
         u = np.random.default_rng(seed).standard_normal((128, 4))
-        found = failing.failure_shares(rows(u, u[:, 0] > 0.8), told())
+        found = failing.shapley_failure_shares(rows(u, u[:, 0] > 0.8), told())
         known = found[found["share"].notna()]
         assert ((known["low"] <= known["share"]) & (known["share"] <= known["high"])).all()
         assert known["share"].between(0, 1).all()

@@ -33,7 +33,7 @@ def test_twenty_kills_at_random_moments_leave_the_same_rows(tmp_path, whole):
             process.send_signal(signal.SIGKILL)
             process.communicate()
             kills += 1
-        if (folder / store.STUDY).exists() and store.finished_batches(folder):
+        if (folder / store.STUDY_FILE).exists() and store.finished_batches(folder):
             assert set(content(folder)["point_id"]) <= set(whole["point_id"])
             # so that there is work until the last kill
             (folder / moments.choice(store.current_parts(folder)).file).unlink(missing_ok=True)
@@ -60,7 +60,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, whole):
     _, error = process.communicate(timeout=60)
     assert process.returncode == 5
     one_line(error, "part-000000-", "cannot be written", "finished rollouts are kept, repeat the command")
-    assert not list((tmp_path / "out" / store.PARTS).iterdir())
+    assert not list((tmp_path / "out" / store.PARTS_FOLDER).iterdir())
     assert main(["run", *STUDY, f"out={tmp_path / 'out'}"]) == 0
     pd.testing.assert_frame_equal(content(tmp_path / "out"), whole)
 
@@ -142,7 +142,7 @@ def test_too_little_memory_halves_the_width_and_goes_on(tmp_path, whole, monkeyp
     )
     planned = store.read_points(out)
     pd.testing.assert_frame_equal(planned, rows[planned.columns])
-    assert "half the width" in (out / store.LOG).read_text()
+    assert "half the width" in (out / store.LOG_FILE).read_text()
     monkeypatch.setenv("FAKE_ROOM", "0")
     assert main(["run", *STUDY, f"out={tmp_path / 'none'}"]) == 5
 

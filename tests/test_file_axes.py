@@ -77,7 +77,7 @@ def test_rows_are_those_of_each_model_with_each_controller(here, capsys):
     page = Path("all/report.html").read_text()
     assert '"names":["high","low"]' in page.replace(" ", "")
     assert main(["export", "all", "--crate", "crate"]) == 0
-    code = "\n".join(crate.code_in(Path("crate")))
+    code = "\n".join(crate.list_code_files(Path("crate")))
     for name in ("gentle", "bare"):
         assert f"controller {name}:policy" in code
         assert f"{name}.py, SHA-256" in code

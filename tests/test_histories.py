@@ -29,7 +29,7 @@ def folder(fake_engine, tmp_path):
 
 
 def test_the_first_rows_of_a_study_are_kept_over_time(folder, whole):
-    kept, rows = time_series.read(folder), content(folder)
+    kept, rows = time_series.read_histories(folder), content(folder)
     assert kept.columns.to_list() == ["point_id", "time_s", "tilt_deg", "base_z_m"]
     assert kept["point_id"].unique().tolist() == rows["point_id"].iloc[:20].tolist()
     assert (kept.groupby("point_id").size() == 20).all()  # 10 s, twice a second
@@ -40,7 +40,7 @@ def test_the_first_rows_of_a_study_are_kept_over_time(folder, whole):
 
 
 def test_a_report_lays_histories_over_each_other(folder):
-    found = results.read(folder)
+    found = results.read_results(folder)
     (figure,) = time_series_plots.time_series_figure(found)
     table = figure.data
     first = table[(table["column"] == "tilt_deg") & (table["time_s"] == 0.5)]
@@ -78,7 +78,7 @@ def test_the_first_invalid_rows_keep_their_last_states(fake_engine, tmp_path):
     rows = content(tmp_path)
     broken = rows[rows["outcome"] == "invalid"]
     assert len(broken) == 17
-    entries = store.list_recordings(tmp_path, store.LAST_STATES)
+    entries = store.list_recordings(tmp_path, store.LAST_STATES_FOLDER)
     assert [e.file.split("/")[1].split("-")[0] for e in entries] == broken["point_id"].iloc[:10].tolist()
     states = store.read_part(tmp_path, entries[0])
     assert states["time_s"].iloc[0] == pytest.approx(9.004)
@@ -88,14 +88,14 @@ def test_the_first_invalid_rows_keep_their_last_states(fake_engine, tmp_path):
 
 
 def test_a_run_without_invalid_rows_simulates_nothing_twice(folder):
-    assert not store.list_recordings(folder, store.LAST_STATES)
-    assert not (folder / store.LAST_STATES).exists()
+    assert not store.list_recordings(folder, store.LAST_STATES_FOLDER)
+    assert not (folder / store.LAST_STATES_FOLDER).exists()
 
 
 def test_what_lies_beside_the_parts_counts_as_they_do(folder, capsys):
-    entry, other = store.list_recordings(folder, store.HISTORIES)[:2]
+    entry, other = store.list_recordings(folder, store.HISTORIES_FOLDER)[:2]
     (folder / entry.file).write_bytes(b"nothing")
-    (folder / store.HISTORIES / "stranger.parquet").write_bytes(b"")
+    (folder / store.HISTORIES_FOLDER / "stranger.parquet").write_bytes(b"")
     assert main(["verify", str(folder)]) == 4
     shown = capsys.readouterr()
     assert entry.file in shown.out + shown.err
@@ -103,16 +103,16 @@ def test_what_lies_beside_the_parts_counts_as_they_do(folder, capsys):
     assert main(["run", *STUDY, *KEEP, f"out={folder}"]) == 0
     assert entry.file in capsys.readouterr().err
     assert main(["verify", str(folder)]) == 0
-    assert entry not in manifest.read(folder)
-    (folder / manifest.MANIFEST).unlink()
+    assert entry not in manifest.read_manifest(folder)
+    (folder / manifest.MANIFEST_FILE).unlink()
     assert main(["run", *STUDY, *KEEP, f"out={folder}"]) == 0
-    assert other in manifest.read(folder)
+    assert other in manifest.read_manifest(folder)
 
 
 def test_relabelling_and_putting_parts_together_keep_histories(folder):
-    before = store.list_recordings(folder, store.HISTORIES)
+    before = store.list_recordings(folder, store.HISTORIES_FOLDER)
     assert main(["relabel", str(folder), "slip_max_m<0.02"]) == 0
-    assert store.list_recordings(folder, store.HISTORIES) == before
+    assert store.list_recordings(folder, store.HISTORIES_FOLDER) == before
 
 
 @pytest.mark.slow

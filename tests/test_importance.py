@@ -28,7 +28,7 @@ STUDY = [
 def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured(fake_engine, tmp_path, capsys):
     assert main([*STUDY, f"out={tmp_path}"]) == 0
     out = capsys.readouterr().out
-    found = results.read(tmp_path)
+    found = results.read_results(tmp_path)
     told = rare.estimate_failure_probability(found.rows, found.exp)
     assert isinstance(told, WeightedEstimate)
     truth = norm.cdf(-FAR)
@@ -66,7 +66,7 @@ def repeated(d, bounds, num=400, rounds=2, times=200):
     fails = [lambda u: u.sum(axis=1) / np.sqrt(d) < -bounds[0], lambda u: u[:, 0] > bounds[1]]
 
     def failed(draws):
-        return np.any([f(ndtri(draws.shares)) for f in fails], axis=0)
+        return np.any([f(ndtri(draws.quantiles)) for f in fails], axis=0)
 
     found = []
     for seed in range(times):
@@ -75,7 +75,7 @@ def repeated(d, bounds, num=400, rounds=2, times=200):
         for _ in range(rounds):
             draws = search.send(RoundSummary(failed(draws), np.zeros(num)))
         found.append(draws.columns["weight"] @ failed(draws) / num)
-        assert draws.columns["weight"].max() <= 1 / importance_sampling.PLAIN + 1e-9
+        assert draws.columns["weight"].max() <= 1 / importance_sampling.PLAIN_SHARE + 1e-9
     return np.array(found)
 
 
@@ -95,7 +95,7 @@ def test_without_a_failure_there_is_a_bound_and_one_heavy_row_is_told():
 
     design, ctx = Importance(num=300, rounds=1), DrawContext((), 0)
     none = design.estimate_failure(rows, ctx)
-    assert none.high == pytest.approx(0.01 / importance_sampling.PLAIN, rel=0.02)
+    assert none.high == pytest.approx(0.01 / importance_sampling.PLAIN_SHARE, rel=0.02)
     assert str(none).endswith("try a larger study.design.wide, more draws, or wider distributions")
     rows.loc[:9, "outcome"] = "failure"
     rows.loc[0, "axis.weight"] = 3.0

@@ -59,7 +59,7 @@ def test_a_part_that_was_judged_by_other_thresholds_is_not_taken(folder):
 
 
 def test_no_flipped_bit_is_silent_and_none_ends_in_a_traceback(folder, whole):
-    files = [folder / name for name in (store.STUDY, store.POINTS, manifest.MANIFEST)]
+    files = [folder / name for name in (store.STUDY_FILE, store.POINTS_FILE, manifest.MANIFEST_FILE)]
     files += [folder / entry.file for entry in store.current_parts(folder)]
     chance = random.Random(1)
     for _ in range(FLIPS):
@@ -78,7 +78,7 @@ def test_no_flipped_bit_is_silent_and_none_ends_in_a_traceback(folder, whole):
 @pytest.mark.parametrize("there", [0, 100])
 def test_a_line_that_is_being_written_is_no_damage(folder, there):
     """Who reads a folder takes no lock, and may come between the file and its line, or within the line."""
-    path = folder / manifest.MANIFEST
+    path = folder / manifest.MANIFEST_FILE
     lines = path.read_bytes()
     path.write_bytes(lines[:there])
     with ThreadPoolExecutor() as others:
@@ -88,23 +88,23 @@ def test_a_line_that_is_being_written_is_no_damage(folder, there):
         assert found.result() == set(range(BATCHES))
 
 
-@pytest.mark.parametrize("name", [store.STUDY, store.POINTS, manifest.MANIFEST])
+@pytest.mark.parametrize("name", [store.STUDY_FILE, store.POINTS_FILE, manifest.MANIFEST_FILE])
 @pytest.mark.parametrize("how", ["lost", "damaged"])
 def test_what_the_rest_of_a_folder_tells_is_rebuilt(folder, whole, capsys, name, how):
     path = folder / name
-    before, parts = path.read_bytes(), {p: p.stat().st_mtime_ns for p in (folder / store.PARTS).iterdir()}
+    before, parts = path.read_bytes(), {p: p.stat().st_mtime_ns for p in (folder / store.PARTS_FOLDER).iterdir()}
     path.unlink() if how == "lost" else path.write_bytes(before.replace(b"a", b"b", 1).replace(b"6", b"7", 1))
     capsys.readouterr()
     assert main(["verify", str(folder)]) == 4
-    if name != store.POINTS:
+    if name != store.POINTS_FILE:
         assert main(["table", str(folder)]) == 2
         one_line(capsys.readouterr().err, name)
     assert again(folder) == 0
     assert "no rollouts left to run" in capsys.readouterr().err
     pd.testing.assert_frame_equal(content(folder), whole)
-    assert parts == {p: p.stat().st_mtime_ns for p in (folder / store.PARTS).iterdir()}
+    assert parts == {p: p.stat().st_mtime_ns for p in (folder / store.PARTS_FOLDER).iterdir()}
     assert main(["verify", str(folder)]) == 0
-    if how == "lost" and name == store.STUDY:
+    if how == "lost" and name == store.STUDY_FILE:
         path.unlink()
         assert again(folder, "contact.stiffness=5e5") == 2
         assert again(folder, "outcome.slip_max_m=0.01") == 2
@@ -119,7 +119,7 @@ def test_strangers_are_named_and_do_not_count(folder, tmp_path, whole, capsys):
     shutil.copy(first, first.with_name("part-000099.parquet"))
     foreign = other / store.current_parts(other)[3].file
     shutil.copy(foreign, first.with_name(foreign.name))
-    (folder / store.PARTS / "notes").mkdir()
+    (folder / store.PARTS_FOLDER / "notes").mkdir()
     for command in ("table", "stats", "status", "verify"):
         assert main([command, str(folder)]) == 0
     pd.testing.assert_frame_equal(content(folder), whole)
@@ -167,15 +167,15 @@ def test_a_killed_relabelling_changes_all_rows_or_none(folder, whole, monkeypatc
     assert (rows["outcome"] == "success").equals(rows["slip_max_m"] <= 0.01)
     assert again(folder) == 0
     pd.testing.assert_frame_equal(content(folder), whole)
-    assert len(list((folder / store.PARTS).iterdir())) == BATCHES
+    assert len(list((folder / store.PARTS_FOLDER).iterdir())) == BATCHES
 
 
 def test_a_folder_of_another_format_is_refused_by_its_version(folder, capsys):
     import yaml
 
-    stored = yaml.safe_load((folder / store.STUDY).read_bytes())
+    stored = yaml.safe_load((folder / store.STUDY_FILE).read_bytes())
     del stored["format"]
-    (folder / store.STUDY).write_text(yaml.safe_dump({**stored, "labelled": True, "commit": "abc1234"}))
+    (folder / store.STUDY_FILE).write_text(yaml.safe_dump({**stored, "labelled": True, "commit": "abc1234"}))
     for command in (["table", str(folder)], ["run", *STUDY, f"out={folder}"], ["verify", str(folder)]):
         capsys.readouterr()
         assert main(command) == 2
@@ -204,7 +204,7 @@ def test_many_small_parts_become_few_when_a_run_ends(tmp_path, whole, monkeypatc
     rows = content(tmp_path)
     assert main(["run", *many]) == 0
     pd.testing.assert_frame_equal(content(tmp_path), rows)
-    assert len(list((tmp_path / store.PARTS).iterdir())) == len(store.current_parts(tmp_path)) == 1
+    assert len(list((tmp_path / store.PARTS_FOLDER).iterdir())) == len(store.current_parts(tmp_path)) == 1
     (tmp_path / store.current_parts(tmp_path)[0].file).unlink()
     assert main(["run", *many]) == 0
     pd.testing.assert_frame_equal(content(tmp_path), rows)

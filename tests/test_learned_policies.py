@@ -190,7 +190,7 @@ def test_what_the_policy_saw_is_kept_and_the_first_difference_is_named(here, cap
     asked = ["run", "study=one", "model.duration=0.2", "study.keep=[observation,action]", "study.keep_rate=50"]
     assert main([*asked, "out=a"]) == 0
     assert main([*asked, "+start.joint.lf_knee.velocity=0.001", "out=b"]) == 0
-    a, b = (time_series.read(Path(name)) for name in "ab")
+    a, b = (time_series.read_histories(Path(name)) for name in "ab")
     assert [name for name in a if name.startswith("observation_command")] == [
         f"observation_command_{one}" for one in ("velocity_x", "velocity_y", "yaw_rate")]  # fmt: skip
     assert (a["observation_command_yaw_rate"] == np.float32(0.1)).all()
@@ -222,7 +222,7 @@ def test_what_exporters_write_into_the_network_counts_unless_the_file_says_other
     }
     write_project(here, "preset: mjlab\naction: {damping: 2.5}\n", motors=True)
     save_perceptron("walk.onnx", (48, 12), **told)
-    learned = compose(["study=one"]).system.controller.learned
+    learned = compose(["study=one"]).system.controller.fitted_policy
     assert learned.joints == tuple(names)
     assert [one.spec.term for one in learned.inputs["obs"]][-2:] == ["last_action", "command"]
     np.testing.assert_array_equal(learned.scale, 0.125)

@@ -166,7 +166,9 @@ def test_how_it_is_simulated_is_an_axis(here):
     model = mujoco.MjModel.from_xml_path("hopper.xml")
     model.opt.timestep, model.opt.cone = 0.001, int(mujoco.mjtCone.mjCONE_ELLIPTIC)
     for name, kinds in (("cone", mujoco.mjtCone), ("integrator", mujoco.mjtIntegrator), ("solver", mujoco.mjtSolver)):
-        assert [one.partition("_")[2] for one in kinds.__members__] == [word.upper() for word in fields.CHOSEN[name]]
+        assert [one.partition("_")[2] for one in kinds.__members__] == [
+            word.upper() for word in fields.ENUM_OPTIONS[name]
+        ]
     changed = fields.with_options(model, {"model.option.cone": "pyramidal", "model.option.timestep": 0.004})
     assert (changed.opt.cone, changed.opt.timestep, model.opt.timestep) == (0, 0.004, 0.001)
 
@@ -181,9 +183,9 @@ def test_a_number_that_others_are_made_from_is_no_parameter(here):
 def test_an_audit_tells_robot_from_simulator(here, capsys):
     assert main(["run", "study=study.yaml", "out=whole", "study.axes.rub.values=[0.1]"]) == 0
     assert main(["audit", "whole", "--points", "3"]) == 0
-    found = audit.flip_table(results.read(Path("whole")))
+    found = audit.flip_table(results.read_results(Path("whole")))
     assert list(found["simulated"].unique()) == [
-        way.description for way in results.read(Path("whole")).exp.system.audit_variants.values()
+        way.description for way in results.read_results(Path("whole")).exp.system.audit_variants.values()
     ]
     before = store.read_rows(Path("whole")).set_index("point_id")["travelled_m"]
     moved = {}
@@ -291,7 +293,7 @@ def test_what_warp_cannot_do_is_said_before_anything_runs(here, capsys):
 def test_what_mjx_has_no_field_for_is_no_axis_of_its(here, capsys):
     """Every other field is an array of JAX's, not a constant."""
     template = mjx.mjx.put_model(mujoco.MjModel.from_xml_path("hopper.xml"))
-    varied = [one.field for kind in [*fields.VARIED.values(), fields.OPTIONS] for one in kind.values()]
+    varied = [one.field for kind in [*fields.VARIABLE_NUMBERS.values(), fields.OPTION_NUMBERS] for one in kind.values()]
     owners = {name: template.opt if name.startswith("opt.") else template for name in varied}
     lacking = {n for n, owner in owners.items() if not hasattr(getattr(owner, n.removeprefix("opt."), None), "at")}
     assert lacking == {

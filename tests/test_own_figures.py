@@ -161,13 +161,16 @@ THINGS = {"body": "ball", "geom": "h", "joint": "a", "actuator": "m", "site": "s
 def test_every_field_of_a_batch_is_a_path_or_has_a_reason_why_not():
     """A path writes the number that it names, of one rollout alone; `FIXED` has patterns for the others."""
     spec = mujoco.MjSpec.from_string(ALL)
-    model, paths = spec.copy().compile(), {f"opt.{name}" for name in (*fields.CHOSEN, *fields.COUNTED, fields.TIMESTEP)}
-    things = [(f"model.{kind}.{THINGS[kind]}", numbers) for kind, numbers in fields.VARIED.items()]
-    for thing, numbers in [*things, ("model.option", fields.OPTIONS)]:
+    model, paths = (
+        spec.copy().compile(),
+        {f"opt.{name}" for name in (*fields.ENUM_OPTIONS, *fields.ITERATION_MINIMA, fields.TIMESTEP)},
+    )
+    things = [(f"model.{kind}.{THINGS[kind]}", numbers) for kind, numbers in fields.VARIABLE_NUMBERS.items()]
+    for thing, numbers in [*things, ("model.option", fields.OPTION_NUMBERS)]:
         for name, one in numbers.items():
             usual = fields.field_values(model, one.field)
             size = usual.size if thing == "model.option" else usual[0].size
-            names = one.names or (fields.XYZ if one.compiled else [*map(str, range(size))])
+            names = one.component_names or (fields.XYZ if one.needs_compiler else [*map(str, range(size))])
             path = f"{thing}.{name}" + (f".{names[size - 1]}" if size > 1 else "")
             nominal, batch = fields.parameter(model, path).default, Batch(model, 2)
             fields.write_values(batch, {path: np.array([nominal, nominal + 0.25])}, lambda: spec)

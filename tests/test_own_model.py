@@ -69,7 +69,7 @@ def test_the_page_as_it_stands(tmp_path, monkeypatch):
     page = ["study=page", "model.controller=page:policy", "model.duration=0.1", "model.observe=[]", "out=page"]
     assert main(["run", *page]) == 0
     assert store.read_rows(Path("page"))["sway_m"].between(1e-9, 0.1).all()
-    rows = results.read(Path("results/grip")).rows
+    rows = results.read_results(Path("results/grip")).rows
     success = rows["outcome"] == "success"
     slide = rows["world.model.geom.floor.friction.slide"]
     assert success[(slide > 0.7) & (rows["world.model.body.trunk.mass"] > 5)].all()
@@ -414,7 +414,7 @@ def test_what_is_not_finite_is_invalid_and_keeps_its_last_states(here):
     rows = store.read_rows(Path("lost"))
     assert list(rows["cause"] == "not_finite") == [False, True]
     assert list(rows["outcome"])[1] == "invalid"
-    assert len(list(Path("lost", store.LAST_STATES).glob("*.parquet"))) == 1
+    assert len(list(Path("lost", store.LAST_STATES_FOLDER).glob("*.parquet"))) == 1
 
 
 def network(sizes, file, rows="n", **more):
@@ -468,7 +468,7 @@ def test_a_policy_that_was_trained_elsewhere_runs_as_it_is(here, capsys):
     assert main(["run", *noisy, "model.controller=walk.onnx", "out=trained"]) == 0
     assert main(["audit", "trained", "--points", "2", "--ways", "half_step"]) == 0
     capsys.readouterr()
-    stored = results.read(Path("trained")).exp.values["model"]["content"]
+    stored = results.read_results(Path("trained")).exp.values["model"]["content"]
     network((7, 12), "walk.onnx", rows="many")
     assert main(["run", *noisy, "model.controller=walk.onnx", "out=trained"]) == 2  # another file
     assert f"model.content is {stored} there" in capsys.readouterr().err

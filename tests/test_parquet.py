@@ -112,6 +112,6 @@ def test_all_parts_together_expand_to_no_more_than_their_size_warrants(monkeypat
 def test_a_text_of_a_replay_expands_to_a_bounded_size(monkeypatch):
     text = encode_text(bytes(1000))
     assert decode_text(text) == bytes(1000)
-    monkeypatch.setattr("sweep.core.files.MOST_DECODED", 999)
+    monkeypatch.setattr("sweep.core.files.MAX_DECODED_BYTES", 999)
     with pytest.raises(ValueError, match="expands to more than 999 bytes"):
         decode_text(text)

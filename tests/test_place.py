@@ -6,7 +6,7 @@ from small_study import STUDY, without_progress
 
 from sweep.backends import devices
 from sweep.cli.main import main
-from sweep.fused.llvm import LANES
+from sweep.fused.llvm import TILE_LANES
 from sweep.runs import store
 
 FEW, MANY = ["study.axes.friction.num=4"], ["study.axes.friction.num=5"]  # of 7 half steps
@@ -19,7 +19,7 @@ def with_a_gpu(monkeypatch, fake_engine):
     before = jax.config.jax_platforms
     jax.config.update("jax_platforms", None)
     monkeypatch.setattr(devices, "find_spec", lambda name: name == "jax_plugins")
-    monkeypatch.setattr(devices, "GPUS", "/dev/null")
+    monkeypatch.setattr(devices, "NVIDIA_DEVICE_FILES", "/dev/null")
     monkeypatch.setattr(devices, "count_cores", lambda: 2)
     monkeypatch.setattr(devices, "start_device_search", lambda: None)
     yield
@@ -41,7 +41,7 @@ def simulated_on(folder, device: str) -> None:
 
 def test_few_rollouts_go_to_the_cpu_and_a_line_says_so(tmp_path, capsys):
     few = ["run", *STUDY, *FEW]
-    assert 4 * 7 <= 2 * LANES < 5 * 7
+    assert 4 * 7 <= 2 * TILE_LANES < 5 * 7
     told = "sweep: on the CPU, where few rollouts end sooner (set JAX_PLATFORMS=cuda,cpu to use the GPU)"
     assert chosen(capsys, *few, f"out={tmp_path}") == ("cpu", told)
     assert chosen(capsys, "run", *STUDY, *MANY, f"out={tmp_path / 'many'}") == (None, "")

@@ -11,7 +11,7 @@ from small_study import one_line
 import sweep
 from sweep.cli.main import main
 from sweep.config import reference
-from sweep.config.experiment import KINDS, compose
+from sweep.config.experiment import CLASSES_BY_KIND, compose
 from sweep.core import project, provenance
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import InputError
@@ -45,8 +45,8 @@ def home(fake_engine, monkeypatch, tmp_path, request):
     assert main(["init", str(tmp_path / "lab")]) == 0
     monkeypatch.chdir(tmp_path / "lab")
     monkeypatch.setattr(sys, "path", [*sys.path])
-    for group, kinds in list(KINDS.items()):
-        monkeypatch.setitem(KINDS, group, dict(kinds))
+    for group, kinds in list(CLASSES_BY_KIND.items()):
+        monkeypatch.setitem(CLASSES_BY_KIND, group, dict(kinds))
     yield tmp_path / "lab"
     provenance.code_version.cache_clear()
     project._imported.cache_clear()
@@ -287,7 +287,7 @@ def test_parameters_are_described_where_they_are_defined(capsys):
     assert all(part in told for part in ("default: 150", "unit: N·m", "greater than 0 N·m", "(monograph 1.2.1)"))
     assert main(["describe"]) == 0
     page = capsys.readouterr().out
-    assert all(f"## {group}" in page for group in KINDS)
+    assert all(f"## {group}" in page for group in CLASSES_BY_KIND)
     assert page.count("| thigh ") == 1
     assert main(["describe", "drive.torque"]) == 2
     assert "did you mean torque_limit?" in capsys.readouterr().err

@@ -50,7 +50,7 @@ def test_what_judges_and_searches_a_plan_is_in_the_version_of_a_search(monkeypat
 
         def read(file, edited=edited):
             imports, said = real(file)
-            return imports, said + "\nvalues *= 2" * (file == provenance.ROOT / edited)
+            return imports, said + "\nvalues *= 2" * (file == provenance.SOURCE_FOLDER / edited)
 
         monkeypatch.setattr(provenance, "_read", read)
         assert provenance.search_version.__wrapped__() != version, edited
@@ -58,9 +58,9 @@ def test_what_judges_and_searches_a_plan_is_in_the_version_of_a_search(monkeypat
 
 def test_every_module_that_a_worker_runs_is_in_the_version_of_the_code(monkeypatch):
     loaded = subprocess.run([sys.executable, "-c", WORKER], check=True, capture_output=True, text=True).stdout.split()
-    sources = provenance.list_source_files(provenance.WORKER)
+    sources = provenance.list_source_files(provenance.WORKER_MODULES)
     assert {Path(file) for file in loaded if not file.endswith("conf/__init__.py")} <= set(sources)
-    named = {file.relative_to(provenance.ROOT).as_posix() for file in sources}
+    named = {file.relative_to(provenance.SOURCE_FOLDER).as_posix() for file in sources}
     assert {"study/study.py", "study/point_ids.py", "runs/batches.py", "study/clusters.py"} <= named
     assert {
         "systems/hexapod/__init__.py",
@@ -98,7 +98,7 @@ def test_what_sources_say_is_read_again_without_being_parsed(tmp_path, monkeypat
         subprocess.run([sys.executable, "-c", AGAIN], check=True, capture_output=True, text=True).stdout.split()
         for _ in range(2)
     )
-    assert first == [provenance.code_version(), str(len(provenance.list_source_files(provenance.WORKER)))]
+    assert first == [provenance.code_version(), str(len(provenance.list_source_files(provenance.WORKER_MODULES)))]
     assert again == [first[0], "0"]
 
 
@@ -127,7 +127,7 @@ def test_a_commit_is_marked_where_what_makes_rows_differs(tmp_path, monkeypatch)
     git = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@example.org"]
     for words in (["init", "-q"], ["add", "."], ["commit", "-qm", "a"]):
         subprocess.run([*git, *words], check=True)
-    monkeypatch.setattr(provenance, "ROOT", tmp_path / "sweep")
+    monkeypatch.setattr(provenance, "PACKAGE_FOLDER", tmp_path / "sweep")
     plain = provenance.find_commit.__wrapped__()
     assert len(plain) == 12
     (tmp_path / "research/data.json").write_text("2\n")

@@ -10,7 +10,7 @@ import sweep.engines
 from sweep.cli.main import main
 from sweep.config.experiment import build_experiment, compose
 from sweep.runs import refine, store
-from sweep.runs.refine import FAILS, MISSING, SUCCEEDS, bisect_cells, fill_cells, leaf_cells
+from sweep.runs.refine import FAILURE_LABEL, MISSING_LABEL, SUCCESS_LABEL, bisect_cells, fill_cells, leaf_cells
 
 FRICTION = "study.axes.friction={path: contact.friction, side: world, from: 0.05, to: 1.2, num: 9}"
 STEP = "study.axes.step={path: manoeuvre.half_step_ratio, from: 0.03, to: 0.2, num: 9}"
@@ -19,21 +19,21 @@ AXES = ["study=walk_map", "study.expect=[]", FRICTION, STEP]
 
 def explored(truth, halvings):
     """The points that bisection asks for, told the truth round by round."""
-    label = np.full(truth.shape, MISSING)
-    while ((wanted := bisect_cells(label, halvings)) & (label == MISSING)).any():
+    label = np.full(truth.shape, MISSING_LABEL)
+    while ((wanted := bisect_cells(label, halvings)) & (label == MISSING_LABEL)).any():
         label[wanted] = truth[wanted]
     return label
 
 
 def disc(n):
     x, y = np.meshgrid(*[np.linspace(0, 1, n)] * 2, indexing="ij")
-    return np.where((x - 0.4) ** 2 + (y - 0.55) ** 2 < 0.09, SUCCEEDS, FAILS)
+    return np.where((x - 0.4) ** 2 + (y - 0.55) ** 2 < 0.09, SUCCESS_LABEL, FAILURE_LABEL)
 
 
 def test_bisection_finds_a_disc_with_ten_times_fewer_points():
     truth = disc(129)
     label = explored(truth, 4)
-    assert (label != MISSING).sum() < truth.size / 10
+    assert (label != MISSING_LABEL).sum() < truth.size / 10
     assert (fill_cells(label, 4) == truth).all()
 
 
@@ -51,28 +51,28 @@ def test_the_cells_that_are_left_tile_the_map_and_only_the_smallest_disagree():
 
 
 def test_a_strip_that_leaves_a_cell_through_its_side_is_followed():
-    truth = np.full((65, 65), FAILS)
-    truth[20:23] = SUCCEEDS  # thinner than a cell of the first grid: seen only where it is met
-    truth[16:33, 14:18] = SUCCEEDS  # it joins the strip, and meets two points of the first grid
+    truth = np.full((65, 65), FAILURE_LABEL)
+    truth[20:23] = SUCCESS_LABEL  # thinner than a cell of the first grid: seen only where it is met
+    truth[16:33, 14:18] = SUCCESS_LABEL  # it joins the strip, and meets two points of the first grid
     label = explored(truth, 4)
     assert (fill_cells(label, 4) == truth).all()
 
 
 def test_a_boundary_in_three_dimensions_and_along_one():
     x, y, z = np.meshgrid(*[np.arange(33)] * 3, indexing="ij")
-    truth = np.where(x + 2 * y + z < 60, SUCCEEDS, FAILS)
+    truth = np.where(x + 2 * y + z < 60, SUCCESS_LABEL, FAILURE_LABEL)
     label = explored(truth, 3)
     assert (fill_cells(label, 3) == truth).all()
-    assert (label != MISSING).mean() < 0.5
-    line = np.where(np.arange(1025) < 300, SUCCEEDS, FAILS)
+    assert (label != MISSING_LABEL).mean() < 0.5
+    line = np.where(np.arange(1025) < 300, SUCCESS_LABEL, FAILURE_LABEL)
     label = explored(line, 10)
-    assert (label != MISSING).sum() == 2 + 10
+    assert (label != MISSING_LABEL).sum() == 2 + 10
     assert (fill_cells(label, 10) == line).all()
 
 
 def test_what_the_first_grid_does_not_meet_is_an_island_that_the_audit_can_meet():
     truth = disc(129)
-    truth[1:15, 1:15] = SUCCEEDS
+    truth[1:15, 1:15] = SUCCESS_LABEL
     label = explored(truth, 4)
     wrong = fill_cells(label, 4) != truth
     assert 0 < wrong.mean() < 14 * 14 / 129**2 + 1e-9
@@ -88,7 +88,7 @@ def counted(monkeypatch):
             widths.append(settings.width)
             super().__init__(settings, *others)
 
-    monkeypatch.setattr(sweep.engines, "make", Counting)
+    monkeypatch.setattr(sweep.engines, "make_engine", Counting)
     return widths
 
 
@@ -99,9 +99,9 @@ def test_a_refined_map_is_the_grid_with_ten_times_fewer_rollouts(tmp_path, capsy
     rows = store.read_rows(tmp_path)
     exp = build_experiment(store.read_study(tmp_path)["config"])
     (found,) = refine.summarize_panels(exp, rows)
-    assert found.grid.shape == (129, 129)
-    friction, ratio = np.meshgrid(*found.grid.values, indexing="ij")
-    truth = np.where(friction < 5 * ratio, FAILS, SUCCEEDS)
+    assert found.lattice.shape == (129, 129)
+    friction, ratio = np.meshgrid(*found.lattice.values, indexing="ij")
+    truth = np.where(friction < 5 * ratio, FAILURE_LABEL, SUCCESS_LABEL)
     assert (found.labels == truth).all()
     assert found.rollouts < 129**2 / 10
     assert found.audited == 200
@@ -114,7 +114,7 @@ def test_a_refined_map_is_the_grid_with_ten_times_fewer_rollouts(tmp_path, capsy
     )
     assert len(counted) == 1
     assert main(["stats", str(tmp_path)]) == 0
-    share = (truth == SUCCEEDS).mean()
+    share = (truth == SUCCESS_LABEL).mean()
     assert f"{100 * share:.0f}." in capsys.readouterr().out.split("grid's volume that succeeds")[1].split("%")[0]
     assert main(["run", *AXES, *refining, f"out={tmp_path}"]) == 0  # nothing is left to run
     assert len(store.read_rows(tmp_path)) == len(rows)
@@ -130,11 +130,11 @@ def test_the_walking_map_is_its_whole_grid_with_ten_times_fewer_rollouts(tmp_pat
     exp = build_experiment(store.read_study(tmp_path / "refined")["config"])
     (found,) = refine.summarize_panels(exp, store.read_rows(tmp_path / "refined"))
     grid = store.read_rows(tmp_path / "whole")
-    outcome = np.full(found.grid.shape, "missing", dtype=object)
-    outcome[found.grid.indices(grid)] = grid["outcome"]
+    outcome = np.full(found.lattice.shape, "missing", dtype=object)
+    outcome[found.lattice.indices(grid)] = grid["outcome"]
     assert found.rollouts < outcome.size / 10
     assert (found.audited, found.missed) == (200, 0)
-    wrong = (found.labels == SUCCEEDS) != (outcome == "success")
+    wrong = (found.labels == SUCCESS_LABEL) != (outcome == "success")
     near = [binary_dilation(outcome == word, np.ones((3, 3))) for word in ("success", "failure")]
     assert not wrong[~(near[0] & near[1]) & (outcome != "invalid")].any()  # the boundary is within one cell
 
@@ -184,7 +184,7 @@ def test_noisy_points_get_rollouts_until_decided_or_the_budget_is_spent(tmp_path
     assert spent[[0.25, 0.35]].min() > 200
     exp = build_experiment(store.read_study(tmp_path)["config"])
     (found,) = refine.summarize_panels(exp, rows)
-    assert found.labels.tolist() == [SUCCEEDS] * 3 + [FAILS] * 7
+    assert found.labels.tolist() == [SUCCESS_LABEL] * 3 + [FAILURE_LABEL] * 7
     assert found.undecided == 0
     assert main(["run", *NOISY, "study.level=0.7", "study.budget=210", f"out={tmp_path / 'small'}"]) == 0
     assert len(store.read_rows(tmp_path / "small")) == 210

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from sweep.analysis import screening, sensitivity
-from sweep.analysis.stats import rates
+from sweep.analysis.stats import success_rates
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.report.statistics import statistics_sections
@@ -185,7 +185,7 @@ def test_sobol_indices_are_those_of_a_known_function(study):
 
 def test_cells_count_invalid_rows_apart():
     rows = pd.DataFrame({"x": [0, 0, 0, 1], "outcome": ["success", "failure", "invalid", "invalid"]})
-    found = rates(rows, ["x"])
+    found = success_rates(rows, ["x"])
     assert found[["total", "invalid", "success"]].to_numpy().tolist() == [[3, 1, 1], [1, 1, 0]]
     assert found["share"].tolist()[0] == 0.5
     assert np.isnan(found["share"][1])
@@ -239,17 +239,17 @@ def test_a_number_is_printed_once_and_an_index_with_its_error(study):
     sections = dict(statistics_sections(rows, exp))
     assert "95 % interval" in sections["Rate of success"]
     assert not [title for title in sections if title.startswith("Share of the draws")]
-    assert 0 < (rows["outcome"] == "success").sum() < sensitivity.MIN_RARER
+    assert 0 < (rows["outcome"] == "success").sum() < sensitivity.MIN_RARER_OUTCOMES
     assert sections["First Sobol indices (RBD-FAST) of success"].startswith("not shown, as no error holds")
 
 
 def test_a_parameter_without_influence_exceeds_the_index_by_chance_in_few_studies(study):
     """Ranks of an idle parameter are a random order of the values, whatever the values are."""
     values, rng, beyond = np.arange(128.0), np.random.default_rng(0), 0
-    bound, slices = screening._median_by_chance(values), np.arange(128) * screening.SLICES // 128
+    bound, slices = screening._median_by_chance(values), np.arange(128) * screening.PAWN_SLICES // 128
     for _ in range(4000):
         order = rng.permutation(slices)
         every = np.arange(1, 129) / 128
-        within = [np.cumsum(order == k) / (order == k).sum() for k in range(screening.SLICES)]
+        within = [np.cumsum(order == k) / (order == k).sum() for k in range(screening.PAWN_SLICES)]
         beyond += np.median([np.abs(one - every).max() for one in within]) > bound
     assert beyond <= 0.06 * 4000

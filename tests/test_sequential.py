@@ -3,7 +3,7 @@ import pandas as pd
 import pytest
 
 from sweep.analysis import sequential
-from sweep.analysis.compare import SECOND
+from sweep.analysis.compare import SECOND_RUN_MARK
 from sweep.cli.main import main
 from sweep.runs import store
 
@@ -20,7 +20,7 @@ def pairs(kinds):
     """A pair for each letter: both succeed, lost, gained, none succeeds, invalid."""
     first = {"b": "success", "l": "success", "g": "failure", "n": "failure", "i": "invalid"}
     second = {"b": "success", "l": "failure", "g": "success", "n": "failure", "i": "success"}
-    columns = {"outcome": [first[k] for k in kinds], f"outcome{SECOND}": [second[k] for k in kinds]}
+    columns = {"outcome": [first[k] for k in kinds], f"outcome{SECOND_RUN_MARK}": [second[k] for k in kinds]}
     return pd.DataFrame({"replicate": range(len(kinds)), **columns})
 
 
@@ -40,13 +40,13 @@ def test_it_is_a_martingale():
 
 def test_it_stops_at_the_first_pair_that_decides():
     found = sequential.sequential_test(pairs("bblinlbllillnlll" + "ggg"))
-    assert found.decided
+    assert found.is_decided
     assert (found.lost, found.gained) == (7, 0)  # 26.8; six in a row are 14.4
-    assert (found.pairs, found.invalid, found.left) == (12, 2, 5)
-    assert found.pairs + found.invalid + found.left == len("bblinlbllillnlll" + "ggg")
+    assert (found.pairs, found.invalid, found.unused_pairs) == (12, 2, 5)
+    assert found.pairs + found.invalid + found.unused_pairs == len("bblinlbllillnlll" + "ggg")
     shuffled = pairs("bblinlbllillnlll" + "ggg").sample(frac=1, random_state=0)
     assert sequential.sequential_test(shuffled) == found  # in the order of the draws
-    assert not sequential.sequential_test(pairs("bblg")).decided
+    assert not sequential.sequential_test(pairs("bblg")).is_decided
     assert "none of 2 pairs is valid" in str(sequential.sequential_test(pairs("ii")))
 
 
@@ -57,7 +57,7 @@ def test_the_size_of_a_test_looked_at_once():
     size = round(sequential.fixed_sample_size(0.12, 0.05))
     kinds = np.random.default_rng(0).multinomial(size, [0.12, 0.05, 0.83], 4000)
     p = 2 * binom.cdf(kinds[:, :2].min(axis=1), kinds[:, :2].sum(axis=1), 0.5)
-    assert np.mean(p <= 0.05) == pytest.approx(sequential.POWER, abs=0.04)  # the exact test is a little weaker
+    assert np.mean(p <= 0.05) == pytest.approx(sequential.TEST_POWER, abs=0.04)  # the exact test is a little weaker
 
 
 def test_two_studies_grow_until_it_is_decided(fake_engine, tmp_path, monkeypatch, capsys):

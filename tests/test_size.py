@@ -99,7 +99,7 @@ def test_a_parquet_table_has_one_type_where_parts_lack_a_column(tmp_path):
     entries = [
         store.write_part(folder, rows, part.study, part.labels) for rows, part in zip(counted, parts, strict=True)
     ]
-    manifest.rewrite(folder, [*(one for one in manifest.read(folder) if one not in parts), *entries])
+    manifest.rewrite_manifest(folder, [*(one for one in manifest.read_manifest(folder) if one not in parts), *entries])
     assert main(["table", str(folder), "--format", "parquet", "-o", str(tmp_path / "rows.parquet")]) == 0
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "rows.parquet"), store.read_rows(folder))
 
@@ -111,7 +111,7 @@ def test_a_folder_whose_parts_are_merged_while_it_is_read_gives_each_row_once(tm
     first = next(found)
     merged = store.pa.concat_tables([store.read_table(folder, part) for part in parts], promote_options="permissive")
     entry = store.write_table(folder, merged, parts[0].study, parts[0].labels)
-    manifest.rewrite(folder, [*(one for one in manifest.read(folder) if one not in parts), entry])
+    manifest.rewrite_manifest(folder, [*(one for one in manifest.read_manifest(folder) if one not in parts), entry])
     for part in parts:
         (folder / part.file).unlink()
     again = store.pa.concat_tables([first, *found], promote_options="permissive").to_pandas()
@@ -119,7 +119,7 @@ def test_a_folder_whose_parts_are_merged_while_it_is_read_gives_each_row_once(tm
 
 
 def test_the_bodies_of_many_points_are_checked_by_one_compiled_program(monkeypatch, caplog):
-    monkeypatch.setattr(hexapod, "CHECKED", 4)
+    monkeypatch.setattr(hexapod, "ROWS_PER_CHECK", 4)
     mass = "+study.axes.mass={path: robot.body_mass, relative: 0.1}"
     exp = compose(["scenario=walk_tripod", "study.design.num=20", mass])
     with jax.log_compiles():

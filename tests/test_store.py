@@ -16,10 +16,10 @@ def test_same_command_gives_the_same_files(tmp_path):
         assert main(["run", *STUDY, f"out={tmp_path / name}"]) == 0
     pd.testing.assert_frame_equal(content(tmp_path / "a"), content(tmp_path / "b"))
     assert len(content(tmp_path / "a")) == 56
-    assert (tmp_path / "a" / store.POINTS).read_bytes() == (tmp_path / "b" / store.POINTS).read_bytes()
-    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "a" / store.PARTS).iterdir()}
+    assert (tmp_path / "a" / store.POINTS_FILE).read_bytes() == (tmp_path / "b" / store.POINTS_FILE).read_bytes()
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "a" / store.PARTS_FOLDER).iterdir()}
     assert main(["run", *STUDY, f"out={tmp_path / 'a'}"]) == 0  # nothing is missing: nothing is written
-    assert before == {p: p.stat().st_mtime_ns for p in (tmp_path / "a" / store.PARTS).iterdir()}
+    assert before == {p: p.stat().st_mtime_ns for p in (tmp_path / "a" / store.PARTS_FOLDER).iterdir()}
 
 
 def test_a_killed_run_restarted_gives_what_an_uninterrupted_one_gives(tmp_path, whole):

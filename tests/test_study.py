@@ -4,7 +4,7 @@ import pytest
 
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.core.expressions import mask
+from sweep.core.expressions import condition_mask
 from sweep.core.parameters import InputError
 from sweep.runs.batches import assign_batches, make_batch, make_nominal_batch, with_delay_buffer
 from sweep.runs.runner import select_points
@@ -84,7 +84,7 @@ ABSURD = [
 def test_an_absurd_condition_is_one_short_line(where):
     frame = pd.DataFrame({"friction": [1.0, 2.0], "outcome": ["success", "failure"]})
     with pytest.raises(InputError) as error:
-        mask(frame, where)
+        condition_mask(frame, where)
     assert "\n" not in str(error.value)
     assert len(str(error.value)) < 1000
 
@@ -191,12 +191,12 @@ def test_a_step_longer_than_contacts_relax_is_refused(overrides):
 
 def test_conditions_select_rows_and_run_no_code():
     _, table = table_of("study=walk_map")
-    assert mask(table, "friction > 1 and not half_step_ratio < 0.1").sum() == 6 * 10
-    assert mask(table, "world.contact.friction in [0.05, 1.2] or replicate == 1").sum() == 2 * 17
-    assert mask(table, None).all()
+    assert condition_mask(table, "friction > 1 and not half_step_ratio < 0.1").sum() == 6 * 10
+    assert condition_mask(table, "world.contact.friction in [0.05, 1.2] or replicate == 1").sum() == 2 * 17
+    assert condition_mask(table, None).all()
     for condition in ("__import__('os').system('x')", "friction.max()", "frction > 1", "friction >", "friction > 'a'"):
         with pytest.raises(InputError):
-            mask(table, condition)
+            condition_mask(table, condition)
 
 
 def test_limit_and_where_choose_points_of_a_study():

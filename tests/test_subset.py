@@ -24,7 +24,7 @@ leading = pytest.mark.parametrize("fake_engine", [LeadingEngine], indirect=True)
 def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured_in_parts_or_not(fake_engine, tmp_path, capsys):
     assert main([*STUDY, f"out={tmp_path / 'a'}"]) == 0
     out = capsys.readouterr().out
-    found = results.read(tmp_path / "a")
+    found = results.read_results(tmp_path / "a")
     told = rare.estimate_failure_probability(found.rows, found.exp)
     assert isinstance(told, SubsetEstimate)
     low, high = told.interval
@@ -44,7 +44,7 @@ def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured_in_parts
     assert main([*STUDY, f"out={tmp_path / 'b'}", "study.design.num=300"]) == 2  # drawn otherwise
     # a stricter limit of what leads is on the way to the other
     assert main([*STUDY, f"out={tmp_path / 'b'}", "outcome.tilt_max_deg=15"]) == 0
-    stricter = results.read(tmp_path / "b")
+    stricter = results.read_results(tmp_path / "b")
     low, high = rare.estimate_failure_probability(stricter.rows, stricter.exp).interval
     assert low < norm.cdf(-FAR / 2) < high
     assert len(stricter.rows) == len(found.rows)
@@ -58,7 +58,7 @@ def test_a_margin_that_does_not_lead_is_told_and_another_lead_may_do(fake_engine
     # what is drawn is a column, too
     lead = "study.design.lead=friction + body_mass / 10"
     assert main([*STUDY, lead, f"out={tmp_path / 'sum'}"]) == 0
-    found = results.read(tmp_path / "sum")
+    found = results.read_results(tmp_path / "sum")
     low, high = rare.estimate_failure_probability(found.rows, found.exp).interval
     assert low < norm.cdf(-FAR) < high
 
@@ -80,7 +80,7 @@ def searched(fails, d, plan, runs, seed):
     draws = next(search)
     try:
         while True:
-            margin = fails(ndtri(draws.shares))
+            margin = fails(ndtri(draws.quantiles))
             draws = search.send(RoundSummary(margin < 0, margin))
     except StopIteration as end:
         return SubsetEstimate(plan.target, tuple(end.value))

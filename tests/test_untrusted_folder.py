@@ -13,7 +13,7 @@ from sweep.api import load
 from sweep.cli.main import main
 from sweep.core import files
 from sweep.core.errors import InputError
-from sweep.core.files import path_in
+from sweep.core.files import path_inside_folder
 from sweep.runs import manifest, store
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
@@ -30,7 +30,7 @@ def sound(tmp_path_factory):
 
     out = tmp_path_factory.mktemp("sound") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sweep.engines, "make", FakeEngine)
+        patch.setattr(sweep.engines, "make_engine", FakeEngine)
         batches.forget_engine()
         assert main(["run", *STUDY, f"out={out}"]) == 0
         batches.forget_engine()
@@ -66,7 +66,7 @@ def test_a_manifest_names_files_of_the_folder_only(folder, secret, capsys, name,
     name = name.format(secret=secret)
     entry = dataclasses.replace(store.current_parts(folder)[0], file=name, length=len(SECRET), labels="others")
     manifest_line = manifest.format_line(entry if place == "part" else dataclasses.replace(entry, batches=()))
-    with (folder / manifest.MANIFEST).open("a") as file:
+    with (folder / manifest.MANIFEST_FILE).open("a") as file:
         file.write(f"{manifest_line}\n")
     for command in commands(folder):
         capsys.readouterr()
@@ -84,12 +84,13 @@ def test_a_manifest_line_with_values_of_other_types_is_one_line(folder, capsys):
     good = dataclasses.asdict(store.current_parts(folder)[0])
     for change in ({"file": 3}, {"batches": ["0"]}, {"length": None}, {"more": 1}):
         text = manifest.json.dumps({**good, **change})
-        (folder / manifest.MANIFEST).write_text(f"{manifest.files.digest(text.encode())[:16]} {text}\n")
+        (folder / manifest.MANIFEST_FILE).write_text(f"{manifest.files.digest(text.encode())[:16]} {text}\n")
         assert main(["table", str(folder)]) == 2
         one_line(capsys.readouterr().err, "manifest.txt, line 1 is no entry")
 
 
-@pytest.mark.parametrize("name", [store.STUDY, store.POINTS, manifest.MANIFEST, store.LOG, store.LOCK, "report.html",
+@pytest.mark.parametrize("name", [store.STUDY_FILE, store.POINTS_FILE, manifest.MANIFEST_FILE, store.LOG_FILE,
+                                  store.LOCK_FILE, "report.html",
                                   "parts", "part"])  # fmt: skip
 def test_a_link_that_leads_out_of_the_folder_is_not_followed(folder, secret, capsys, name):
     path = folder / (store.current_parts(folder)[0].file if name == "part" else name)
@@ -107,7 +108,7 @@ def test_a_link_that_leads_out_of_the_folder_is_not_followed(folder, secret, cap
         capsys.readouterr()
         code = main(command)
         assert {file: file.read_bytes() for file in kept} == kept, command
-        reads = {store.LOG: ("report",), store.LOCK: ("relabel", "run"),
+        reads = {store.LOG_FILE: ("report",), store.LOCK_FILE: ("relabel", "run"),
                  "report.html": ("report",)}.get(name)  # fmt: skip
         if command[0] in (reads or ("table", "run", "relabel")) and "--paper" not in command:
             assert code == 2, command
@@ -117,7 +118,7 @@ def test_a_link_that_leads_out_of_the_folder_is_not_followed(folder, secret, cap
 
 
 def test_a_pipe_in_a_folder_is_refused_and_not_waited_for(folder, capsys):
-    for name in (store.POINTS, store.current_parts(folder)[0].file):
+    for name in (store.POINTS_FILE, store.current_parts(folder)[0].file):
         content = (folder / name).read_bytes()
         (folder / name).unlink()
         os.mkfifo(folder / name)
@@ -131,28 +132,28 @@ def test_a_path_in_a_folder_may_be_new_and_is_no_link(tmp_path):
     (tmp_path / "here").mkdir()
     (tmp_path / "link").symlink_to("here")
     (tmp_path / "ring").symlink_to("ring")
-    assert path_in(tmp_path, "here/new") == tmp_path / "here/new"
+    assert path_inside_folder(tmp_path, "here/new") == tmp_path / "here/new"
     for name in ("", "/etc/passwd", "here/../../x", "..", "link/new", "link", "ring", "n" * 300):
         with pytest.raises(InputError):
-            path_in(tmp_path, name)
+            path_inside_folder(tmp_path, name)
 
 
 def test_nothing_is_written_through_a_hard_link_or_a_prepared_temporary_name(folder, secret, monkeypatch):
     elsewhere = {}
-    for name in (store.LOG, manifest.MANIFEST, store.LOCK):
+    for name in (store.LOG_FILE, manifest.MANIFEST_FILE, store.LOCK_FILE):
         other = folder.parent / f"elsewhere-{name}"
         other.write_bytes((folder / name).read_bytes() or SECRET)
         (folder / name).unlink()
         os.link(other, folder / name)
         elsewhere[other] = other.read_bytes()
     monkeypatch.setattr(files.socket, "gethostname", lambda: "host")
-    (folder / f"{files.HIDDEN}host-{os.getpid()}-{store.STUDY}").symlink_to(secret)
+    (folder / f"{files.UNFINISHED_PREFIX}host-{os.getpid()}-{store.STUDY_FILE}").symlink_to(secret)
     for command in (["relabel", str(folder), "slip_max_m<0.011"], ["run", *STUDY, f"out={folder}"]):
         assert main(command) == 0
-    store.log(folder, "one line more")
+    store.append_to_log(folder, "one line more")
     assert {file: file.read_bytes() for file in elsewhere} == elsewhere
     assert secret.read_bytes() == SECRET
-    assert (folder / store.LOG).read_text().endswith(" one line more\n")
+    assert (folder / store.LOG_FILE).read_text().endswith(" one line more\n")
 
 
 @pytest.mark.parametrize(
@@ -188,7 +189,7 @@ def test_a_study_file_with_values_of_other_types_is_one_line(folder, capsys, pat
 @pytest.mark.parametrize("name", ["parts/a\nb.parquet", "parts/\x1b[2J", f"parts/{'n' * 5000}", "parts/./x", "parts/ü"])
 def test_a_manifest_names_files_by_plain_words(folder, capsys, name):
     entry = dataclasses.replace(store.current_parts(folder)[0], file=name)
-    (folder / manifest.MANIFEST).write_text(f"{manifest.format_line(entry)}\n")
+    (folder / manifest.MANIFEST_FILE).write_text(f"{manifest.format_line(entry)}\n")
     assert main(["table", str(folder)]) == 2
     error = capsys.readouterr().err
     one_line(error, "manifest.txt, line 1 names")
@@ -218,13 +219,13 @@ def test_a_replay_puts_no_markup_into_a_page(folder, capsys):
 
 def forged(folder, change):
     """The folder with the rows of its first part changed, and a manifest that vouches for them."""
-    entries = manifest.read(folder)
+    entries = manifest.read_manifest(folder)
     part = store.current_parts(folder)[0]
     rows = change(store.read_part(folder, part))
-    manifest.rewrite(folder, [one for one in entries if one != part])
+    manifest.rewrite_manifest(folder, [one for one in entries if one != part])
     (folder / part.file).unlink()
     made = store.write_part(folder, rows, part.study, part.labels)
-    manifest.add(folder, dataclasses.replace(made, batches=part.batches))
+    manifest.append_entries(folder, dataclasses.replace(made, batches=part.batches))
 
 
 @pytest.mark.parametrize(
@@ -259,7 +260,7 @@ def test_words_that_a_spreadsheet_computes_are_refused(folder, capsys):
 
 def test_verify_counts_planned_rollouts_that_are_not_there(folder, capsys):
     part = store.current_parts(folder)[2]
-    manifest.rewrite(folder, [one for one in manifest.read(folder) if one != part])
+    manifest.rewrite_manifest(folder, [one for one in manifest.read_manifest(folder) if one != part])
     (folder / part.file).unlink()
     assert main(["verify", str(folder)]) == 0
     assert "48 of 56 planned rollouts are there" in capsys.readouterr().out
@@ -336,10 +337,10 @@ def test_names_of_files_are_printed_without_commands_to_a_terminal(folder, capsy
     assert f"{shown} is not in manifest.txt" in capsys.readouterr().out
     assert main(["run", *STUDY, f"out={folder}"]) == 0
     assert f"{shown} does not belong to this study" in capsys.readouterr().err
-    assert f"{shown} does not belong" in (folder / store.LOG).read_text()
+    assert f"{shown} does not belong" in (folder / store.LOG_FILE).read_text()
 
 
-@pytest.mark.parametrize("name", [store.STUDY, manifest.MANIFEST, store.LOG, "replay"])
+@pytest.mark.parametrize("name", [store.STUDY_FILE, manifest.MANIFEST_FILE, store.LOG_FILE, "replay"])
 def test_a_file_with_a_hole_of_gigabytes_is_not_read(folder, capsys, name):
     row = store.read_rows(folder).iloc[0]
     path = folder / (f"replays/{row['run_id']}-{row['point_id']}.json" if name == "replay" else name)

@@ -69,7 +69,7 @@ def test_prints_of_a_policy_go_to_the_log_once(project, capfd):
 
 
 def test_a_policy_that_does_not_return_is_reported(project, monkeypatch, capfd):
-    monkeypatch.setattr(user_code, "SILENCE", 0.5)
+    monkeypatch.setattr(user_code, "FIRST_REPORT_AFTER_S", 0.5)
     slow = LATE.replace("else deep(seen)", "else wait(seen)").replace("def deep", "def wait")
     slow = slow.replace('raise ValueError("no way\\nat all")', "import time; time.sleep(0.1); return np.zeros((64, 1))")
     assert main(project("slow", slow.replace("0.1)", "1.5 * (seen[0, 0] > -0.1))"))) == 0

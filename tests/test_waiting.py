@@ -10,27 +10,27 @@ from sweep.core import files, progress
 
 def test_a_wait_in_a_pipe_is_told_and_remembered(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(progress, "FIRST", 0.05)
+    monkeypatch.setattr(progress, "FIRST_LINE_AFTER_S", 0.05)
     assert progress.format_last_duration("walk for mjx") == ""
     progress.remember_duration("walk for mjx", 17.2)
-    with progress.show_wait(f"compiling walk for mjx{progress.format_last_duration('walk for mjx')}"):
+    with progress.show_elapsed_time(f"compiling walk for mjx{progress.format_last_duration('walk for mjx')}"):
         time.sleep(0.3)
     out, err = capsys.readouterr()
     assert not out
     assert err == "sweep: compiling walk for mjx (17 s last time), 0 s\n"
-    with progress.show_wait("short"):
+    with progress.show_elapsed_time("short"):
         pass
     assert not capsys.readouterr().err
 
 
 def test_which_program_is_compiled_is_told_with_what_it_took_last_time(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(progress, "WORTH", 0.0)
-    with progress.timed_part("plan"), progress.timed_part("closed loop"):
+    monkeypatch.setattr(progress, "MIN_STORED_DURATION_S", 0.0)
+    with progress.time_part("plan"), progress.time_part("closed loop"):
         assert progress.format_running_parts("ladder for mjx") == ": plan for 0 s and closed loop for 0 s"
         time.sleep(0.1)
     progress.remember_duration("ladder for mjx", 50.0)
-    with progress.timed_part("plan"):
+    with progress.time_part("plan"):
         assert progress.format_running_parts("ladder for mjx") == ": plan for 0 s (0 s last time)"
         assert progress.format_running_parts("walk for mjx") == ": plan for 0 s"
     assert progress.format_running_parts("ladder for mjx") == ""

@@ -9,7 +9,7 @@ import numpy as np
 
 from sweep.config.experiment import compose
 from sweep.contract.engine import Trace
-from sweep.engines import make
+from sweep.engines import make_engine
 from sweep.engines.batching import require_trace
 from sweep.metrics.outcome import classify
 from validity.tables import short
@@ -31,7 +31,7 @@ def _row(name: str, engine: str) -> dict[str, Any]:
     exp = compose([f"scenario={name}", f"engine={engine}", "engine.precision=float64", f"engine.width={ROWS}"])
     draws = np.concatenate([[0.0], np.random.default_rng(0).uniform(-1, 1, ROWS - 1)])
     robot = replace(exp.case.robot, body_mass=exp.case.robot.body_mass * (1 + PART * draws))
-    made = make(exp.settings, exp.case, exp.case, exp.thresholds)
+    made = make_engine(exp.settings, exp.case, exp.case, exp.thresholds)
     found = made.traces(replace(exp.case, robot=robot), exp.case, np.zeros(ROWS, int), EVERY)
     traces = [require_trace(trace) for trace in found]
     figures = {key: np.asarray([trace.metrics[key] for trace in traces]) for key in traces[0].metrics}

@@ -130,7 +130,7 @@ def _patches() -> Iterator[Any]:
         along = velocity - velocity.dot(geometry.normal) * geometry.normal
         velocity = velocity - (1 - unless("tangential damping with the wrong sign", -1.0)) * along
         geometry = geometry._replace(
-            limit=unless("the cone 2 % too wide", 1.02) * geometry.limit,
+            friction=unless("the cone 2 % too wide", 1.02) * geometry.friction,
             depth=unless("half the contact's stiffness", 0.5) * geometry.depth,
         )
         found = right["contact_forces"](law, geometry, velocity)
@@ -175,12 +175,12 @@ def _patches() -> Iterator[Any]:
 def _pyramid(right: Callable[..., contacts.ContactForces], law, geometry, velocity) -> contacts.ContactForces:
     """Friction is limited along two axes each, not in size."""
     forces = right(law, geometry, velocity)
-    free = right(law, geometry._replace(limit=1e6 * jnp.ones_like(geometry.limit)), velocity)
-    n, x = geometry.normal, jnp.ones_like(geometry.limit)
+    free = right(law, geometry._replace(friction=1e6 * jnp.ones_like(geometry.friction)), velocity)
+    n, x = geometry.normal, jnp.ones_like(geometry.friction)
     one = Vector(x, 0 * x, 0 * x)
     one = one - one.dot(n) * n
     one = (1 / jnp.sqrt(one.dot(one))) * one
-    other, most = n.cross(one), geometry.limit * forces.normal
+    other, most = n.cross(one), geometry.friction * forces.normal
     parts = [jnp.clip(free.tangential.dot(axis), -most, most) * axis for axis in (one, other)]
     tangential = parts[0] + parts[1]
     return forces._replace(tangential=tangential, force=forces.normal * n + tangential)

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from sweep.core.constants import GRAVITY
-from sweep.models.obstacles.geoms import STIFF
+from sweep.models.obstacles.geoms import STIFF_CONTACT
 from sweep.models.obstacles.surface import FOOT_RADIUS
 from validity.scenes import History, Scene, Touch
 
@@ -66,7 +66,7 @@ def _add_touch(spec: mujoco.MjSpec, number: int, touch: Touch, settings: Setting
         spec.body(f"body{touch.on}").add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=[half] * 3, quat=quat, pos=place - half * normal, **apart
         )
-    law = {"solref": STIFF["solref"], "solimp": STIFF["solimp"]} if settings.stiff else {}
+    law = {"solref": STIFF_CONTACT["solref"], "solimp": STIFF_CONTACT["solimp"]} if settings.stiff else {}
     friction, condim = [touch.friction, touch.friction, 0.0, 0.0, 0.0], 3 if touch.friction else 1
     spec.add_pair(
         name=f"pair{number}", geomname1=f"point{number}", geomname2=name, condim=condim, friction=friction, **law

@@ -29,7 +29,7 @@ from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, N_LEGS
 from sweep.models.robot import total_mass
 from sweep.systems.hexapod import exported
-from sweep.systems.mujoco_model.mjx import CARRIED, CONSTRAINTS, CONTACTS
+from sweep.systems.mujoco_model.mjx import CARRIED_FIELDS, WARP_CONSTRAINTS_PER_CONTACT, WARP_CONTACTS_PER_ROLLOUT
 from validity import peers, points, robot, simulation
 from validity.scenes import History, Scene, error, kick_on_slope, slides_then_rolls
 from validity.tables import short
@@ -286,12 +286,15 @@ def _program(task: Task, used: Settings, impl: str, width: int) -> tuple[Callabl
     mujoco.mj_forward(model, data)
     where, rooms = _loads_of(model), {}
     if impl == "warp":
-        rooms = {"naconmax": CONTACTS * width, "njmax": CONSTRAINTS * CONTACTS + model.njnt + 2 * model.nv}
+        rooms = {
+            "naconmax": WARP_CONTACTS_PER_ROLLOUT * width,
+            "njmax": WARP_CONSTRAINTS_PER_CONTACT * WARP_CONTACTS_PER_ROLLOUT + model.njnt + 2 * model.nv,
+        }
     begun = mjx.put_data(model, data, impl=impl, **rooms)
 
     def begin(h: float) -> tuple[Any, Any]:
         model.opt.timestep = h
-        now = {name: jnp.broadcast_to(x := getattr(begun, name), (width, *x.shape)) for name in CARRIED}
+        now = {name: jnp.broadcast_to(x := getattr(begun, name), (width, *x.shape)) for name in CARRIED_FIELDS}
         return mjx.put_model(model, impl=impl), now
 
     def one(there: Any, now: dict[str, jax.Array], ctrl: jax.Array) -> tuple[dict[str, jax.Array], Any]:
@@ -299,7 +302,7 @@ def _program(task: Task, used: Settings, impl: str, width: int) -> tuple[Callabl
         # Warp has the contacts of all rollouts in one list
         contacts = after._impl.nacon[0] / width if impl == "warp" else jnp.sum(after._impl.contact.dist < 0)
         told = after.qpos, after.qvel, after.sensordata[where], contacts, jnp.ravel(after._impl.solver_niter)[0]
-        return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED}, told
+        return {name: getattr(after, name).astype(now[name].dtype) for name in CARRIED_FIELDS}, told
 
     def ahead(there: Any, now: dict[str, jax.Array], ctrl: jax.Array) -> tuple[dict[str, jax.Array], Any]:
         now, told = jax.vmap(one, (None, 0, None))(there, now, ctrl)

@@ -26,7 +26,7 @@ from sweep.models.legs import JOINT_Q, JOINT_V, N_LEGS
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.posture import Stance, joint_targets
 from sweep.models.robot import total_mass
-from sweep.systems.mujoco_model.mjx import CONSTRAINTS, CONTACTS
+from sweep.systems.mujoco_model.mjx import WARP_CONSTRAINTS_PER_CONTACT, WARP_CONTACTS_PER_ROLLOUT
 from validity.simulation import simulate
 
 SECONDS, RAMP = 1.0, 0.4
@@ -200,7 +200,10 @@ def by_mjx(case: Case, rows: Sequence[Standing], impl: str) -> Float[np.ndarray,
         spec.delete(sensor)
     model = spec.compile()
     data = mujoco.MjData(model)
-    rooms = {"naconmax": CONTACTS, "njmax": CONSTRAINTS * CONTACTS + model.njnt + 2 * model.nv}
+    rooms = {
+        "naconmax": WARP_CONTACTS_PER_ROLLOUT,
+        "njmax": WARP_CONSTRAINTS_PER_CONTACT * WARP_CONTACTS_PER_ROLLOUT + model.njnt + 2 * model.nv,
+    }
     there, found = mjx.put_model(model, impl=impl), []
 
     @partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # run a few times

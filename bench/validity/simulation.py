@@ -54,7 +54,7 @@ def simulate(
     """
     one, states = _stepping(nominal, q, h, v, iterations)
     advance = _by_kernel if fused else _by_xla
-    record = advance(one, devices.as_arrays(case), states, jnp.asarray(references))
+    record = advance(one, devices.to_jax_arrays(case), states, jnp.asarray(references))
     return History(**{name: np.asarray(x, float) for name, x in record.items()})
 
 
@@ -62,7 +62,7 @@ def _stepping(
     nominal: Case, q: np.ndarray, h: float, v: np.ndarray | None, iterations: int
 ) -> tuple[Step, PhysicsState]:
     """A step of one world, and the batch at its start."""
-    devices.configure()
+    devices.configure_jax()
     top = interface.topology(nominal)
 
     def one(case: Case, state: PhysicsState, reference: jax.Array) -> tuple[PhysicsState, Record]:
@@ -130,7 +130,7 @@ def compile_batch(
         return state, {name: record[name] for name in ("q", "v", "normal", "residual")}
 
     one, states = _stepping(nominal, q, h, v, iterations)
-    of = devices.as_arrays(case), states, jnp.asarray(table)
+    of = devices.to_jax_arrays(case), states, jnp.asarray(table)
     return _begun(told, *of, len(table) - 1, every, np.zeros(1, int))
 
 
@@ -175,7 +175,7 @@ def _on_cpu(
     seconds = time.perf_counter() - start
 
     def advance() -> Record:
-        record = kernel.enter(given, states, len(states.q)).advance(0, ticks, kept)
+        record = kernel.load_batch(given, states, len(states.q)).advance(0, ticks, kept)
         assert record is not None
         return record
 
@@ -200,5 +200,5 @@ def on_gpu(
     def all_ticks(given: Any, states: PhysicsState) -> Any:
         return launch.run_kernel(code, given, (states, jnp.zeros(width, bool)), jnp.int32(0), jnp.asarray(kept))[1]
 
-    program = jax.jit(all_ticks, compiler_options=launch.OPTIONS).lower(given, states).compile()
+    program = jax.jit(all_ticks, compiler_options=launch.XLA_OPTIONS).lower(given, states).compile()
     return Running(lambda: jax.tree.map(np.asarray, program(given, states)), time.perf_counter() - start)

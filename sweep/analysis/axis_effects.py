@@ -6,7 +6,7 @@ import pandas as pd
 
 from sweep.config.experiment import Experiment
 from sweep.core.distinct_values import are_all_different
-from sweep.study.columns import LABELS, metric_columns
+from sweep.study.columns import LABEL_COLUMNS, metric_columns
 from sweep.study.designs import Axis
 
 
@@ -14,7 +14,7 @@ class AxisPairs(NamedTuple):
     """Result of comparing rows that differ in one axis alone, made by `compare_along_axes`."""
 
     rollouts: int  # rows that have such a partner
-    same: bool  # whether partners are equal in all metrics and labels, to the last bit
+    are_equal: bool  # whether partners are equal in all metrics and labels, to the last bit
 
 
 def compare_along_axes(rows: pd.DataFrame, exp: Experiment) -> dict[str, AxisPairs]:
@@ -35,7 +35,7 @@ def compare_along_axes(rows: pd.DataFrame, exp: Experiment) -> dict[str, AxisPai
     groups = {name: group for name, group in groups.items() if len(group)}
     if not groups:
         return {}
-    results = rows[[*metric_columns(rows), *(name for name in LABELS if name in rows)]]
+    results = rows[[*metric_columns(rows), *(name for name in LABEL_COLUMNS if name in rows)]]
     measured = pd.Series(pd.util.hash_pandas_object(results, index=False).to_numpy())
     return {
         name: AxisPairs(len(group), bool(measured[group.index].groupby(group).nunique().max() == 1))

@@ -15,12 +15,14 @@ import numpy as np
 from sweep.core.errors import InputError
 
 SHAPES = ("box", "ellipsoid", "score")
-STEPS = 100  # candidate regions, at equal steps of the share of draws
-PEEL = 0.02  # share of the remaining draws that one step of a box removes
-FEWEST_IN_BOX = 10  # learning rows
-PART = 1024  # rows of a matrix product: with more, BLAS starts threads, which wait for each other on busy cores
-ROUND = 1e-3  # smallest curvature of an ellipsoid, for parameters scaled to unit standard deviation
-DIGITS = 9  # significant digits of a region's numbers, so that its printed condition is exact
+CANDIDATE_COUNT = 100  # candidate regions, at equal steps of the share of draws
+PEELED_SHARE = 0.02  # share of the remaining draws that one step of a box removes
+MIN_ROWS_IN_BOX = 10  # learning rows
+ROWS_PER_PRODUCT = (
+    1024  # rows of a matrix product: with more, BLAS starts threads, which wait for each other on busy cores
+)
+MIN_CURVATURE = 1e-3  # smallest curvature of an ellipsoid, for parameters scaled to unit standard deviation
+SIGNIFICANT_DIGITS = 9  # significant digits of a region's numbers, so that its printed condition is exact
 
 
 @dataclass(frozen=True)
@@ -51,12 +53,12 @@ class LogOdds:
     scale: np.ndarray
     constant: float
     linear: np.ndarray
-    form: np.ndarray  # (d, d)
+    quadratic_form: np.ndarray  # (d, d)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Return the log odds of failure (n,) of rows x (n, d)."""
         z = (x - self.centre) / self.scale
-        return self.constant + z @ self.linear + np.einsum("ni,ij,nj->n", z, self.form, z)
+        return self.constant + z @ self.linear + np.einsum("ni,ij,nj->n", z, self.quadratic_form, z)
 
     def condition(self, names: list[str], threshold: float) -> str:
         """Write `score(x) <= threshold` as a condition on columns, in the syntax of `--where`."""
@@ -64,7 +66,7 @@ class LogOdds:
         terms = [f"{_text(w)} * {one}" for w, one in zip(self.linear, z, strict=True)]
         for i in range(len(z)):
             for j in range(i, len(z)):
-                weight = self.form[i, j] * (1 if i == j else 2)
+                weight = self.quadratic_form[i, j] * (1 if i == j else 2)
                 terms.append(f"{float(weight)!r} * {z[i]} * {z[j]}")
         return f"{_text(self.constant)} + {' + '.join(terms)} <= {float(threshold)!r}"
 
@@ -77,7 +79,7 @@ def _rounded(numbers: np.ndarray) -> np.ndarray:
 
 
 def _text(number: float) -> str:
-    return f"{number:.{DIGITS}g}"
+    return f"{number:.{SIGNIFICANT_DIGITS}g}"
 
 
 def required_rows(failures: float, confidence: float) -> int:
@@ -119,11 +121,11 @@ def fit_box(x: np.ndarray, failed: np.ndarray, least: float) -> Boxes:
     low, high = x.min(axis=0), x.max(axis=0)
     spread = np.where(high > low, high - low, 1.0)
     lows, highs, inside = [low], [high], np.ones(len(x), dtype=bool)
-    while inside.sum() > max(least * len(x), FEWEST_IN_BOX):
+    while inside.sum() > max(least * len(x), MIN_ROWS_IN_BOX):
         here, bad = x[inside], failed[inside]
         sides = []
         for axis in range(x.shape[1]):
-            for ends, share in ((low, PEEL), (high, 1 - PEEL)):
+            for ends, share in ((low, PEELED_SHARE), (high, 1 - PEELED_SHARE)):
                 edge = np.quantile(here[:, axis], share)
                 gone = here[:, axis] < edge if ends is low else here[:, axis] > edge
                 if 0 < gone.sum() < len(here):
@@ -154,7 +156,9 @@ def fit_log_odds(x: np.ndarray, failed: np.ndarray, convex: bool) -> LogOdds:
     spread = x.std(axis=0)
     centre, scale = _rounded(x.mean(axis=0)), _rounded(np.where(spread, spread, 1.0))
     every, signs = (x - centre) / scale, np.where(failed, 1.0, -1.0)
-    parts = [(every[k : k + PART], signs[k : k + PART]) for k in range(0, len(x), PART)]
+    parts = [
+        (every[k : k + ROWS_PER_PRODUCT], signs[k : k + ROWS_PER_PRODUCT]) for k in range(0, len(x), ROWS_PER_PRODUCT)
+    ]
 
     def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
         root = weights[1 + d :].reshape(d, d)
@@ -162,7 +166,11 @@ def fit_log_odds(x: np.ndarray, failed: np.ndarray, convex: bool) -> LogOdds:
         total, gradient = 0.5 * (held**2).sum(), held
         for known, sign in parts:
             turned = known @ root.T
-            form = (turned**2).sum(axis=1) + ROUND * (known**2).sum(axis=1) if convex else (turned * known).sum(axis=1)
+            form = (
+                (turned**2).sum(axis=1) + MIN_CURVATURE * (known**2).sum(axis=1)
+                if convex
+                else (turned * known).sum(axis=1)
+            )
             value = sign * (weights[0] + known @ weights[1 : 1 + d] + form)
             slope = -sign * expit(-value)
             inner = 2 * (slope[:, None] * turned).T @ known if convex else (slope[:, None] * known).T @ known
@@ -173,7 +181,7 @@ def fit_log_odds(x: np.ndarray, failed: np.ndarray, convex: bool) -> LogOdds:
     start = np.r_[np.zeros(1 + d), 0.1 * np.eye(d).ravel()]
     weights = minimize(loss, start, jac=True, method="L-BFGS-B").x
     root = weights[1 + d :].reshape(d, d)
-    form = root.T @ root + ROUND * np.eye(d) if convex else root
+    form = root.T @ root + MIN_CURVATURE * np.eye(d) if convex else root
     return LogOdds(centre, scale, float(_text(weights[0])), _rounded(weights[1 : 1 + d]), _rounded((form + form.T) / 2))
 
 
@@ -209,7 +217,7 @@ def candidate_thresholds(
     """
     from scipy.stats import binom
 
-    every = np.unique(np.quantile(scores, np.arange(1, STEPS + 1) / STEPS, method="higher"))
+    every = np.unique(np.quantile(scores, np.arange(1, CANDIDATE_COUNT + 1) / CANDIDATE_COUNT, method="higher"))
     inside = scores <= every[:, None]
     rows, bad = inside.sum(axis=1), (inside & failed).sum(axis=1)
     falling = np.round(fresh * rows / len(scores)).astype(int)
@@ -228,9 +236,9 @@ class Certificate:
     threshold: float  # NaN without a region
     rows: int  # fresh rows in the region
     failed: int  # fresh rows in the region that failed, invalid ones included
-    drawn: int  # all fresh rows
-    next_rows: int  # fresh rows in the first region that was not certified; 0 if all were
-    next_failed: int
+    fresh_draws: int  # all fresh rows
+    next_region_rows: int  # fresh rows in the first region that was not certified; 0 if all were
+    next_region_failed: int
 
     @property
     def is_certified(self) -> bool:
@@ -240,7 +248,7 @@ class Certificate:
     @property
     def draw_share(self) -> float:
         """Share of all fresh draws that fall into the region."""
-        return self.rows / self.drawn
+        return self.rows / self.fresh_draws
 
     @cached_property
     def upper_bound(self) -> float:

@@ -7,29 +7,29 @@ import pandas as pd
 
 from sweep.analysis import sampling_units
 from sweep.analysis.intervals import clopper_pearson
-from sweep.analysis.stats import format_percent, rates
+from sweep.analysis.stats import format_percent, success_rates
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
-from sweep.core.expressions import column
-from sweep.study.columns import LABELS, metric_columns
+from sweep.core.expressions import find_column
+from sweep.study.columns import LABEL_COLUMNS, metric_columns
 from sweep.study.study import identity_columns
 
-BINS = 3  # regions along an axis
-SECOND = " (B)"  # marks the columns of the second run
+BINS_PER_AXIS = 3  # regions along an axis
+SECOND_RUN_MARK = " (B)"  # marks the columns of the second run
 
 
 @dataclass(frozen=True)
-class Flips:
+class OutcomeFlips:
     """Counts of paired outcomes of runs A and B. Pairs with an invalid rollout are counted apart and not tested."""
 
     pairs: int
     lost: int  # succeed in A, fail in B
     gained: int  # fail in A, succeed in B
-    recaused: int  # fail in both, of another cause
+    cause_changed: int  # fail in both, of another cause
     invalid_a: int  # in A alone
     invalid_b: int  # in B alone
     invalid_both: int
-    p: float = np.nan  # McNemar's exact test, by independent unit; NaN where pairs are no sample
+    p_value: float = np.nan  # McNemar's exact test, by independent unit; NaN where pairs are no sample
     low: float = np.nan  # of the 95 % interval of the share of flips among tested pairs
     high: float = np.nan
 
@@ -51,14 +51,14 @@ class Flips:
     def __str__(self) -> str:
         if not self.tested_pairs:
             return f"none of {self.pairs} pairs is valid in both"
-        sample = not np.isnan(self.p)
+        sample = not np.isnan(self.p_value)
         interval = f", 95 % interval {format_percent(self.low)} to {format_percent(self.high)}" if sample else ""
-        test = f" (McNemar p = {self.p:.2g})" if sample else ""
+        test = f" (McNemar p = {self.p_value:.2g})" if sample else ""
         share = format_percent(self.flip_count / self.tested_pairs)
         return (
             f"{self.flip_count} of {self.tested_pairs} flip ({share}{interval}): "
             f"{self.lost} succeed only in A, {self.gained} only in B{test}; "
-            f"{self.recaused} fail of another cause; "
+            f"{self.cause_changed} fail of another cause; "
             f"invalid: {self.invalid_a} only in A, {self.invalid_b} only in B, {self.invalid_both} in both"
         )
 
@@ -77,7 +77,7 @@ def pair_rows(a: pd.DataFrame, b: pd.DataFrame, by: list[str] | None = None) -> 
         by: Columns to pair by, instead of the default.
 
     Returns:
-        A row for each pair: the columns of A, and those of B with the suffix `SECOND`.
+        A row for each pair: the columns of A, and those of B with the suffix `SECOND_RUN_MARK`.
 
     Raises:
         InputError: A column of `by` is missing, several rows share a key, or no row of A matches one of B.
@@ -87,7 +87,7 @@ def pair_rows(a: pd.DataFrame, b: pd.DataFrame, by: list[str] | None = None) -> 
         by = ["point_id"] if a["point_id"].is_unique else identity_columns(a.columns)
         if not a["point_id"].isin(b["point_id"]).any() and _tell_apart(a, b, _varied(a, b)):
             by = varied = _varied(a, b)
-    key = [column(a, name) for name in by]
+    key = [find_column(a, name) for name in by]
     for side, rows in (("A", a), ("B", b)):
         if absent := [name for name in key if name not in rows]:
             raise InputError(f"{side} has no column {absent[0]} to pair by")
@@ -95,7 +95,7 @@ def pair_rows(a: pd.DataFrame, b: pd.DataFrame, by: list[str] | None = None) -> 
             raise InputError(
                 f"{side} has several rows of equal {', '.join(key)}: choose among them with --{side.lower()} CONDITION"
             )
-    both = a.merge(b.rename(columns={c: f"{c}{SECOND}" for c in b if c not in key}), on=key)
+    both = a.merge(b.rename(columns={c: f"{c}{SECOND_RUN_MARK}" for c in b if c not in key}), on=key)
     if both.empty:
         others = ", ".join(name for name in _varied(a, b) if name not in key)
         options = f"--by {others}" if others else "none that both vary"
@@ -121,7 +121,7 @@ def _tell_apart(a: pd.DataFrame, b: pd.DataFrame, by: list[str]) -> bool:
 
 def varied_axes(pairs: pd.DataFrame) -> list[str]:
     """Return the parameter columns that run A varies."""
-    return [c for c in pairs.columns if "." in c and not c.endswith(SECOND)]
+    return [c for c in pairs.columns if "." in c and not c.endswith(SECOND_RUN_MARK)]
 
 
 def independent_unit_of_pairs(pairs: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
@@ -134,10 +134,10 @@ def independent_unit_of_pairs(pairs: pd.DataFrame, exp: Experiment) -> np.ndarra
     Returns:
         Whole numbers (n,), equal for pairs that depend on each other; None for a grid.
     """
-    return sampling_units.pair_units(pairs[[c for c in pairs if not str(c).endswith(SECOND)]], exp)
+    return sampling_units.pair_units(pairs[[c for c in pairs if not str(c).endswith(SECOND_RUN_MARK)]], exp)
 
 
-def count_flips(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Flips:
+def count_flips(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> OutcomeFlips:
     """Count how outcomes differ between two runs, and test whether either run succeeds more often.
 
     Args:
@@ -149,22 +149,24 @@ def count_flips(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Flips:
         The counts; with `unit` also McNemar's exact p-value and the 95 % interval of the share of flips. If units have
         several pairs, the test flips the sign of each unit's difference, and the interval is Korn and Graubard's.
     """
-    first, second = pairs["outcome"].to_numpy(), pairs[f"outcome{SECOND}"].to_numpy()
+    first, second = pairs["outcome"].to_numpy(), pairs[f"outcome{SECOND_RUN_MARK}"].to_numpy()
     invalid, invalid_b = first == "invalid", second == "invalid"
     won, won_b = first == "success", second == "success"
     fail = (first == "failure") & (second == "failure")
-    other = pairs["cause"].to_numpy() != pairs[f"cause{SECOND}"].to_numpy()
+    other = pairs["cause"].to_numpy() != pairs[f"cause{SECOND_RUN_MARK}"].to_numpy()
     lost, gained = won & (second == "failure"), (first == "failure") & won_b
     counts = (lost, gained, fail & other, invalid & ~invalid_b, ~invalid & invalid_b, invalid & invalid_b)
-    result = Flips(len(pairs), *(int(np.sum(c)) for c in counts))
+    result = OutcomeFlips(len(pairs), *(int(np.sum(c)) for c in counts))
     valid = ~invalid & ~invalid_b
     if unit is None or not valid.any():
         return result
     outcome = np.where(lost | gained, "success", np.where(valid, "failure", "invalid"))  # a flip is what is counted
-    ends = rates(pd.DataFrame({"outcome": outcome}), [], clopper_pearson, unit).iloc[0]
+    ends = success_rates(pd.DataFrame({"outcome": outcome}), [], clopper_pearson, unit).iloc[0]
     _, codes = np.unique(unit, return_inverse=True)
     difference = np.bincount(codes, lost.astype(int) - gained.astype(int))
-    return replace(result, p=sign_flip_p(difference.astype(int)), low=float(ends["low"]), high=float(ends["high"]))
+    return replace(
+        result, p_value=sign_flip_p(difference.astype(int)), low=float(ends["low"]), high=float(ends["high"])
+    )
 
 
 def sign_flip_p(differences: np.ndarray) -> float:
@@ -190,11 +192,11 @@ def sign_flip_p(differences: np.ndarray) -> float:
 
 def outcome_changes(pairs: pd.DataFrame) -> np.ndarray:
     """Return which pairs (n,) differ in outcome."""
-    return (pairs["outcome"] != pairs[f"outcome{SECOND}"]).to_numpy()
+    return (pairs["outcome"] != pairs[f"outcome{SECOND_RUN_MARK}"]).to_numpy()
 
 
 def flips_by_region(
-    pairs: pd.DataFrame, axes: list[str], unit: np.ndarray | None = None, bins: int = BINS
+    pairs: pd.DataFrame, axes: list[str], unit: np.ndarray | None = None, bins: int = BINS_PER_AXIS
 ) -> pd.DataFrame:
     """Count flips in each region of the parameter space; regions are combinations of equal bins of the axes.
 
@@ -223,7 +225,7 @@ def flips_by_region(
                 "only_A_succeeds": counts.lost,
                 "only_B_succeeds": counts.gained,
                 "invalid": invalid,
-                "p": counts.p,
+                "p": counts.p_value,
             }
         )
     result = pd.DataFrame(table)
@@ -252,7 +254,7 @@ def _holm(p: np.ndarray) -> np.ndarray:
 
 def cause_changes(pairs: pd.DataFrame) -> pd.DataFrame:
     """Count the pairs that went from one outcome or cause in A to another in B, the most frequent first."""
-    first, second = (_verdict(pairs, mark) for mark in ("", SECOND))
+    first, second = (_verdict(pairs, mark) for mark in ("", SECOND_RUN_MARK))
     moved = pd.DataFrame({"A": first, "B": second})[(first != second).to_numpy()]
     return moved.value_counts().rename("pairs").reset_index()
 
@@ -268,11 +270,14 @@ def metric_drift(pairs: pd.DataFrame) -> pd.Series:
     Only pairs that are valid in both runs count. A metric that is typically 0 in both runs changes by 0, one that is
     typically 0 only in A by infinity.
     """
-    valid = (pairs["outcome"] != "invalid") & (pairs[f"outcome{SECOND}"] != "invalid")
-    own = pairs.columns[[not c.endswith(SECOND) for c in pairs.columns]]
+    valid = (pairs["outcome"] != "invalid") & (pairs[f"outcome{SECOND_RUN_MARK}"] != "invalid")
+    own = pairs.columns[[not c.endswith(SECOND_RUN_MARK) for c in pairs.columns]]
     changes = {}
     for name in metric_columns(pairs[own]):
-        a, b = pairs.loc[valid, name], pairs.loc[valid, f"{name}{SECOND}"] if f"{name}{SECOND}" in pairs else None
+        a, b = (
+            pairs.loc[valid, name],
+            pairs.loc[valid, f"{name}{SECOND_RUN_MARK}"] if f"{name}{SECOND_RUN_MARK}" in pairs else None,
+        )
         if b is None or a.dtype.kind != "f" or not (both := a.notna() & b.notna()).any():
             continue
         change, scale = (b[both] - a[both]).abs().median(), a[both].abs().median()
@@ -284,5 +289,5 @@ def changed_pairs(pairs: pd.DataFrame) -> pd.DataFrame:
     """Return the pairs that differ in outcome: their axes, and outcome, cause, stage and time in both runs."""
     rows = pairs[outcome_changes(pairs)]
     return rows[
-        ["point_id", *varied_axes(pairs), *(f"{c}{mark}" for c in LABELS for mark in ("", SECOND))]
+        ["point_id", *varied_axes(pairs), *(f"{c}{mark}" for c in LABEL_COLUMNS for mark in ("", SECOND_RUN_MARK))]
     ].reset_index(drop=True)

@@ -4,11 +4,11 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import rare
-from sweep.analysis.sample import is_sample
+from sweep.analysis.sample import is_random_sample
 from sweep.analysis.sampling_units import condition_rates
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
-from sweep.core.expressions import mask
+from sweep.core.expressions import condition_mask
 from sweep.study.study import Expectation
 
 
@@ -50,11 +50,11 @@ def judge_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame
 
 def _judge(expectation: Expectation, rows: pd.DataFrame, weights: np.ndarray, exp: Experiment) -> str:
     """Compare valid rows (n,) and their weights (n,) with an expectation."""
-    chosen = mask(rows, expectation.where)
+    chosen = condition_mask(rows, expectation.where)
     counted, weight = rows[chosen], weights[np.asarray(chosen, bool)]
     condition = f" where {expectation.where}" if expectation.where else ""
     what = f"share of {expectation.that}{condition}"
-    hit = np.asarray(mask(counted, expectation.that), bool)
+    hit = np.asarray(condition_mask(counted, expectation.that), bool)
     if not weight.sum() > 0:
         return f"expected a {what}, but no valid rollout matches"
     share = float(np.average(hit.astype(float), weights=weight))
@@ -68,7 +68,7 @@ def _judge(expectation: Expectation, rows: pd.DataFrame, weights: np.ndarray, ex
 
 def _interval(rows: pd.DataFrame, hit: np.ndarray, exp: Experiment) -> str:
     """Write the 95 % interval of a share; empty if the rows are not a random sample."""
-    if len(rows) < 2 or not is_sample(rows, exp):
+    if len(rows) < 2 or not is_random_sample(rows, exp):
         return ""
     rate = condition_rates(rows.assign(outcome=np.where(hit, "success", "failure")), exp, []).iloc[0]
     return f" (95 % interval {format_percent(rate['low'])} to {format_percent(rate['high'])})"

@@ -14,21 +14,23 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from sweep.analysis.intervals import CONFIDENCE
+from sweep.analysis.intervals import CONFIDENCE_LEVEL
 from sweep.analysis.rare import weights_of_draws_and_failures
-from sweep.analysis.sample import choose_indices
+from sweep.analysis.sample import sample_indices
 from sweep.analysis.sampling_units import draw_ids
 from sweep.analysis.sensitivity import drawn_axes, listed_axes
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 
-MOST, FEWEST = 600, 20  # rows of either outcome that are used, and draws that have them
-AXES = 10  # largest number of axes: all their subsets are evaluated
-LEAST = 1e-4  # smallest share that is reported: that of a listed axis without influence is a rounding error
-GROUPS = 10  # groups of the jackknife
+MAX_ROWS_PER_OUTCOME, MIN_DRAWS_PER_OUTCOME = 600, 20  # rows of either outcome that are used, and draws that have them
+MAX_AXES = 10  # largest number of axes: all their subsets are evaluated
+MIN_REPORTED_SHARE = (
+    1e-4  # smallest share that is reported: that of a listed axis without influence is a rounding error
+)
+JACKKNIFE_GROUPS = 10  # groups of the jackknife
 
 
-def failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
+def shapley_failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     """Estimate how much each varied parameter contributes to failures (Shapley values), with 95 % intervals; the
     largest first.
 
@@ -50,16 +52,18 @@ def failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     """
     axes = [axis for axis in (*listed_axes(rows, exp), *drawn_axes(rows, exp)) if axis.along is None]
     plain_draws = exp.study.design.follows_distributions and exp.study.design.num > 0
-    if not (exp.study.is_adaptive or plain_draws) or not 0 < len(axes) <= AXES:
-        raise InputError(f"shares of failure need draws of at most {AXES} numbers")
+    if not (exp.study.is_adaptive or plain_draws) or not 0 < len(axes) <= MAX_AXES:
+        raise InputError(f"shares of failure need draws of at most {MAX_AXES} numbers")
     plain, failing = _weighted(rows, exp)
     bad, good = (_chosen(weight) for weight in (failing, np.where(rows["outcome"] == "success", plain, 0.0)))
     used = np.concatenate([bad, good])
     # rows of one draw are no evidence of their likeness
     unit = np.arange(len(used)) if exp.study.is_adaptive else draw_ids(rows, exp)[used]
     draws = [len(np.unique(part)) for part in np.split(unit, [len(bad)])]
-    if min(draws) < FEWEST:
-        raise InputError(f"shares of failure need {FEWEST} failures and successes, here: {draws[0]} and {draws[1]}")
+    if min(draws) < MIN_DRAWS_PER_OUTCOME:
+        raise InputError(
+            f"shares of failure need {MIN_DRAWS_PER_OUTCOME} failures and successes, here: {draws[0]} and {draws[1]}"
+        )
     kernels = [_kernel(rows[axis.column], plain, used) for axis in axes]
     left_out = _left_out(np.concatenate([failing[bad], plain[good]]), unit)
     apart = dict(_distances(kernels, left_out[: len(bad)], left_out[len(bad) :], unit))
@@ -67,7 +71,7 @@ def failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     shapley = shapley / shapley.sum(axis=0)
     alone = np.stack([apart[frozenset([k])] for k in range(len(axes))]) / apart[frozenset(range(len(axes)))]
     share, error = np.clip(shapley[:, 0], 0.0, 1.0), _error(shapley)  # unbiased estimates may lie beyond
-    certain = share > np.maximum(error, LEAST)
+    certain = share > np.maximum(error, MIN_REPORTED_SHARE)
     if not certain.any():
         raise InputError("no share is larger than its error: more failures may help")
     table = {"axis": [axis.column for axis in axes], "share": np.where(certain, share, np.nan)}
@@ -106,9 +110,9 @@ def _weighted(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarr
 
 
 def _chosen(weight: np.ndarray) -> np.ndarray:
-    """Return the places of at most `MOST` rows with a positive weight."""
+    """Return the places of at most `MAX_ROWS_PER_OUTCOME` rows with a positive weight."""
     places = np.flatnonzero(weight)
-    return places[choose_indices(len(places), MOST)]
+    return places[sample_indices(len(places), MAX_ROWS_PER_OUTCOME)]
 
 
 def _quantiles(values: np.ndarray, weight: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -122,8 +126,8 @@ def _quantiles(values: np.ndarray, weight: np.ndarray, at: np.ndarray) -> tuple[
 def _left_out(weight: np.ndarray, unit: np.ndarray) -> Float[np.ndarray, "n g"]:
     """Return the weights (n,) of all rows, and those with one group of independent units left out, for each group."""
     _, codes = np.unique(unit, return_inverse=True)
-    group = (np.random.default_rng(0).permutation(codes.max() + 1) % GROUPS)[codes]
-    return np.stack([weight, *(np.where(group == k, 0.0, weight) for k in range(GROUPS))], axis=1)
+    group = (np.random.default_rng(0).permutation(codes.max() + 1) % JACKKNIFE_GROUPS)[codes]
+    return np.stack([weight, *(np.where(group == k, 0.0, weight) for k in range(JACKKNIFE_GROUPS))], axis=1)
 
 
 def _distances(
@@ -172,5 +176,7 @@ def _error(shapley: Float[np.ndarray, "d g"]) -> np.ndarray:
     from scipy.stats import t
 
     parts = shapley[:, 1:]
-    variance = (GROUPS - 1) / GROUPS * ((parts - parts.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)
-    return t.ppf(0.5 + CONFIDENCE / 2, GROUPS - 1) * np.sqrt(variance)
+    variance = (
+        (JACKKNIFE_GROUPS - 1) / JACKKNIFE_GROUPS * ((parts - parts.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)
+    )
+    return t.ppf(0.5 + CONFIDENCE_LEVEL / 2, JACKKNIFE_GROUPS - 1) * np.sqrt(variance)

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweep.core.constants import CONFIDENCE
+from sweep.core.constants import CONFIDENCE_LEVEL
 
-FEW_UNITS = 5  # with fewer that have the rarer outcome, the variance between them is no estimate
+MIN_UNITS_FOR_VARIANCE = 5  # with fewer that have the rarer outcome, the variance between them is no estimate
 
 
 class Interval(NamedTuple):
@@ -18,7 +18,7 @@ class Interval(NamedTuple):
     high: np.ndarray
 
 
-def wilson(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE) -> Interval:
+def wilson(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE_LEVEL) -> Interval:
     """Compute Wilson's score interval, which covers its level on average over probabilities; for the cells of a map.
 
     Args:
@@ -33,7 +33,7 @@ def wilson(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE) -> 
     return Interval(np.where(k > 0, centre - half, 0.0), np.where(k < n, centre + half, 1.0))
 
 
-def clopper_pearson(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE) -> Interval:
+def clopper_pearson(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE_LEVEL) -> Interval:
     """Compute the exact interval of Clopper and Pearson, which covers at least its level at every probability.
 
     Args:
@@ -52,23 +52,23 @@ def clopper_pearson(success: ArrayLike, trials: ArrayLike, level: float = CONFID
 def korn_graubard(
     success: ArrayLike,
     trials: ArrayLike,
-    squares: ArrayLike,
+    squared_deviations: ArrayLike,
     units: ArrayLike,
-    telling: ArrayLike,
-    level: float = CONFIDENCE,
+    rare_units: ArrayLike,
+    level: float = CONFIDENCE_LEVEL,
 ) -> Interval:
     """Compute the interval of a rate of trials that come in clusters, such as the replicates of a draw.
 
     It is Clopper and Pearson's interval at the effective number of independent trials (Korn and Graubard 1998): the
-    variance is that between clusters, with a quantile of Student's t. If fewer than `FEW_UNITS` clusters have the rarer
-    outcome, their variance is unreliable, and a cluster counts as one trial at most.
+    variance is that between clusters, with a quantile of Student's t. If fewer than `MIN_UNITS_FOR_VARIANCE` clusters
+    have the rarer outcome, their variance is unreliable, and a cluster counts as one trial at most.
 
     Args:
         success: Number of successes k.
         trials: Number of trials n, of the same shape.
-        squares: Sum over clusters of (k_u - p n_u)^2, where p = k / n.
+        squared_deviations: Sum over clusters of (k_u - p n_u)^2, where p = k / n.
         units: Number of clusters with a trial.
-        telling: Number of clusters with the rarer outcome: the smaller of those with a success and those with a
+        rare_units: Number of clusters with the rarer outcome: the smaller of those with a success and those with a
             failure.
         level: Confidence level.
 
@@ -77,18 +77,18 @@ def korn_graubard(
     """
     from scipy.stats import t
 
-    counts = (np.asarray(v, float) for v in (success, trials, squares, units, telling))
-    k, n, squares, m, rare = np.broadcast_arrays(*counts)
+    counts = (np.asarray(v, float) for v in (success, trials, squared_deviations, units, rare_units))
+    k, n, squared_deviations, m, rare = np.broadcast_arrays(*counts)
     p, size = np.where(n > 0, k / np.maximum(n, 1), 0.0), n.copy()
-    spread = (m > 1) & (squares > 0)
-    variance = m[spread] / (m[spread] - 1) * squares[spread] / n[spread] ** 2
+    spread = (m > 1) & (squared_deviations > 0)
+    variance = m[spread] / (m[spread] - 1) * squared_deviations[spread] / n[spread] ** 2
     quantiles = t.ppf(0.5 + level / 2, n[spread] - 1) / t.ppf(0.5 + level / 2, m[spread] - 1)
     size[spread] = np.minimum(p[spread] * (1 - p[spread]) / variance * quantiles**2, n[spread])
-    size = np.where(m > 1, np.where(rare < FEW_UNITS, np.minimum(size, m), size), 0.0)
+    size = np.where(m > 1, np.where(rare < MIN_UNITS_FOR_VARIANCE, np.minimum(size, m), size), 0.0)
     return clopper_pearson(p * size, size, level)
 
 
-def student_interval(values: ArrayLike, level: float = CONFIDENCE) -> tuple[float, float]:
+def student_interval(values: ArrayLike, level: float = CONFIDENCE_LEVEL) -> tuple[float, float]:
     """Compute the Student t interval of the mean of independent values (n,); NaN if all of them are equal."""
     from scipy.stats import t
 
@@ -99,7 +99,7 @@ def student_interval(values: ArrayLike, level: float = CONFIDENCE) -> tuple[floa
     return float(x.mean() - half), float(x.mean() + half)
 
 
-def confidence_sequence(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE) -> Interval:
+def confidence_sequence(success: ArrayLike, trials: ArrayLike, level: float = CONFIDENCE_LEVEL) -> Interval:
     """Compute a confidence sequence of a probability: its coverage holds under any stopping rule.
 
     Robbins' mixture of likelihood ratios B(k + 1/2, n - k + 1/2) / B(1/2, 1/2) / (p^k (1 - p)^(n - k)) is a martingale

@@ -7,8 +7,8 @@ from sweep.config.experiment import Experiment
 from sweep.study import importance_sampling
 from sweep.study.design_kinds.base import FailureEstimate
 
-LEAST = 0.01  # smallest share of a mode at which a cause is named
-NEAR = 3  # parameters that describe a mode
+MIN_CAUSE_SHARE = 0.01  # smallest share of a mode at which a cause is named
+PARAMETERS_PER_MODE = 3  # parameters that describe a mode
 
 
 def estimate_failure_probability(rows: pd.DataFrame, exp: Experiment) -> FailureEstimate:
@@ -56,9 +56,9 @@ def failure_modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
         members = mode == one
         share, where = failing[members].sum(), np.average(away[members], axis=0, weights=failing[members])
         causes = pd.Series(failing[members]).groupby(cause[members].to_numpy()).sum().sort_values(ascending=False)
-        causes = causes[causes >= LEAST * share]
+        causes = causes[causes >= MIN_CAUSE_SHARE * share]
         named = [f"{name} {weight / share:.0%}" if len(causes) > 1 else name for name, weight in causes.items()]
-        far = np.argsort(-np.abs(where))[:NEAR]
+        far = np.argsort(-np.abs(where))[:PARAMETERS_PER_MODE]
         table.append({"cause": ", ".join(named), "share": share, "rows": int(members.sum()),
                       "where, in standard deviations": ", ".join(f"{axes[k].name} {where[k]:+.1f}" for k in far),
                       })  # fmt: skip

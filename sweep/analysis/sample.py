@@ -8,12 +8,12 @@ import pandas as pd
 
 from sweep.analysis import sensitivity
 from sweep.analysis.sampling_units import condition_rates
-from sweep.analysis.stats import Rate, rate
+from sweep.analysis.stats import SuccessRate, success_rate
 from sweep.config.experiment import Experiment
 from sweep.study.study import parameter_columns
 
 
-def choose_indices(number: int, most: int) -> np.ndarray:
+def sample_indices(number: int, most: int) -> np.ndarray:
     """Choose at most `most` indices of `number` items at random, the same ones every time; sorted.
 
     Args:
@@ -27,7 +27,7 @@ def choose_indices(number: int, most: int) -> np.ndarray:
     return every if number <= most else np.sort(np.random.default_rng(0).choice(every, most, replace=False))
 
 
-def drop_copies(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.DataFrame, str]:
+def drop_repeated_rollouts(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.DataFrame, str]:
     """Drop rows that repeat a noise-free rollout, because they carry no evidence of their own.
 
     Replicates of a point without random errors are copies of the first one.
@@ -49,7 +49,7 @@ def drop_copies(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.DataFrame, str]
     return rows[~again].reset_index(drop=True), f"{number:,} duplicate noise-free rollouts are counted once"
 
 
-def is_sample(rows: pd.DataFrame, exp: Experiment, condition_columns: Collection[str] = ()) -> bool:
+def is_random_sample(rows: pd.DataFrame, exp: Experiment, condition_columns: Collection[str] = ()) -> bool:
     """Whether the rows are a random sample at one condition, rather than a choice of conditions.
 
     Args:
@@ -66,16 +66,16 @@ def is_sample(rows: pd.DataFrame, exp: Experiment, condition_columns: Collection
     return all(axis.column in condition_columns for axis in sensitivity.listed_axes(rows, exp))
 
 
-def pooled_rate(rows: pd.DataFrame, exp: Experiment) -> Rate:
+def pooled_rate(rows: pd.DataFrame, exp: Experiment) -> SuccessRate:
     """Compute the success rate of all rows together, with an interval only if they are a random sample.
 
     Args:
         rows: Rows of a study.
         exp: Its experiment.
     """
-    result = rate(rows["outcome"])
+    result = success_rate(rows["outcome"])
     ends = (np.nan, np.nan)
-    if result.valid_count and is_sample(rows, exp):
+    if result.valid_count and is_random_sample(rows, exp):
         one = condition_rates(rows, exp, []).iloc[0]
         ends = float(one["low"]), float(one["high"])
     return dataclasses.replace(result, low=ends[0], high=ends[1])

@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from sweep.analysis.intervals import Interval, confidence_sequence, student_interval, wilson
-from sweep.analysis.stats import rates
+from sweep.analysis.stats import success_rates
 from sweep.config.experiment import Experiment
 from sweep.core.distinct_values import are_all_different, has_several_values
 from sweep.study.design_kinds.base import SamplingUnit
@@ -110,7 +110,7 @@ def interval_method(study: Study) -> str:
 
 
 def draw_interval_method(study: Study) -> str:
-    """Name the method of the intervals of `stats.rates` by draw, for captions."""
+    """Name the method of the intervals of `stats.success_rates` by draw, for captions."""
     if study.budget:
         return "confidence sequence"
     repeated = study.replicates > 1 and has_draws(study)
@@ -132,17 +132,17 @@ def condition_rates(
         interval: Function of successes and trials to the interval, where every row is a unit of its own.
 
     Returns:
-        The table of `stats.rates`. With a budget the interval is a confidence sequence. If the design spreads the
-        draws of a unit evenly, it is Student's t interval of the units' rates, or that of independent draws if all
-        rates are equal. Else see `stats.rates`.
+        The table of `stats.success_rates`. With a budget the interval is a confidence sequence. If the design spreads
+        the draws of a unit evenly, it is Student's t interval of the units' rates, or that of independent draws if all
+        rates are equal. Else see `stats.success_rates`.
     """
     study, draws = exp.study, draw_ids(rows, exp)
     if study.budget:
-        return rates(rows, by, confidence_sequence, draws)
-    table = rates(rows, by, interval, draws)
+        return success_rates(rows, by, confidence_sequence, draws)
+    table = success_rates(rows, by, interval, draws)
     if not independent_unit(study).is_even or table.empty:
         return table
-    parts = rates(rows.assign(unit=unit_numbers(rows, exp)), [*by, "unit"])
+    parts = success_rates(rows.assign(unit=unit_numbers(rows, exp)), [*by, "unit"])
     ends = parts.groupby(by or (lambda _: 0), observed=True)["share"].agg(
         lambda shares: student_interval(shares.dropna())
     )

@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binom
 
-from sweep.analysis.intervals import CONFIDENCE
+from sweep.analysis.intervals import CONFIDENCE_LEVEL
 from sweep.analysis.sampling_units import draw_ids
 from sweep.analysis.sensitivity import (
-    MIN_RARER,
+    MIN_RARER_OUTCOMES,
     drawn_axes,
     listed_axes,
     numeric_axes,
@@ -18,10 +18,10 @@ from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.study import design_kinds
 
-LEAST, MOST = 100, 20_000  # draws that are needed, and that are used
-SLICES, HARMONICS = 10, 10  # of PAWN; of RBD-FAST
+MIN_DRAWS, MAX_DRAWS = 100, 20_000  # draws that are needed, and that are used
+PAWN_SLICES, RBD_HARMONICS = 10, 10  # of PAWN; of RBD-FAST
 # permutations for the index of an axis without influence, and the rows that they have in all
-LEAST_PERMUTED, MOST_PERMUTED, PERMUTED_ROWS, BLOCK_ROWS = 199, 999, 4_000_000, 20_000
+MIN_PERMUTATIONS, MAX_PERMUTATIONS, MAX_PERMUTED_ROWS, BLOCK_ROWS = 199, 999, 4_000_000, 20_000
 
 
 def pawn_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None) -> pd.DataFrame:
@@ -40,12 +40,12 @@ def pawn_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None)
         5 % of studies; the number of `draws`.
 
     Raises:
-        InputError: There are fewer than `LEAST` draws, or the design is another one.
+        InputError: There are fewer than `MIN_DRAWS` draws, or the design is another one.
     """
     from SALib.analyze import pawn as salib
 
     names, x, y = _sample(rows, exp, figure, "PAWN indices need")
-    indices = salib.analyze({"num_vars": len(names), "names": names}, x, y, SLICES)
+    indices = salib.analyze({"num_vars": len(names), "names": names}, x, y, PAWN_SLICES)
     columns = {"axis": names, "median": indices["median"], "largest": indices["maximum"]}
     table = pd.DataFrame({**columns, "by_chance": _median_by_chance(y), "draws": len(y)})
     return table.sort_values("median", ascending=False, ignore_index=True)
@@ -59,16 +59,16 @@ def _median_by_chance(values: np.ndarray) -> float:
     ordered, rng = np.sort(values), np.random.default_rng(0)
     last = np.append(np.flatnonzero(np.diff(ordered) != 0), len(values) - 1)  # of equal values
     every = (last + 1) / len(values)
-    slices = np.arange(len(values)) * SLICES // len(values)
+    slices = np.arange(len(values)) * PAWN_SLICES // len(values)
     sizes = np.bincount(slices)[:, None]
-    number = int(np.clip(PERMUTED_ROWS // len(values), LEAST_PERMUTED, MOST_PERMUTED))
+    number = int(np.clip(MAX_PERMUTED_ROWS // len(values), MIN_PERMUTATIONS, MAX_PERMUTATIONS))
     medians = []
     while len(medians) < number:  # in blocks, as few large arrays are faster than many small ones
         block = np.tile(slices.astype(np.int8), (max(1, BLOCK_ROWS // len(values)), 1))
         slice_of = rng.permuted(block, axis=1)[:, None]
-        within = np.cumsum(slice_of == np.arange(SLICES)[:, None], axis=2, dtype=np.int32)[..., last] / sizes
+        within = np.cumsum(slice_of == np.arange(PAWN_SLICES)[:, None], axis=2, dtype=np.int32)[..., last] / sizes
         medians += np.median(np.abs(within - every).max(axis=2), axis=1).tolist()
-    rank = min(int(binom.ppf(CONFIDENCE, number, CONFIDENCE)), number - 1)
+    rank = min(int(binom.ppf(CONFIDENCE_LEVEL, number, CONFIDENCE_LEVEL)), number - 1)
     return float(np.sort(medians[:number])[rank])
 
 
@@ -88,16 +88,16 @@ def rbd_fast_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = N
         A row for each drawn axis, the largest first: `first`, its `error`, the number of `draws`.
 
     Raises:
-        InputError: There are fewer than `LEAST` draws, the design is another one, or the draws are correlated.
+        InputError: There are fewer than `MIN_DRAWS` draws, the design is another one, or the draws are correlated.
     """
     from SALib.analyze import rbd_fast as salib
 
     if exp.study.design.correlation:
         raise InputError("RBD-FAST needs draws without correlation")
     names, x, y = _sample(rows, exp, figure, "RBD-FAST needs")
-    indices = salib.analyze({"num_vars": len(names), "names": names}, x, y, HARMONICS, seed=0)
+    indices = salib.analyze({"num_vars": len(names), "names": names}, x, y, RBD_HARMONICS, seed=0)
     error = indices["S1_conf"]
-    too_few = figure is None and rarer_outcomes(y) < MIN_RARER
+    too_few = figure is None and rarer_outcomes(y) < MIN_RARER_OUTCOMES
     if exp.study.design.is_low_discrepancy or too_few:  # the order of a sequence biases its harmonics
         error = np.full(len(names), np.nan)
     table = pd.DataFrame({"axis": names, "first": indices["S1"], "error": error, "draws": len(y)})
@@ -120,9 +120,9 @@ def _sample(
         value = value.groupby(draws).transform("mean")[~pd.Series(draws).duplicated().to_numpy()]
         rows = rows.loc[value.index]
     valid = value.notna()
-    if valid.sum() < LEAST:
-        raise InputError(f"{what} {LEAST} valid draws, here: {valid.sum()}")
+    if valid.sum() < MIN_DRAWS:
+        raise InputError(f"{what} {MIN_DRAWS} valid draws, here: {valid.sum()}")
     if value[valid].nunique() < 2:
         raise InputError(f"{what} a result that varies: all {valid.sum()} valid draws agree")
-    chosen = rows.loc[valid, names].head(MOST)
-    return names, chosen.to_numpy(float), value[valid].head(MOST).to_numpy()
+    chosen = rows.loc[valid, names].head(MAX_DRAWS)
+    return names, chosen.to_numpy(float), value[valid].head(MAX_DRAWS).to_numpy()

@@ -14,21 +14,27 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from sweep.analysis.intervals import CONFIDENCE, Interval, clopper_pearson, student_interval
+from sweep.analysis.intervals import CONFIDENCE_LEVEL, Interval, clopper_pearson, student_interval
 from sweep.analysis.sampling_units import condition_rates, draw_ids
-from sweep.analysis.stats import rates
+from sweep.analysis.stats import success_rates
 from sweep.config.experiment import Experiment
 from sweep.core.distinct_values import are_all_different, has_several_values
 from sweep.core.errors import InputError
-from sweep.core.expressions import column
+from sweep.core.expressions import find_column
 from sweep.study import design_kinds
 from sweep.study.design_kinds.base import Sensitivity
 from sweep.study.designs import Axis, drawn_names, unit_draws
 
-PERMUTATIONS, PERMUTED = (199, 999), 100_000_000  # of draws, fewer where there are many rows; numbers permuted in all
-MIN_BLOCKS, MIN_RARER = 128, 30  # blocks, and draws of the rarer outcome, below which errors of indices do not hold
+PERMUTATION_RANGE, MAX_PERMUTED_NUMBERS = (
+    (199, 999),
+    100_000_000,
+)  # of draws, fewer where there are many rows; numbers permuted in all
+MIN_BLOCKS, MIN_RARER_OUTCOMES = (
+    128,
+    30,
+)  # blocks, and draws of the rarer outcome, below which errors of indices do not hold
 MIN_PATHS = 20  # trajectories below which the errors of a metric's effects do not hold
-GOODNESS_TRIALS = 10  # at every value, for a test of how well a fit follows the rates
+MIN_TRIALS_PER_VALUE = 10  # at every value, for a test of how well a fit follows the rates
 
 
 def listed_axes(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
@@ -75,7 +81,7 @@ def success_volume(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
         exp: Its experiment.
 
     Returns:
-        The table of `stats.rates`: a row for each condition.
+        The table of `stats.success_rates`: a row for each condition.
     """
     rows = rows[exp.study.design.select_rate_draws(draw_ids(rows, exp), len(drawn_names(exp.study.axes)))]
     return condition_rates(rows, exp, [a.column for a in listed_axes(rows, exp)], clopper_pearson)
@@ -111,7 +117,7 @@ def grid_volume(rows: pd.DataFrame, exp: Experiment) -> GridVolume:
     if not axes or not exp.study.design.combines_all:
         raise InputError("the success volume needs a full grid of numbers")
     by = [a.column for a in axes]
-    table = rates(rows, by)
+    table = success_rates(rows, by)
     good = (table["share"] >= 0.5).astype(float).where(table["share"].notna())
     values = [np.sort(rows[c].unique()) for c in by]
     places = tuple(np.searchsorted(v, table[c]) for c, v in zip(by, values, strict=True))
@@ -173,7 +179,7 @@ def one_at_a_time_rates(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
         exp: Its experiment.
 
     Returns:
-        The table of `stats.rates` with the columns `axis` and `value`.
+        The table of `stats.success_rates` with the columns `axis` and `value`.
     """
     parts = [
         condition_rates(part, exp, [axis.column]).rename(columns={axis.column: "value"}).assign(axis=axis.column)
@@ -200,7 +206,7 @@ def margins(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> pd.DataF
     for labels, distance, part in _sides(rows, exp):
         if distance.max(initial=0) <= 1e-12:
             continue
-        steps = rates(part, [labels["axis"]]).sort_values(labels["axis"], ascending=labels["side"] == "above")
+        steps = success_rates(part, [labels["axis"]]).sort_values(labels["axis"], ascending=labels["side"] == "above")
         values, holds = steps[labels["axis"]].to_numpy(dtype=float), (steps["share"] >= level).to_numpy()
         first = len(holds) if holds.all() else int(np.argmin(holds))
         last = values[first - 1] if first else np.nan
@@ -219,7 +225,7 @@ class Logistic:
     slope: float
     covariance: np.ndarray
 
-    def probability(self, x: ArrayLike, level: float = CONFIDENCE) -> tuple[np.ndarray, Interval]:
+    def probability(self, x: ArrayLike, level: float = CONFIDENCE_LEVEL) -> tuple[np.ndarray, Interval]:
         """Return P at `x`, with its confidence interval."""
         from scipy.special import expit
 
@@ -227,7 +233,7 @@ class Logistic:
         line, half = self.intercept + self.slope * x, NormalDist().inv_cdf(0.5 + level / 2) * np.sqrt(self._variance(x))
         return expit(line), Interval(expit(line - half), expit(line + half))
 
-    def distance_at(self, probability: float, level: float = CONFIDENCE) -> tuple[float, Interval]:
+    def distance_at(self, probability: float, level: float = CONFIDENCE_LEVEL) -> tuple[float, Interval]:
         """Return the x at which P falls to `probability`, with Fieller's confidence interval.
 
         The interval is the set where the band of P contains `probability`; infinite ends if the slope may be zero.
@@ -288,12 +294,12 @@ def goodness_of_fit_p(fit: Logistic, x: np.ndarray, success: np.ndarray, unit: n
             and at least that of independent rows. None: rows are independent.
 
     Returns:
-        The p-value; NaN with fewer than three values, or fewer than `GOODNESS_TRIALS` rows at one.
+        The p-value; NaN with fewer than three values, or fewer than `MIN_TRIALS_PER_VALUE` rows at one.
     """
     from scipy.stats import chi2
 
     table = pd.DataFrame({"x": x, "success": success}).groupby("x")["success"].agg(["size", "sum"])
-    if len(table) < 3 or table["size"].min() < GOODNESS_TRIALS:
+    if len(table) < 3 or table["size"].min() < MIN_TRIALS_PER_VALUE:
         return np.nan
     p = fit.probability(table.index.to_numpy())[0]
     expected = table["size"] * p
@@ -418,12 +424,12 @@ def _permutation_p(rows: pd.DataFrame, exp: Experiment, name: str) -> float:
     order = np.argsort(values, axis=None, kind="stable")  # without a row: last, where nothing is counted
     ordered = values.ravel()[order]
     last = np.append(np.flatnonzero(np.diff(ordered) != 0), len(ordered) - 1)  # of equal values
-    rng, number = np.random.default_rng(0), int(np.clip(PERMUTED // gain.size, *PERMUTATIONS))
+    rng, number = np.random.default_rng(0), int(np.clip(MAX_PERMUTED_NUMBERS // gain.size, *PERMUTATION_RANGE))
 
     def distance(gains: np.ndarray) -> np.ndarray:
         return np.abs(np.cumsum(gains.reshape(-1, gain.size)[:, order], axis=1)[:, last]).max(axis=1)
 
-    least, part = distance(gain).item() - 1e-12, max(1, PERMUTED // (100 * gain.size))
+    least, part = distance(gain).item() - 1e-12, max(1, MAX_PERMUTED_NUMBERS // (100 * gain.size))
     sizes = [min(part, number - k) for k in range(0, number, part)]
     places = (np.argsort(rng.random((size, len(gain))), axis=1) for size in sizes)
     return (1 + sum(int((distance(gain[chosen]) >= least).sum()) for chosen in places)) / (1 + number)
@@ -465,7 +471,9 @@ def outcome_values(rows: pd.DataFrame, figure: str | None) -> pd.Series:
     Raises:
         InputError: There is no such column.
     """
-    value = (rows["outcome"] == "success").astype(float) if not figure else rows[column(rows, figure)].astype(float)
+    value = (
+        (rows["outcome"] == "success").astype(float) if not figure else rows[find_column(rows, figure)].astype(float)
+    )
     return value.where(rows["outcome"] != "invalid")
 
 
@@ -496,8 +504,8 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
     """Estimate Sobol indices of success or of a metric from a Saltelli design, with 95 % errors.
 
     The error is that of a bootstrap, and at least that of the share of blocks that change (Clopper-Pearson). It is NaN
-    with fewer than `MIN_BLOCKS` blocks, and for success with fewer than `MIN_RARER` draws of the rarer outcome. A
-    block of d + 2 rows with an invalid one is left out.
+    with fewer than `MIN_BLOCKS` blocks, and for success with fewer than `MIN_RARER_OUTCOMES` draws of the rarer
+    outcome. A block of d + 2 rows with an invalid one is left out.
 
     Args:
         rows: Rows of a study whose design is made for Sobol indices, at one condition.
@@ -523,7 +531,7 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
     base = whole[:, [0, -1]]  # columns: A, A with an axis of B for each axis, B
     squares = (whole[:, 1:-1] - base[:, :1]) ** 2
     least = _binomial_error(squares, 1.0 if figure is None else None) / (2 * base.var())
-    if len(whole) < MIN_BLOCKS or (figure is None and rarer_outcomes(base) < MIN_RARER):
+    if len(whole) < MIN_BLOCKS or (figure is None and rarer_outcomes(base) < MIN_RARER_OUTCOMES):
         least[:] = np.nan
     columns = {"first": result["S1"], "first_error": np.maximum(result["S1_conf"], least)}
     columns |= {"total": result["ST"], "total_error": np.maximum(result["ST_conf"], least)}

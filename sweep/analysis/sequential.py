@@ -12,11 +12,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from sweep.analysis.compare import SECOND
-from sweep.analysis.intervals import CONFIDENCE, confidence_sequence
+from sweep.analysis.compare import SECOND_RUN_MARK
+from sweep.analysis.intervals import CONFIDENCE_LEVEL, confidence_sequence
 from sweep.analysis.stats import format_percent
 
-POWER = 0.9  # of the test of fixed size, printed for comparison
+TEST_POWER = 0.9  # of the test of fixed size, printed for comparison
 
 
 def log_e_value(lost: ArrayLike, gained: ArrayLike) -> np.ndarray:
@@ -28,8 +28,8 @@ def log_e_value(lost: ArrayLike, gained: ArrayLike) -> np.ndarray:
     return betaln(b + 0.5, c + 0.5) - betaln(0.5, 0.5) + (b + c) * np.log(2)
 
 
-def fixed_sample_size(lost: float, gained: float, level: float = CONFIDENCE) -> float:
-    """Estimate how many pairs McNemar's test, looked at once, needs to find a difference with a power of `POWER`.
+def fixed_sample_size(lost: float, gained: float, level: float = CONFIDENCE_LEVEL) -> float:
+    """Estimate how many pairs McNemar's test, looked at once, needs to find a difference with a power of `TEST_POWER`.
 
     By the normal approximation (Connor 1987); infinite if the shares are equal.
 
@@ -44,7 +44,7 @@ def fixed_sample_size(lost: float, gained: float, level: float = CONFIDENCE) -> 
     if not difference:
         return np.inf
     spread = np.sqrt(max(flips - difference**2, 0.0))
-    return float(((ndtri(0.5 + level / 2) * np.sqrt(flips) + ndtri(POWER) * spread) / difference) ** 2)
+    return float(((ndtri(0.5 + level / 2) * np.sqrt(flips) + ndtri(TEST_POWER) * spread) / difference) ** 2)
 
 
 @dataclass(frozen=True)
@@ -53,21 +53,21 @@ class SequentialResult:
 
     level: float
     pairs: int  # independent ones that are valid in both runs
-    left: int  # valid pairs after the deciding one: they were not needed
+    unused_pairs: int  # valid pairs after the deciding one: they were not needed
     invalid: int  # pairs passed over
     lost: int  # A succeeds more often than B
     gained: int
-    a: float  # pairs in which A succeeds; of several rows of a draw their share
-    b: float
+    successes_a: float  # pairs in which A succeeds; of several rows of a draw their share
+    successes_b: float
     log_e: float
-    decided: bool
+    is_decided: bool
 
     def __str__(self) -> str:
         if not self.pairs:
             return f"none of {self.invalid} pairs is valid in both"
         shares = " and ".join(
             f"{name} {format_percent(k / self.pairs)} ({format_percent(float(low))} to {format_percent(float(high))})"
-            for name, k in (("A", self.a), ("B", self.b))
+            for name, k in (("A", self.successes_a), ("B", self.successes_b))
             for low, high in [confidence_sequence(k, self.pairs, self.level)]
         )
         needed = 1 / (1 - self.level)
@@ -75,9 +75,9 @@ class SequentialResult:
         skipped = f"; {self.invalid} invalid pairs are skipped" if self.invalid else ""
         flips = f"{self.lost} succeed only in A, {self.gained} only in B"
         lines = [f"after {self.pairs} pairs: {flips}; E = {evidence}{skipped}"]
-        if self.decided:
+        if self.is_decided:
             better, worse = ("A", "B") if self.lost > self.gained else ("B", "A")
-            rest = f"; {self.left} remaining pairs were not needed" if self.left else ""
+            rest = f"; {self.unused_pairs} remaining pairs were not needed" if self.unused_pairs else ""
             lines.append(f"{better} succeeds more often than {worse}, however often one looked{rest}")
         else:
             lines.append("not decided: more draws may decide it; you may look again after each one")
@@ -87,7 +87,9 @@ class SequentialResult:
         return "\n".join(lines)
 
 
-def sequential_test(pairs: pd.DataFrame, level: float = CONFIDENCE, unit: np.ndarray | None = None) -> SequentialResult:
+def sequential_test(
+    pairs: pd.DataFrame, level: float = CONFIDENCE_LEVEL, unit: np.ndarray | None = None
+) -> SequentialResult:
     """Go through pairs in the order of their draws, and stop where the evidence decides.
 
     Pairs with an invalid rollout are left out. If a unit has several pairs, it counts once: for the run that succeeds
@@ -101,7 +103,7 @@ def sequential_test(pairs: pd.DataFrame, level: float = CONFIDENCE, unit: np.nda
     """
     each = pairs["replicate"].to_numpy() if "replicate" in pairs else np.arange(len(pairs))
     units = each if unit is None else unit
-    first, second = pairs["outcome"].to_numpy(), pairs[f"outcome{SECOND}"].to_numpy()
+    first, second = pairs["outcome"].to_numpy(), pairs[f"outcome{SECOND_RUN_MARK}"].to_numpy()
     valid = (first != "invalid") & (second != "invalid")
     won = pd.DataFrame({"a": first[valid] == "success", "b": second[valid] == "success"})
     shares = won.groupby(units[valid]).mean()  # in the order of the units

@@ -12,13 +12,13 @@ from sweep.core.distinct_values import count_distinct, number_distinct
 
 
 @dataclass(frozen=True)
-class Rate:
+class SuccessRate:
     """Number of successes among valid rollouts, with a 95 % interval (NaN without one); invalid rollouts are counted
     separately."""
 
     total: int
     invalid: int
-    success: int
+    successes: int
     low: float
     high: float
 
@@ -30,7 +30,7 @@ class Rate:
     @property
     def share(self) -> float:
         """Share of the valid rollouts that succeed; NaN without a valid rollout."""
-        return self.success / self.valid_count if self.valid_count else np.nan
+        return self.successes / self.valid_count if self.valid_count else np.nan
 
     @property
     def has_interval(self) -> bool:
@@ -56,7 +56,7 @@ class Rate:
             else f", 95 % interval {format_percent(self.low)} to {format_percent(self.high)}"
         )
         share = f"{format_percent(self.share)}{sure}"
-        return f"{self.success:,} of {self.valid_count:,} succeed ({share}), {self.invalid_text}"
+        return f"{self.successes:,} of {self.valid_count:,} succeed ({share}), {self.invalid_text}"
 
 
 def format_percent(share: float) -> str:
@@ -64,17 +64,17 @@ def format_percent(share: float) -> str:
     return f"{100 * share:.1f} %"
 
 
-def rate(outcome: pd.Series) -> Rate:
+def success_rate(outcome: pd.Series) -> SuccessRate:
     """Compute the success rate of a column of outcomes, with Wilson's interval for independent rows."""
     invalid, success = int((outcome == "invalid").sum()), int((outcome == "success").sum())
     valid = len(outcome) - invalid
     if not valid:
-        return Rate(len(outcome), invalid, success, np.nan, np.nan)
+        return SuccessRate(len(outcome), invalid, success, np.nan, np.nan)
     low, high = map(float, wilson(success, valid))
-    return Rate(len(outcome), invalid, success, low, high)
+    return SuccessRate(len(outcome), invalid, success, low, high)
 
 
-def rates(
+def success_rates(
     rows: pd.DataFrame,
     by: list[str],
     interval: Callable[[ArrayLike, ArrayLike], Interval] = wilson,

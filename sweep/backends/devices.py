@@ -21,17 +21,17 @@ from sweep.core import files
 from sweep.core.errors import InputError
 from sweep.fused.cores import count_cores
 
-BATCH = "batch"
-NEVER = 1 << 40
+BATCH_MESH_AXIS = "batch"
+NEVER_REUSE = 1 << 40
 CPU_WIDTH, GPU_WIDTH = 256, 131072  # rollouts at which a device is fastest, if its memory holds them
 NATIVE_WIDTH = 64  # for C MuJoCo
 NUMPY_WIDTH = 256  # largest batch whose plans and metrics NumPy computes before a GPU's compiler has begun
 PLANNING_WIDTH = 1024  # rollouts that plan at a time on a GPU; planning with calibration takes 6 MiB each
-GPUS = "/dev/nvidia[0-9]*"
+NVIDIA_DEVICE_FILES = "/dev/nvidia[0-9]*"
 GPU_ROLLOUT_BYTES = 64 << 10  # generous: 10 to 31 KiB were measured
 
 
-def configure() -> None:
+def configure_jax() -> None:
     """Configure JAX for this process: exact matrix products, and a persistent compilation cache.
 
     Raises:
@@ -52,7 +52,7 @@ def configure() -> None:
 def start_device_search() -> None:
     """Let JAX search for devices in a thread, which takes most of a second on a GPU; the first user of a device sees
     errors."""
-    configure()
+    configure_jax()
 
     def found() -> None:
         with contextlib.suppress(RuntimeError):
@@ -63,7 +63,7 @@ def start_device_search() -> None:
 
 def would_use_gpu() -> bool:
     """Whether JAX would use an NVIDIA GPU of this machine by default, found out without starting CUDA."""
-    return not jax.config.jax_platforms and bool(find_spec("jax_plugins")) and bool(glob.glob(GPUS))
+    return not jax.config.jax_platforms and bool(find_spec("jax_plugins")) and bool(glob.glob(NVIDIA_DEVICE_FILES))
 
 
 def prefer_cpu(reason: str) -> None:
@@ -84,12 +84,12 @@ def convert_memory_errors() -> Iterator[None]:
         raise MemoryError(str(error).splitlines()[0]) from None
 
 
-def precision(settings: EngineSettings) -> contextlib.AbstractContextManager:
+def precision_context(settings: EngineSettings) -> contextlib.AbstractContextManager:
     """Context with double precision if the settings ask for it."""
     return jax.enable_x64(settings.precision == "float64")
 
 
-def on_cpu() -> contextlib.AbstractContextManager:
+def cpu_context() -> contextlib.AbstractContextManager:
     """Context in which JAX's default device is the CPU. Raises `InputError` if JAX has none."""
     try:
         return jax.default_device(jax.local_devices(backend="cpu")[0])
@@ -100,7 +100,7 @@ def on_cpu() -> contextlib.AbstractContextManager:
 def reuse_threshold() -> int:
     """Return the cost above which `batch_last_vmap` stores a value instead of computing it again; none on a GPU, whose
     compiler decides."""
-    return 8 if jax.default_backend() == "cpu" else NEVER
+    return 8 if jax.default_backend() == "cpu" else NEVER_REUSE
 
 
 def run_program(program: Compiled, *args: Any) -> Any:
@@ -113,7 +113,7 @@ def run_program(program: Compiled, *args: Any) -> Any:
     return program(*jax.device_put(args, program.input_shardings[0]))
 
 
-def plan_options(forces: bool) -> dict[str, Any]:
+def planning_compiler_options(forces: bool) -> dict[str, Any]:
     """Options of XLA's compiler for plans, with planned forces or without.
 
     A plan runs once for each batch, so autotuning, 14 s on a GPU, does not pay. Fused, XLA computes a plan again among
@@ -125,7 +125,7 @@ def plan_options(forces: bool) -> dict[str, Any]:
     return {"xla_gpu_autotune_level": 0, **apart}
 
 
-def default_width() -> int:
+def default_batch_width() -> int:
     """Default number of rollouts of a batch over all devices.
 
     An accelerator gets as many as fill its memory, up to where its speed levels off; a CPU as many as fit its caches.
@@ -139,12 +139,12 @@ def default_width() -> int:
 def make_mesh(width: int) -> jax.sharding.Mesh:
     """Mesh of the devices that share a batch: all of them if they divide `width` evenly, else one."""
     devices = jax.devices() if width % jax.device_count() == 0 else jax.devices()[:1]
-    return jax.make_mesh((len(devices),), (BATCH,), (jax.sharding.AxisType.Auto,), devices=devices)
+    return jax.make_mesh((len(devices),), (BATCH_MESH_AXIS,), (jax.sharding.AxisType.Auto,), devices=devices)
 
 
 def partition_specs(tree: Any) -> Any:
     """Partition spec of each leaf: split if it has a batch axis, else replicated."""
-    return jax.tree.map(lambda x: PartitionSpec(BATCH) if np.ndim(x) else PartitionSpec(), tree)
+    return jax.tree.map(lambda x: PartitionSpec(BATCH_MESH_AXIS) if np.ndim(x) else PartitionSpec(), tree)
 
 
 def vmap_in_chunks(function: Callable[..., Any], width: int) -> Callable[..., Any]:
@@ -171,7 +171,7 @@ def vmap_in_chunks(function: Callable[..., Any], width: int) -> Callable[..., An
     return batched
 
 
-def shard(tree: Any, over: jax.sharding.Mesh) -> Any:
+def shard_leaves(tree: Any, over: jax.sharding.Mesh) -> Any:
     """Put leaves on the devices as JAX arrays, sharded by `partition_specs`.
 
     Args:
@@ -188,7 +188,7 @@ def sharded_shapes(tree: Any, over: jax.sharding.Mesh) -> Any:
         tree: arrays or shapes.
         over: the mesh.
     """
-    parts, whole = NamedSharding(over, PartitionSpec(BATCH)), NamedSharding(over, PartitionSpec())
+    parts, whole = NamedSharding(over, PartitionSpec(BATCH_MESH_AXIS)), NamedSharding(over, PartitionSpec())
 
     def laid_out(x: Any) -> jax.ShapeDtypeStruct:  # XLA does not shard empty arrays
         return jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=parts if np.prod(x.shape) else whole)
@@ -217,7 +217,7 @@ def program_signature(tree: Any) -> Any:
     return jax.tree.structure(tree), tuple(bool(np.ndim(leaf)) for leaf in jax.tree.leaves(tree))
 
 
-def as_arrays(tree: Any) -> Any:
+def to_jax_arrays(tree: Any) -> Any:
     """Convert leaves to JAX arrays of the default float type.
 
     Numbers too large for it become infinite, which makes their row invalid.

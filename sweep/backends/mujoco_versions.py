@@ -16,7 +16,7 @@ from mujoco.batch import MODEL_FIELDS, Batch
 from sweep.core.errors import InputError
 
 # Fields of numbers that `mj_setConst` writes: MJSETCONST_ARRAYS in mjxmacro.h of MuJoCo 3.17.
-DERIVED = frozenset(
+SET_CONST_FIELDS = frozenset(
     (
         *("body_subtreemass", "body_invweight0", "body_margin", "bvh_aabb", "dof_invweight0", "dof_M0", "dof_length"),
         *("geom_size", "geom_aabb", "geom_rbound", "geom_fluid", "cam_poscom0", "cam_pos0", "cam_mat0"),
@@ -25,14 +25,14 @@ DERIVED = frozenset(
     )
 )
 # MuJoCo 4: springs that yield, by their words in MJCF. MJX 3.17 has no such springs.
-YIELDING = {
+YIELDING_SPRING_FIELDS = {
     f"{kind}.springyield": field
     for kind, field in (("joint", "jnt_springyield"), ("tendon", "tendon_springyield"))
     if field in MODEL_FIELDS
 }
 
 
-def expanded_values(batch: Batch, written: Collection[str]) -> dict[str, np.ndarray]:
+def batched_fields(batch: Batch, written: Collection[str]) -> dict[str, np.ndarray]:
     """Return the numeric model fields that may differ between the models of a batch, (n, ...) each.
 
     Args:
@@ -45,7 +45,10 @@ def expanded_values(batch: Batch, written: Collection[str]) -> dict[str, np.ndar
     if hasattr(Batch, "expanded"):  # MuJoCo 4
         found = {name: batch.expanded(name) for name in MODEL_FIELDS}
         return {name: rows for name, rows in found.items() if rows is not None and rows.dtype.kind == "f"}
-    names = {*written, *(DERIVED & MODEL_FIELDS if written else ())}  # 3.17 does not say which fields are expanded
+    names = {
+        *written,
+        *(SET_CONST_FIELDS & MODEL_FIELDS if written else ()),
+    }  # 3.17 does not say which fields are expanded
     return {name: rows for name in names if (rows := batch.expand(name)).dtype.kind == "f"}
 
 

@@ -25,15 +25,15 @@ from jax.stages import Compiled
 
 from sweep.core import files, provenance
 from sweep.core.errors import InputError
-from sweep.core.progress import timed_compilation
+from sweep.core.progress import time_compilation
 from sweep.fused import driver
 
 MAX_FILES = 200  # of about a MB each; the oldest are deleted
-DIGEST = hashlib.sha256().digest_size  # bytes before the compressed content
+DIGEST_SIZE = hashlib.sha256().digest_size  # bytes before the compressed content
 _jax_settings = threading.RLock()
 
 
-class Serialized(NamedTuple):
+class SerializedXlaProgram(NamedTuple):
     """A program of XLA in the form that JAX serialises. Other programs are pickled as they are."""
 
     content: tuple[Any, ...]
@@ -59,12 +59,12 @@ def load_or_compile(
     with _jax_settings:  # another thread may be changing them
         folder = _folder()
         if folder is None:
-            with timed_compilation():
+            with time_compilation():
                 return compile_programs()
         file = folder / f"{_key(key_parts, devices)}.programs"
         if (found := _load(file, devices)) is not None:
             return found
-        with without_cache(), timed_compilation():
+        with without_cache(), time_compilation():
             made = compile_programs()
     try:
         _store(file, pickle.dumps([_serialize(part) for part in made]))
@@ -112,14 +112,16 @@ def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
     try:
         files.require_private(file)
         packed = file.read_bytes()
-        check, content = packed[:DIGEST], zlib.decompress(packed[DIGEST:])
+        check, content = packed[:DIGEST_SIZE], zlib.decompress(packed[DIGEST_SIZE:])
         if check != hashlib.sha256(content).digest():
             raise ValueError("its content has changed")
         if b"lapack_" in content:  # JAX registers LAPACK only once it lowers a call of it
             jax.jit(jax.lax.linalg.cholesky).lower(np.eye(1))
         parts = pickle.loads(content)
         return [
-            deserialize_and_load(*part.content, execution_devices=devices) if isinstance(part, Serialized) else part
+            deserialize_and_load(*part.content, execution_devices=devices)
+            if isinstance(part, SerializedXlaProgram)
+            else part
             for part in parts
         ]
     except FileNotFoundError:
@@ -137,7 +139,7 @@ def _warn(action: str, error: Exception) -> None:
 
 
 def _serialize(part: Any) -> Any:
-    return Serialized(serialize(part)) if isinstance(part, Compiled) else part
+    return SerializedXlaProgram(serialize(part)) if isinstance(part, Compiled) else part
 
 
 def _store(file: Path, content: bytes) -> None:

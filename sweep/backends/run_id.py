@@ -11,7 +11,7 @@ from sweep.contract.engine_settings import EngineSettings
 from sweep.core import provenance
 
 # environment variables that change compiled code or random numbers
-FLAGS = (
+ENVIRONMENT_VARIABLES = (
     "XLA_FLAGS",
     "JAX_ENABLE_X64",
     "JAX_DEFAULT_PRNG_IMPL",
@@ -22,13 +22,13 @@ FLAGS = (
 
 def describe_device(settings: EngineSettings) -> str:
     """Describe the devices of an engine: kind, number that share a batch, and settings that change compiled code."""
-    devices.configure()
+    devices.configure_jax()
     native = settings.name == "native"
     parts = ["cpu" if native else f"{jax.device_count()} x {jax.devices()[0].device_kind}"]
     if native or jax.default_backend() == "cpu":
         parts.append(provenance.processor_id())
     if not native:
-        parts += [f"{name}={os.environ[name]}" for name in FLAGS if os.environ.get(name)]
+        parts += [f"{name}={os.environ[name]}" for name in ENVIRONMENT_VARIABLES if os.environ.get(name)]
     return ", ".join(parts)
 
 

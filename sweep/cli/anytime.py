@@ -5,11 +5,11 @@ import argparse
 import pandas as pd
 
 from sweep.analysis import compare, sequential
-from sweep.analysis.intervals import CONFIDENCE
+from sweep.analysis.intervals import CONFIDENCE_LEVEL
 from sweep.cli.run_progress import report_progress
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
-from sweep.core.expressions import mask
+from sweep.core.expressions import condition_mask
 from sweep.runs import extend, results, store
 from sweep.study.study import name_axes
 
@@ -20,7 +20,7 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
     Both folders grow by a batch of A at a time, or a quarter of their draws, to at most `--most` draws. Raises
     `InputError`.
     """
-    level = CONFIDENCE if args.level is None else args.level
+    level = CONFIDENCE_LEVEL if args.level is None else args.level
     if not 0.5 <= level < 1:
         raise InputError(f"--level = {level:g} is not allowed: at least 0.5 and below 1")
     if args.most is not None and args.most < 1:
@@ -50,7 +50,7 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
             )
         found = sequential.sequential_test(pairs, level, unit)
         now = max(map(extend.count_draws, exps))
-        if found.decided or args.most is None or now >= args.most:
+        if found.is_decided or args.most is None or now >= args.most:
             return found
         for exp, folder in zip(exps, folders, strict=True):
             extend.check_extendable(exp, folder)
@@ -59,11 +59,11 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
         for k, folder in enumerate(folders):
             asked = len(rows[k]) * number // extend.count_draws(exps[k]) - len(rows[k])
             with report_progress(folder.name, asked, f"{exps[k].scenario} for {folder.name}") as report:
-                exps[k] = extend.grow(exps[k], folder, number, report)
+                exps[k] = extend.extend_study(exps[k], folder, number, report)
             rows[k] = store.read_rows(folder)
 
 
 def named_rows(rows: pd.DataFrame, exp: Experiment, condition: str | None) -> pd.DataFrame:
     """Select the rows of a study that meet a condition, which may name axes as the study does."""
     rows = name_axes(rows, exp.study.axes)
-    return rows[mask(rows, condition)]
+    return rows[condition_mask(rows, condition)]

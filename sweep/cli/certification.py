@@ -17,14 +17,14 @@ from sweep.analysis.stats import format_percent
 from sweep.cli.run_progress import report_progress
 from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.errors import InputError
-from sweep.core.files import path_in
+from sweep.core.files import path_inside_folder
 from sweep.report.tables import page_table
 from sweep.runs import extend, results, runner, store
 from sweep.study import design_kinds
 
-MOST_PARAMETERS = 8
-FRESH, AGAIN = "certify/fresh", "certify/again"  # studies of their own in the folder
-CHECKED = 64  # rollouts of either kind that are run as a check of a certified region
+MAX_PARAMETERS = 8
+FRESH_DRAWS_STUDY, CHECK_STUDY = "certify/fresh", "certify/again"  # studies of their own in the folder
+CHECK_ROLLOUTS = 64  # rollouts of either kind that are run as a check of a certified region
 
 
 def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
@@ -45,7 +45,7 @@ def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     with ThreadPoolExecutor() as pool:  # what is learned is learned while fresh draws are simulated
         score = pool.submit(certify.learn_score, args.shape, *learned, least)
         worst = pool.submit(certify.fit_log_odds, *learned, convex=False) if args.shape != "score" else score
-        new = partial(simulate_fresh_draws, exp, path_in(folder, FRESH), exp.study.seed + 1)
+        new = partial(simulate_fresh_draws, exp, path_inside_folder(folder, FRESH_DRAWS_STUDY), exp.study.seed + 1)
         fresh = new(args.rollouts) if args.rollouts else rows.iloc[order[1::2]]
     found = certify.certify(
         score.result(), learned, parameters_and_failures(fresh, names), args.failures, args.confidence
@@ -82,8 +82,8 @@ def drawn_parameters(exp: Experiment, rows: pd.DataFrame) -> list[str]:
     names = [a.column for a in own.axes if a.distribution]
     if words := [name for name in names if rows[name].dtype.kind not in "fi"]:
         raise InputError(f"{words[0]} is a name: certify needs axes of numbers")
-    if len(names) > MOST_PARAMETERS:
-        raise InputError(f"{len(names)} parameters are drawn: certify allows at most {MOST_PARAMETERS}")
+    if len(names) > MAX_PARAMETERS:
+        raise InputError(f"{len(names)} parameters are drawn: certify allows at most {MAX_PARAMETERS}")
     return names
 
 
@@ -96,7 +96,7 @@ def simulate_fresh_draws(exp: Experiment, folder: Path, seed: int, number: int) 
     """Simulate draws of the study with another seed, in a folder of their own, and read their rows."""
     fresh = with_seed(exp, folder, seed, number)
     with report_progress("fresh draws", number, f"{exp.scenario} for fresh draws") as report:
-        extend.grow(fresh, folder, number, report)
+        extend.extend_study(fresh, folder, number, report)
     rows = store.read_rows(folder)
     return rows[rows["replicate"] < number]
 
@@ -116,21 +116,24 @@ def check_region(
     The region looks worst where `worst`, a learned probability of failure, is largest. Batches are as wide as those of
     the fresh draws, whose engine is compiled already.
     """
-    number, width = CHECKED * certify.STEPS, int(store.read_points(path_in(folder, FRESH))["width"].iloc[0])
-    place = path_in(folder, AGAIN)
+    number, width = (
+        CHECK_ROLLOUTS * certify.CANDIDATE_COUNT,
+        int(store.read_points(path_inside_folder(folder, FRESH_DRAWS_STUDY))["width"].iloc[0]),
+    )
+    place = path_inside_folder(folder, CHECK_STUDY)
     again = with_seed(exp, place, exp.study.seed + 2, number)
     again = replace(again, settings=replace(again.settings, width=width))
     table = runner.select_points(again)
     x = table[names].to_numpy(dtype=float)
     inside, order = certificate.contains(x), np.argsort(-worst(x))
     kinds = {
-        "where the region looks worst": order[inside[order]][:CHECKED],
-        "outside": np.flatnonzero(~inside)[:CHECKED],
+        "where the region looks worst": order[inside[order]][:CHECK_ROLLOUTS],
+        "outside": np.flatnonzero(~inside)[:CHECK_ROLLOUTS],
     }
     chosen = np.unique(np.concatenate(list(kinds.values())))
     with store.lock_folder(place), report_progress("checks", len(chosen), f"{exp.scenario} for checks") as report:
         runner.repair_folder(again, place)
-        runner.run(runner.prepare_job(again, place, table.iloc[chosen].reset_index(drop=True)), report)
+        runner.run_job(runner.prepare_job(again, place, table.iloc[chosen].reset_index(drop=True)), report)
     rows = store.read_rows(place).set_index("point_id")
     lines = []
     for kind, places in kinds.items():
@@ -147,7 +150,7 @@ def failure_interval(check: dict[str, Any]) -> str:
 
 def format_certificate(certificate: certify.Certificate, shape: str, names: list[str]) -> str:
     """Format the guarantee, its region and its assumptions as text."""
-    where = f"{certificate.next_failed} of {certificate.next_rows} fresh rows fail in the next larger one"
+    where = f"{certificate.next_region_failed} of {certificate.next_region_rows} fresh rows fail in the next larger one"
     if not certificate.is_certified:
         return f"no {shape} is certified at {certificate.failures:g}: {where}; try more rows or larger --failures"
     promise = (
@@ -156,7 +159,7 @@ def format_certificate(certificate: certify.Certificate, shape: str, names: list
         f"{format_percent(certificate.draw_share)} of all draws, "
         f"{certificate.failed} of {certificate.rows} fresh rows failed there"
     )
-    why = f"; {where}" if certificate.next_rows else "; there is no larger region"
+    why = f"; {where}" if certificate.next_region_rows else "; there is no larger region"
     assumed = (
         "this holds for draws from the study's distributions, not for every point; invalid rollouts count as failures"
     )
@@ -180,9 +183,9 @@ def certificate_data(certificate: certify.Certificate, args: argparse.Namespace,
         "where": certificate.score.condition(names, certificate.threshold) if certificate.is_certified else None,
         "rows": certificate.rows,
         "failed": certificate.failed,
-        "fresh_rows": certificate.drawn,
-        "next_rows": certificate.next_rows,
-        "next_failed": certificate.next_failed,
+        "fresh_rows": certificate.fresh_draws,
+        "next_rows": certificate.next_region_rows,
+        "next_failed": certificate.next_region_failed,
         "share_of_draws": certificate.draw_share,
         "bound_of_its_rows": certificate.upper_bound if certificate.is_certified else None,
     }

@@ -8,19 +8,19 @@ from sweep.core import project
 from sweep.core.errors import InputError, require_choice
 from sweep.core.groups import GROUPS
 
-PACKAGE = Path(__file__).parents[1]
+PACKAGE_FOLDER = Path(__file__).parents[1]
 # end of a message about an unknown study: folders of results may be of one that does not ship
-EVIDENCE = "; studies of the project's own evidence are files of its repository: study=research/studies/NAME.yaml"
+EVIDENCE_HINT = "; studies of the project's own evidence are files of its repository: study=research/studies/NAME.yaml"
 
 
 def shipped_choices(group: str) -> dict[str, str]:
     """Choices that come with the package, with the first comment of their file or sentence of their class."""
-    found = _classes(PACKAGE / GROUPS[group].sources) if GROUPS[group].kinds else {}
+    found = _classes(PACKAGE_FOLDER / GROUPS[group].source_path) if GROUPS[group].has_kinds else {}
     found |= {name: project.first_comment(file) for name, file in project.shipped_files(group).items()}
     return dict(sorted(found.items()))
 
 
-def refuse_unknown(overrides: list[str]) -> None:
+def refuse_unknown_choices(overrides: list[str]) -> None:
     """Raise `InputError` if `group=name` names no choice, before Hydra and the simulator are imported.
 
     Names that only they know, such as those of a project's modules, are left to them.
@@ -36,10 +36,10 @@ def refuse_unknown(overrides: list[str]) -> None:
         try:
             require_choice(name, {**shipped_choices(group), **project.project_files(group)}, f"{group} = {name}")
         except InputError as error:
-            raise InputError(f"{error}{EVIDENCE if group == 'study' else ''}{outside_of_project()}") from None
+            raise InputError(f"{error}{EVIDENCE_HINT if group == 'study' else ''}{outside_project_hint()}") from None
 
 
-def outside_of_project() -> str:
+def outside_project_hint() -> str:
     """Return the end of an error message about an unknown choice: that no project was found; empty inside a project."""
     return (
         ""
@@ -63,7 +63,7 @@ def _refuse_bare_words(overrides: list[str]) -> None:
         fits = [group for group in GROUPS if word in {**shipped_choices(group), **project.project_files(group)}]
         if fits:
             raise InputError(f"{word} is not allowed: did you mean {' or '.join(f'{group}={word}' for group in fits)}?")
-        raise InputError(f"{word} cannot be read: group=choice or group.name=value{outside_of_project()}")
+        raise InputError(f"{word} cannot be read: group=choice or group.name=value{outside_project_hint()}")
 
 
 def _classes(module: Path) -> dict[str, str]:

@@ -10,8 +10,8 @@ import pandas as pd
 
 from sweep.analysis import rare
 from sweep.analysis.expectations import unmet_expectations
-from sweep.analysis.sample import drop_copies, pooled_rate
-from sweep.analysis.stats import cause_lines, rate
+from sweep.analysis.sample import drop_repeated_rollouts, pooled_rate
+from sweep.analysis.stats import cause_lines, success_rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.cli.run_progress import report_progress
 from sweep.config.experiment import Experiment, build_experiment, compose_values
@@ -22,7 +22,7 @@ from sweep.core.progress import (
     format_running_parts,
     remember_duration,
     show_counts,
-    show_wait,
+    show_elapsed_time,
 )
 from sweep.report import tables
 from sweep.report.headline import headline
@@ -34,12 +34,12 @@ from sweep.study.clusters import WorkerStatus, connect_lazily
 from sweep.study.study import check_expect, name_axes, parameter_columns, unit_of_column
 from sweep.systems import find_kind_by_keys
 
-JITTER = ["study=any_jitter"]  # sixteen rollouts that differ by 1e-6
-SLACK = 0.2  # share of them that may end otherwise than the scenario expects
+JITTER_STUDY = ["study=any_jitter"]  # sixteen rollouts that differ by 1e-6
+MAX_CHANGED_SHARE = 0.2  # share of them that may end otherwise than the scenario expects
 
 
 @dataclass(frozen=True)
-class Flags:
+class RunFlags:
     """Flags of `sweep run` that are not passed to Hydra."""
 
     dry_run: bool = False
@@ -48,7 +48,7 @@ class Flags:
     where: str | None = None
 
 
-def execute(exp: Experiment, flags: Flags) -> int:
+def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
     """Run an experiment.
 
     Args:
@@ -82,7 +82,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
     if not flags.check:  # which judges nothing by outcomes
         check_expect(exp.study, exp.system, first)
     if exp.study.is_refined:
-        refine.check(exp.study, first)
+        refine.check_refinable(exp.study, first)
     if line := exp.study.design.warning:
         print(f"sweep: {line}", file=sys.stderr)
     if flags.dry_run:
@@ -91,22 +91,22 @@ def execute(exp: Experiment, flags: Flags) -> int:
             print(f"sweep: {line}", file=sys.stderr)
         # without earlier points the table of the job has them, with their width
         points = job.table if len(job.table) == len(first) else first.assign(width=job.table["width"].iloc[0])
-        with show_wait("tracing which axes enter the simulation"):
+        with show_elapsed_time("tracing which axes enter the simulation"):
             ineffective = axis_effects.describe_unread_axes(exp, points)
-        print("\n".join([forecast(job), *ineffective, *map(str, failing_levels(exp))]))
+        print("\n".join([describe_dry_run(job), *ineffective, *map(str, failing_levels(exp))]))
         return DONE
     if flags.check:
         return check_axes(exp, first)
 
     def say(line: str) -> None:
         print(f"sweep: {line}", file=sys.stderr)
-        store.log(folder, line)
+        store.append_to_log(folder, line)
 
     watched = WorkerStatus(say)
     with store.lock_folder(folder), connect_lazily(exp.cluster, watched) as dispatch:
         for line in runner.repair_folder(exp, folder):
             say(line)
-        done, start, to_do = 0, time.perf_counter(), plan_jobs(exp, folder, first, whole)
+        done, start, to_do = 0, time.perf_counter(), iterate_jobs(exp, folder, first, whole)
         for line in runner.describe_changed_axes(exp, folder):
             say(line)
         failing = None
@@ -115,7 +115,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
             if todo and failing is None:
                 failing = failing_levels(exp)
             with report_progress(exp.study.name, todo, program_text(exp), watched) as report:
-                job = runner.run(job, report, dispatch)
+                job = runner.run_job(job, report, dispatch)
             done += todo
         seconds = time.perf_counter() - start
         if not done:
@@ -130,9 +130,9 @@ def execute(exp: Experiment, flags: Flags) -> int:
             f"sweep: rows come from {' and '.join(used)}; equal rollouts may differ in the last bit between them",
             file=sys.stderr,
         )
-    with show_wait("looking for axes without an effect"):
+    with show_elapsed_time("looking for axes without an effect"):
         ineffective = axis_effects.describe_ineffective_axes(exp, rows)
-    print("\n".join([summary(exp, rows), *(f"  {line}" for line in (*ineffective, *(failing or ())))]))
+    print("\n".join([summarize_study(exp, rows), *(f"  {line}" for line in (*ineffective, *(failing or ())))]))
     if exp.study.is_refined:
         print("\n".join(f"refined: {one}" for one in refine.summarize_panels(exp, rows)))
     if exp.study.is_adaptive and complete:
@@ -143,7 +143,7 @@ def execute(exp: Experiment, flags: Flags) -> int:
 
 def failing_levels(exp: Experiment) -> list[FailingLevel]:
     """List named levels that fail at the nominal point, with a progress line during their simulation."""
-    with show_wait(f"simulating the nominal rollout of each name that {exp.study.name} lists"):
+    with show_elapsed_time(f"simulating the nominal rollout of each name that {exp.study.name} lists"):
         return find_failing_levels(exp)
 
 
@@ -154,7 +154,7 @@ def check_axes(exp: Experiment, points: pd.DataFrame) -> int:
         return f"{exp.study.name}: {done} rollouts simulated to check that its axes have an effect"
 
     with show_counts(words, 0) as told:
-        found = axis_check.run(exp, points, told)
+        found = axis_check.run_axis_check(exp, points, told)
     for line in found.format_lines(exp):
         print(f"sweep: {line}", file=sys.stderr)
     dead = len({one.column for one in found.inactive if one.is_entire_axis})
@@ -162,7 +162,7 @@ def check_axes(exp: Experiment, points: pd.DataFrame) -> int:
     return DONE if found.is_sound else UNEXPECTED
 
 
-def plan_jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Iterable[runner.Job]:
+def iterate_jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Iterable[runner.Job]:
     """Yield the jobs of a study: one for each round if results decide what runs next, else a single one."""
     if whole and exp.study.is_refined:
         return refine.iter_jobs(exp, folder, first)
@@ -173,7 +173,7 @@ def plan_jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -
     )
 
 
-def execute_single(exp: Experiment, flags: Flags) -> int:
+def execute_single(exp: Experiment, flags: RunFlags) -> int:
     """Simulate one nominal rollout and print its outcome and metrics.
 
     On the native engine, whose last bits differ between hosts, expectations are judged by jittered rollouts.
@@ -190,12 +190,12 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
     def words() -> str:
         return f"compiling {what}, then simulating{format_last_duration(what)}{format_running_parts(what)}"
 
-    with show_wait(words):
+    with show_elapsed_time(words):
         rows = runner.run_single_batch(exp)
     remember_duration(what, time.perf_counter() - start)
     sys.stdout.write(tables.rollout_table(exp, rows.iloc[0]))
     if exp.study.expect and exp.settings.name == "native" and (other := jitter_experiment(exp)):
-        with show_wait(
+        with show_elapsed_time(
             f"simulating {exp.scenario} {other.study.max_rollouts} times to judge its expectations on the native engine"
         ):
             exp, rows = other, runner.run_single_batch(other)
@@ -205,12 +205,14 @@ def execute_single(exp: Experiment, flags: Flags) -> int:
 
 def jitter_experiment(exp: Experiment) -> Experiment | None:
     """The scenario with the jitter study's axes and its own expectations; None for another system."""
-    values = compose_values(JITTER)
+    values = compose_values(JITTER_STUDY)
     if find_kind_by_keys(values) is not find_kind_by_keys(exp.values):
         return None
     of = build_experiment({**exp.values, "study": {**values["study"], "name": f"{exp.scenario}_jitter"}})
     expect = tuple(
-        replace(one, at_least=max(0.0, one.at_least - SLACK), at_most=min(1.0, one.at_most + SLACK))
+        replace(
+            one, at_least=max(0.0, one.at_least - MAX_CHANGED_SHARE), at_most=min(1.0, one.at_most + MAX_CHANGED_SHARE)
+        )
         for one in exp.study.expect
     )
     return replace(
@@ -220,7 +222,7 @@ def jitter_experiment(exp: Experiment) -> Experiment | None:
 
 def expectation_exit_code(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
     """Return the exit code of finished rows, and print a line for each expectation that is not met."""
-    found = rate(rows["outcome"])
+    found = success_rate(rows["outcome"])
     if found.invalid_share > exp.study.invalid_max:
         allowed = f"{exp.study.invalid_max:.1%} allowed"
         print(f"sweep: {found.invalid} of {found.total} rollouts are invalid, {allowed}", file=sys.stderr)
@@ -234,9 +236,9 @@ def expectation_exit_code(exp: Experiment, rows: pd.DataFrame, complete: bool) -
     return UNEXPECTED if lines else DONE
 
 
-def summary(exp: Experiment, rows: pd.DataFrame) -> str:
+def summarize_study(exp: Experiment, rows: pd.DataFrame) -> str:
     """Summarise a study as text: headline, causes, and success rates by named parameter; copies count once."""
-    rows, copies = drop_copies(rows, exp)
+    rows, copies = drop_repeated_rollouts(rows, exp)
     lines = [f"{exp.study.name}: {headline(rows, exp)}"]
     lines += [f"  {line}" for line in cause_lines(rows["cause"], exp.system.cause_meanings(exp.thresholds))]
     lines += [f"  {copies}"] if copies else []
@@ -246,7 +248,7 @@ def summary(exp: Experiment, rows: pd.DataFrame) -> str:
     return "\n".join(lines)
 
 
-def forecast(job: runner.Job) -> str:
+def describe_dry_run(job: runner.Job) -> str:
     """Describe what a run would do: rollouts, batches, memory, and the time if an earlier batch is known."""
     missing = job.rows(job.missing())
     first_rows = ~missing["batch"].duplicated().to_numpy()  # of each batch
@@ -256,7 +258,7 @@ def forecast(job: runner.Job) -> str:
     if len(missing):
         text += f"{memory_text(job, missing)}, {duration_text(job, missing)}, "
         text += format_compile_estimate(program_text(job.exp))
-    if count := time_series.check_size(job.exp, job.table):
+    if count := time_series.check_history_size(job.exp, job.table):
         kept, columns = min(job.exp.study.keep_rows, len(job.table)), ", ".join(job.exp.study.keep)
         text += f"\ntime series of {kept} rollouts ({columns}): about {4 * count / 2**20:.1f} MiB before compression"
     return f"{text}\n{axes_table(job.exp)}" if job.exp.study.axes and not job.exp.study.points else text
@@ -271,7 +273,7 @@ def memory_text(job: runner.Job, missing: pd.DataFrame) -> str:
 
 def duration_text(job: runner.Job, missing: pd.DataFrame) -> str:
     """Estimated time of the `missing` rollouts as text, from the last batch of this or a similar study."""
-    beside = sorted(job.folder.parent.glob(f"*/{store.STUDY}"), key=lambda p: p.stat().st_mtime, reverse=True)
+    beside = sorted(job.folder.parent.glob(f"*/{store.STUDY_FILE}"), key=lambda p: p.stat().st_mtime, reverse=True)
     for folder in (job.folder, *(path.parent for path in beside)):
         if (seconds := seconds_per_rollout(folder, job)) is not None:
             return f"about {len(missing) * seconds:.0f} s at the speed of {folder}"

@@ -107,7 +107,7 @@ def project_files(task: str, policy: Path | None) -> dict[str, bytes]:
         InputError: gymnasium is not installed, the task is not supported, or the policy is no network.
     """
     require_choice(task, TASKS, f"--gym {task}")
-    if policy and (not policy.is_file() or policy.suffix != files.ONNX):
+    if policy and (not policy.is_file() or policy.suffix != files.ONNX_SUFFIX):
         raise InputError(f"--policy {policy} is not allowed: a network in a file .onnx")
     try:
         import gymnasium

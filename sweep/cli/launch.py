@@ -18,11 +18,11 @@ from sweep.config.experiment import Experiment
 from sweep.core.arguments import list_flags, make_usage_error
 from sweep.core.errors import Fault, InputError
 
-ONE_OF = ("run", "multirun", "cfg", "info", "shell_completion")  # of what Hydra does
-COMPLETED = ("install=", "uninstall=", "query=")  # what its completion is told
+HYDRA_ACTIONS = ("run", "multirun", "cfg", "info", "shell_completion")  # of what Hydra does
+COMPLETION_QUERIES = ("install=", "uninstall=", "query=")  # what its completion is told
 
 
-def launch(overrides: list[str], work: Callable[[Experiment], int], run_flags: list[str]) -> int:
+def launch_hydra(overrides: list[str], work: Callable[[Experiment], int], run_flags: list[str]) -> int:
     """Compose the configuration and run `work` on it; return the exit code, the largest of a multirun.
 
     Raises `InputError`; for an unknown flag it names the closest of Hydra's and of our own `run_flags`.
@@ -72,11 +72,13 @@ def check_flags(overrides: list[str], run_flags: list[str]) -> None:
 
     parser.error = error
     args = parser.parse_args(overrides)
-    if len(both := [flag for flag in ONE_OF if getattr(args, flag)]) > 1:
+    if len(both := [flag for flag in HYDRA_ACTIONS if getattr(args, flag)]) > 1:
         raise InputError(f"--{both[0]} and --{both[1].replace('_', '-')} are not allowed together")
     if args.resolve and not args.cfg:
         raise InputError("--resolve is for --cfg")
-    if args.shell_completion and not any(one.startswith(COMPLETED) for one in args.overrides):
-        raise InputError(f"--shell-completion wants {', '.join(COMPLETED)} and a shell; `sweep completion` is ours")
+    if args.shell_completion and not any(one.startswith(COMPLETION_QUERIES) for one in args.overrides):
+        raise InputError(
+            f"--shell-completion wants {', '.join(COMPLETION_QUERIES)} and a shell; `sweep completion` is ours"
+        )
     if (file := args.experimental_rerun) and not Path(file).is_file():
         raise InputError(f"--experimental-rerun = {file} is not a file")

@@ -25,7 +25,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         return run_command(argv)
     finally:
-        for line in user_code.take_output():  # what is in no folder's log
+        for line in user_code.take_printed_lines():  # what is in no folder's log
             print(f"sweep: {escape_control_characters(line)}", file=sys.stderr)
 
 
@@ -37,7 +37,7 @@ def run_command(argv: list[str] | None) -> int:
 
         try:
             with project.locate_user_errors():
-                return commands.execute(list(sys.argv[1:] if argv is None else argv))
+                return commands.execute_command(list(sys.argv[1:] if argv is None else argv))
         finally:
             sys.stdout.flush()  # here, where it is told that nothing could be written
     except InputError as error:
@@ -47,12 +47,12 @@ def run_command(argv: list[str] | None) -> int:
         print(f"sweep: {error}", file=sys.stderr)
         return FAULT
     except KeyboardInterrupt:
-        interrupts.say_interrupted()
+        interrupts.print_interrupt_message()
         return INTERRUPTED
     except OSError as error:
-        from sweep.core.files import UNFIT, os_error_text
+        from sweep.core.files import PATH_ERRORS, os_error_text
 
         lost = "the working folder" if error.errno == errno.ENOENT else ""  # which alone has no name here
         name = error.filename2 or error.filename or lost  # of a copy the target
         print(f"sweep: {escape_control_characters(f'{name}: ' if name else '')}{os_error_text(error)}", file=sys.stderr)
-        return BAD_INPUT if error.errno in UNFIT else FAULT  # such as a full disk
+        return BAD_INPUT if error.errno in PATH_ERRORS else FAULT  # such as a full disk

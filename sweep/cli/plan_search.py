@@ -16,9 +16,9 @@ import yaml
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sweep.analysis.stats import rate
+from sweep.analysis.stats import success_rate
 from sweep.backends import devices
-from sweep.cli.execution import Flags, execute
+from sweep.cli.execution import RunFlags, execute_experiment
 from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.config.experiment import Experiment, compose
 from sweep.contract.system import split_side
@@ -40,15 +40,15 @@ from sweep.planning.score import (
 from sweep.runs import store, tuning
 from sweep.study.study import make_points, parameter_columns
 
-DIGITS, SLOPE_DIGITS = 4, 3  # to which numbers are rounded, and slopes
-DRAWS = ("here", "other draws")
-ENDS = 2  # moments of a stage, at least
-SLIGHT = 0.05  # first steps by which a number has to follow a size in the farthest draw, or it does not
+NUMBER_DIGITS, SLOPE_DIGITS = 4, 3  # to which numbers are rounded, and slopes
+DRAW_LABELS = ("here", "other draws")
+MIN_MOMENTS = 2  # moments of a stage, at least
+MIN_SLOPE_EFFECT = 0.05  # first steps by which a number has to follow a size in the farthest draw, or it does not
 
 
 def tune_plan(args: argparse.Namespace) -> int:
     """Optimise a plan with the arguments of `sweep tune`; return the exit code. Raises `InputError`."""
-    devices.configure()
+    devices.configure_jax()
     overrides: list[str] = args.overrides
     exp = compose(overrides)
     if why := exp.system.unsupported_commands.get("tune"):
@@ -79,11 +79,12 @@ def tune_plan(args: argparse.Namespace) -> int:
     if args.check:
         print(
             margins_table(
-                score, {name: score.margins(first, draws) for name, draws in zip(DRAWS, (seen, others), strict=True)}
+                score,
+                {name: score.margins(first, draws) for name, draws in zip(DRAW_LABELS, (seen, others), strict=True)},
             )
         )
         return DONE
-    sizes = sizes_that_matter(exp, score, first, seen, sizes) if sizes else {}
+    sizes = select_influential_sizes(exp, score, first, seen, sizes) if sizes else {}
     how = {"overrides": sorted(overrides), "free": steps, "stages": args.stages, "need": args.need,
            "moments": args.moments, "forces": args.forces, "seed": args.seed, "population": args.population,
            "follow": args.follow, "gradients": args.gradients, "generations": args.generations,
@@ -93,13 +94,13 @@ def tune_plan(args: argparse.Namespace) -> int:
     tuning.resume_log(log, how)  # refuses before what is slow
     best, slopes = round_solution(score, seen, first, sizes, how, log)
     after = {name: best + relative_changes(draws, sizes) @ slopes.T
-             for name, draws in zip(DRAWS, (seen, others), strict=True)}  # fmt: skip
+             for name, draws in zip(DRAW_LABELS, (seen, others), strict=True)}  # fmt: skip
     left = {f"{name} {when}": score.margins(at, draws)
-            for name, draws in zip(DRAWS, (seen, others), strict=True)
+            for name, draws in zip(DRAW_LABELS, (seen, others), strict=True)
             for when, at in (("before", first), ("after", after[name]))}  # fmt: skip
-    ends = (left[f"{DRAWS[0]} {when}"] for when in ("before", "after"))
+    ends = (left[f"{DRAW_LABELS[0]} {when}"] for when in ("before", "after"))
     was, now = (
-        float(tuning.cost(score.deficits(x)).mean() if args.follow else score.worst_draw_score(x)) for x in ends
+        float(tuning.draw_cost(score.deficits(x)).mean() if args.follow else score.worst_draw_score(x)) for x in ends
     )
     told = margins_table(score, left)
     print(f"score {was:.4g} before, {now:.4g} after\n{told}")
@@ -139,7 +140,7 @@ def drawn_sizes(exp: Experiment) -> dict[str, float]:
     return found
 
 
-def sizes_that_matter(
+def select_influential_sizes(
     exp: Experiment, score: Score, numbers: np.ndarray, draws: Case, sizes: Mapping[str, float]
 ) -> dict[str, float]:
     """Select the sizes that change a margin over the range of the draws.
@@ -182,7 +183,7 @@ def round_solution(
                 log,
                 tell,
             )
-            slight = np.abs(slopes) * np.abs(off).max(axis=0) < SLIGHT * scale[:, None]
+            slight = np.abs(slopes) * np.abs(off).max(axis=0) < MIN_SLOPE_EFFECT * scale[:, None]
             return first, np.where(slight, 0.0, np.round(slopes, SLOPE_DIGITS))
         if how["gradients"]:
             best = tuning.search_by_gradients(
@@ -192,7 +193,7 @@ def round_solution(
             best, _ = tuning.search_by_cma(
                 lambda many: score.worst_draw_score(score.margins(many[:, None], draws)), first, scale, how, log, tell
             )
-    return np.round(best, DIGITS), np.zeros((len(first), 0))
+    return np.round(best, NUMBER_DIGITS), np.zeros((len(first), 0))
 
 
 def compare_plans(overrides: list[str], file: Path, settings: list[str], seed: int) -> str:
@@ -204,9 +205,9 @@ def compare_plans(overrides: list[str], file: Path, settings: list[str], seed: i
     for when, more in (("before", []), ("after", [f"plan={file}", *settings])):
         kept = [text for text in words if not (more and text.startswith("plan="))]
         folder = file.with_suffix(".draws") / f"{when}-{seed}"
-        execute(compose([*kept, *more, f"study.seed={seed}", f"out={folder}"]), Flags())
-        rates[when] = rate(store.read_rows(folder)["outcome"])
-    before, after = (f"{found.success} of {found.valid_count}" for found in rates.values())
+        execute_experiment(compose([*kept, *more, f"study.seed={seed}", f"out={folder}"]), RunFlags())
+        rates[when] = success_rate(store.read_rows(folder)["outcome"])
+    before, after = (f"{found.successes} of {found.valid_count}" for found in rates.values())
     return f"simulated draws of seed {seed} that succeed: {before} before, {after} after"
 
 
@@ -230,8 +231,8 @@ def parse_moments(texts: Iterable[str]) -> list[tuple[str, int]]:
     found = []
     for text in texts:
         pattern, _, count = text.rpartition("=")
-        if not count.isdecimal() or int(count) < ENDS:
-            raise InputError(f"--moments = {text} is not allowed: N or STAGES=N, at least {ENDS}")
+        if not count.isdecimal() or int(count) < MIN_MOMENTS:
+            raise InputError(f"--moments = {text} is not allowed: N or STAGES=N, at least {MIN_MOMENTS}")
         found.append((pattern or "*", int(count)))
     return found
 
@@ -256,7 +257,7 @@ def plan_content(case: Case, changes: Mapping[str, float]) -> Content:
     """Content of the plan's file with tuned numbers; formulas whose value did not change stay."""
     formulas = plan_table.formula_values(case)
     for path, value in changes.items():
-        if round(value - formulas.get(path, math.inf), DIGITS):
+        if round(value - formulas.get(path, math.inf), NUMBER_DIGITS):
             case = replace(case, plan=case.plan.with_value(path, value, formulas))
     return plan_table.plan_content(case)
 

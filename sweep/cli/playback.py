@@ -13,16 +13,16 @@ from sweep.contract.engine import Trace
 from sweep.contract.trace_frames import finite_frames
 from sweep.core import provenance
 from sweep.core.errors import InputError
-from sweep.core.progress import show_wait
+from sweep.core.progress import show_elapsed_time
 from sweep.report import replays
 from sweep.report.page.replay_data import ShownReplay, read_shown_replays
 from sweep.runs import batches, device_choice, results, runner, store
 from sweep.runs.results import Results
 
-SMOOTH, HOLD = 60.0, 1.0  # frames per second in MuJoCo's viewer, and s before it begins again
+VIEWER_FRAME_RATE, LOOP_PAUSE_S = 60.0, 1.0  # frames per second in MuJoCo's viewer, and s before it begins again
 
 
-def play(trace: Trace) -> None:
+def play_in_viewer(trace: Trace) -> None:
     """Play the trace in MuJoCo's viewer in a loop until its window is closed."""
     import mujoco.viewer
 
@@ -37,7 +37,7 @@ def play(trace: Trace) -> None:
                 mujoco.mj_forward(trace.model, data)
                 window.sync()
                 time.sleep(max(0.0, trace.time[k] - (time.perf_counter() - start)))
-            time.sleep(HOLD)
+            time.sleep(LOOP_PAUSE_S)
 
 
 def file_names(folder: str) -> list[str]:
@@ -47,13 +47,15 @@ def file_names(folder: str) -> list[str]:
 
 def record_traces(target: list[str]) -> Iterator[Trace]:
     """Record the rollout that the user names, at a frame rate for smooth playback. Raises `InputError`."""
-    if store.STUDY in file_names(target[0]):
+    if store.STUDY_FILE in file_names(target[0]):
         found, at = find_row(*folder_and_point(target))
         device_choice.choose_device_for_folder(found.folder)
-        again = replays.simulate_again(found.exp, found.rows.iloc[[at]], store.read_points(found.folder), SMOOTH)
+        again = replays.simulate_again(
+            found.exp, found.rows.iloc[[at]], store.read_points(found.folder), VIEWER_FRAME_RATE
+        )
     else:
         exp, planned = compose_single(target)
-        again = replays.simulate_again(exp, planned, planned, SMOOTH)
+        again = replays.simulate_again(exp, planned, planned, VIEWER_FRAME_RATE)
     return (trace for _, trace, _ in again)
 
 
@@ -63,7 +65,7 @@ def open_study(target: list[str], beside: list[str]) -> tuple[Results, list[Show
     found, first = find_row(folder, point)
     wanted = [(found, first, "")]
     if beside:
-        other = beside[0] if store.STUDY in file_names(beside[0]) else folder
+        other = beside[0] if store.STUDY_FILE in file_names(beside[0]) else folder
         named = beside[-1] if len(beside) > 1 or other == folder else str(found.rows["point_id"].iloc[first])
         wanted.append((*find_row(other, named), "" if other == folder else str(other)))
     shown = []
@@ -71,7 +73,7 @@ def open_study(target: list[str], beside: list[str]) -> tuple[Results, list[Show
         row = of.rows.iloc[at]
         if not replays.replay_path(of.folder, row).exists():
             device_choice.choose_device_for_folder(of.folder)
-            with show_wait(f"simulating {row['point_id']} of {of.folder} again"):
+            with show_elapsed_time(f"simulating {row['point_id']} of {of.folder} again"):
                 replays.make_replays(of, of.rows.iloc[[at]].assign(why=""))
         if not (kept := replays.read_replay(of.folder, row)):
             raise InputError(
@@ -91,7 +93,7 @@ def folder_and_point(target: list[str]) -> tuple[str, str]:
 
 def find_row(folder: str, point: str) -> tuple[Results, int]:
     """Results of a folder, and the index of a point among their rows. Raises `InputError`."""
-    found = results.read(Path(folder))
+    found = results.read_results(Path(folder))
     row = store.find_row(store.read_rows(Path(folder)), point, Path(folder))
     return found, int((found.rows["point_id"] == row["point_id"]).to_numpy().argmax())
 
@@ -103,7 +105,7 @@ def simulate_configuration(overrides: list[str], beside: list[str]) -> tuple[Res
     for words in [overrides, [*overrides, *beside]][: 1 + bool(beside)]:
         one, planned = compose_single(words)
         exp = exp or one
-        with show_wait(f"simulating {' '.join(words)}"):
+        with show_elapsed_time(f"simulating {' '.join(words)}"):
             found = next(replays.simulate_again(one, planned, planned), None)
         if found is None:
             raise InputError(f"{one.scenario} cannot be shown")

@@ -10,13 +10,13 @@ from sweep.systems.mujoco_model import files, onnx_network
 from sweep.systems.mujoco_model.learned_policy import spec_file
 from sweep.systems.mujoco_model.policy_spec import PRESETS
 
-PERIOD, DURATION = 0.02, 4.0  # s, of a policy whose file says nothing
-KICK = 1.0  # m/s that the strongest push of the study adds to the whole robot
-SPECIFICATION = """# How the policy was trained: docs/reference/policy_file.md lists the keys
+DEFAULT_PERIOD_S, DEFAULT_DURATION_S = 0.02, 4.0  # s, of a policy whose file says nothing
+STRONGEST_PUSH_MPS = 1.0  # m/s that the strongest push of the study adds to the whole robot
+SPECIFICATION_TEMPLATE = """# How the policy was trained: docs/reference/policy_file.md lists the keys
 preset: {preset}
 period: {period:g}  # s between two calls of the network
 """
-SCENARIO = """# {network} on {mjcf}: what is simulated, and when it fails
+SCENARIO_TEMPLATE = """# {network} on {mjcf}: what is simulated, and when it fails
 system: mujoco
 model:
   mjcf: {mjcf}
@@ -29,7 +29,7 @@ outcome:
   fell: {fell}
   invalid: energy_gained_j > {energy:.3g} or unsolved_share > 0.1
 """
-STUDY = """# How strong a push, and how late an action, does the policy survive?
+STUDY_TEMPLATE = """# How strong a push, and how late an action, does the policy survive?
 scenario: own
 study:
   axes:
@@ -54,7 +54,7 @@ def project_files(policy: Path, mjcf: Path, preset: str) -> dict[str, bytes]:
         if not file.is_file():
             raise InputError(f"--{flag} {file} is not a file")
     files.refuse_torch(f"--policy {policy}", str(policy))
-    if policy.suffix != files.ONNX:
+    if policy.suffix != files.ONNX_SUFFIX:
         raise InputError(f"--policy {policy} is not allowed: a network in a file .onnx")
     mjcf = mjcf.resolve()
     model, folder = files.load_model(str(mjcf)), mjcf.parent
@@ -66,7 +66,9 @@ def project_files(policy: Path, mjcf: Path, preset: str) -> dict[str, bytes]:
     found |= {file.name: file.read_bytes() for file in onnx_network.network_files(policy)}
     beside = spec_file(policy)
     specification = (
-        beside.read_bytes() if beside.is_file() else SPECIFICATION.format(preset=preset, period=PERIOD).encode()
+        beside.read_bytes()
+        if beside.is_file()
+        else SPECIFICATION_TEMPLATE.format(preset=preset, period=DEFAULT_PERIOD_S).encode()
     )
     return found | {
         beside.name: specification,
@@ -88,19 +90,19 @@ def _scenario(network: str, mjcf: str, model: mujoco.MjModel) -> str:
     fell = "joint_limit_share > 0.5"
     if len(free):
         fell = f"base_height_min_m < {pose[model.jnt_qposadr[free[0]] + 2] / 2:.3g} or tilt_max_deg > 60"
-    return SCENARIO.format(
+    return SCENARIO_TEMPLATE.format(
         network=network,
         mjcf=mjcf,
-        duration=DURATION,
+        duration=DEFAULT_DURATION_S,
         keyframe=f"  keyframe: {keyframe}\n" if keyframe else "",
         body=body,
         fell=fell,
-        energy=0.1 * model.body_mass.sum() * KICK**2,
+        energy=0.1 * model.body_mass.sum() * STRONGEST_PUSH_MPS**2,
     )
 
 
 def _study(model: mujoco.MjModel) -> str:
     """Return the text of a study over impulse and delay, up to two calls of the policy."""
-    steps = max(round(PERIOD / model.opt.timestep), 1)
+    steps = max(round(DEFAULT_PERIOD_S / model.opt.timestep), 1)
     delays = sorted({round(steps * share / 2) for share in range(5)})
-    return STUDY.format(most=KICK * model.body_mass.sum(), delays=delays)
+    return STUDY_TEMPLATE.format(most=STRONGEST_PUSH_MPS * model.body_mass.sum(), delays=delays)

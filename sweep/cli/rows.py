@@ -21,7 +21,7 @@ def read_matching_rows(folder: Path, condition: str | None, columns: Sequence[st
         condition: Condition on columns; None for all rows.
         columns: Columns to read, besides those of the condition; None for all.
     """
-    from sweep.core.expressions import condition_columns, mask
+    from sweep.core.expressions import condition_columns, condition_mask
     from sweep.runs import results, store
     from sweep.study.study import name_axes
 
@@ -29,7 +29,7 @@ def read_matching_rows(folder: Path, condition: str | None, columns: Sequence[st
     if columns is not None:
         columns = [*columns, *condition_columns(results.empty_rows(folder, exp), condition)]
     rows = name_axes(store.read_rows(folder, columns), exp.study.axes)
-    found = rows[mask(rows, condition)].reset_index(drop=True) if condition else rows
+    found = rows[condition_mask(rows, condition)].reset_index(drop=True) if condition else rows
     if len(found) < len(rows) and found.empty:
         warn_of_no_match(folder, condition, len(rows))
     return found
@@ -47,10 +47,13 @@ def save_output(path: Path, content: bytes | Iterable[bytes]) -> None:
     """
     from sweep.runs import manifest, store
 
-    named, folder = path.name in (store.STUDY, store.POINTS, manifest.MANIFEST, store.LOG), path.parent
+    named, folder = (
+        path.name in (store.STUDY_FILE, store.POINTS_FILE, manifest.MANIFEST_FILE, store.LOG_FILE),
+        path.parent,
+    )
     if not named and folder.name in store.SUBFOLDERS:
         named, folder = True, folder.parent
-    if named and (folder / store.STUDY).exists():
+    if named and (folder / store.STUDY_FILE).exists():
         raise InputError(f"-o = {path} is not allowed: a study's own file")
     to = Path("/dev/stdout") if path == Path("-") else path
     write_atomically(to, content if isinstance(content, bytes) else partial(_write_pieces, pieces=content))

@@ -14,13 +14,13 @@ from sweep.core.progress import (
     format_last_duration,
     format_running_parts,
     remember_duration,
-    show_wait,
+    show_elapsed_time,
 )
 from sweep.runs import runner
 from sweep.study.clusters import WorkerStatus
 
 
-class Pace:
+class RemainingTimeEstimate:
     """Estimate of a run's remaining time from its finished batches, without compile time."""
 
     def __init__(self, total: int):
@@ -28,13 +28,13 @@ class Pace:
         self.start = self.last = time.perf_counter()
         self._compiled, self._first = compilation_seconds(), (0, 0.0)
 
-    def count(self, rollouts: int) -> None:
+    def add_finished(self, rollouts: int) -> None:
         """Add a number of finished rollouts to the estimate."""
         self.done, self.last = self.done + rollouts, time.perf_counter()
         if not self._first[0]:
             self._first = rollouts, self.last
 
-    def remaining(self) -> float | None:
+    def remaining_s(self) -> float | None:
         """Return the remaining time (s); None before the first batch is finished."""
         first, since = self._first
         if not first:
@@ -47,7 +47,7 @@ class Pace:
 
     def remaining_text(self) -> str:
         """Format the remaining time as minutes and seconds, or dashes while it is unknown."""
-        seconds = self.remaining()
+        seconds = self.remaining_s()
         return "-:-- left" if seconds is None else f"{int(seconds) // 60}:{int(seconds) % 60:02d} left"
 
 
@@ -68,10 +68,10 @@ class LiveColumn(ProgressColumn):
 @contextmanager
 def report_progress(
     name: str, total: int, program: str, watched: WorkerStatus | None = None
-) -> Iterator[runner.Progress]:
+) -> Iterator[runner.ProgressCallback]:
     """Show progress: a bar on a terminal, else a line from time to time."""
     console = Console(stderr=True)
-    start, done, good, pace = time.perf_counter(), 0, 0, Pace(total)
+    start, done, good, pace = time.perf_counter(), 0, 0, RemainingTimeEstimate(total)
     # numbers first: a narrow terminal cuts the end of the line off
     columns = (
         MofNCompleteColumn(),
@@ -84,11 +84,11 @@ def report_progress(
     def note() -> str:
         if not done:
             return f"compiling {program}{format_last_duration(program)}{format_running_parts(program)}"
-        left = f", about {pace.remaining():.0f} s left" if not console.is_terminal else ""
+        left = f", about {pace.remaining_s():.0f} s left" if not console.is_terminal else ""
         workers = f", {watched.workers} workers" if watched and watched.workers is not None else ""
         return f"{done / (time.perf_counter() - start):.1f} rollouts/s, {good / done:.0%} succeed{left}{workers}"
 
-    silent = nullcontext() if console.is_terminal else show_wait(lambda: f"{name}: {done} of {total}, {note()}")
+    silent = nullcontext() if console.is_terminal else show_elapsed_time(lambda: f"{name}: {done} of {total}, {note()}")
     with silent, Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(name, total=total)
 
@@ -96,7 +96,7 @@ def report_progress(
             nonlocal done, good
             if not done:
                 remember_duration(program, time.perf_counter() - start)
-            pace.count(len(rows))
+            pace.add_finished(len(rows))
             done, good = done + len(rows), good + int((rows["outcome"] == "success").sum())
             bar.update(task, completed=done)
 

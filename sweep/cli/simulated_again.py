@@ -8,17 +8,17 @@ import pandas as pd
 
 from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.contract.engine import same_bits
-from sweep.core.progress import show_wait
+from sweep.core.progress import show_elapsed_time
 from sweep.report import replays
 from sweep.runs import device_choice, store
 from sweep.runs.results import Results
 from sweep.study.columns import metric_columns
 
-TOLERANCE = 1e-3  # relative, within which metrics count as reproduced
-SHOWN = 3  # metrics of a row that are named
+DEFAULT_TOLERANCE = 1e-3  # relative, within which metrics count as reproduced
+MAX_SHOWN_METRICS = 3  # metrics of a row that are named
 
 
-def report_simulated_again(results: Results, number: int, seed: int = 0, tolerance: float = TOLERANCE) -> int:
+def report_resimulation(results: Results, number: int, seed: int = 0, tolerance: float = DEFAULT_TOLERANCE) -> int:
     """Simulate stored rows again, print which are equal and which differ, and return the exit code.
 
     Args:
@@ -34,7 +34,7 @@ def report_simulated_again(results: Results, number: int, seed: int = 0, toleran
     number = min(number, len(results.rows))
     rows = results.rows.sample(number, random_state=seed)
     lines: list[dict[str, Any]] = []
-    with show_wait(lambda: f"{len(lines)} of {number} rollouts simulated again"):
+    with show_elapsed_time(lambda: f"{len(lines)} of {number} rollouts simulated again"):
         for row, trace, labels in replays.simulate_again(results.exp, rows, store.read_points(results.folder)):
             lines.append(compare_row(row, trace.metrics, labels, tolerance))
     table = pd.DataFrame(lines)
@@ -69,7 +69,7 @@ def compare_row(
         for name, (a, b) in both.items()
         if not np.isclose(a, b, rtol=tolerance, atol=tolerance * 1e-3, equal_nan=True)
     ]
-    more = f"; and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
+    more = f"; and {len(changed) - MAX_SHOWN_METRICS} more" if len(changed) > MAX_SHOWN_METRICS else ""
     was, now = (" ".join(filter(None, (one["outcome"], one["cause"]))) for one in (row, labels))
     return {
         "point_id": row["point_id"],
@@ -77,7 +77,7 @@ def compare_row(
         "now": now,
         "flips": row["outcome"] != labels["outcome"],
         "equal": all(same_bits(a, b) for a, b in both.values()),
-        "changed": "; ".join(changed[:SHOWN]) + more,
+        "changed": "; ".join(changed[:MAX_SHOWN_METRICS]) + more,
     }
 
 

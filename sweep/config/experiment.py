@@ -41,21 +41,21 @@ from sweep.core.parameters import build_by_kind, check_value
 from sweep.core.yaml_check import ambiguous_number
 from sweep.study import design_kinds, designs
 from sweep.study.clusters import Cluster
-from sweep.study.columns import LABELS, PLAN, TIMING
+from sweep.study.columns import LABEL_COLUMNS, PLACEMENT_COLUMNS, TIMING_COLUMNS
 from sweep.study.designs import rename_on_to_side
 from sweep.study.distributions import require_keys
 from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep, expand_keep
 
-NOT_FINITE = re.compile(r"(?<=[=\[:, ])[-+]?\.(nan|inf)(?=[\]}, ]|$)", re.IGNORECASE)  # of YAML, to Hydra a word
+NON_FINITE_WORD = re.compile(r"(?<=[=\[:, ])[-+]?\.(nan|inf)(?=[\]}, ]|$)", re.IGNORECASE)  # of YAML, to Hydra a word
 # whole numbers without quotes in the value of an override
 WHOLE_NUMBER = re.compile(r"(?:^|(?<=[\[{, ])|(?<=[A-Za-z_]:))[-+]?[0-9][0-9_]*(?=[\]}, ]|$)")
-WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a word",
-         list: "a list", tuple: "a list", dict: "keys and values"}  # what values of a type are  # fmt: skip
+TYPE_NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "a word", list: "a list",
+              tuple: "a list", dict: "keys and values"}  # what values of a type are  # fmt: skip
 CONFIG_MODULE, HYDRA_VERSION = "sweep.conf", "1.3"
-MEMBERS = {"obstacle": ("surface", "solids", "charts"), "manoeuvre": ("plan", "needs", "goal")}  # of classes
-WHOLE: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.is_global}
-KINDS: dict[str, dict[str, type]] = {name: group.load() for name, group in GROUPS.items() if group.kinds}
-CLASSES: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.one_class}
+REQUIRED_MEMBERS = {"obstacle": ("surface", "solids", "charts"), "manoeuvre": ("plan", "needs", "goal")}  # of classes
+GLOBAL_GROUP_CLASSES: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.is_global}
+CLASSES_BY_KIND: dict[str, dict[str, type]] = {name: group.load() for name, group in GROUPS.items() if group.has_kinds}
+SINGLE_CLASSES: dict[str, type] = {name: group.load() for name, group in GROUPS.items() if group.has_single_class}
 
 
 @dataclass(frozen=True)
@@ -86,16 +86,16 @@ def register_schemas() -> None:
     """Register configuration files and schemas with Hydra, including those of user modules. Raises `InputError`."""
     add_user_classes(project.import_user_modules())
     _register_classes()
-    _register_systems(tuple(design_kinds.KINDS))
-    for group, kinds in KINDS.items():
-        hydra_sources.SCHEMAS[group] = {kind: partial(_schema, cls) for kind, cls in kinds.items()}
+    _register_systems(tuple(design_kinds.DESIGN_BY_KIND))
+    for group, kinds in CLASSES_BY_KIND.items():
+        hydra_sources.SCHEMA_MAKERS[group] = {kind: partial(_schema, cls) for kind, cls in kinds.items()}
 
 
 @functools.cache
 def _register_classes() -> None:
-    hydra_sources.register_sources()
-    for group, cls in CLASSES.items():
-        hydra_sources.SCHEMAS[group] = {group: partial(_schema, cls)}
+    hydra_sources.register_hydra_sources()
+    for group, cls in SINGLE_CLASSES.items():
+        hydra_sources.SCHEMA_MAKERS[group] = {group: partial(_schema, cls)}
 
 
 @functools.lru_cache(maxsize=1)
@@ -104,24 +104,24 @@ def _register_systems(design_names: tuple[str, ...]) -> None:
     design = design_kinds.make_schema()
     typed = [("design", design, field(default_factory=design))]
     whole_types = {
-        **WHOLE,
+        **GLOBAL_GROUP_CLASSES,
         "study": dataclasses.make_dataclass("StudySchema", typed, bases=(StudySchema,), frozen=True),
     }
     # the whole configuration of a system; what stands open in it is merged in by schemas of its own
     for kind in systems.SYSTEMS.values():
-        every = {*systems.COMMON, *kind.keys} - {"out"}
+        every = {*systems.COMMON_KEYS, *kind.keys} - {"out"}
         names = [*(n for n in GROUPS if n in every), *(n for n in kind.keys if n not in GROUPS)]
-        made = {**whole_types, **dict.fromkeys(kind.open, dict)}
+        made = {**whole_types, **dict.fromkeys(kind.open_keys, dict)}
         parts = [(n, whole_types.get(n, Any), field(default_factory=made[n]) if n in made else None) for n in names]
         whole = _schema(dataclasses.make_dataclass("ExperimentSchema", [*parts, ("out", str | None, None)]))
-        for node in (whole.study.axes, *(whole[n] for n in kind.open)):
+        for node in (whole.study.axes, *(whole[n] for n in kind.open_keys)):
             OmegaConf.set_struct(node, False)  # their parts are named freely
         ConfigStore.instance().store(name=f"{kind.config}_schema", node=whole)
 
 
 def add_user_classes(modules: tuple[ModuleType, ...]) -> None:
     """Add the obstacles, manoeuvres and designs of user modules to the built-in ones. Raises `InputError`."""
-    tables = {name: group.table for name, group in GROUPS.items() if group.in_case and group.kinds}
+    tables = {name: group.class_name for name, group in GROUPS.items() if group.in_case and group.has_kinds}
     for module in modules:
         design_kinds.add_designs(module)
         for group, name in tables.items():
@@ -131,9 +131,9 @@ def add_user_classes(modules: tuple[ModuleType, ...]) -> None:
                 if not isinstance(cls, type) or "kind" not in vars(cls).get("__dataclass_fields__", ()):
                     wanted = "a class with @parameters and a field `kind`"
                     raise InputError(f"module {module.__name__}: {name} has {kind}: {cls}, not {wanted}")
-                if lacks := [one for one in MEMBERS[group] if not hasattr(cls, one)]:
+                if lacks := [one for one in REQUIRED_MEMBERS[group] if not hasattr(cls, one)]:
                     raise InputError(f"module {module.__name__}: {group} {kind} has no {lacks[0]}")
-                if KINDS[group].setdefault(kind, cls) is not cls:
+                if CLASSES_BY_KIND[group].setdefault(kind, cls) is not cls:
                     raise InputError(f"module {module.__name__}: {group} {kind} exists already: choose another name")
 
 
@@ -177,7 +177,7 @@ def check_overrides(overrides: list[str]) -> None:
     if nameless := [text for text in overrides if text.lstrip("+~").startswith(("=", "@"))]:
         raise InputError(f"{nameless[0]} cannot be read: group=choice or group.name=value")
     for text in overrides:
-        if found := NOT_FINITE.search(text):
+        if found := NON_FINITE_WORD.search(text):
             raise InputError(f"{text.lstrip('+~').partition('=')[0]} = {found[0]} is not allowed: a finite number")
         for word in WHOLE_NUMBER.findall(text.partition("=")[2]):
             if why := ambiguous_number(word):
@@ -207,7 +207,7 @@ def resolve(config: DictConfig) -> dict[str, Any]:
         if isinstance(text, str) and re.search(r"\$\{[^}]*:", text):  # such as oc.env, whose secret would be stored
             raise InputError(f"{key} = {text} is not allowed: an interpolation may only name another key")
     values: Any = OmegaConf.to_container(config, resolve=True)
-    if made := [key for key in systems.DERIVED if key in flatten_values(values)]:
+    if made := [key for key in systems.DERIVED_KEYS if key in flatten_values(values)]:
         raise InputError(f"{made[0]} is not allowed: it is computed from the files")
     if not isinstance(values.get("study"), dict) or not isinstance(values["study"].get("axes"), dict):
         return values  # which `experiment` refuses
@@ -248,18 +248,18 @@ def build_experiment(values: Mapping[str, Any]) -> Experiment:
     """
     add_user_classes(project.import_user_modules())
     kind = systems.find_kind_by_keys(values)
-    allowed = (*systems.COMMON, *kind.keys)
+    allowed = (*systems.COMMON_KEYS, *kind.keys)
     for key in values:
         require_choice(key, allowed, str(key))
     usual = {"control": {}, "plan": None}  # which rows of before they were there have at their defaults
     values = {**{key: value for key, value in usual.items() if key in allowed}, **values}
     for group in (key for key in allowed if key != "out"):
-        if not isinstance(said := values.get(group), Mapping) and (said or group not in kind.free):
+        if not isinstance(said := values.get(group), Mapping) and (said or group not in kind.optional_keys):
             raise InputError(f"{group} = {said} is not allowed: `sweep list` shows the choices")
-    system, settings, limits, told = kind.nominal(values, KINDS)
-    if taken := {*PLAN, *LABELS, *TIMING} & {*system.metric_names}:
+    system, settings, limits, told = kind.nominal(values, CLASSES_BY_KIND)
+    if taken := {*PLACEMENT_COLUMNS, *LABEL_COLUMNS, *TIMING_COLUMNS} & {*system.metric_names}:
         raise InputError(f"a metric called {min(taken)} is not allowed: all rows have a column of this name")
-    cluster = build_by_kind(KINDS["cluster"], values["cluster"], "cluster")
+    cluster = build_by_kind(CLASSES_BY_KIND["cluster"], values["cluster"], "cluster")
     scenario = require_keys("scenario", values["scenario"], _names(ScenarioSchema))
     asked = require_keys("study", values["study"], _names(StudySchema))
     chosen = {**dataclasses.asdict(StudySchema()), **asked}  # rows of before a key was there had its default
@@ -350,7 +350,9 @@ def suggest_paths(name: str, groups: Collection[str]) -> str:
     Returns:
         `: did you mean robot.thigh?`; empty where no group has the parameter.
     """
-    every = {group: [cls] for group, cls in CLASSES.items()} | {group: [*own.values()] for group, own in KINDS.items()}
+    every = {group: [cls] for group, cls in SINGLE_CLASSES.items()} | {
+        group: [*own.values()] for group, own in CLASSES_BY_KIND.items()
+    }
     found = [
         f"{group}.{name}" for group, own in every.items() if group in groups and any(name in _names(cls) for cls in own)
     ]
@@ -370,8 +372,8 @@ def _wrong_type(error: OmegaConfBaseException, overrides: list[str]) -> str:
             except InputError as known:
                 return str(known)
     hint = typing.get_type_hints(cls).get(str(error.key)) if dataclasses.is_dataclass(cls) else error.ref_type
-    found = (one for one in (typing.get_origin(hint), hint, *typing.get_args(hint), cls) if one in WORDS)
-    return f"{key}{_given(key, overrides)} is not allowed: {WORDS.get(next(found, dict))}"
+    found = (one for one in (typing.get_origin(hint), hint, *typing.get_args(hint), cls) if one in TYPE_NAMES)
+    return f"{key}{_given(key, overrides)} is not allowed: {TYPE_NAMES.get(next(found, dict))}"
 
 
 def _given(key: str, overrides: list[str]) -> str:

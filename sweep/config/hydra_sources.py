@@ -29,12 +29,12 @@ from sweep.core.groups import GROUPS
 from sweep.core.yaml_check import check_yaml, format_yaml_error
 from sweep.systems import DEFAULT_SYSTEM
 
-SCHEME, SYSTEM = "sweep", "system"
+SOURCE_SCHEME, SYSTEM_KEY = "sweep", "system"
 # functions that make the schema of a class, by group and kind (or name of the group)
-SCHEMAS: dict[str, dict[str, Callable[[], DictConfig]]] = {}
+SCHEMA_MAKERS: dict[str, dict[str, Callable[[], DictConfig]]] = {}
 
 
-class GroupFiles(ConfigSource):
+class GroupFileSource(ConfigSource):
     """Hydra source of the configuration groups: files of the project, shipped files, and defaults of the classes.
 
     The defaults of a class are named after its kind, with `_schema` appended. A kind without a file is a choice, too.
@@ -43,7 +43,7 @@ class GroupFiles(ConfigSource):
     @staticmethod
     def scheme() -> str:
         """Return the scheme of this source in Hydra's search path."""
-        return SCHEME
+        return SOURCE_SCHEME
 
     def available(self) -> bool:
         """Return True: the source can always be read."""
@@ -70,13 +70,13 @@ class GroupFiles(ConfigSource):
         if project.find_file(group, name) is None and (make_schema := find_schema(group, name)):
             return ConfigResult(self.provider, self.full_path(), make_schema(), {"package": None})
         file = project.find_file(group, name)
-        content = read_config_file(file, quotes_words=GROUPS[group].free)
+        content = read_config_file(file, quotes_words=GROUPS[group].has_free_keys)
         header = ConfigSource._get_header_dict(file.read_text(encoding="utf-8")[:512])
         refuse_code_keys(config_path, content, str(header.get("package")))
         if GROUPS[group].is_global:
             header["package"] = header.get("package") or "_global_"
         for other, choice in referenced_files(group, content):
-            refuse_cycle(other, file, choice, (file,))
+            refuse_extends_cycle(other, file, choice, (file,))
         if "defaults" not in content:
             content = (
                 global_fragment(group, file, content)
@@ -96,11 +96,11 @@ def find_schema(group: str, name: str) -> Callable[[], DictConfig] | None:
     Returns:
         A function that makes the schema; None where there is none.
     """
-    kind = name if GROUPS[group].kinds else ""
-    return SCHEMAS.get(group, {}).get(name.removesuffix("_schema") if name.endswith("_schema") else kind)
+    kind = name if GROUPS[group].has_kinds else ""
+    return SCHEMA_MAKERS.get(group, {}).get(name.removesuffix("_schema") if name.endswith("_schema") else kind)
 
 
-class UserFiles(FileConfigSource):
+class UserFileSource(FileConfigSource):
     """Hydra source of a user's files, such as those in a `--config-dir`. They set values and cannot run code."""
 
     def load_config(self, config_path: str) -> ConfigResult:
@@ -141,19 +141,19 @@ def _keys(values: Any) -> Iterator[str]:
             yield from _keys(value)
 
 
-class SearchPath(SearchPathPlugin):
+class GroupSearchPathPlugin(SearchPathPlugin):
     """Hydra plugin that puts the configuration groups of this package first on the search path."""
 
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
         """Put the configuration groups of this package first on Hydra's search path."""
-        search_path.prepend("sweep", f"{SCHEME}://")
+        search_path.prepend("sweep", f"{SOURCE_SCHEME}://")
 
 
-def register_sources() -> None:
+def register_hydra_sources() -> None:
     """Register both sources with Hydra."""
-    for plugin in (GroupFiles, SearchPath):
+    for plugin in (GroupFileSource, GroupSearchPathPlugin):
         Plugins.instance().register(plugin)  # this replaces our source of files by Hydra's
-    SourcesRegistry.instance().types[UserFiles.scheme()] = UserFiles
+    SourcesRegistry.instance().types[UserFileSource.scheme()] = UserFileSource
 
 
 def read_config_file(file: Any, quotes_words: bool = False) -> dict[str, Any]:
@@ -177,7 +177,7 @@ def read_config_file(file: Any, quotes_words: bool = False) -> dict[str, Any]:
         raise InputError(f"{file} cannot be read: {os_error_text(error)}") from None
     try:
         check_yaml(text, str(file))
-        content = OmegaConf.load(io.StringIO(project.quote_truth_words(text) if quotes_words else text))
+        content = OmegaConf.load(io.StringIO(project.quote_boolean_words(text) if quotes_words else text))
     except yaml.YAMLError as error:
         raise InputError(f"{file} cannot be read: {format_yaml_error(error)}") from None
     except OSError:  # OmegaConf raises it for a file with a single word
@@ -213,7 +213,7 @@ def global_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[s
     about = values.pop(group, None) or {}
     if not isinstance(about, Mapping):
         raise InputError(f"{file}: {group} = {about!r} is not allowed: keys and values")
-    for key in ("extends", SYSTEM):  # `system` has been read, see `find_system_name`
+    for key in ("extends", SYSTEM_KEY):  # `system` has been read, see `find_system_name`
         values.pop(key, None)
     return {"defaults": [*defaults, "_self_"], **values, group: {"name": str(file.name).removesuffix(".yaml"), **about}}
 
@@ -232,12 +232,12 @@ def find_system_name(chosen: Mapping[str, str]) -> str:
     while isinstance(name, str) and (group, name) not in seen and (file := project.find_file(group, name)) is not None:
         seen.add((group, name))
         content = read_config_file(file)
-        if SYSTEM in content:
-            return str(content[SYSTEM])
+        if SYSTEM_KEY in content:
+            return str(content[SYSTEM_KEY])
         scenario = content.get("scenario")
         scenario = scenario.get("extends") if isinstance(scenario, Mapping) else scenario
         group, name = ("scenario", scenario) if group == "study" and scenario else (group, content.get("extends"))
-        name = resolve_beside(file, name)
+        name = resolve_relative_to_file(file, name)
     return DEFAULT_SYSTEM
 
 
@@ -255,8 +255,8 @@ def group_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[st
     Raises:
         InputError: The kind is missing or unknown.
     """
-    free, kind = GROUPS[group].free, content.get("kind")
-    if "extends" not in content and GROUPS[group].kinds and kind not in _kinds(group):
+    free, kind = GROUPS[group].has_free_keys, content.get("kind")
+    if "extends" not in content and GROUPS[group].has_kinds and kind not in _kinds(group):
         problem = "kind is missing" if kind is None else f"kind = {kind} is unknown"
         raise InputError(f"{file}: {group}.{problem}{suggest(str(kind or ''), _kinds(group))}")
     start = extended_defaults(group, file, content) or ([] if free else [f"/{group}/{kind or group}_schema@_here_"])
@@ -274,7 +274,7 @@ def extended_names(group: str, content: Mapping[str, Any]) -> list[Any]:
     if "extends" not in content:
         return []
     found = content["extends"]
-    return found if GROUPS[group].free and isinstance(found, list) else [found]
+    return found if GROUPS[group].has_free_keys and isinstance(found, list) else [found]
 
 
 def referenced_files(group: str, content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -292,7 +292,7 @@ def referenced_files(group: str, content: Mapping[str, Any]) -> Iterator[tuple[s
                     yield other, name.partition("@")[0]
 
 
-def refuse_cycle(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None:
+def refuse_extends_cycle(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> None:
     """Raise `InputError` where a file extends itself through other files.
 
     Args:
@@ -301,26 +301,26 @@ def refuse_cycle(group: str, file: Any, name: Any, ring: tuple[Any, ...]) -> Non
         name: Name of the file that is extended.
         ring: Files from `file` to the one that extends `name`.
     """
-    above = project.find_file(group, resolve_beside(ring[-1], name)) if isinstance(name, str) else None
+    above = project.find_file(group, resolve_relative_to_file(ring[-1], name)) if isinstance(name, str) else None
     if above is None:
         return
     if os.path.samefile(above, file):
         raise InputError(f"{' extends '.join(map(str, (*ring, above)))}: a file cannot extend itself")
     if above in ring:  # a ring beyond this file, which is refused where it is read
         return
-    for other, more in referenced_files(group, read_config_file(above, quotes_words=GROUPS[group].free)):
-        refuse_cycle(other, file, more, (*ring, above))
+    for other, more in referenced_files(group, read_config_file(above, quotes_words=GROUPS[group].has_free_keys)):
+        refuse_extends_cycle(other, file, more, (*ring, above))
 
 
 def require_choice_of_group(file: Any, group: str, name: Any) -> str:
     """Return `name` if it is a file or kind of a group; else raise `InputError` with a suggestion."""
-    name = resolve_beside(file, name)
+    name = resolve_relative_to_file(file, name)
     if not isinstance(name, str) or (project.find_file(group, name) is None and name not in _kinds(group)):
         raise InputError(f"{file}: {group} = {name} is unknown{suggest(str(name), choice_names(group))}")
     return name
 
 
-def resolve_beside(file: Any, name: Any) -> Any:
+def resolve_relative_to_file(file: Any, name: Any) -> Any:
     """Resolve a path that a configuration file names.
 
     Args:
@@ -341,4 +341,4 @@ def choice_names(group: str) -> list[str]:
 
 
 def _kinds(group: str) -> dict[str, Callable[[], DictConfig]]:
-    return SCHEMAS.get(group, {}) if GROUPS[group].kinds else {}
+    return SCHEMA_MAKERS.get(group, {}) if GROUPS[group].has_kinds else {}

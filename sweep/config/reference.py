@@ -20,18 +20,18 @@ from sweep.config import experiment
 from sweep.core import project
 from sweep.core.errors import InputError, require_choice, suggest, suggest_nearest
 from sweep.core.groups import GROUPS
-from sweep.core.parameters import UNITS, bounds_text, format_unit
-from sweep.study.columns import MEANINGS
+from sweep.core.parameters import UNIT_BY_SUFFIX, bounds_text, format_unit
+from sweep.study.columns import COLUMN_MEANINGS
 
 
 def classes_by_group() -> dict[str, list[type]]:
     """Return the parameter dataclasses of each group, including those of users."""
     experiment.register_schemas()
-    kinds = {group: list(kinds.values()) for group, kinds in experiment.KINDS.items()}
-    return {group: [cls] for group, cls in experiment.CLASSES.items()} | kinds
+    kinds = {group: list(kinds.values()) for group, kinds in experiment.CLASSES_BY_KIND.items()}
+    return {group: [cls] for group, cls in experiment.SINGLE_CLASSES.items()} | kinds
 
 
-def describe(name: str) -> str:
+def describe_name(name: str) -> str:
     """Describe a group, choice, parameter or column.
 
     Args:
@@ -46,25 +46,28 @@ def describe(name: str) -> str:
     """
     every = classes_by_group()
     if name not in every and (meaning := column_meanings().get(name)):
-        words = format_unit(UNITS.get(name.rpartition("_")[2], "-"))
+        words = format_unit(UNIT_BY_SUFFIX.get(name.rpartition("_")[2], "-"))
         return f"{name}: {meaning}" + (f"\n  unit: {words}" if words else "")
     group, _, choice = name.partition("=")
     of_file = (
-        choice and group in GROUPS and not GROUPS[group].numbers and choice not in map(kind_of, every.get(group, []))
+        choice
+        and group in GROUPS
+        and not GROUPS[group].number_lister
+        and choice not in map(kind_name, every.get(group, []))
     )
     if of_file and (file := project.find_file(group, choice)):
         return f"{name}: {project.first_comment(file)}\n\n{file.read_text(encoding='utf-8').rstrip()}"
     head = name.partition(".")[0].partition("=")[0]
-    if head in GROUPS and GROUPS[head].numbers:
+    if head in GROUPS and GROUPS[head].number_lister:
         return describe_file_numbers(head, name.removeprefix(head)[1:])
     group, _, kind = name.partition("=")
     if group in every:
-        kinds = [kind_of(cls) for cls in every[group]]
+        kinds = [kind_name(cls) for cls in every[group]]
         if kind and not any(kinds):
             raise InputError(f"{name} is unknown{suggest(kind, file_names(group))}")
         if kind:
             require_choice(kind, [*kinds, *file_names(group)], f"{group} = {kind}")
-        return "\n\n".join(format_class(group, cls) for cls in every[group] if kind in ("", kind_of(cls)))
+        return "\n\n".join(format_class(group, cls) for cls in every[group] if kind in ("", kind_name(cls)))
     group, _, key = name.partition(".")
     if group not in every:
         hint = experiment.suggest_paths(name, every)
@@ -81,7 +84,7 @@ def describe(name: str) -> str:
 
 def column_meanings() -> dict[str, str]:
     """What the columns of rows mean: labels, and what is measured of the six-legged robot and of any model."""
-    return {**MEANINGS, **systems.describe_columns()}
+    return {**COLUMN_MEANINGS, **systems.describe_columns()}
 
 
 def file_names(group: str) -> list[str]:
@@ -133,7 +136,7 @@ def format_class(group: str, cls: type) -> str:
         group: Configuration group.
         cls: The dataclass.
     """
-    kind = kind_of(cls)
+    kind = kind_name(cls)
     lines = pd.DataFrame(list(parameter_rows(cls)))
     table = lines.to_markdown(index=False, disable_numparse=True) if len(lines) else "No parameters."
     names = [
@@ -154,7 +157,7 @@ def format_parameter(group: str, cls: type, line: dict[str, str]) -> str:
         cls: Dataclass of the parameter.
         line: The parameter, as `parameter_rows` yields it.
     """
-    kind = kind_of(cls)
+    kind = kind_name(cls)
     beside = f" (of {group}={kind})" if kind else ""
     rows = [f"{group}.{line['parameter']}{beside}: {line['meaning'] or describe_class(cls).splitlines()[0]}"]
     rows += [f"  {key}: {line[key]}" for key in ("default", "unit", "allowed") if line[key]]
@@ -196,7 +199,7 @@ def format_default(field: "dataclasses.Field[Any]") -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def kind_of(cls: type) -> str:
+def kind_name(cls: type) -> str:
     """Return the `kind` of an obstacle, manoeuvre or cluster class; empty for other classes."""
     found = [f.default for f in dataclasses.fields(cls) if f.name == "kind"]
     return str(found[0]) if found else ""
@@ -226,13 +229,13 @@ def member_comments(cls: type) -> dict[str, str]:
         (body,) = ast.parse(code).body
         for node in body.body if isinstance(body, ast.ClassDef) else ():
             if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-                found[node.target.id] = said.get(node.end_lineno or 0, "") or comment_above(
+                found[node.target.id] = said.get(node.end_lineno or 0, "") or comment_lines_above(
                     node.lineno, said, own_lines
                 )
     return {name: "" if text.startswith(("fmt:", "pyright:")) else text for name, text in found.items()}
 
 
-def comment_above(line: int, comment_by_line: dict[int, str], code: list[str]) -> str:
+def comment_lines_above(line: int, comment_by_line: dict[int, str], code: list[str]) -> str:
     """Join the comment lines directly above a line.
 
     Args:

@@ -11,9 +11,9 @@ from sweep.core.errors import InputError
 if TYPE_CHECKING:
     import mujoco
 
-SLIDE = 2  # mjtJoint.mjJNT_SLIDE; hinges have a larger number, free and ball joints a smaller one
+SLIDE_JOINT = 2  # mjtJoint.mjJNT_SLIDE; hinges have a larger number, free and ball joints a smaller one
 Metrics = dict[str, np.ndarray]  # column name (with its unit) -> one number per rollout
-Sides = Callable[[Mapping[str, Any]], tuple[Any, Any]]  # world and belief with values by column
+SideMaker = Callable[[Mapping[str, Any]], tuple[Any, Any]]  # world and belief with values by column
 
 
 class TimeSeriesRequest(NamedTuple):
@@ -75,7 +75,7 @@ class Trace:
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)  # further time series (F,) by name
 
 
-class NoTrace(NamedTuple):
+class MissingTrace(NamedTuple):
     """Stands in for a `Trace` where the rollout's model cannot be compiled for drawing."""
 
     reason: str
@@ -83,7 +83,7 @@ class NoTrace(NamedTuple):
 
 def single_joints(model: "mujoco.MjModel") -> np.ndarray:
     """Indices of the hinge and slide joints of a model, in the model's order (for a legged robot leg by leg)."""
-    return np.flatnonzero(model.jnt_type >= SLIDE)
+    return np.flatnonzero(model.jnt_type >= SLIDE_JOINT)
 
 
 def count_substeps(period: float, step: float, message: str) -> int:
@@ -131,7 +131,7 @@ class Engine(Protocol):
         """
         ...
 
-    def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
+    def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
         """Find parameters that cannot change any metric, by analysing the program; nothing is simulated.
 
         Args:
@@ -181,7 +181,7 @@ class Engine(Protocol):
         """Simulate a batch and record all that a `Trace` holds of the rollout at index `slot`, see `run`."""
         ...
 
-    def traces(self, world: Any, belief: Any, streams: np.ndarray, every: int) -> Sequence[Trace | NoTrace]:
+    def traces(self, world: Any, belief: Any, streams: np.ndarray, every: int) -> Sequence[Trace | MissingTrace]:
         """Simulate a batch once and record a trace of each of its rollouts.
 
         Args:

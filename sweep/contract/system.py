@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 SIDES = "world", "belief"  # what is simulated, and what the controller is told
 Parameter = dataclasses.Field[Any]  # with role, unit and bounds: see `sweep.core.parameters`
-Values = Mapping[str, Any]  # by column
-Kinds = Mapping[str, Mapping[str, type]]  # classes by group and kind
+ColumnValues = Mapping[str, Any]  # by column
+ClassesByKind = Mapping[str, Mapping[str, type]]  # classes by group and kind
 Limits = Any  # of figures, by which a system judges
 
 
@@ -157,7 +157,7 @@ class System(Protocol):
         """Raise `InputError` where values of a points table, each within its bounds, are not allowed together."""
         ...
 
-    def make_sides(self, values: Values) -> tuple[Any, Any]:
+    def make_sides(self, values: ColumnValues) -> tuple[Any, Any]:
         """Make world and belief from values by column: values of both sides first, then those of one side.
 
         Args:
@@ -199,7 +199,7 @@ class System(Protocol):
         ...
 
     def judge(self, figures: Mapping[str, np.ndarray], limits: Limits, stages: Sequence[str]) -> dict[str, np.ndarray]:
-        """Derive the labels of rows (`sweep.study.columns.LABELS`) from their stored metrics alone.
+        """Derive the labels of rows (`sweep.study.columns.LABEL_COLUMNS`) from their stored metrics alone.
 
         Args:
             figures: Metrics (n,) by column.
@@ -242,7 +242,7 @@ def split_side(column: str) -> tuple[str, str]:
     return (side, path) if side in SIDES else ("both", column)
 
 
-def split_world_and_belief(values: Values) -> dict[str, dict[str, Any]]:
+def split_world_and_belief(values: ColumnValues) -> dict[str, dict[str, Any]]:
     """Return the values of each side by path. Values of both sides come first; engine settings are left out."""
     placed = [(*split_side(column), value) for column, value in values.items() if not column.startswith("engine.")]
     return {

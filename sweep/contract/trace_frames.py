@@ -5,7 +5,7 @@ import numpy as np
 
 from sweep.contract.engine import Trace, single_joints
 
-BASE = "base"  # name of the robot's trunk in its model
+BASE_BODY = "base"  # name of the robot's trunk in its model
 
 
 def finite_frames(trace: Trace) -> int:
@@ -52,7 +52,7 @@ def base_body_id(model: mujoco.MjModel) -> int:
 
     This is the moving body named `base`, else the first body with a free joint, else the first that moves.
     """
-    named = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, BASE)
+    named = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, BASE_BODY)
     free = model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
     moving = np.flatnonzero(model.body_weldid != 0)
     return next((int(body) for body in (named, *free[:1], *moving[:1]) if body in moving), 0)
@@ -101,5 +101,5 @@ def mass_centres(trace: Trace, frames: slice) -> np.ndarray:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(trace.model, data)
         mujoco.mj_comPos(trace.model, data)
-        centres.append(data.subtree_com[trace.model.body(BASE).id].copy())
+        centres.append(data.subtree_com[trace.model.body(BASE_BODY).id].copy())
     return np.array(centres)

@@ -7,8 +7,8 @@ from jaxtyping import Array, Float
 from sweep.controllers.observation import Observation
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, rotate
-from sweep.formulas.ball import ROLLING
-from sweep.formulas.leg import SIDE
+from sweep.formulas.ball import ROLLING_INERTIA
+from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.models.obstacles.ball import Ball
 from sweep.models.posture import Stance, feet_in_world, joint_targets, mass_centre
 from sweep.models.robot import Robot, total_mass
@@ -89,7 +89,7 @@ def angular_momentum(robot: Robot, ball: Ball, obs: Observation) -> Float[Array,
     centre_of_robot, rate = jax.jvp(lambda s: centre_of_mass(robot, s), (stance,), (moves,))
     rate = jnp.where(jnp.all(jnp.isfinite(rate)), rate, obs.velocity)
     robot_momentum = total_mass(robot) * jnp.cross(centre_of_robot - centre + up, rate)
-    return robot_momentum + ball.mass * (jnp.cross(up, velocity) + (ROLLING - 1) * ball.radius**2 * turn)
+    return robot_momentum + ball.mass * (jnp.cross(up, velocity) + (ROLLING_INERTIA - 1) * ball.radius**2 * turn)
 
 
 def lean_impulse(momentum: Float[Array, " 3"], mass: Array | float) -> Float[Array, " 2"]:
@@ -113,7 +113,7 @@ def ball_footholds(radius: Array | float, circle: Array | float, chord: Array | 
         chord: distance d_2 of front and rear feet from the middle of that circle (m).
     """
     ahead = jnp.asarray(FORE) * chord
-    aside = SIDE * jnp.sqrt(circle**2 - ahead**2)
+    aside = SIDE_BY_LEG * jnp.sqrt(circle**2 - ahead**2)
     above = jnp.sqrt(radius**2 - circle**2)
     return jnp.stack([ahead, aside, above + 0 * ahead], axis=-1)
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sweep.controllers.frames import stance_to_frame, stance_to_world
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.formulas import stepping
-from sweep.models.frames import WORLD
+from sweep.models.frames import WORLD_FRAME
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.posture import Stance
 
@@ -87,8 +87,8 @@ class Stage:
     posture: Mapping[int, Array | Sequence[float]] = field(default_factory=dict)
     flywheel: int = LOCKED  # mode of the middle legs
     # frame in which each foot stands or swings, see frames.py
-    foot_frames: tuple[int, ...] = (WORLD,) * 6
-    base_frame: int = WORLD  # frame of the base position; a body-fixed frame also turns the base
+    foot_frames: tuple[int, ...] = (WORLD_FRAME,) * 6
+    base_frame: int = WORLD_FRAME  # frame of the base position; a body-fixed frame also turns the base
     support: tuple[Support, ...] = ()  # reference motion of every free body; empty: as measured
     law: str = ""  # name of the feedback law that guides the stage, or by which metrics find it; empty: follow the plan
     onset: str = REZERO
@@ -191,11 +191,13 @@ def swing_progress(cycle: Int[Array, ""], carry: Array, phase: Float[Array, ""])
     Returns:
         The share of the way to the foothold, and the lift in units of the stage's `height`.
     """
-    x_a, y_a = stepping.cycle_a(phase)
-    x_b, y_b = stepping.cycle_b(phase)
+    x_a, y_a = stepping.swing_cycle_a(phase)
+    x_b, y_b = stepping.swing_cycle_b(phase)
     smooth, _ = stepping.trapezoidal_transfer(phase, 0.0, 1.0)
-    share_e, y_e = stepping.half_ellipse(phase)
-    shares = jnp.stack([0.5 + 0.5 * x_a / stepping.LANDING, 0.5 + 0.5 * x_b / stepping.LANDING, smooth, share_e])
+    share_e, y_e = stepping.half_ellipse_swing(phase)
+    shares = jnp.stack(
+        [0.5 + 0.5 * x_a / stepping.LANDING_RATIO, 0.5 + 0.5 * x_b / stepping.LANDING_RATIO, smooth, share_e]
+    )
     share, height = shares[cycle], jnp.stack([y_a, y_b, y_b, y_e])[cycle]
     return (1 - carry) * share + carry * phase, height
 
@@ -268,7 +270,7 @@ def reference_stance(
     path, curve, goal = plan.path, plan.curve, plan.foothold[stage] if goal is None else goal
     first_rate, last_rate = path.rates[stage] - 1  # over the mean rate
     steady = phase + (first_rate * (1 - phase) - last_rate * phase) * phase * (1 - phase)
-    smooth, elliptic = stepping.trapezoidal_transfer(phase, 0.0, 1.0)[0], stepping.half_ellipse(phase)[0]
+    smooth, elliptic = stepping.trapezoidal_transfer(phase, 0.0, 1.0)[0], stepping.half_ellipse_swing(phase)[0]
     progress = jnp.stack([steady, smooth, elliptic])[path.pace[stage]]
     quat = multiply(exponential(progress * plan.turn[stage]), plan.quat[stage])
     arc, rest = path.arc[stage], 1 - progress

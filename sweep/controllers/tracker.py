@@ -18,7 +18,7 @@ from sweep.controllers.observation import (
 )
 from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference_stance
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, nearest_equivalent_angle, rotate
-from sweep.formulas.leg import SIDE
+from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import FreeState, Surface, body_poses, free_start_state, surface_at
 from sweep.models.posture import Stance, feet_in_world, joint_targets
@@ -304,7 +304,7 @@ def _grip(belief: Case, plan: Plan, next_stage: Int[Array, ""], end: Stance, obs
     A foot without load keeps its commanded depth: pressed from where it hangs, it would stay in the air.
     """
     (measured, surface), press = _measured_feet(belief, obs), plan.press[next_stage]
-    inward = -SIDE[:, None] * rotate(obs.quat, jnp.asarray(LEFT))
+    inward = -SIDE_BY_LEG[:, None] * rotate(obs.quat, jnp.asarray(LEFT))
     regripped = _regrip(belief, plan, next_stage, end, obs)
     deep = jnp.where(obs.loaded[:, None], measured - press[0] * surface.normal, regripped.feet)
     on_body = (surface.body >= 0)[:, None]

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 
 from sweep.core.errors import InputError, suggest
 
-KINDS = {"float": "a number", "int": "a whole number", "Path": "a path"}  # as argparse calls them, and as we do
+TYPE_NAMES = {"float": "a number", "int": "a whole number", "Path": "a path"}  # as argparse calls them, and as we do
 
 
 class Arguments(argparse.ArgumentParser):
@@ -81,5 +81,5 @@ def make_usage_error(message: str, command: str, known: Iterable[str]) -> InputE
     if found := re.match(r"argument (\S+): invalid choice: '(.*)' \(choose from (.*)\)", message):
         return InputError(f"{found[1]} = {found[2]} is unknown{suggest(found[2], re.findall(r'[\w.-]+', found[3]))}")
     if found := re.match(r"argument (\S+): invalid (float|int|Path) value: '(.*)'", message):
-        return InputError(f"{found[1]} = {found[3]} is not allowed: {KINDS[found[2]]}")
+        return InputError(f"{found[1]} = {found[3]} is not allowed: {TYPE_NAMES[found[2]]}")
     return InputError(f"{message} (`{command} --help` explains more)")

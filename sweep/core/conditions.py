@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweep.core.errors import InputError, require_choice
-from sweep.core.expressions import evaluate, evaluate_condition
-from sweep.core.outcomes import FAILURE, INVALID, MISSED, SUCCESS, Columns, JudgedCause
+from sweep.core.expressions import evaluate_condition, evaluate_expression
+from sweep.core.outcomes import FAILURE, GOAL_MISSED, INVALID, SUCCESS, ColumnArrays, JudgedCause
 
 GOAL, UNTRUSTED = "goal", "untrusted"
 
@@ -18,21 +18,21 @@ class Condition(NamedTuple):
     """A cause of failure or invalidity, which holds where its condition does; for the goal, where it does not."""
 
     cause: str
-    key: str  # in `outcome`
+    threshold_key: str  # in `outcome`
     text: str
 
     @property
     def meaning(self) -> str:
         """What the condition means, in words."""
-        return f"not {self.text}" if self.cause == MISSED else self.text
+        return f"not {self.text}" if self.cause == GOAL_MISSED else self.text
 
-    def judge(self, columns: Columns) -> JudgedCause:
+    def judge(self, columns: ColumnArrays) -> JudgedCause:
         """Return which rows (n,) the cause applies to, by their metrics at the end of the rollout."""
-        found = np.asarray(evaluate(self.text, columns.__getitem__))
-        holds = ~found if self.cause == MISSED else found
+        found = np.asarray(evaluate_expression(self.text, columns.__getitem__))
+        holds = ~found if self.cause == GOAL_MISSED else found
         invalid, none = self.cause == UNTRUSTED, np.zeros(holds.shape, int)
         margin = None if invalid else self.margin(columns)
-        return JudgedCause(self.cause, self.key, invalid, holds, np.full(holds.shape, np.inf), none, margin)
+        return JudgedCause(self.cause, self.threshold_key, invalid, holds, np.full(holds.shape, np.inf), none, margin)
 
     @property
     def threshold(self) -> tuple[str, float, bool] | None:
@@ -41,12 +41,12 @@ class Condition(NamedTuple):
             case ast.Compare(ast.Name(name), [ast.Lt() | ast.LtE() | ast.Gt() | ast.GtE() as sign], [number]):
                 with suppress(ValueError, TypeError):
                     value = float(ast.literal_eval(number))
-                    return name, value, isinstance(sign, ast.Lt | ast.LtE) != (self.cause == MISSED)
+                    return name, value, isinstance(sign, ast.Lt | ast.LtE) != (self.cause == GOAL_MISSED)
             case _:
                 pass
         return None
 
-    def margin(self, columns: Columns) -> np.ndarray:
+    def margin(self, columns: ColumnArrays) -> np.ndarray:
         """Return the distance of rows (n,) from the threshold in units of it, at most 1; NaN without a threshold."""
         if self.threshold is None:
             return np.full(len(next(iter(columns.values()))), np.nan)
@@ -56,14 +56,14 @@ class Condition(NamedTuple):
 
 
 def parse_conditions(
-    given: Mapping[str, Any], columns: Collection[str], taken: Collection[str]
+    config: Mapping[str, Any], columns: Collection[str], reserved_names: Collection[str]
 ) -> tuple[Condition, ...]:
     """Read the conditions of a configuration.
 
     Args:
-        given: Conditions by key of `outcome`.
+        config: Conditions by key of `outcome`.
         columns: Columns that they may name.
-        taken: Names of causes that the system defines itself.
+        reserved_names: Names of causes that the system defines itself.
 
     Returns:
         The conditions in their order, but that of invalidity first and the goal last.
@@ -77,13 +77,13 @@ def parse_conditions(
         return np.ones(1)
 
     found = []
-    for key, text in given.items():
-        if key in (*taken, MISSED, UNTRUSTED, SUCCESS, FAILURE) or not str(key).isidentifier():
+    for key, text in config.items():
+        if key in (*reserved_names, GOAL_MISSED, UNTRUSTED, SUCCESS, FAILURE) or not str(key).isidentifier():
             raise InputError(f"outcome.{key} is not allowed: a new name for a failure, {GOAL} or {INVALID}")
 
         evaluate_condition(str(text), look_up, f"outcome.{key} = {text!r}", "'tilt_max_deg > 60'")
-        found.append(Condition({GOAL: MISSED, INVALID: UNTRUSTED}.get(key, str(key)), str(key), str(text)))
-    if {one.key for one in found} <= {INVALID}:
+        found.append(Condition({GOAL: GOAL_MISSED, INVALID: UNTRUSTED}.get(key, str(key)), str(key), str(text)))
+    if {one.threshold_key for one in found} <= {INVALID}:
         such = "such as {fell: tilt_max_deg > 60}, or a goal"
         raise InputError(f"outcome is empty: it needs a failure, {such}")
-    return tuple(sorted(found, key=lambda one: (one.cause != UNTRUSTED, one.cause == MISSED)))
+    return tuple(sorted(found, key=lambda one: (one.cause != UNTRUSTED, one.cause == GOAL_MISSED)))

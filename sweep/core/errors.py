@@ -4,8 +4,8 @@ import re
 from collections.abc import Iterable
 
 # characters that command a terminal, break a line, or change the order in which letters are shown
-COMMANDS = r"\x00-\x08\x0b-\x1f\x7f-\x84\x86-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069"
-CONTROL = re.compile(rf"[{COMMANDS}\t\n\x85]")
+CONTROL_CHARACTER_RANGES = r"\x00-\x08\x0b-\x1f\x7f-\x84\x86-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069"
+CONTROL_CHARACTERS = re.compile(rf"[{CONTROL_CHARACTER_RANGES}\t\n\x85]")
 
 
 class InputError(ValueError):
@@ -15,7 +15,7 @@ class InputError(ValueError):
         return escape_control_characters(super().__str__())
 
 
-WRONG = (Exception, SystemExit)  # what user code may raise, `sys.exit()` included
+USER_CODE_ERRORS = (Exception, SystemExit)  # what user code may raise, `sys.exit()` included
 
 
 class Fault(RuntimeError):
@@ -27,7 +27,7 @@ class Fault(RuntimeError):
 
 def escape_control_characters(text: str) -> str:
     """Escape line breaks, commands to a terminal and marks of writing direction, which a file's name may have."""
-    return CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    return CONTROL_CHARACTERS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def format_user_exception(error: BaseException) -> str:

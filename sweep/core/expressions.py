@@ -13,9 +13,9 @@ from sweep.core.errors import InputError, suggest_nearest
 if TYPE_CHECKING:
     import pandas as pd
 
-AXES = "axes"  # key of `DataFrame.attrs`: columns by the names that the study gives to its axes
-LONGEST = 5000  # characters of an expression
-QUOTED = ' (a word is written in quotes: "{}")'
+AXIS_NAMES_KEY = "axes"  # key of `DataFrame.attrs`: columns by the names that the study gives to its axes
+MAX_CHARACTERS = 5000  # characters of an expression
+QUOTE_HINT = ' (a word is written in quotes: "{}")'
 _COMPARE: dict[type, Callable[[Any, Any], Any]] = {
     ast.Lt: operator.lt,
     ast.LtE: operator.le,
@@ -45,7 +45,7 @@ _UNARY: dict[type, Callable[[Any], Any]] = {
 }
 
 
-def mask(frame: "pd.DataFrame", condition: str | None) -> np.ndarray:
+def condition_mask(frame: "pd.DataFrame", condition: str | None) -> np.ndarray:
     """Select the rows of a table that meet a condition.
 
     Args:
@@ -63,7 +63,7 @@ def mask(frame: "pd.DataFrame", condition: str | None) -> np.ndarray:
         return np.ones(len(frame), dtype=bool)
     found = evaluate_condition(
         condition,
-        lambda name: frame[column(frame, name, QUOTED.format(name))].to_numpy(),
+        lambda name: frame[find_column(frame, name, QUOTE_HINT.format(name))].to_numpy(),
         *_message_parts(condition),
     )
     return np.broadcast_to(found, (len(frame),))
@@ -74,7 +74,7 @@ def condition_columns(frame: "pd.DataFrame", condition: str | None) -> list[str]
 
     Args:
         frame: A table with the columns of a study's rows; it may be empty.
-        condition: See `mask`.
+        condition: See `condition_mask`.
 
     Raises:
         InputError: The text is no condition, or names no column.
@@ -82,7 +82,7 @@ def condition_columns(frame: "pd.DataFrame", condition: str | None) -> list[str]
     empty, used = frame.iloc[:0].astype(object), dict[str, None]()
 
     def look_up(name: str) -> np.ndarray:
-        used[found := column(frame, name, QUOTED.format(name))] = None
+        used[found := find_column(frame, name, QUOTE_HINT.format(name))] = None
         return empty[found].to_numpy()
 
     if condition:
@@ -112,7 +112,7 @@ def evaluate_condition(condition: str, look_up: Callable[[str], Any], label: str
         InputError: The text is no condition, or compares words with numbers.
     """
     try:
-        found = np.asarray(evaluate(condition, look_up))
+        found = np.asarray(evaluate_expression(condition, look_up))
         if found.dtype != bool:
             raise SyntaxError
         return found
@@ -125,7 +125,9 @@ def evaluate_condition(condition: str, look_up: Callable[[str], Any], label: str
         raise InputError(f"{label} cannot be computed: it mixes words and numbers") from None
 
 
-def evaluate(expression: str, look_up: Callable[[str], Any], maths: Callable[[Any], Any] = lambda x: np) -> Any:
+def evaluate_expression(
+    expression: str, look_up: Callable[[str], Any], maths: Callable[[Any], Any] = lambda x: np
+) -> Any:
     """Evaluate an expression of names, numbers, operators and a few functions.
 
     Args:
@@ -140,8 +142,8 @@ def evaluate(expression: str, look_up: Callable[[str], Any], maths: Callable[[An
         SyntaxError: The text is no expression.
         InputError: The expression contains something that is not allowed, or has no value.
     """
-    if len(expression) > LONGEST:
-        raise InputError(f"an expression of {len(expression)} characters is not allowed: at most {LONGEST}")
+    if len(expression) > MAX_CHARACTERS:
+        raise InputError(f"an expression of {len(expression)} characters is not allowed: at most {MAX_CHARACTERS}")
     try:
         with np.errstate(all="ignore"):
             return _value(ast.parse(expression, mode="eval").body, look_up, maths)
@@ -151,7 +153,7 @@ def evaluate(expression: str, look_up: Callable[[str], Any], maths: Callable[[An
         raise InputError(f"{expression[:200]!r} has no value: {error}") from None
 
 
-def column(frame: "pd.DataFrame", name: str, hint: str = "") -> str:
+def find_column(frame: "pd.DataFrame", name: str, hint: str = "") -> str:
     """Find the column that a user means by a name.
 
     Args:
@@ -168,14 +170,14 @@ def column(frame: "pd.DataFrame", name: str, hint: str = "") -> str:
     if name in frame.columns:
         return name
     found = [c for c in frame.columns if c.endswith(f".{name}")]
-    if (axis := frame.attrs.get(AXES, {}).get(name)) in frame.columns:
+    if (axis := frame.attrs.get(AXIS_NAMES_KEY, {}).get(name)) in frame.columns:
         if axis in found or not found:  # such as `axis.radius` beside the `robot.radius` that is made from it
             return axis
         found.append(axis)
     if len(found) > 1:
         raise InputError(f"column {name} is ambiguous (allowed: {', '.join(found)})")
     if not found:
-        axes = frame.attrs.get(AXES, {})
+        axes = frame.attrs.get(AXIS_NAMES_KEY, {})
         names = [*axes, *(c for c in frame.columns if c not in axes.values())]
         raise InputError(f"column {name} is unknown{hint}{suggest_nearest(name, names)}")
     return found[0]

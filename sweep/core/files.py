@@ -15,12 +15,12 @@ from pathlib import Path
 from sweep.core.errors import Fault, InputError, escape_control_characters
 
 # errors of a path, not of the disk
-UNFIT = (errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP,
-         errno.EACCES, errno.EPERM, errno.EROFS, errno.EBADF)  # fmt: skip
-LINKS = 40  # longest chain of symbolic links, as on Linux
-MOST_DECODED = 2**28  # bytes that a text of `encode_text` may stand for
-MOST_READ = 2**28  # bytes of a file that is read as a whole
-HIDDEN = ".tmp-"  # prefix of files that are being written
+PATH_ERRORS = (errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES,
+               errno.EPERM, errno.EROFS, errno.EBADF)  # fmt: skip
+MAX_SYMBOLIC_LINKS = 40  # longest chain of symbolic links, as on Linux
+MAX_DECODED_BYTES = 2**28  # bytes that a text of `encode_text` may stand for
+MAX_READ_BYTES = 2**28  # bytes of a file that is read as a whole
+UNFINISHED_PREFIX = ".tmp-"  # prefix of files that are being written
 _unfinished: set[Path] = set()  # hidden files that are being written
 
 
@@ -37,10 +37,10 @@ def write_atomically(path: Path, content: bytes | Callable[[Path], object]) -> N
     """
     hidden = None
     try:
-        if (stream := descriptor(path)) is not None:
+        if (stream := path_descriptor(path)) is not None:
             return _pass_on(stream, path.name, content)
         path = Path(os.path.realpath(path)) if path.is_symlink() else path
-        hidden = path.parent / f"{HIDDEN}{socket.gethostname()}-{os.getpid()}-{path.name}"
+        hidden = path.parent / f"{UNFINISHED_PREFIX}{socket.gethostname()}-{os.getpid()}-{path.name}"
         _unfinished.add(hidden)
         to = path if path.exists() and not path.is_file() else hidden
         hidden.unlink(missing_ok=True)  # a link to another file, perhaps
@@ -52,7 +52,7 @@ def write_atomically(path: Path, content: bytes | Callable[[Path], object]) -> N
                 os.fsync(written.fileno())  # a power cut leaves the old content or the new
             os.replace(hidden, path)
     except OSError as error:
-        kind = InputError if error.errno in UNFIT else Fault
+        kind = InputError if error.errno in PATH_ERRORS else Fault
         raise kind(f"{path} cannot be written: {os_error_text(error)}") from None
     finally:
         with contextlib.suppress(OSError):  # nor can it be there where nothing can be written
@@ -61,13 +61,13 @@ def write_atomically(path: Path, content: bytes | Callable[[Path], object]) -> N
                 hidden.unlink()
 
 
-def remove_unfinished() -> None:
+def remove_unfinished_files() -> None:
     """Remove the hidden files that other threads of this process are writing, before the process is ended by force."""
     for hidden in tuple(_unfinished):
         hidden.unlink(missing_ok=True)
 
 
-def path_in(folder: Path, name: str | Path) -> Path:
+def path_inside_folder(folder: Path, name: str | Path) -> Path:
     """Return the path of a file or folder inside a results folder, which may come from a stranger.
 
     Every read, write and removal in a results folder goes through this check.
@@ -101,7 +101,7 @@ def path_in(folder: Path, name: str | Path) -> Path:
     return path
 
 
-def read_limited(path: Path, most: int = MOST_READ) -> bytes:
+def read_bytes_limited(path: Path, most: int = MAX_READ_BYTES) -> bytes:
     """Read a file of a results folder, which may have holes that take no room on the disk.
 
     Args:
@@ -122,12 +122,12 @@ def read_limited(path: Path, most: int = MOST_READ) -> bytes:
     return content
 
 
-def descriptor(path: Path) -> int | None:
+def path_descriptor(path: Path) -> int | None:
     """Return the file descriptor that a path such as /dev/stdout or /dev/fd/3 names; None for other paths.
 
     The file behind it may be appended to by other programs, so it must not be replaced.
     """
-    for _ in range(LINKS):
+    for _ in range(MAX_SYMBOLIC_LINKS):
         if path.name.isdecimal() and path.parent.resolve() in (Path("/dev/fd"), Path(f"/proc/{os.getpid()}/fd")):
             return int(path.name)
         if not path.is_symlink():
@@ -162,15 +162,15 @@ def decode_text(text: str) -> bytes:
     """Decode what `encode_text` made.
 
     Raises:
-        ValueError: The text is damaged, or stands for more than `MOST_DECODED` bytes.
+        ValueError: The text is damaged, or stands for more than `MAX_DECODED_BYTES` bytes.
     """
     unpacked = zlib.decompressobj()
     try:
-        content = unpacked.decompress(base64.b64decode(text, validate=True), MOST_DECODED)
+        content = unpacked.decompress(base64.b64decode(text, validate=True), MAX_DECODED_BYTES)
     except zlib.error as error:
         raise ValueError(str(error)) from None
     if unpacked.unconsumed_tail:
-        raise ValueError(f"it expands to more than {MOST_DECODED:,} bytes")
+        raise ValueError(f"it expands to more than {MAX_DECODED_BYTES:,} bytes")
     return content
 
 
@@ -182,7 +182,7 @@ def separate_hard_link(path: Path) -> None:
     """
     with contextlib.suppress(FileNotFoundError):
         if path.stat(follow_symlinks=False).st_nlink > 1:
-            write_atomically(path, read_limited(path))
+            write_atomically(path, read_bytes_limited(path))
 
 
 def append_line(path: Path, line: str) -> None:

@@ -12,27 +12,27 @@ from typing import Any, NamedTuple
 class Group(NamedTuple):
     """A configuration group. Its classes are given as text, so that listing groups imports no simulator."""
 
-    classes: str  # module:name of its parameter dataclass, or of all of them by their `kind`
+    class_location: str  # module:name of its parameter dataclass, or of all of them by their `kind`
     in_case: bool = False  # whether a rollout's world and belief have it
-    kinds: bool = False  # whether `kind` chooses among classes
+    has_kinds: bool = False  # whether `kind` chooses among classes
     is_global: bool = False  # whether its files set other groups, too
-    free: bool = False  # whether users choose the names of its keys, as in plans
-    numbers: str = ""  # module:function that lists the numbers of one of its files by path
+    has_free_keys: bool = False  # whether users choose the names of its keys, as in plans
+    number_lister: str = ""  # module:function that lists the numbers of one of its files by path
 
     @property
-    def sources(self) -> str:
+    def source_path(self) -> str:
         """Source folder or module of the group's classes, relative to the package."""
-        return self.classes.partition(":")[0].partition(".")[2].replace(".", "/")
+        return self.class_location.partition(":")[0].partition(".")[2].replace(".", "/")
 
     @property
-    def table(self) -> str:
+    def class_name(self) -> str:
         """Name of the group's class, or of the table of its classes by kind."""
-        return self.classes.partition(":")[2]
+        return self.class_location.partition(":")[2]
 
     @property
-    def one_class(self) -> bool:
+    def has_single_class(self) -> bool:
         """Whether a single parameter dataclass is the group's schema."""
-        return not (self.kinds or self.is_global or self.free)
+        return not (self.has_kinds or self.is_global or self.has_free_keys)
 
     def read_file_numbers(self, file: str, read: Callable[[str], str]) -> dict[str, float | str]:
         """Return the numbers and formulas in one of the group's files, by path.
@@ -41,28 +41,31 @@ class Group(NamedTuple):
             file: Name of the file.
             read: Returns the text of the file of a name.
         """
-        return resolve_name(self.numbers)(file, read)
+        return resolve_name(self.number_lister)(file, read)
 
     def load(self) -> Any:
         """Import the group's parameter dataclass, or the table of its classes by kind."""
-        return resolve_name(self.classes)
+        return resolve_name(self.class_location)
 
 
 GROUPS = {
     "scenario": Group("sweep.study.study:ScenarioSchema", is_global=True),
     "study": Group("sweep.study.study:StudySchema", is_global=True),
     "robot": Group("sweep.models.robot:Robot", in_case=True),
-    "obstacle": Group("sweep.models.obstacles:OBSTACLES", in_case=True, kinds=True),
-    "manoeuvre": Group("sweep.manoeuvres:MANOEUVRES", in_case=True, kinds=True),
+    "obstacle": Group("sweep.models.obstacles:OBSTACLES", in_case=True, has_kinds=True),
+    "manoeuvre": Group("sweep.manoeuvres:MANOEUVRES", in_case=True, has_kinds=True),
     "plan": Group(
-        "sweep.models.plan_numbers:PlanTable", in_case=True, free=True, numbers="sweep.systems.hexapod:plan_numbers"
+        "sweep.models.plan_numbers:PlanTable",
+        in_case=True,
+        has_free_keys=True,
+        number_lister="sweep.systems.hexapod:plan_numbers",
     ),
     "drive": Group("sweep.models.drive:Drive", in_case=True),
     "contact": Group("sweep.models.contact:Contact", in_case=True),
     "noise": Group("sweep.models.noise:Noise", in_case=True),
-    "execution": Group("sweep.models.disturbance:Execution", in_case=True),
+    "execution": Group("sweep.models.disturbance:ExecutionFaults", in_case=True),
     "control": Group("sweep.models.control:Control", in_case=True),
     "engine": Group("sweep.contract.engine_settings:EngineSettings"),
-    "outcome": Group("sweep.metrics.outcome:Thresholds"),
-    "cluster": Group("sweep.study.clusters:CLUSTERS", kinds=True),
+    "outcome": Group("sweep.metrics.outcome:OutcomeThresholds"),
+    "cluster": Group("sweep.study.clusters:CLUSTERS", has_kinds=True),
 }

@@ -23,12 +23,12 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import numpy as np
 
-from sweep.core.parameters import UNITS, quantity
+from sweep.core.parameters import UNIT_BY_SUFFIX, quantity
 
 Array = Any  # of NumPy or JAX
 EVERY_COLUMN = "*"  # in `Metric.reads`
 # the accumulating function of a metric by a word of its name, and its initial value
-BEST = {"max": ("maximum", 0.0), "min": ("minimum", math.inf)}
+EXTREME_ACCUMULATORS = {"max": ("maximum", 0.0), "min": ("minimum", math.inf)}
 
 
 def array_namespace(array: Array) -> Any:
@@ -63,7 +63,7 @@ class CommonStart(Protocol):
         """Return a constant as a state: of the rollout's precision, for each rollout of a batch."""
         ...
 
-    def foot_holds(self) -> "FootHolds":
+    def init_touchdown_points(self) -> "TouchdownPoints":
         """Return the touchdown points before any foot is loaded."""
         ...
 
@@ -156,15 +156,15 @@ class CommonRollout(Protocol):
         """Convert a sum of `CommonTick` numbers into an integral over time, in SI units."""
         ...
 
-    def displacement_along(self, way: Array) -> Array:
+    def displacement_along(self, displacement: Array) -> Array:
         """Return the part of displacements (..., 3) along a commanded direction that never changes."""
         ...
 
 
-class FootHolds(Protocol):
+class TouchdownPoints(Protocol):
     """Points where the feet touched down, by the system's own contact rule; a metric's state, hence a pytree."""
 
-    def update(self, ctx: Any) -> tuple["FootHolds", Array]:
+    def update(self, ctx: Any) -> tuple["TouchdownPoints", Array]:
         """Return the state after a report, and the largest slip of each loaded foot (..., feet) in it (m)."""
         ...
 
@@ -215,7 +215,7 @@ class Cause:
         words = self.metric.split("_")
         if self.key is not None or {"min", "max"} & {*words}:
             return self.metric if self.key is None else self.key
-        unit = words[-1:] if words[-1] in UNITS else []
+        unit = words[-1:] if words[-1] in UNIT_BY_SUFFIX else []
         return "_".join([*words[: len(words) - len(unit)], "min" if self.below else "max", *unit])
 
     def quantity(self) -> Any:
@@ -231,7 +231,7 @@ class Cause:
         return value < limit if self.below else value > limit
 
     @property
-    def companion(self) -> str:
+    def companion_metric(self) -> str:
         """Name of the second metric that enters the margin, the twin or the lead; empty if there is none."""
         other = self.twin or self.lead
         return other.metric if other else ""
@@ -281,7 +281,7 @@ class Metric[S](NamedTuple):
 
 def column_unit(column: str) -> str:
     """Return the unit that the end of a column's name says, such as `m` of `slip_max_m`; `-` without one."""
-    return UNITS.get(column.rpartition("_")[2], "-")
+    return UNIT_BY_SUFFIX.get(column.rpartition("_")[2], "-")
 
 
 def merge_columns(metrics: Iterable[Metric[Any]]) -> dict[str, str]:
@@ -289,7 +289,7 @@ def merge_columns(metrics: Iterable[Metric[Any]]) -> dict[str, str]:
     return {name: meaning for metric in metrics for name, meaning in metric.columns.items()}
 
 
-def initial_state[S](kind: Callable[..., S], *values: Any) -> Callable[[CommonStart], S]:
+def make_constant_begin[S](kind: Callable[..., S], *values: Any) -> Callable[[CommonStart], S]:
     """Make a metric's `begin` that returns constant values in the rollout's precision.
 
     Args:
@@ -303,7 +303,7 @@ def initial_state[S](kind: Callable[..., S], *values: Any) -> Callable[[CommonSt
     return begin
 
 
-def end_metric(
+def make_end_metric(
     compute: Callable[[tuple[()], Any], dict[str, Array]], columns: Mapping[str, str], **options: Any
 ) -> Metric[tuple[()]]:
     """Make a metric without a state, whose columns are computed at the end of the rollout.
@@ -313,10 +313,10 @@ def end_metric(
         columns: Meanings by column.
         options: Further fields of `Metric`.
     """
-    return Metric(initial_state(tuple), lambda state, ctx: state, compute, columns, **options)
+    return Metric(make_constant_begin(tuple), lambda state, ctx: state, compute, columns, **options)
 
 
-def extremes(
+def make_extremes_metric(
     values: Callable[[Any], Iterator[Array]],
     columns: Mapping[str, str],
     causes: tuple[Cause, ...] = (),
@@ -330,7 +330,9 @@ def extremes(
         causes: Causes that follow from them.
         options: Further fields of `Metric`.
     """
-    kinds = [next(BEST[word] for word in name.split("_") if word in BEST) for name in columns]
+    kinds = [
+        next(EXTREME_ACCUMULATORS[word] for word in name.split("_") if word in EXTREME_ACCUMULATORS) for name in columns
+    ]
 
     def update(state: tuple[Array, ...], ctx: Any) -> tuple[Array, ...]:
         news = zip(kinds, state, values(ctx), strict=True)
@@ -339,7 +341,7 @@ def extremes(
     def compute(state: tuple[Array, ...], rollout: Any) -> dict[str, Array]:
         return dict(zip(columns, state, strict=True))
 
-    begin = initial_state(lambda *found: found, *(start for _, start in kinds))
+    begin = make_constant_begin(lambda *found: found, *(start for _, start in kinds))
     return Metric(begin, update, compute, columns, causes, **options)
 
 
@@ -390,7 +392,7 @@ def compute_columns(metrics: Iterable[Metric[Any]], states: Iterable[Any], rollo
     return columns
 
 
-def freeze_ended(going: Array, new: Any, old: Any) -> Any:
+def keep_ended_states(going: Array, new: Any, old: Any) -> Any:
     """Keep the states of rollouts that have ended, and take the new states of the others.
 
     Args:

@@ -8,8 +8,8 @@ import numpy as np
 from sweep.core.metric import Cause
 
 SUCCESS, FAILURE, INVALID = "success", "failure", "invalid"
-MISSED = "goal_missed"  # the cause of all parts of a goal, of whatever system
-Columns = Mapping[str, np.ndarray]  # metrics (n,) by name
+GOAL_MISSED = "goal_missed"  # the cause of all parts of a goal, of whatever system
+ColumnArrays = Mapping[str, np.ndarray]  # metrics (n,) by name
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class JudgedCause:
     margin: np.ndarray | None = None  # (n,): distance from the threshold, negative where it holds; None without one
 
 
-def judge_cause(cause: Cause, columns: Columns, limit: float, end_stage: np.ndarray) -> JudgedCause:
+def judge_cause(cause: Cause, columns: ColumnArrays, limit: float, end_stage: np.ndarray) -> JudgedCause:
     """Judge rows by the cause of a metric: where its threshold is crossed, when, and by which margin.
 
     Args:
@@ -53,7 +53,7 @@ def judge_cause(cause: Cause, columns: Columns, limit: float, end_stage: np.ndar
     )
 
 
-def cause_margin(cause: Cause, columns: Columns, limit: float) -> np.ndarray | None:
+def cause_margin(cause: Cause, columns: ColumnArrays, limit: float) -> np.ndarray | None:
     """Return the distance of rows (n,) from a threshold, see `Cause.margin`.
 
     Args:
@@ -70,7 +70,7 @@ def cause_margin(cause: Cause, columns: Columns, limit: float) -> np.ndarray | N
 
     if cause.invalid or not (cause.threshold or cause.twin) or not np.isfinite(limit):
         return None
-    return cause.margin(values(cause.metric), limit, values(cause.companion))
+    return cause.margin(values(cause.metric), limit, values(cause.companion_metric))
 
 
 def classify_rows(

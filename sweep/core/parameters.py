@@ -16,12 +16,22 @@ import numpy as np
 
 from sweep.core.errors import InputError, require_choice
 
-PLAIN: Mapping[Any, str] = {str: "a word", int: "a whole number", float: "a number", bool: "true or false"}
-LARGEST = 10**18  # of whole numbers, which 64 bits hold
-TICKS = "ticks"  # unit of delays: whole control ticks
-WHOLE = (TICKS, "steps", "index")  # units of numbers that are whole, and rounded where they are drawn
+TYPE_NAMES: Mapping[Any, str] = {str: "a word", int: "a whole number", float: "a number", bool: "true or false"}
+MAX_WHOLE_NUMBER = 10**18  # of whole numbers, which 64 bits hold
+TICKS_UNIT = "ticks"  # unit of delays: whole control ticks
+WHOLE_NUMBER_UNITS = (TICKS_UNIT, "steps", "index")  # units of numbers that are whole, and rounded where they are drawn
 # of figures, by the ends of their names
-UNITS = {"m": "m", "s": "s", "deg": "deg", "rad": "rad", "n": "N", "nm": "N*m", "j": "J", "mps": "m/s", "kg": "kg"}
+UNIT_BY_SUFFIX = {
+    "m": "m",
+    "s": "s",
+    "deg": "deg",
+    "rad": "rad",
+    "n": "N",
+    "nm": "N*m",
+    "j": "J",
+    "mps": "m/s",
+    "kg": "kg",
+}
 
 
 def quantity(
@@ -195,11 +205,11 @@ def check_value(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
 def _checked_plain(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
     """Check the type of a field that is no parameter where it is a single word, number or truth."""
     kinds = typing.get_args(field.type) if isinstance(field.type, types.UnionType) else (field.type,)
-    if not {*kinds} <= {*PLAIN, type(None)}:
+    if not {*kinds} <= {*TYPE_NAMES, type(None)}:
         return value
     fits = type(value) in kinds or (float in kinds and type(value) is int)
     if not fits:
-        raise InputError(f"{path} = {value!r:.100} is not allowed: {PLAIN[kinds[0]]}")
+        raise InputError(f"{path} = {value!r:.100} is not allowed: {TYPE_NAMES[kinds[0]]}")
     return value
 
 
@@ -209,7 +219,7 @@ def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> f
         return None
     if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
         raise InputError(f"{path} = {value!r} is not allowed: a {'whole ' if whole else ''}number")
-    if isinstance(value, int) and abs(value) > LARGEST:
+    if isinstance(value, int) and abs(value) > MAX_WHOLE_NUMBER:
         raise InputError(f"{path} is not allowed with {len(str(abs(value)))} digits: {bounds_text(field)}")
     if not math.isfinite(value):
         raise InputError(
@@ -218,8 +228,10 @@ def _checked_number(field: "dataclasses.Field[Any]", value: Any, path: str) -> f
     if not is_within_bounds(field, value):
         raise InputError(f"{path} = {value:g} is not allowed: {bounds_text(field)}")
     unit = field.metadata["unit"]  # only what is drawn is rounded: seconds would be no delay at all
-    if (whole or unit in WHOLE) and int(value) != value:
-        raise InputError(f"{path} = {value!r} is not allowed: a whole number{' of control ticks' * (unit == TICKS)}")
+    if (whole or unit in WHOLE_NUMBER_UNITS) and int(value) != value:
+        raise InputError(
+            f"{path} = {value!r} is not allowed: a whole number{' of control ticks' * (unit == TICKS_UNIT)}"
+        )
     return int(value) if whole else float(value)
 
 

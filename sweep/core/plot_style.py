@@ -18,24 +18,28 @@ from matplotlib.ticker import MaxNLocator
 
 from sweep.core.files import write_atomically
 
-COLUMN, PAGE = 84 / 25.4, 174 / 25.4  # in, as most journals have them
-TALL = 7.2  # in, as a page has room for above a caption: a taller figure would be shrunk, and its letters
-LETTERS = 8  # points
+COLUMN_WIDTH_IN, PAGE_WIDTH_IN = 84 / 25.4, 174 / 25.4  # in, as most journals have them
+MAX_HEIGHT_IN = 7.2  # in, as a page has room for above a caption: a taller figure would be shrunk, and its letters
+FONT_SIZE_PT = 8  # points
 LEG_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")  # Okabe and Ito, safe when colour-blind
 DPI = 150  # of a picture in pixels
 SERIF = ["STIX Two Text", "Times New Roman", "STIXGeneral", "DejaVu Serif"]  # the one but last comes with matplotlib
 # where letters come from that are in none of those: the first that is there
 OTHER_FONTS = ("Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Zen Hei", "WenQuanYi Micro Hei")
-LINE = 1.5  # of a legend, in letters
-PANEL = 0.6  # of a column's width, at least, is a panel's: beside it stand numbers, words, and the gap to the next
-HANDLE = 6.0  # of a legend's entry beside its text, in letters: handle, gap, and the space to the next column
+LEGEND_LINE_HEIGHT = 1.5  # of a legend, in letters
+MIN_PANEL_SHARE = (
+    0.6  # of a column's width, at least, is a panel's: beside it stand numbers, words, and the gap to the next
+)
+LEGEND_HANDLE_WIDTH = (
+    6.0  # of a legend's entry beside its text, in letters: handle, gap, and the space to the next column
+)
 
 
 def plot_style(serif: bool = False) -> AbstractContextManager[None]:
     """Return the Matplotlib context in which figures are drawn and saved: 8-point text, serif or sans serif."""
     sizes = ("axes.titlesize", "axes.labelsize", "xtick.labelsize", "ytick.labelsize", "legend.fontsize",
              "legend.title_fontsize", "figure.titlesize", "figure.labelsize")  # fmt: skip
-    look: dict[Any, Any] = {"font.size": LETTERS, **dict.fromkeys(sizes, LETTERS)}
+    look: dict[Any, Any] = {"font.size": FONT_SIZE_PT, **dict.fromkeys(sizes, FONT_SIZE_PT)}
     look |= {"axes.linewidth": 0.6, "lines.linewidth": 1.0, "hatch.linewidth": 0.5}
     look |= {"xtick.major.width": 0.6, "ytick.major.width": 0.6, "pdf.fonttype": 42, "svg.fonttype": "none"}
     known = {font.name for font in fontManager.ttflist}
@@ -46,7 +50,7 @@ def plot_style(serif: bool = False) -> AbstractContextManager[None]:
     return mpl.rc_context(look)
 
 
-def new_figure(height: float, width: float = PAGE) -> Figure:
+def new_figure(height: float, width: float = PAGE_WIDTH_IN) -> Figure:
     """Make an empty Matplotlib figure with constrained layout.
 
     Args:
@@ -56,7 +60,7 @@ def new_figure(height: float, width: float = PAGE) -> Figure:
     Returns:
         The figure.
     """
-    return Figure(figsize=(width, min(height, TALL)), layout="constrained")
+    return Figure(figsize=(width, min(height, MAX_HEIGHT_IN)), layout="constrained")
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = DPI) -> Path:
@@ -92,13 +96,15 @@ def legend_below(figure: Figure, handles: Sequence[Any]) -> None:
         return
     named = {str((one if hasattr(one, "get_label") else one[0]).get_label()): one for one in handles}
     labels, handles = list(named), list(named.values())
-    widths = [text_width(label) + HANDLE * LETTERS for label in labels]
+    widths = [text_width(label) + LEGEND_HANDLE_WIDTH * FONT_SIZE_PT for label in labels]
     across, high = figure.get_size_inches()
     columns = max(
-        (n for n in range(1, len(handles) + 1) if legend_width(widths, n) <= 72 * across - 2 * LETTERS), default=1
+        (n for n in range(1, len(handles) + 1) if legend_width(widths, n) <= 72 * across - 2 * FONT_SIZE_PT), default=1
     )
     lines = -(-len(handles) // columns)
-    figure.set_size_inches(across, max(high, min(high + (lines - 1) * LINE * LETTERS / 72, TALL)))
+    figure.set_size_inches(
+        across, max(high, min(high + (lines - 1) * LEGEND_LINE_HEIGHT * FONT_SIZE_PT / 72, MAX_HEIGHT_IN))
+    )
     over = {tuple: HandlerTuple(ndivide=1)}
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, handler_map=over)
 
@@ -120,7 +126,7 @@ def text_width(text: str) -> float:
     """Return the width of the widest line of a text in points, at the font size of the plots."""
     lines = [line for line in text.splitlines() if line.strip()]
     return max(
-        (TextPath((0, 0), line, LETTERS, prop=FontProperties()).get_extents().width for line in lines), default=0
+        (TextPath((0, 0), line, FONT_SIZE_PT, prop=FontProperties()).get_extents().width for line in lines), default=0
     )
 
 
@@ -132,12 +138,12 @@ def fit_ticks(ax: Axes, columns: int) -> None:
         columns: Number of panels side by side in the figure.
     """
     low, high = ax.get_xlim()
-    room = PANEL * 72 * ax.figure.get_figure(root=True).get_size_inches()[0] / columns
+    room = MIN_PANEL_SHARE * 72 * ax.figure.get_figure(root=True).get_size_inches()[0] / columns
     for number in range(5, 0, -1):
         ax.xaxis.set_major_locator(MaxNLocator(number))
         ticks = ax.xaxis.get_majorticklocs()
         widest = max(text_width(label) for label in ax.xaxis.get_major_formatter().format_ticks(list(ticks)))
-        if np.diff(ticks).min() / (high - low) * room > widest + LETTERS / 2:
+        if np.diff(ticks).min() / (high - low) * room > widest + FONT_SIZE_PT / 2:
             return
 
 

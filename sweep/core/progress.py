@@ -10,26 +10,29 @@ from contextlib import contextmanager, suppress
 from sweep.core.errors import InputError
 from sweep.core.files import cache_folder, ensure_private_folder
 
-FIRST, NEXT = 10.0, 60.0  # s of silence before the first line in a pipe, and between further lines
-WORTH = 2.0  # s: shorter durations are not stored
-KEPT = "waits.json"  # beside the compiled programs
+FIRST_LINE_AFTER_S, LINE_INTERVAL_S = (
+    10.0,
+    60.0,
+)  # s of silence before the first line in a pipe, and between further lines
+MIN_STORED_DURATION_S = 2.0  # s: shorter durations are not stored
+DURATIONS_FILE = "waits.json"  # beside the compiled programs
 _begun: dict[str, float] = {}  # start times of running parts, by name
 _took: dict[str, float] = {}  # durations of finished parts (s), by name
 _compiled = 0.0  # s that this process has spent on compiling
 
 
 @contextmanager
-def show_wait(step: Callable[[], str] | str) -> Iterator[None]:
+def show_elapsed_time(step: Callable[[], str] | str) -> Iterator[None]:
     """Print a step's description and its elapsed time to the standard error, from a thread, while this context runs."""
     done, start, terminal = threading.Event(), time.perf_counter(), sys.stderr.isatty()
 
     def tell() -> None:
-        pause = 1.0 if terminal else FIRST
+        pause = 1.0 if terminal else FIRST_LINE_AFTER_S
         while not done.wait(pause):
             line = f"{step() if callable(step) else step}, {time.perf_counter() - start:.0f} s"
             text = f"\r\x1b[K{line}" if terminal else f"sweep: {line}\n"
             print(text, end="", file=sys.stderr, flush=True)
-            pause = 1.0 if terminal else NEXT
+            pause = 1.0 if terminal else LINE_INTERVAL_S
 
     teller = threading.Thread(target=tell, daemon=True)
     teller.start()
@@ -44,7 +47,7 @@ def show_wait(step: Callable[[], str] | str) -> Iterator[None]:
 
 @contextmanager
 def show_counts(step: Callable[..., str], *counts: int) -> Iterator[Callable[..., None]]:
-    """Print progress as `show_wait` does, from counts that the caller updates.
+    """Print progress as `show_elapsed_time` does, from counts that the caller updates.
 
     Args:
         what: Formats the counts as a phrase.
@@ -59,12 +62,12 @@ def show_counts(step: Callable[..., str], *counts: int) -> Iterator[Callable[...
         nonlocal now
         now = new
 
-    with show_wait(lambda: step(*now)):
+    with show_elapsed_time(lambda: step(*now)):
         yield count
 
 
 @contextmanager
-def timed_part(name: str) -> Iterator[None]:
+def time_part(name: str) -> Iterator[None]:
     """Measure the duration of this context as a named part of a longer step. Parts may run at the same time."""
     start = _begun[name] = time.perf_counter()
     try:
@@ -85,7 +88,7 @@ def format_running_parts(step: str) -> str:
 
 
 @contextmanager
-def timed_compilation() -> Iterator[None]:
+def time_compilation() -> Iterator[None]:
     """Add the duration of this context to the compile time of the process, see `compilation_seconds`."""
     global _compiled
     start = time.perf_counter()
@@ -104,7 +107,7 @@ def format_compile_estimate(step: str) -> str:
     """Estimate how long compiling a step and running its first batch takes, from the last time on this machine."""
     waits = _load_waits()
     if waits is None:
-        return f"compile time unknown: {cache_folder()}/{KEPT} is damaged; the next run rewrites it"
+        return f"compile time unknown: {cache_folder()}/{DURATIONS_FILE} is damaged; the next run rewrites it"
     if step not in waits:
         return "compile time unknown: not measured on this machine before"
     return f"about {waits[step]:.0f} s to compile and run the first batch, as last time on this machine"
@@ -124,18 +127,18 @@ def remember_duration(step: str, seconds: float) -> None:
         seconds: Its duration, in seconds.
     """
     took = {step: seconds, **{f"{step}: {name}": _took.pop(name) for name in tuple(_took)}}
-    long = {name: round(one, 1) for name, one in took.items() if one > WORTH}
+    long = {name: round(one, 1) for name, one in took.items() if one > MIN_STORED_DURATION_S}
     if long and (folder := cache_folder()):
         with suppress(OSError, InputError):  # such as a home that cannot be written
             if ensure_private_folder(folder):
-                (folder / KEPT).write_text(json.dumps({**(_load_waits() or {}), **long}))
+                (folder / DURATIONS_FILE).write_text(json.dumps({**(_load_waits() or {}), **long}))
 
 
 def _load_waits() -> dict[str, float] | None:
     """Read the stored durations (s) by name of the step; None where the file is damaged."""
     folder = cache_folder()
     try:
-        waits = json.loads((folder / KEPT).read_text()) if folder else {}
+        waits = json.loads((folder / DURATIONS_FILE).read_text()) if folder else {}
         return {str(name): float(seconds) for name, seconds in waits.items()}
     except OSError:
         return {}

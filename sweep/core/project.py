@@ -15,19 +15,19 @@ from typing import Any
 
 import yaml
 
-from sweep.core.errors import WRONG, Fault, InputError, format_user_exception
+from sweep.core.errors import USER_CODE_ERRORS, Fault, InputError, format_user_exception
 from sweep.core.groups import GROUPS
-from sweep.core.yaml_check import PARSER, check_yaml, format_yaml_error
+from sweep.core.yaml_check import YAML_PARSER, check_yaml, format_yaml_error
 
-SHIPPED, FILE, ENTRY_POINTS = "sweep.conf", "sweep.yaml", "sweep.modules"
-FOLDERS = {group: "studies" if group == "study" else f"{group}s" for group in GROUPS}  # of a project
-KEYS = ("modules",)
-STUDY, CRATE = "study.yaml", "ro-crate-metadata.json"  # that folders of results, and crates, have
+SHIPPED_PACKAGE, PROJECT_FILE, ENTRY_POINTS = "sweep.conf", "sweep.yaml", "sweep.modules"
+GROUP_FOLDERS = {group: "studies" if group == "study" else f"{group}s" for group in GROUPS}  # of a project
+PROJECT_KEYS = ("modules",)
+STUDY_FILE, CRATE_FILE = "study.yaml", "ro-crate-metadata.json"  # that folders of results, and crates, have
 CHECKSUM_PREFIX = "# sha256 of the lines above: "  # of the last line of a study.yaml with results
 CHECKSUM_LENGTH = len(CHECKSUM_PREFIX) + 64 + 1  # of that line
-LOADER = PARSER
-_trusted: set[Path] = set()  # of `trusted_project`
-TRUTHS = ("on", "off", "yes", "no", "true", "false")  # that YAML takes for truths
+YAML_LOADER = YAML_PARSER
+_trusted: set[Path] = set()  # of `trust_project`
+BOOLEAN_WORDS = ("on", "off", "yes", "no", "true", "false")  # that YAML takes for truths
 
 
 def find_project() -> Path | None:
@@ -36,8 +36,8 @@ def find_project() -> Path | None:
     A sweep.yaml in a folder of results or in a crate does not count, as it may come from a stranger.
     """
     here = Path.cwd()
-    found = (folder for folder in (here, *here.parents) if (folder / FILE).is_file())
-    return next((folder for folder in found if find_results_around(folder / FILE) is None), None)
+    found = (folder for folder in (here, *here.parents) if (folder / PROJECT_FILE).is_file())
+    return next((folder for folder in found if find_results_around(folder / PROJECT_FILE) is None), None)
 
 
 def find_results_around(file: Path) -> Path | None:
@@ -49,19 +49,19 @@ def find_results_around(file: Path) -> Path | None:
         file: The file. Symbolic links on the way to it are looked at as they are, and where they lead.
 
     Returns:
-        The folder; None where there is none, or where the file is in the project of a `trusted_project`.
+        The folder; None where there is none, or where the file is in the project of a `trust_project`.
     """
     for place in dict.fromkeys((file.absolute(), file.resolve())):
         for folder in place.parents:
             if folder in _trusted:
                 break
-            if _ends_with_checksum(folder / STUDY) or (folder / CRATE).exists():
+            if _ends_with_checksum(folder / STUDY_FILE) or (folder / CRATE_FILE).exists():
                 return folder
     return None
 
 
 @contextmanager
-def trusted_project(folder: Path) -> Iterator[None]:
+def trust_project(folder: Path) -> Iterator[None]:
     """Work in a folder of a crate, whose code the user has allowed to run, within this context."""
     _trusted.add(place := folder.resolve())
     try:
@@ -83,12 +83,12 @@ def _ends_with_checksum(file: Path) -> bool:
 def project_files(group: str) -> dict[str, Path]:
     """Return the working project's files of a configuration group, by name; empty outside a project."""
     folder = find_project()
-    return {file.stem: file for file in sorted((folder / FOLDERS[group]).glob("*.yaml"))} if folder else {}
+    return {file.stem: file for file in sorted((folder / GROUP_FOLDERS[group]).glob("*.yaml"))} if folder else {}
 
 
 def shipped_files(group: str) -> dict[str, Any]:
     """Return the files of a configuration group that ship with the package, by name."""
-    files = (resources.files(SHIPPED) / group).iterdir()
+    files = (resources.files(SHIPPED_PACKAGE) / group).iterdir()
     return {f.name.removesuffix(".yaml"): f for f in sorted(files, key=lambda f: f.name) if f.name.endswith(".yaml")}
 
 
@@ -128,12 +128,12 @@ def read_settings(folder: Path | None = None) -> dict[str, Any]:
     folder = folder or find_project()
     if folder is None:
         return {}
-    content = read_yaml(folder / FILE, str(folder / FILE)) or {}
+    content = read_yaml(folder / PROJECT_FILE, str(folder / PROJECT_FILE)) or {}
     modules = content.get("modules", []) if isinstance(content, dict) else None
-    unknown = [key for key in content if key not in KEYS] if isinstance(content, dict) else []
+    unknown = [key for key in content if key not in PROJECT_KEYS] if isinstance(content, dict) else []
     if not isinstance(modules, list) or unknown:
         what = f"{unknown[0]} is unknown" if unknown else f"modules = {modules} is not allowed"
-        raise InputError(f"{folder / FILE}: {what} (allowed: modules, a list of names of Python modules)")
+        raise InputError(f"{folder / PROJECT_FILE}: {what} (allowed: modules, a list of names of Python modules)")
     return {"modules": [str(module) for module in modules]}
 
 
@@ -153,17 +153,17 @@ def read_yaml(file: Path, name: str) -> Any:
     try:
         text = file.read_text(encoding="utf-8")
         check_yaml(text, name)
-        return yaml.load(text, LOADER)
+        return yaml.load(text, YAML_LOADER)
     except UnicodeDecodeError:
         raise InputError(f"{name} cannot be read: it is not text in UTF-8") from None
     except yaml.YAMLError as error:
         raise InputError(f"{name} cannot be read: {format_yaml_error(error)}") from None
 
 
-def quote_truth_words(text: str) -> str:
+def quote_boolean_words(text: str) -> str:
     """Quote `on`, `off`, `yes` and similar words in the YAML of a plan, where they are names and not Booleans."""
-    for event in reversed(list(yaml.parse(text, LOADER))):
-        if isinstance(event, yaml.ScalarEvent) and event.implicit[0] and event.value.lower() in TRUTHS:
+    for event in reversed(list(yaml.parse(text, YAML_LOADER))):
+        if isinstance(event, yaml.ScalarEvent) and event.implicit[0] and event.value.lower() in BOOLEAN_WORDS:
             text = f'{text[: event.start_mark.index]}"{event.value}"{text[event.end_mark.index :]}'
     return text
 
@@ -195,7 +195,7 @@ def _imported(folder: Path | None, names: tuple[str, ...]) -> tuple[ModuleType, 
     for name in names:
         try:
             found.append(importlib.import_module(name))
-        except WRONG as error:
+        except USER_CODE_ERRORS as error:
             raise InputError(f"module {name} cannot be imported: {format_user_exception(error)}") from None
     return tuple(found)
 
@@ -207,7 +207,7 @@ def locate_user_errors() -> Iterator[None]:
         yield
     except (InputError, Fault):
         raise
-    except WRONG as error:
+    except USER_CODE_ERRORS as error:
         import traceback
 
         own = {

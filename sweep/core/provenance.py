@@ -17,13 +17,17 @@ import yaml
 
 from sweep.core import files, project
 from sweep.core.errors import Fault, InputError
-from sweep.core.version import STARTED
+from sweep.core.version import PROCESS_START_S
 
-ROOT = Path(__file__).parents[1]
-WORKER = ("sweep.runs.runner",)  # what it imports can change a row
-PROGRAMS = ("sweep.engines", "sweep.manoeuvres")  # what they import can change a compiled program
-SEARCH = (*WORKER, "sweep.runs.tuning", "sweep.planning.score")  # can change what a search of a plan's numbers finds
-WHOLE = (  # packages that import each of their modules, without naming them
+SOURCE_FOLDER = Path(__file__).parents[1]
+WORKER_MODULES = ("sweep.runs.runner",)  # what it imports can change a row
+PROGRAM_MODULES = ("sweep.engines", "sweep.manoeuvres")  # what they import can change a compiled program
+SEARCH_MODULES = (
+    *WORKER_MODULES,
+    "sweep.runs.tuning",
+    "sweep.planning.score",
+)  # can change what a search of a plan's numbers finds
+WHOLE_PACKAGES = (  # packages that import each of their modules, without naming them
     "sweep.core.shared_metrics",
     "sweep.metrics",
     "sweep.study.design_kinds",
@@ -50,14 +54,14 @@ def processor_id() -> str:
 @functools.cache
 def code_version() -> str:
     """Return a hash of all source files and library versions that can change a row."""
-    return _version(WORKER, library_versions())
+    return _version(WORKER_MODULES, library_versions())
 
 
 @functools.cache
 def search_version() -> str:
     """Return a hash of all source files and library versions that can change the result of `sweep tune`."""
     cma = next((one.version for one in metadata.distributions(name="cma")), "")  # which may be missing
-    return _version(SEARCH, {**library_versions(), "cma": cma})
+    return _version(SEARCH_MODULES, {**library_versions(), "cma": cma})
 
 
 def is_current_code(version: str, libraries: Mapping[str, str]) -> bool:
@@ -70,21 +74,21 @@ def is_current_code(version: str, libraries: Mapping[str, str]) -> bool:
     Returns:
         Whether the source files are unchanged; the installed libraries may differ.
     """
-    return version == _version(WORKER, libraries)
+    return version == _version(WORKER_MODULES, libraries)
 
 
 @functools.cache
 def program_version() -> str:
     """Return a hash of all source files and library versions that can change a compiled program."""
-    return _version(PROGRAMS, library_versions())
+    return _version(PROGRAM_MODULES, library_versions())
 
 
 def sources_changed() -> bool:
     """Return whether a source file of compiled programs was changed on disk after this process started."""
     plans = (Path(str(file)) for file in project.shipped_files("plan").values())
     return any(
-        file.stat().st_ctime > STARTED
-        for file in (*list_source_files(PROGRAMS), *plans, *project.user_module_sources())
+        file.stat().st_ctime > PROCESS_START_S
+        for file in (*list_source_files(PROGRAM_MODULES), *plans, *project.user_module_sources())
     )
 
 
@@ -92,7 +96,7 @@ def _version(modules: tuple[str, ...], libraries: Mapping[str, str]) -> str:
     """Hash source files without comments and docstrings, plans that are files, and library versions."""
     content = hashlib.blake2b(digest_size=6)
     for file in list_source_files(modules):
-        content.update(f"{file.relative_to(ROOT)}\n{_read(file)[1]}\n".encode())
+        content.update(f"{file.relative_to(SOURCE_FOLDER)}\n{_read(file)[1]}\n".encode())
     content.update(_plans())
     for file in project.user_module_sources():
         content.update(_read(file)[1].encode())
@@ -120,7 +124,7 @@ def list_source_files(modules: tuple[str, ...]) -> tuple[Path, ...]:
             if name not in found and (file := _file(name)):
                 found[name] = file
                 todo += _read(file)[0]
-                if name in WHOLE:
+                if name in WHOLE_PACKAGES:
                     todo += [f"{name}.{module.stem}" for module in file.parent.glob("*.py") if module != file]
     return tuple(sorted(found.values()))
 
@@ -128,8 +132,8 @@ def list_source_files(modules: tuple[str, ...]) -> tuple[Path, ...]:
 @functools.cache
 def _file(module: str) -> Path | None:
     package, *rest = module.split(".")
-    path = ROOT.joinpath(*rest)
-    candidates = (path / "__init__.py", path.with_suffix(".py")) if package == ROOT.name else ()
+    path = SOURCE_FOLDER.joinpath(*rest)
+    candidates = (path / "__init__.py", path.with_suffix(".py")) if package == SOURCE_FOLDER.name else ()
     return next((file for file in candidates if file.is_file()), None)
 
 
@@ -137,7 +141,7 @@ def _file(module: str) -> Path | None:
 def _read(file: Path) -> tuple[list[str], str]:
     """Return the names that a source file imports, and its source in one format."""
     content = file.read_bytes()
-    key = hashlib.blake2b(f"{file.parent == ROOT} ".encode() + content, digest_size=16).hexdigest()
+    key = hashlib.blake2b(f"{file.parent == SOURCE_FOLDER} ".encode() + content, digest_size=16).hexdigest()
     _parsed[key] = imports, said = _load_parsed().get(key) or _parse(file, content)
     return imports, said
 
@@ -145,7 +149,7 @@ def _read(file: Path) -> tuple[list[str], str]:
 def _parse(file: Path, content: bytes) -> tuple[list[str], str]:
     tree = ast.parse(content)
     # what the package itself imports when called is for notebooks, not for a worker
-    nodes = tree.body if file.parent == ROOT else None
+    nodes = tree.body if file.parent == SOURCE_FOLDER else None
     said, every = _format_tree(tree)
     return [name for node in nodes or every for name in _imported(node)], said
 
@@ -173,7 +177,7 @@ def _store_parsed() -> None:
 
 def _parsed_cache_file() -> Path | None:
     """Return the file of parsed sources. Its name depends on the Python version, which formats sources differently."""
-    folder, where = files.cache_folder(), hashlib.blake2b(f"{ROOT} {sys.version}".encode(), digest_size=8)
+    folder, where = files.cache_folder(), hashlib.blake2b(f"{SOURCE_FOLDER} {sys.version}".encode(), digest_size=8)
     return folder and folder / f"sources-{where.hexdigest()}.json"
 
 
@@ -220,7 +224,9 @@ def find_commit() -> str:
 
     Ends in `-dirty` where sources or configurations differ from the commit.
     """
-    installed = ROOT / "commit.txt"  # written into a wheel: a folder around it may be a checkout of something else
+    installed = (
+        SOURCE_FOLDER / "commit.txt"
+    )  # written into a wheel: a folder around it may be a checkout of something else
     if installed.exists():
         return installed.read_text().strip()
     name = _git("describe", "--always", "--abbrev=12")
@@ -229,4 +235,6 @@ def find_commit() -> str:
 
 def _git(*words: str) -> str:
     """Return the output of a git command in the package's folder; empty outside a checkout."""
-    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
+    return subprocess.run(
+        ["git", *words], cwd=SOURCE_FOLDER, capture_output=True, text=True, check=False
+    ).stdout.strip()

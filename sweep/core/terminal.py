@@ -9,27 +9,27 @@ import textwrap
 from collections.abc import Collection, Iterator
 from itertools import groupby
 
-NUMBER = 14  # a cell of at most so many letters is never broken
-GAP = 2  # letters between columns
-ELSEWHERE = "use a wider terminal, or -o FILE for all"
+MAX_UNBROKEN_WIDTH = 14  # a cell of at most so many letters is never broken
+COLUMN_GAP = 2  # letters between columns
+HIDDEN_COLUMNS_HINT = "use a wider terminal, or -o FILE for all"
 
 
 def print_markdown(
-    text: str, required: Collection[str] = (), elsewhere: str = ELSEWHERE, is_paged: bool = False
+    text: str, required: Collection[str] = (), hidden_hint: str = HIDDEN_COLUMNS_HINT, is_paged: bool = False
 ) -> None:
     """Print Markdown to the standard output, fitted to the terminal's width if it is a terminal.
 
     Args:
         text: Markdown.
         required: Columns of tables that are never dropped.
-        elsewhere: Where a reader finds dropped columns, for a note.
+        hidden_hint: Where a reader finds dropped columns, for a note.
         is_paged: Whether a terminal shows a text that is longer than its screen in a pager.
     """
     if sys.stdout.isatty():
         from rich.console import Console
 
         console = Console()
-        text = fit_to_width(text, console.width, required, elsewhere)
+        text = fit_to_width(text, console.width, required, hidden_hint)
         if is_paged and text.count("\n") >= console.height and show_in_pager(text):
             return
     sys.stdout.write(text)
@@ -50,14 +50,14 @@ def show_in_pager(text: str) -> bool:
     return done.returncode not in (126, 127)  # of a shell that finds no such program
 
 
-def fit_to_width(text: str, width: int, required: Collection[str] = (), elsewhere: str = ELSEWHERE) -> str:
+def fit_to_width(text: str, width: int, required: Collection[str] = (), hidden_hint: str = HIDDEN_COLUMNS_HINT) -> str:
     """Fit Markdown into lines of limited width, without breaking words.
 
     Args:
         text: Markdown.
         width: Largest width of a line, in characters.
         kept: Columns of tables that are never dropped. As many others as fit are shown, from the left.
-        elsewhere: Where a reader finds dropped columns, for a note.
+        hidden_hint: Where a reader finds dropped columns, for a note.
 
     Returns:
         The fitted text.
@@ -66,7 +66,7 @@ def fit_to_width(text: str, width: int, required: Collection[str] = (), elsewher
     for is_table, group in groupby(text.splitlines(), lambda line: line.startswith("|")):
         lines = list(group)
         parts += (
-            fit_table(lines, width, required, elsewhere) if is_table else [wrap_line(line, width) for line in lines]
+            fit_table(lines, width, required, hidden_hint) if is_table else [wrap_line(line, width) for line in lines]
         )
     return "\n".join(parts) + "\n"
 
@@ -87,14 +87,14 @@ def wrap_line(line: str, width: int) -> str:
                          break_long_words=False, break_on_hyphens=False)  # fmt: skip
 
 
-def fit_table(lines: list[str], width: int, required: Collection[str], elsewhere: str) -> Iterator[str]:
+def fit_table(lines: list[str], width: int, required: Collection[str], hidden_hint: str) -> Iterator[str]:
     """Yield the lines of a Markdown table with the columns that fit, and a note about those that do not.
 
     Args:
         lines: Lines of the table.
         width: Largest width of a line, in characters.
         kept: Columns that are never dropped.
-        elsewhere: Where a reader finds dropped columns.
+        hidden_hint: Where a reader finds dropped columns.
 
     Yields:
         Lines of text.
@@ -106,13 +106,15 @@ def fit_table(lines: list[str], width: int, required: Collection[str], elsewhere
     needed = [max(map(unbreakable_width, column)) for column in columns]
     found: list[int] = []
     for k in sorted(range(len(heads)), key=lambda k: heads[k] not in required):
-        if sum(needed[j] + GAP for j in (*found, k)) - GAP <= width:
+        if sum(needed[j] + COLUMN_GAP for j in (*found, k)) - COLUMN_GAP <= width:
             found.append(k)
     found.sort()
-    widths = shrink_widths([natural[k] for k in found], [needed[k] for k in found], width - GAP * (len(found) - 1))
+    widths = shrink_widths(
+        [natural[k] for k in found], [needed[k] for k in found], width - COLUMN_GAP * (len(found) - 1)
+    )
     yield from render_table([columns[k] for k in found], [marks[k].endswith("-:") for k in found], widths)
     if left := [head for k, head in enumerate(heads) if k not in found]:
-        yield wrap_line(f"Not shown for lack of width: {', '.join(left)}: {elsewhere}.", width)
+        yield wrap_line(f"Not shown for lack of width: {', '.join(left)}: {hidden_hint}.", width)
 
 
 def cell_width(text: str) -> int:
@@ -124,7 +126,7 @@ def cell_width(text: str) -> int:
 
 def unbreakable_width(text: str) -> int:
     """Return the width of the longest word of a table cell, or of the whole cell if it is short."""
-    return cell_width(text) if cell_width(text) <= NUMBER else max(map(cell_width, text.split()))
+    return cell_width(text) if cell_width(text) <= MAX_UNBROKEN_WIDTH else max(map(cell_width, text.split()))
 
 
 def shrink_widths(widths: list[int], needed: list[int], room: int) -> list[int]:
@@ -159,11 +161,11 @@ def render_table(columns: list[tuple[str, ...]], right: list[bool], widths: list
     from rich.console import Console
     from rich.table import Table
 
-    drawn = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, GAP - 1, 0, 0))
+    drawn = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, COLUMN_GAP - 1, 0, 0))
     for (head, *_), aside, width in zip(columns, right, widths, strict=True):
         drawn.add_column(head, justify="right" if aside else "left", width=width)
     for row in zip(*(cells for _, *cells in columns), strict=True):
         drawn.add_row(*row)
     page = io.StringIO()
-    Console(file=page, width=sum(widths) + GAP * len(widths), highlight=False, markup=False).print(drawn)
+    Console(file=page, width=sum(widths) + COLUMN_GAP * len(widths), highlight=False, markup=False).print(drawn)
     return [line.rstrip() for line in page.getvalue().splitlines()]

@@ -15,11 +15,14 @@ from pathlib import Path
 
 from sweep.core.errors import format_user_exception
 
-SILENCE, AGAIN = 10.0, 60.0  # s until a call that does not return is reported, and until it is again
-PACKAGE = Path(__file__).resolve().parents[1]
-LINES = 100  # printed lines, all different, that are kept
+FIRST_REPORT_AFTER_S, REPORT_INTERVAL_S = (
+    10.0,
+    60.0,
+)  # s until a call that does not return is reported, and until it is again
+PACKAGE_FOLDER = Path(__file__).resolve().parents[1]
+MAX_LINES = 100  # printed lines, all different, that are kept
 _folders: dict[Path, str] = {}  # where code of a folder has changed the working folder to
-_printed: dict[str, bool] = {}  # printed lines, and whether `take_output` has returned them
+_printed: dict[str, bool] = {}  # printed lines, and whether `take_printed_lines` has returned them
 _tracebacks: list[str] = []
 _running: dict[int, tuple[str, float, float]] = {}  # calls: what runs, its start, and after how long it is reported (s)
 _watching = threading.Lock()
@@ -45,13 +48,13 @@ class _Lines(io.TextIOBase):
 
 
 def _keep(line: str) -> None:
-    if len(_printed) < LINES:
+    if len(_printed) < MAX_LINES:
         _printed.setdefault(line, False)
-    elif len(_printed) == LINES:
+    elif len(_printed) == MAX_LINES:
         _printed["further lines printed by user code are left out"] = False
 
 
-def take_output(with_tracebacks: bool = False) -> list[str]:
+def take_printed_lines(with_tracebacks: bool = False) -> list[str]:
     """Return what code of users has printed since the last call, each line once in the life of a process.
 
     Args:
@@ -69,7 +72,7 @@ def run_user_code(what: str, folder: Path) -> Iterator[None]:
     """Run code of a user within this context: in its folder, with its printed lines collected and its errors located.
 
     Relative paths are those of its folder, or of the one that it has changed to; ours stay as they are. What it prints
-    is kept for `take_output`. A call that does not return is reported on the standard error.
+    is kept for `take_printed_lines`. A call that does not return is reported on the standard error.
 
     Args:
         what: what runs, such as `walk:policy in tick 3`.
@@ -79,7 +82,7 @@ def run_user_code(what: str, folder: Path) -> Iterator[None]:
     os.chdir(_folders.get(folder, folder))
     lines = _Lines(what.partition(" ")[0])
     try:
-        with report_silence(what), contextlib.redirect_stdout(lines):
+        with report_slow_call(what), contextlib.redirect_stdout(lines):
             yield
     finally:
         with contextlib.suppress(OSError):  # such as a folder that it has removed
@@ -89,16 +92,16 @@ def run_user_code(what: str, folder: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def report_silence(what: str, after: float | None = None) -> Iterator[None]:
+def report_slow_call(what: str, after: float | None = None) -> Iterator[None]:
     """Print a note on the standard error if the code in this context takes long.
 
     Args:
         what: what runs.
-        after: seconds until the first report; by default `SILENCE`.
+        after: seconds until the first report; by default `FIRST_REPORT_AFTER_S`.
     """
     _start_watching()
     number = time.perf_counter_ns()
-    _running[number] = what, time.monotonic(), SILENCE if after is None else after
+    _running[number] = what, time.monotonic(), FIRST_REPORT_AFTER_S if after is None else after
     try:
         yield
     finally:
@@ -119,7 +122,7 @@ def _watch() -> None:
         for number, (what, since, _) in running.items():
             seconds = time.monotonic() - since
             if seconds >= due[number]:
-                due[number] = seconds + AGAIN
+                due[number] = seconds + REPORT_INTERVAL_S
                 start = "\r\x1b[K" if sys.stderr.isatty() else ""
                 print(f"{start}sweep: {what} has not returned for {seconds:.0f} s", file=sys.stderr, flush=True)
 
@@ -127,7 +130,7 @@ def _watch() -> None:
 def describe_user_error(error: BaseException, folder: Path) -> str | None:
     """Describe an exception of a user's code in a line, with file and line where it was raised.
 
-    The traceback is kept for `take_output`.
+    The traceback is kept for `take_printed_lines`.
 
     Args:
         error: the exception, or one of JAX's that quotes the traceback of a callback.
@@ -153,5 +156,5 @@ def describe_user_error(error: BaseException, folder: Path) -> str | None:
 
 def _is_below(file: Path, folder: Path) -> bool:
     """Whether a file is the user's own: below their folder, and in no environment there."""
-    installed = {"site-packages", "dist-packages"} & {*file.parts} or file.is_relative_to(PACKAGE)
+    installed = {"site-packages", "dist-packages"} & {*file.parts} or file.is_relative_to(PACKAGE_FOLDER)
     return file.is_absolute() and file.is_relative_to(folder.resolve()) and not installed

@@ -4,6 +4,6 @@ import os
 import time
 
 VERSION = "0.2.0"
-STARTED = time.time()
+PROCESS_START_S = time.time()
 # silence XLA's own messages: one asks for a bug report after two minutes of compiling; errors are raised anyway
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")

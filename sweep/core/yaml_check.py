@@ -4,21 +4,21 @@ import re
 
 import yaml
 
-from sweep.core.errors import COMMANDS, InputError
+from sweep.core.errors import CONTROL_CHARACTER_RANGES, InputError
 
-PARSER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the fast one where it is built
+YAML_PARSER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the fast one where it is built
 # numbers that YAML 1.1 reads otherwise than people do: octal ones, and sexagesimal ones such as 1:30
 LEADING_ZERO = re.compile(r"[-+]?0[0-9_]+")
 SEXAGESIMAL = re.compile(r"[-+]?[0-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?")
-UNPRINTABLE = re.compile(f"[{COMMANDS}]")
-MOST_ALIASED, DEEPEST = 100_000, 100  # items that aliases may stand for, in all, and levels of nesting
+UNPRINTABLE = re.compile(f"[{CONTROL_CHARACTER_RANGES}]")
+MAX_ALIASED_ITEMS, MAX_NESTING_DEPTH = 100_000, 100  # items that aliases may stand for, in all, and levels of nesting
 
 
 def ambiguous_number(text: str) -> str:
     """Explain why an unquoted YAML word such as `010` or `1:30` is ambiguous as a number; empty for other words."""
     if not LEADING_ZERO.fullmatch(text) and not SEXAGESIMAL.fullmatch(text):
         return ""
-    value = yaml.load(text, PARSER)
+    value = yaml.load(text, YAML_PARSER)
     said = f"YAML reads it as {value}" if not isinstance(value, str) else "it begins with 0"
     return f"{said}: write a decimal number, or quotes around a name"
 
@@ -45,13 +45,15 @@ def check_yaml(text: str, name: str, numbers: bool = True) -> None:
     sizes: dict[str, int] = {}  # items of finished anchors
     levels: list[_Level] = []
     aliased = 0
-    for event in yaml.parse(text, PARSER):
+    for event in yaml.parse(text, YAML_PARSER):
         size = 1
         match event:
             case yaml.MappingStartEvent() | yaml.SequenceStartEvent():
                 levels.append(_Level(event.anchor, isinstance(event, yaml.MappingStartEvent)))
-                if len(levels) > DEEPEST:
-                    raise InputError(f"{name}, line {_line(event)} is nested too deeply: at most {DEEPEST} levels")
+                if len(levels) > MAX_NESTING_DEPTH:
+                    raise InputError(
+                        f"{name}, line {_line(event)} is nested too deeply: at most {MAX_NESTING_DEPTH} levels"
+                    )
                 continue
             case yaml.MappingEndEvent() | yaml.SequenceEndEvent():
                 ended = levels.pop()
@@ -73,10 +75,10 @@ def check_yaml(text: str, name: str, numbers: bool = True) -> None:
                     raise InputError(f"{name}, line {_line(event)}: the anchor &{event.anchor} contains itself")
                 size = sizes.get(event.anchor, 1)  # an unknown one is refused where it is loaded
                 aliased += size
-                if aliased > MOST_ALIASED:
+                if aliased > MAX_ALIASED_ITEMS:
                     raise InputError(
                         f"{name}, line {_line(event)}: *{event.anchor} is not allowed: aliases stand for at most "
-                        f"{MOST_ALIASED:,} items"
+                        f"{MAX_ALIASED_ITEMS:,} items"
                     )
             case _:
                 continue

@@ -24,15 +24,15 @@ from sweep.models.contact import Contact
 from sweep.models.legs import N_LEGS
 from sweep.models.obstacles.surface import BodyPoses, RollingResistance, Surface
 
-FACE = jnp.int32  # in double precision obstacles may tell wider ones
-CREEP = 1e-4  # rad/s, at which the resisting moment reaches its limit: rest is a creep slower than this
+FACE_DTYPE = jnp.int32  # in double precision obstacles may tell wider ones
+CREEP_RATE = 1e-4  # rad/s, at which the resisting moment reaches its limit: rest is a creep slower than this
 
 
 class Anchors(NamedTuple):
     """Contact anchors of n points, to which tangential springs are attached: r_T of (1.2.2)."""
 
     # m, in the axes of the body that owns the face, world axes for the fixed world; of what rolls, from the contact
-    place: Vector
+    positions: Vector
     loaded: Bool[Array, " n"]
     face: Int[Array, " n"]
 
@@ -43,7 +43,7 @@ class ContactGeometry(NamedTuple):
     depth: Float[Array, " n"]
     normal: Vector
     stretch: Vector  # tangential part of anchor minus point, m
-    limit: Float[Array, " n"]  # friction coefficient
+    friction: Float[Array, " n"]  # friction coefficient
     damping: Float[Array, " n"] | float  # N s/m, d_n and the surface's own
 
     def rotate(self, rotation: Matrix) -> "ContactGeometry":
@@ -58,14 +58,14 @@ class ContactForces(NamedTuple):
     normal: Float[Array, " n"]  # N, along the surface normal
     tangential: Vector  # N
     direction: Vector  # of the tangential force
-    share: Float[Array, " n"]  # of the elastic force that holds
+    elastic_share: Float[Array, " n"]  # of the elastic force that holds
     slipping: Bool[Array, " n"]
     loaded: Bool[Array, " n"]
 
 
 def no_anchors(n: int, dtype: jnp.dtype) -> Anchors:
     """Make the anchors of n points that are not in contact."""
-    return Anchors(Vector.from_array(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, FACE))
+    return Anchors(Vector.from_array(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, FACE_DTYPE))
 
 
 def _to_world_axes(place: Vector, body: Array, frames: Frames) -> Vector:
@@ -88,7 +88,7 @@ def _frames(bodies: BodyPoses) -> Frames:
     return [(Vector.from_array(position[None]), Matrix.from_array(rotation[None])) for position, rotation in places]
 
 
-def to_world(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses) -> Float[Array, "n 3"]:
+def to_world_frame(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses) -> Float[Array, "n 3"]:
     """Transform points from the frames of free bodies to the world frame.
 
     Args:
@@ -102,8 +102,8 @@ def to_world(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPos
     return _to_world_axes(Vector.from_array(place), body, _frames(bodies)).array()
 
 
-def to_body(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses) -> Float[Array, "n 3"]:
-    """Transform points from the world frame to the frames of free bodies, the inverse of `to_world`.
+def to_body_frame(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses) -> Float[Array, "n 3"]:
+    """Transform points from the world frame to the frames of free bodies, the inverse of `to_world_frame`.
 
     Args:
         place: Points (m, world axes).
@@ -126,9 +126,9 @@ def contact_geometry(
     normal = Vector.from_array(surface.normal)
     held = anchors.loaded & (anchors.face == surface.face)
     fresh = point + surface.depth * normal
-    kept = _to_world_axes(anchors.place, surface.body, frames)
+    kept = _to_world_axes(anchors.positions, surface.body, frames)
     if surface.rolling is not None:
-        kept = select(surface.rolling.radius > 0, point + anchors.place, kept)
+        kept = select(surface.rolling.radius > 0, point + anchors.positions, kept)
     place = select(held, kept, fresh)
     gap = place - point
     stretch = gap - gap.dot(normal) * normal
@@ -149,14 +149,14 @@ def contact_forces(contact: Contact, geometry: ContactGeometry, velocity: Vector
     loaded = normal > 0
     elastic = contact.stiffness * geometry.stretch - g * (velocity - v_normal * n)
     size = jnp.sqrt(elastic.dot(elastic) + 1e-6)
-    most = geometry.limit * normal
+    most = geometry.friction * normal
     slipping = loaded & ~(size <= most)  # a limit that is not a number must show, not hold
     share = jnp.where(loaded, jnp.where(slipping, most / size, 1.0), 0.0)
     tangential = share * elastic
     return ContactForces(normal * n + tangential, normal, tangential, (1 / size) * elastic, share, slipping, loaded)
 
 
-def contact_slope(geometry: ContactGeometry, forces: ContactForces, h: float) -> Matrix:
+def contact_damping(geometry: ContactGeometry, forces: ContactForces, h: float) -> Matrix:
     """Derivative -h d force / d velocity (N s^2/m) of the contact law at `forces`.
 
     It keeps the coupling of the limit to the normal force, which makes it unsymmetric: without it the two iterations of
@@ -165,9 +165,9 @@ def contact_slope(geometry: ContactGeometry, forces: ContactForces, h: float) ->
     n, t = geometry.normal, forces.direction
     scale = h * geometry.damping
     slips, holds = forces.slipping.astype(t.x.dtype), forces.loaded.astype(t.x.dtype)
-    round_ = scale * forces.share
-    along_n = scale * (holds - forces.share) * n + (scale * slips * geometry.limit) * t
-    along_t = (-scale * slips * forces.share) * t
+    round_ = scale * forces.elastic_share
+    along_n = scale * (holds - forces.elastic_share) * n + (scale * slips * geometry.friction) * t
+    along_t = (-scale * slips * forces.elastic_share) * t
     round_, along_n, along_t = jax.lax.optimization_barrier((round_, along_n, along_t))
     rows = enumerate(zip(along_n, along_t, strict=True))
     return Matrix(*(a * n + b * t + axis_vector(k, round_) for k, (a, b) in rows))
@@ -195,7 +195,7 @@ def update_anchors(
     kept = _to_body_axes(place, surface.body, frames)
     if surface.rolling is not None:
         kept = select(surface.rolling.radius > 0, place - point - h * velocity, kept)
-    return Anchors(kept, forces.loaded, surface.face.astype(FACE))
+    return Anchors(kept, forces.loaded, surface.face.astype(FACE_DTYPE))
 
 
 class ResistingMoments(NamedTuple):
@@ -212,12 +212,12 @@ def resisting_moments(
     spin = rate.dot(normal)
     roll = rate - spin * normal
     size = jnp.sqrt(roll.dot(roll) + 1e-20)
-    of_roll = load * rolling.roll / jnp.maximum(size, CREEP)
-    of_spin = load * rolling.spin / jnp.maximum(jnp.abs(spin), CREEP)
+    of_roll = load * rolling.roll / jnp.maximum(size, CREEP_RATE)
+    of_spin = load * rolling.spin / jnp.maximum(jnp.abs(spin), CREEP_RATE)
     moment = -of_roll * roll - (of_spin * spin) * normal
-    rests = (jnp.abs(spin) <= CREEP).astype(spin.dtype)
+    rests = (jnp.abs(spin) <= CREEP_RATE).astype(spin.dtype)
     along_n = (rests * of_spin - of_roll) * normal
-    along_t = ((size > CREEP).astype(spin.dtype) * of_roll / size**2) * roll
+    along_t = ((size > CREEP_RATE).astype(spin.dtype) * of_roll / size**2) * roll
     rows = zip(along_n, along_t, strict=True)
     return ResistingMoments(
         moment, Matrix(*(a * normal - b * roll + axis_vector(k, of_roll) for k, (a, b) in enumerate(rows)))
@@ -228,22 +228,22 @@ class ContactArm(NamedTuple):
     """How a root body takes part in n contact points: it carries some of them, and others stand on it."""
 
     body: int
-    share: Float[Array, " n"] | None  # 1 carries, -1 is stood on, 0 neither; None: it carries all
-    at: Vector  # m, of the points from the body's origin
+    sign: Float[Array, " n"] | None  # 1 carries, -1 is stood on, 0 neither; None: it carries all
+    points: Vector  # m, of the points from the body's origin
 
-    def apply_share(self, v: Vector) -> Vector:
+    def apply_sign(self, v: Vector) -> Vector:
         """Multiply each point's vector by its share: 1 if the body carries the point, -1 if it supports it, else 0."""
-        return v if self.share is None else self.share * v
+        return v if self.sign is None else self.sign * v
 
     def wrench_rows(self, m: Matrix) -> tuple[Matrix, Matrix]:
         """Rows of a matrix that maps to forces on the points, transformed to force and torque on the body."""
-        m = m if self.share is None else m.scale(self.share)
-        return m, m.transpose.times_cross_matrix(-self.at).transpose
+        m = m if self.sign is None else m.scale(self.sign)
+        return m, m.transpose.times_cross_matrix(-self.points).transpose
 
     def twist_columns(self, m: Matrix) -> tuple[Matrix, Matrix]:
         """Blocks by which a matrix on velocities of points acts on the body's linear and angular velocity."""
-        m = m if self.share is None else m.scale(self.share)
-        return m, m.times_cross_matrix(-self.at)
+        m = m if self.sign is None else m.scale(self.sign)
+        return m, m.times_cross_matrix(-self.points)
 
 
 class ContactSet(NamedTuple):
@@ -256,19 +256,19 @@ class ContactSet(NamedTuple):
     def velocity(self, root: Sequence[SpatialVector]) -> Vector:
         """Velocity of the points relative to their surfaces (m/s), for given twists of the root bodies."""
         return reduce(
-            add, [arm.apply_share(root[arm.body].linear + root[arm.body].angular.cross(arm.at)) for arm in self.arms]
+            add, [arm.apply_sign(root[arm.body].linear + root[arm.body].angular.cross(arm.points)) for arm in self.arms]
         )
 
     def relative_spin(self, root: Sequence[SpatialVector]) -> Vector:
         """Angular velocity of the bodies with the points relative to the bodies under them (rad/s)."""
-        return reduce(add, [arm.apply_share(root[arm.body].angular) for arm in self.arms])
+        return reduce(add, [arm.apply_sign(root[arm.body].angular) for arm in self.arms])
 
     def root_wrenches(self, force: Vector, moment: Vector | None = None) -> list[tuple[int, SpatialVector]]:
         """Force and torque on the root bodies from forces and moments at the points."""
         out = []
         for arm in self.arms:
-            own = arm.apply_share(force)
-            torque = arm.at.cross(own) if moment is None else arm.at.cross(own) + arm.apply_share(moment)
+            own = arm.apply_sign(force)
+            torque = arm.points.cross(own) if moment is None else arm.points.cross(own) + arm.apply_sign(moment)
             out.append((arm.body, SpatialVector(own.total(), torque.total())))
         return out
 
@@ -287,15 +287,17 @@ class ContactStart(NamedTuple):
 
     contacts: ContactSet
     surface: Surface
-    point: Vector  # m
-    place: Vector  # m, the anchors
+    points: Vector  # m
+    anchor_positions: Vector  # m, the anchors
 
     def next_anchors(
         self, law: Contact, forces: ContactForces, velocity: Vector, rotation: Matrix, frames: Frames, h: float
     ) -> Anchors:
         """Contact anchors after the step, from forces and velocities in base axes."""
         world = forces._replace(tangential=rotation @ forces.tangential)
-        return update_anchors(law, self.surface, self.point, frames, self.place, world, rotation @ velocity, h)
+        return update_anchors(
+            law, self.surface, self.points, frames, self.anchor_positions, world, rotation @ velocity, h
+        )
 
 
 def find_contacts(

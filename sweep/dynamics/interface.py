@@ -14,10 +14,10 @@ import numpy as np
 from sweep.core.errors import InputError
 from sweep.core.vectors import Vector
 from sweep.dynamics.free_bodies import contact_owners
-from sweep.dynamics.spatial import Mass, Motion, Pose
+from sweep.dynamics.spatial import MassMatrix, Motion, Pose
 from sweep.models import scene
 from sweep.models.case import Case
-from sweep.models.legs import JOINTS, LEGS, N_LEGS
+from sweep.models.legs import JOINT_NAMES, LEGS, N_LEGS
 
 
 @dataclass(frozen=True)
@@ -28,17 +28,17 @@ class Topology:
     """
 
     model: mujoco.MjModel
-    names: Mapping[str, Mapping[str, int]]  # ids by kind ("body", "site", "joint") and name
-    leg: np.ndarray  # (6, 3) dofs of the legs
-    feet: np.ndarray  # (6,) their site ids
-    free: tuple[int, ...]  # body ids of the free bodies
-    owner: tuple[int, ...]  # (n,) free body that carries the contact point, -1 for the robot's feet
+    ids_by_name: Mapping[str, Mapping[str, int]]  # ids by kind ("body", "site", "joint") and name
+    leg_dofs: np.ndarray  # (6, 3) dofs of the legs
+    foot_site_ids: np.ndarray  # (6,) their site ids
+    free_body_ids: tuple[int, ...]  # body ids of the free bodies
+    contact_owners: tuple[int, ...]  # (n,) free body that carries the contact point, -1 for the robot's feet
 
 
 class RobotDynamicsTerms(NamedTuple):
     """Mass matrix, bias and foot Jacobians of the robot at one pose and motion, base axes from the base's origin."""
 
-    mass: Mass  # with armature
+    mass: MassMatrix  # with armature
     bias: Motion  # Coriolis and gravity
     joints: tuple[Vector, ...]  # (l,) m, along a leg: hip, (end of the coxa,) knee, foot
     foot: tuple[Vector, Vector, Vector]  # (l,) velocity of the foot per rate of a joint
@@ -61,6 +61,6 @@ def topology(case: Case) -> Topology:
     for name, body in zip(case.obstacle.free_bodies, free, strict=True):
         if np.any(model.body_ipos[body]) or np.any(model.body_iquat[body, 1:]):
             raise InputError(f"free body {name} is not allowed: its frame is at its mass centre, on principal axes")
-    leg = np.array([model.jnt_dofadr[names["joint"][joint]] for joint in JOINTS], np.int32).reshape(N_LEGS, 3)
+    leg = np.array([model.jnt_dofadr[names["joint"][joint]] for joint in JOINT_NAMES], np.int32).reshape(N_LEGS, 3)
     feet = np.array([names["site"][f"foot{leg}"] for leg in LEGS], np.int32)
     return Topology(model, names, leg, feet, free, contact_owners(case))

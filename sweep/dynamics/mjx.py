@@ -12,12 +12,12 @@ from mujoco.mjx._src import smooth
 
 from sweep.core.vectors import Matrix, Vector
 from sweep.dynamics.interface import RobotDynamicsTerms, SmoothDynamics, Topology
-from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, SpatialVector, pack
+from sweep.dynamics.spatial import Inertia, MassMatrix, Motion, Pose, SpatialVector, pack_state
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import N_LEGS
 
-BASE = 1  # body id
+BASE_BODY_ID = 1  # body id
 
 
 def mjx_dynamics(top: Topology) -> Callable[[Case], SmoothDynamics]:
@@ -31,7 +31,7 @@ def varying_fields(top: Topology, model: mjx.Model, case: Case) -> dict[str, Arr
     """Fields of the MJX model that depend on the parameters of `case`, by name; may be traced."""
     changed = {}
     for field, values in scene.batched_model_fields(case).items():
-        table = top.names[{"body": "body", "site": "site", "dof": "joint"}[field.split("_")[0]]]
+        table = top.ids_by_name[{"body": "body", "site": "site", "dof": "joint"}[field.split("_")[0]]]
         index = np.array([table[name] for name in values], int)
         if field == "dof_armature":
             index = np.asarray(model.jnt_dofadr)[index]
@@ -43,19 +43,19 @@ def varying_fields(top: Topology, model: mjx.Model, case: Case) -> dict[str, Arr
 
 def smooth_dynamics(top: Topology, model: mjx.Model, data: mjx.Data, pose: Pose, motion: Motion) -> RobotDynamicsTerms:
     """The robot's blocks at a pose and motion. `data` is an empty MJX data of the topology."""
-    q, v = pack(pose, motion)
+    q, v = pack_state(pose, motion)
     d = data.replace(qpos=q, qvel=v)
     for stage in (smooth.kinematics, smooth.com_pos, smooth.crb, smooth.com_vel, smooth.rne):
         d = stage(model, d)
-    base, leg = d.cdof[:6], d.cdof[top.leg]  # (6, 6), (6, 3, 6)
+    base, leg = d.cdof[:6], d.cdof[top.leg_dofs]  # (6, 6), (6, 3, 6)
     momentum = mjx_math.inert_mul  # (composite inertia, motion) -> wrench
     crb = d._impl.crb[top.model.dof_bodyid]  # pyright: ignore[reportAttributeAccessIssue]
     wrench = jnp.stack([momentum(inertia, motion) for inertia, motion in zip(crb, d.cdof, strict=True)])
-    upper = jnp.triu(jnp.einsum("lic,ljc->lij", leg, wrench[top.leg]))  # right where dof i is not below dof j
+    upper = jnp.triu(jnp.einsum("lic,ljc->lij", leg, wrench[top.leg_dofs]))  # right where dof i is not below dof j
     m_leg = upper + jnp.swapaxes(jnp.triu(upper, 1), 1, 2)
-    m_leg = m_leg + model.dof_armature[top.leg][:, :, None] * jnp.eye(3, dtype=q.dtype)
-    turned = d.xmat[BASE]
-    cross = jnp.einsum("ic,ljc->jli", base, wrench[top.leg])  # (3, 6, 6), linear parts in world axes
+    m_leg = m_leg + model.dof_armature[top.leg_dofs][:, :, None] * jnp.eye(3, dtype=q.dtype)
+    turned = d.xmat[BASE_BODY_ID]
+    cross = jnp.einsum("ic,ljc->jli", base, wrench[top.leg_dofs])  # (3, 6, 6), linear parts in world axes
     columns = tuple(SpatialVector(Vector.from_array(c[:, :3] @ turned), Vector.from_array(c[:, 3:])) for c in cross)
     whole = base @ wrench[:6].T
     arm = turned.T @ whole[:3, 3:]  # minus the matrix of the first moment cross
@@ -63,13 +63,13 @@ def smooth_dynamics(top: Topology, model: mjx.Model, data: mjx.Data, pose: Pose,
     inertia = Inertia(whole[0:1, 0], moment, Matrix.from_array(whole[None, 3:, 3:]))
     bias = d.qfrc_bias
     forces = SpatialVector(Vector.from_array((bias[:3] @ turned)[None]), Vector.from_array(bias[None, 3:6]))
-    foot, per_leg = d.site_xpos[top.feet], (top.model.nbody - 2 - len(top.free)) // N_LEGS
-    swept = leg[:, :, 3:] + jnp.cross(leg[:, :, :3], (foot - d.subtree_com[BASE])[:, None, :])
+    foot, per_leg = d.site_xpos[top.foot_site_ids], (top.model.nbody - 2 - len(top.free_body_ids)) // N_LEGS
+    swept = leg[:, :, 3:] + jnp.cross(leg[:, :, :3], (foot - d.subtree_com[BASE_BODY_ID])[:, None, :])
     links = d.xpos[2 : 2 + N_LEGS * per_leg].reshape(N_LEGS, per_leg, 3)
     joints = [*jnp.swapaxes(links, 0, 1), foot]
     return RobotDynamicsTerms(
-        Mass((inertia,), columns, Matrix.from_array(m_leg)),  # pyright: ignore
-        Motion((forces,), tuple(bias[top.leg].T)),  # pyright: ignore
-        tuple(Vector.from_array((joint - d.xpos[BASE]) @ turned) for joint in joints),
+        MassMatrix((inertia,), columns, Matrix.from_array(m_leg)),  # pyright: ignore
+        Motion((forces,), tuple(bias[top.leg_dofs].T)),  # pyright: ignore
+        tuple(Vector.from_array((joint - d.xpos[BASE_BODY_ID]) @ turned) for joint in joints),
         tuple(Vector.from_array(swept[:, k] @ turned) for k in range(3)),  # pyright: ignore
     )

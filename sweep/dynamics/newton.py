@@ -6,26 +6,26 @@ from typing import NamedTuple
 
 from sweep.core.vectors import Matrix, Vector, cross_matrix, diagonal
 from sweep.dynamics.contacts import ContactArm, ContactSet
-from sweep.dynamics.spatial import Mass, Motion, Rates, SpatialVector
+from sweep.dynamics.spatial import JointTriple, MassMatrix, Motion, SpatialVector
 
 
-class Legs(NamedTuple):
+class LegElimination(NamedTuple):
     """Elimination of the legs' equations: joint rates as a function of the motion of the root bodies.
 
     Columns are the velocities that a leg feels: the base's, its rate of turning, and that of its foot over what it
     stands on by the motion of free bodies (where there are some).
     """
 
-    upper: list[list[Vector]]  # by joint: impulse on the column's partner per rate
-    solved: list[list[Vector]]  # by joint: minus its rate per column
+    leg_columns: list[list[Vector]]  # by joint: impulse on the column's partner per rate
+    rate_columns: list[list[Vector]]  # by joint: minus its rate per column
     inverse: Matrix
-    rest: list[list[Matrix]]  # what remains between the columns
+    schur_blocks: list[list[Matrix]]  # what remains between the columns
 
 
 def newton_direction(
-    mass: Mass,
+    mass: MassMatrix,
     j_leg: tuple[Vector, Vector, Vector],
-    stiff: Rates,
+    stiff: JointTriple,
     contacts: tuple[ContactSet, ...],
     slopes: list[Matrix],
     rolling: Matrix | None,
@@ -42,9 +42,9 @@ def newton_direction(
     blocks = BlockMatrix()
     for i in range(2):
         for j in range(2):
-            blocks.add(i, j, legs.rest[i][j].total())
+            blocks.add(i, j, legs.schur_blocks[i][j].total())
     for arm in others:
-        _add_standing_legs(blocks, arm, legs.rest)
+        _add_standing_legs(blocks, arm, legs.schur_blocks)
     if sites:
         _add_free_contacts(blocks, sites[0].arms, slopes[1], rolling)
     for k, body in enumerate(mass.root):
@@ -56,14 +56,14 @@ def newton_direction(
             blocks.add(2 * k + 1, 2 * k, cross)
     leg = legs.inverse @ Vector(*right.leg)
     known = [part for body in right.root for part in body]
-    for column, rate in zip(legs.upper, leg, strict=True):
+    for column, rate in zip(legs.leg_columns, leg, strict=True):
         for i in range(2):
             known[i] = known[i] - (rate * column[i]).total()
         for arm in others:
             linear, angular = (2 * arm.body + i for i in range(2))
-            own = arm.apply_share(rate * column[2])
+            own = arm.apply_sign(rate * column[2])
             known[linear] = known[linear] - own.total()
-            known[angular] = known[angular] - arm.at.cross(own).total()
+            known[angular] = known[angular] - arm.points.cross(own).total()
     x = blocks.solve(known)
     root = tuple(SpatialVector(x[2 * k], x[2 * k + 1]) for k in range(len(mass.root)))
     felt = [*root[0]]
@@ -71,21 +71,26 @@ def newton_direction(
         felt.append(feet._replace(arms=tuple(others)).velocity(root))
     rates = tuple(
         part - reduce(add, (c.dot(v) for c, v in zip(columns, felt, strict=True)))
-        for part, columns in zip(leg, legs.solved, strict=True)
+        for part, columns in zip(leg, legs.rate_columns, strict=True)
     )
     return Motion(root, rates)  # pyright: ignore
 
 
 def _eliminate_legs(
-    mass: Mass, j_leg: tuple[Vector, Vector, Vector], stiff: Rates, arm: ContactArm, slope: Matrix, moving: bool
-) -> Legs:
+    mass: MassMatrix,
+    j_leg: tuple[Vector, Vector, Vector],
+    stiff: JointTriple,
+    arm: ContactArm,
+    slope: Matrix,
+    moving: bool,
+) -> LegElimination:
     """Eliminate the legs' joints. `arm` leads from the base to the feet, `moving` to the bodies that they stand on."""
     down = slope.transpose
     pulls = [slope @ j for j in j_leg]  # impulse on a foot per rate of a joint
     pushes = [down @ j for j in j_leg]  # torque of a joint per velocity of the foot
 
     def columns(forces: list[Vector]) -> list[list[Vector]]:
-        parts = [[c.linear + f, c.angular + arm.at.cross(f)] for c, f in zip(mass.cross, forces, strict=True)]
+        parts = [[c.linear + f, c.angular + arm.points.cross(f)] for c, f in zip(mass.cross, forces, strict=True)]
         return [[*own, f] if moving else own for own, f in zip(parts, forces, strict=True)]
 
     upper, lower = columns(pulls), columns(pushes)
@@ -104,7 +109,7 @@ def _eliminate_legs(
             rows.append(row)
         return Matrix(*rows)
 
-    return Legs(upper, solved, inverse, [[rest(i, j) for j in range(2 + moving)] for i in range(2 + moving)])
+    return LegElimination(upper, solved, inverse, [[rest(i, j) for j in range(2 + moving)] for i in range(2 + moving)])
 
 
 def _add_standing_legs(blocks: "BlockMatrix", arm: ContactArm, leg_block: list[list[Matrix]]) -> None:
@@ -126,7 +131,7 @@ def _add_free_contacts(
         for other in touching:
             _couple(blocks, one, other, slope)
             if turning is not None:
-                shared = turning.scale(one.share).scale(other.share)  # pyright: ignore
+                shared = turning.scale(one.sign).scale(other.sign)  # pyright: ignore
                 blocks.add(2 * one.body + 1, 2 * other.body + 1, shared.total())
 
 

@@ -15,15 +15,15 @@ from jaxtyping import Array, Float
 from sweep.core.vectors import Matrix, Vector, rotation, total
 from sweep.models.legs import N_LEGS
 
-Rates = tuple[Array, Array, Array]  # (l,) of alpha, beta, gamma
+JointTriple = tuple[Array, Array, Array]  # (l,) of alpha, beta, gamma
 
 
-def split_joints(values: Float[Array, "l 3"]) -> Rates:
+def split_joints(values: Float[Array, "l 3"]) -> JointTriple:
     """Split a table (l, 3) of the legs' joints into alpha, beta, gamma (l,)."""
     return values[:, 0], values[:, 1], values[:, 2]
 
 
-def map_joints(f: Callable[..., Array], *values: tuple[Any, Any, Any]) -> Rates:
+def map_joints(f: Callable[..., Array], *values: tuple[Any, Any, Any]) -> JointTriple:
     """Apply `f` to alpha, beta and gamma of each argument in turn."""
     alpha, beta, gamma = (f(*parts) for parts in zip(*values, strict=True))
     return alpha, beta, gamma
@@ -75,14 +75,14 @@ class Pose(NamedTuple):
     """Poses of all root bodies, and joint angles."""
 
     root: tuple[RootPose, ...]
-    angle: Rates  # (l,) rad: alpha, beta, gamma
+    angle: JointTriple  # (l,) rad: alpha, beta, gamma
 
 
 class Motion(NamedTuple):
     """Velocities of all root bodies and joints, or momenta or forces dual to them; the maker names the axes."""
 
     root: tuple[SpatialVector, ...]
-    leg: Rates
+    leg: JointTriple
 
     def dot(self, other: "Motion") -> Array:
         """Power (1,): scalar product of a motion and a force."""
@@ -105,7 +105,7 @@ class Inertia(NamedTuple):
         return SpatialVector(linear - self.moment.cross(v.angular), self.moment.cross(v.linear) + angular)
 
 
-class Mass(NamedTuple):
+class MassMatrix(NamedTuple):
     """The mass matrix of robot and free bodies."""
 
     root: tuple[Inertia, ...]  # the robot's as if its joints were locked, then the free bodies'
@@ -128,7 +128,7 @@ def add_scaled(a, share: Array | float, b):
     return jax.tree.map(lambda x, y: x + share * y, a, b)
 
 
-def unpack(q: Array, v: Array) -> tuple[Pose, Motion]:
+def unpack_state(q: Array, v: Array) -> tuple[Pose, Motion]:
     """Split MuJoCo's qpos and qvel into poses and motions of base, legs and free bodies; motions are in body axes."""
     joints = 3 * N_LEGS
     angle, rate = q[7 : 7 + joints].reshape(N_LEGS, 3), v[6 : 6 + joints].reshape(N_LEGS, 3)
@@ -143,8 +143,8 @@ def unpack(q: Array, v: Array) -> tuple[Pose, Motion]:
     return Pose(tuple(places), split_joints(angle)), Motion(tuple(motions), split_joints(rate))
 
 
-def pack(pose: Pose, v: Motion) -> tuple[Array, Array]:
-    """Join poses and motions to MuJoCo's qpos and qvel, the inverse of `unpack`."""
+def pack_state(pose: Pose, v: Motion) -> tuple[Array, Array]:
+    """Join poses and motions to MuJoCo's qpos and qvel, the inverse of `unpack_state`."""
     angle, rate = (jnp.stack(parts, axis=-1).reshape(-1) for parts in (pose.angle, v.leg))
     places = [[*place.position, *place.quat] for place in pose.root]
     motions = [[*(place.rotation() @ own.linear), *own.angular] for place, own in zip(pose.root, v.root, strict=True)]

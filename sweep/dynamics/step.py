@@ -24,8 +24,8 @@ from sweep.dynamics.contacts import (
     ContactForces,
     ContactSet,
     ResistingMoments,
+    contact_damping,
     contact_forces,
-    contact_slope,
     find_contacts,
     no_anchors,
     resisting_moments,
@@ -33,16 +33,16 @@ from sweep.dynamics.contacts import (
 from sweep.dynamics.free_bodies import FreeBodies
 from sweep.dynamics.interface import RobotDynamicsTerms, SmoothDynamics, Topology
 from sweep.dynamics.spatial import (
-    Mass,
+    JointTriple,
+    MassMatrix,
     Motion,
     Pose,
-    Rates,
     SpatialVector,
     add_scaled,
     map_joints,
-    pack,
+    pack_state,
     split_joints,
-    unpack,
+    unpack_state,
 )
 from sweep.models.case import Case
 from sweep.models.drive import Servo
@@ -51,8 +51,8 @@ from sweep.models.obstacles.surface import BodyPoses
 
 # shorter steps along Newton's direction: at a limit a drive's stiffness is not in the slope, and a longer step goes on
 # past its other limit
-SHORTER_STEPS = (0.5, 0.2, 0.1)
-CONVERGED = 100  # a step has converged if its error is below so many rounding errors of the momentum g m h
+STEP_FRACTIONS = (0.5, 0.2, 0.1)
+CONVERGENCE_FACTOR = 100  # a step has converged if its error is below so many rounding errors of the momentum g m h
 
 
 class PhysicsState(NamedTuple):
@@ -86,10 +86,10 @@ class StepReport(NamedTuple):
 
     force: Vector  # (l,) N, on the feet
     normal: Array  # (l,) N
-    torque: Rates  # (l,) N m, at the joints
-    saturated: Rates
+    torque: JointTriple  # (l,) N m, at the joints
+    saturated: JointTriple
     residual: Array  # (1,) N, of the bodies' momentum balance and the legs' over a metre
-    power: Rates  # (l,) W, of the drives
+    power: JointTriple  # (l,) W, of the drives
     external_power: Array  # (1,) W, of the push and the obstacle's loads
     start: StepStart
 
@@ -109,18 +109,18 @@ def state_at_rest(top: Topology, q: Float[Array, " nq"]) -> PhysicsState:
         top: The topology of the model.
         q: MuJoCo's qpos (m, quaternions, rad).
     """
-    counts = (N_LEGS, len(top.owner) - N_LEGS)
+    counts = (N_LEGS, len(top.contact_owners) - N_LEGS)
     return PhysicsState(q, jnp.zeros(top.model.nv, q.dtype), tuple(no_anchors(n, q.dtype) for n in counts if n))
 
 
 def to_components(state: PhysicsState) -> ComponentState:
     """Split a state into components of bodies and joints."""
-    return ComponentState(*unpack(state.q, state.v), state.anchors)
+    return ComponentState(*unpack_state(state.q, state.v), state.anchors)
 
 
 def from_components(moving: ComponentState) -> PhysicsState:
     """Join components to arrays in MuJoCo's order, the inverse of `to_components`."""
-    return PhysicsState(*pack(moving.pose, moving.motion), moving.anchors)
+    return PhysicsState(*pack_state(moving.pose, moving.motion), moving.anchors)
 
 
 def step(
@@ -206,7 +206,7 @@ class _Configuration(NamedTuple):
     turned: Matrix  # (1,) to world axes
     robot: RobotDynamicsTerms
     free: FreeBodies
-    mass: Mass
+    mass: MassMatrix
     motion: Motion
 
 
@@ -315,8 +315,8 @@ class _ActingForces(NamedTuple):
 
     forces: tuple[ContactForces, ...]  # on feet and sites
     moments: ResistingMoments | None  # against rolling
-    effort: Rates  # N m, of the drives
-    free: Rates  # 1 where a drive is not at its limit
+    effort: JointTriple  # N m, of the drives
+    free: JointTriple  # 1 where a drive is not at its limit
 
 
 class _Problem(NamedTuple):
@@ -326,10 +326,10 @@ class _Problem(NamedTuple):
     servo: Servo
     limits: DriveLimits
     contacts: tuple[ContactSet, ...]  # feet, and sites if any
-    mass: Mass
+    mass: MassMatrix
     j_leg: tuple[Vector, Vector, Vector]
     start: Motion  # M v - h (bias - outside forces)
-    error: Rates  # rad
+    error: JointTriple  # rad
     h: float
 
     def trial(self, w: Motion) -> _Trial:
@@ -351,7 +351,7 @@ class _Problem(NamedTuple):
             moments = resisting_moments(sites.rolling, sites.geometry.normal, forces[1].normal, trial.turning)  # pyright: ignore
         return _ActingForces(forces, moments, *self._drive(trial.motion))
 
-    def _drive(self, w: Motion) -> tuple[Rates, Rates]:
+    def _drive(self, w: Motion) -> tuple[JointTriple, JointTriple]:
         stiffness, torque, limit = (
             split_joints(x) for x in (self.servo.stiffness, self.servo.torque, self.limits.torque)
         )
@@ -361,7 +361,7 @@ class _Problem(NamedTuple):
         free = map_joints(lambda u, most: (jnp.abs(u) < most).astype(u.dtype), wanted, limit)
         return map_joints(lambda u, most: jnp.clip(u, -most, most), wanted, limit), free
 
-    def _damping(self) -> Rates:
+    def _damping(self) -> JointTriple:
         return split_joints(self.h * self.servo.stiffness + self.servo.damping)
 
     def residual(self, trial: _Trial, acting: _ActingForces) -> Motion:
@@ -383,7 +383,7 @@ class _Problem(NamedTuple):
         Most steps converge in one iteration, and few need more than three. A rollout that has converged keeps its
         solution while others of the same warp or vector go on.
         """
-        rounding = CONVERGED * float(jnp.finfo(v.leg[0].dtype).eps)
+        rounding = CONVERGENCE_FACTOR * float(jnp.finfo(v.leg[0].dtype).eps)
         enough = (rounding * GRAVITY * self.h) ** 2 * self.mass.root[0].mass[0]
         first = _Iterate(self.trial(v), jnp.full_like(enough, jnp.inf), jnp.zeros((), jnp.int32))
         return jax.lax.while_loop(
@@ -399,11 +399,11 @@ class _Problem(NamedTuple):
         cost = self._cost(self.residual(whole, self.acting(whole)))[0]
 
         def take_best_step_length() -> _Iterate:
-            lengths = jnp.asarray(SHORTER_STEPS, cost.dtype)
+            lengths = jnp.asarray(STEP_FRACTIONS, cost.dtype)
             tried = add_scaled(trial, lengths[:, None], direction)
             costs = self._cost(self.residual(tried, self.acting(tried)))[:, 0]
             best, length = cost, jnp.ones_like(cost)
-            for k in range(len(SHORTER_STEPS)):
+            for k in range(len(STEP_FRACTIONS)):
                 better = costs[k] < best
                 best, length = jnp.where(better, costs[k], best), jnp.where(better, lengths[k], length)
             return _Iterate(add_scaled(trial, length, direction), best, number)
@@ -423,7 +423,7 @@ class _Problem(NamedTuple):
     def _newton(self, acting: _ActingForces, right: Motion) -> Motion:
         """Newton direction, with the contact and clamp states of the present trial."""
         slopes = [
-            contact_slope(own.geometry, forces, self.h)
+            contact_damping(own.geometry, forces, self.h)
             for own, forces in zip(self.contacts, acting.forces, strict=True)
         ]
         rolling = None if acting.moments is None else acting.moments.slope.scale(self.h)

@@ -13,8 +13,8 @@ from jaxtyping import Array
 from sweep.core.constants import GRAVITY
 from sweep.core.vectors import Matrix, Number, Vector, symmetric
 from sweep.dynamics.interface import RobotDynamicsTerms, SmoothDynamics
-from sweep.dynamics.spatial import Inertia, Mass, Motion, Pose, Rates, SpatialVector
-from sweep.formulas.leg import SIDE
+from sweep.dynamics.spatial import Inertia, JointTriple, MassMatrix, Motion, Pose, SpatialVector
+from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.models.case import Case
 from sweep.models.posture import leg_mounts
 from sweep.models.robot import Robot, link_names
@@ -24,15 +24,18 @@ class Link(NamedTuple):
     """A link of a leg: a uniform rod."""
 
     mass: Number
-    across: Number  # kg m^2, about its centre
-    along: Number
+    transverse_inertia: Number  # kg m^2, about its centre
+    axial_inertia: Number
     vector: Vector  # m, from its start to its end
     direction: Vector
     joint: int  # the last joint before it
 
     def inertia_times(self, u: Vector) -> Vector:
         """Multiply the inertia tensor about the link's centre by a vector."""
-        return self.across * u + ((self.along - self.across) * self.direction.dot(u)) * self.direction
+        return (
+            self.transverse_inertia * u
+            + ((self.axial_inertia - self.transverse_inertia) * self.direction.dot(u)) * self.direction
+        )
 
 
 def tree_dynamics(world: Case) -> SmoothDynamics:
@@ -40,9 +43,9 @@ def tree_dynamics(world: Case) -> SmoothDynamics:
     return partial(tree_terms, world.robot, world.drive.armature)
 
 
-def leg_links(robot: Robot, angle: Rates) -> tuple[Vector, list[Link]]:
+def leg_links(robot: Robot, angle: JointTriple) -> tuple[Vector, list[Link]]:
     """Unit vector of beta's and gamma's axis, and the links from the hip out."""
-    yaw, side = leg_mounts(robot).yaw.astype(angle[0].dtype), SIDE.astype(angle[0].dtype)
+    yaw, side = leg_mounts(robot).yaw.astype(angle[0].dtype), SIDE_BY_LEG.astype(angle[0].dtype)
     turn, lift, bend = yaw + angle[0], angle[1], angle[1] + angle[2]
     cos, sin = jnp.cos(turn), jnp.sin(turn)
     zero, one = jnp.zeros_like(cos), jnp.ones_like(cos)
@@ -107,7 +110,9 @@ def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> RobotDy
     twist = reduce(add, (m + c.cross(f) for m, c, f in zip(moments, centres, forces, strict=True))).total()
     twist = twist + spin_base.cross(Vector(box[0] * spin_base.x, box[1] * spin_base.y, box[2] * spin_base.z))
     feet = tuple(a.cross(start - o) for a, o in zip(axes, origins, strict=True))
-    mass = Mass((_composite(robot, links, centres),), tuple(columns), _leg_block(axes, origins, columns, armature))  # pyright: ignore
+    mass = MassMatrix(
+        (_composite(robot, links, centres),), tuple(columns), _leg_block(axes, origins, columns, armature)
+    )  # pyright: ignore
     return RobotDynamicsTerms(mass, Motion((SpatialVector(wrench, twist),), tuple(leg_bias)), tuple(joints), feet)  # pyright: ignore
 
 
@@ -123,8 +128,8 @@ def _composite(robot: Robot, links: list[Link], centres: list[Vector]) -> Inerti
     moment = reduce(add, (link.mass * c for link, c in zip(links, centres, strict=True)))
     entries = [jnp.zeros_like(centres[0].x)] * 6
     for link, c in zip(links, centres, strict=True):
-        d, m, extra = link.direction, link.mass, link.along - link.across
-        round_ = link.across + m * c.dot(c)
+        d, m, extra = link.direction, link.mass, link.axial_inertia - link.transverse_inertia
+        round_ = link.transverse_inertia + m * c.dot(c)
         parts = [
             (d.x, d.x, c.x, c.x),
             (d.y, d.y, c.y, c.y),

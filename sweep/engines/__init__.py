@@ -2,11 +2,11 @@
 
 from sweep.contract.engine import Engine
 from sweep.contract.engine_settings import EngineSettings
-from sweep.metrics.outcome import Thresholds
+from sweep.metrics.outcome import OutcomeThresholds
 from sweep.models.case import Case
 
 
-def make(settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None) -> Engine:
+def make_engine(settings: EngineSettings, world: Case, belief: Case, limits: OutcomeThresholds | None = None) -> Engine:
     """Make the engine that simulates a scenario.
 
     Args:
@@ -24,7 +24,7 @@ def make(settings: EngineSettings, world: Case, belief: Case, limits: Thresholds
     if world.control.calibrate == "simulated":
         from sweep.engines.calibration_rollout import CalibratingEngine
 
-        return CalibratingEngine(make, settings, world, belief, limits or Thresholds())
+        return CalibratingEngine(make_engine, settings, world, belief, limits or OutcomeThresholds())
     if settings.name == "native":
         from sweep.engines.native import NativeEngine
 

@@ -21,7 +21,7 @@ from jax.extend import core
 from jax.extend.core import ClosedJaxpr  # pyright: ignore[reportPrivateImportUsage]
 from jaxtyping import Array
 
-from sweep.fused.interpret import CALLS
+from sweep.fused.interpret import CALL_PRIMITIVES
 from sweep.fused.jaxprs import split_scan_operands
 
 ELEMENTWISE = frozenset("""
@@ -41,15 +41,16 @@ SAME_AXES = REDUCTIONS | {
     "rev",
     "squeeze",
 }  # primitives whose axes count from the front
-COST = {"convert_element_type": 0, "copy": 0, "div": 8, "sqrt": 8, "rsqrt": 8, "sin": 20, "cos": 20, "atan2": 20,
-        "acos": 20, "pow": 20, "exp": 20, "log": 20}  # of an operation, where it is not 1  # fmt: skip
+OPERATION_COSTS = {"convert_element_type": 0, "copy": 0, "div": 8, "sqrt": 8, "rsqrt": 8, "sin": 20, "cos": 20,
+                   "atan2": 20,         "acos": 20, "pow": 20, "exp": 20,
+                   "log": 20}  # of an operation, where it is not 1  # fmt: skip
 
 
 class Operand(NamedTuple):
     """A value of the program; its last axis is the batch, or it is the same for the whole batch."""
 
     value: Any
-    batched: bool
+    is_batched: bool
     cost: int = 0  # operations to compute it again from values in memory
 
 
@@ -57,7 +58,7 @@ class BatchContext(NamedTuple):
     """Constants of one batched program: the size of the batch, and the cost from which values are kept in memory."""
 
     size: int
-    reuse_from: int
+    reuse_cost: int
 
 
 def batch_last_vmap(function: Callable, in_axes: Sequence[Any], reuse_from: int) -> Callable:
@@ -78,8 +79,8 @@ def batch_last_vmap(function: Callable, in_axes: Sequence[Any], reuse_from: int)
         flat, tree = jax.tree.flatten(args)
         axes = [axis for arg, given in zip(args, in_axes, strict=True) for axis in _leaf_axes(arg, given)]
         inputs = [Operand(jnp.asarray(x), axis is not None) for x, axis in zip(flat, axes, strict=True)]
-        size = next(x.value.shape[-1] for x in inputs if x.batched)
-        one = [jax.ShapeDtypeStruct(x.value.shape[: x.value.ndim - x.batched], x.value.dtype) for x in inputs]
+        size = next(x.value.shape[-1] for x in inputs if x.is_batched)
+        one = [jax.ShapeDtypeStruct(x.value.shape[: x.value.ndim - x.is_batched], x.value.dtype) for x in inputs]
         trace = jax.make_jaxpr(lambda *leaves: function(*jax.tree.unflatten(tree, leaves)), return_shape=True)
         program, shape = trace(*one)
         outputs = _evaluate(program, inputs, BatchContext(size, reuse_from))
@@ -97,7 +98,7 @@ def _leaf_axes(arg: Any, axes: Any) -> list[int | None]:
 def _broadcast_batch(x: Operand, size: int) -> Array:
     """The value with its last axis over the batch."""
     value = jnp.asarray(x.value)
-    return value if x.batched else jnp.broadcast_to(value[..., None], (*value.shape, size))
+    return value if x.is_batched else jnp.broadcast_to(value[..., None], (*value.shape, size))
 
 
 def _evaluate(program: ClosedJaxpr, inputs: Sequence[Operand], batch: BatchContext) -> list[Operand]:
@@ -111,7 +112,7 @@ def _evaluate(program: ClosedJaxpr, inputs: Sequence[Operand], batch: BatchConte
         return Operand(atom.val, False) if isinstance(atom, core.Literal) else known[atom]
 
     def write(atom: Any, operand: Operand) -> None:
-        if operand.batched and operand.cost >= batch.reuse_from and uses[atom] > 1:
+        if operand.is_batched and operand.cost >= batch.reuse_cost and uses[atom] > 1:
             operand = Operand(lax.optimization_barrier(operand.value), True)
         known[atom] = operand
 
@@ -129,19 +130,19 @@ def _evaluate(program: ClosedJaxpr, inputs: Sequence[Operand], batch: BatchConte
 def _apply(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
     """Results of one operation."""
     name, params, size = eqn.primitive.name, eqn.params, batch.size
-    if name in CALLS:
-        return _evaluate(_closed(params[CALLS[name]]), args, batch)
+    if name in CALL_PRIMITIVES:
+        return _evaluate(_closed(params[CALL_PRIMITIVES[name]]), args, batch)
     if name == "scan":
         return _scan(eqn, args, batch)
     if name == "cond":
-        return (_choose_branches if args[0].batched else _cond)(eqn, args, batch)
+        return (_choose_branches if args[0].is_batched else _cond)(eqn, args, batch)
     if name == "while":
         return _while(eqn, args, batch)
-    if not any(x.batched for x in args):
+    if not any(x.is_batched for x in args):
         return _results(eqn.primitive.bind(*[x.value for x in args], **params), False)
     cost = sum(x.cost for x in args)
     if name in ELEMENTWISE:
-        return _results(_elementwise(eqn, args), True, cost + COST.get(name, 1))
+        return _results(_elementwise(eqn, args), True, cost + OPERATION_COSTS.get(name, 1))
     if name in SAME_AXES:
         terms = eqn.invars[0].aval.size // max(1, eqn.outvars[0].aval.size) if name in REDUCTIONS else 1
         return _results(eqn.primitive.bind(args[0].value, **params), True, terms * (cost + 1))
@@ -150,7 +151,7 @@ def _apply(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
     if out is not NotImplemented:
         terms = eqn.invars[0].aval.size if name == "dot_general" else 0
         return _results(out, True, cost + terms)
-    batched = jax.vmap(lambda *xs: eqn.primitive.bind(*xs, **params), [-1 if x.batched else None for x in args], -1)
+    batched = jax.vmap(lambda *xs: eqn.primitive.bind(*xs, **params), [-1 if x.is_batched else None for x in args], -1)
     return _results(batched(*[x.value for x in args]), True)
 
 
@@ -160,12 +161,12 @@ def _results(out: Any, batched: bool, cost: int = 0) -> list[Operand]:
 
 def _elementwise(eqn: Any, args: list[Operand]) -> Any:
     """Elementwise operation on operands of one rank plus the batch axis; JAX lets scalars stand beside arrays."""
-    rank = max(jnp.ndim(x.value) - x.batched for x in args)
+    rank = max(jnp.ndim(x.value) - x.is_batched for x in args)
     whole = eqn.primitive.name in ("select_n", "clamp", "add_any")  # these do not broadcast axes of length 1
     values = []
     for x in args:
-        value, ndim = jnp.asarray(x.value), jnp.ndim(x.value) - x.batched
-        if not x.batched:
+        value, ndim = jnp.asarray(x.value), jnp.ndim(x.value) - x.is_batched
+        if not x.is_batched:
             value = value[..., None]
         if ndim < rank:
             value = value.reshape((1,) * (rank - ndim) + value.shape)
@@ -183,7 +184,7 @@ def _scan(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
 
     def body(state: list[Array], x: list[Array]) -> tuple[list[Array], list[Array]]:
         here = [Operand(s, True) for s in state]
-        there = [Operand(v, operand.batched) for v, operand in zip(x, xs, strict=True)]
+        there = [Operand(v, operand.is_batched) for v, operand in zip(x, xs, strict=True)]
         values = [_broadcast_batch(v, batch.size) for v in _evaluate(_closed(program), [*consts, *here, *there], batch)]
         return values[: len(carry)], values[len(carry) :]
 
@@ -258,7 +259,7 @@ def _slice(args: list[Operand], size: int, start_indices: tuple, limit_indices: 
 
 
 def _pad(args: list[Operand], size: int, padding_config: tuple) -> Array:
-    if args[1].batched:
+    if args[1].is_batched:
         return NotImplemented
     return lax.pad(args[0].value, args[1].value, (*padding_config, (0, 0, 0)))
 
@@ -270,7 +271,7 @@ def _concatenate(args: list[Operand], size: int, dimension: int) -> Array:
 def _dot_general(args: list[Operand], size: int, dimension_numbers: tuple, **_: Any) -> Array:
     """Sum products one after the other: the matrices have a few rows, the batch is long."""
     (contract_l, contract_r), (batch_l, batch_r) = dimension_numbers
-    left, right = ((jnp.asarray(x.value) if x.batched else jnp.asarray(x.value)[..., None]) for x in args)
+    left, right = ((jnp.asarray(x.value) if x.is_batched else jnp.asarray(x.value)[..., None]) for x in args)
     free_l = [d for d in range(left.ndim - 1) if d not in (*contract_l, *batch_l)]
     free_r = [d for d in range(right.ndim - 1) if d not in (*contract_r, *batch_r)]
     left = lax.transpose(left, (*contract_l, *batch_l, *free_l, left.ndim - 1))
@@ -286,12 +287,12 @@ def _gather(
 ) -> Array:
     operand, indices = args
     dims = dimension_numbers
-    if not operand.batched:
+    if not operand.is_batched:
         return NotImplemented
     kept = {"collapsed_slice_dims": dims.collapsed_slice_dims, "start_index_map": dims.start_index_map}
     rest = {k: v for k, v in rest.items() if k in ("unique_indices", "indices_are_sorted", "fill_value")}
     axis = operand.value.ndim - 1
-    if not indices.batched:
+    if not indices.is_batched:
         out_rank = indices.value.ndim - 1 + len(dims.offset_dims)
         numbers = lax.GatherDimensionNumbers((*dims.offset_dims, out_rank), **kept,
             operand_batching_dims=dims.operand_batching_dims,
@@ -306,10 +307,10 @@ def _gather(
 
 def _scatter(put: Callable, args: list[Operand], size: int, dimension_numbers: Any, **rest: Any) -> Array:
     operand, indices, updates = args
-    if indices.batched:
+    if indices.is_batched:
         return NotImplemented
     dims = dimension_numbers
-    window = (*dims.update_window_dims, jnp.ndim(updates.value) - updates.batched)
+    window = (*dims.update_window_dims, jnp.ndim(updates.value) - updates.is_batched)
     numbers = lax.ScatterDimensionNumbers(window, dims.inserted_window_dims, dims.scatter_dims_to_operand_dims,
                                           dims.operand_batching_dims, dims.scatter_indices_batching_dims)  # fmt: skip
     rest = {k: v for k, v in rest.items() if k in ("unique_indices", "indices_are_sorted", "mode")}
@@ -318,7 +319,7 @@ def _scatter(put: Callable, args: list[Operand], size: int, dimension_numbers: A
 
 def _dynamic_update_slice(args: list[Operand], size: int) -> Array:
     operand, update, *starts = args
-    if any(start.batched for start in starts):
+    if any(start.is_batched for start in starts):
         return NotImplemented
     places = [jnp.asarray(start.value) for start in starts]
     return lax.dynamic_update_slice(

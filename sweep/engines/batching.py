@@ -10,19 +10,19 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.backends import devices, program_cache
-from sweep.contract.engine import Metrics, NoTrace, Sides, Trace, count_substeps
+from sweep.contract.engine import Metrics, MissingTrace, SideMaker, Trace, count_substeps
 from sweep.contract.engine_settings import EngineSettings
 from sweep.controllers.layers import Command, Feedforward
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
-from sweep.core.progress import timed_part
+from sweep.core.progress import time_part
 from sweep.engines import planning, pre_rollout
 from sweep.engines.contact_forces import SurfaceContacts
 from sweep.fused.dependence import find_unread_columns
 from sweep.metrics import accumulator, outcome
-from sweep.metrics.outcome import Thresholds
-from sweep.metrics.tick import GRACE, Tick
+from sweep.metrics.outcome import OutcomeThresholds
+from sweep.metrics.tick import MAX_DURATION_FACTOR, TickReport
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import N_JOINTS
@@ -49,7 +49,7 @@ def _nominal_plan(belief: Case, dtype: np.dtype) -> Plan:
 
 
 def _compute_nominal_plan(belief: Case) -> Plan:
-    with timed_part("nominal plan"):
+    with time_part("nominal plan"):
         plan = planning.evaluate_plan(lambda: belief.manoeuvre.plan(belief))
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(plan)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
@@ -77,7 +77,7 @@ def check_width(streams: np.ndarray, width: int) -> None:
 
 
 def record_tick(
-    command: Command, state: TrackerState, tick: Tick, q: Array, v: Array, judged: Array
+    command: Command, state: TrackerState, tick: TickReport, q: Array, v: Array, tick_summary: Array
 ) -> dict[str, Array]:
     """Quantities of one control tick that a trace stores.
 
@@ -87,7 +87,7 @@ def record_tick(
         tick: summary of the physics steps.
         q: positions in MuJoCo's layout (nq,).
         v: velocities in MuJoCo's layout (nv,).
-        judged: present values of the metrics that have thresholds (w,).
+        tick_summary: present values of the metrics that have thresholds (w,).
 
     Returns:
         Arrays by name; foot quantities (6, 3) in world axes, SI units.
@@ -102,7 +102,7 @@ def record_tick(
         "foot_force": tick.force,
         "base_target": jnp.concatenate([command.target.position, command.target.quat]),
         "stage": state.stage,
-        "judged": judged,
+        "judged": tick_summary,
     }
 
 
@@ -111,14 +111,14 @@ class BatchEngine:
 
     width: int
 
-    def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
-        devices.configure()
-        self.settings, self.limits, self._nominal = settings, limits or Thresholds(), (world, belief)
+    def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: OutcomeThresholds | None = None):
+        devices.configure_jax()
+        self.settings, self.limits, self._nominal = settings, limits or OutcomeThresholds(), (world, belief)
         self.substeps = physics_steps_per_tick(settings)
-        with devices.precision(settings):
+        with devices.precision_context(settings):
             plan = nominal_plan(belief)
             pre_rollout.check_control_settings(world, belief, plan)
-        self.stages, self.duration = plan.names, float(GRACE * np.sum(np.asarray(plan.duration)))
+        self.stages, self.duration = plan.names, float(MAX_DURATION_FACTOR * np.sum(np.asarray(plan.duration)))
         self._searches = plan.layer(Feedforward) is not None  # for planned forces
         self._replans = world.control.replan != "never"
         self._programs: dict[Any, Any] = {}  # by the signature of their arguments
@@ -137,9 +137,9 @@ class BatchEngine:
         run."""
         raise NotImplementedError
 
-    def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
+    def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
         """Find parameters that cannot change any metric, see `Engine.find_unread_columns`."""
-        with devices.precision(self.settings):
+        with devices.precision_context(self.settings):
             return find_unread_columns(self.rollout_outputs, sides, ends)
 
     @devices.convert_memory_errors()
@@ -153,7 +153,7 @@ class BatchEngine:
 
     def traces(
         self, world: Case, belief: Case, streams: np.ndarray, every: int, slots: np.ndarray | None = None
-    ) -> list[Trace | NoTrace]:
+    ) -> list[Trace | MissingTrace]:
         """Simulate a batch and record the rollouts at the indices `slots`, by default all, see `Engine.traces`."""
         slots = np.arange(self.width) if slots is None else slots
         figures, parts = self._simulate(world, belief, streams, slots, every)
@@ -162,9 +162,9 @@ class BatchEngine:
         return to_traces((world, belief), slots, figures, records, self.stages, self.limits, tick, every)
 
 
-def require_trace(trace: Trace | NoTrace) -> Trace:
+def require_trace(trace: Trace | MissingTrace) -> Trace:
     """Return `trace`; raise `InputError` if its model could not be drawn."""
-    if isinstance(trace, NoTrace):
+    if isinstance(trace, MissingTrace):
         raise InputError(trace.reason)
     return trace
 
@@ -175,10 +175,10 @@ def to_traces(
     figures: Metrics,
     records: dict[str, np.ndarray],
     stages: tuple[str, ...],
-    limits: Thresholds,
+    limits: OutcomeThresholds,
     tick: float,
     every: int,
-) -> list[Trace | NoTrace]:
+) -> list[Trace | MissingTrace]:
     """Make traces of rollouts from the records of a batch; each trace ends with its rollout.
 
     Args:
@@ -194,7 +194,7 @@ def to_traces(
     Returns:
         A trace for each slot, or the reason that its model cannot be drawn.
     """
-    traces: list[Trace | NoTrace] = []
+    traces: list[Trace | MissingTrace] = []
     for place, slot in enumerate(slots):
         world, belief = (select_row(case, slot) for case in cases)
         row = {name: values[slot] for name, values in figures.items()}
@@ -207,7 +207,7 @@ def to_traces(
         try:
             model = scene.compile_model(world)
         except InputError as error:
-            traces.append(NoTrace(str(error)))
+            traces.append(MissingTrace(str(error)))
             continue
         traces.append(
             Trace(

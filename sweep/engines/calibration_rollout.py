@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sweep.backends import devices
-from sweep.contract.engine import Engine, Metrics, NoTrace, Sides, TimeSeriesRequest, Trace
+from sweep.contract.engine import Engine, Metrics, MissingTrace, SideMaker, TimeSeriesRequest, Trace
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.core.outcomes import FAILURE, INVALID
@@ -21,9 +21,9 @@ from sweep.engines.batching import require_trace
 from sweep.estimation.calibration import MOVES, PoseMeasurements, learnable_sizes
 from sweep.estimation.calibration_poses import HOLD, MOVE, CalibrationPoses, held_pose_index
 from sweep.metrics import calibration, outcome
-from sweep.metrics.outcome import Thresholds
+from sweep.metrics.outcome import OutcomeThresholds
 from sweep.models.case import Case
-from sweep.models.legs import JOINT_Q, KINDS, LEGS, N_LEGS
+from sweep.models.legs import JOINT_KINDS, JOINT_Q, LEGS, N_LEGS
 
 SAMPLE_INTERVAL = 0.04  # s between samples while a pose is held
 SAMPLED_COLUMNS = (
@@ -41,7 +41,12 @@ class CalibratingEngine:
     """Engine for `control.calibrate=simulated`: one engine simulates the calibration poses, another the manoeuvre."""
 
     def __init__(
-        self, make: Callable[..., Engine], settings: EngineSettings, world: Case, belief: Case, limits: Thresholds
+        self,
+        make: Callable[..., Engine],
+        settings: EngineSettings,
+        world: Case,
+        belief: Case,
+        limits: OutcomeThresholds,
     ):
         self.settings, self.limits = settings, limits
         pre_rollout.check_level_start(belief, batching.nominal_plan(belief), world.control.calibrate)
@@ -59,7 +64,7 @@ class CalibratingEngine:
         sizes = self._poses.rollout_bytes(), self._then.rollout_bytes()
         return None if None in sizes else max(size for size in sizes if size is not None)
 
-    def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
+    def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
         """Return no columns: the two rollouts and the estimation between them are not one program to analyse."""
         return set()
 
@@ -80,14 +85,14 @@ class CalibratingEngine:
         first = self._poses.trace(_pose_case(world), _pose_case(belief), streams, slot)
         return self._join_traces(before, slot, first, self._then.trace(*sides, streams, slot))
 
-    def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace | NoTrace]:
+    def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace | MissingTrace]:
         """Record calibration poses and manoeuvre of each rollout as one trace, see `Engine.traces`."""
         sides, before = self._run_calibration(world, belief, streams)
         firsts = self._poses.traces(_pose_case(world), _pose_case(belief), streams, every)
         thens = self._then.traces(*sides, streams, every)
         both = enumerate(zip(firsts, thens, strict=True))
         return [
-            next((one for one in (first, then) if isinstance(one, NoTrace)), None)
+            next((one for one in (first, then) if isinstance(one, MissingTrace)), None)
             or self._join_traces(before, slot, require_trace(first), require_trace(then))
             for slot, (first, then) in both
         ]
@@ -97,11 +102,11 @@ class CalibratingEngine:
         every = max(1, round(SAMPLE_INTERVAL / self.settings.control_period))
         watch, slots = TimeSeriesRequest(SAMPLED_COLUMNS, every, self.width), np.arange(self.width)
         figures, seen = self._poses.run_with_time_series(_pose_case(world), _pose_case(belief), streams, slots, watch)
-        with devices.precision(self.settings):
+        with devices.precision_context(self.settings):
             true = _average_poses(
                 seen, every * self.settings.control_period, float(np.max(world.control.load_threshold))
             )
-            given = devices.as_arrays((world, belief, true))
+            given = devices.to_jax_arrays((world, belief, true))
             form = devices.program_signature(given[:2])
             if form not in self._learn:
                 self._learn[form] = _compile_estimation(given)
@@ -115,7 +120,7 @@ class CalibratingEngine:
         failed, margin = labels["outcome"] == FAILURE, labels["margin"].astype(float)
         margin = np.where(failed & (margin >= 0), -1.0, margin)
         number = {name: k for k, name in enumerate(self._poses.stages)}
-        peaks = [figures[f"torque_peak_{joint}_nm"] for joint in KINDS]
+        peaks = [figures[f"torque_peak_{joint}_nm"] for joint in JOINT_KINDS]
         figures = figures | {"torque_peak_nm": np.max(peaks, axis=0)}
         return {
             **{name: figures[own] for name, own in POSE_METRICS.items() if own in figures},

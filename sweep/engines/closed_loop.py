@@ -16,15 +16,15 @@ from sweep.controllers.layers import Command
 from sweep.controllers.observation import Observation, Sensors, init_sensors, observe
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
-from sweep.core.constants import LOADED
+from sweep.core.constants import FOOT_LOAD_THRESHOLD_N
 from sweep.core.rotations import conjugate, multiply, rotate, rotation_about_vertical
 from sweep.estimation.belief_update import LearnedState, initial_obstacle, update_from_touch, updated_belief
 from sweep.metrics import accumulator
 from sweep.metrics.accumulator import RunningMetrics
-from sweep.metrics.outcome import Thresholds
-from sweep.metrics.tick import GRACE, REST, MetricTick, RolloutStart, Tick
+from sweep.metrics.outcome import OutcomeThresholds
+from sweep.metrics.tick import MAX_DURATION_FACTOR, REST_DURATION_S, MetricTick, RolloutStart, TickReport
 from sweep.models.case import Case
-from sweep.models.disturbance import Execution
+from sweep.models.disturbance import ExecutionFaults
 from sweep.models.drive import Servo, position_mode
 from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.noise import Noise
@@ -41,12 +41,14 @@ from sweep.models.obstacles.surface import (
 )
 from sweep.models.posture import Stance, feet_in_world, joint_targets
 
-CHUNK = 1.0  # s of simulated time between two checks whether all rollouts are over, and between replans
-CLEAR = 0.1  # m, height above a penetrating foot at which its ground is looked up; more than any error of sizes
+CHUNK_DURATION_S = 1.0  # s of simulated time between two checks whether all rollouts are over, and between replans
+LOOKUP_HEIGHT_M = (
+    0.1  # m, height above a penetrating foot at which its ground is looked up; more than any error of sizes
+)
 # A foot surely carries load if the measured load exceeds the threshold by this many standard deviations of its error.
 CONTACT_DEVIATIONS = 4.0
-FLAT = 1e-3  # cosine to the vertical, below which a face is a wall
-LONGEST = 600.0  # s; longer rollouts are cut off, so that absurd parameters do not hold up a batch
+MIN_VERTICAL_COSINE = 1e-3  # cosine to the vertical, below which a face is a wall
+MAX_DURATION_S = 600.0  # s; longer rollouts are cut off, so that absurd parameters do not hold up a batch
 
 
 class ClosedLoop(NamedTuple):
@@ -68,11 +70,11 @@ class InitialState(NamedTuple):
     qvel: Float[Array, " nv"]
 
 
-Sensing = Literal["exact", "late", "noisy"]
-DELAYS = {"delay": 0.0, "load_delay": 0.0, "body_delay": 0.0}
+SensingMode = Literal["exact", "late", "noisy"]
+ZERO_DELAYS = {"delay": 0.0, "load_delay": 0.0, "body_delay": 0.0}
 
 
-def classify_sensing(noise: Noise) -> Sensing:
+def classify_sensing(noise: Noise) -> SensingMode:
     """Classify which sensor errors have to be simulated: none, a delay, or random errors as well.
 
     Random numbers take a third of the compile time of a walk, so they are left out where all errors are zero. Fields of
@@ -84,7 +86,7 @@ def classify_sensing(noise: Noise) -> Sensing:
 
     if noise.delay_buffer == 0 and is_zero(noise):
         return "exact"
-    return "late" if is_zero(dataclasses.replace(noise, **DELAYS)) else "noisy"
+    return "late" if is_zero(dataclasses.replace(noise, **ZERO_DELAYS)) else "noisy"
 
 
 def count_ticks(plans: Plan, period: float) -> int:
@@ -96,7 +98,7 @@ def count_ticks(plans: Plan, period: float) -> int:
     """
     durations = np.sum(np.asarray(plans.duration), axis=-1, dtype=float)
     longest = np.max(durations, initial=0.0, where=np.isfinite(durations))
-    return int(np.ceil((min(GRACE * longest, LONGEST) + REST) / period))
+    return int(np.ceil((min(MAX_DURATION_FACTOR * longest, MAX_DURATION_S) + REST_DURATION_S) / period))
 
 
 def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = None) -> InitialState:
@@ -123,7 +125,7 @@ def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = 
     along = jnp.array([0.0, 0.0, 1.0]) if world.obstacle.free_bodies else ground.normal[jnp.argmax(ground.depth)]
     slant = ground.normal @ along
     below = jnp.where(
-        slant > FLAT, ground.depth / jnp.maximum(slant, FLAT), -jnp.inf
+        slant > MIN_VERTICAL_COSINE, ground.depth / jnp.maximum(slant, MIN_VERTICAL_COSINE), -jnp.inf
     )  # walls do not stop a descending foot
     position = start.position + jnp.max(below) * along
     velocity, moving = jnp.zeros_like(position), jnp.zeros_like(feet)
@@ -144,16 +146,16 @@ def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = 
 
 def _beneath(obstacle: Obstacle, feet: Float[Array, "6 3"], up: Float[Array, " 3"], bodies: BodyPoses) -> Surface:
     """Surface under each foot. A foot inside a solid is treated as if it came from above, also near a vertical wall."""
-    at, above = surface_at(obstacle, feet, bodies), surface_at(obstacle, feet + CLEAR * up, bodies)
+    at, above = surface_at(obstacle, feet, bodies), surface_at(obstacle, feet + LOOKUP_HEIGHT_M * up, bodies)
     rise = above.normal @ up
-    inside = (at.depth > 0) & (at.normal @ up < FLAT) & (rise > FLAT)
+    inside = (at.depth > 0) & (at.normal @ up < MIN_VERTICAL_COSINE) & (rise > MIN_VERTICAL_COSINE)
     return at._replace(
-        depth=jnp.where(inside, above.depth + CLEAR * rise, at.depth),
+        depth=jnp.where(inside, above.depth + LOOKUP_HEIGHT_M * rise, at.depth),
         normal=jnp.where(inside[:, None], above.normal, at.normal),
     )
 
 
-def apply_placement_error(execution: Execution, start: Stance) -> Stance:
+def apply_placement_error(execution: ExecutionFaults, start: Stance) -> Stance:
     """Displace the start pose by the placement error of `execution` (m, and rad about the vertical)."""
     position = start.position + point(execution.start_x, execution.start_y, 0.0)
     turn = rotation_about_vertical(jnp.asarray(execution.start_yaw, float))
@@ -189,7 +191,13 @@ def exact_observation(qpos: Array, qvel: Array, count: int, load: Float[Array, "
     joints, rates = qpos[JOINT_Q].reshape(N_LEGS, 3), qvel[JOINT_V].reshape(N_LEGS, 3)
     base = qpos[:3], qpos[3:7], qvel[:3], qvel[3:6]
     return Observation(
-        *base, joints, rates, jnp.zeros_like(joints), load > LOADED, free_body_state(qpos, qvel, count), load
+        *base,
+        joints,
+        rates,
+        jnp.zeros_like(joints),
+        load > FOOT_LOAD_THRESHOLD_N,
+        free_body_state(qpos, qvel, count),
+        load,
     )
 
 
@@ -201,7 +209,7 @@ def init_loop(
     energy: Array,
     key: Array,
     learned: LearnedState,
-    sensing: Sensing,
+    sensing: SensingMode,
 ) -> ClosedLoop:
     """Make the state of the closed loop before the first control tick.
 
@@ -278,10 +286,10 @@ def run_controller(
 def update_metrics(
     world: Case,
     plan: Plan,
-    limits: Thresholds,
+    limits: OutcomeThresholds,
     loop: ClosedLoop,
     command: Command,
-    tick: Tick,
+    tick: TickReport,
     number: Array,
     period: float,
 ) -> tuple[ClosedLoop, Float[Array, " w"]]:
@@ -322,11 +330,11 @@ def update_metrics(
         loop.learned,
     )
     running, judged = accumulator.update(loop.running, now, limits, number)
-    late = running.time - running.rested >= GRACE * jnp.sum(plan.duration)
-    rest = 0.0 if world.manoeuvre.drives_body else REST
-    rested = state.finished & (running.rested > rest - period / 2)
-    running = running._replace(over=running.over | rested | late)
-    return loop._replace(running=running, actual=tick.truth), judged
+    late = running.time - running.time_since_plan_end >= MAX_DURATION_FACTOR * jnp.sum(plan.duration)
+    rest = 0.0 if world.manoeuvre.drives_body else REST_DURATION_S
+    rested = state.finished & (running.time_since_plan_end > rest - period / 2)
+    running = running._replace(is_over=running.is_over | rested | late)
+    return loop._replace(running=running, actual=tick.actual), judged
 
 
 def compute_metrics(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:

@@ -9,12 +9,12 @@ import numpy as np
 
 from sweep.contract.engine import Trace
 from sweep.controllers.layers import Feedforward, interpolate_moments
-from sweep.core.constants import GRAVITY, LOADED
+from sweep.core.constants import FOOT_LOAD_THRESHOLD_N, GRAVITY
 from sweep.engines.closed_loop import free_body_state
 from sweep.models.obstacles.surface import Obstacle, Surface, body_poses, surface_at
 from sweep.models.robot import total_mass
 
-CHUNK_FRAMES = 256  # frames that are evaluated together
+FRAMES_PER_CHUNK = 256  # frames that are evaluated together
 
 
 class ContactForces(NamedTuple):
@@ -22,7 +22,7 @@ class ContactForces(NamedTuple):
 
     normal: np.ndarray  # (F, 6), in units of the robot's weight
     friction: np.ndarray  # (F, 6), tangential over normal force; nan below a load of `LOADED` N
-    share: np.ndarray  # (F, 6), `friction` over the friction coefficient, 1 where the foot slips; nan likewise
+    elastic_share: np.ndarray  # (F, 6), `friction` over the friction coefficient, 1 where the foot slips; nan likewise
 
 
 class SurfaceContacts:
@@ -30,7 +30,7 @@ class SurfaceContacts:
 
     def friction_share(self, trace: Trace) -> np.ndarray:
         """Return how much of its friction each foot uses, (F, 6): 1 where it slips, NaN where it carries nothing."""
-        return measured_contact_forces(trace).share
+        return measured_contact_forces(trace).elastic_share
 
     def depth(self, trace: Trace, points: np.ndarray, frames: np.ndarray) -> np.ndarray:
         """Return how deep points (K, n, 3) lie inside the obstacle, (K, n), m, at frames (K,) of the trace."""
@@ -74,7 +74,7 @@ def surfaces_under(trace: Trace, points: np.ndarray, frames: slice | np.ndarray 
     moments = [np.asarray(x, np.float32) for x in (points, trace.qpos[frames], trace.qvel[frames])]
     # padded to a multiple of CHUNK_FRAMES, so that the program compiled for one trace serves the next
     count = len(points)
-    filled = [np.pad(x, ((0, -count % CHUNK_FRAMES), *([(0, 0)] * (x.ndim - 1))), mode="edge") for x in moments]
+    filled = [np.pad(x, ((0, -count % FRAMES_PER_CHUNK), *([(0, 0)] * (x.ndim - 1))), mode="edge") for x in moments]
     return jax.tree.map(lambda part: part[:count], _surfaces(trace.world.obstacle, *filled))
 
 
@@ -92,6 +92,6 @@ def _contact_forces(trace: Trace, force: np.ndarray) -> ContactForces:
     normals = np.asarray(surface.normal, float)
     normal = np.sum(force * normals, axis=-1)
     tangential = np.linalg.norm(force - normal[..., None] * normals, axis=-1)
-    friction = np.where(normal > LOADED, tangential / np.maximum(normal, LOADED), np.nan)
+    friction = np.where(normal > FOOT_LOAD_THRESHOLD_N, tangential / np.maximum(normal, FOOT_LOAD_THRESHOLD_N), np.nan)
     share = friction / (float(trace.world.contact.friction) * np.asarray(surface.friction_scale, float))
     return ContactForces(normal / (GRAVITY * total_mass(trace.world.robot)), friction, share)

@@ -33,7 +33,7 @@ class FusedBatch(NamedTuple):
     @property
     def is_over(self) -> np.ndarray:
         """Which rollouts have ended (width,)."""
-        return self.tiles.read(lambda carried: carried.loop.running.over)
+        return self.tiles.read(lambda carried: carried.loop.running.is_over)
 
 
 class FusedPrograms(NamedTuple):
@@ -50,7 +50,7 @@ class FusedPrograms(NamedTuple):
     def start(self, world: Case, belief: Case, keys: Array) -> tuple[Plan, FusedBatch]:
         """Plan, and put the batch into the kernel's memory before its first tick."""
         plans, carry = self.planning(world, belief, keys)
-        return plans, FusedBatch(self.kernel.enter((world, belief, plans), carry, self.width))
+        return plans, FusedBatch(self.kernel.load_batch((world, belief, plans), carry, self.width))
 
     def chunk(
         self, world: Case, belief: Case, plans: Plan, carry: FusedBatch, tick: int, slots: np.ndarray | None

@@ -18,7 +18,7 @@ from sweep.contract.engine import Metrics, TimeSeriesRequest
 from sweep.contract.engine_settings import EngineSettings
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
-from sweep.core.progress import timed_part
+from sweep.core.progress import time_part
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics.free_bodies import start_at_rest
 from sweep.dynamics.step import PhysicsState, state_at_rest
@@ -26,9 +26,9 @@ from sweep.engines import batching, fused_loop, physics, planning
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.engines.batching import BatchEngine
 from sweep.engines.closed_loop import (
-    CHUNK,
+    CHUNK_DURATION_S,
     ClosedLoop,
-    Sensing,
+    SensingMode,
     classify_sensing,
     compute_metrics,
     count_ticks,
@@ -44,8 +44,8 @@ from sweep.engines.states import available_columns, select_columns
 from sweep.estimation.belief_update import replan_rest
 from sweep.fused import driver, kernel, launch
 from sweep.fused.eager import NumpyProgram
-from sweep.fused.kernel import Code, Kernel
-from sweep.metrics.outcome import Thresholds
+from sweep.fused.kernel import Kernel, KernelCode
+from sweep.metrics.outcome import OutcomeThresholds
 from sweep.models.case import Case
 
 
@@ -58,7 +58,7 @@ class Carry(NamedTuple):
     @property
     def is_over(self) -> Array:
         """Whether the rollout has ended."""
-        return self.loop.running.over
+        return self.loop.running.is_over
 
 
 class XlaPrograms(NamedTuple):
@@ -72,22 +72,22 @@ class XlaPrograms(NamedTuple):
 class MjxEngine(BatchEngine):
     """Engine with the implicit contact step, on the structured (`arrowhead`) or on MJX's smooth dynamics."""
 
-    def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
+    def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: OutcomeThresholds | None = None):
         super().__init__(settings, world, belief, limits)
         self.dynamics = physics.dynamics_name(settings)
-        self.width = settings.width or devices.default_width()
+        self.width = settings.width or devices.default_batch_width()
         self._mesh = devices.make_mesh(self.width)
         self.devices = jax.device_count()
         self.fused = _uses_fused_compiler(settings)
-        with devices.precision(settings):
+        with devices.precision_context(settings):
             self.topology = dynamics.topology(world)
             self.physics = physics.make_physics(settings, self.topology)
 
     def rollout_bytes(self) -> int:
         """Return the bytes of plan, state and metrics of one rollout, without compiling anything."""
-        with devices.precision(self.settings):
+        with devices.precision_context(self.settings):
             start = partial(self._start, classify_sensing(self._nominal[0].noise))
-            held = jax.eval_shape(start, *devices.as_arrays(self._nominal), jax.random.key(0))
+            held = jax.eval_shape(start, *devices.to_jax_arrays(self._nominal), jax.random.key(0))
         return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(held))
 
     @devices.convert_memory_errors()
@@ -114,7 +114,7 @@ class MjxEngine(BatchEngine):
         most = (
             watch.max_rollouts if watch else 1 if slots is None else len(slots)
         )  # number of recorded rollouts to make room for
-        with devices.precision(self.settings):
+        with devices.precision_context(self.settings):
             (world, belief, keys), programs, kept, places = self._prepare(world, belief, streams, slots, most, watch)
             plans, carry = programs.start(world, belief, keys)
             records = []
@@ -152,11 +152,11 @@ class MjxEngine(BatchEngine):
             mine = np.flatnonzero(slots // self._rollouts_per_device == device)
             local[device, : len(mine)] = slots[mine] % self._rollouts_per_device
             places[mine] = device * room + np.arange(len(mine))
-        return devices.shard(jnp.asarray(local.ravel()), self._mesh), places
+        return devices.shard_leaves(jnp.asarray(local.ravel()), self._mesh), places
 
     @property
     def _chunk_ticks(self) -> int:
-        return max(1, round(CHUNK / self.settings.control_period))
+        return max(1, round(CHUNK_DURATION_S / self.settings.control_period))
 
     def _prepare(
         self,
@@ -173,7 +173,9 @@ class MjxEngine(BatchEngine):
         sensing = classify_sensing(world.noise)
         recorded = None if kept is None or self._runs_outside_xla else (kept.shape, watch and watch.columns)
         form = devices.program_signature((world, belief)), sensing, recorded
-        arrays = devices.shard((*devices.as_arrays((world, belief)), devices.noise_keys(streams)), self._mesh)
+        arrays = devices.shard_leaves(
+            (*devices.to_jax_arrays((world, belief)), devices.noise_keys(streams)), self._mesh
+        )
         if form not in self._programs:
             compiled = partial(self._compile, arrays, sensing, kept, watch)
             key_parts, on = (form, *self._cache_key), list(self._mesh.devices.flat)
@@ -190,14 +192,14 @@ class MjxEngine(BatchEngine):
     def _bind_programs(
         self,
         start: NumpyProgram | Compiled,
-        searches: dict[str, Code],
-        chunk: Compiled | Code,
+        searches: dict[str, KernelCode],
+        chunk: Compiled | KernelCode,
         finish: NumpyProgram | Compiled,
         again: NumpyProgram | Compiled | None = None,
         machine: driver.GpuKernel | None = None,
     ) -> XlaPrograms | FusedPrograms:
         begin, end = Planning.from_programs(start, searches), fused_loop.bind_width(finish, self.width)
-        if not isinstance(chunk, Code):
+        if not isinstance(chunk, KernelCode):
             if machine:
                 driver.add_kernel(machine)
             compiled = isinstance(start, Compiled)
@@ -212,11 +214,24 @@ class MjxEngine(BatchEngine):
         """All that the programs depend on besides their arguments' shapes; MJX's dynamics contain the nominal model."""
         top = self.topology
         model = model_bytes(top.model) if self.dynamics == "mjx" else None
-        return self.settings, self.limits, self.width, self.dynamics, self.fused, top.names, top.owner, model
+        return (
+            self.settings,
+            self.limits,
+            self.width,
+            self.dynamics,
+            self.fused,
+            top.ids_by_name,
+            top.contact_owners,
+            model,
+        )
 
     @fused_loop.return_missing_rule
     def _compile(
-        self, arrays: tuple[Case, Case, Array], sensing: Sensing, slots: Array | None, watch: TimeSeriesRequest | None
+        self,
+        arrays: tuple[Case, Case, Array],
+        sensing: SensingMode,
+        slots: Array | None,
+        watch: TimeSeriesRequest | None,
     ) -> tuple[Any, ...]:
         """Compile the programs for batches like `arrays`, sharded over the devices.
 
@@ -224,7 +239,7 @@ class MjxEngine(BatchEngine):
         """
         world, belief, _ = arrays
         axes, specs = devices.batch_axes((world, belief)), devices.partition_specs((world, belief))
-        split, whole = PartitionSpec(devices.BATCH), PartitionSpec()
+        split, whole = PartitionSpec(devices.BATCH_MESH_AXIS), PartitionSpec()
         on_devices = partial(jax.shard_map, mesh=self._mesh, check_vma=False)
         control = self._nominal[0].control
         one_plan = control.calibrate == control.touch == "none" and not any(map(np.ndim, jax.tree.leaves(belief)))
@@ -238,14 +253,14 @@ class MjxEngine(BatchEngine):
             )
             return on_devices(batched, in_specs=(*specs, split), out_specs=split)
 
-        recorded = (split, PartitionSpec(None, devices.BATCH))
+        recorded = (split, PartitionSpec(None, devices.BATCH_MESH_AXIS))
         with ThreadPoolExecutor() as pool:
             batch, wait_for_start = planning.start_compilation(
                 pool, partial(self._start, sensing), arrays, many, self._searches, self._uses_numpy
             )
             plans, carry = devices.sharded_shapes(batch, self._mesh)
             if self._runs_outside_xla:
-                with timed_part("closed loop"):
+                with time_part("closed loop"):
                     lanes = kernel.choose_lanes(self.width, devices.count_cores())
                     chunk_future = pool.submit(
                         kernel.start_compilation(self._tick, *single_rollout_shapes(arrays, batch), lanes=lanes)
@@ -256,9 +271,9 @@ class MjxEngine(BatchEngine):
             make = self._fused_chunk if self.fused else self._xla_chunk
             chunk, key = make(arrays, batch, slots, watch)
             chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
-            options = launch.OPTIONS if self.fused else None
+            options = launch.XLA_OPTIONS if self.fused else None
             chunk_program = jax.jit(chunk, donate_argnums=3, compiler_options=options)
-            with timed_part("closed loop"):
+            with time_part("closed loop"):
                 chunk_future = pool.submit(chunk_program.lower(world, belief, plans, carry, 0, slots).compile)
                 finish_program = self._compile_finish(arrays, batch, on_devices)
                 return (
@@ -279,14 +294,14 @@ class MjxEngine(BatchEngine):
         plans, carries = devices.sharded_shapes(batch, self._mesh)
 
         def by_xla() -> Compiled:
-            split = PartitionSpec(devices.BATCH)
+            split = PartitionSpec(devices.BATCH_MESH_AXIS)
             again = jax.vmap(replan_rest, in_axes=(devices.batch_axes(arrays[1]), 0, 0, 0))
             again = on_devices(
                 again, in_specs=(devices.partition_specs(arrays[1]), split, split, split), out_specs=split
             )
             return jax.jit(again).lower(arrays[1], plans, carries.loop.tracker.stage, carries.loop.learned).compile()
 
-        with timed_part("new plan"):
+        with time_part("new plan"):
             return fused_loop.trace_or_compile(
                 by_xla, replan_rest, belief, plan, carry.loop.tracker.stage, carry.loop.learned
             )
@@ -295,14 +310,14 @@ class MjxEngine(BatchEngine):
         self, arrays: tuple[Case, Case, Array], batch: Any, on_devices: Callable[..., Callable]
     ) -> NumpyProgram | Compiled:
         """Program that computes the metrics of a batch, see `_compile`."""
-        split = PartitionSpec(devices.BATCH)
+        split = PartitionSpec(devices.BATCH_MESH_AXIS)
 
         def by_xla() -> Compiled:
             finish = jax.vmap(self._finish, in_axes=(devices.batch_axes(arrays[0]), 0, 0))
             finish = on_devices(finish, in_specs=(devices.partition_specs(arrays[0]), split, split), out_specs=split)
             return jax.jit(finish).lower(arrays[0], *devices.sharded_shapes(batch, self._mesh)).compile()
 
-        with timed_part("figures"):
+        with time_part("figures"):
             if not self._uses_numpy:
                 return by_xla()
             (world, _, plan), carry = single_rollout_shapes(arrays, batch)
@@ -367,7 +382,7 @@ class MjxEngine(BatchEngine):
         carry, _ = jax.lax.scan(tick, carry, jnp.arange(self._chunk_ticks))
         return self._finish(world, plan, carry)
 
-    def _start(self, sensing: Sensing, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
+    def _start(self, sensing: SensingMode, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
         known, plan, learned = prepare_belief(world, belief, key)
         start = start_state(world, known, plan, start_at_rest(world))
         state = state_at_rest(self.topology, start.qpos)._replace(v=start.qvel)

@@ -17,21 +17,21 @@ from mujoco.batch import Batch
 
 from sweep.backends import devices, program_cache
 from sweep.backends.binary import model_bytes
-from sweep.contract.engine import Metrics, Sides, TimeSeriesRequest
+from sweep.contract.engine import Metrics, SideMaker, TimeSeriesRequest
 from sweep.contract.engine_settings import EngineSettings
 from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.layers import Command
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
-from sweep.core.progress import timed_part
+from sweep.core.progress import time_part
 from sweep.core.rotations import exponential, multiply
 from sweep.engines import batching, fused_loop, planning
 from sweep.engines.batching import BatchEngine
 from sweep.engines.closed_loop import (
-    CHUNK,
+    CHUNK_DURATION_S,
     ClosedLoop,
     InitialState,
-    Sensing,
+    SensingMode,
     classify_sensing,
     compute_metrics,
     count_ticks,
@@ -49,10 +49,10 @@ from sweep.engines.states import select_columns
 from sweep.estimation.belief_update import LearnedState, replan_rest
 from sweep.fused import kernel
 from sweep.fused.eager import NumpyProgram
-from sweep.fused.kernel import Code, Kernel, Tiles
+from sweep.fused.kernel import Kernel, KernelCode, Tiles
 from sweep.metrics import accumulator
-from sweep.metrics.outcome import Thresholds
-from sweep.metrics.tick import Tick
+from sweep.metrics.outcome import OutcomeThresholds
+from sweep.metrics.tick import TickReport
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.drive import Servo, interpolate_target
@@ -60,8 +60,8 @@ from sweep.models.legs import JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import FreeState, body_poses, surface_at
 from sweep.models.robot import link_names
 
-CONTROL = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
-RECORD = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "site_xpos", "subtree_com")
+CONTROL_STATE = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
+RECORDED_FIELDS = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xpos", "site_xpos", "subtree_com")
 
 
 class StepRecord(NamedTuple):
@@ -75,7 +75,7 @@ class StepRecord(NamedTuple):
     links: Float[Array, "l 3"]  # origins of the legs' links
     feet: Float[Array, "6 3"]
     centre_of_mass: Float[Array, " 3"]
-    broken: Bool[Array, ""]
+    diverged: Bool[Array, ""]
 
 
 class PhysicsInputs(NamedTuple):
@@ -93,7 +93,7 @@ class LoopState(NamedTuple):
     command: Command
     steps: StepRecord
     inputs: PhysicsInputs
-    judged: Float[Array, " w"]  # see `update_metrics`
+    tick_summary: Float[Array, " w"]  # see `update_metrics`
 
 
 class NativePrograms(NamedTuple):
@@ -104,7 +104,7 @@ class NativePrograms(NamedTuple):
     finish: Callable[[Case, Plan, ClosedLoop], dict[str, Array]]
     replan: Callable[..., LearnedState] | None  # see `replan_rest`
 
-    def enter(self, inputs: Any, carried: LoopState, width: int) -> "Tiles | XlaBatch":
+    def load_batch(self, inputs: Any, carried: LoopState, width: int) -> "Tiles | XlaBatch":
         """Put a batch into the memory of the tick's kernel, or wrap it for a tick compiled by XLA.
 
         Args:
@@ -113,7 +113,7 @@ class NativePrograms(NamedTuple):
             width: number of rollouts.
         """
         if isinstance(self.tick, Kernel):
-            return self.tick.enter(inputs, carried, width)
+            return self.tick.load_batch(inputs, carried, width)
         return XlaBatch(partial(self.tick, inputs), carried)
 
 
@@ -148,7 +148,7 @@ class XlaBatch:
 class NativeEngine(BatchEngine):
     """Engine with one C simulation for each rollout; the host goes through the control ticks."""
 
-    def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds | None = None):
+    def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: OutcomeThresholds | None = None):
         super().__init__(settings, world, belief, limits)
         mujoco.set_mju_user_warning(lambda _: None)  # they would fill screen and disk; their rows become invalid
         self.dynamics = "C MuJoCo"
@@ -172,10 +172,10 @@ class NativeEngine(BatchEngine):
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
     ) -> tuple[Metrics, list[Any]]:
         batching.check_width(streams, self.width)
-        with devices.precision(self.settings):
+        with devices.precision_context(self.settings):
             models, unbuilt = self._models(world)
             sensing = classify_sensing(world.noise)
-            (world, belief), keys = devices.as_arrays((world, belief)), devices.noise_keys(streams)
+            (world, belief), keys = devices.to_jax_arrays((world, belief)), devices.noise_keys(streams)
             programs = self._prepare((world, belief, keys), sensing)
             batch = Batch(models[0], self.width, devices.count_cores())
             batch.set_models(models)
@@ -184,11 +184,11 @@ class NativeEngine(BatchEngine):
             gains = np.full((self.width, N_JOINTS, 2), np.nan)
             batch.reset()
             batch.qpos[:], batch.qvel[:] = (np.asarray(x) for x in state)
-            running_batch = programs.enter((world, belief, plans), between, self.width)
+            running_batch = programs.load_batch((world, belief, plans), between, self.width)
             controls = np.zeros((self.width, self.substeps, N_JOINTS + 6 * models[0].nbody))
             steps, records = None, []
             for k in range(count_ticks(plans, self.settings.control_period)):
-                if programs.replan and k % round(CHUNK / self.settings.control_period) == 0:
+                if programs.replan and k % round(CHUNK_DURATION_S / self.settings.control_period) == 0:
                     known = running_batch.read(lambda state: (state.loop.tracker.stage, state.loop.learned))
                     running_batch.replace(lambda state: state.loop.learned, programs.replan(belief, plans, *known))
                 if plans.layer(Flywheel) is not None:
@@ -196,7 +196,7 @@ class NativeEngine(BatchEngine):
                         batch, models, gains, _gains(running_batch.read(lambda state: state.loop.servo))
                     )
                 controls = _write_controls(controls, *running_batch.read(lambda state: state.inputs))
-                steps = batch.rollout(self.substeps, controls, CONTROL, RECORD, out=steps)
+                steps = batch.rollout(self.substeps, controls, CONTROL_STATE, RECORDED_FIELDS, out=steps)
                 if k == 0:  # MuJoCo's derived fields are those before the step, here of the start
                     energy = steps["energy"][:, 0].sum(axis=-1)
                     running_batch.replace(
@@ -209,12 +209,12 @@ class NativeEngine(BatchEngine):
                 running_batch.replace(lambda state: state.steps, self._step_record(steps, broken))
                 running_batch.advance(k + 1, 1)
                 if due is not None:
-                    records[-1]["judged"] = running_batch.read(lambda state: state.judged)[due]
-                if np.all(running_batch.read(lambda state: state.loop.running.over)):
+                    records[-1]["judged"] = running_batch.read(lambda state: state.tick_summary)[due]
+                if np.all(running_batch.read(lambda state: state.loop.running.is_over)):
                     break
             # all ended before the first sample: one is taken for the shapes of the records
             if slots is not None and steps and not records:
-                judged = running_batch.read(lambda state: state.judged)[slots]
+                judged = running_batch.read(lambda state: state.tick_summary)[slots]
                 records.append({**_tick_record(world, running_batch, steps, slots), "judged": judged})
             figures = programs.finish(world, plans, running_batch.read_all().loop)
             parts = [jax.tree.map(lambda *each: np.stack(each), *records)] if records else []
@@ -247,7 +247,7 @@ class NativeEngine(BatchEngine):
     def _model(self, world: Case) -> mujoco.MjModel:
         return scene.native_model(world, self.settings.native_time_step, self.settings.solid)
 
-    def _prepare(self, arrays: tuple[Case, Case, Array], sensing: Sensing) -> NativePrograms:
+    def _prepare(self, arrays: tuple[Case, Case, Array], sensing: SensingMode) -> NativePrograms:
         """The programs for the batch axes of `arrays`."""
         form = devices.program_signature(arrays[:2]), sensing
         if form not in self._programs:
@@ -259,7 +259,7 @@ class NativeEngine(BatchEngine):
                 return self._prepare(arrays, sensing)
             start, searches, tick, *rest = parts
             finish, again = (one and fused_loop.bind_width(one, self.width) for one in rest)
-            tick = Kernel(tick) if isinstance(tick, Code) else tick
+            tick = Kernel(tick) if isinstance(tick, KernelCode) else tick
             self._programs[form] = NativePrograms(Planning.from_programs(start, searches), tick, finish, again)
         return self._programs[form]
 
@@ -275,18 +275,18 @@ class NativeEngine(BatchEngine):
             after, _ = self._tick((world, belief, plan), state, number)
             return after, (state.inputs, state.loop.servo)
 
-        numbers = 1 + jnp.arange(round(CHUNK / self.settings.control_period))
+        numbers = 1 + jnp.arange(round(CHUNK_DURATION_S / self.settings.control_period))
         between, inputs = jax.lax.scan(tick, between, numbers)
         return state, inputs, compute_metrics(world, plan, between.loop)
 
-    def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
+    def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
         """Find parameters that change neither a metric nor MuJoCo's model, see `Engine.find_unread_columns`."""
         unread = super().find_unread_columns(sides, ends)
         models = {c: [model_bytes(self._model(sides({c: end})[0])) for end in ends[c]] for c in sorted(unread)}
         return {c for c, (low, high) in models.items() if low == high}
 
     def _start(
-        self, sensing: Sensing, world: Case, belief: Case, key: Array
+        self, sensing: SensingMode, world: Case, belief: Case, key: Array
     ) -> tuple[Plan, tuple[LoopState, InitialState]]:
         known, plan, learned = prepare_belief(world, belief, key)
         state = start_state(world, known, plan)
@@ -303,7 +303,7 @@ class NativeEngine(BatchEngine):
         return self._run_controller(world, belief, plan, loop, state.steps, judged, k), {}
 
     @fused_loop.return_missing_rule
-    def _compile(self, arrays: tuple[Case, Case, Array], sensing: Sensing) -> tuple[Any, ...]:
+    def _compile(self, arrays: tuple[Case, Case, Array], sensing: SensingMode) -> tuple[Any, ...]:
         world, belief, _ = arrays
         axes, start = devices.batch_axes((world, belief)), partial(self._start, sensing)
 
@@ -323,10 +323,10 @@ class NativeEngine(BatchEngine):
                 def by_xla() -> Compiled:
                     return jax.jit(jax.vmap(function, in_axes=axes)).lower(*inputs).compile()
 
-                with timed_part(name):
+                with time_part(name):
                     return fused_loop.trace_or_compile(by_xla, function, *shapes) if use_numpy else by_xla()
 
-            with timed_part("closed loop"):
+            with time_part("closed loop"):
                 if self.fused:
                     ticks = pool.submit(kernel.start_compilation(self._tick, shapes, state))
                 else:
@@ -409,7 +409,7 @@ class NativeEngine(BatchEngine):
             loads = load.reshape(loads.shape)
         return push, loads
 
-    def _tick_summary(self, world: Case, steps: StepRecord, number: Array, before: FreeState) -> Tick:
+    def _tick_summary(self, world: Case, steps: StepRecord, number: Array, before: FreeState) -> TickReport:
         """Summary of a tick for the metrics; `before` is the state of the free bodies before it."""
         h, drive = self.settings.native_time_step, world.drive
         rate = steps.qvel[:, JOINT_V]
@@ -426,7 +426,7 @@ class NativeEngine(BatchEngine):
         last = -jnp.sum(steps.foot_force[-1].reshape(N_LEGS, 3) * normals, axis=-1)
         seen = exact_observation(steps.qpos[-1], steps.qvel[-1], count, last)
         outside = jnp.sum(push * steps.qvel[:, :3]) + jnp.sum(loads * _twists(steps, count))
-        return Tick(
+        return TickReport(
             torque_peak=jnp.max(jnp.abs(torque), axis=0).reshape(N_LEGS, 3),
             saturated=jnp.mean(effort >= 0.999 * limit, axis=0).reshape(N_LEGS, 3),
             force=force,
@@ -434,10 +434,10 @@ class NativeEngine(BatchEngine):
             tangential=jnp.linalg.norm(force - normal[:, None] * normals, axis=-1),
             residual=jnp.zeros(()),  # the C solver reports no residual force
             work=h * (jnp.sum(power) + outside),
-            effort=h * jnp.sum(jnp.maximum(power, 0.0)),
+            positive_work=h * jnp.sum(jnp.maximum(power, 0.0)),
             power=jnp.mean(power, axis=0).reshape(N_LEGS, 3),
-            energy=jnp.where(steps.broken, jnp.nan, steps.energy),
-            truth=seen,
+            energy=jnp.where(steps.diverged, jnp.nan, steps.energy),
+            actual=seen,
             centre_of_mass=steps.centre_of_mass,
             joints=jnp.concatenate([steps.links.reshape(N_LEGS, -1, 3), steps.feet[:, None]], axis=1),
             bodies=bodies,

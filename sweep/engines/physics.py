@@ -18,13 +18,13 @@ from sweep.core.vectors import Vector
 from sweep.dynamics import step as dynamics
 from sweep.dynamics import tree
 from sweep.dynamics.interface import SmoothDynamics, Topology
-from sweep.dynamics.spatial import Rates, map_joints
+from sweep.dynamics.spatial import JointTriple, map_joints
 from sweep.dynamics.step import DriveLimits, PhysicsState, StepReport, StepStart, from_components, to_components
 from sweep.engines import batching
 from sweep.engines.closed_loop import exact_observation
-from sweep.metrics.tick import Tick
+from sweep.metrics.tick import TickReport
 from sweep.models.case import Case
-from sweep.models.disturbance import Execution
+from sweep.models.disturbance import ExecutionFaults
 from sweep.models.drive import Servo, interpolate_target
 from sweep.models.legs import N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import BodyPoses
@@ -68,7 +68,7 @@ def execution_limits(world: Case, step: Array, h: float) -> DriveLimits:
     return DriveLimits(alive.astype(torque.dtype), torque, push_force(execution, step, h))
 
 
-def push_force(execution: Execution, step: Array, h: float) -> Float[Array, " 3"]:
+def push_force(execution: ExecutionFaults, step: Array, h: float) -> Float[Array, " 3"]:
     """Mean force of the push on the base during one physics step.
 
     A step that overlaps the push in part gets that part of its force, so that the impulse is exact for any duration. A
@@ -102,12 +102,12 @@ def _remove_rounding(steps: Array | float) -> Array:
 class TickTotals(NamedTuple):
     """Totals over the physics steps of a control tick: peaks of torque and residual, sums of everything else."""
 
-    torque_peak: Rates
-    saturated: Rates
+    torque_peak: JointTriple
+    saturated: JointTriple
     force: Vector
     normal: Array
     residual: Array
-    power: Rates  # (l,)
+    power: JointTriple  # (l,)
     effort: Array  # (l,), power of driving joints only
     external_power: Array
 
@@ -138,7 +138,7 @@ class TickPhysics(NamedTuple):
 
     def advance(
         self, world: Case, state: PhysicsState, servo_before: Servo, servo_after: Servo, tick: Array
-    ) -> tuple[PhysicsState, Tick]:
+    ) -> tuple[PhysicsState, TickReport]:
         """Simulate one control tick.
 
         Args:
@@ -167,7 +167,7 @@ class TickPhysics(NamedTuple):
         state = from_components(moving)
         force, normal = (1 / n) * totals.force, totals.normal / n
         along = force - normal * before.normal
-        return state, Tick(
+        return state, TickReport(
             torque_peak=_by_joint(totals.torque_peak),
             saturated=_by_joint(totals.saturated) / n,
             force=force.array(),
@@ -175,10 +175,10 @@ class TickPhysics(NamedTuple):
             tangential=jnp.sqrt(along.dot(along)),
             residual=totals.residual[0],
             work=h * (jnp.sum(reduce(add, totals.power)) + totals.external_power[0]),
-            effort=h * jnp.sum(totals.effort),
+            positive_work=h * jnp.sum(totals.effort),
             power=_by_joint(totals.power) / n,
             energy=before.energy[0],
-            truth=exact_observation(state.q, state.v, before.bodies.position.shape[0], load),
+            actual=exact_observation(state.q, state.v, before.bodies.position.shape[0], load),
             centre_of_mass=before.centre_of_mass.array()[0],
             joints=jnp.stack([joint.array() for joint in before.joints], axis=1),
             bodies=before.bodies,
@@ -196,5 +196,5 @@ def _initial_totals(world: Case, dtype: jnp.dtype) -> tuple[TickTotals, Array, S
     return TickTotals(three, three, legs, leg, one, three, leg, one), leg, before
 
 
-def _by_joint(parts: Rates) -> Array:
+def _by_joint(parts: JointTriple) -> Array:
     return jnp.stack(parts, axis=-1)

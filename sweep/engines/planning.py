@@ -17,18 +17,18 @@ from jax.stages import Compiled
 from jaxtyping import Array, Float, Shaped
 
 from sweep.backends import devices
-from sweep.core.progress import timed_part
+from sweep.core.progress import time_part
 from sweep.fused import eager, kernel
 from sweep.fused.arrays import Unsupported
 from sweep.fused.eager import NumpyProgram
-from sweep.fused.kernel import Code, Kernel
+from sweep.fused.kernel import Kernel, KernelCode
 from sweep.models.legs import N_LEGS
 from sweep.planning import forces
 from sweep.planning.forces import Bounds, Effort, ForceProblem, SearchState, StaticPose
 
-Start = Callable[..., Any]  # function of a rollout's world, belief and random key
-Parts = tuple[NumpyProgram | Compiled, dict[str, Code]]  # of `Planning`, as the cache stores them
-SLICE = 1 << 16  # poses that are in memory at a time
+StartFunction = Callable[..., Any]  # function of a rollout's world, belief and random key
+StoredPlanning = tuple[NumpyProgram | Compiled, dict[str, KernelCode]]  # of `Planning`, as the cache stores them
+POSES_PER_SLICE = 1 << 16  # poses that are in memory at a time
 
 
 class Planning(NamedTuple):
@@ -38,7 +38,7 @@ class Planning(NamedTuple):
     searches: dict[str, Kernel]
 
     @classmethod
-    def from_programs(cls, program: NumpyProgram | Compiled, searches: dict[str, Code]) -> "Planning":
+    def from_programs(cls, program: NumpyProgram | Compiled, searches: dict[str, KernelCode]) -> "Planning":
         """Load the programs that the cache stores."""
         return cls(program, {name: Kernel(code) for name, code in searches.items()})
 
@@ -52,12 +52,12 @@ class Planning(NamedTuple):
 
 def start_compilation(
     pool: Executor,
-    start: Start,
+    start: StartFunction,
     arrays: tuple[Any, Any, Array],
-    batch_start: Callable[[Start], Start],
+    batch_start: Callable[[StartFunction], StartFunction],
     has_forces: bool,
     use_numpy: bool,
-) -> tuple[Any, Callable[[], Parts]]:
+) -> tuple[Any, Callable[[], StoredPlanning]]:
     """Start to compile the planning of batches.
 
     Args:
@@ -72,11 +72,11 @@ def start_compilation(
         Shapes of the results for a batch, and a function that waits for the programs.
     """
     if use_numpy:
-        with suppress(Unsupported), timed_part("plan"):
+        with suppress(Unsupported), time_part("plan"):
             program = eager.trace(start, *key_and_case_shapes(arrays), external=forces.SEARCHES)
-            return batch_shapes(program.form, len(arrays[2])), lambda: (program, _compile_searches(program))
+            return batch_shapes(program.result_shapes, len(arrays[2])), lambda: (program, _compile_searches(program))
     lowered = jax.jit(batch_start(start)).lower(*arrays)
-    program = compile_in_pool(pool, "plan", lowered, devices.plan_options(has_forces))
+    program = compile_in_pool(pool, "plan", lowered, devices.planning_compiler_options(has_forces))
     return lowered.out_info, lambda: (program.result(), {})
 
 
@@ -113,26 +113,26 @@ def compile_in_pool(
     """
 
     def compiled() -> Compiled:
-        with timed_part(name):
+        with time_part(name):
             return program.compile(options)
 
     return pool.submit(compiled)
 
 
-def _compile_searches(program: NumpyProgram) -> dict[str, Code]:
+def _compile_searches(program: NumpyProgram) -> dict[str, KernelCode]:
     """Kernels for the searches that a program calls."""
-    return {name: _compile_search(forces.SEARCHES[name], asked) for name, asked in program.external.items()}
+    return {name: _compile_search(forces.SEARCHES[name], asked) for name, asked in program.external_functions.items()}
 
 
 @cache
-def _compile_search(least: Effort, problems: tuple[jax.ShapeDtypeStruct, ...]) -> Code:
+def _compile_search(least: Effort, problems: tuple[jax.ShapeDtypeStruct, ...]) -> KernelCode:
     """Compile the search for the forces of one pose."""
 
     def tick(problem: ForceProblem, state: SearchState, number: Array) -> tuple[SearchState, dict[str, Array]]:
         return forces.search_step(least, problem, state, number), {}
 
     sought = _force_problem([jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in problems])
-    with timed_part("search for forces"):
+    with time_part("search for forces"):
         return kernel.compile_function(tick, sought, _initial_search(sought.pose.arm))
 
 
@@ -147,11 +147,11 @@ def _search_forces(search: Kernel, *problems: Shaped[np.ndarray, "n ... b"]) -> 
     rows = [np.moveaxis(np.broadcast_to(x, (*x.shape[:-1], width)), -1, 0) for x in problems]
     sought = _force_problem([x.reshape(-1, *x.shape[2:]) for x in rows])
     force = np.empty_like(sought.pose.arm)
-    for first in range(0, len(force), SLICE):
-        some = jax.tree.map(lambda x, first=first: x[first : first + SLICE], sought)
-        tiles = search.enter(some, _initial_search(force[0]), len(some.pose.arm))
+    for first in range(0, len(force), POSES_PER_SLICE):
+        some = jax.tree.map(lambda x, first=first: x[first : first + POSES_PER_SLICE], sought)
+        tiles = search.load_batch(some, _initial_search(force[0]), len(some.pose.arm))
         tiles.advance(0, len(forces.SLACK))
-        force[first : first + SLICE] = tiles.read(lambda state: state.force)
+        force[first : first + POSES_PER_SLICE] = tiles.read(lambda state: state.force)
     return np.moveaxis(force.reshape(width, -1, *force.shape[1:]), 0, -1)
 
 

@@ -22,9 +22,12 @@ from sweep.models.legs import JOINT_Q, N_LEGS
 from sweep.models.obstacles.surface import Surface, body_poses, free_start_state, surface_at
 from sweep.models.posture import Stance, feet_in_world, joint_targets
 
-LEVEL = 5e-3  # m, tolerance of feet on one plane, since footholds may lie below it
-FLAT = 1e-5  # tolerance of ground that is the floor, z = 0
-ERRORS, PLACES = 1, 2  # folded into a rollout's key to draw errors of calibration and of body positions
+LEVEL_TOLERANCE_M = 5e-3  # m, tolerance of feet on one plane, since footholds may lie below it
+FLOOR_TOLERANCE = 1e-5  # tolerance of ground that is the floor, z = 0
+CALIBRATION_ERRORS_KEY, BODY_POSITIONS_KEY = (
+    1,
+    2,
+)  # folded into a rollout's key to draw errors of calibration and of body positions
 
 
 def prepare_belief(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, LearnedState]:
@@ -104,8 +107,8 @@ def _feet_start_level(belief: Case, start: Stance) -> Bool[Array, ""]:
     """Whether all feet start on one plane that belongs to no free body."""
     feet, surface = start.feet, _surface_under_feet(belief, start)
     down = feet + surface.depth[:, None] * surface.normal
-    even = jnp.abs((down - down[0]) @ surface.normal[0]) < LEVEL
-    return jnp.all(even & (jnp.abs(surface.depth) < LEVEL) & (surface.body < 0))
+    even = jnp.abs((down - down[0]) @ surface.normal[0]) < LEVEL_TOLERANCE_M
+    return jnp.all(even & (jnp.abs(surface.depth) < LEVEL_TOLERANCE_M) & (surface.body < 0))
 
 
 def _surface_under_feet(belief: Case, start: Stance) -> Surface:
@@ -117,7 +120,7 @@ def _ground(belief: Case, start: Stance) -> Ground:
     surface, foot = _surface_under_feet(belief, start), start.feet[0]
     normal = surface.normal[0]
     point = foot + surface.depth[0] * normal
-    return Ground(point, normal, (jnp.abs(point[2]) > FLAT) | (normal[2] < 1 - FLAT))
+    return Ground(point, normal, (jnp.abs(point[2]) > FLOOR_TOLERANCE) | (normal[2] < 1 - FLOOR_TOLERANCE))
 
 
 def measure_body_positions(world: Case, key: Array) -> Float[Array, "k 3"]:
@@ -132,7 +135,7 @@ def measure_body_positions(world: Case, key: Array) -> Float[Array, "k 3"]:
     """
     noise, free = world.noise, free_start_state(world.obstacle)
     bias = draw_body_biases(noise, jax.random.split(key)[0], free)[:, 0]
-    draws = jax.random.normal(jax.random.fold_in(key, PLACES), free.position.shape, float)
+    draws = jax.random.normal(jax.random.fold_in(key, BODY_POSITIONS_KEY), free.position.shape, float)
     return free.position + bias + noise.body_position_noise / jnp.sqrt(world.control.samples) * draws
 
 
@@ -194,4 +197,4 @@ def calibrate_from_poses(world: Case, belief: Case, true: PoseMeasurements, key:
 
 def _error_keys(key: Array) -> Array:
     """Random keys for the slip of the feet, and for sensor noise."""
-    return jax.random.split(jax.random.fold_in(key, ERRORS))
+    return jax.random.split(jax.random.fold_in(key, CALIBRATION_ERRORS_KEY))

@@ -9,13 +9,13 @@ import numpy as np
 
 from sweep.core.shared_metrics.attitude import tilt_deg
 from sweep.models.case import Case
-from sweep.models.legs import JOINTS, LEGS, N_JOINTS
+from sweep.models.legs import JOINT_NAMES, LEGS, N_JOINTS
 
-Record = Mapping[str, Any]  # see `batching.record_tick`; components first, then rollouts or ticks
-Column = Callable[[Record], Any]
+TickRecord = Mapping[str, Any]  # see `batching.record_tick`; components first, then rollouts or ticks
+ColumnGetter = Callable[[TickRecord], Any]
 
 
-def available_columns(world: Case) -> dict[str, Column]:
+def available_columns(world: Case) -> dict[str, ColumnGetter]:
     """List the columns that can be recorded for a world.
 
     `qpos_k` and `qvel_k` are MuJoCo's; forces are on the robot, in world axes.
@@ -24,18 +24,22 @@ def available_columns(world: Case) -> dict[str, Column]:
         A function of a record (see `batching.record_tick`) by column name.
     """
     bodies = len(world.obstacle.free_bodies)
-    columns: dict[str, Column] = {f"base_{axis}_m": partial(_component, "qpos", (k,)) for k, axis in enumerate("xyz")}
+    columns: dict[str, ColumnGetter] = {
+        f"base_{axis}_m": partial(_component, "qpos", (k,)) for k, axis in enumerate("xyz")
+    }
     columns["tilt_deg"] = lambda record: tilt_deg(record["qpos"][3:7], jnp)
     columns |= {f"qpos_{k}": partial(_component, "qpos", (k,)) for k in range(7 + N_JOINTS + 7 * bodies)}
     columns |= {f"qvel_{k}": partial(_component, "qvel", (k,)) for k in range(6 + N_JOINTS + 6 * bodies)}
-    columns |= {f"torque_peak_{name}_nm": partial(_component, "joint_torque", (k,)) for k, name in enumerate(JOINTS)}
+    columns |= {
+        f"torque_peak_{name}_nm": partial(_component, "joint_torque", (k,)) for k, name in enumerate(JOINT_NAMES)
+    }
     for leg in LEGS:
         at = {axis: (leg - 1, k) for k, axis in enumerate("xyz")}
         columns |= {f"foot{leg}_force_{axis}_n": partial(_component, "foot_force", place) for axis, place in at.items()}
     return columns
 
 
-def select_columns(world: Case, record: Record, names: Sequence[str]) -> Any:
+def select_columns(world: Case, record: TickRecord, names: Sequence[str]) -> Any:
     """Take columns out of a record.
 
     Args:
@@ -51,5 +55,5 @@ def select_columns(world: Case, record: Record, names: Sequence[str]) -> Any:
     return xp.stack([xp.asarray(columns[name](last)) for name in names], axis=-1)
 
 
-def _component(name: str, index: tuple[int, ...], record: Record) -> Any:
+def _component(name: str, index: tuple[int, ...], record: TickRecord) -> Any:
     return record[name][index]

@@ -26,13 +26,13 @@ from sweep.formulas import (  # noqa: F401  their import registers formulas
 from sweep.formulas import formula as defined
 from sweep.formulas.formula import Formula, Input, NoSolution
 
-__all__ = ["FORMULAS", "Formula", "Input", "NoSolution", "evaluate", "find", "find_by_equation"]
+__all__ = ["FORMULAS", "Formula", "Input", "NoSolution", "evaluate", "find_by_equation", "find_formula"]
 
 # in the order of their sources
 FORMULAS: Mapping[str, Formula] = dict(sorted(defined.FORMULAS.items(), key=lambda item: item[1].sort_key))
 
 
-def find(name: str) -> Formula:
+def find_formula(name: str) -> Formula:
     """Look up a formula by its name; an unknown name raises `InputError` with the known ones."""
     require_choice(name, FORMULAS, f"formula {name}")
     return FORMULAS[name]
@@ -51,9 +51,9 @@ def evaluate(name: str, inputs: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: An unknown name, an input outside its domain, or, as `NoSolution`, inputs that have no solution.
     """
-    return find(name).evaluate(inputs)
+    return find_formula(name).evaluate(inputs)
 
 
 def find_by_equation(equation: str) -> list[Formula]:
     """List the formulas that implement an equation ("2.1.6" of the monograph, "14" of the thesis)."""
-    return [formula for formula in FORMULAS.values() if formula.covers(equation)]
+    return [formula for formula in FORMULAS.values() if formula.implements_equation(equation)]

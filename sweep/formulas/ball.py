@@ -12,20 +12,20 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.constants import GRAVITY
-from sweep.formulas.formula import Input, Scalar, formula, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive_input
 
-ROLLING = 7 / 5  # ball's moment of inertia about the point of contact, in M R^2
-SPINNING = 2 / 5  # the same about its centre
+ROLLING_INERTIA = 7 / 5  # ball's moment of inertia about the point of contact, in M R^2
+SPINNING_INERTIA = 2 / 5  # the same about its centre
 
 
 _TWICE = "the ball's M R^2 is counted twice by J_b + (m + M) R^2 with J_b = 7/5 M R^2"
-RobotMass = Annotated[Scalar, positive("kg", 16.0)]
-BallMass = Annotated[Scalar, positive("kg", 40.0)]
-BallRadius = Annotated[Scalar, positive("m", 0.84)]
-CentreDistance = Annotated[Scalar, positive("m", 1.1)]
+RobotMass = Annotated[Scalar, positive_input("kg", 16.0)]
+BallMass = Annotated[Scalar, positive_input("kg", 40.0)]
+BallRadius = Annotated[Scalar, positive_input("m", 0.84)]
+CentreDistance = Annotated[Scalar, positive_input("m", 1.1)]
 
 
-class StabilisingMove(NamedTuple):
+class StabilisingMotion(NamedTuple):
     """Result of `stabilise_delta`: the shapes at time tau, and the constants of delta (times in s, `ubar` in 1/s^2)."""
 
     ubar: Annotated[Float[Array, "..."], "1/s^2"]
@@ -43,10 +43,10 @@ class StabilisingMove(NamedTuple):
     condition="Delta must be less than T",
 )
 def stabilise_delta(
-    T: Annotated[Scalar, positive("s", 2.0)],
+    T: Annotated[Scalar, positive_input("s", 2.0)],
     Delta: Annotated[Scalar, Input("s", 0.0, at_least=0)],
     tau: Annotated[Scalar, Input("s", 1.0, at_least=0)],
-) -> StabilisingMove:
+) -> StabilisingMotion:
     """Body motions that stop a ball: delta from 0 to 1, and the pulse delta'.
 
     The ball ends at rest with no angular momentum gained. `delta` goes from 0 to 1 in T - Delta with an overshoot
@@ -67,12 +67,12 @@ def stabilise_delta(
     ubar = 2 / (np.sqrt(5) / 2 - 1)
     early, late = (np.sqrt(5) - 1) / 4, (np.sqrt(5) + 1) / 4
     pulse = _bell(s)
-    return StabilisingMove(
+    return StabilisingMotion(
         ubar / length**2, early * length, late * length, _spline(s, ubar, early, late), pulse, pulse * T / length
     )
 
 
-class LateralMove(NamedTuple):
+class LateralMotion(NamedTuple):
     """Result of `lateral_mu`: the shape mu of the lateral motion at time tau."""
 
     mu: Annotated[Float[Array, "..."], ""]
@@ -80,8 +80,8 @@ class LateralMove(NamedTuple):
 
 @formula("monograph", "3.3.7")
 def lateral_mu(
-    T: Annotated[Scalar, positive("s", 2.0)], tau: Annotated[Scalar, Input("s", 1.0, at_least=0)]
-) -> LateralMove:
+    T: Annotated[Scalar, positive_input("s", 2.0)], tau: Annotated[Scalar, Input("s", 1.0, at_least=0)]
+) -> LateralMotion:
     """Sideways push on a ball: a pulse with a plateau.
 
     The peak is 2, the plateau lasts d = T/4. The integral is 3/2 T, so that the gain of (3.1.8) must be multiplied by
@@ -96,7 +96,7 @@ def lateral_mu(
     """
     share = tau / T
     without_plateau = jnp.clip(share, 0.0, 0.25) + jnp.clip(share - 0.75, 0.0, 0.25)
-    return LateralMove(_bell(2 * without_plateau))
+    return LateralMotion(_bell(2 * without_plateau))
 
 
 def _spline(s: Array, ubar: float, early: float, late: float) -> Array:
@@ -109,7 +109,7 @@ def _bell(s: Array) -> Array:
     return _spline(s, 32.0, 0.25, 0.75)
 
 
-class Climb(NamedTuple):
+class BallClimbRates(NamedTuple):
     """Least starting speed of the ball (m/s) with the best climbing rate; the rate for 1.3 times that speed."""
 
     v0_min: Annotated[Float[Array, "..."], "m/s"]
@@ -125,7 +125,7 @@ def ball_climb(
     R: BallRadius,
     rho: CentreDistance,
     phi0: Annotated[Scalar, Input("rad", 0.4, above=-np.pi / 2, below=np.pi / 2)],
-) -> Climb:
+) -> BallClimbRates:
     """Least speed of a ball that can be climbed, and the rate of climbing.
 
     Push that the ball needs so that the robot reaches its top as it stops.
@@ -137,7 +137,7 @@ def ball_climb(
     effort = jnp.log1p(p * (1 - jnp.sin(phi0)) / (1 + p * jnp.sin(phi0)))
     v0_min = 2 * effort * jnp.sqrt(GRAVITY * R)
     omega0 = 1.3 * v0_min / R
-    return Climb(v0_min, jnp.sqrt(GRAVITY / jnp.asarray(R)), omega0, climbing_rate(omega0, effort, R))
+    return BallClimbRates(v0_min, jnp.sqrt(GRAVITY / jnp.asarray(R)), omega0, climbing_rate(omega0, effort, R))
 
 
 def climbing_rate(omega0: Scalar, effort: Scalar, R: Scalar) -> Array:
@@ -193,7 +193,7 @@ def ball_omega(
     return BallAngularRate(omega0 - (GRAVITY + dphi**2 * R) / (dphi * R) * growth)
 
 
-class Descent(NamedTuple):
+class BallDescentRates(NamedTuple):
     """Best rate of the robot and what the ball gains by it (rad/s)."""
 
     dphi_opt: Annotated[Float[Array, "..."], "rad/s"]
@@ -207,7 +207,7 @@ def ball_descent(
     R: BallRadius,
     rho: CentreDistance,
     phi: Annotated[Scalar, Input("rad", 0.4, at_least=0, at_most=np.pi / 2)],
-) -> Descent:
+) -> BallDescentRates:
     """Least angular rate that a ball gains while the robot comes down from its top.
 
     A ball at rest ends with `gain`; a ball that shall be at rest in the end must start with as much the other way.
@@ -215,15 +215,15 @@ def ball_descent(
     p = _ratio(m, M, R, rho)
     share = p / (1 + p)  # epsilon of (3.1.17)
     rate = jnp.sqrt(GRAVITY / jnp.asarray(R))
-    return Descent(rate, -2 * rate * jnp.log1p(-share * (1 - jnp.sin(phi))))
+    return BallDescentRates(rate, -2 * rate * jnp.log1p(-share * (1 - jnp.sin(phi))))
 
 
 def _ratio(m: Scalar, M: Scalar, R: Scalar, rho: Scalar) -> Scalar:
     """p of (3.1.14), with J_b + m R^2 below: J_b about the contact already holds the M R^2 that is printed twice."""
-    return m * rho / (R * (ROLLING * M + m))
+    return m * rho / (R * (ROLLING_INERTIA * M + m))
 
 
-class TurnRadius(NamedTuple):
+class BallTurnRadius(NamedTuple):
     """Result of `ball_turn`: the radius (m) of the circle on which the ball rolls."""
 
     rho_exact: Annotated[Float[Array, "..."], "m"]
@@ -241,10 +241,10 @@ def ball_turn(
     m: RobotMass,
     M: BallMass,
     R: BallRadius,
-    h: Annotated[Scalar, positive("m", 0.3)],
+    h: Annotated[Scalar, positive_input("m", 0.3)],
     phi: Annotated[Scalar, Input("rad", 0.2, above=-np.pi / 2, below=np.pi / 2)],
-    v: Annotated[Scalar, positive("m/s", 0.5)],
-) -> TurnRadius:
+    v: Annotated[Scalar, positive_input("m/s", 0.5)],
+) -> BallTurnRadius:
     """Radius of the steady turn of a ball, exact and as printed.
 
     The ball's speed is v (m/s), the robot leans by phi (rad) to the inside.
@@ -253,10 +253,10 @@ def ball_turn(
     `rho_exact`; nan where there is no steady turn. The sign is that of phi.
     """
     height = h / R + 1
-    A, B = ROLLING * M / m, 1 + height * jnp.cos(phi)
+    A, B = ROLLING_INERTIA * M / m, 1 + height * jnp.cos(phi)
     D, S = GRAVITY * height * jnp.sin(phi), (h + R) * jnp.sin(phi)
     approx = v**2 * (A + B) / D
-    return TurnRadius(approx * (1 + jnp.sqrt(1 - 4 * D * B * S / (v * (A + B)) ** 2)) / 2, approx)
+    return BallTurnRadius(approx * (1 + jnp.sqrt(1 - 4 * D * B * S / (v * (A + B)) ** 2)) / 2, approx)
 
 
 class BallSwerve(NamedTuple):
@@ -278,10 +278,10 @@ def ball_swerve(
     m: RobotMass,
     M: BallMass,
     R: BallRadius,
-    h: Annotated[Scalar, positive("m", 0.3)],
+    h: Annotated[Scalar, positive_input("m", 0.3)],
     phi: Annotated[Scalar, Input("rad", 0.2, above=-np.pi / 2, below=np.pi / 2)],
     dphi: Annotated[Scalar, Input("rad/s", 0.5)],
-    v: Annotated[Scalar, positive("m/s", 0.5)],
+    v: Annotated[Scalar, positive_input("m/s", 0.5)],
     J_r: Annotated[Scalar, Input("kg m^2", 1.0, at_least=0)],
     J_zeta: Annotated[Scalar, Input("kg m^2", 1.5, at_least=0)],
 ) -> BallSwerve:
@@ -294,7 +294,7 @@ def ball_swerve(
     order in phi and without friction against it. `gain` (m/s for each rad of phi) is how the ball's speed grows.
     """
     height, unit = h / R + 1, m * R**2
-    C_1 = ROLLING * M / m + 1 + height * jnp.cos(phi)
+    C_1 = ROLLING_INERTIA * M / m + 1 + height * jnp.cos(phi)
     c_2 = J_r / unit + height * jnp.cos(phi) + height**2
     turning = height * (GRAVITY + dphi**2 * R) * jnp.sin(phi) / (v * C_1)
-    return BallSwerve(v / turning, -J_zeta * turning / (SPINNING * M * R**2), R * c_2 * turning / C_1)
+    return BallSwerve(v / turning, -J_zeta * turning / (SPINNING_INERTIA * M * R**2), R * c_2 * turning / C_1)

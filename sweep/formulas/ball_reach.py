@@ -8,11 +8,11 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Input, Scalar, formula, positive
-from sweep.formulas.roots import newton
+from sweep.formulas.formula import Input, Scalar, formula, positive_input
+from sweep.formulas.roots import newton_root
 
 
-class MaxBall(NamedTuple):
+class LargestBall(NamedTuple):
     """Largest radius of a ball (m)."""
 
     R: Annotated[Float[Array, "..."], "m"]
@@ -25,12 +25,12 @@ class MaxBall(NamedTuple):
     condition="hhat must be in reach of the ball's footholds and b less than its diameter",
 )
 def max_ball(
-    l1: Annotated[Scalar, positive("m", 0.52)],
-    l2: Annotated[Scalar, positive("m", 0.335)],
-    hhat: Annotated[Scalar, positive("m", 1.71)],
+    l1: Annotated[Scalar, positive_input("m", 0.52)],
+    l2: Annotated[Scalar, positive_input("m", 0.335)],
+    hhat: Annotated[Scalar, positive_input("m", 1.71)],
     b: Annotated[Scalar, Input("m", 0.5, at_least=0)],
     k_f: Annotated[Scalar, Input("", 1.0, at_least=0)],
-) -> MaxBall:
+) -> LargestBall:
     """Radius of the largest ball that can be climbed.
 
     The front feet reach its region of safe footholds: the largest root of (3.1.19). The shin only touches the ball, and
@@ -58,10 +58,10 @@ def max_ball(
     slack = (1 - k_f) ** 4 + 4
     d1 = (((1 - k_f) ** 2 * (1 - k_f**2) + 4 * k_f) * l2 + 2 * steepness * hhat) / slack
     d2 = steepness * ((hhat**2 + l2**2 - l1**2) * steepness + 4 * k_f * l2 * hhat) / slack
-    return MaxBall(newton(residual, d1 + jnp.sqrt(d1**2 - d2), steps=12))
+    return LargestBall(newton_root(residual, d1 + jnp.sqrt(d1**2 - d2), steps=12))
 
 
-class BodyTurn(NamedTuple):
+class BodyTurnDisplacements(NamedTuple):
     """Displacements (eta, zeta) (m) of three points of the body's axis."""
 
     d_mid: Annotated[Float[Array, "... 2"], "m"]
@@ -75,10 +75,10 @@ class BodyTurn(NamedTuple):
 def body_turn(
     ds: Annotated[Scalar, Input("rad", 0.3)],
     s0: Annotated[Scalar, Input("rad", -0.3)],
-    Rp: Annotated[Scalar, positive("m", 0.9)],
-    a_r: Annotated[Scalar, positive("m", 1.05)],
+    Rp: Annotated[Scalar, positive_input("m", 0.9)],
+    a_r: Annotated[Scalar, positive_input("m", 1.05)],
     eps: Annotated[Scalar, Input("rad", 0.1, above=-1.5, below=1.5)],
-) -> BodyTurn:
+) -> BodyTurnDisplacements:
     """Displacement of the body as it turns up to a ball.
 
     Body, level at first, as its front end goes by the angle ds (rad) up a circle of radius Rp (m) from s0.
@@ -96,4 +96,4 @@ def body_turn(
     run = rest / (middle + jnp.sqrt(middle**2 - rest * (1 + slope**2)))
     front = jnp.stack(jnp.broadcast_arrays(eta, zeta), axis=-1)
     mid = jnp.stack(jnp.broadcast_arrays(-run, slope * run), axis=-1)
-    return BodyTurn(mid, 2 * mid - front, front + jnp.zeros_like(mid))
+    return BodyTurnDisplacements(mid, 2 * mid - front, front + jnp.zeros_like(mid))

@@ -12,15 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Input, Scalar, formula, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive_input
 
 _CONDITION = "k must be greater than tan(psi)"
-HalfAngle = Annotated[Scalar, Input("rad", np.pi / 4, at_least=0, below=np.pi / 2)]
-Offset = Annotated[Scalar, positive("", 0.4)]
-Friction = Annotated[Scalar, positive("", 1.1)]
+CornerHalfAngle = Annotated[Scalar, Input("rad", np.pi / 4, at_least=0, below=np.pi / 2)]
+FootOffset = Annotated[Scalar, positive_input("", 0.4)]
+Friction = Annotated[Scalar, positive_input("", 1.1)]
 
 
-class BalancedForces(NamedTuple):
+class BalancedCornerForces(NamedTuple):
     """Equal k_zeta for all feet, opposite k_tau for the upper and the lower ones."""
 
     k_zeta: Annotated[Float[Array, "..."], ""]
@@ -30,7 +30,7 @@ class BalancedForces(NamedTuple):
 
 
 @formula("monograph", "2.1.1-2.1.6", condition=_CONDITION)
-def corner_balanced(psi: HalfAngle, eps: Offset, k: Friction) -> BalancedForces:
+def corner_balanced(psi: CornerHalfAngle, eps: FootOffset, k: Friction) -> BalancedCornerForces:
     """Forces on a corner or pole (psi = 0), balanced scheme, at friction k.
 
     The balanced scheme where friction k is used up. Nan unless k > tan psi.
@@ -47,7 +47,7 @@ def corner_balanced(psi: HalfAngle, eps: Offset, k: Friction) -> BalancedForces:
     root = jnp.hypot(s, lean)
     N_u = 1 / (2 * k_zeta * (1 + lean / (root + s)))
     N_d = eps / (2 * (lean + root + s))
-    return BalancedForces(k_zeta, k_tau, N_u, N_d)
+    return BalancedCornerForces(k_zeta, k_tau, N_u, N_d)
 
 
 class LeastFriction(NamedTuple):
@@ -60,7 +60,7 @@ class LeastFriction(NamedTuple):
 
 @formula("monograph", "2.1.7-2.1.8")
 def corner_least_friction(
-    psi: HalfAngle, eps: Offset, squeeze: Annotated[Scalar, positive("P", 3.16)]
+    psi: CornerHalfAngle, eps: FootOffset, squeeze: Annotated[Scalar, positive_input("P", 3.16)]
 ) -> LeastFriction:
     """Least friction of the balanced scheme under a limit on the normal force.
 
@@ -74,7 +74,7 @@ def corner_least_friction(
     return LeastFriction(jnp.hypot(k_tau, k_zeta), k_zeta, k_tau)
 
 
-class EqualNormal(NamedTuple):
+class EqualNormalForces(NamedTuple):
     """Equal normal forces N; only the upper feet use the whole friction."""
 
     k_zeta: Annotated[Float[Array, "..."], ""]
@@ -84,7 +84,7 @@ class EqualNormal(NamedTuple):
 
 
 @formula("monograph", "2.1", condition=_CONDITION)
-def corner_equalN(psi: HalfAngle, eps: Offset, k: Friction) -> EqualNormal:
+def corner_equalN(psi: CornerHalfAngle, eps: FootOffset, k: Friction) -> EqualNormalForces:
     """Forces on a corner or pole with equal normal forces, at friction k.
 
     One normal force for all feet, the upper ones at the limit of friction k: second scheme of monograph 2.1.
@@ -95,7 +95,7 @@ def corner_equalN(psi: HalfAngle, eps: Offset, k: Friction) -> EqualNormal:
     spare = (c * k) ** 2 - s**2
     k_zeta = spare / (2 * eps * s + jnp.sqrt((2 * eps * s) ** 2 + (4 * eps**2 + c**2) * spare))
     k_zeta = jnp.where(c * k > s, k_zeta, jnp.nan)
-    return EqualNormal(k_zeta, (-2 * eps * k_zeta - s) / c, (2 * eps * k_zeta - s) / c, 1 / (4 * k_zeta))
+    return EqualNormalForces(k_zeta, (-2 * eps * k_zeta - s) / c, (2 * eps * k_zeta - s) / c, 1 / (4 * k_zeta))
 
 
 class LeastSqueeze(NamedTuple):
@@ -110,7 +110,7 @@ class LeastSqueeze(NamedTuple):
     correction="called optimal in 2.1, the balanced scheme squeezes more than this (3.16 P against 2.83 P)",
     condition=_CONDITION,
 )
-def corner_min_squeeze(psi: HalfAngle, eps: Offset, k: Friction) -> LeastSqueeze:
+def corner_min_squeeze(psi: CornerHalfAngle, eps: FootOffset, k: Friction) -> LeastSqueeze:
     """Least force with which feet must squeeze a corner or pole so that the robot is in equilibrium.
 
     Of *all* equilibria of the four feet, in P; less than both schemes of monograph 2.1.

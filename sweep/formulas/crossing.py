@@ -5,10 +5,10 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Input, Scalar, formula, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive_input
 
 
-class Crossing(NamedTuple):
+class RaftCrossing(NamedTuple):
     """Speed (m/s) and rate of turn (rad/s) after the push, heading (rad) and time (s) of arrival."""
 
     v0: Annotated[Float[Array, "..."], "m/s"]
@@ -24,15 +24,15 @@ class Crossing(NamedTuple):
     condition="S must be at least sigma",
 )
 def crossing(
-    S: Annotated[Scalar, positive("m", 5.46)],
-    sigma: Annotated[Scalar, positive("m", 3.15)],
-    v_eps: Annotated[Scalar, positive("m/s", 0.1)],
-    mt: Annotated[Scalar, positive("kg", 660.0)],
-    al2: Annotated[Scalar, positive("kg/m", 100.0)],
-    J: Annotated[Scalar, positive("kg*m^2", 790.0)],
-    al3: Annotated[Scalar, positive("kg*m^2", 100.0)],
+    S: Annotated[Scalar, positive_input("m", 5.46)],
+    sigma: Annotated[Scalar, positive_input("m", 3.15)],
+    v_eps: Annotated[Scalar, positive_input("m/s", 0.1)],
+    mt: Annotated[Scalar, positive_input("kg", 660.0)],
+    al2: Annotated[Scalar, positive_input("kg/m", 100.0)],
+    J: Annotated[Scalar, positive_input("kg*m^2", 790.0)],
+    al3: Annotated[Scalar, positive_input("kg*m^2", 100.0)],
     h: Annotated[Scalar, Input("m", 0.1)],
-) -> Crossing:
+) -> RaftCrossing:
     """Push-off speed of a raft, its turn and the time to the other bank.
 
     The raft coasts against quadratic drag. Its turn starts with J w0 = mt v0 h.
@@ -55,4 +55,4 @@ def crossing(
     w0 = mt * v0 * h / J
     time = mt / (al2 * v0) * jnp.expm1(stretch)
     yaw = jnp.sign(h) * J / al3 * jnp.log1p(al3 * jnp.abs(w0) * time / J)
-    return Crossing(v0, w0, yaw, time)
+    return RaftCrossing(v0, w0, yaw, time)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Input, Scalar, formula, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive_input
 from sweep.formulas.raft_statics import HalfHeight, HalfLength, HalfWidth
 
 # Plain numbers: a float64 array would be cached as such, and fail in a process that uses both precisions.
@@ -36,8 +36,8 @@ def drag_integrals(
     c: Annotated[Scalar, Input("", 0.1)],
     al: Annotated[Scalar, Input("", 0.2)],
     be: Annotated[Scalar, Input("", -0.3)],
-    A: Annotated[Scalar, positive("", 1.0)],
-    B: Annotated[Scalar, positive("", 1.0)],
+    A: Annotated[Scalar, positive_input("", 1.0)],
+    B: Annotated[Scalar, positive_input("", 1.0)],
 ) -> DragIntegrals:
     """Integrals of |u|u over a rectangle: drag of a plate in still water.
 

@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Input, Scalar, formula, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive_input
 
 
 class ServoGains(NamedTuple):
@@ -23,10 +23,10 @@ def servo(
     dphi: Annotated[Scalar, Input("rad/s", 0.0)],
     phi0: Annotated[Scalar, Input("rad", 0.001)],
     c_e: Annotated[Scalar, Input("N*m*s/rad", 10.0, at_least=0)],
-    chi1: Annotated[Scalar, positive("N*m/rad", 45000.0)],
+    chi1: Annotated[Scalar, positive_input("N*m/rad", 45000.0)],
     delta: Annotated[Scalar, Input("N*m*s/rad", 100.0, at_least=0)],
-    umax: Annotated[Scalar, positive("N*m", 150.0)],
-    J: Annotated[Scalar, positive("kg*m^2", 1.0)],
+    umax: Annotated[Scalar, positive_input("N*m", 150.0)],
+    J: Annotated[Scalar, positive_input("kg*m^2", 1.0)],
 ) -> ServoGains:
     """Torque of a joint drive and the poles of its closed loop.
 
@@ -60,8 +60,8 @@ class ServoDelay(NamedTuple):
 
 @formula("monograph", "1.2.1", correction="not printed: the law (1.2.1) with a delay of its feedback")
 def servo_delay(
-    J: Annotated[Scalar, positive("kg*m^2", 0.1187)],
-    stiffness: Annotated[Scalar, positive("N*m/rad", 45000.0)],
+    J: Annotated[Scalar, positive_input("kg*m^2", 0.1187)],
+    stiffness: Annotated[Scalar, positive_input("N*m/rad", 45000.0)],
     damping: Annotated[Scalar, Input("N*m*s/rad", 514.26, at_least=0)],
     c_e: Annotated[Scalar, Input("N*m*s/rad", 10.0, at_least=0)],
 ) -> ServoDelay:

@@ -81,7 +81,7 @@ class Input:
         return f"{describe_bounds(vars(self))}{f' {self.unit}' if self.unit else ''}"
 
 
-def positive(unit: str, default: float, below: float = math.inf) -> Input:
+def positive_input(unit: str, default: float, below: float = math.inf) -> Input:
     """Make an input that must be greater than zero: a length, a mass, a duration."""
     return Input(unit, default, above=0, below=below)
 
@@ -150,7 +150,7 @@ class Formula:
     def _jitted(self) -> Callable[..., Any]:
         return jax.jit(self.function, static_argnames=[entry.name for entry in self.inputs if entry.options])
 
-    def covers(self, equation: str) -> bool:
+    def implements_equation(self, equation: str) -> bool:
         """Whether the formula implements equation `equation` of its source."""
         number = _order(equation)
         for equations in self.equations:
@@ -159,7 +159,7 @@ class Formula:
                 return True
         return False
 
-    def complete(self, values: Mapping[str, Any]) -> dict[str, Any]:
+    def complete_inputs(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Validate all inputs and fill in defaults, by flat name (`prm.a`); raises `InputError`."""
         flat = dict(_flatten(values))
         names = [entry.name for entry in self.inputs]
@@ -172,13 +172,13 @@ class Formula:
         with jax.enable_x64(True):
             outputs = self.compute(values)
         if not all(np.all(np.isfinite(value)) for value in outputs.values()):
-            given = ", ".join(f"{name} = {_short(value)}" for name, value in self.complete(values).items())
+            given = ", ".join(f"{name} = {_short(value)}" for name, value in self.complete_inputs(values).items())
             raise NoSolution(f"{self.name} has no solution for {given}: {self.condition or 'a result overflows'}")
         return {name: value.tolist() for name, value in outputs.items()}
 
     def compute(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
         """Evaluate in JAX's default precision, nan where there is no solution; raises `InputError`."""
-        inputs = self.complete(values)
+        inputs = self.complete_inputs(values)
         numbers = (inputs[each.name] if each.options else jnp.asarray(inputs[each.name]) for each in self.inputs)
         arguments = {
             name: next(numbers) if _metadata(hint) else hint(*(next(numbers) for _ in hint._fields))

@@ -7,19 +7,19 @@ from jaxtyping import Array, Bool, Float
 
 from sweep.formulas import leg as legs
 from sweep.formulas import stepping
-from sweep.formulas.formula import Input, Scalar, formula, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive_input
 
 LegNumber = Annotated[int, Input("", 6, options=(1, 2, 3, 4, 5, 6))]
 Coxa = Annotated[Scalar, Input("m", 0.0, at_least=0)]
-Thigh = Annotated[Scalar, positive("m", 0.52)]
-Shin = Annotated[Scalar, positive("m", 0.335)]
+Thigh = Annotated[Scalar, positive_input("m", 0.52)]
+Shin = Annotated[Scalar, positive_input("m", 0.335)]
 
 
 def _side(leg: int) -> Array:
-    return jnp.asarray(legs.SIDE[leg - 1])
+    return jnp.asarray(legs.SIDE_BY_LEG[leg - 1])
 
 
-class Foot(NamedTuple):
+class FootPosition(NamedTuple):
     """Position of a foot relative to its hip, base axes."""
 
     foot: Annotated[Float[Array, "... 3"], "m"]
@@ -32,9 +32,9 @@ def leg_fk(
     l0: Coxa,
     l1: Thigh,
     l2: Shin,
-) -> Foot:
+) -> FootPosition:
     """Foot of a leg from its joint angles."""
-    return Foot(legs.fk(_side(leg), angles, l0, l1, l2))
+    return FootPosition(legs.forward_kinematics(_side(leg), angles, l0, l1, l2))
 
 
 class JointAngles(NamedTuple):
@@ -56,25 +56,25 @@ def leg_ik(
 ) -> JointAngles:
     """Joint angles of a leg from its foot, knee outside or (mirror) inside."""
     side = _side(leg)
-    outside, miss = legs.ik(side, q, l0, l1, l2)
-    inside, _ = legs.ik(side, q, l0, l1, l2, mirror=True)
+    outside, miss = legs.inverse_kinematics(side, q, l0, l1, l2)
+    inside, _ = legs.inverse_kinematics(side, q, l0, l1, l2, mirror=True)
     reached = jnp.where(miss[..., None] > 0, jnp.nan, 1.0)
     return JointAngles(outside * reached, inside * reached, side * q[..., 1] < 0)
 
 
-class Mounts(NamedTuple):
+class HipPositions(NamedTuple):
     """Hips of legs 1 to 6, base axes."""
 
     points: Annotated[Float[Array, "6 3"], "m"]
 
 
 @formula("monograph", "1.1.5-1.1.6")
-def mounts(b_p: Annotated[Scalar, positive("m", 0.525)]) -> Mounts:
+def mounts(b_p: Annotated[Scalar, positive_input("m", 0.525)]) -> HipPositions:
     """Hips of the six legs on a circle."""
-    return Mounts(legs.circular_mounts(b_p))
+    return HipPositions(legs.circular_mounts(b_p))
 
 
-class CycleFoot(NamedTuple):
+class StepCycleFoot(NamedTuple):
     """Position of a foot in the axes of its step cycle."""
 
     xy: Annotated[Float[Array, "... 2"], "m"]
@@ -88,18 +88,18 @@ class CycleFoot(NamedTuple):
 def step_cycle(
     cycle: Annotated[str, Input("", "a", options=("a", "b"))],
     t: Annotated[Scalar, Input("s", 0.5, at_least=0)],
-    tstar: Annotated[Scalar, positive("s", 1.2156)],
-    d_x: Annotated[Scalar, positive("m", 0.1)],
-    d_y: Annotated[Scalar, positive("m", 0.08)],
+    tstar: Annotated[Scalar, positive_input("s", 1.2156)],
+    d_x: Annotated[Scalar, positive_input("m", 0.1)],
+    d_y: Annotated[Scalar, positive_input("m", 0.08)],
     kprime: Annotated[int, Input("", 2, options=(1, 2))],
     period: Annotated[Scalar, Input("s", 0.0, at_least=0)],
-) -> CycleFoot:
+) -> StepCycleFoot:
     """Foot position in a step cycle of swing and stance (period 0: the period that follows from kprime)."""
     full = jnp.where(jnp.asarray(period) > 0, period, tstar * (1 + 2 / kprime))
-    return CycleFoot(stepping.step_cycle(cycle, t % full, tstar, d_x, d_y, kprime))
+    return StepCycleFoot(stepping.step_cycle(cycle, t % full, tstar, d_x, d_y, kprime))
 
 
-class TransferShare(NamedTuple):
+class TransferProgress(NamedTuple):
     """Covered share of a swing's path, and its rate."""
 
     lam: Annotated[Float[Array, "..."], ""]
@@ -110,8 +110,8 @@ class TransferShare(NamedTuple):
 def lambda1(
     t: Annotated[Scalar, Input("s", 0.6)],
     t0: Annotated[Scalar, Input("s", 0.0)],
-    tstar: Annotated[Scalar, positive("s", 1.2156)],
+    tstar: Annotated[Scalar, positive_input("s", 1.2156)],
     sigma2: Annotated[Scalar, Input("", 1.0, at_least=0.5, at_most=1)],
-) -> TransferShare:
+) -> TransferProgress:
     """Share of an irregular swing that is done at a time, and its rate."""
-    return TransferShare(*stepping.trapezoidal_transfer(t, t0, tstar, sigma2))
+    return TransferProgress(*stepping.trapezoidal_transfer(t, t0, tstar, sigma2))

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from sweep.formulas.formula import Scalar, formula, positive
+from sweep.formulas.formula import Scalar, formula, positive_input
 
 
 class LadderStatics(NamedTuple):
@@ -18,9 +18,9 @@ class LadderStatics(NamedTuple):
 
 @formula("monograph", "2.2.1-2.2.4")
 def ladder(
-    phi: Annotated[Scalar, positive("rad", np.deg2rad(75), below=np.pi)],
-    f1: Annotated[Scalar, positive("", 1.0)],
-    f2: Annotated[Scalar, positive("", 1.0)],
+    phi: Annotated[Scalar, positive_input("rad", np.deg2rad(75), below=np.pi)],
+    f1: Annotated[Scalar, positive_input("", 1.0)],
+    f2: Annotated[Scalar, positive_input("", 1.0)],
 ) -> LadderStatics:
     """Highest position at which a leaning ladder holds a load, and whether it holds one at the top.
 
@@ -51,9 +51,9 @@ class LadderInclination(NamedTuple):
 
 @formula("monograph", "2.2.1-2.2.4")
 def ladder_lean(
-    f1: Annotated[Scalar, positive("", 1.0)],
-    f2: Annotated[Scalar, positive("", 1.0)],
-    chi: Annotated[Scalar, positive("", 1.0)],
+    f1: Annotated[Scalar, positive_input("", 1.0)],
+    f2: Annotated[Scalar, positive_input("", 1.0)],
+    chi: Annotated[Scalar, positive_input("", 1.0)],
 ) -> LadderInclination:
     """Least inclination at which a leaning ladder holds a load.
 

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Real
 
 # (-1)^i of leg i: +1 on the left. 32 bits wide, as 64-bit NumPy constants break JAX in a process of both precisions.
-SIDE = np.array([-1, 1, -1, 1, -1, 1], np.int32)
+SIDE_BY_LEG = np.array([-1, 1, -1, 1, -1, 1], np.int32)
 
 
-def fk(
+def forward_kinematics(
     side: Real[Array, "*b"] | np.ndarray | int,
     angles: Float[Array, "*b 3"],
     coxa: Array | float,
@@ -22,7 +22,7 @@ def fk(
     """Forward kinematics of a leg: monograph (1.1.1), with a coxa (1.1.4).
 
     Args:
-        side: +1 for legs on the left, -1 on the right; as `SIDE`.
+        side: +1 for legs on the left, -1 on the right; as `SIDE_BY_LEG`.
         angles: alpha, beta, gamma (rad).
         coxa: Length of the coxa (m); 0 where the leg has none.
         thigh: Length of the thigh (m).
@@ -37,7 +37,7 @@ def fk(
     return jnp.stack([-reach * jnp.sin(alpha), reach * jnp.cos(alpha), height], axis=-1)
 
 
-def ik(
+def inverse_kinematics(
     side: Real[Array, "*b"] | np.ndarray | int,
     foot: Float[Array, "*b 3"],
     coxa: Array | float,
@@ -52,7 +52,7 @@ def ik(
     2.6.2 wants on a narrow track. A target out of reach is clamped to the nearest point on the line from the hip joint.
 
     Args:
-        side: +1 for legs on the left, -1 on the right; as `SIDE`.
+        side: +1 for legs on the left, -1 on the right; as `SIDE_BY_LEG`.
         foot: The foot relative to the hip (m, base axes).
         coxa: Length of the coxa (m); 0 where the leg has none.
         thigh: Length of the thigh (m).
@@ -94,10 +94,10 @@ def rectangular_mounts(length: Array | float, width: Array | float) -> Float[Arr
         Hips of legs 1 to 6 (m, base axes).
     """
     x = jnp.array([-1, -1, 0, 0, 1, 1]) * length / 2
-    return jnp.stack([x, SIDE * width / 2, jnp.zeros(6)], axis=-1)
+    return jnp.stack([x, SIDE_BY_LEG * width / 2, jnp.zeros(6)], axis=-1)
 
 
 def circular_mounts(radius: Array | float) -> Float[Array, "6 3"]:
     """Hips of legs 1 to 6 (m, base axes) at the corners of a hexagon of `radius` (m): monograph (1.1.5)."""
     angle = jnp.array([np.pi / 6 + i // 2 * np.pi / 3 for i in range(6)])
-    return jnp.stack([-radius * jnp.cos(angle), SIDE * radius * jnp.sin(angle), jnp.zeros(6)], axis=-1)
+    return jnp.stack([-radius * jnp.cos(angle), SIDE_BY_LEG * radius * jnp.sin(angle), jnp.zeros(6)], axis=-1)

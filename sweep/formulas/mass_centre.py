@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Real
 
 from sweep.formulas import leg
-from sweep.formulas.formula import Scalar, formula, positive
+from sweep.formulas.formula import Scalar, formula, positive_input
 
 
 def leg_mass_centre(
@@ -31,12 +31,12 @@ def leg_mass_centre(
     Returns:
         The mass centre relative to the hip (m, base axes).
     """
-    knee = leg.fk(side, angles, 0.0, thigh, 0.0)
-    foot = leg.fk(side, angles, 0.0, thigh, shin)
+    knee = leg.forward_kinematics(side, angles, 0.0, thigh, 0.0)
+    foot = leg.forward_kinematics(side, angles, 0.0, thigh, shin)
     return (thigh_mass * knee / 2 + shin_mass * (knee + foot) / 2) / (thigh_mass + shin_mass)
 
 
-class MassCentre(NamedTuple):
+class MassCentreJacobian(NamedTuple):
     """Derivative of the robot's mass centre by the position of its base, both relative to the ball's centre."""
 
     D: Annotated[Float[Array, "3 3"], ""]
@@ -44,18 +44,18 @@ class MassCentre(NamedTuple):
 
 @formula("monograph", "3.1.1", "3.1.9", condition="d2 <= d1 <= R, and the feet in reach of the legs")
 def ball_jacobian(
-    R: Annotated[Scalar, positive("m", 0.84)],
-    d1: Annotated[Scalar, positive("m", 0.5)],
-    d2: Annotated[Scalar, positive("m", 0.3)],
-    height: Annotated[Scalar, positive("m", 1.0)],
-    a_r: Annotated[Scalar, positive("m", 1.05)],
-    b_r: Annotated[Scalar, positive("m", 0.5)],
-    l1: Annotated[Scalar, positive("m", 0.52)],
-    l2: Annotated[Scalar, positive("m", 0.335)],
-    m_b: Annotated[Scalar, positive("kg", 10.0)],
-    m1: Annotated[Scalar, positive("kg", 0.5)],
-    m2: Annotated[Scalar, positive("kg", 0.5)],
-) -> MassCentre:
+    R: Annotated[Scalar, positive_input("m", 0.84)],
+    d1: Annotated[Scalar, positive_input("m", 0.5)],
+    d2: Annotated[Scalar, positive_input("m", 0.3)],
+    height: Annotated[Scalar, positive_input("m", 1.0)],
+    a_r: Annotated[Scalar, positive_input("m", 1.05)],
+    b_r: Annotated[Scalar, positive_input("m", 0.5)],
+    l1: Annotated[Scalar, positive_input("m", 0.52)],
+    l2: Annotated[Scalar, positive_input("m", 0.335)],
+    m_b: Annotated[Scalar, positive_input("kg", 10.0)],
+    m1: Annotated[Scalar, positive_input("kg", 0.5)],
+    m2: Annotated[Scalar, positive_input("kg", 0.5)],
+) -> MassCentreJacobian:
     """Motion of the mass centre per motion of the body, for a robot on a ball.
 
     D of (3.1.1) for a robot that stands on a ball: what the mass centre moves by if the body moves by 1.
@@ -66,15 +66,15 @@ def ball_jacobian(
     left, z up. Nan where a foot is out of reach.
     """
     fore = jnp.array([-1.0, -1.0, 0.0, 0.0, 1.0, 1.0]) * d2
-    feet = jnp.stack([fore, leg.SIDE * jnp.sqrt(d1**2 - fore**2), jnp.full(6, jnp.sqrt(R**2 - d1**2))], axis=-1)
+    feet = jnp.stack([fore, leg.SIDE_BY_LEG * jnp.sqrt(d1**2 - fore**2), jnp.full(6, jnp.sqrt(R**2 - d1**2))], axis=-1)
     mounts = leg.rectangular_mounts(a_r, b_r)
     leg_mass = m1 + m2
-    side = jnp.asarray(leg.SIDE)
+    side = jnp.asarray(leg.SIDE_BY_LEG)
 
     def mass_centre(body: Float[Array, " 3"]) -> Float[Array, " 3"]:
-        angles, miss = leg.ik(side, feet - body - mounts, 0.0, l1, l2)
+        angles, miss = leg.inverse_kinematics(side, feet - body - mounts, 0.0, l1, l2)
         legs = mounts + leg_mass_centre(side, angles, l1, l2, m1, m2)
         reached = jnp.where(jnp.any(miss > 0), jnp.nan, 1.0)
         return reached * (body + leg_mass * legs.sum(0) / (m_b + 6 * leg_mass))
 
-    return MassCentre(jax.jacfwd(mass_centre)(jnp.stack([0.0 * height, 0.0 * height, height])))
+    return MassCentreJacobian(jax.jacfwd(mass_centre)(jnp.stack([0.0 * height, 0.0 * height, height])))

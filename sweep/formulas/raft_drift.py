@@ -8,10 +8,10 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Input, Scalar, formula, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive_input
 from sweep.formulas.raft_statics import HalfHeight, HalfLength, HalfWidth, WaterWeight, hydro_thick
 
-Friction = Annotated[Scalar, positive("N*s/m^3", 20.0)]
+WaterDragCoefficient = Annotated[Scalar, positive_input("N*s/m^3", 20.0)]
 
 
 class TowedRaftMotion(NamedTuple):
@@ -29,7 +29,7 @@ class TowedRaftMotion(NamedTuple):
     condition="F x_s must not overcome the stiffness in pitch",
 )
 def raft_tow(
-    F: Annotated[Scalar, positive("N", 50.0)],
+    F: Annotated[Scalar, positive_input("N", 50.0)],
     x_s: Annotated[Scalar, Input("m", 1.5)],
     z_s: Annotated[Scalar, Input("m", 0.1)],
     a: HalfLength,
@@ -37,8 +37,8 @@ def raft_tow(
     d: HalfHeight,
     zeta0: Annotated[Scalar, Input("m", 0.0)],
     gamma: WaterWeight,
-    k_lin: Friction,
-    C: Annotated[Scalar, positive("kg*m^2", 790.0)],
+    k_lin: WaterDragCoefficient,
+    C: Annotated[Scalar, positive_input("kg*m^2", 790.0)],
 ) -> TowedRaftMotion:
     """Speed, tilt and pole of the heading of a raft towed by a force fixed in world axes.
 
@@ -82,7 +82,7 @@ def raft_push(
     b: HalfWidth,
     d: HalfHeight,
     gamma: WaterWeight,
-    k_lin: Friction,
+    k_lin: WaterDragCoefficient,
 ) -> PushedRaftMotion:
     """Steady motion of a raft under a force fixed in the raft's axes.
 

@@ -13,14 +13,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.formulas.drag import raft_drag
-from sweep.formulas.formula import Input, Scalar, formula, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive_input
 from sweep.formulas.raft_statics import HalfHeight, HalfLength, HalfWidth, WaterWeight, buoyancy
 
 _LEVEL = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
-MOST_STEPS = 2**14
+MAX_STEPS = 2**14
 # of Dormand and Prince (1980): the weights of the slopes before each stage, and of the difference of both orders
-STAGES = (
+STAGE_WEIGHTS = (
     (1 / 5,),
     (3 / 40, 9 / 40),
     (44 / 45, -56 / 15, 32 / 9),
@@ -28,7 +28,7 @@ STAGES = (
     (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
     (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
 )
-ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
+ERROR_WEIGHTS = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
 
 
 class RaftBody(NamedTuple):
@@ -46,8 +46,8 @@ class RaftBody(NamedTuple):
     zeta0: Annotated[Scalar, Input("m", -0.005)]
     k_lin: Annotated[Scalar, Input("N*s/m^3", 20.0, at_least=0)]
     k_quad: Annotated[Scalar, Input("N*s^2/m^4", 500.0, at_least=0)]
-    P: Annotated[Scalar, positive("N", 6489.3)]
-    M: Annotated[Scalar, positive("kg", 661.5)]
+    P: Annotated[Scalar, positive_input("N", 6489.3)]
+    M: Annotated[Scalar, positive_input("kg", 661.5)]
     J: Annotated[Float[Array, " 3"], Input("kg*m^2", (245.5, 549.4, 790.1), above=0)]
     rs: Annotated[Float[Array, " 3"], Input("m", (0.0, 0.0, 0.03))]
 
@@ -74,7 +74,7 @@ def wrench(
     return R @ (water.F + drag.R + weight), water.M + drag.N + jnp.cross(raft.rs, weight)
 
 
-class Linear(NamedTuple):
+class RaftLinearization(NamedTuple):
     """Linearised forces (rows x, y, z, world axes) and moments (body axes) of a raft by its position, rotation and
     rates (columns)."""
 
@@ -88,7 +88,7 @@ class Linear(NamedTuple):
     correction="h14 = b15 = 4 k a b d, b14 = 4 k a b d^2, h34 = 0; b31 = -M_y0, b32 = M_x0; 12 (zeta^2 - d^2)",
 )
 @jax.jit
-def raft_linear(raft: RaftBody) -> Linear:
+def raft_linear(raft: RaftBody) -> RaftLinearization:
     """Forces and moments on a raft per unit of a small motion.
 
     Coefficients of (4.2.7) about the level raft at rest (SI units).
@@ -101,7 +101,7 @@ def raft_linear(raft: RaftBody) -> Linear:
         shift, turn, v, w = jnp.split(motion, 4)
         return jnp.concatenate(wrench(raft, shift[2] - raft.zeta0, jnp.eye(3) + _cross(turn), v, w))
 
-    return Linear(jax.jacfwd(at)(jnp.zeros(12)))
+    return RaftLinearization(jax.jacfwd(at)(jnp.zeros(12)))
 
 
 def _cross(vector: Float[Array, " 3"]) -> Float[Array, "3 3"]:
@@ -109,7 +109,7 @@ def _cross(vector: Float[Array, " 3"]) -> Float[Array, "3 3"]:
     return jnp.cross(vector, jnp.eye(3), axisb=0, axisc=0)
 
 
-class Modes(NamedTuple):
+class RaftModes(NamedTuple):
     """Poles of the linear motion (1/s) and whether none of them grows."""
 
     poles_re: Annotated[Float[Array, " 12"], "1/s"]
@@ -120,7 +120,7 @@ class Modes(NamedTuple):
 @formula(
     "monograph", "4.1.27", "4.2.12-4.2.15", correction="coefficients of (4.2.8); indices and the factor P in (4.1.27)"
 )
-def raft_modes(raft: RaftBody) -> Modes:
+def raft_modes(raft: RaftBody) -> RaftModes:
     """Poles of a raft's small motions, and whether any motion grows.
 
     Answers (4.2.10)-(4.2.15) by eigenvalues. Position and heading have poles at 0 (neutral), heave oscillates undamped;
@@ -131,10 +131,10 @@ def raft_modes(raft: RaftBody) -> Modes:
     poles = jnp.linalg.eigvals(motion)
     # A double zero comes out as +-sqrt(round-off).
     slack = 10 * jnp.sqrt(jnp.finfo(poles.real.dtype).eps) * jnp.abs(poles).max()
-    return Modes(poles.real, poles.imag, poles.real.max() < slack)
+    return RaftModes(poles.real, poles.imag, poles.real.max() < slack)
 
 
-class RaftMotion(NamedTuple):
+class RaftEndState(NamedTuple):
     """Result of `raft_ode`: the state of the raft at the end of its motion."""
 
     state: Annotated[Float[Array, " 18"], "SI"]
@@ -150,8 +150,8 @@ class RaftMotion(NamedTuple):
 def raft_ode(
     prm: RaftBody,
     state0: Annotated[Float[Array, " 18"], Input("SI", (0.0, 0.0, 0.0, *_LEVEL, 0.2, 0.0, 0.0, 0.0, 0.0, 0.05))],
-    t_end: Annotated[Scalar, positive("s", 1.5)],
-) -> RaftMotion:
+    t_end: Annotated[Scalar, positive_input("s", 1.5)],
+) -> RaftEndState:
     """Motion of a raft: state (r, R by rows, v, w) after some time.
 
     (4.2.1)-(4.2.3) integrated over t_end (s). Nan if the integration does not get there.
@@ -159,7 +159,7 @@ def raft_ode(
     state0 = jnp.asarray(state0)
     # Well above round-off, well below what the model is good for.
     accuracy = float(jnp.finfo(state0.dtype).eps) ** (2 / 3)
-    return RaftMotion(integrate(lambda state: state_derivative(prm, state), state0, t_end, accuracy))
+    return RaftEndState(integrate(lambda state: state_derivative(prm, state), state0, t_end, accuracy))
 
 
 def integrate(
@@ -176,7 +176,7 @@ def integrate(
         accuracy: Largest error of a step, relative and absolute.
 
     Returns:
-        y at the time `end`; nan after `MOST_STEPS` steps.
+        y at the time `end`; nan after `MAX_STEPS` steps.
     """
     end = jnp.asarray(end, start.dtype)
 
@@ -185,10 +185,10 @@ def integrate(
         last = size >= end - time
         size = jnp.minimum(size, end - time)
         slopes = [rate(y)]
-        for weights in STAGES:
+        for weights in STAGE_WEIGHTS:
             slopes.append(rate(y + size * sum(w * k for w, k in zip(weights, slopes, strict=True))))
-        new = y + size * sum(w * k for w, k in zip(STAGES[-1], slopes, strict=False))
-        error = size * sum(w * k for w, k in zip(ERROR, slopes, strict=True))
+        new = y + size * sum(w * k for w, k in zip(STAGE_WEIGHTS[-1], slopes, strict=False))
+        error = size * sum(w * k for w, k in zip(ERROR_WEIGHTS, slopes, strict=True))
         allowed = accuracy * (1 + jnp.maximum(jnp.abs(y), jnp.abs(new)))
         off = jnp.nan_to_num(jnp.sqrt(jnp.mean((error / allowed) ** 2)), nan=jnp.inf)
         taken = off <= 1
@@ -196,7 +196,7 @@ def integrate(
         return jnp.where(taken, after, time), jnp.where(taken, new, y), next_size, number + 1
 
     first = jnp.zeros_like(end), start, end / 100, jnp.asarray(0)
-    time, y, _, _ = jax.lax.while_loop(lambda carry: (carry[0] < end) & (carry[3] < MOST_STEPS), step, first)
+    time, y, _, _ = jax.lax.while_loop(lambda carry: (carry[0] < end) & (carry[3] < MAX_STEPS), step, first)
     return jnp.where(time >= end, y, jnp.nan)
 
 

@@ -10,18 +10,18 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Input, Scalar, formula, positive
-from sweep.formulas.roots import newton
+from sweep.formulas.formula import Input, Scalar, formula, positive_input
+from sweep.formulas.roots import newton_root
 
 _QUARTER = "the moment holds 2 (zeta^2 - d^2), printed 1/2; zeta is measured along the body's axis"
 _UNSTABLE = "the raft must be stable under its load: a lower load, or a wider raft"
-HalfLength = Annotated[Scalar, positive("m", 1.575)]
-HalfWidth = Annotated[Scalar, positive("m", 1.05)]
-HalfHeight = Annotated[Scalar, positive("m", 0.105)]
-WaterWeight = Annotated[Scalar, positive("N/m^3", 9810.0)]
+HalfLength = Annotated[Scalar, positive_input("m", 1.575)]
+HalfWidth = Annotated[Scalar, positive_input("m", 1.05)]
+HalfHeight = Annotated[Scalar, positive_input("m", 0.105)]
+WaterWeight = Annotated[Scalar, positive_input("N/m^3", 9810.0)]
 
 
-class Hydro(NamedTuple):
+class HydrostaticForce(NamedTuple):
     """Buoyant force (N) and its moment about the centre (N m), body axes."""
 
     F: Annotated[Float[Array, "... 3"], "N"]
@@ -37,7 +37,7 @@ def hydro(
     b: HalfWidth,
     d: HalfHeight,
     gamma: WaterWeight,
-) -> Hydro:
+) -> HydrostaticForce:
     """Buoyant force and moment on a raft, tilted so that the vertical has components a31 and a32 in its axes.
 
     Exact. Nan if the tilt is 90 degrees or more.
@@ -50,7 +50,9 @@ def vertical_in_body_axes(a31: Scalar, a32: Scalar) -> Float[Array, "... 3"]:
     return jnp.stack(jnp.broadcast_arrays(a31, a32, jnp.sqrt(1 - a31**2 - a32**2)), axis=-1)
 
 
-def buoyancy(a3: Float[Array, "... 3"], depth: Scalar, a: Scalar, b: Scalar, d: Scalar, gamma: Scalar) -> Hydro:
+def buoyancy(
+    a3: Float[Array, "... 3"], depth: Scalar, a: Scalar, b: Scalar, d: Scalar, gamma: Scalar
+) -> HydrostaticForce:
     """Buoyant force and moment on a raft of any tilt below 90 degrees: monograph (4.1.1)-(4.1.4), corrected.
 
     Args:
@@ -73,10 +75,10 @@ def buoyancy(a3: Float[Array, "... 3"], depth: Scalar, a: Scalar, b: Scalar, d: 
     I_z = 2 * area * (cut**2 - d**2) + 2 / 3 * area * ((slope_x * a) ** 2 + (slope_y * b) ** 2)
     force = gamma * 4 * area * (cut + d)
     moment = gamma * jnp.cross(jnp.stack(jnp.broadcast_arrays(I_x, I_y, I_z), axis=-1), a3)
-    return Hydro(force[..., None] * a3, moment)
+    return HydrostaticForce(force[..., None] * a3, moment)
 
 
-class Stiffness(NamedTuple):
+class RaftStiffness(NamedTuple):
     """Restoring moment over the angle, about x (roll) and y (pitch); negative capsizes."""
 
     k_roll: Annotated[Float[Array, "..."], "N*m/rad"]
@@ -91,17 +93,17 @@ class Stiffness(NamedTuple):
 )
 def hydro_thick(
     a: HalfLength, b: HalfWidth, d: HalfHeight, zeta0: Annotated[Scalar, Input("m", 0.0)], gamma: WaterWeight
-) -> Stiffness:
+) -> RaftStiffness:
     """Stiffness of a level raft in roll and pitch.
 
     At depth zeta0 (m), load not counted.
     """
     submerged = 2 * (zeta0**2 - d**2)
     weight = jnp.asarray(gamma * a * b)
-    return Stiffness(weight * (4 / 3 * b**2 + submerged), weight * (4 / 3 * a**2 + submerged))
+    return RaftStiffness(weight * (4 / 3 * b**2 + submerged), weight * (4 / 3 * a**2 + submerged))
 
 
-class Equilibrium(NamedTuple):
+class RaftEquilibrium(NamedTuple):
     """The vertical in body axes, and the depth of the centre (m)."""
 
     a31: Annotated[Float[Array, "..."], ""]
@@ -112,13 +114,13 @@ class Equilibrium(NamedTuple):
 
 @formula("monograph", "4.1.5-4.1.11", "4.1.20-4.1.24", correction=_QUARTER, condition=_UNSTABLE)
 def raft_equilibrium(
-    P: Annotated[Scalar, positive("N", 6500.0)],
+    P: Annotated[Scalar, positive_input("N", 6500.0)],
     r_s: Annotated[Float[Array, "... 3"], Input("m", (0.01, 0.01, 0.05))],
     a: HalfLength,
     b: HalfWidth,
     d: HalfHeight,
     gamma: WaterWeight,
-) -> Equilibrium:
+) -> RaftEquilibrium:
     """Tilt and depth of a loaded raft.
 
     The book's fixed point for two slopes needs one number, q = (slope_x a)^2 + (slope_y b)^2, whose equation is
@@ -143,10 +145,10 @@ def raft_equilibrium(
     def residual(q: Array) -> Array:
         return q - (x * a / (pitch + growth * q)) ** 2 - (y * b / (roll + growth * q)) ** 2
 
-    q = newton(residual, jnp.zeros_like(roll + x + y), steps=20)
+    q = newton_root(residual, jnp.zeros_like(roll + x + y), steps=20)
     slope_x, slope_y = -x / (pitch + growth * q), -y / (roll + growth * q)
     a33 = jnp.where((roll > 0) & (pitch > 0), 1 / jnp.sqrt(1 + slope_x**2 + slope_y**2), jnp.nan)
-    return Equilibrium(slope_x * a33, slope_y * a33, a33, cut * a33)
+    return RaftEquilibrium(slope_x * a33, slope_y * a33, a33, cut * a33)
 
 
 class OffsetLimit(NamedTuple):
@@ -158,9 +160,9 @@ class OffsetLimit(NamedTuple):
 
 @formula("monograph", "4.1.25-4.1.28", correction=_QUARTER, condition=_UNSTABLE)
 def raft_offset_limit(
-    tilt: Annotated[Scalar, positive("rad", 0.03)],
-    P: Annotated[Scalar, positive("N", 6500.0)],
-    P_r: Annotated[Scalar, positive("N", 160.0)],
+    tilt: Annotated[Scalar, positive_input("rad", 0.03)],
+    P: Annotated[Scalar, positive_input("N", 6500.0)],
+    P_r: Annotated[Scalar, positive_input("N", 160.0)],
     z_s: Annotated[Scalar, Input("m", 0.05)],
     a: HalfLength,
     b: HalfWidth,

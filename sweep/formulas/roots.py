@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
-def newton(
+def newton_root(
     residual: Callable[[Float[Array, "*b"]], Float[Array, "*b"]], start: Float[Array, "*b"], steps: int
 ) -> Float[Array, "*b"]:
     """Elementwise root of a scalar equation by Newton's method; differentiable in forward and reverse mode.

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 PHI_0 = -float(np.arcsin(0.25))  # phase of point A of cycle a, since y_s = d_y / 4
-LANDING = float(np.cos(PHI_0))  # x* / d_x = sqrt(15) / 4
+LANDING_RATIO = float(np.cos(PHI_0))  # x* / d_x = sqrt(15) / 4
 
 
 def swing_time(rate: Array | float) -> Array | float:
@@ -16,7 +16,7 @@ def swing_time(rate: Array | float) -> Array | float:
     return (np.pi - 2 * PHI_0) / rate
 
 
-def cycle_a(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
+def swing_cycle_a(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
     """Swing of step cycle a, along the arc of an ellipse with a soft landing, at phase u: (1.3.1) a.
 
     Returns: x'/d_x and (y' + y_s)/d_y.
@@ -25,7 +25,7 @@ def cycle_a(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b
     return -jnp.cos(phi), jnp.sin(phi) + 0.25
 
 
-def cycle_b(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
+def swing_cycle_b(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
     """Swing of step cycle b, along half an ellipse, for a foot that must not move back first, at phase u: (1.3.1) b.
 
     The angular rate is pi/t*; the printed one, that of cycle a, overshoots point B.
@@ -33,7 +33,7 @@ def cycle_b(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b
     Returns: x'/d_x and (y' + y_s)/d_y.
     """
     phi = np.pi * u
-    return -LANDING * jnp.cos(phi), 1.25 * jnp.sin(phi)
+    return -LANDING_RATIO * jnp.cos(phi), 1.25 * jnp.sin(phi)
 
 
 def step_cycle(
@@ -52,8 +52,8 @@ def step_cycle(
     Returns:
         (x', y') (m) in the cycle's axes.
     """
-    x_swing, y_swing = (cycle_a if kind == "a" else cycle_b)(jnp.clip(t / t_star, 0, 1))
-    x_stance = LANDING * (1 - k_prime * (t - t_star) / t_star)
+    x_swing, y_swing = (swing_cycle_a if kind == "a" else swing_cycle_b)(jnp.clip(t / t_star, 0, 1))
+    x_stance = LANDING_RATIO * (1 - k_prime * (t - t_star) / t_star)
     swinging = t < t_star
     x = d_x * jnp.where(swinging, x_swing, x_stance)
     y = d_y * jnp.where(swinging, y_swing - 0.25, -0.25)
@@ -87,7 +87,7 @@ def trapezoidal_transfer(
     return share, jnp.where(inside, w * (ramp - last), 0.0)
 
 
-def half_ellipse(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
+def half_ellipse_swing(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Array, "*b"]]:
     """Swing that lands without impact, at phase u: thesis (16), tau = -pi/2 (1 + cos pi u).
 
     Returns: share of the step's length that is done, and height over the largest height.

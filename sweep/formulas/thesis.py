@@ -12,17 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.formulas.formula import Input, Scalar, formula, positive
+from sweep.formulas.formula import Input, Scalar, formula, positive_input
 
 _WIDEST = 2 * np.pi / 3  # what the hexagon leaves to a leg
 
 
-Coxa = Annotated[Scalar, positive("", 1.0)]
-Thigh = Annotated[Scalar, positive("", 1.0)]
-Shin = Annotated[Scalar, positive("", 2.0)]
+Coxa = Annotated[Scalar, positive_input("", 1.0)]
+Thigh = Annotated[Scalar, positive_input("", 1.0)]
+Shin = Annotated[Scalar, positive_input("", 2.0)]
 
 
-class ThesisFk(NamedTuple):
+class ThesisFootKinematics(NamedTuple):
     """Result of `thesis_fk`: the foot, its derivatives by (phi, psi, gam), and their determinant."""
 
     foot: Annotated[Float[Array, "... 3"], "length"]
@@ -38,7 +38,7 @@ def thesis_fk(
     l1: Coxa,
     l2: Thigh,
     l3: Shin,
-) -> ThesisFk:
+) -> ThesisFootKinematics:
     """Foot, Jacobian and determinant of the thesis' leg.
 
     Args:
@@ -63,7 +63,7 @@ def thesis_fk(
         jnp.stack([-leg[1] * c, -leg[1] * s, leg[0]], axis=-1),
         jnp.stack([-shin[1] * c, -shin[1] * s, shin[0]], axis=-1),
     ]
-    return ThesisFk(foot, jnp.stack(columns, axis=-1), -l2 * l3 * reach * jnp.sin(gam))
+    return ThesisFootKinematics(foot, jnp.stack(columns, axis=-1), -l2 * l3 * reach * jnp.sin(gam))
 
 
 def thesis_ik(foot: Float[Array, "... 3"], l1: Scalar, l2: Scalar, l3: Scalar) -> Float[Array, "... 3"]:
@@ -132,7 +132,7 @@ def thesis_workspace(
     l1: Coxa,
     l2: Thigh,
     l3: Shin,
-    R: Annotated[Scalar, positive("", 2.0)],
+    R: Annotated[Scalar, positive_input("", 2.0)],
 ) -> Workspace:
     """Inner and outer radius and half angle of a leg's workspace at a height.
 
@@ -163,7 +163,7 @@ def _leg_of_triangle(hypotenuse: Array, other: Array) -> Array:
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), square * 0)
 
 
-class ThesisStep(NamedTuple):
+class LargestThesisStep(NamedTuple):
     """Result of `thesis_step`: the longest moves of a foot in support and in transfer."""
 
     support: Annotated[Float[Array, "..."], "length"]
@@ -181,10 +181,10 @@ class ThesisStep(NamedTuple):
 def thesis_step(
     r0: Annotated[Float[Array, "... 2"], Input("length", (0.0, 1.7071067811865475))],
     p: Annotated[Float[Array, "... 2"], Input("", (1.0, 0.0))],
-    OA: Annotated[Scalar, positive("length", 1.0)],
-    OB: Annotated[Scalar, positive("length", 3.7071067811865475)],
-    phimax: Annotated[Scalar, positive("rad", 0.7762790307403773, below=np.pi)],
-) -> ThesisStep:
+    OA: Annotated[Scalar, positive_input("length", 1.0)],
+    OB: Annotated[Scalar, positive_input("length", 3.7071067811865475)],
+    phimax: Annotated[Scalar, positive_input("rad", 0.7762790307403773, below=np.pi)],
+) -> LargestThesisStep:
     """Largest step of a foot, in support and in transfer.
 
     The foot goes from r0 along p in the sector OA <= r <= OB, at most phimax from +y.
@@ -229,7 +229,7 @@ def thesis_step(
     valid = jnp.stack(jnp.broadcast_arrays(*(valid for _, valid in exits)), axis=-1)
     first = jnp.where(valid, lengths, jnp.inf).min(-1)
     last = jnp.where(valid, lengths, -jnp.inf).max(-1)
-    return ThesisStep(jnp.where(started, first, jnp.nan), jnp.where(started, last, jnp.nan))
+    return LargestThesisStep(jnp.where(started, first, jnp.nan), jnp.where(started, last, jnp.nan))
 
 
 def _dot(u: Array, v: Array) -> Array:

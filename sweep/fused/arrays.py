@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.fused.operations import fold, simplify
+from sweep.fused.operations import fold_constants, simplify
 from sweep.fused.program import (
     Address,
     LegIndex,
@@ -26,7 +26,7 @@ from sweep.fused.program import (
     is_uniform,
 )
 
-EMPTY = {
+EMPTY_REDUCTIONS = {
     "add": 0,
     "mul": 1,
     "or": False,
@@ -34,7 +34,7 @@ EMPTY = {
     "max": -np.inf,
     "min": np.inf,
 }  # results of reductions over nothing
-CHAIN = 64  # largest number of elements to choose among that are not in memory
+MAX_CHAINED_SELECTS = 64  # largest number of elements to choose among that are not in memory
 
 Array = Any  # NumPy array of nodes
 
@@ -45,14 +45,14 @@ class RowUpdate:
 
     array: Array  # (rows, ...), unchanged in memory
     row: Node  # index of the row, within the array and the same for all rollouts
-    new: Array  # (1, ...), the row
+    new_row: Array  # (1, ...), the row
 
 
 class Unsupported(Exception):
     """Raised for a JAX primitive, or a form of it, that the fused compiler has no rule for."""
 
 
-class Arrays:
+class ArrayBuilder:
     """Builds array operations into the `Program` that is being written."""
 
     def __init__(self, program: Program):
@@ -66,7 +66,7 @@ class Arrays:
     def emit(self, name: str, dtype: str, *args: Node) -> Node:
         """Add an operation on numbers to the program, or return the operand that it simplifies to."""
         if all(x.op == "const" for x in args):
-            value = fold(name, dtype, [constant_value(x) for x in args])
+            value = fold_constants(name, dtype, [constant_value(x) for x in args])
             return self.program.const(tuple(value) if np.ndim(value) else value, dtype)
         if (simple := simplify(name, args)) is not None:
             return simple
@@ -109,7 +109,7 @@ class Arrays:
         """
         kept = [d for d in range(x.ndim) if d not in axes]
         if not x.size:
-            return self.constant(np.full([x.shape[d] for d in kept], EMPTY[name], dtype))
+            return self.constant(np.full([x.shape[d] for d in kept], EMPTY_REDUCTIONS[name], dtype))
         rows = np.transpose(x, (*kept, *axes))
         legs = next((k for k, a in enumerate(axes) if x.shape[a] == self.group and self._over_legs([x], a)), None)
         shape = tuple(x.shape[d] for d in kept)
@@ -163,7 +163,7 @@ class Arrays:
         if node.op == "const":
             return [self.program.const(value, node.dtype) for value in constant_value(node)]
         if node.op in ("load", "gather"):
-            places = node.attribute(Address).leg_addresses(self.group)
+            places = node.typed_extra(Address).leg_addresses(self.group)
             return [self.program.node(node.op, node.args, node.dtype, place, leg=False) for place in places]
         return [self.program.node("part", (node,), node.dtype, LegIndex(k), leg=False) for k in range(self.group)]
 
@@ -202,8 +202,8 @@ class Arrays:
             same = all(x.op == "const" for x in row)
             return self.program.const(tuple(constant_value(x) for x in row), first.dtype) if same else None
         if first.op in ("load", "gather"):
-            region, index, depth, _ = first.attribute(Address)
-            step = second.attribute(Address).first - index
+            region, index, depth, _ = first.typed_extra(Address)
+            step = second.typed_extra(Address).first_index - index
             for k, x in enumerate(row):
                 if x.op != first.op or x.args != first.args or x.extra != Address(region, index + k * step, depth, 0):
                     return None
@@ -232,11 +232,11 @@ class Arrays:
         if region is None:
             return
         if isinstance(x, RowUpdate) and (memory := self._memory(x.array)) and memory[:2] == (region, 0):
-            stores = self._stores(region, x.new[0, ...])
-            items.extend(replace(store, row=x.row, stride=x.new.size) for store in stores)
+            stores = self._stores(region, x.new_row[0, ...])
+            items.extend(replace(store, row_index=x.row, row_stride=x.new_row.size) for store in stores)
             return
         for store in self._stores(region, self.resolve_update(x)):
-            unchanged = store.value.op == "load" and store.value.attribute(Address)[:2] == (region, store.index)
+            unchanged = store.value.op == "load" and store.value.typed_extra(Address)[:2] == (region, store.index)
             if not unchanged:
                 items.append(store)
 
@@ -252,7 +252,7 @@ class Arrays:
             if (
                 leg is not None
                 and leg.leg
-                and (leg.op not in ("load", "gather") or leg.attribute(Address).region.place < 0)
+                and (leg.op not in ("load", "gather") or leg.typed_extra(Address).region.byte_offset < 0)
             ):
                 yield Store(region, int(row[0]), leg, int(row[1] - row[0]))
                 done.update(row.tolist())
@@ -264,7 +264,7 @@ class Arrays:
         """Region, first index and depth of an array that lies in memory unchanged; else None."""
         if not x.size or x.flat[0].op != "load":
             return None
-        region, first, depth, _ = x.flat[0].attribute(Address)
+        region, first, depth, _ = x.flat[0].typed_extra(Address)
         lies = all(n.op == "load" and n.extra == Address(region, first + k, depth, 0) for k, n in enumerate(x.flat))
         return (region, first, depth) if lies else None
 
@@ -299,7 +299,7 @@ class Arrays:
         for d in moving:
             windows = [np.take(x, range(k, k + sizes[d]), axis=d) for k in range(last[d] + 1)]
             many *= len(_run_ends(windows)) + 1
-            if many > CHAIN:
+            if many > MAX_CHAINED_SELECTS:
                 raise Unsupported("a choice among many numbers that are not in memory")
             x = self.choose(np.full(windows[0].shape, starts[d], object), windows)
         return x
@@ -309,7 +309,7 @@ class Arrays:
         if not isinstance(x, RowUpdate):
             return x
         result = x.array.copy()
-        self.write_window(result, x.new, {0: x.row}, None)
+        self.write_window(result, x.new_row, {0: x.row}, None)
         return result
 
     def update_window(self, x: Array, part: Array, starts: dict[int, Node]) -> Array | RowUpdate:

@@ -11,22 +11,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Shaped
 
-Values = Shaped[np.ndarray, "... b"]
-BLOCK = 1 << 14  # numbers of a product that are in cache at a time
-COPIED = 4096  # size from which broadcasting without a copy is faster
+BatchArray = Shaped[np.ndarray, "... b"]
+BLOCK_SIZE = 1 << 14  # numbers of a product that are in cache at a time
+MIN_VIEW_SIZE = 4096  # size from which broadcasting without a copy is faster
 
 
-def convert(dtype: np.dtype, x: Values) -> Values:
+def convert(dtype: np.dtype, x: BatchArray) -> BatchArray:
     """Convert numbers to another type."""
     return x.astype(dtype)
 
 
-def reinterpret(dtype: np.dtype, x: Values) -> Values:
+def reinterpret_bits(dtype: np.dtype, x: BatchArray) -> BatchArray:
     """Reinterpret bits as another type of the same size."""
     return x.view(dtype)
 
 
-def power(exponent: int, x: Values) -> Values:
+def power(exponent: int, x: BatchArray) -> BatchArray:
     """Integer power by repeated squaring."""
     result, square = None, x
     for bit in bin(abs(exponent))[:1:-1]:
@@ -38,39 +38,39 @@ def power(exponent: int, x: Values) -> Values:
     return result if exponent > 0 else 1 / result
 
 
-def quotient(x: Values, y: Values) -> Values:
+def quotient(x: BatchArray, y: BatchArray) -> BatchArray:
     """Integer division that rounds towards zero."""
     return np.trunc(x / y).astype(x.dtype)
 
 
-def reciprocal_root(x: Values) -> Values:
+def reciprocal_root(x: BatchArray) -> BatchArray:
     """One over the square root: 1 / sqrt(x)."""
     return 1 / np.sqrt(x)
 
 
-def erf_inv(x: Values) -> Values:
+def erf_inv(x: BatchArray) -> BatchArray:
     """Inverse of the error function."""
     from scipy.special import erfinv  # slow to import, and few programs need it
 
     return erfinv(x)
 
 
-def logistic(x: Values) -> Values:
+def logistic(x: BatchArray) -> BatchArray:
     """The logistic function 1 / (1 + exp(-x))."""
     return 1 / (1 + np.exp(-x))
 
 
-def one_minus_square(x: Values) -> Values:
+def one_minus_square(x: BatchArray) -> BatchArray:
     """1 - x^2, accurate near 1."""
     return (1 - x) * (1 + x)
 
 
-def clamp(low: Values, x: Values, high: Values) -> Values:
+def clamp(low: BatchArray, x: BatchArray, high: BatchArray) -> BatchArray:
     """Clamp `x` to the range from `low` to `high`."""
     return np.minimum(np.maximum(x, low), high)
 
 
-def polynomial(x: Values, *coefficients: Values) -> Values:
+def polynomial(x: BatchArray, *coefficients: BatchArray) -> BatchArray:
     """Polynomial by Horner's rule; the coefficients begin with the constant."""
     total = np.broadcast_to(coefficients[-1], np.broadcast_shapes(x.shape, coefficients[-1].shape))
     for c in reversed(coefficients[:-1]):
@@ -78,7 +78,7 @@ def polynomial(x: Values, *coefficients: Values) -> Values:
     return total
 
 
-def select(index: Values, *cases: Values) -> Values:
+def select(index: BatchArray, *cases: BatchArray) -> BatchArray:
     """Select by `index` among `cases`, element by element."""
     if len(cases) == 2:
         return np.where(index, cases[1], cases[0])
@@ -91,41 +91,41 @@ def select(index: Values, *cases: Values) -> Values:
 # layout; the axis of a random key's words and that of the batch come after the axes in the parameters
 
 
-def reshape(rank: int, shape: tuple[int, ...], x: Values) -> Values:
+def reshape(rank: int, shape: tuple[int, ...], x: BatchArray) -> BatchArray:
     """Reshape all axes but the batch."""
     return x.reshape(shape + x.shape[rank:])
 
 
-def broadcast_in_dim(places: tuple[int, ...], shape: tuple[int, ...], x: Values) -> Values:
+def broadcast_in_dim(places: tuple[int, ...], shape: tuple[int, ...], x: BatchArray) -> BatchArray:
     """Broadcast to a larger `shape`, with the axes of `x` at `places`."""
     rest = x.shape[len(places) :]
     new = [1] * len(shape)
     for place, length in zip(places, x.shape, strict=False):
         new[place] = length
     whole, x = shape + rest, x.reshape((*new, *rest))
-    if prod(whole) > COPIED:
+    if prod(whole) > MIN_VIEW_SIZE:
         return np.broadcast_to(x, whole)
     result = np.empty(whole, x.dtype)
     result[...] = x
     return result
 
 
-def tile(times: tuple[int, ...], x: Values) -> Values:
+def tile(times: tuple[int, ...], x: BatchArray) -> BatchArray:
     """Repeat an array along its axes."""
     return np.tile(x, (*times, 1))
 
 
-def transpose(order: tuple[int, ...], x: Values) -> Values:
+def transpose(order: tuple[int, ...], x: BatchArray) -> BatchArray:
     """Permute all axes but the batch."""
     return x.transpose(*order, *range(len(order), x.ndim))
 
 
-def window_of(window: tuple[slice, ...], x: Values) -> Values:
+def slice_window(window: tuple[slice, ...], x: BatchArray) -> BatchArray:
     """Return a window (slice) of an array along all axes but the batch."""
     return x[window]
 
 
-def pad(shape: tuple[int, ...], window: tuple[slice, ...], x: Values, value: Values) -> Values:
+def pad(shape: tuple[int, ...], window: tuple[slice, ...], x: BatchArray, value: BatchArray) -> BatchArray:
     """Put `x` into a window of an array that is filled with `value`."""
     result = np.empty((*shape, max(x.shape[-1], value.shape[-1])), x.dtype)
     result[...] = value
@@ -133,32 +133,32 @@ def pad(shape: tuple[int, ...], window: tuple[slice, ...], x: Values, value: Val
     return result
 
 
-def flip(axes: tuple[int, ...], x: Values) -> Values:
+def flip(axes: tuple[int, ...], x: BatchArray) -> BatchArray:
     """Reverse the elements along axes."""
     return np.flip(x, axes)
 
 
-def concatenate(axis: int, *parts: Values) -> Values:
+def concatenate(axis: int, *parts: BatchArray) -> BatchArray:
     """Concatenate arrays along an axis."""
     return np.concatenate(_broadcast_widths(parts), axis)
 
 
-def stack(axis: int, *parts: Values) -> Values:
+def stack(axis: int, *parts: BatchArray) -> BatchArray:
     """Stack arrays along a new axis."""
     return np.stack(_broadcast_widths(parts), axis)
 
 
-def unstack(axis: int, x: Values) -> list[Values]:
+def unstack(axis: int, x: BatchArray) -> list[BatchArray]:
     """Slices of an array along an axis."""
     return list(np.moveaxis(x, axis, 0))
 
 
-def split(axis: int, ends: tuple[int, ...], x: Values) -> list[Values]:
+def split(axis: int, ends: tuple[int, ...], x: BatchArray) -> list[BatchArray]:
     """Split an array along an axis at `ends`."""
     return np.split(x, ends, axis)
 
 
-def _broadcast_widths(parts: Sequence[Values]) -> list[Values]:
+def _broadcast_widths(parts: Sequence[BatchArray]) -> list[BatchArray]:
     width = max(x.shape[-1] for x in parts)
     return [x if x.shape[-1] == width else np.repeat(x, width, axis=-1) for x in parts]
 
@@ -166,7 +166,7 @@ def _broadcast_widths(parts: Sequence[Values]) -> list[Values]:
 # reductions
 
 
-def sum_terms(add: np.ufunc, axes: tuple[int, ...], x: Values) -> Values:
+def sum_terms(add: np.ufunc, axes: tuple[int, ...], x: BatchArray) -> BatchArray:
     """Reduce along axes term by term, in a fixed order."""
     kept = [d for d in range(x.ndim) if d not in axes]
     total, *others = x.transpose(*axes, *kept).reshape(-1, *[x.shape[d] for d in kept])
@@ -175,12 +175,12 @@ def sum_terms(add: np.ufunc, axes: tuple[int, ...], x: Values) -> Values:
     return total
 
 
-def reduce_extreme(ufunc: np.ufunc, axes: tuple[int, ...], x: Values) -> Values:
+def reduce_extreme(ufunc: np.ufunc, axes: tuple[int, ...], x: BatchArray) -> BatchArray:
     """Reduce along axes by a maximum or minimum, whose order does not matter."""
     return ufunc.reduce(x, axis=axes)
 
 
-def iota(shape: tuple[int, ...], axis: int, dtype: np.dtype) -> Values:
+def iota(shape: tuple[int, ...], axis: int, dtype: np.dtype) -> BatchArray:
     """Index of every element along an axis."""
     return np.broadcast_to(
         np.arange(shape[axis], dtype=dtype).reshape([-1 if d == axis else 1 for d in range(len(shape) + 1)]),
@@ -188,29 +188,29 @@ def iota(shape: tuple[int, ...], axis: int, dtype: np.dtype) -> Values:
     )
 
 
-def full(value: Any, dtype: np.dtype) -> Values:
+def full(value: Any, dtype: np.dtype) -> BatchArray:
     """A constant that all rollouts share."""
     return np.full(1, value, dtype)
 
 
-def fill(shape: tuple[int, ...], value: Any, x: Values) -> Values:
+def fill_empty_reduction(shape: tuple[int, ...], value: Any, x: BatchArray) -> BatchArray:
     """Array filled with one value, the result of a reduction over nothing."""
     return np.full((*shape, 1), value, x.dtype)
 
 
-def argextreme(argfunc: Callable, axis: int, dtype: np.dtype, x: Values) -> Values:
+def argextreme(argfunc: Callable, axis: int, dtype: np.dtype, x: BatchArray) -> BatchArray:
     """Index of the first maximum or minimum along an axis."""
     return argfunc(x, axis=axis).astype(dtype)
 
 
-def accumulate(add: np.ufunc, axis: int, reverse: bool, x: Values) -> Values:
+def accumulate(add: np.ufunc, axis: int, reverse: bool, x: BatchArray) -> BatchArray:
     """Cumulative reduction along an axis, from its start or its end."""
     if reverse:
         return np.flip(add.accumulate(np.flip(x, axis), axis), axis)
     return add.accumulate(x, axis)
 
 
-class Product(NamedTuple):
+class DotDimensions(NamedTuple):
     """Static parameters of a product of matrices: orders of axes, and numbers of contracted, shared and free ones."""
 
     left: tuple[int, ...]
@@ -221,7 +221,7 @@ class Product(NamedTuple):
     dtype: np.dtype
 
 
-def dot_general(how: Product, a: Values, b: Values) -> Values:
+def dot_general(how: DotDimensions, a: BatchArray, b: BatchArray) -> BatchArray:
     """Product of two arrays as `lax.dot_general`, summed term by term."""
     a, b = transpose(how.left, a), transpose(how.right, b)
     n = how.contracted + how.shared
@@ -232,9 +232,9 @@ def dot_general(how: Product, a: Values, b: Values) -> Values:
     return result
 
 
-def _products(a: Values, b: Values, result: Values) -> None:
+def _products(a: BatchArray, b: BatchArray, result: BatchArray) -> None:
     """Sum products term by term, in blocks that fit into a processor's cache."""
-    if result.size > BLOCK and result.ndim > 1 and len(result) > 1:
+    if result.size > BLOCK_SIZE and result.ndim > 1 and len(result) > 1:
         half = len(result) // 2
         for rows in (slice(0, half), slice(half, None)):
             left, right = (x if x.shape[1] == 1 else x[:, rows] for x in (a, b))
@@ -249,7 +249,7 @@ def _products(a: Values, b: Values, result: Values) -> None:
         result += np.multiply(x, y, out=more)
 
 
-def cholesky(x: Values) -> Values:
+def cholesky(x: BatchArray) -> BatchArray:
     """Lower triangle of the Cholesky decomposition of the matrices in the last two axes before the batch."""
     rest, result = x.copy(), np.zeros_like(x)
     for k in range(x.shape[-2]):
@@ -269,7 +269,7 @@ class TriangularSystem(NamedTuple):
     unit: bool  # whether its diagonal is all ones
 
 
-def solve_triangular(how: TriangularSystem, a: Values, b: Values) -> Values:
+def solve_triangular(how: TriangularSystem, a: BatchArray, b: BatchArray) -> BatchArray:
     """Solve a triangular system by substitution."""
     if how.transposed == how.left:
         a = a.swapaxes(-3, -2)
@@ -290,18 +290,18 @@ def solve_triangular(how: TriangularSystem, a: Values, b: Values) -> Values:
 # indices that are data
 
 
-class WindowPlaces(NamedTuple):
+class WindowIndexing(NamedTuple):
     """Static parameters of a gather or scatter: where windows lie in an array."""
 
     shape: tuple[int, ...]  # shape of the array
     sizes: tuple[int, ...]  # sizes of a window, by axis of the array
     starts: tuple[tuple[int, int], ...]  # axis of the array, and the component of the index that gives its start
-    aligned: tuple[tuple[int, int], ...]  # axis of the array, and the batching axis of the indices
-    window: tuple[tuple[int, int], ...]  # axis of the array, and the axis of the result that runs over a window
-    batch: tuple[int, ...]  # axes of the result that run over the indices
+    batching_axes: tuple[tuple[int, int], ...]  # axis of the array, and the batching axis of the indices
+    window_axes: tuple[tuple[int, int], ...]  # axis of the array, and the axis of the result that runs over a window
+    batch_axes: tuple[int, ...]  # axes of the result that run over the indices
     rank: int  # rank of the result
 
-    def resolve(self, indices: Values) -> tuple[list[Values], Values]:
+    def resolve(self, indices: BatchArray) -> tuple[list[BatchArray], BatchArray]:
         """Compute where each element of the result lies.
 
         Args:
@@ -312,7 +312,7 @@ class WindowPlaces(NamedTuple):
         """
         count = indices.shape[:-2]
         shape = [1] * self.rank
-        for axis, length in zip(self.batch, count, strict=True):
+        for axis, length in zip(self.batch_axes, count, strict=True):
             shape[axis] = length
         within = np.ones((*shape, 1), bool)
         found = [np.zeros((1,) * (self.rank + 1), np.int64) for _ in self.shape]
@@ -320,16 +320,16 @@ class WindowPlaces(NamedTuple):
             start, last = indices[..., k, :].astype(np.int64), self.shape[axis] - self.sizes[axis]
             within = within & ((start >= 0) & (start <= last)).reshape(*shape, -1)
             found[axis] = np.clip(start, 0, last).reshape(*shape, -1)
-        for axis, along in self.aligned:
-            place = self.batch[along]
+        for axis, along in self.batching_axes:
+            place = self.batch_axes[along]
             found[axis] = np.arange(shape[place]).reshape([-1 if d == place else 1 for d in range(self.rank + 1)])
-        for axis, through in self.window:
+        for axis, through in self.window_axes:
             ahead = np.arange(self.sizes[axis])
             found[axis] = found[axis] + ahead.reshape([-1 if d == through else 1 for d in range(self.rank + 1)])
         return found, within
 
 
-def gather(places: WindowPlaces, fill: Any, x: Values, indices: Values) -> Values:
+def gather(places: WindowIndexing, fill: Any, x: BatchArray, indices: BatchArray) -> BatchArray:
     """Windows of `x`. Outside of the array an element is `fill`, or clamped to the nearest one if `fill` is None."""
     at, within = places.resolve(indices)
     if all(i.shape[-1] == 1 for i in at):
@@ -341,8 +341,8 @@ def gather(places: WindowPlaces, fill: Any, x: Values, indices: Values) -> Value
 
 
 def scatter(
-    add: np.ufunc | None, places: WindowPlaces, clip: bool, x: Values, indices: Values, updates: Values
-) -> Values:
+    add: np.ufunc | None, places: WindowIndexing, clip: bool, x: BatchArray, indices: BatchArray, updates: BatchArray
+) -> BatchArray:
     """Write updates into windows of `x`, or add them; windows outside of the array are ignored."""
     width = max(y.shape[-1] for y in (x, indices, updates))
     result = np.repeat(x, width, axis=-1) if x.shape[-1] < width else x.copy()
@@ -358,7 +358,7 @@ def scatter(
     return result
 
 
-def dynamic_slice(sizes: tuple[int, ...], x: Values, *starts: Values) -> Values:
+def dynamic_slice(sizes: tuple[int, ...], x: BatchArray, *starts: BatchArray) -> BatchArray:
     """Window of `x` at `starts`, clamped to lie within the array."""
     lasts = [n - size for n, size in zip(x.shape, sizes, strict=False)]
     if all(s.shape[-1] == 1 for s in starts):
@@ -368,7 +368,7 @@ def dynamic_slice(sizes: tuple[int, ...], x: Values, *starts: Values) -> Values:
     return x[(*at, np.arange(max(i.shape[-1] for i in at)) if x.shape[-1] > 1 else 0)]
 
 
-def dynamic_update_slice(x: Values, update: Values, *starts: Values) -> Values:
+def dynamic_update_slice(x: BatchArray, update: BatchArray, *starts: BatchArray) -> BatchArray:
     """`x` with a window replaced; the window is clamped to lie within the array."""
     width = max(y.shape[-1] for y in (x, update, *starts))
     result = np.repeat(x, width, axis=-1) if x.shape[-1] < width else x.copy()
@@ -377,7 +377,7 @@ def dynamic_update_slice(x: Values, update: Values, *starts: Values) -> Values:
     return result
 
 
-def _window(starts: Sequence[Values], lasts: Sequence[int], sizes: Sequence[int]) -> list[Values]:
+def _window(starts: Sequence[BatchArray], lasts: Sequence[int], sizes: Sequence[int]) -> list[BatchArray]:
     """Index along each axis of a window."""
     n = len(sizes)
     return [np.clip(s.astype(np.int64), 0, last) + np.arange(size).reshape([-1 if d == k else 1 for d in range(n + 1)])

@@ -19,7 +19,7 @@ import numpy as np
 
 from sweep.fused import lanes
 from sweep.fused.arrays import Unsupported
-from sweep.fused.lanes import RECOMPUTED, Part, Place
+from sweep.fused.lanes import RECOMPUTED_OPERATIONS, KernelPart, MemoryPlace
 from sweep.fused.program import (
     Address,
     Block,
@@ -34,12 +34,12 @@ from sweep.fused.program import (
     StoredNode,
     constant_value,
 )
-from sweep.fused.text import INTRINSICS, TYPES, LlvmText
+from sweep.fused.text import INTRINSICS, LLVM_TYPES, LlvmText
 
-THREADS = 32  # threads of a warp
-WARPS = 8  # warps of a block, as many as registers allow
-EVERY = "i32 -1"  # mask of all lanes
-NATIVE = {"sqrt", "floor", "ceil", "round"}
+WARP_SIZE = 32  # threads of a warp
+MAX_WARPS_PER_BLOCK = 8  # warps of a block, as many as registers allow
+ALL_LANES_MASK = "i32 -1"  # mask of all lanes
+NATIVE_FUNCTIONS = {"sqrt", "floor", "ceil", "round"}
 ZERO, HALF, ONE = "0.0", "0.5", "1.0"
 
 
@@ -47,10 +47,10 @@ class StoredValue(NamedTuple):
     """Where a value that one part computes for later ones lies in a rollout's state."""
 
     word: int
-    step: int  # words from leg to leg
+    words_per_leg: int  # words from leg to leg
     node: Node
-    leg: bool  # whether there is one for each leg
-    has_own_room: bool  # whether it has room of its own, outside of the state's arrays
+    is_per_leg: bool  # whether there is one for each leg
+    has_own_memory: bool  # whether it has room of its own, outside of the state's arrays
 
 
 class GpuPrinter(LlvmText):
@@ -75,7 +75,7 @@ class GpuPrinter(LlvmText):
         super().__init__(1)
         self.group, self.beside = group, rollouts_per_warp(group)
         self.needed, self.sizes, self.ticks, self.over, self.room = needed, sizes, ticks, is_over, record_capacity
-        self.rollouts = self.beside * WARPS * turns  # rollouts of a block
+        self.rollouts = self.beside * MAX_WARPS_PER_BLOCK * turns  # rollouts of a block
         self.row = 4 * self.rollouts  # bytes of one number for all rollouts of a block
         self.names: dict[Any, str] = {}
         self.found: dict[Any, Any] = {}  # names of values in this basic block
@@ -83,35 +83,37 @@ class GpuPrinter(LlvmText):
         self.alone: lanes.ThreadPart | None = None  # this part, if each thread has a rollout
         self.counts: dict[int, str] = {}
         self.tables: list[str] = []
-        self.here: dict[Place, str] = {}  # present values of inner memory
+        self.here: dict[MemoryPlace, str] = {}  # present values of inner memory
         self.rows, self.inner = lanes.find_leg_rows(top, needed, group)
         self.words = sizes[1]  # words of a rollout: its state, then indexed memory, then values passed between parts
         self.scratch: dict[Region, int] = {}
         for region in self.inner:
             self.scratch[region] = self.words
             self.words += region.size
-        self.kept: dict[int | Place, StoredValue] = {}  # values that parts pass on
-        self.home: dict[int | Place, Part] = {}
+        self.kept: dict[int | MemoryPlace, StoredValue] = {}  # values that parts pass on
+        self.home: dict[int | MemoryPlace, KernelPart] = {}
         (loop,) = (item for item in top.items if isinstance(item, Loop))
         before = [item for item in lanes.items_depth_first(top, needed) if item is not loop]
-        flag = next((s.region for s in loop.body.stores if s.region.place == is_over and not s.region.record), None)
+        flag = next(
+            (s.region for s in loop.body.stores if s.region.byte_offset == is_over and not s.region.is_record), None
+        )
         parts = [
-            Part(before, top.stores, False),
+            KernelPart(before, top.stores, False),
             *lanes.split_into_parts(loop.body, needed, flag, group, small_batch, self.rows),
         ]
         self._keep(parts)
         self._head()
         self._ticks(*parts)
 
-    def text(self) -> str:
+    def module_text(self) -> str:
         """The module as LLVM assembly for a GPU."""
         told = ["readonly %kept_", "%record_"] if self.room else []
         operands = ", ".join(f"ptr noalias {x}" for x in ("readonly %given_", "readonly %first_", "%state_", *told))
         return "\n".join([
             'target triple = "nvptx64-nvidia-cuda"', *sorted(self.declared), *self.tables,
-            f"define ptx_kernel void @run({operands}) {{\nentry:\n{self.body()}\n  ret void\n}}",
+            f"define ptx_kernel void @run({operands}) {{\nentry:\n{self.printed_lines()}\n  ret void\n}}",
             "!nvvm.annotations = !{!0}",
-            f'!0 = !{{ptr @run, !"maxntidx", i32 {32 * WARPS}, !"minctasm", i32 1}}', "",
+            f'!0 = !{{ptr @run, !"maxntidx", i32 {32 * MAX_WARPS_PER_BLOCK}, !"minctasm", i32 1}}', "",
         ])  # fmt: skip
 
     def _nvvm(self, name: str, kind: str, *args: str, to: str | None = None) -> str:
@@ -148,7 +150,7 @@ class GpuPrinter(LlvmText):
     def _items(self, items: Iterable[Any]) -> None:
         for item in items:
             if isinstance(item, Node):
-                if item.op not in RECOMPUTED and item.op != "any_rollout":
+                if item.op not in RECOMPUTED_OPERATIONS and item.op != "any_rollout":
                     self.names[item.number] = self._work(item)
             elif isinstance(item, Store):
                 self._stores([item])
@@ -157,7 +159,7 @@ class GpuPrinter(LlvmText):
             else:
                 self._branch(item)
 
-    def _thread_items(self, alone: lanes.ThreadPart, part: Part) -> None:
+    def _thread_items(self, alone: lanes.ThreadPart, part: KernelPart) -> None:
         """Print a part with one rollout in each thread; it stores values early, so that few are alive at a time."""
         ready = {}  # words for later parts, by the number of a node
         for key, (word, step, node, _, apart) in self.kept.items():
@@ -169,15 +171,15 @@ class GpuPrinter(LlvmText):
             self._items([item])
             if isinstance(item, Node):
                 for word, node in ready.pop(item.number, ()):
-                    self._put_word(word, 0, node.dtype, self.value(node))
+                    self._put_word(word, 0, node.dtype, self.value_name(node))
             for store in alone.early.get(k, ()):
                 self._put_word(
-                    self._start_of(store.region) + store.index, 0, store.region.dtype, self.value(store.value)
+                    self._start_of(store.region) + store.index, 0, store.region.dtype, self.value_name(store.value)
                 )
                 done.add(id(store))
         for pairs in ready.values():
             for word, node in pairs:
-                self._put_word(word, 0, node.dtype, self.value(node))
+                self._put_word(word, 0, node.dtype, self.value_name(node))
         self._stores([store for store in alone.stores if id(store) not in done], part)
 
     def _block(self, block: Block) -> None:
@@ -188,38 +190,41 @@ class GpuPrinter(LlvmText):
         self.start_block(label)
         self.found = {}
 
-    def _keep(self, parts: Sequence[Part]) -> None:
+    def _keep(self, parts: Sequence[KernelPart]) -> None:
         """Allocate room for the values that a part passes on and that the state does not hold anyway."""
-        stored: dict[int | Place, StoredValue] = {}
+        stored: dict[int | MemoryPlace, StoredValue] = {}
         for part in parts:
             for node in lanes.part_operands(part, self.needed):
-                if node.op == "load" and not self._is_outer(node.attribute(Address).region):
-                    key, leg = (place := self._row(*node.attribute(Address)[:2])[0]), place in self.rows
-                elif node.op not in RECOMPUTED:
+                if node.op == "load" and not self._is_outer(node.typed_extra(Address).region):
+                    key, leg = (place := self._row(*node.typed_extra(Address)[:2])[0]), place in self.rows
+                elif node.op not in RECOMPUTED_OPERATIONS:
                     key, leg = node.number, node.leg
                 else:
                     continue
                 if self.home.get(key, part) is not part and key not in self.kept:
                     self.kept[key] = stored.get(key) or StoredValue(self.words, 1 if leg else 0, node, leg, True)
-                    self.words += (self.group if leg else 1) * self.kept[key].has_own_room
+                    self.words += (self.group if leg else 1) * self.kept[key].has_own_memory
             self.home |= {item.number: part for item in part.items if isinstance(item, Node)}
             self.home |= dict.fromkeys(self._changed_places(part.items), part)
             if part is not parts[0]:
                 stored |= dict(self._in_state(part))
 
-    def _in_state(self, part: Part) -> Iterator[tuple[int | Place, "StoredValue"]]:
+    def _in_state(self, part: KernelPart) -> Iterator[tuple[int | MemoryPlace, "StoredValue"]]:
         """Values that a part stores to the state anyway, from where later parts can read them."""
         for store in part.stores:
             node, region = store.value, store.region
             key, leg = node.number, node.leg
             if node.op == "load":
-                key = self._row(*node.attribute(Address)[:2])[0]
+                key = self._row(*node.typed_extra(Address)[:2])[0]
                 leg = key in self.rows
-            fixed = self._is_outer(region) and not region.record and not store.row
+            fixed = self._is_outer(region) and not region.is_record and not store.row_index
             if self.home.get(key) is part and leg == node.leg and fixed:
-                yield key, StoredValue(self._start_of(region) + store.index, store.step if leg else 0, node, leg, False)
+                yield (
+                    key,
+                    StoredValue(self._start_of(region) + store.index, store.leg_stride if leg else 0, node, leg, False),
+                )
 
-    def _ticks(self, before: Part, *parts: Part) -> None:
+    def _ticks(self, before: KernelPart, *parts: KernelPart) -> None:
         """Print all ticks, part by part: a block's rollouts all go through one part before the next."""
         self._part("P", before)
         at, entered = len(self.lines) + 2, self.label
@@ -233,9 +238,9 @@ class GpuPrinter(LlvmText):
         self.lines.append(f"br i1 {more}, label %tick, label %end")
         self._start("end")
 
-    def _part(self, name: str, part: Part) -> None:
+    def _part(self, name: str, part: KernelPart) -> None:
         """Print a part for all rollouts of a block, a few at a time; warps run side by side and share instructions."""
-        size = self.beside * WARPS if part.legs_in_lanes else 32 * WARPS
+        size = self.beside * MAX_WARPS_PER_BLOCK if part.legs_in_lanes else 32 * MAX_WARPS_PER_BLOCK
         turns, ragged = -(-self.rollouts // size), self.rollouts % size > 0
         if not part.legs_in_lanes:
             self._nvvm("barrier0", "void")
@@ -251,14 +256,14 @@ class GpuPrinter(LlvmText):
             idle = self.emit(
                 f"icmp uge i32 {self.emit(f'add i32 {start}, {self.emit("shl i32 %warp, 5")}')}, {self.rollouts}"
             )
-            self.rollout = self.call("umin", "int32", [self.rollout, str(self.rollouts - 1)])
+            self.rollout = self.call_intrinsic("umin", "int32", [self.rollout, str(self.rollouts - 1)])
         bytes_ = self.emit(f"zext i32 {self.emit(f'shl i32 {self.rollout}, 2')} to i64")
         self.given, self.state = (
             self.emit(f"getelementptr i8, ptr %{base}, i64 {bytes_}") for base in ("given", "state")
         )
         if not self.room:
             over = self.emit(f"icmp ne i32 {self._get(self.state, self.over * self.row, 'i32')}, 0")
-            every = self._nvvm("vote.all.sync", "i1", EVERY, f"i1 {over}")
+            every = self._nvvm("vote.all.sync", "i1", ALL_LANES_MASK, f"i1 {over}")
             idle = self.emit(f"or i1 {idle}, {every}") if ragged else every
         self.lines.append(f"br i1 {idle}, label %{name}_d, label %{name}_g")
         self._start(f"{name}_g")
@@ -288,10 +293,14 @@ class GpuPrinter(LlvmText):
         self.counts[loop.body.depth] = count
         self._block(loop.body)
         self.emit(f"add i32 {count}, 1", following)
-        again = self._uniform(loop.more) if loop.more else self.emit(f"icmp ult i32 {following}, {loop.length}")
+        again = (
+            self._uniform(loop.continue_flag)
+            if loop.continue_flag
+            else self.emit(f"icmp ult i32 {following}, {loop.length}")
+        )
         phis = [f"{count} = phi i32 [0, %{before}], [{following}, %{self.label}]"]
         for k, place in enumerate(moving):
-            kind = TYPES[place[0].dtype]
+            kind = LLVM_TYPES[place[0].dtype]
             phis.append(f"%{name}_{k} = phi {kind} [{old[place]}, %{before}], [{self.here[place]}, %{self.label}]")
         self.lines[at:at] = phis
         self.lines.append(f"br i1 {again}, label %{name}, label %{name}_x")
@@ -300,7 +309,7 @@ class GpuPrinter(LlvmText):
     def _branch(self, branch: Branch) -> None:
         self._fresh += 1
         name = f"B{self._fresh}"
-        self.switch(TYPES[branch.index.dtype], self._uniform(branch.index), name, len(branch.blocks))
+        self.print_switch(LLVM_TYPES[branch.index.dtype], self._uniform(branch.index), name, len(branch.blocks))
         before, ends = dict(self.here), []
         for k, block in enumerate(branch.blocks):
             self._start(f"{name}_{k}")
@@ -312,7 +321,7 @@ class GpuPrinter(LlvmText):
         self.here = before
         for place in {place: None for _, here in ends for place in here if here[place] != before.get(place)}:
             values = ", ".join(f"[{here.get(place, 'poison')}, %{label}]" for label, here in ends)
-            self.here[place] = self.emit(f"phi {TYPES[place[0].dtype]} {values}")
+            self.here[place] = self.emit(f"phi {LLVM_TYPES[place[0].dtype]} {values}")
 
     def _uniform(self, node: Node) -> str:
         """Compute a value that decides a branch where the branch needs it.
@@ -321,59 +330,59 @@ class GpuPrinter(LlvmText):
         value from different warps could take different branches, and would wait for each other for ever.
         """
         if node.op == "any_rollout":
-            return self._nvvm("vote.any.sync", "i1", EVERY, f"i1 {self.value(node.args[0])}")
-        if node.op in RECOMPUTED or node.op == "count":
-            return self.counts[node.attribute(LoopCount).depth] if node.op == "count" else self.value(node)
+            return self._nvvm("vote.any.sync", "i1", ALL_LANES_MASK, f"i1 {self.value_name(node.args[0])}")
+        if node.op in RECOMPUTED_OPERATIONS or node.op == "count":
+            return self.counts[node.typed_extra(LoopCount).depth] if node.op == "count" else self.value_name(node)
         args = [self._uniform(x) for x in node.args]
         return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
 
-    def _changed_places(self, items: Iterable[Any]) -> Iterator[Place]:
+    def _changed_places(self, items: Iterable[Any]) -> Iterator[MemoryPlace]:
         """Places in inner memory that are stored to, each once."""
-        stores = (x for item in items for x in (item, *lanes.items_inside(item)) if isinstance(x, Store))
+        stores = (x for item in items for x in (item, *lanes.iterate_nested_items(item)) if isinstance(x, Store))
         yield from dict.fromkeys(self._place(x.region, x.index) for x in stores if not self._is_outer(x.region))
 
     # memory
 
-    def _row(self, region: Region, index: int) -> tuple[Place, int]:
+    def _row(self, region: Region, index: int) -> tuple[MemoryPlace, int]:
         """First place of the legs' row that a place in inner memory belongs to, and the leg of this place."""
         first, _, leg = self.rows.get((region, index), (index, 0, 0))
         return (region, first), leg
 
-    def _place(self, region: Region, index: int) -> Place:
+    def _place(self, region: Region, index: int) -> MemoryPlace:
         return (region, index) if self.alone else self._row(region, index)[0]
 
-    def _stores(self, stores: Sequence[Store], part: Part | None = None) -> None:
+    def _stores(self, stores: Sequence[Store], part: KernelPart | None = None) -> None:
         """Store values that are all computed; at the end of a part also those that later parts need."""
-        values = [(store, self.value(store.value)) for store in stores]
-        told = [pair for pair in values if pair[0].region.record]
+        values = [(store, self.value_name(store.value)) for store in stores]
+        told = [pair for pair in values if pair[0].region.is_record]
         if told:
             self._record(told)
-        outer = [pair for pair in values if self._is_outer(pair[0].region) and not pair[0].region.record]
+        outer = [pair for pair in values if self._is_outer(pair[0].region) and not pair[0].region.is_record]
         handed = [*self._outgoing_values(part)] if part else []
         if outer or handed:
-            self._nvvm("bar.warp.sync", "void", EVERY)
+            self._nvvm("bar.warp.sync", "void", ALL_LANES_MASK)
         for store, value in values:
             if not self._is_outer(store.region):
                 self._set(store, value)
         for store, value in outer:
             word, base = self._start_of(store.region) + store.index, ""
-            if store.row:
-                moved = self.emit(f"mul i32 {self._uniform(store.row)}, {store.stride * self.row}")
+            if store.row_index:
+                moved = self.emit(f"mul i32 {self._uniform(store.row_index)}, {store.row_stride * self.row}")
                 base = self.emit(f"getelementptr i8, ptr {self.state}, i32 {moved}")
-            self._put_word(word, store.step if store.value.leg else 0, store.region.dtype, value, base)
+            self._put_word(word, store.leg_stride if store.value.leg else 0, store.region.dtype, value, base)
         for word, step, dtype, value in handed:
             self._put_word(word, step, dtype, value)
         if outer or handed:
-            self._nvvm("bar.warp.sync", "void", EVERY)
+            self._nvvm("bar.warp.sync", "void", ALL_LANES_MASK)
             self.found = {key: x for key, x in self.found.items() if not isinstance(key, tuple)}
 
-    def _outgoing_values(self, part: Part) -> Iterator[tuple[int, int, str, str]]:
+    def _outgoing_values(self, part: KernelPart) -> Iterator[tuple[int, int, str, str]]:
         """Values that this part passes on: word, step from leg to leg, type and name."""
         for key, (word, step, node, leg, apart) in self.kept.items():
             if self.home[key] is not part or not apart or (self.alone and isinstance(key, int)):
                 continue
             if isinstance(key, int):
-                values = [self.value(node)]
+                values = [self.value_name(node)]
             else:
                 region, first = key
                 apart_by = self.rows[key][1] if leg else 0
@@ -383,7 +392,7 @@ class GpuPrinter(LlvmText):
             for k, value in enumerate(values):
                 yield word + k * step, 0 if self.alone else step, node.dtype, value
 
-    def _incoming_value(self, key: int | Place, leg: int | None = None) -> str:
+    def _incoming_value(self, key: int | MemoryPlace, leg: int | None = None) -> str:
         """Value that an earlier part computed, for this lane or for a leg."""
         if (key, leg) not in self.found:
             word, step, node, legs, _ = self.kept[key]
@@ -394,7 +403,7 @@ class GpuPrinter(LlvmText):
     def _set(self, store: Store, value: str) -> None:
         place, row = self._place(store.region, store.index), self.rows.get((store.region, store.index))
         if row and not store.value.leg and not self.alone:
-            kind = TYPES[store.region.dtype]
+            kind = LLVM_TYPES[store.region.dtype]
             here = self.emit(f"icmp eq i32 %leg, {row[2]}")
             value = self.emit(f"select i1 {here}, {kind} {value}, {kind} {self.here.get(place, 'poison')}")
         self.here[place] = value
@@ -405,7 +414,7 @@ class GpuPrinter(LlvmText):
         name = f"R{self._fresh}"
         number = self.emit(f"add i32 {self.emit(f'mul i32 %block, {self.rollouts}')}, {self.rollout}")
         place = self.emit(f"load i32, ptr {self.emit(f'getelementptr i32, ptr %kept_, i32 {number}')}")
-        none = self._nvvm("vote.all.sync", "i1", EVERY, f"i1 {self.emit(f'icmp eq i32 {place}, {self.room}')}")
+        none = self._nvvm("vote.all.sync", "i1", ALL_LANES_MASK, f"i1 {self.emit(f'icmp eq i32 {place}, {self.room}')}")
         self.lines.append(f"br i1 {none}, label %{name}_x, label %{name}")
         self._start(name)
         row = self.emit(f"add i32 {self.emit(f'mul i32 %k, {self.room + 1}')}, {place}")
@@ -414,20 +423,20 @@ class GpuPrinter(LlvmText):
         for store, value in values:
             at = base
             if store.value.leg:
-                offset = self.emit(f"mul i32 %leg, {4 * store.step}")
+                offset = self.emit(f"mul i32 %leg, {4 * store.leg_stride}")
                 at = self.emit(f"getelementptr i8, ptr {base}, i32 {offset}")
-            self._put(at, 4 * (store.region.place + store.index), store.region.dtype, value)
+            self._put(at, 4 * (store.region.byte_offset + store.index), store.region.dtype, value)
         self.lines.append(f"br label %{name}_x")
         self._start(f"{name}_x")
 
     def _is_outer(self, region: Region) -> bool:
-        return region.place >= 0 or region in self.scratch
+        return region.byte_offset >= 0 or region in self.scratch
 
     def _start_of(self, region: Region) -> int:
-        return self.scratch.get(region, region.place)
+        return self.scratch.get(region, region.byte_offset)
 
     def _base(self, region: Region) -> str:
-        return self.given if region.place >= 0 and region.depth == 0 else self.state
+        return self.given if region.byte_offset >= 0 and region.depth == 0 else self.state
 
     def _leg(self, base: str, step: int) -> str:
         """Address of this leg's number; legs are `step` numbers apart."""
@@ -443,7 +452,7 @@ class GpuPrinter(LlvmText):
 
     def _put(self, base: str, offset: int, dtype: str, value: str) -> None:
         at = self.emit(f"getelementptr i8, ptr {base}, i32 {offset}")
-        kind = TYPES[dtype]
+        kind = LLVM_TYPES[dtype]
         if kind == "i1":
             kind, value = "i32", self.emit(f"zext i1 {value} to i32")
         self.lines.append(f"store {kind} {value}, ptr {at}, align 4")
@@ -454,7 +463,7 @@ class GpuPrinter(LlvmText):
         self._put(self._leg(base, step) if step else base, word * self.row, dtype, value)
 
     def _read(self, dtype: str, base: str, offset: int | str) -> str:
-        kind = TYPES[dtype]
+        kind = LLVM_TYPES[dtype]
         if kind not in ("i1", "i32", "float"):
             raise Unsupported(f"{dtype} on a GPU")
         if kind != "i1":
@@ -463,15 +472,15 @@ class GpuPrinter(LlvmText):
 
     # values
 
-    def value(self, node: Node) -> str:
+    def value_name(self, node: Node) -> str:
         """Name of a node's value, for this lane's leg if it is one of the legs."""
         if node.op == "const" and not node.leg:
             return self.literal(constant_value(node))
         if node.op == "handed_on":
-            return self._incoming_value(*node.attribute(StoredNode))
-        if node.op not in RECOMPUTED:
+            return self._incoming_value(*node.typed_extra(StoredNode))
+        if node.op not in RECOMPUTED_OPERATIONS:
             return self.names.get(node.number) or self._incoming_value(node.number)
-        if node.op == "load" and not self._is_outer(node.attribute(Address).region):
+        if node.op == "load" and not self._is_outer(node.typed_extra(Address).region):
             return self._register_value(node)
         key = node.number, "memory"
         if key not in self.found:
@@ -481,7 +490,7 @@ class GpuPrinter(LlvmText):
 
     def _register_value(self, node: Node) -> str:
         """Value of a number of inner memory, which is held in a register."""
-        region, index, _, _ = node.attribute(Address)
+        region, index, _, _ = node.typed_extra(Address)
         (first, leg), there = self._row(region, index), self._place(region, index)
         if self.alone:
             return self.here.get(there) or self._incoming_value(first, leg)
@@ -490,7 +499,7 @@ class GpuPrinter(LlvmText):
         return value if whole else self._shuffle(value, region.dtype, self._lane(leg))
 
     def _load(self, node: Node) -> str:
-        region, index, _, step = node.attribute(Address)
+        region, index, _, step = node.typed_extra(Address)
         base = self._base(region)
         offset = (self._start_of(region) + index) * self.row
         return self._read(region.dtype, self._leg(base, step) if node.leg else base, offset)
@@ -499,7 +508,7 @@ class GpuPrinter(LlvmText):
         return self.emit("add i32 %k, %first")
 
     def _table(self, node: Node) -> str:
-        values, kind = constant_value(node), TYPES[node.dtype]
+        values, kind = constant_value(node), LLVM_TYPES[node.dtype]
         if kind == "i1":
             bits = sum(1 << k for k, x in enumerate(values) if x)
             return self.emit(f"trunc i32 {self.emit(f'lshr i32 {bits}, %leg')} to i1")
@@ -517,17 +526,17 @@ class GpuPrinter(LlvmText):
 
     def _shuffle(self, value: str, dtype: str, lane: str) -> str:
         """Value that another lane holds."""
-        kind = TYPES[dtype]
+        kind = LLVM_TYPES[dtype]
         if kind == "i1":
             wide = self.emit(f"zext i1 {value} to i32")
-            moved = self._nvvm("shfl.sync.idx.i32", "i32", EVERY, f"i32 {wide}", f"i32 {lane}", "i32 31")
+            moved = self._nvvm("shfl.sync.idx.i32", "i32", ALL_LANES_MASK, f"i32 {wide}", f"i32 {lane}", "i32 31")
             return self.emit(f"icmp ne i32 {moved}, 0")
         short = {"float": "f32"}.get(kind, kind)
-        return self._nvvm(f"shfl.sync.idx.{short}", kind, EVERY, f"{kind} {value}", f"i32 {lane}", "i32 31")
+        return self._nvvm(f"shfl.sync.idx.{short}", kind, ALL_LANES_MASK, f"{kind} {value}", f"i32 {lane}", "i32 31")
 
     def _over_legs(self, node: Node) -> str:
         """Reduce over the legs: opposite legs first, then the pairs in order."""
-        value, kinds, op = self.value(node.args[0]), [node.dtype] * 2, node.attribute(LegReduction).op
+        value, kinds, op = self.value_name(node.args[0]), [node.dtype] * 2, node.typed_extra(LegReduction).op
         pair = self.arithmetic(op, node.dtype, [value, self._shuffle(value, node.dtype, "%across")], kinds)
         total = self._shuffle(pair, node.dtype, self._lane(0))
         for k in range(1, self.group // 2):
@@ -539,28 +548,28 @@ class GpuPrinter(LlvmText):
         """Print a node's operation."""
         match node.op:
             case "gather":
-                region, index, _, step = node.attribute(Address)
+                region, index, _, step = node.typed_extra(Address)
                 base = self._base(region)
-                place = self.emit(f"mul i32 {self.value(node.args[0])}, {self.row}")
+                place = self.emit(f"mul i32 {self.value_name(node.args[0])}, {self.row}")
                 offset = self.emit(f"add i32 {place}, {(self._start_of(region) + index) * self.row}")
                 return self._read(region.dtype, self._leg(base, step) if node.leg else base, offset)
             case "part":
                 whole = node.args[0]
-                return self._shuffle(self.value(whole), whole.dtype, self._lane(node.attribute(LegIndex).leg))
+                return self._shuffle(self.value_name(whole), whole.dtype, self._lane(node.typed_extra(LegIndex).leg))
             case "pack":
-                value, kind = self.value(node.args[-1]), TYPES[node.dtype]
+                value, kind = self.value_name(node.args[-1]), LLVM_TYPES[node.dtype]
                 for k in range(self.group - 2, -1, -1):
                     here = self.emit(f"icmp eq i32 %leg, {k}")
-                    value = self.emit(f"select i1 {here}, {kind} {self.value(node.args[k])}, {kind} {value}")
+                    value = self.emit(f"select i1 {here}, {kind} {self.value_name(node.args[k])}, {kind} {value}")
                 return value
             case "over_legs":
                 return self._over_legs(node)
             case "count":
-                return self.counts[node.attribute(LoopCount).depth]
-            case _ if node.op in INTRINSICS and node.op not in NATIVE:
+                return self.counts[node.typed_extra(LoopCount).depth]
+            case _ if node.op in INTRINSICS and node.op not in NATIVE_FUNCTIONS:
                 raise Unsupported(f"{node.op} of {node.dtype} on a GPU")
             case _:
-                args = [self.value(x) for x in node.args]
+                args = [self.value_name(x) for x in node.args]
                 return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
 
     def arithmetic(self, op: str, dtype: str, args: list[str], kinds: Sequence[str]) -> str:
@@ -584,12 +593,12 @@ class GpuPrinter(LlvmText):
         if (b, "inverse") not in self.found:
             near = self._nvvm("rcp.approx.ftz.f", "float", f"float {b}")
             minus = self.emit(f"fneg float {b}")
-            error = self.call("fma", "float32", [minus, near, ONE])
-            self.found[b, "inverse"] = near, minus, self.call("fma", "float32", [near, error, near])
+            error = self.call_intrinsic("fma", "float32", [minus, near, ONE])
+            self.found[b, "inverse"] = near, minus, self.call_intrinsic("fma", "float32", [near, error, near])
         near, minus, inverse = self.found[b, "inverse"]
         first = self.emit(f"fmul float {a}, {near}")
-        left = self.call("fma", "float32", [minus, first, a])
-        quotient = self.call("fma", "float32", [left, inverse, first])
+        left = self.call_intrinsic("fma", "float32", [minus, first, a])
+        quotient = self.call_intrinsic("fma", "float32", [left, inverse, first])
         odd = self.emit(f"fcmp uno float {quotient}, {quotient}")  # for 0, infinity and NaN
         return self.emit(f"select i1 {odd}, float {first}, float {quotient}")
 
@@ -601,8 +610,8 @@ class GpuPrinter(LlvmText):
         scaled = self.emit(f"fmul float {x}, {up}")
         inverse = self._nvvm("rsqrt.approx.ftz.f", "float", f"float {scaled}")
         root, half = self.emit(f"fmul float {scaled}, {inverse}"), self.emit(f"fmul float {inverse}, {HALF}")
-        left = self.call("fma", "float32", [self.emit(f"fneg float {root}"), root, scaled])
-        root = self.emit(f"fmul float {self.call('fma', 'float32', [left, half, root])}, {down}")
+        left = self.call_intrinsic("fma", "float32", [self.emit(f"fneg float {root}"), root, scaled])
+        root = self.emit(f"fmul float {self.call_intrinsic('fma', 'float32', [left, half, root])}, {down}")
         odd = self.emit(f"fcmp uno float {root}, {root}")  # for 0 and infinity, too
         itself = self.emit(f"and i1 {odd}, {self.emit(f'fcmp oge float {x}, {ZERO}')}")
         return self.emit(f"select i1 {itself}, float {x}, float {root}")
@@ -615,7 +624,7 @@ class GpuPrinter(LlvmText):
             dtype: type of the numbers.
             args: names of the operands.
         """
-        return self.call("maximum" if op == "max" else "minimum", dtype, args)
+        return self.call_intrinsic("maximum" if op == "max" else "minimum", dtype, args)
 
 
 def rollouts_per_warp(group: int) -> int:
@@ -624,9 +633,9 @@ def rollouts_per_warp(group: int) -> int:
     Raises:
         Unsupported: The number of legs is odd, or too large for a warp.
     """
-    if group % 2 or not 0 < group <= THREADS:
+    if group % 2 or not 0 < group <= WARP_SIZE:
         raise Unsupported(f"a group of {group} on a GPU")
-    return THREADS // group
+    return WARP_SIZE // group
 
 
 @contextmanager

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import Jaxpr, Literal
 
-from sweep.fused.jaxprs import ScanOperands, count_carried, inner_jaxpr, inner_jaxprs, split_scan_operands
+from sweep.fused.jaxprs import ScanOperands, count_carry_results, inner_jaxpr, inner_jaxprs, split_scan_operands
 
-Flags = list[bool]
+UsedFlags = list[bool]
 
 
 def find_used_inputs(function: Callable[..., Any], *args: Any) -> Any:
@@ -47,7 +47,7 @@ def find_unread_columns(
     return {column for column, is_used in used.items() if not is_used}
 
 
-def _used_of_jaxpr(jaxpr: Jaxpr, results: Sequence[bool]) -> Flags:
+def _used_of_jaxpr(jaxpr: Jaxpr, results: Sequence[bool]) -> UsedFlags:
     """Inputs of a program that its used `results` depend on."""
     used = {v for v, is_used in zip(jaxpr.outvars, results, strict=True) if is_used and _carries_numbers(v)}
     for equation in reversed(jaxpr.eqns):
@@ -62,7 +62,7 @@ def _carries_numbers(variable: Any) -> bool:
     return not isinstance(variable, Literal) and getattr(variable.aval, "size", 1) > 0
 
 
-def _used_of_equation(equation: Any, wanted: Flags) -> Flags:
+def _used_of_equation(equation: Any, wanted: UsedFlags) -> UsedFlags:
     """Inputs of one operation that its `wanted` results depend on; all of them where it has no rule here."""
     match equation.primitive.name:
         case "scan":
@@ -80,11 +80,11 @@ def _used_of_equation(equation: Any, wanted: Flags) -> Flags:
             return [True] * len(equation.invars)
 
 
-def _used_of_scan(equation: Any, wanted: Flags) -> Flags:
+def _used_of_scan(equation: Any, wanted: UsedFlags) -> UsedFlags:
     """Inputs of a scan: a carried number counts where a later turn or the result makes use of it."""
-    body, carried = inner_jaxpr(equation.params["jaxpr"]), count_carried(equation)
+    body, carried = inner_jaxpr(equation.params["jaxpr"]), count_carry_results(equation)
 
-    def used(carry: Flags) -> ScanOperands[bool]:
+    def used(carry: UsedFlags) -> ScanOperands[bool]:
         return split_scan_operands(equation, _used_of_jaxpr(body, [*carry, *wanted[carried:]]))
 
     carry = _used_of_carry(wanted[:carried], lambda carry: used(carry).carry)
@@ -92,7 +92,7 @@ def _used_of_scan(equation: Any, wanted: Flags) -> Flags:
     return [*last.consts, *carry, *last.xs]
 
 
-def _used_of_while(equation: Any, wanted: Flags) -> Flags:
+def _used_of_while(equation: Any, wanted: UsedFlags) -> UsedFlags:
     """Inputs of a loop: what its condition looks at counts, too."""
     test, body = (inner_jaxpr(equation.params[name]) for name in ("cond_jaxpr", "body_jaxpr"))
     of_test, of_body = equation.params["cond_nconsts"], equation.params["body_nconsts"]
@@ -102,7 +102,7 @@ def _used_of_while(equation: Any, wanted: Flags) -> Flags:
     return [*asked[:of_test], *_used_of_jaxpr(body, carry)[:of_body], *carry]
 
 
-def _used_of_carry(carry: Flags, used_by_turn: Callable[[Flags], Sequence[bool]]) -> Flags:
+def _used_of_carry(carry: UsedFlags, used_by_turn: Callable[[UsedFlags], Sequence[bool]]) -> UsedFlags:
     """What a loop carries that any of its turns makes use of, from what is used after the last turn."""
     while (more := [a or b for a, b in zip(carry, used_by_turn(carry), strict=True)]) != carry:
         carry = more

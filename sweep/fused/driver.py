@@ -19,17 +19,17 @@ from jaxtyping import Array
 
 from sweep.fused.arrays import Unsupported
 
-TARGET, PLATFORM = "insect_sweep_kernel", "CUDA"
-ENTRY = b"run"  # name of the kernel in every module
-OLDEST = 0, 1  # version of XLA's interface with these structures; later ones only append to them
-EXECUTE = 3  # stage of a call in which the handler does its work
-PTX = 1  # type of the linker's input
-INTERNAL = 13  # XLA's code of an internal error
-LOG, LOG_SIZE = 5, 6  # the linker's options for its error log
-Launch = Callable[["Call"], None]
+CALL_TARGET, PLATFORM = "insect_sweep_kernel", "CUDA"
+KERNEL_NAME = b"run"  # name of the kernel in every module
+API_VERSION = 0, 1  # version of XLA's interface with these structures; later ones only append to them
+EXECUTE_STAGE = 3  # stage of a call in which the handler does its work
+LINKER_INPUT_PTX = 1  # type of the linker's input
+INTERNAL_ERROR_CODE = 13  # XLA's code of an internal error
+LINKER_LOG_OPTION, LINKER_LOG_SIZE_OPTION = 5, 6  # the linker's options for its error log
+LaunchFunction = Callable[["KernelCall"], None]
 
 
-class Call(NamedTuple):
+class KernelCall(NamedTuple):
     """One call of a kernel, as XLA passes it to the handler."""
 
     stream: int | None  # None on a CPU
@@ -111,10 +111,13 @@ def kernel_key(text: str) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def call_kernel(key: str, threads: int, operands: Sequence[Array], changed: Sequence[int], target: str = TARGET) -> Any:
+def call_kernel(
+    key: str, threads: int, operands: Sequence[Array], changed: Sequence[int], target: str = CALL_TARGET
+) -> Any:
     """Have a kernel change some operands, within a function that XLA compiles.
 
-    By the time of the call the kernel has to be added (`add_kernel`), or its translation started (`start_translation`).
+    By the time of the call the kernel has to be added (`add_kernel`), or its translation has to be started
+    (`start_ptx_translation`).
 
     Args:
         key: key of the kernel.
@@ -134,7 +137,7 @@ def call_kernel(key: str, threads: int, operands: Sequence[Array], changed: Sequ
     return kernel(*operands, key=key, threads=np.int32(threads))
 
 
-def make_handler(launch: Launch) -> Any:
+def make_xla_handler(launch: LaunchFunction) -> Any:
     """Make a handler that XLA calls by a pointer, and that passes calls to `launch`. It has to be kept alive."""
 
     @ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(_Frame))
@@ -142,20 +145,22 @@ def make_handler(launch: Launch) -> Any:
         frame = address.contents
         if frame.extension:
             told = frame.extension.contents.metadata.contents
-            told.major, told.minor = OLDEST
+            told.major, told.minor = API_VERSION
             return None
         try:
             _handle_call(frame, launch)
         except Exception as error:
-            made = _ErrorMade(ctypes.sizeof(_ErrorMade), None, f"{type(error).__name__}: {error}".encode(), INTERNAL)
+            made = _ErrorMade(
+                ctypes.sizeof(_ErrorMade), None, f"{type(error).__name__}: {error}".encode(), INTERNAL_ERROR_CODE
+            )
             return frame.api.contents.error(made)
         return None
 
     return handle_call
 
 
-def _handle_call(frame: _Frame, launch: Launch) -> None:
-    if frame.stage != EXECUTE:
+def _handle_call(frame: _Frame, launch: LaunchFunction) -> None:
+    if frame.stage != EXECUTE_STAGE:
         return
     values = frame.attributes
     found = {_read(values.names[k].contents): values.all[k] for k in range(values.count)}
@@ -165,7 +170,7 @@ def _handle_call(frame: _Frame, launch: Launch) -> None:
     got = _StreamGot(ctypes.sizeof(_StreamGot), None, frame.context, None)
     stream = None if frame.api.contents.stream(got) else got.stream
     blocks, places = operands[0].dims[0], [x.data for x in operands]
-    launch(Call(stream, _read(key).decode(), blocks, threads, places))
+    launch(KernelCall(stream, _read(key).decode(), blocks, threads, places))
 
 
 def _read(text: _Text) -> bytes:
@@ -180,7 +185,7 @@ def driver_version() -> int:
     return found.value
 
 
-def start_translation(text: str) -> str:
+def start_ptx_translation(text: str) -> str:
     """Start to translate PTX in a thread. Returns the kernel's key."""
     if (name := kernel_key(text)) not in _machine_code:
         _machine_code[name] = _pool.submit(_translate, text)
@@ -202,13 +207,18 @@ def _translate(text: str) -> bytes:
     """Translate PTX to machine code of the GPU that programs are compiled for."""
     device, context, link, made = ctypes.c_int(), ctypes.c_void_p(), ctypes.c_void_p(), ctypes.c_void_p()
     size, log, given = ctypes.c_size_t(), ctypes.create_string_buffer(4096), text.encode() + b"\0"
-    options, values = (ctypes.c_int * 2)(LOG, LOG_SIZE), (ctypes.c_void_p * 2)(ctypes.addressof(log), len(log))
+    options, values = (
+        (ctypes.c_int * 2)(LINKER_LOG_OPTION, LINKER_LOG_SIZE_OPTION),
+        (ctypes.c_void_p * 2)(ctypes.addressof(log), len(log)),
+    )
     _call_driver("cuDeviceGet", ctypes.byref(device), jax.devices()[0].local_hardware_id or 0)
     _call_driver("cuDevicePrimaryCtxRetain", ctypes.byref(context), device)  # XLA's context
     try:
         with _use_context(context):
             _call_driver("cuLinkCreate_v2", 2, options, values, ctypes.byref(link))
-            _call_driver("cuLinkAddData_v2", link, PTX, given, ctypes.c_size_t(len(given)), b"kernel", 0, None, None)
+            _call_driver(
+                "cuLinkAddData_v2", link, LINKER_INPUT_PTX, given, ctypes.c_size_t(len(given)), b"kernel", 0, None, None
+            )
             _call_driver("cuLinkComplete", link, ctypes.byref(made), ctypes.byref(size))
             code = ctypes.string_at(made, size.value)
             _call_driver("cuLinkDestroy", link)
@@ -219,7 +229,7 @@ def _translate(text: str) -> bytes:
         _call_driver("cuDevicePrimaryCtxRelease_v2", device)
 
 
-def _launch(call: Call) -> None:
+def _launch(call: KernelCall) -> None:
     if call.stream is None:
         raise RuntimeError("no stream")
     stream, context = ctypes.c_void_p(call.stream), ctypes.c_void_p()
@@ -232,7 +242,7 @@ def _launch(call: Call) -> None:
         if at not in _loaded:
             module, kernel = ctypes.c_void_p(), ctypes.c_void_p()
             _call_driver("cuModuleLoadData", ctypes.byref(module), wait_for_kernel(call.key).code)
-            _call_driver("cuModuleGetFunction", ctypes.byref(kernel), module, ENTRY)
+            _call_driver("cuModuleGetFunction", ctypes.byref(kernel), module, KERNEL_NAME)
             _loaded[at] = kernel
         _call_driver("cuLaunchKernel", _loaded[at], *size, stream, operands, None)
 
@@ -263,5 +273,5 @@ def _call_driver(name: str, *args: Any) -> None:
 _pool = ThreadPoolExecutor(1)
 _machine_code: dict[str, Future[bytes]] = {}  # machine code, by key
 _loaded: dict[tuple[int | None, str], ctypes.c_void_p] = {}  # kernels, by context and key
-_handler = make_handler(_launch)
-jax.ffi.register_ffi_target(TARGET, jax.ffi.pycapsule(_handler), platform=PLATFORM)
+_handler = make_xla_handler(_launch)
+jax.ffi.register_ffi_target(CALL_TARGET, jax.ffi.pycapsule(_handler), platform=PLATFORM)

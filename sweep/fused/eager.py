@@ -15,13 +15,13 @@ from jax.extend import core
 
 from sweep.fused import batch_ops, randomness
 from sweep.fused.arrays import Unsupported
-from sweep.fused.batch_ops import Values
-from sweep.fused.eager_rules import COMPUTED, RULES
-from sweep.fused.interpret import CALLS
+from sweep.fused.batch_ops import BatchArray
+from sweep.fused.eager_rules import FUNCTIONS, RULES
+from sweep.fused.interpret import CALL_PRIMITIVES
 from sweep.fused.jaxprs import inner_jaxpr, split_scan_operands
 from sweep.fused.randomness import is_key, key_words, restore_keys
 
-ALIAS = frozenset(("stop_gradient", "copy", "optimization_barrier", "random_wrap", "random_unwrap"))
+IDENTITY_PRIMITIVES = frozenset(("stop_gradient", "copy", "optimization_barrier", "random_wrap", "random_unwrap"))
 
 
 class Operation(NamedTuple):
@@ -33,16 +33,16 @@ class Operation(NamedTuple):
     last_reads: tuple[int, ...]  # values that nothing reads later
 
 
-class Listing(NamedTuple):
+class OperationList(NamedTuple):
     """A program as a list of operations on numbered values."""
 
     size: int  # number of values
-    constants: dict[int, Values]
+    constants: dict[int, BatchArray]
     inputs: tuple[int, ...]
-    steps: list[Operation]
+    operations: list[Operation]
     outputs: tuple[int, ...]
 
-    def run(self, args: Sequence[Values], external: Mapping[str, Callable[..., Any]]) -> list[Values]:
+    def execute(self, args: Sequence[BatchArray], external: Mapping[str, Callable[..., Any]]) -> list[BatchArray]:
         """Run the program.
 
         Args:
@@ -55,7 +55,7 @@ class Listing(NamedTuple):
         values: list[Any] = [None] * self.size
         for place, value in (*self.constants.items(), *zip(self.inputs, args, strict=True)):
             values[place] = value
-        for rule, reads, writes, done in self.steps:
+        for rule, reads, writes, done in self.operations:
             made = (external[rule] if isinstance(rule, str) else rule)(*[values[k] for k in reads])
             if isinstance(made, np.ndarray):
                 values[writes[0]] = made
@@ -70,10 +70,10 @@ class Listing(NamedTuple):
 class NumpyProgram(NamedTuple):
     """A traced function of one rollout that NumPy executes for a batch; it can be pickled."""
 
-    steps: Listing
-    shapes: list[jax.ShapeDtypeStruct]  # of the arguments, for one rollout
-    form: Any  # tree of the results' shapes, for one rollout
-    external: dict[str, tuple[jax.ShapeDtypeStruct, ...]]  # shapes of the arguments of external functions
+    operation_list: OperationList
+    argument_shapes: list[jax.ShapeDtypeStruct]  # of the arguments, for one rollout
+    result_shapes: Any  # tree of the results' shapes, for one rollout
+    external_functions: dict[str, tuple[jax.ShapeDtypeStruct, ...]]  # shapes of the arguments of external functions
 
     def __call__(self, width: int, *args: Any, external: Mapping[str, Callable[..., Any]] | None = None) -> Any:
         """Evaluate the function for a batch.
@@ -88,12 +88,13 @@ class NumpyProgram(NamedTuple):
         """
         leaves = jax.tree.leaves(key_words(args))
         taken = [
-            _batch_axis_last(np.asarray(x, one.dtype), one.ndim) for x, one in zip(leaves, self.shapes, strict=True)
+            _batch_axis_last(np.asarray(x, one.dtype), one.ndim)
+            for x, one in zip(leaves, self.argument_shapes, strict=True)
         ]
         with np.errstate(all="ignore"):
-            made = self.steps.run(taken, external or {})
+            made = self.operation_list.execute(taken, external or {})
         rows = [np.moveaxis(np.broadcast_to(x, (*x.shape[:-1], width)), -1, 0) for x in made]
-        forms, tree = jax.tree.flatten(self.form)
+        forms, tree = jax.tree.flatten(self.result_shapes)
         return jax.tree.unflatten(tree, [restore_keys(x, form) for x, form in zip(rows, forms, strict=True)])
 
 
@@ -115,12 +116,12 @@ def trace(function: Callable[..., Any], *shapes: Any, external: Collection[str] 
 
     leaf_shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in key_words(leaves)]
     program, results_shape = jax.make_jaxpr(flat, return_shape=True)(*leaf_shapes)
-    writer = Writer(external)
+    writer = OperationListWriter(external)
     with np.errstate(all="ignore"):
-        inputs = tuple(writer.new() for _ in leaf_shapes)
-        results = writer.write(program.jaxpr, program.consts, inputs)
-    steps = writer.steps(inputs, results)
-    asked = {step.rule: writer.asked[step.rule] for step in steps.steps if isinstance(step.rule, str)}
+        inputs = tuple(writer.new_value() for _ in leaf_shapes)
+        results = writer.write_jaxpr(program.jaxpr, program.consts, inputs)
+    steps = writer.select_operations(inputs, results)
+    asked = {step.rule: writer.asked[step.rule] for step in steps.operations if isinstance(step.rule, str)}
     return NumpyProgram(steps, leaf_shapes, results_shape, asked)
 
 
@@ -140,33 +141,33 @@ def evaluate_constants(function: Callable[[], Any], external: Mapping[str, Calla
     return jax.tree.map(lambda x: x[0], program(1, external=external))
 
 
-class Writer:
-    """Makes a `Listing` from JAX's trace. It folds constants and merges equal operations."""
+class OperationListWriter:
+    """Makes a `OperationList` from JAX's trace. It folds constants and merges equal operations."""
 
     def __init__(self, external: Collection[str] = ()):
         self.apart = external
         self.asked: dict[str, tuple[jax.ShapeDtypeStruct, ...]] = {}
-        self.known: dict[int, Values] = {}
+        self.known: dict[int, BatchArray] = {}
         self._size = 0
         self._constants: dict[Any, int] = {}
         self._steps: list[tuple[Any, tuple[int, ...], tuple[int, ...]]] = []
         self._there: dict[Any, tuple[int, ...]] = {}
 
-    def new(self) -> int:
+    def new_value(self) -> int:
         """Return the number of a new value."""
         self._size += 1
         return self._size - 1
 
-    def constant(self, value: Values) -> int:
+    def constant_value(self, value: BatchArray) -> int:
         """Return the number of a value that is known while tracing."""
         value = np.ascontiguousarray(value)
         what = value.dtype.str, value.shape, value.tobytes()
         if what not in self._constants:
-            self._constants[what] = self.new()
+            self._constants[what] = self.new_value()
             self.known[self._constants[what]] = value
         return self._constants[what]
 
-    def write(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[int]) -> list[int]:
+    def write_jaxpr(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[int]) -> list[int]:
         """Add the operations of a jaxpr.
 
         Args:
@@ -178,19 +179,19 @@ class Writer:
             Numbers of its results.
         """
         at = dict(zip(jaxpr.invars, args, strict=True))
-        at |= zip(jaxpr.constvars, (self.constant(_array(x)) for x in consts), strict=True)
+        at |= zip(jaxpr.constvars, (self.constant_value(_array(x)) for x in consts), strict=True)
 
         def read(atom: Any) -> int:
             if not isinstance(atom, core.Literal):
                 return at[atom]
             aval: Any = atom.aval
-            return self.constant(np.asarray(atom.val, aval.dtype)[..., None])
+            return self.constant_value(np.asarray(atom.val, aval.dtype)[..., None])
 
         for eqn in jaxpr.eqns:
             at |= zip(eqn.outvars, self._apply(eqn, [read(atom) for atom in eqn.invars]), strict=True)
         return [read(atom) for atom in jaxpr.outvars]
 
-    def steps(self, inputs: tuple[int, ...], outputs: Sequence[int]) -> Listing:
+    def select_operations(self, inputs: tuple[int, ...], outputs: Sequence[int]) -> OperationList:
         """The program that computes `outputs` from `inputs`, without unused operations."""
         wanted, kept = set(outputs), []
         for rule, reads, writes in reversed(self._steps):
@@ -199,35 +200,35 @@ class Writer:
                 kept.append(Operation(rule, reads, writes, tuple(new - self.known.keys())))
                 wanted |= new
         known = {k: self.known[k] for k in wanted & self.known.keys()}
-        return Listing(self._size, known, inputs, kept[::-1], tuple(outputs))
+        return OperationList(self._size, known, inputs, kept[::-1], tuple(outputs))
 
     def emit(self, rule: Any, reads: Sequence[int], count: int = 1) -> tuple[int, ...]:
         """Add an operation, and return the numbers of its `count` results."""
         reads = tuple(reads)
         if not isinstance(rule, str) and all(k in self.known for k in reads):
             made = rule(*[self.known[k] for k in reads])
-            return tuple(map(self.constant, (made,) if isinstance(made, np.ndarray) else made))
+            return tuple(map(self.constant_value, (made,) if isinstance(made, np.ndarray) else made))
         what = (rule.func, rule.args, reads) if isinstance(rule, partial) else (rule, reads)
         try:
             if what in self._there:
                 return self._there[what]
         except TypeError:  # parameters that contain a program cannot be hashed
             what = object()
-        writes = self._there[what] = tuple(self.new() for _ in range(count))
+        writes = self._there[what] = tuple(self.new_value() for _ in range(count))
         self._steps.append((rule, reads, writes))
         return writes
 
     def _apply(self, eqn: Any, args: list[int]) -> Sequence[int]:
         """Add one of JAX's operations."""
         name, params = eqn.primitive.name, eqn.params
-        if name in CALLS:
+        if name in CALL_PRIMITIVES:
             if params.get("name") in self.apart:
                 return self._call_external(params["name"], args, eqn)
-            inner = params[CALLS[name]]
-            return self.write(inner_jaxpr(inner), getattr(inner, "consts", ()), args)
+            inner = params[CALL_PRIMITIVES[name]]
+            return self.write_jaxpr(inner_jaxpr(inner), getattr(inner, "consts", ()), args)
         if not eqn.outvars:
             return []
-        if name in ALIAS:
+        if name in IDENTITY_PRIMITIVES:
             return args
         if name == "scan":
             return self._scan(args, eqn)
@@ -241,7 +242,7 @@ class Writer:
             return self._random(args, eqn)
         if rule := RULES.get(name):
             return self.emit(rule(eqn), args, len(eqn.outvars))
-        if rule := COMPUTED.get(name):
+        if rule := FUNCTIONS.get(name):
             return self.emit(rule, args)
         raise Unsupported(name)
 
@@ -260,7 +261,7 @@ class Writer:
         shapes = [jax.ShapeDtypeStruct((2,), np.uint32), *map(_form, others)]
         function = randomness.EXPANSIONS[eqn.primitive.name]
         traced = jax.make_jaxpr(lambda *of: function(*of, **eqn.params))(*shapes)
-        return self.write(traced.jaxpr, traced.consts, args)
+        return self.write_jaxpr(traced.jaxpr, traced.consts, args)
 
     def _scan(self, args: list[int], eqn: Any) -> Sequence[int]:
         """Loop over steps."""
@@ -269,7 +270,7 @@ class Writer:
             raise Unsupported("a loop without steps")
         consts, carry, xs = split_scan_operands(eqn, args)
         body, consts = self._inner(inner, consts)
-        how = Scan(body, length, eqn.params["reverse"], len(consts), len(carry))
+        how = ScanParameters(body, length, eqn.params["reverse"], len(consts), len(carry))
         return self.emit(partial(run_scan, how), [*consts, *carry, *xs], len(eqn.outvars))
 
     def _cond(self, args: list[int], eqn: Any) -> Sequence[int]:
@@ -278,7 +279,7 @@ class Writer:
         branches = eqn.params["branches"]
         if index in self.known:
             branch = branches[min(max(int(self.known[index][0]), 0), len(branches) - 1)]
-            return self.write(branch.jaxpr, branch.consts, operands)
+            return self.write_jaxpr(branch.jaxpr, branch.consts, operands)
         each = tuple(self._inner(branch, ())[0] for branch in branches)
         return self.emit(partial(run_switch, each), args, len(eqn.outvars))
 
@@ -287,73 +288,77 @@ class Writer:
         tests, bodies = eqn.params["cond_nconsts"], eqn.params["body_nconsts"]
         test, test_consts = self._inner(eqn.params["cond_jaxpr"], args[:tests])
         body, body_consts = self._inner(eqn.params["body_jaxpr"], args[tests : tests + bodies])
-        how = While(test, body, len(test_consts), len(body_consts))
+        how = WhileParameters(test, body, len(test_consts), len(body_consts))
         operands = [*test_consts, *body_consts, *args[tests + bodies :]]
         return self.emit(partial(run_while, how), operands, len(eqn.outvars))
 
-    def _inner(self, closed: Any, first: Sequence[int]) -> tuple[Listing, list[int]]:
+    def _inner(self, closed: Any, first: Sequence[int]) -> tuple[OperationList, list[int]]:
         """Listing of an inner program, and its other operands: constants among the `first` ones are folded into it."""
-        writer = Writer()
-        there = [writer.constant(self.known[k]) if k in self.known else writer.new() for k in first]
-        others = [writer.new() for _ in closed.jaxpr.invars[len(first) :]]
-        made = writer.write(closed.jaxpr, closed.consts, [*there, *others])
+        writer = OperationListWriter()
+        there = [writer.constant_value(self.known[k]) if k in self.known else writer.new_value() for k in first]
+        others = [writer.new_value() for _ in closed.jaxpr.invars[len(first) :]]
+        made = writer.write_jaxpr(closed.jaxpr, closed.consts, [*there, *others])
         given = [new for new, k in zip(there, first, strict=True) if k not in self.known]
-        return writer.steps((*given, *others), made), [k for k in first if k not in self.known]
+        return writer.select_operations((*given, *others), made), [k for k in first if k not in self.known]
 
 
-class Scan(NamedTuple):
+class ScanParameters(NamedTuple):
     """Static parameters of a loop."""
 
-    body: Listing
+    body: OperationList
     length: int
     reverse: bool
-    consts: int  # number of constant operands
-    carry: int  # number of carried operands; the others are scanned row by row
+    const_count: int  # number of constant operands
+    carry_count: int  # number of carried operands; the others are scanned row by row
 
 
-def run_scan(how: Scan, *args: Values) -> list[Values]:
+def run_scan(how: ScanParameters, *args: BatchArray) -> list[BatchArray]:
     """Run a loop. Returns the carry at the end and the stacked outputs of its steps."""
-    consts, carry, rows = args[: how.consts], args[how.consts :][: how.carry], args[how.consts + how.carry :]
+    consts, carry, rows = (
+        args[: how.const_count],
+        args[how.const_count :][: how.carry_count],
+        args[how.const_count + how.carry_count :],
+    )
     beside = []
     for k in range(how.length)[:: -1 if how.reverse else 1]:
-        made = how.body.run([*consts, *carry, *(x[k] for x in rows)], {})
-        carry = made[: how.carry]
-        beside.append(made[how.carry :])
+        made = how.body.execute([*consts, *carry, *(x[k] for x in rows)], {})
+        carry = made[: how.carry_count]
+        beside.append(made[how.carry_count :])
     beside = beside[:: -1 if how.reverse else 1]
     return [*carry, *(batch_ops.stack(0, *each) for each in zip(*beside, strict=True))]
 
 
-class While(NamedTuple):
+class WhileParameters(NamedTuple):
     """Static parameters of a loop that a condition ends."""
 
-    test: Listing
-    body: Listing
+    test: OperationList
+    body: OperationList
     test_consts: int  # number of constant operands of the condition
     body_consts: int
 
 
-def run_while(how: While, *args: Values) -> list[Values]:
+def run_while(how: WhileParameters, *args: BatchArray) -> list[BatchArray]:
     """Run a loop until no rollout goes on. Returns the carry, in which each rollout stays as it ended."""
     first, rest = args[: how.test_consts], args[how.test_consts :]
     consts, carry = rest[: how.body_consts], list(rest[how.body_consts :])
     while True:
-        (going,) = how.test.run([*first, *carry], {})
+        (going,) = how.test.execute([*first, *carry], {})
         if not going.any():
             return carry
-        made = how.body.run([*consts, *carry], {})
+        made = how.body.execute([*consts, *carry], {})
         carry = made if going.all() else [np.where(going, new, old) for new, old in zip(made, carry, strict=True)]
 
 
-def run_switch(branches: Sequence[Listing], index: Any, *args: Values) -> list[Values]:
+def run_switch(branches: Sequence[OperationList], index: Any, *args: BatchArray) -> list[BatchArray]:
     """Run the branch that `index` names, or for each rollout its own."""
     index = index.astype(int)
     if len(index) == 1:
-        return branches[min(max(int(index[0]), 0), len(branches) - 1)].run(args, {})
-    each = [branch.run(args, {}) for branch in branches]
+        return branches[min(max(int(index[0]), 0), len(branches) - 1)].execute(args, {})
+    each = [branch.execute(args, {}) for branch in branches]
     return [batch_ops.select(index, *cases) for cases in zip(*each, strict=True)]
 
 
-def _batch_axis_last(x: Any, rank: int) -> Values:
+def _batch_axis_last(x: Any, rank: int) -> BatchArray:
     """The value with its batch axis last."""
     return np.ascontiguousarray(np.moveaxis(x, 0, -1)) if x.ndim > rank else x[..., None]
 
@@ -362,6 +367,6 @@ def _form(atom: Any) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(atom.aval.shape, atom.aval.dtype)
 
 
-def _array(value: Any) -> Values:
+def _array(value: Any) -> BatchArray:
     """A constant that all rollouts share."""
     return np.asarray(jax.random.key_data(value) if is_key(value) else value)[..., None]

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from sweep.fused import batch_ops as ops
-from sweep.fused.arrays import EMPTY, Unsupported
-from sweep.fused.batch_ops import Product, TriangularSystem, WindowPlaces
-from sweep.fused.operations import COMPARE, REDUCTIONS
+from sweep.fused.arrays import EMPTY_REDUCTIONS, Unsupported
+from sweep.fused.batch_ops import DotDimensions, TriangularSystem, WindowIndexing
+from sweep.fused.operations import COMPARISONS, REDUCTIONS
 from sweep.fused.rules import out_of_bounds_value
 
 UFUNCS: dict[str, np.ufunc] = {
-    **COMPARE,
+    **COMPARISONS,
     **{name: getattr(np, name) for name in (
         "sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "exp2", "expm1", "log", "log1p", "sqrt", "cbrt", "square",
         "floor", "ceil", "sign", "nextafter")},
@@ -27,7 +27,7 @@ UFUNCS: dict[str, np.ufunc] = {
 }  # fmt: skip
 
 CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
-COMPUTED: dict[str, Callable[..., Any]] = {
+FUNCTIONS: dict[str, Callable[..., Any]] = {
     **UFUNCS, "rsqrt": ops.reciprocal_root, "logistic": ops.logistic, "one_minus_square": ops.one_minus_square,
     "clamp": ops.clamp, "cholesky": ops.cholesky, "polynomial": ops.polynomial, "select_n": ops.select,
     "erf_inv": ops.erf_inv,
@@ -70,7 +70,7 @@ def _broadcast_in_dim(eqn: Any) -> Callable:
 
 def _slice(eqn: Any) -> Callable:
     first, last, strides = (eqn.params[name] for name in ("start_indices", "limit_indices", "strides"))
-    return partial(ops.window_of, tuple(map(slice, first, last, strides or (1,) * len(first))))
+    return partial(ops.slice_window, tuple(map(slice, first, last, strides or (1,) * len(first))))
 
 
 def _pad(eqn: Any) -> Callable:
@@ -93,7 +93,7 @@ def _iota(eqn: Any) -> Callable:
 def _reduction(eqn: Any) -> Callable:
     name, axes = REDUCTIONS[eqn.primitive.name], tuple(eqn.params["axes"])
     if not all(_shape(eqn.invars[0])):
-        return partial(ops.fill, _shape(eqn.outvars[0]), EMPTY[name])
+        return partial(ops.fill_empty_reduction, _shape(eqn.outvars[0]), EMPTY_REDUCTIONS[name])
     return partial(ops.sum_terms if name in ("add", "mul") else ops.reduce_extreme, UFUNCS[name], axes)
 
 
@@ -115,14 +115,16 @@ def _dot_general(eqn: Any) -> Callable:
     free_b = [d for d in range(len(_shape(eqn.invars[1]))) if d not in (*of_b, *batch_b)]
     left, right = (*of_a, *batch_a, *free_a), (*of_b, *batch_b, *free_b)
     free = len(free_a), len(free_b)
-    return partial(ops.dot_general, Product(left, right, len(of_a), len(batch_a), free, eqn.outvars[0].aval.dtype))
+    return partial(
+        ops.dot_general, DotDimensions(left, right, len(of_a), len(batch_a), free, eqn.outvars[0].aval.dtype)
+    )
 
 
 def _gather(eqn: Any) -> Callable:
     dims, out = eqn.params["dimension_numbers"], eqn.outvars[0].aval
     inside = [d for d in range(len(_shape(eqn.invars[0])))
               if d not in (*dims.collapsed_slice_dims, *dims.operand_batching_dims)]  # fmt: skip
-    places = WindowPlaces(
+    places = WindowIndexing(
         _shape(eqn.invars[0]),
         tuple(eqn.params["slice_sizes"]),
         tuple(zip(dims.start_index_map, range(len(dims.start_index_map)), strict=True)),
@@ -147,7 +149,7 @@ def _scatter(add: np.ufunc | None) -> Callable:
         for d, through in zip(windows, dims.update_window_dims, strict=True):
             sizes[d] = updates[through]
         over = dims.scatter_dims_to_operand_dims
-        places = WindowPlaces(
+        places = WindowIndexing(
             _shape(eqn.invars[0]),
             tuple(sizes),
             tuple(zip(over, range(len(over)), strict=True)),
@@ -179,7 +181,7 @@ RULES: dict[str, Callable[[Any], Callable[..., Any]]] = {
     "round": _round,
     "shift_right_logical": _shift_right_logical,
     "convert_element_type": lambda eqn: partial(ops.convert, eqn.outvars[0].aval.dtype),
-    "bitcast_convert_type": lambda eqn: partial(ops.reinterpret, eqn.outvars[0].aval.dtype),
+    "bitcast_convert_type": lambda eqn: partial(ops.reinterpret_bits, eqn.outvars[0].aval.dtype),
     "integer_pow": lambda eqn: partial(ops.power, eqn.params["y"]),
     "broadcast_in_dim": _broadcast_in_dim,
     **dict.fromkeys(("reshape", "squeeze", "expand_dims"), _reshape),

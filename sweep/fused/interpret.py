@@ -13,23 +13,23 @@ import numpy as np
 from jax.extend import core
 
 from sweep.fused import maths
-from sweep.fused.arrays import Array, Arrays, RowUpdate, Unsupported, build_array, stack
+from sweep.fused.arrays import Array, ArrayBuilder, RowUpdate, Unsupported, build_array, stack
 from sweep.fused.jaxprs import inner_jaxpr, inner_jaxprs, split_scan_operands
 from sweep.fused.operations import REDUCTIONS
 from sweep.fused.program import Address, Branch, LoopCount, Node, Region, constant_value, is_uniform
-from sweep.fused.rules import MANY, RULES
+from sweep.fused.rules import MULTI_RESULT_RULES, RULES
 
-CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "checkpoint": "jaxpr",
-         "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}  # fmt: skip
+CALL_PRIMITIVES = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr",
+                   "checkpoint": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}  # fmt: skip
 ELEMENTWISE = frozenset("""
     abs add and ceil div eq floor ge gt is_finite le lt max min mul ne neg not or pow round shift_left
     shift_right_arithmetic shift_right_logical sqrt sub xor bitcast_convert_type
 """.split())  # fmt: skip  # noqa: SIM905
-ALIAS = {"stop_gradient": None, "copy": None, "optimization_barrier": None, "add_any": "add"}
-UNROLLED = 1000  # operations up to which a loop is unrolled
+RENAMED_PRIMITIVES = {"stop_gradient": None, "copy": None, "optimization_barrier": None, "add_any": "add"}
+MAX_UNROLLED_OPERATIONS = 1000  # operations up to which a loop is unrolled
 
 
-class Interpreter(Arrays):
+class Interpreter(ArrayBuilder):
     """Applies the rules for JAX's primitives and writes a `Program`."""
 
     def evaluate(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Array | RowUpdate]) -> list[Array | RowUpdate]:
@@ -60,29 +60,29 @@ class Interpreter(Arrays):
     def apply(self, eqn: Any, args: list[Array | RowUpdate]) -> list[Array | RowUpdate]:
         """Add one of JAX's operations on `args`."""
         name, params = eqn.primitive.name, eqn.params
-        if name in CALLS:
-            inner = params[CALLS[name]]
+        if name in CALL_PRIMITIVES:
+            inner = params[CALL_PRIMITIVES[name]]
             return self.evaluate(inner_jaxpr(inner), getattr(inner, "consts", ()), args)
         if not eqn.outvars:
             return []
         out = eqn.outvars[0].aval
-        if name in ALIAS and ALIAS[name] is None:
+        if name in RENAMED_PRIMITIVES and RENAMED_PRIMITIVES[name] is None:
             return args
         args = [self.resolve_update(x) for x in args]
         if name in ("scan", "cond", "while"):
             return getattr(self, f"_{name}")(args, eqn)
-        if rule := MANY.get(name):
+        if rule := MULTI_RESULT_RULES.get(name):
             return rule(args, eqn)
-        if name in ELEMENTWISE or name in ALIAS:
-            return [self.lift(ALIAS.get(name) or name, args, out.dtype.name)]
+        if name in ELEMENTWISE or name in RENAMED_PRIMITIVES:
+            return [self.lift(RENAMED_PRIMITIVES.get(name) or name, args, out.dtype.name)]
         if name in REDUCTIONS:
             return [self.reduce(REDUCTIONS[name], args[0], params["axes"], out.dtype)]
         if rule := RULES.get(name):
             return [rule(self, *args, out=out, **params)]
         single = all(v.aval.dtype == np.float32 for v in eqn.invars)
-        if expansion := maths.EXPANSIONS.get(name) or (single and maths.SINGLE.get(name)):
+        if expansion := maths.EXPANSIONS.get(name) or (single and maths.SINGLE_PRECISION_EXPANSIONS.get(name)):
             return [self.trace_expansion(expansion, args, [v.aval.dtype for v in eqn.invars])]
-        if name in maths.SINGLE:
+        if name in maths.SINGLE_PRECISION_EXPANSIONS:
             return [self.lift(name, args, out.dtype.name)]
         raise Unsupported(name)
 
@@ -104,7 +104,11 @@ class Interpreter(Arrays):
         inner = closed.jaxpr
         consts, carry, xs = split_scan_operands(eqn, args)
         n_carry = len(carry)
-        if n_carry < len(eqn.outvars) or eqn.params["reverse"] or length * _operations(inner) <= UNROLLED:
+        if (
+            n_carry < len(eqn.outvars)
+            or eqn.params["reverse"]
+            or length * _operations(inner) <= MAX_UNROLLED_OPERATIONS
+        ):
             steps = range(length)
             ys = []
             for k in reversed(steps) if eqn.params["reverse"] else steps:
@@ -147,7 +151,7 @@ class Interpreter(Arrays):
             more = self.emit("and", "bool", flag[()], goes_on(new))
             for region, result in zip(regions, [np.full((), more, object), *new], strict=True):
                 self.save(region, result, loop.body.stores)
-            loop.more = self.program.node("any_rollout", (more,), "bool")
+            loop.continue_flag = self.program.node("any_rollout", (more,), "bool")
         return [self.load_array(r, x.shape, outside) for r, x in zip(regions[1:], carry[1:], strict=True)]
 
     def _results(self, closed: Any, args: list[Array]) -> list[Array]:

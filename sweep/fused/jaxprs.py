@@ -21,12 +21,12 @@ def split_scan_operands[T](eqn: Any, operands: Sequence[T]) -> ScanOperands[T]:
     """
     body = inner_jaxpr(eqn.params["jaxpr"])
     rows = sum(x.aval.ndim != y.aval.ndim for x, y in zip(eqn.invars, body.invars, strict=True))
-    carried = count_carried(eqn)
+    carried = count_carry_results(eqn)
     consts = len(eqn.invars) - carried - rows
     return ScanOperands(operands[:consts], operands[consts : consts + carried], operands[consts + carried :])
 
 
-def count_carried(eqn: Any) -> int:
+def count_carry_results(eqn: Any) -> int:
     """Return how many results of a scan are carried; the others are stacked, and have one axis less in its body."""
     body = inner_jaxpr(eqn.params["jaxpr"])
     stacked = sum(x.aval.ndim != y.aval.ndim for x, y in zip(eqn.outvars, body.outvars, strict=True))

@@ -13,24 +13,24 @@ from jaxtyping import Array
 from sweep.fused import llvm, schedule
 from sweep.fused.cores import count_cores
 from sweep.fused.randomness import is_key, key_words
-from sweep.fused.trace import GROUP, Leaf, Traced, trace_program
+from sweep.fused.trace import LEG_COUNT, ArrayLayout, TracedProgram, trace_program
 
-ALIGN = llvm.ALIGN
+ALIGNMENT_BYTES = llvm.ALIGNMENT_BYTES
 
 
-class Code(NamedTuple):
+class KernelCode(NamedTuple):
     """A compiled CPU kernel as the cache stores it."""
 
-    machine: bytes
-    given: list[Leaf]
-    carried: list[Leaf]
-    recorded: dict[str, Leaf]
-    scratch: int  # bytes of scratch memory of a thread
-    form: Any  # tree of the carry: True for random keys
+    machine_code: bytes
+    input_leaves: list[ArrayLayout]
+    carry_leaves: list[ArrayLayout]
+    record_leaves: dict[str, ArrayLayout]
+    scratch_bytes: int  # bytes of scratch memory of a thread
+    random_key_tree: Any  # tree of the carry: True for random keys
     lanes: int  # rollouts of a tile
 
 
-Tick = Callable[
+TickFunction = Callable[
     [Any, Any, Array], tuple[Any, dict[str, Array]]
 ]  # tick of one rollout: (inputs, carry, number) -> (carry, record)
 
@@ -42,12 +42,12 @@ def choose_lanes(width: int, cores: int) -> int:
         width: number of rollouts.
         cores: number of CPU cores.
     """
-    return llvm.NARROW if width <= llvm.NARROW * cores else llvm.LANES
+    return llvm.NARROW_TILE_LANES if width <= llvm.NARROW_TILE_LANES * cores else llvm.TILE_LANES
 
 
 def print_program(
-    function: Tick, inputs: Any, carry: Any, group: int = GROUP, lanes: int = llvm.LANES
-) -> tuple[Traced, llvm.CpuPrinter]:
+    function: TickFunction, inputs: Any, carry: Any, group: int = LEG_COUNT, lanes: int = llvm.TILE_LANES
+) -> tuple[TracedProgram, llvm.CpuPrinter]:
     """Trace a tick function and print it as LLVM assembly.
 
     Args:
@@ -61,11 +61,13 @@ def print_program(
         The program, and a printer that holds its text. Inputs and carry share a memory, whose layout is in bytes.
     """
     program = trace_program(function, inputs, carry, partial(_lay_out, lanes), share_memory=True, group=group)
-    order = schedule.order_block(program.top, schedule.used_nodes(program.top))
+    order = schedule.schedule_block(program.top_block, schedule.used_nodes(program.top_block))
     return program, llvm.CpuPrinter(order, schedule.assign_slots(order), group, lanes)
 
 
-def compile_function(function: Tick, inputs: Any, carry: Any, group: int = GROUP, lanes: int = llvm.LANES) -> Code:
+def compile_function(
+    function: TickFunction, inputs: Any, carry: Any, group: int = LEG_COUNT, lanes: int = llvm.TILE_LANES
+) -> KernelCode:
     """Compile a tick function for this CPU.
 
     Args:
@@ -79,8 +81,8 @@ def compile_function(function: Tick, inputs: Any, carry: Any, group: int = GROUP
 
 
 def start_compilation(
-    function: Tick, inputs: Any, carry: Any, group: int = GROUP, lanes: int = llvm.LANES
-) -> Callable[[], Code]:
+    function: TickFunction, inputs: Any, carry: Any, group: int = LEG_COUNT, lanes: int = llvm.TILE_LANES
+) -> Callable[[], KernelCode]:
     """Print a tick function, and return a function that compiles the text; that takes most of the time and no Python.
 
     Args:
@@ -93,24 +95,26 @@ def start_compilation(
     program, text = print_program(function, inputs, carry, group, lanes)
     form = jax.tree.map(is_key, carry)
 
-    def rest() -> Code:
+    def rest() -> KernelCode:
         target = llvm.target_machine()
-        machine = llvm.compile_text(text.text(target.triple), target)
-        return Code(machine, program.given, program.carried, program.recorded, text.scratch, form, lanes)
+        machine = llvm.compile_text(text.module_text(target.triple), target)
+        return KernelCode(
+            machine, program.input_leaves, program.carry_leaves, program.record_leaves, text.scratch, form, lanes
+        )
 
     return rest
 
 
-def _size(leaf: Leaf, lanes: int) -> int:
+def _size(leaf: ArrayLayout, lanes: int) -> int:
     """Bytes of a leaf in all lanes."""
     return leaf.size * llvm.row_bytes(leaf.dtype, lanes)
 
 
-def _lay_out(lanes: int, shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
+def _lay_out(lanes: int, shapes: Sequence[Any], start: int) -> tuple[list[ArrayLayout], int]:
     """Lay arrays out one after the other. Returns their places in bytes, and the end of the last."""
     leaves = []
     for x in shapes:
-        leaves.append(Leaf(start, tuple(x.shape), np.dtype(x.dtype).name))
+        leaves.append(ArrayLayout(start, tuple(x.shape), np.dtype(x.dtype).name))
         start += llvm.round_to_alignment(_size(leaves[-1], lanes))
     return leaves, start
 
@@ -118,12 +122,12 @@ def _lay_out(lanes: int, shapes: Sequence[Any], start: int) -> tuple[list[Leaf],
 class Kernel:
     """A compiled CPU kernel loaded into this process."""
 
-    def __init__(self, code: Code):
+    def __init__(self, code: KernelCode):
         self.code = code
-        self._kept, address = llvm.load_machine_code(code.machine, llvm.target_machine())
+        self._kept, address = llvm.load_machine_code(code.machine_code, llvm.target_machine())
         self.run = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3, *[ctypes.c_int64] * 3)(address)
 
-    def enter(self, inputs: Any, carry: Any, width: int) -> "Tiles":
+    def load_batch(self, inputs: Any, carry: Any, width: int) -> "Tiles":
         """Put a batch into memory.
 
         Args:
@@ -132,8 +136,8 @@ class Kernel:
             width: number of rollouts.
         """
         tiles = Tiles(self, width)
-        tiles.write(self.code.given, inputs)
-        tiles.write(self.code.carried, carry)
+        tiles.write(self.code.input_leaves, inputs)
+        tiles.write(self.code.carry_leaves, carry)
         return tiles
 
 
@@ -143,13 +147,13 @@ class Tiles:
     def __init__(self, kernel: Kernel, width: int):
         self.code, self.width, lanes = kernel.code, width, kernel.code.lanes
         self._kernel = kernel  # keeps its machine code alive
-        self.memory = _allocate_aligned(-(-width // lanes), _end(self.code.carried, lanes))
-        tree = jax.tree.structure(self.code.form)
+        self.memory = _allocate_aligned(-(-width // lanes), _end(self.code.carry_leaves, lanes))
+        tree = jax.tree.structure(self.code.random_key_tree)
         self._places = jax.tree.unflatten(tree, range(tree.num_leaves))
         rooms = range(min(count_cores(), len(self.memory)))
-        self._scratch = [_allocate_aligned(1, self.code.scratch) for _ in rooms]
+        self._scratch = [_allocate_aligned(1, self.code.scratch_bytes) for _ in rooms]
 
-    def write(self, leaves: Sequence[Leaf], tree: Any) -> None:
+    def write(self, leaves: Sequence[ArrayLayout], tree: Any) -> None:
         """Write values of a batch, or one for all of it. Idle lanes of the last tile repeat the last rollout."""
         lanes = self.code.lanes
         for leaf, given in zip(leaves, jax.tree.leaves(key_words(tree)), strict=True):
@@ -165,7 +169,7 @@ class Tiles:
 
     def replace(self, select: Callable[[Any], Any], tree: Any) -> None:
         """Replace the values that `select` picks from the carry by those of `tree`."""
-        self.write([self.code.carried[place] for place in jax.tree.leaves(select(self._places))], tree)
+        self.write([self.code.carry_leaves[place] for place in jax.tree.leaves(select(self._places))], tree)
 
     def advance(self, first: int, ticks: int, slots: np.ndarray | None = None) -> dict[str, np.ndarray] | None:
         """Run control ticks.
@@ -178,7 +182,7 @@ class Tiles:
         Returns:
             Records (ticks, slots, ...) by name; None without slots.
         """
-        recorded, lanes = self.code.recorded, self.code.lanes
+        recorded, lanes = self.code.record_leaves, self.code.lanes
         size = _end([*recorded.values()], lanes)
         wanted = sorted(set(() if slots is None else (slots // lanes).tolist()))
         told: dict[Any, np.ndarray] = {tile: _allocate_aligned(ticks, size) for tile in wanted}
@@ -203,13 +207,13 @@ class Tiles:
     def read_all(self) -> Any:
         """The carry, (width, ...) for each leaf."""
         rows = self.read(lambda carry: carry)
-        return jax.tree.map(lambda x, key: jax.random.wrap_key_data(x) if key else x, rows, self.code.form)
+        return jax.tree.map(lambda x, key: jax.random.wrap_key_data(x) if key else x, rows, self.code.random_key_tree)
 
     def read(self, select: Callable[[Any], Any]) -> Any:
         """The values that `select` picks from the carry, (width, ...) each."""
 
         def rows(place: int) -> np.ndarray:
-            leaf, lanes = self.code.carried[place], self.code.lanes
+            leaf, lanes = self.code.carry_leaves[place], self.code.lanes
             return np.array(
                 _unpack(self.memory, leaf, lanes).reshape(len(self.memory) * lanes, *leaf.shape)[: self.width]
             )
@@ -219,22 +223,22 @@ class Tiles:
 
 def _allocate_aligned(rows: int, size: int) -> np.ndarray:
     """Memory whose rows are aligned for vectors."""
-    raw = np.zeros(rows * size + ALIGN, np.uint8)
-    start = -raw.ctypes.data % ALIGN
+    raw = np.zeros(rows * size + ALIGNMENT_BYTES, np.uint8)
+    start = -raw.ctypes.data % ALIGNMENT_BYTES
     return raw[start : start + rows * size].reshape(rows, size)
 
 
-def _end(leaves: Sequence[Leaf], lanes: int) -> int:
+def _end(leaves: Sequence[ArrayLayout], lanes: int) -> int:
     """Bytes up to the end of arrays that lie one after the other."""
-    return max((leaf.place + llvm.round_to_alignment(_size(leaf, lanes)) for leaf in leaves), default=ALIGN)
+    return max((leaf.offset + llvm.round_to_alignment(_size(leaf, lanes)) for leaf in leaves), default=ALIGNMENT_BYTES)
 
 
-def _view(memory: np.ndarray, leaf: Leaf, lanes: int) -> np.ndarray:
+def _view(memory: np.ndarray, leaf: ArrayLayout, lanes: int) -> np.ndarray:
     """View of an array in memory: (rows of memory, numbers, lanes)."""
-    found = memory[:, leaf.place : leaf.place + _size(leaf, lanes)].view(leaf.dtype)
+    found = memory[:, leaf.offset : leaf.offset + _size(leaf, lanes)].view(leaf.dtype)
     return found.reshape(len(memory), leaf.size, lanes)
 
 
-def _unpack(memory: np.ndarray, leaf: Leaf, lanes: int) -> np.ndarray:
+def _unpack(memory: np.ndarray, leaf: ArrayLayout, lanes: int) -> np.ndarray:
     """Values of an array: (rows of memory, lanes, ...)."""
     return _view(memory, leaf, lanes).transpose(0, 2, 1).reshape(len(memory), lanes, *leaf.shape)

@@ -8,7 +8,7 @@ from sweep.fused.program import (
     Address,
     Block,
     Branch,
-    Const,
+    ConstantBits,
     Extra,
     LegIndex,
     LegReduction,
@@ -20,13 +20,15 @@ from sweep.fused.program import (
     walk_block,
 )
 
-RECOMPUTED = frozenset(("const", "load", "tick"))  # operations that are repeated wherever their value is needed
-LARGE = 1 << 30  # cap on the count of a value's operations, which counts shared operands for each use
-Place = tuple[Region, int]  # place of a number in memory, or of the six of the legs
-Rows = dict[Place, tuple[int, int, int]]  # see `find_leg_rows`
+RECOMPUTED_OPERATIONS = frozenset(
+    ("const", "load", "tick")
+)  # operations that are repeated wherever their value is needed
+MAX_OPERATION_COUNT = 1 << 30  # cap on the count of a value's operations, which counts shared operands for each use
+MemoryPlace = tuple[Region, int]  # place of a number in memory, or of the six of the legs
+LegRows = dict[MemoryPlace, tuple[int, int, int]]  # see `find_leg_rows`
 
 
-class Part(NamedTuple):
+class KernelPart(NamedTuple):
     """A part of a block: operations in order, then stores."""
 
     items: list[Any]
@@ -52,7 +54,7 @@ def _order_nodes(nodes: dict[int, Node]) -> Iterator[Node]:
     inner = {arg.number for node in nodes.values() for arg in node.args}
     size: dict[int, int] = {}
     for node in nodes.values():
-        size[node.number] = min(1 + sum(size.get(arg.number, 0) for arg in node.args), LARGE)
+        size[node.number] = min(1 + sum(size.get(arg.number, 0) for arg in node.args), MAX_OPERATION_COUNT)
     done: set[int] = set()
     for root in nodes.values():
         pending = [root] if root.number not in inner else []
@@ -69,7 +71,7 @@ def _order_nodes(nodes: dict[int, Node]) -> Iterator[Node]:
             yield pending.pop()
 
 
-def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[Rows, list[Region]]:
+def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[LegRows, list[Region]]:
     """Find the numbers of inner memory that are always read and written as the six of the legs.
 
     Args:
@@ -81,21 +83,26 @@ def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[Rows, list[
         For each number (first index of its row, step, leg); and the regions that have to lie in memory, because they
         are indexed by place or are read in other rows than written.
     """
-    rows: dict[Place, tuple[int, int, int]] = {}
+    rows: dict[MemoryPlace, tuple[int, int, int]] = {}
     memory: dict[Region, None] = {}
     uses: list[tuple[Region, int, int]] = []
     for x in walk_block(top):
         if isinstance(x, Store) and x.value.leg:
-            uses.append((x.region, x.index, x.step))
+            uses.append((x.region, x.index, x.leg_stride))
         elif isinstance(x, Node) and x.number in needed and x.op == "load" and x.leg:
-            region, index, _, step = x.attribute(Address)
+            region, index, _, step = x.typed_extra(Address)
             uses.append((region, index, step))
-        elif isinstance(x, Node) and x.number in needed and x.op == "gather" and x.attribute(Address).region.place < 0:
-            memory[x.attribute(Address).region] = None
-        if isinstance(x, Store) and x.row and x.region.place < 0:
+        elif (
+            isinstance(x, Node)
+            and x.number in needed
+            and x.op == "gather"
+            and x.typed_extra(Address).region.byte_offset < 0
+        ):
+            memory[x.typed_extra(Address).region] = None
+        if isinstance(x, Store) and x.row_index and x.region.byte_offset < 0:
             memory[x.region] = None
     for region, index, step in uses:
-        if region.place < 0:
+        if region.byte_offset < 0:
             for k in range(group):
                 if rows.setdefault((region, index + k * step), (index, step, k)) != (index, step, k):
                     memory[region] = None
@@ -103,8 +110,8 @@ def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[Rows, list[
 
 
 def split_into_parts(
-    block: Block, needed: set[int], last: Region | None, group: int, small_batch: bool, rows: Rows
-) -> list[Part]:
+    block: Block, needed: set[int], last: Region | None, group: int, small_batch: bool, rows: LegRows
+) -> list[KernelPart]:
     """Split a block into parts: its loops, and what lies between them.
 
     A loop has the legs in lanes of a warp. What lies between loops has a thread for each rollout, unless `small_batch`.
@@ -122,7 +129,9 @@ def split_into_parts(
     home: dict[int | Region, int] = {}
     for k, part in enumerate(made):
         home |= {item.number: k for item in part.items if isinstance(item, Node)}
-        home |= {x.region: k for item in part.items for x in (item, *items_inside(item)) if isinstance(x, Store)}
+        home |= {
+            x.region: k for item in part.items for x in (item, *iterate_nested_items(item)) if isinstance(x, Store)
+        }
     asked: dict[Any, int] = {}  # last part that reads a place, or that indexes a region
     for k, part in enumerate(made):
         for node in part_operands(part, needed):
@@ -132,22 +141,24 @@ def split_into_parts(
     for store in late:
         asked |= dict.fromkeys(_places(store.value, group), len(made) - 1)
     for store in stores:
-        places = [(store.region, store.index + k * store.step) for k in (range(group) if store.value.leg else (0,))]
-        if store.row:  # it may write any row of the region
+        places = [
+            (store.region, store.index + k * store.leg_stride) for k in (range(group) if store.value.leg else (0,))
+        ]
+        if store.row_index:  # it may write any row of the region
             places += [place for place in asked if isinstance(place, tuple) and place[0] is store.region]
         free = max(asked.get(place, 0) for place in (*places, store.region))
-        of = store.value.attribute(Address).region if store.value.op == "load" else store.value.number
+        of = store.value.typed_extra(Address).region if store.value.op == "load" else store.value.number
         k = len(made) - 1 if store in late else max(free, home.get(of, 0))
         made[k].stores.append(store)
     return [part for part in made if part.items or part.stores]
 
 
-def _merge_leg_stores(stores: Sequence[Store], rows: Rows, group: int) -> list[Store]:
+def _merge_leg_stores(stores: Sequence[Store], rows: LegRows, group: int) -> list[Store]:
     """Merge stores that each write one leg's number of a row into one store for all legs."""
-    found: dict[tuple[Region, Place], list[Store | None]] = {}
+    found: dict[tuple[Region, MemoryPlace], list[Store | None]] = {}
     for store in stores:
-        if store.value.op == "load" and not store.value.leg and not store.row:
-            region, index, _, _ = store.value.attribute(Address)
+        if store.value.op == "load" and not store.value.leg and not store.row_index:
+            region, index, _, _ = store.value.typed_extra(Address)
             if row := rows.get((region, index)):
                 found.setdefault((store.region, (region, row[0])), [None] * group)[row[2]] = store
     made, done = [], set()
@@ -156,26 +167,26 @@ def _merge_leg_stores(stores: Sequence[Store], rows: Rows, group: int) -> list[S
         step = whole[1].index - whole[0].index if len(whole) == group else 0
         if step > 0 and [store.index - whole[0].index for store in whole] == [k * step for k in range(group)]:
             like = whole[0].value
-            at = Address(region, first, like.attribute(Address).depth, rows[region, first][1])
+            at = Address(region, first, like.typed_extra(Address).depth, rows[region, first][1])
             value = Node("load", (), at, like.dtype, True, (like.number, "legs"), like.block)
-            made.append(replace(whole[0], value=value, step=step))
+            made.append(replace(whole[0], value=value, leg_stride=step))
             done |= {id(store) for store in whole}
     return [store for store in stores if id(store) not in done] + made
 
 
-def _cut_at_loops(block: Block, needed: set[int]) -> list[Part]:
-    made, begun = [Part([], [], False)], []
+def _cut_at_loops(block: Block, needed: set[int]) -> list[KernelPart]:
+    made, begun = [KernelPart([], [], False)], []
     for item in items_depth_first(Block(block.depth, _around_branches(block, needed)), needed):
         if isinstance(item, Store):  # the start of a loop's carry; operations may lie between it and the loop
             begun.append(item)
         elif isinstance(item, Loop):
-            made += [Part([*begun, item], [], True), Part([], [], False)]
+            made += [KernelPart([*begun, item], [], True), KernelPart([], [], False)]
             begun = []
         elif isinstance(item, Branch) and _is_for_legs(item, needed):
             if not made[-1].items and len(made) > 1 and isinstance(made[-2].items[-1], Branch):
                 made[-2].items.append(item)
             else:
-                made += [Part([item], [], True), Part([], [], False)]
+                made += [KernelPart([item], [], True), KernelPart([], [], False)]
         else:
             made[-1].items.append(item)
     return made
@@ -196,7 +207,7 @@ def _around_branches(block: Block, needed: set[int]) -> list[Any]:
     for item in tail:
         operands = _operands(item, needed) or [item]
         if item in branches or any(
-            x in late or (x.op == "load" and x.attribute(Address).region in late) for x in operands
+            x in late or (x.op == "load" and x.typed_extra(Address).region in late) for x in operands
         ):
             late |= {item, *_written_regions(item)}
         elif isinstance(item, Node) and all(_is_input(x, block) or x in plain for x in operands):
@@ -215,24 +226,26 @@ def _around_branches(block: Block, needed: set[int]) -> list[Any]:
 
 def _written_regions(item: Any) -> set[Region]:
     """Regions that a branch or loop stores to."""
-    return {x.region for x in items_inside(item) if isinstance(x, Store)}
+    return {x.region for x in iterate_nested_items(item) if isinstance(x, Store)}
 
 
 def _operands(item: Any, needed: set[int] | None = None) -> list[Node]:
     """All operands of an item of a block, those inside a branch included; by default of all operations."""
-    nodes = [x for x in (item, *items_inside(item)) if isinstance(x, Node) and (needed is None or x.number in needed)]
-    stored = [x.value for x in items_inside(item) if isinstance(x, Store)]
-    decisive = item.index if isinstance(item, Branch) else item.more if isinstance(item, Loop) else None
+    nodes = [
+        x for x in (item, *iterate_nested_items(item)) if isinstance(x, Node) and (needed is None or x.number in needed)
+    ]
+    stored = [x.value for x in iterate_nested_items(item) if isinstance(x, Store)]
+    decisive = item.index if isinstance(item, Branch) else item.continue_flag if isinstance(item, Loop) else None
     return [*(arg for x in nodes for arg in x.args), *stored, *([decisive] if decisive else [])]
 
 
 def _is_input(node: Node, block: Block) -> bool:
     """Whether a node can be read anywhere in `block`: it lies in outer memory, or was computed before."""
-    return _is_outer_load(node) or (node.op in RECOMPUTED and node.op != "load") or node.block is not block
+    return _is_outer_load(node) or (node.op in RECOMPUTED_OPERATIONS and node.op != "load") or node.block is not block
 
 
 def _is_outer_load(node: Node) -> bool:
-    return node.op == "load" and node.attribute(Address).region.place >= 0
+    return node.op == "load" and node.typed_extra(Address).region.byte_offset >= 0
 
 
 def _with_operands(items: list[Any], tail: list[Any], needed: set[int], among: set[Any]) -> set[Any]:
@@ -241,24 +254,28 @@ def _with_operands(items: list[Any], tail: list[Any], needed: set[int], among: s
     for item in reversed(tail):
         if item in found or not found.isdisjoint(_written_regions(item)):
             operands = _operands(item, needed)
-            read = {x.attribute(Address).region for x in operands if x.op == "load"}
+            read = {x.typed_extra(Address).region for x in operands if x.op == "load"}
             found |= {item} | among.intersection(operands) | among.intersection(read)
     return found
 
 
 def _is_for_legs(branch: Branch, needed: set[int]) -> bool:
     """Whether most of a branch are operations for all legs at once."""
-    nodes = [x for x in items_inside(branch) if isinstance(x, Node) and x.number in needed and x.op not in RECOMPUTED]
+    nodes = [
+        x
+        for x in iterate_nested_items(branch)
+        if isinstance(x, Node) and x.number in needed and x.op not in RECOMPUTED_OPERATIONS
+    ]
     return 2 * sum(x.leg for x in nodes) > len(nodes)
 
 
-def items_inside(item: Any) -> Iterator[Any]:
+def iterate_nested_items(item: Any) -> Iterator[Any]:
     """All items in a loop or branch."""
     for block in [item.body] if isinstance(item, Loop) else item.blocks if isinstance(item, Branch) else ():
         yield from walk_block(block)
 
 
-def part_operands(part: Part, needed: set[int]) -> Iterator[Node]:
+def part_operands(part: KernelPart, needed: set[int]) -> Iterator[Node]:
     """Operands of all items of a part, inner blocks included, without the indices of branches.
 
     Args:
@@ -266,7 +283,7 @@ def part_operands(part: Part, needed: set[int]) -> Iterator[Node]:
         needed: numbers of the nodes that are used.
     """
     for one in [*part.items, *part.stores]:
-        for item in (one, *items_inside(one)):
+        for item in (one, *iterate_nested_items(one)):
             if isinstance(item, Node) and item.number in needed:
                 yield from (item, *item.args) if item.op == "gather" else item.args
             elif isinstance(item, Store):
@@ -276,7 +293,7 @@ def part_operands(part: Part, needed: set[int]) -> Iterator[Node]:
 def _places(node: Node, group: int) -> list[Any]:
     if node.op not in ("load", "gather"):
         return []
-    region, index, _, step = node.attribute(Address)
+    region, index, _, step = node.typed_extra(Address)
     if node.op == "gather":
         return [region]
     return [(region, index + k * step) for k in (range(group) if node.leg else (0,))]
@@ -285,7 +302,7 @@ def _places(node: Node, group: int) -> list[Any]:
 class ThreadPart:
     """A part in which each thread has a rollout: one operation for all legs becomes one operation for each leg."""
 
-    def __init__(self, part: Part, needed: set[int], group: int):
+    def __init__(self, part: KernelPart, needed: set[int], group: int):
         self.group = group
         self.made: dict[int, list[Node]] = {}
         self.items = [x for item in part.items for x in self._item(item, needed)]
@@ -302,7 +319,7 @@ class ThreadPart:
         for k, item in enumerate(self.items):
             for node in _operands(item):
                 read |= dict.fromkeys(_places(node, self.group), k)
-            for node in (item, *items_inside(item)):
+            for node in (item, *iterate_nested_items(item)):
                 if isinstance(node, Node) and node.op == "gather":
                     read |= dict.fromkeys(_places(node, self.group), k)
         for store in self.stores:
@@ -310,7 +327,12 @@ class ThreadPart:
         early: dict[int, list[Store]] = {}
         for store in self.stores:
             k = max(read.get((store.region, store.index), 0), read.get(store.region, 0))
-            if store.value.number in made and not store.region.record and not store.row and k < len(self.items):
+            if (
+                store.value.number in made
+                and not store.region.is_record
+                and not store.row_index
+                and k < len(self.items)
+            ):
                 early.setdefault(max(k, made[store.value.number]), []).append(store)
         return early
 
@@ -321,12 +343,12 @@ class ThreadPart:
                 return [node]
             match node.op:
                 case "const":
-                    extras = [Const((bits,)) for bits in node.attribute(Const).bits]
+                    extras = [ConstantBits((bits,)) for bits in node.typed_extra(ConstantBits).value_bytes]
                 case "load":
-                    extras = node.attribute(Address).leg_addresses(self.group)
+                    extras = node.typed_extra(Address).leg_addresses(self.group)
                 case _:  # a node of another part
                     extras = [StoredNode(node.number, k) for k in range(self.group)]
-            op = node.op if node.op in RECOMPUTED else "handed_on"
+            op = node.op if node.op in RECOMPUTED_OPERATIONS else "handed_on"
             self.made[node.number] = [self._node(node, op, (), extra, k) for k, extra in enumerate(extras)]
         return self.made[node.number]
 
@@ -339,7 +361,7 @@ class ThreadPart:
             return self._store(item)
         if isinstance(item, Loop):
             body = self._block(item.body, needed)
-            return [Loop(item.length, body, self.values_by_leg(item.more)[0] if item.more else None)]
+            return [Loop(item.length, body, self.values_by_leg(item.continue_flag)[0] if item.continue_flag else None)]
         if isinstance(item, Branch):
             return [Branch(self.values_by_leg(item.index)[0], [self._block(block, needed) for block in item.blocks])]
         args = [self.values_by_leg(x) for x in item.args]
@@ -348,10 +370,10 @@ class ThreadPart:
                 self.made[item.number] = [x[0] for x in args]
                 return []
             case "part":
-                self.made[item.number] = [args[0][item.attribute(LegIndex).leg]]
+                self.made[item.number] = [args[0][item.typed_extra(LegIndex).leg]]
                 return []
             case "over_legs":  # opposite legs first, then the pairs in order
-                x, made, half, op = args[0], [], self.group // 2, item.attribute(LegReduction).op
+                x, made, half, op = args[0], [], self.group // 2, item.typed_extra(LegReduction).op
                 for k in range(half):
                     made.append(self._node(item, op, (x[k], x[k + half]), None, k))
                 for k in range(1, half):
@@ -377,4 +399,4 @@ class ThreadPart:
 
     def _store(self, store: Store) -> list[Store]:
         each = enumerate(self.values_by_leg(store.value))
-        return [replace(store, index=store.index + k * store.step, value=x, step=0) for k, x in each]
+        return [replace(store, index=store.index + k * store.leg_stride, value=x, leg_stride=0) for k, x in each]

@@ -11,42 +11,44 @@ from jaxtyping import Array, Int, UInt32
 
 from sweep.fused import cuda, driver, schedule
 from sweep.fused.randomness import key_words, restore_keys
-from sweep.fused.trace import GROUP, Leaf, Traced, trace_program
+from sweep.fused.trace import LEG_COUNT, ArrayLayout, TracedProgram, trace_program
 
-BLOCK = cuda.rollouts_per_warp(GROUP) * cuda.WARPS  # smallest number of rollouts in a thread block
-TURNS = 25  # largest factor by which a block has more
-OPTIONS = {"xla_gpu_graph_min_graph_size": 1 << 30}  # CUDA graphs do not help one long kernel
+MIN_ROLLOUTS_PER_BLOCK = (
+    cuda.rollouts_per_warp(LEG_COUNT) * cuda.MAX_WARPS_PER_BLOCK
+)  # smallest number of rollouts in a thread block
+MAX_BLOCK_FACTOR = 25  # largest factor by which a block has more
+XLA_OPTIONS = {"xla_gpu_graph_min_graph_size": 1 << 30}  # CUDA graphs do not help one long kernel
 
 
-class Ptx(NamedTuple):
+class PtxKernel(NamedTuple):
     """A GPU kernel as PTX text, and the places of its arrays in the memory of a rollout."""
 
     text: str
-    given: list[Leaf]
-    carried: list[Leaf]
-    recorded: dict[str, Leaf]
-    words: int  # words of a rollout: its carry, and the kernel's own
+    input_leaves: list[ArrayLayout]
+    carry_leaves: list[ArrayLayout]
+    record_leaves: dict[str, ArrayLayout]
+    words_per_rollout: int  # words of a rollout: its carry, and the kernel's own
     ticks: int
-    room: int  # number of rollouts that can be recorded
-    rollouts: int  # rollouts of a thread block
+    record_capacity: int  # number of rollouts that can be recorded
+    rollouts_per_block: int  # rollouts of a thread block
 
 
-Tick = Callable[
+TickFunction = Callable[
     [Any, Any, Array], tuple[Any, dict[str, Array]]
 ]  # tick of one rollout: (inputs, carry, number) -> (carry, record)
 
 
 def compile_to_ptx(
-    function: Tick,
+    function: TickFunction,
     inputs: Any,
     carry: Any,
     is_over: Callable[[Any], Any],
     ticks: int,
     record_capacity: int,
     width: int,
-    group: int = GROUP,
+    group: int = LEG_COUNT,
     small_batch: bool = False,
-) -> Ptx:
+) -> PtxKernel:
     """Compile a tick function for an NVIDIA GPU.
 
     Args:
@@ -65,23 +67,30 @@ def compile_to_ptx(
         program, printer = print_program(
             function, inputs, carry, is_over, ticks, record_capacity, width, group, small_batch
         )
-        text = compiler(printer.text())
-    return Ptx(
-        text, program.given, program.carried, program.recorded, printer.words, ticks, record_capacity, printer.rollouts
+        text = compiler(printer.module_text())
+    return PtxKernel(
+        text,
+        program.input_leaves,
+        program.carry_leaves,
+        program.record_leaves,
+        printer.words,
+        ticks,
+        record_capacity,
+        printer.rollouts,
     )
 
 
 def print_program(
-    function: Tick,
+    function: TickFunction,
     inputs: Any,
     carry: Any,
     is_over: Callable[[Any], Any],
     ticks: int,
     record_capacity: int,
     width: int,
-    group: int = GROUP,
+    group: int = LEG_COUNT,
     small_batch: bool = False,
-) -> tuple[Traced, cuda.GpuPrinter]:
+) -> tuple[TracedProgram, cuda.GpuPrinter]:
     """Trace a tick function and print it as LLVM assembly for a GPU, see `compile_to_ptx`.
 
     Args:
@@ -105,13 +114,17 @@ def print_program(
 
     program = trace_program(tick_with_record, inputs, carry, _lay_out, share_memory=False, group=group)
     tree = jax.tree.structure(carry)
-    flag = program.carried[is_over(jax.tree.unflatten(tree, range(tree.num_leaves)))].place
-    sizes = _end(program.given), _end(program.carried), _end([*program.recorded.values()])
-    turns, needed = _rollouts_factor(width, group), schedule.used_nodes(program.top)
-    return program, cuda.GpuPrinter(program.top, needed, sizes, ticks, flag, record_capacity, turns, group, small_batch)
+    flag = program.carry_leaves[is_over(jax.tree.unflatten(tree, range(tree.num_leaves)))].offset
+    sizes = _end(program.input_leaves), _end(program.carry_leaves), _end([*program.record_leaves.values()])
+    turns, needed = _rollouts_factor(width, group), schedule.used_nodes(program.top_block)
+    return program, cuda.GpuPrinter(
+        program.top_block, needed, sizes, ticks, flag, record_capacity, turns, group, small_batch
+    )
 
 
-def run_kernel(code: Ptx, inputs: Any, carry: Any, first: Array, slots: Int[Array, " room"] | None) -> tuple[Any, Any]:
+def run_kernel(
+    code: PtxKernel, inputs: Any, carry: Any, first: Array, slots: Int[Array, " room"] | None
+) -> tuple[Any, Any]:
     """Run a GPU kernel over a batch, within a function that XLA compiles.
 
     Args:
@@ -126,60 +139,60 @@ def run_kernel(code: Ptx, inputs: Any, carry: Any, first: Array, slots: Int[Arra
     """
     like, tree = jax.tree.flatten(carry)
     width = len(like[0])
-    state = _pack(code, code.carried, like, width, code.words)
+    state = _pack(code, code.carry_leaves, like, width, code.words_per_rollout)
     operands = [
-        _pack(code, code.given, jax.tree.leaves(inputs), width, _end(code.given)),
+        _pack(code, code.input_leaves, jax.tree.leaves(inputs), width, _end(code.input_leaves)),
         jnp.asarray(first, jnp.int32),
         state,
     ]
     places = jnp.zeros(0, jnp.int32)
     if slots is not None:
-        places = jnp.full(state.shape[0] * code.rollouts, code.room, jnp.int32)
-        places = places.at[slots].min(jnp.arange(code.room, dtype=jnp.int32))
-        numbers = _end([*code.recorded.values()])
-        operands += [places, jnp.zeros((code.ticks, code.room + 1, numbers), jnp.uint32)]
+        places = jnp.full(state.shape[0] * code.rollouts_per_block, code.record_capacity, jnp.int32)
+        places = places.at[slots].min(jnp.arange(code.record_capacity, dtype=jnp.int32))
+        numbers = _end([*code.record_leaves.values()])
+        operands += [places, jnp.zeros((code.ticks, code.record_capacity + 1, numbers), jnp.uint32)]
     moved, *record = call_kernel(code, operands)
-    rows = moved.transpose(0, 2, 1).reshape(-1, code.words)[:width]
-    after = [restore_keys(_unpack(rows, leaf), x) for leaf, x in zip(code.carried, like, strict=True)]
+    rows = moved.transpose(0, 2, 1).reshape(-1, code.words_per_rollout)[:width]
+    after = [restore_keys(_unpack(rows, leaf), x) for leaf, x in zip(code.carry_leaves, like, strict=True)]
     after = jax.tree.unflatten(tree, after)
     if slots is None:
         return after, None
     record = record[0][:, places[slots]]
-    return after, {name: _unpack(record, leaf) for name, leaf in code.recorded.items()}
+    return after, {name: _unpack(record, leaf) for name, leaf in code.record_leaves.items()}
 
 
-def call_kernel(code: Ptx, operands: Sequence[Array]) -> Sequence[Array]:
+def call_kernel(code: PtxKernel, operands: Sequence[Array]) -> Sequence[Array]:
     """Call the kernel from XLA. Returns the operands that it changes: the state, and the records if any."""
     changed = [2] if len(operands) == 3 else [2, 4]
-    return driver.call_kernel(driver.start_translation(code.text), 32 * cuda.WARPS, operands, changed)
+    return driver.call_kernel(driver.start_ptx_translation(code.text), 32 * cuda.MAX_WARPS_PER_BLOCK, operands, changed)
 
 
 def _rollouts_factor(width: int, group: int) -> int:
     """By how much a block has more rollouts than the least, so that every multiprocessor has one block."""
     cores = getattr(jax.devices()[0], "core_count", None) or 1
-    return min(TURNS, -(-width // (cores * cuda.rollouts_per_warp(group) * cuda.WARPS)))
+    return min(MAX_BLOCK_FACTOR, -(-width // (cores * cuda.rollouts_per_warp(group) * cuda.MAX_WARPS_PER_BLOCK)))
 
 
-def _lay_out(shapes: Sequence[Any], start: int) -> tuple[list[Leaf], int]:
+def _lay_out(shapes: Sequence[Any], start: int) -> tuple[list[ArrayLayout], int]:
     """Lay arrays out one after the other, a word for each number."""
     leaves = []
     for x in shapes:
-        leaves.append(Leaf(start, tuple(x.shape), np.dtype(x.dtype).name))
+        leaves.append(ArrayLayout(start, tuple(x.shape), np.dtype(x.dtype).name))
         start += leaves[-1].size
     return leaves, start
 
 
-def _end(leaves: Sequence[Leaf]) -> int:
-    return max((leaf.place + leaf.size for leaf in leaves), default=1)
+def _end(leaves: Sequence[ArrayLayout]) -> int:
+    return max((leaf.offset + leaf.size for leaf in leaves), default=1)
 
 
 def _pack(
-    code: Ptx, leaves: Sequence[Leaf], values: Sequence[Array], width: int, size: int
+    code: PtxKernel, leaves: Sequence[ArrayLayout], values: Sequence[Array], width: int, size: int
 ) -> UInt32[Array, "blocks size rollouts"]:
     """Memory of a batch in blocks; rollouts beyond its width repeat the last."""
-    rollouts = -(-width // code.rollouts) * code.rollouts
+    rollouts = -(-width // code.rollouts_per_block) * code.rollouts_per_block
 
-    def column(x: Array, leaf: Leaf) -> Array:
+    def column(x: Array, leaf: ArrayLayout) -> Array:
         bits = x.astype(jnp.uint32) if x.dtype == bool else lax.bitcast_convert_type(x, jnp.uint32)
         rows = width if x.ndim > len(leaf.shape) else 1
         return jnp.broadcast_to(bits.reshape(rows, leaf.size), (width, leaf.size))
@@ -187,10 +200,10 @@ def _pack(
     columns = [column(x, leaf) for x, leaf in zip(key_words(list(values)), leaves, strict=True)]
     columns.append(jnp.zeros((width, size - sum(x.shape[1] for x in columns)), jnp.uint32))
     rows = jnp.pad(jnp.concatenate(columns, axis=1), ((0, rollouts - width), (0, 0)), mode="edge")
-    return rows.reshape(-1, code.rollouts, size).transpose(0, 2, 1)
+    return rows.reshape(-1, code.rollouts_per_block, size).transpose(0, 2, 1)
 
 
-def _unpack(rows: UInt32[Array, "*batch numbers"], leaf: Leaf) -> Array:
+def _unpack(rows: UInt32[Array, "*batch numbers"], leaf: ArrayLayout) -> Array:
     """An array from the last axis of memory."""
-    bits = rows[..., leaf.place : leaf.place + leaf.size].reshape(*rows.shape[:-1], *leaf.shape)
+    bits = rows[..., leaf.offset : leaf.offset + leaf.size].reshape(*rows.shape[:-1], *leaf.shape)
     return bits != 0 if leaf.dtype == "bool" else lax.bitcast_convert_type(bits, leaf.dtype)

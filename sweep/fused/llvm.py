@@ -21,12 +21,12 @@ from sweep.fused.program import (
     Store,
     constant_value,
 )
-from sweep.fused.schedule import OperationGroup, Order, Slots, used_regions
-from sweep.fused.text import TYPES, LlvmText
+from sweep.fused.schedule import BlockSchedule, OperationGroup, ScratchSlots, used_regions
+from sweep.fused.text import LLVM_TYPES, LlvmText
 
-LANES, NARROW = 16, 4  # rollouts of a tile; a narrow tile takes half as long
-ALIGN = 64  # bytes
-FIRST = {
+TILE_LANES, NARROW_TILE_LANES = 16, 4  # rollouts of a tile; a narrow tile takes half as long
+ALIGNMENT_BYTES = 64  # bytes
+REDUCTION_STARTS = {
     "add": -0.0,
     "mul": 1,
     "max": -np.inf,
@@ -43,7 +43,7 @@ def row_bytes(dtype: str, lanes: int) -> int:
 
 def round_to_alignment(size: int) -> int:
     """Round bytes up to a multiple of the alignment."""
-    return -(-size // ALIGN) * ALIGN
+    return -(-size // ALIGNMENT_BYTES) * ALIGNMENT_BYTES
 
 
 class CpuPrinter(LlvmText):
@@ -52,7 +52,7 @@ class CpuPrinter(LlvmText):
     `record` advances by `stride` bytes each tick; `first` is the number of the first tick.
     """
 
-    def __init__(self, top: Order, slots: Slots, group: int, lanes: int):
+    def __init__(self, top: BlockSchedule, slots: ScratchSlots, group: int, lanes: int):
         super().__init__(lanes)
         self.group = group
         self.slots = slots
@@ -61,32 +61,32 @@ class CpuPrinter(LlvmText):
         self.row = lanes * slots.size
         self.scratch = round_to_alignment(slots.count * self.group * self.row)
         self.places: dict[Region, int] = {}
-        for region in sorted((r for r in used_regions(top) if r.place < 0), key=id):
+        for region in sorted((r for r in used_regions(top) if r.byte_offset < 0), key=id):
             self.places[region] = self.scratch
-            self.scratch += round_to_alignment(region.size * self.size(region.dtype))
+            self.scratch += round_to_alignment(region.size * self.number_bytes(region.dtype))
         self._order(top)
 
-    def text(self, triple: str) -> str:
+    def module_text(self, triple: str) -> str:
         """The module as LLVM assembly for a CPU."""
         head = "define void @run(ptr noalias %rollouts, ptr noalias %scratch, ptr noalias %record, i64 %stride, "
         declared = "\n".join(sorted(self.declared))
-        return (f'target triple = "{triple}"\n{declared}\n{head}i64 %first, i64 %ticks) {{\nentry:\n{self.body()}\n'
-                f"  ret void\n}}\n")  # fmt: skip
+        start = f'target triple = "{triple}"\n{declared}\n{head}i64 %first, i64 %ticks) {{\nentry:\n'
+        return f"{start}{self.printed_lines()}\n  ret void\n}}\n"
 
     # blocks
 
-    def _order(self, order: Order) -> None:
+    def _order(self, order: BlockSchedule) -> None:
         for at, step in enumerate(order.steps):
             if isinstance(step, OperationGroup):
-                (self._legs_turn if step.legs else self._plain_turn)(step)
+                (self._legs_turn if step.is_leg_loop else self._plain_turn)(step)
             elif isinstance(step, Store):
                 self._store(step)
             elif isinstance(step, Loop):
-                self._loop(step, order.inner[at][0])
+                self._loop(step, order.inner_schedules[at][0])
             elif isinstance(step, Branch):
-                self._branch(step, order.inner[at])
+                self._branch(step, order.inner_schedules[at])
 
-    def _loop(self, loop: Loop, body: Order) -> None:
+    def _loop(self, loop: Loop, body: BlockSchedule) -> None:
         self._fresh += 1
         name, before = f"L{self._fresh}", self.label
         self.lines.append(f"br label %{name}")
@@ -98,8 +98,8 @@ class CpuPrinter(LlvmText):
         self._order(body)
         length = "%ticks" if loop.length is None else str(loop.length)
         self.emit(f"add i64 {count}, 1", following)
-        if loop.more:
-            more = self.emit(f"extractelement {self.vector('bool')} {self.value(loop.more)}, i32 0")
+        if loop.continue_flag:
+            more = self.emit(f"extractelement {self.vector_type('bool')} {self.value_name(loop.continue_flag)}, i32 0")
             self.emit(f"xor i1 {more}, true", f"%{name}_c")
         else:
             self.emit(f"icmp eq i64 {following}, {length}", f"%{name}_c")
@@ -107,12 +107,12 @@ class CpuPrinter(LlvmText):
         self.lines.append(f"br i1 %{name}_c, label %{name}_x, label %{name}")
         self.start_block(f"{name}_x")
 
-    def _branch(self, branch: Branch, orders: Sequence[Order]) -> None:
+    def _branch(self, branch: Branch, orders: Sequence[BlockSchedule]) -> None:
         self._fresh += 1
         name = f"B{self._fresh}"
-        index = self.value(branch.index)  # of all rollouts alike
-        first = self.emit(f"extractelement {self.vector(branch.index.dtype)} {index}, i32 0")
-        self.switch(TYPES[branch.index.dtype], first, name, len(orders))
+        index = self.value_name(branch.index)  # of all rollouts alike
+        first = self.emit(f"extractelement {self.vector_type(branch.index.dtype)} {index}, i32 0")
+        self.print_switch(LLVM_TYPES[branch.index.dtype], first, name, len(orders))
         for k, one in enumerate(orders):
             self.start_block(f"{name}_{k}")
             names = dict(self.names)
@@ -125,40 +125,42 @@ class CpuPrinter(LlvmText):
         for node in turn.nodes:
             if node.op == "pack":
                 for k, x in enumerate(node.args):
-                    self._put(self.value(x), node.dtype, "%scratch", str(self.slot_offset(node) + k * self.row))
+                    self._put(self.value_name(x), node.dtype, "%scratch", str(self.slot_offset(node) + k * self.row))
             else:
-                self.names[node.number] = self._work(node, [self.value(x) if not x.leg else "" for x in node.args])
+                self.names[node.number] = self._work(node, [self.value_name(x) if not x.leg else "" for x in node.args])
 
     def _legs_turn(self, turn: OperationGroup) -> None:
         self._fresh += 1
         name, before = f"T{self._fresh}", self.label
-        leg = Leg(self, f"%{name}_k")
+        leg = LegLoopValues(self, f"%{name}_k")
         sums = [n for n in turn.nodes if n.op == "over_legs"]
         self.lines.append(f"br label %{name}")
         self.start_block(name)
         self.lines.append(f"%{name}_k = phi i64 [0, %{before}], [%{name}_n, %{name}]")
         totals = []
         for k, node in enumerate(sums):
-            op = node.attribute(LegReduction).op
-            first = FIRST[op]
+            op = node.typed_extra(LegReduction).op
+            first = REDUCTION_STARTS[op]
             if not np.issubdtype(node.dtype, np.floating) and not isinstance(first, bool):
                 first = {"add": 0, "mul": 1, "max": np.iinfo(node.dtype).min, "min": np.iinfo(node.dtype).max}[op]
             start = self.literal(np.asarray(first, node.dtype))
-            totals.append(self.emit(f"phi {self.vector(node.dtype)} [{start}, %{before}], [%{name}_s{k}, %{name}]"))
+            totals.append(
+                self.emit(f"phi {self.vector_type(node.dtype)} [{start}, %{before}], [%{name}_s{k}, %{name}]")
+            )
         for node in turn.nodes:
             if node.op == "over_legs":
                 k = sums.index(node)
-                op = node.attribute(LegReduction).op
-                total = self.arithmetic(op, node.dtype, [totals[k], leg.value(node.args[0])], [node.dtype] * 2)
+                op = node.typed_extra(LegReduction).op
+                total = self.arithmetic(op, node.dtype, [totals[k], leg.value_name(node.args[0])], [node.dtype] * 2)
                 self.emit(
-                    f"select i1 true, {self.vector(node.dtype)} {total}, {self.vector(node.dtype)} {total}",
+                    f"select i1 true, {self.vector_type(node.dtype)} {total}, {self.vector_type(node.dtype)} {total}",
                     f"%{name}_s{k}",
                 )
                 self.names[node.number] = f"%{name}_s{k}"
                 continue
-            value = leg.here[node.number] = self._work(node, [leg.value(x) for x in node.args], leg)
+            value = leg.here[node.number] = self._work(node, [leg.value_name(x) for x in node.args], leg)
             if node.number in self.slots.by_node:
-                self._put(value, node.dtype, "%scratch", leg.offset(self.row, self.slot_offset(node)))
+                self._put(value, node.dtype, "%scratch", leg.leg_offset(self.row, self.slot_offset(node)))
         self.emit(f"add i64 %{name}_k, 1", f"%{name}_n")
         self.emit(f"icmp eq i64 %{name}_n, {self.group}", f"%{name}_c")
         self.lines.append(f"br i1 %{name}_c, label %{name}_x, label %{name}")
@@ -170,53 +172,55 @@ class CpuPrinter(LlvmText):
 
     # memory
 
-    def size(self, dtype: str) -> int:
+    def number_bytes(self, dtype: str) -> int:
         """Bytes of one number in all lanes."""
         return row_bytes(dtype, self.lanes)
 
-    def base(self, region: Region) -> tuple[str, int]:
+    def region_pointer(self, region: Region) -> tuple[str, int]:
         """Pointer to a region's memory, and the region's offset in bytes."""
         if region in self.places:
             return "%scratch", self.places[region]
-        return "%rollouts", region.place
+        return "%rollouts", region.byte_offset
 
     def _store(self, store: Store) -> None:
         region, value = store.region, store.value
-        base, place = self.base(region)
-        size = self.size(region.dtype)
-        if region.record:
+        base, place = self.region_pointer(region)
+        size = self.number_bytes(region.dtype)
+        if region.is_record:
             count = self.counts[1]
             moved = self.emit(f"mul i64 {count}, %stride")
             base = self.emit(f"getelementptr i8, ptr %record, i64 {moved}")
-        if store.row:
-            row = self.emit(f"extractelement {self.vector('int32')} {self.value(store.row)}, i32 0")
-            moved = self.emit(f"mul i64 {self.emit(f'sext i32 {row} to i64')}, {store.stride * size}")
+        if store.row_index:
+            row = self.emit(f"extractelement {self.vector_type('int32')} {self.value_name(store.row_index)}, i32 0")
+            moved = self.emit(f"mul i64 {self.emit(f'sext i32 {row} to i64')}, {store.row_stride * size}")
             base = self.emit(f"getelementptr i8, ptr {base}, i64 {moved}")
         if not value.leg:
-            self._put(self.value(value), region.dtype, base, str(place + store.index * size))
+            self._put(self.value_name(value), region.dtype, base, str(place + store.index * size))
             return
         for k in range(self.group):
-            one = self.part(value, k)
-            self._put(one, region.dtype, base, str(place + (store.index + k * store.step) * size))
+            one = self.leg_value(value, k)
+            self._put(one, region.dtype, base, str(place + (store.index + k * store.leg_stride) * size))
 
-    def part(self, node: Node, k: int) -> str:
+    def leg_value(self, node: Node, k: int) -> str:
         """One leg's value, from a node that stands for all legs."""
         if node.op == "const":
             return self.literal(constant_value(node)[k])
         if node.op == "load":
-            region, index, _, step = node.attribute(Address)
-            base, place = self.base(region)
-            return self.get(region.dtype, base, str(place + (index + k * step) * self.size(region.dtype)))
-        return self.get(node.dtype, "%scratch", str(self.slot_offset(node) + k * self.row))
+            region, index, _, step = node.typed_extra(Address)
+            base, place = self.region_pointer(region)
+            return self.load_number(
+                region.dtype, base, str(place + (index + k * step) * self.number_bytes(region.dtype))
+            )
+        return self.load_number(node.dtype, "%scratch", str(self.slot_offset(node) + k * self.row))
 
     def _put(self, value: str, dtype: str, base: str, offset: str) -> None:
         at = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
         if dtype == "bool":
-            value = self.emit(f"zext {self.vector('bool')} {value} to {self.vector('int8')}")
-        stored = self.vector("int8" if dtype == "bool" else dtype)
-        self.lines.append(f"store {stored} {value}, ptr {at}, align {min(64, self.size(dtype))}")
+            value = self.emit(f"zext {self.vector_type('bool')} {value} to {self.vector_type('int8')}")
+        stored = self.vector_type("int8" if dtype == "bool" else dtype)
+        self.lines.append(f"store {stored} {value}, ptr {at}, align {min(64, self.number_bytes(dtype))}")
 
-    def get(self, dtype: str, base: str, offset: str, name: str | None = None) -> str:
+    def load_number(self, dtype: str, base: str, offset: str, name: str | None = None) -> str:
         """Load a number from memory, `offset` bytes from a pointer.
 
         Args:
@@ -227,56 +231,58 @@ class CpuPrinter(LlvmText):
         """
         at = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
         if dtype == "bool":
-            found = self.emit(f"load {self.vector('int8')}, ptr {at}, align {self.lanes}")
-            return self.emit(f"icmp ne {self.vector('int8')} {found}, zeroinitializer", name)
-        return self.emit(f"load {self.vector(dtype)}, ptr {at}, align {min(64, self.size(dtype))}", name)
+            found = self.emit(f"load {self.vector_type('int8')}, ptr {at}, align {self.lanes}")
+            return self.emit(f"icmp ne {self.vector_type('int8')} {found}, zeroinitializer", name)
+        return self.emit(f"load {self.vector_type(dtype)}, ptr {at}, align {min(64, self.number_bytes(dtype))}", name)
 
-    def gather(self, node: Node, place: str, offset: str) -> str:
+    def gather_number(self, node: Node, place: str, offset: str) -> str:
         """Load a number from a place of each rollout's own, plus `offset` bytes."""
-        region = node.attribute(Address).region
-        base, _ = self.base(region)
-        size, wide = self.size(region.dtype), self.vector("int64")
+        region = node.typed_extra(Address).region
+        base, _ = self.region_pointer(region)
+        size, wide = self.number_bytes(region.dtype), self.vector_type("int64")
         lanes = ", ".join(f"i64 {k * np.dtype(region.dtype).itemsize}" for k in range(self.lanes))
-        far = self.emit(f"sext {self.vector('int32')} {place} to {wide}")
+        far = self.emit(f"sext {self.vector_type('int32')} {place} to {wide}")
         moved = self.emit(f"mul {wide} {far}, {self.splat('i64', size)}")
         moved = self.emit(f"add {wide} {moved}, <{lanes}>")
         start = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
         where = self.emit(f"getelementptr i8, ptr {start}, {wide} {moved}")
-        kept = "i8" if region.dtype == "bool" else TYPES[region.dtype]
+        kept = "i8" if region.dtype == "bool" else LLVM_TYPES[region.dtype]
         short = {"float": "f32", "double": "f64"}.get(kept, kept)
         function = f"@llvm.masked.gather.v{self.lanes}{short}.v{self.lanes}p0"
         vector = f"<{self.lanes} x {kept}>"
-        self.declared.add(f"declare {vector} {function}(<{self.lanes} x ptr>, i32, {self.vector('bool')}, {vector})")
-        every = f"{self.vector('bool')} {self.splat('i1', 'true')}"
+        self.declared.add(
+            f"declare {vector} {function}(<{self.lanes} x ptr>, i32, {self.vector_type('bool')}, {vector})"
+        )
+        every = f"{self.vector_type('bool')} {self.splat('i1', 'true')}"
         given = f"<{self.lanes} x ptr> {where}, i32 1, {every}"
         found = self.emit(f"call {vector} {function}({given}, {vector} poison)")
         return self.emit(f"icmp ne {vector} {found}, zeroinitializer") if region.dtype == "bool" else found
 
     # values
 
-    def value(self, node: Node) -> str:
+    def value_name(self, node: Node) -> str:
         """Name of a node's value that is not a leg's."""
         return self.literal(constant_value(node)) if node.op == "const" else self.names[node.number]
 
-    def _work(self, node: Node, args: list[str], leg: "Leg | None" = None) -> str:
+    def _work(self, node: Node, args: list[str], leg: "LegLoopValues | None" = None) -> str:
         """Print a node's operation."""
         match node.op:
             case "load":
-                region, index, _, _ = node.attribute(Address)
-                base, place = self.base(region)
-                return self.get(region.dtype, base, str(place + index * self.size(region.dtype)))
+                region, index, _, _ = node.typed_extra(Address)
+                base, place = self.region_pointer(region)
+                return self.load_number(region.dtype, base, str(place + index * self.number_bytes(region.dtype)))
             case "gather":
-                region, index, _, step = node.attribute(Address)
-                _, place = self.base(region)
-                offset = place + index * self.size(region.dtype)
-                at = leg.offset(step * self.size(region.dtype), offset) if leg and node.leg else str(offset)
-                return self.gather(node, args[0], at)
+                region, index, _, step = node.typed_extra(Address)
+                _, place = self.region_pointer(region)
+                offset = place + index * self.number_bytes(region.dtype)
+                at = leg.leg_offset(step * self.number_bytes(region.dtype), offset) if leg and node.leg else str(offset)
+                return self.gather_number(node, args[0], at)
             case "part":
-                return self.part(node.args[0], node.attribute(LegIndex).leg)
+                return self.leg_value(node.args[0], node.typed_extra(LegIndex).leg)
             case "any_rollout":
                 return self._any(args[0])
             case "count":
-                return self._whole(self.counts[node.attribute(LoopCount).depth])
+                return self._whole(self.counts[node.typed_extra(LoopCount).depth])
             case "tick":
                 return self._whole(self.emit(f"add i64 {self.counts[1]}, %first"))
             case _:
@@ -286,7 +292,7 @@ class CpuPrinter(LlvmText):
         """In all lanes, whether a flag is set in any."""
         if self.lanes == 1:
             return flags
-        vector = self.vector("bool")
+        vector = self.vector_type("bool")
         function = f"@llvm.vector.reduce.or.v{self.lanes}i1"
         self.declared.add(f"declare i1 {function}({vector})")
         found = self.emit(f"call i1 {function}({vector} {flags})")
@@ -295,12 +301,12 @@ class CpuPrinter(LlvmText):
 
     def _whole(self, number: str) -> str:
         short = self.emit(f"trunc i64 {number} to i32")
-        wide = self.vector("int32")
+        wide = self.vector_type("int32")
         one = self.emit(f"insertelement {wide} poison, i32 {short}, i32 0")
         return self.emit(f"shufflevector {wide} {one}, {wide} poison, {wide} zeroinitializer")
 
 
-class Leg:
+class LegLoopValues:
     """Names of values inside a loop over the legs."""
 
     def __init__(self, printer: CpuPrinter, count: str):
@@ -308,17 +314,17 @@ class Leg:
         self.here: dict[int, str] = {}
         self.steps: dict[int, str] = {}
 
-    def offset(self, step: int, start: int) -> str:
+    def leg_offset(self, step: int, start: int) -> str:
         """Offset of this leg's number, in bytes."""
         if step not in self.steps:
             self.steps[step] = self.printer.emit(f"mul i64 {self.count}, {step}")
         return self.printer.emit(f"add i64 {self.steps[step]}, {start}")
 
-    def value(self, node: Node) -> str:
+    def value_name(self, node: Node) -> str:
         """Name of this leg's value of a node, or of its value for all legs."""
         printer = self.printer
         if not node.leg:
-            return printer.value(node)
+            return printer.value_name(node)
         if node.number not in self.here:
             self.here[node.number] = self._found(node)
         return self.here[node.number]
@@ -330,15 +336,15 @@ class Leg:
             value = printer.literal(values[-1])
             for k in range(printer.group - 2, -1, -1):
                 test = self._is(k)
-                kind = printer.vector(node.dtype)
+                kind = printer.vector_type(node.dtype)
                 value = printer.emit(f"select i1 {test}, {kind} {printer.literal(values[k])}, {kind} {value}")
             return value
         if node.op == "load":
-            region, index, _, step = node.attribute(Address)
-            base, place = printer.base(region)
-            size = printer.size(region.dtype)
-            return printer.get(region.dtype, base, self.offset(step * size, place + index * size))
-        return printer.get(node.dtype, "%scratch", self.offset(printer.row, printer.slot_offset(node)))
+            region, index, _, step = node.typed_extra(Address)
+            base, place = printer.region_pointer(region)
+            size = printer.number_bytes(region.dtype)
+            return printer.load_number(region.dtype, base, self.leg_offset(step * size, place + index * size))
+        return printer.load_number(node.dtype, "%scratch", self.leg_offset(printer.row, printer.slot_offset(node)))
 
     def _is(self, k: int) -> str:
         key = -1 - k

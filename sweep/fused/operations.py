@@ -7,10 +7,10 @@ import numpy as np
 
 from sweep.fused.program import Node, constant_value
 
-COMPARE = {"eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater,
-           "ge": np.greater_equal}  # fmt: skip
-NUMPY: dict[str, Callable] = {
-    **COMPARE,
+COMPARISONS = {"eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater,
+               "ge": np.greater_equal}  # fmt: skip
+NUMPY_FUNCTIONS: dict[str, Callable] = {
+    **COMPARISONS,
     **{name: getattr(np, name) for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "floor", "ceil", "log1p")},
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "max": np.maximum, "min": np.minimum,
     "neg": np.negative, "abs": np.abs, "round": np.rint,
@@ -23,7 +23,7 @@ REDUCTIONS = {"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "re
               "reduce_prod": "mul"}  # fmt: skip
 
 
-def fold(name: str, dtype: str, values: Sequence[Any]) -> Any:
+def fold_constants(name: str, dtype: str, values: Sequence[Any]) -> Any:
     """Result of an operation on constants.
 
     Args:
@@ -45,7 +45,7 @@ def fold(name: str, dtype: str, values: Sequence[Any]) -> Any:
             case "rem":
                 result = np.fmod(*values)
             case _:
-                result = NUMPY[name](*values)
+                result = NUMPY_FUNCTIONS[name](*values)
     return np.asarray(result, dtype)
 
 

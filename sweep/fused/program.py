@@ -13,23 +13,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 
-class Const(NamedTuple):
+class ConstantBits(NamedTuple):
     """Extra of `const`: the bytes of its value."""
 
-    bits: tuple[bytes, ...]  # one, or one for each leg; bytes distinguish -0 from 0 and NaNs from each other
+    value_bytes: tuple[bytes, ...]  # one, or one for each leg; bytes distinguish -0 from 0 and NaNs from each other
 
 
 class Address(NamedTuple):
     """Extra of `load` and `gather`: place of a number in memory, or of the numbers of all legs."""
 
     region: "Region"
-    first: int  # index of the (first leg's) number; `gather` adds its operand
+    first_index: int  # index of the (first leg's) number; `gather` adds its operand
     depth: int  # depth of the block in which it does not change
-    step: int  # from leg to leg; 0 for a number that is not a leg's
+    leg_stride: int  # from leg to leg; 0 for a number that is not a leg's
 
     def leg_addresses(self, group: int) -> list["Address"]:
         """Address of each leg's number."""
-        return [Address(self.region, self.first + k * self.step, self.depth, 0) for k in range(group)]
+        return [Address(self.region, self.first_index + k * self.leg_stride, self.depth, 0) for k in range(group)]
 
 
 class LoopCount(NamedTuple):
@@ -53,11 +53,11 @@ class LegReduction(NamedTuple):
 class StoredNode(NamedTuple):
     """Extra of `handed_on`: a node that another part of a GPU kernel has computed and put into memory."""
 
-    number: int  # number of the node
+    node_number: int  # number of the node
     leg: int
 
 
-type Extra = Const | Address | LoopCount | LegIndex | LegReduction | StoredNode | None
+type Extra = ConstantBits | Address | LoopCount | LegIndex | LegReduction | StoredNode | None
 
 
 class Node:
@@ -74,7 +74,7 @@ class Node:
         self.op, self.args, self.extra, self.dtype, self.leg, self.number = op, args, extra, dtype, leg, number
         self.block = block
 
-    def attribute[T](self, kind: type[T]) -> T:
+    def typed_extra[T](self, kind: type[T]) -> T:
         """`extra`, checked to be of the class `kind`."""
         assert isinstance(self.extra, kind), f"{self.op} has {self.extra}"
         return self.extra
@@ -87,8 +87,8 @@ class Region:
     size: int
     dtype: str
     depth: int  # depth of the block in which it does not change
-    place: int = -1  # bytes from the start of the rollouts' memory, for inputs and results
-    record: bool = False  # whether it lies in the record of a tick
+    byte_offset: int = -1  # bytes from the start of the rollouts' memory, for inputs and results
+    is_record: bool = False  # whether it lies in the record of a tick
 
 
 @dataclass(eq=False)
@@ -102,9 +102,9 @@ class Store:
     region: Region
     index: int
     value: Node
-    step: int = 0  # from leg to leg
-    row: Node | None = None  # int32
-    stride: int = 0
+    leg_stride: int = 0  # from leg to leg
+    row_index: Node | None = None  # int32
+    row_stride: int = 0
 
 
 @dataclass(eq=False)
@@ -114,9 +114,11 @@ class Block:
     depth: int
     items: list[Any] = field(default_factory=list)
     stores: list[Store] = field(default_factory=list)
-    known: dict[Any, Node] = field(default_factory=dict)
+    node_by_key: dict[Any, Node] = field(default_factory=dict)
     is_conditional: bool = False  # it may not run, so that no operation is moved out of it
-    hoists: bool = False  # of a conditional block: all the same, operations that a loop around it repeats are moved out
+    allows_hoisting: bool = (
+        False  # of a conditional block: all the same, operations that a loop around it repeats are moved out
+    )
 
 
 @dataclass(eq=False)
@@ -125,7 +127,7 @@ class Loop:
 
     length: int | None
     body: Block
-    more: Node | None = None  # of the body, the same for all rollouts of a warp or vector
+    continue_flag: Node | None = None  # of the body, the same for all rollouts of a warp or vector
 
 
 @dataclass(eq=False)
@@ -173,20 +175,20 @@ class Program:
         leg = any(x.leg for x in args) if leg is None else leg
         key = op, tuple(x.number for x in args), dtype, extra
         for block in self.blocks:
-            if key in block.known:
-                return block.known[key]
+            if key in block.node_by_key:
+                return block.node_by_key[key]
         depth = max((x.block.depth for x in args), default=0)
         if isinstance(extra, Address):
             depth = max(depth, extra.depth)
         elif isinstance(extra, LoopCount):
             depth = extra.depth
         for block in self.blocks if op != "const" else ():
-            if block.is_conditional and not (block.hoists and depth < block.depth - 1):
+            if block.is_conditional and not (block.allows_hoisting and depth < block.depth - 1):
                 depth = max(depth, block.depth)
         home = self.blocks[depth]
         made = Node(op, args, extra, dtype, leg, self._number, home)
         self._number += 1
-        home.known[key] = made
+        home.node_by_key[key] = made
         home.items.append(made)
         return made
 
@@ -196,8 +198,8 @@ class Program:
             if len({_bits(v, dtype) for v in value}) == 1:
                 value = value[0]
             else:
-                return self.node("const", (), dtype, Const(tuple(_bits(v, dtype) for v in value)), leg=True)
-        return self.node("const", (), dtype, Const((_bits(value, dtype),)))
+                return self.node("const", (), dtype, ConstantBits(tuple(_bits(v, dtype) for v in value)), leg=True)
+        return self.node("const", (), dtype, ConstantBits((_bits(value, dtype),)))
 
     @contextmanager
     def loop(self, length: int | None) -> Iterator[Loop]:
@@ -211,7 +213,7 @@ class Program:
     @contextmanager
     def branch(self, hoists: bool = False) -> Iterator[Block]:
         """Context in which the current block is one that may not run."""
-        block = Block(len(self.blocks), is_conditional=True, hoists=hoists)
+        block = Block(len(self.blocks), is_conditional=True, allows_hoisting=hoists)
         self.blocks.append(block)
         yield block
         self.blocks.pop()
@@ -234,5 +236,5 @@ def _bits(value: Any, dtype: str) -> bytes:
 
 def constant_value(node: Node) -> Any:
     """Value of a constant: a number, or an array with one for each leg."""
-    found = np.frombuffer(b"".join(node.attribute(Const).bits), node.dtype)
+    found = np.frombuffer(b"".join(node.typed_extra(ConstantBits).value_bytes), node.dtype)
     return found if node.leg else found[0]

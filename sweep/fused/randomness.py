@@ -13,8 +13,8 @@ from jaxtyping import Array, UInt32
 
 from sweep.fused.arrays import Unsupported
 
-ROUNDS = ((13, 15, 26, 6), (17, 29, 16, 24))
-PARITY = 0x1BD11BDA
+ROTATIONS_BY_ROUND = ((13, 15, 26, 6), (17, 29, 16, 24))
+KEY_PARITY = 0x1BD11BDA
 
 
 def key_words(tree: Any) -> Any:
@@ -38,7 +38,7 @@ def is_key(x: Any) -> bool:
     return not isinstance(x.dtype, np.dtype) and jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
 
 
-def threefry(
+def threefry_words(
     key: UInt32[Array, " 2"], first: UInt32[Array, "..."], second: UInt32[Array, "..."]
 ) -> tuple[Array, Array]:
     """Two random words for every counter of two words.
@@ -48,10 +48,10 @@ def threefry(
         first: first words of the counters.
         second: second words.
     """
-    words = (key[0], key[1], key[0] ^ key[1] ^ jnp.uint32(PARITY))
+    words = (key[0], key[1], key[0] ^ key[1] ^ jnp.uint32(KEY_PARITY))
     a, b = first + words[0], second + words[1]
     for i in range(5):
-        for turn in ROUNDS[i % 2]:
+        for turn in ROTATIONS_BY_ROUND[i % 2]:
             a = a + b
             b = ((b << jnp.uint32(turn)) | (b >> jnp.uint32(32 - turn))) ^ a
         a, b = a + words[(i + 1) % 3], b + words[(i + 2) % 3] + jnp.uint32(i + 1)
@@ -59,12 +59,12 @@ def threefry(
 
 
 def _counted(key: Array, count: int) -> tuple[Array, Array]:
-    return threefry(key, jnp.zeros(count, jnp.uint32), jnp.arange(count, dtype=jnp.uint32))
+    return threefry_words(key, jnp.zeros(count, jnp.uint32), jnp.arange(count, dtype=jnp.uint32))
 
 
 def fold_in(key: Array, number: Array) -> Array:
     """Words of a key for a number, as `jax.random.fold_in`."""
-    return jnp.stack(threefry(key, jnp.uint32(0), number.astype(jnp.uint32)))
+    return jnp.stack(threefry_words(key, jnp.uint32(0), number.astype(jnp.uint32)))
 
 
 def random_bits(key: Array, shape: tuple[int, ...]) -> Array:
@@ -98,7 +98,7 @@ EXPANSIONS: dict[str, Callable[..., Array]] = {
 }
 
 
-def rules() -> dict[str, Callable]:
+def random_primitive_rules() -> dict[str, Callable]:
     """The interpreter's rules for primitives on scalar keys."""
 
     def written(function: Callable) -> Callable:

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from sweep.fused import randomness
-from sweep.fused.arrays import Array, Arrays, Unsupported, slices_along, stack
+from sweep.fused.arrays import Array, ArrayBuilder, Unsupported, slices_along, stack
 
 
-def _convert(self: Arrays, x: Array, out: Any, **_: Any) -> Array:
+def _convert(self: ArrayBuilder, x: Array, out: Any, **_: Any) -> Array:
     return x if not x.size or x.flat[0].dtype == out.dtype.name else self.lift("convert", [x], out.dtype.name)
 
 
-def _integer_pow(self: Arrays, x: Array, out: Any, y: int, **_: Any) -> Array:
+def _integer_pow(self: ArrayBuilder, x: Array, out: Any, y: int, **_: Any) -> Array:
     dtype = out.dtype.name
     if y == 0:
         return np.broadcast_to(self.constant(np.ones((), dtype)), x.shape)
@@ -29,11 +29,11 @@ def _integer_pow(self: Arrays, x: Array, out: Any, y: int, **_: Any) -> Array:
     return result if y > 0 else self.lift("div", [self.constant(np.ones((), dtype)), result], dtype)
 
 
-def _clamp(self: Arrays, low: Array, x: Array, high: Array, out: Any, **_: Any) -> Array:
+def _clamp(self: ArrayBuilder, low: Array, x: Array, high: Array, out: Any, **_: Any) -> Array:
     return self.lift("min", [self.lift("max", [x, low], out.dtype.name), high], out.dtype.name)
 
 
-def _polynomial(self: Arrays, x: Array, *coefficients: Array, out: Any, **_: Any) -> Array:
+def _polynomial(self: ArrayBuilder, x: Array, *coefficients: Array, out: Any, **_: Any) -> Array:
     total = np.broadcast_to(coefficients[-1], x.shape)
     for c in reversed(coefficients[:-1]):
         total = self.lift("add", [self.lift("mul", [total, x], out.dtype.name), c], out.dtype.name)
@@ -41,7 +41,7 @@ def _polynomial(self: Arrays, x: Array, *coefficients: Array, out: Any, **_: Any
 
 
 def _broadcast_in_dim(
-    self: Arrays, x: Array, *_: Any, out: Any, shape: tuple, broadcast_dimensions: tuple, **__: Any
+    self: ArrayBuilder, x: Array, *_: Any, out: Any, shape: tuple, broadcast_dimensions: tuple, **__: Any
 ) -> Array:
     index = [1] * len(shape)
     for d, n in zip(broadcast_dimensions, x.shape, strict=True):
@@ -50,13 +50,13 @@ def _broadcast_in_dim(
 
 
 def _slice(
-    self: Arrays, x: Array, out: Any, start_indices: tuple, limit_indices: tuple, strides: tuple | None
+    self: ArrayBuilder, x: Array, out: Any, start_indices: tuple, limit_indices: tuple, strides: tuple | None
 ) -> Array:
     steps = strides or (1,) * x.ndim
     return x[tuple(map(slice, start_indices, limit_indices, steps))]
 
 
-def _pad(self: Arrays, x: Array, value: Array, out: Any, padding_config: tuple) -> Array:
+def _pad(self: ArrayBuilder, x: Array, value: Array, out: Any, padding_config: tuple) -> Array:
     if any(low < 0 or high < 0 for low, high, _ in padding_config):
         raise Unsupported("pad by less than nothing")
     result = np.full(out.shape, value[()], object)
@@ -65,13 +65,13 @@ def _pad(self: Arrays, x: Array, value: Array, out: Any, padding_config: tuple) 
     return result
 
 
-def _iota(self: Arrays, *_: Any, out: Any, dimension: int, **__: Any) -> Array:
+def _iota(self: ArrayBuilder, *_: Any, out: Any, dimension: int, **__: Any) -> Array:
     return self.constant(np.moveaxis(np.broadcast_to(
         np.arange(out.shape[dimension], dtype=out.dtype), (*np.delete(out.shape, dimension), out.shape[dimension])
     ), -1, dimension))  # fmt: skip
 
 
-def _dot_general(self: Arrays, a: Array, b: Array, out: Any, dimension_numbers: tuple, **_: Any) -> Array:
+def _dot_general(self: ArrayBuilder, a: Array, b: Array, out: Any, dimension_numbers: tuple, **_: Any) -> Array:
     (of_a, of_b), (batch_a, batch_b) = dimension_numbers
     free_a = [d for d in range(a.ndim) if d not in (*of_a, *batch_a)]
     free_b = [d for d in range(b.ndim) if d not in (*of_b, *batch_b)]
@@ -85,7 +85,7 @@ def _dot_general(self: Arrays, a: Array, b: Array, out: Any, dimension_numbers: 
 
 
 def _argmax(better: str) -> Callable:
-    def rule(self: Arrays, x: Array, out: Any, axes: tuple, **_: Any) -> Array:
+    def rule(self: ArrayBuilder, x: Array, out: Any, axes: tuple, **_: Any) -> Array:
         (axis,) = axes
         rows = slices_along(x, axis)
         best, index = rows[0], np.broadcast_to(self.constant(np.zeros((), out.dtype)), rows[0].shape)
@@ -105,7 +105,7 @@ def _argmax(better: str) -> Callable:
 
 
 def _cumulative(name: str) -> Callable:
-    def rule(self: Arrays, x: Array, out: Any, axis: int, reverse: bool) -> Array:
+    def rule(self: ArrayBuilder, x: Array, out: Any, axis: int, reverse: bool) -> Array:
         rows = slices_along(x, axis)
         rows = rows[::-1] if reverse else rows
         for k in range(1, len(rows)):
@@ -115,17 +115,17 @@ def _cumulative(name: str) -> Callable:
     return rule
 
 
-def _dynamic_slice(self: Arrays, x: Array, *starts: Array, out: Any, slice_sizes: tuple) -> Array:
+def _dynamic_slice(self: ArrayBuilder, x: Array, *starts: Array, out: Any, slice_sizes: tuple) -> Array:
     return self.read_window(x, [s[()] for s in starts], slice_sizes)
 
 
-def _dynamic_update_slice(self: Arrays, x: Array, update: Array, *starts: Array, out: Any) -> Array:
+def _dynamic_update_slice(self: ArrayBuilder, x: Array, update: Array, *starts: Array, out: Any) -> Array:
     within = [self.clamp_index(s[()], n - m) for s, n, m in zip(starts, x.shape, update.shape, strict=True)]
     return self.update_window(x, update, dict(enumerate(within)))
 
 
 def _gather(
-    self: Arrays,
+    self: ArrayBuilder,
     x: Array,
     indices: Array,
     out: Any,
@@ -165,7 +165,7 @@ def _gather(
     return result
 
 
-def _platform_index(self: Arrays, out: Any, platforms: tuple) -> Array:
+def _platform_index(self: ArrayBuilder, out: Any, platforms: tuple) -> Array:
     """Index of the branch that any platform can take."""
     if None not in platforms:
         raise Unsupported("what is for some platforms alone")
@@ -181,7 +181,7 @@ def out_of_bounds_value(dtype: np.dtype) -> Any:
 
 def _scatter(combine: str | None) -> Callable:
     def rule(
-        self: Arrays,
+        self: ArrayBuilder,
         x: Array,
         indices: Array,
         updates: Array,
@@ -222,7 +222,7 @@ def _split(args: list[Array], eqn: Any) -> list[Array]:
     return np.split(args[0], np.cumsum(eqn.params["sizes"])[:-1], eqn.params["axis"])
 
 
-MANY: dict[str, Callable] = {"unstack": _unstack, "split": _split}
+MULTI_RESULT_RULES: dict[str, Callable] = {"unstack": _unstack, "split": _split}
 RULES: dict[str, Callable] = {
     "convert_element_type": _convert,
     "integer_pow": _integer_pow,
@@ -257,5 +257,5 @@ RULES: dict[str, Callable] = {
     "platform_index": _platform_index,
     "scatter": _scatter(None),
     "scatter-add": _scatter("add"),
-    **randomness.rules(),
+    **randomness.random_primitive_rules(),
 }  # fmt: skip

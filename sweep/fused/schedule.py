@@ -12,54 +12,56 @@ import numpy as np
 
 from sweep.fused.program import Address, Block, Branch, Loop, Node, Region, Store, walk_block
 
-RECOMPUTED = frozenset(("const", "load"))  # operations that are repeated wherever their value is needed
+RECOMPUTED_OPERATIONS = frozenset(("const", "load"))  # operations that are repeated wherever their value is needed
 
 
 @dataclass(eq=False)
 class OperationGroup:
     """Consecutive operations of one turn: plain ones, or (`legs`) the body of a loop over the legs."""
 
-    legs: bool
+    is_leg_loop: bool
     nodes: list[Node] = field(default_factory=list)
 
 
 @dataclass(eq=False)
-class Order:
+class BlockSchedule:
     """Schedule of a block: turns, stores, loops and branches, with schedules of inner blocks."""
 
     block: Block
     steps: list[Any] = field(default_factory=list)
-    inner: dict[int, list["Order"]] = field(default_factory=dict)  # by the index of their loop or branch in `steps`
+    inner_schedules: dict[int, list["BlockSchedule"]] = field(
+        default_factory=dict
+    )  # by the index of their loop or branch in `steps`
 
 
 @dataclass(eq=False)
-class Slots:
+class ScratchSlots:
     """Slots of scratch memory for values of the legs.
 
     There are `count` slots, each of six rows of lanes of `size` bytes; `by_node` has a node's slot by its number.
     """
 
     by_node: dict[int, int] = field(default_factory=dict)
-    free: list[int] = field(default_factory=list)
+    free_slots: list[int] = field(default_factory=list)
     count: int = 0
     size: int = 4
 
-    def take(self) -> int:
+    def allocate(self) -> int:
         """Number of a free slot, or of a new one."""
-        if self.free:
-            return self.free.pop()
+        if self.free_slots:
+            return self.free_slots.pop()
         self.count += 1
         return self.count - 1
 
 
-def order_block(block: Block, needed: set[int]) -> Order:
+def schedule_block(block: Block, needed: set[int]) -> BlockSchedule:
     """Schedule a block.
 
     Args:
         block: the block.
         needed: numbers of the nodes to compute, see `used_nodes`.
     """
-    made, straight = Order(block), []
+    made, straight = BlockSchedule(block), []
     for item in [*block.items, None]:
         if isinstance(item, Node):
             if item.number in needed:
@@ -68,9 +70,9 @@ def order_block(block: Block, needed: set[int]) -> Order:
         made.steps.extend(_turns(straight))
         straight = []
         if isinstance(item, Loop):
-            made.inner[len(made.steps)] = [order_block(item.body, needed)]
+            made.inner_schedules[len(made.steps)] = [schedule_block(item.body, needed)]
         elif isinstance(item, Branch):
-            made.inner[len(made.steps)] = [order_block(b, needed) for b in item.blocks]
+            made.inner_schedules[len(made.steps)] = [schedule_block(b, needed) for b in item.blocks]
         if item is not None:
             made.steps.append(item)
     made.steps.extend(block.stores)
@@ -81,7 +83,7 @@ def _turns(nodes: list[Node]) -> Iterator[OperationGroup]:
     """Group nodes between two loops into as few turns as their operands allow."""
     here, turns = {}, {}
     for node in nodes:
-        if node.op in RECOMPUTED and (node.leg or node.op == "const"):
+        if node.op in RECOMPUTED_OPERATIONS and (node.leg or node.op == "const"):
             continue
         number = 1 if (node.leg and node.op != "pack") or node.op == "over_legs" else 0
         for arg in node.args:
@@ -112,55 +114,55 @@ def _roots(block: Block) -> Iterator[Node]:
     for item in walk_block(block):
         if isinstance(item, Store):
             yield item.value
-            if item.row:
-                yield item.row
+            if item.row_index:
+                yield item.row_index
         elif isinstance(item, Branch):
             yield item.index
-        elif isinstance(item, Loop) and item.more:
-            yield item.more
+        elif isinstance(item, Loop) and item.continue_flag:
+            yield item.continue_flag
 
 
-def assign_slots(top: Order) -> Slots:
+def assign_slots(top: BlockSchedule) -> ScratchSlots:
     """Assign slots to the values of legs that are used outside of their turn."""
-    found = Slots()
+    found = ScratchSlots()
     _assign_slots(top, found)
     return found
 
 
-def _assign_slots(order: Order, slots: Slots) -> None:
+def _assign_slots(order: BlockSchedule, slots: ScratchSlots) -> None:
     own = {node.number for step in order.steps if isinstance(step, OperationGroup) for node in step.nodes}
     last: dict[int, int] = {}  # last step that reads a value of this block
     for at, step in enumerate(order.steps):
-        last |= {number: at for number in _reads_from_memory(step, order.inner.get(at, [])) if number in own}
+        last |= {number: at for number in _reads_from_memory(step, order.inner_schedules.get(at, [])) if number in own}
     done: dict[int, list[int]] = {}
     for number, at in last.items():
         done.setdefault(at, []).append(number)
     for at, step in enumerate(order.steps):
         if isinstance(step, OperationGroup):
             kept = [node for node in step.nodes if node.number in last]
-            slots.by_node |= {node.number: slots.take() for node in kept}
+            slots.by_node |= {node.number: slots.allocate() for node in kept}
             slots.size = max(slots.size, *(np.dtype(node.dtype).itemsize for node in kept), 0)
-        for inner in order.inner.get(at, []):
+        for inner in order.inner_schedules.get(at, []):
             _assign_slots(inner, slots)
-        slots.free.extend(slots.by_node[number] for number in done.get(at, []))
+        slots.free_slots.extend(slots.by_node[number] for number in done.get(at, []))
 
 
-def _reads_from_memory(step: Any, inner: list[Order]) -> Iterator[int]:
+def _reads_from_memory(step: Any, inner: list[BlockSchedule]) -> Iterator[int]:
     """Numbers of the legs' values that a step, or what is inside it, reads from slots."""
     if isinstance(step, Store):
         args = [step.value]
     elif isinstance(step, OperationGroup):
-        here = {node.number for node in step.nodes} if step.legs else set()
+        here = {node.number for node in step.nodes} if step.is_leg_loop else set()
         args = [arg for node in step.nodes for arg in node.args if arg.number not in here]
     else:
         args = []
-    yield from (arg.number for arg in args if arg.leg and arg.op not in RECOMPUTED)
+    yield from (arg.number for arg in args if arg.leg and arg.op not in RECOMPUTED_OPERATIONS)
     for one in inner:
         for at, each in enumerate(one.steps):
-            yield from _reads_from_memory(each, one.inner.get(at, []))
+            yield from _reads_from_memory(each, one.inner_schedules.get(at, []))
 
 
-def used_regions(order: Order) -> set[Region]:
+def used_regions(order: BlockSchedule) -> set[Region]:
     """All memory regions that a schedule loads from or stores to."""
     found: set[Region] = set()
     for at, step in enumerate(order.steps):
@@ -171,6 +173,6 @@ def used_regions(order: Order) -> set[Region]:
         elif isinstance(step, Store):
             found.add(step.region)
             found |= {step.value.extra.region} if isinstance(step.value.extra, Address) else set()
-        for inner in order.inner.get(at, []):
+        for inner in order.inner_schedules.get(at, []):
             found |= used_regions(inner)
     return found

@@ -8,12 +8,19 @@ from typing import Any
 
 import numpy as np
 
-TYPES = {"float32": "float", "float64": "double", "int32": "i32", "uint32": "i32", "int64": "i64", "uint64": "i64",
-         "bool": "i1", "int8": "i8", "uint8": "i8"}  # fmt: skip
-FLOAT_COMPARE = {"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
-FLOAT = {"add": "fadd contract", "sub": "fsub contract", "mul": "fmul contract", "div": "fdiv", "rem": "frem"}
-WHOLE = {"add": "add", "sub": "sub", "mul": "mul", "div": "sdiv", "rem": "srem", "and": "and", "or": "or", "xor": "xor",
-         "shift_left": "shl", "shift_right_logical": "lshr", "shift_right_arithmetic": "ashr"}  # fmt: skip
+LLVM_TYPES = {"float32": "float", "float64": "double", "int32": "i32", "uint32": "i32", "int64": "i64", "uint64": "i64",
+              "bool": "i1", "int8": "i8", "uint8": "i8"}  # fmt: skip
+FLOAT_COMPARISONS = {"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
+FLOAT_INSTRUCTIONS = {
+    "add": "fadd contract",
+    "sub": "fsub contract",
+    "mul": "fmul contract",
+    "div": "fdiv",
+    "rem": "frem",
+}
+INTEGER_INSTRUCTIONS = {"add": "add", "sub": "sub", "mul": "mul", "div": "sdiv", "rem": "srem", "and": "and",
+                        "or": "or", "xor": "xor", "shift_left": "shl", "shift_right_logical": "lshr",
+                        "shift_right_arithmetic": "ashr"}  # fmt: skip
 INTRINSICS = {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "round": "roundeven", "sin": "sin", "cos": "cos",
               "tan": "tan", "exp": "exp", "log": "log", "pow": "pow", "acos": "acos", "asin": "asin", "atan": "atan",
               "atan2": "atan2"}  # fmt: skip
@@ -29,7 +36,7 @@ class LlvmText:
         self.declared: set[str] = set()
         self._fresh = 0
 
-    def body(self) -> str:
+    def printed_lines(self) -> str:
         """Return the lines printed so far."""
         return "\n".join(f"  {line}" if not line.endswith(":") else line for line in self.lines)
 
@@ -54,7 +61,7 @@ class LlvmText:
         self.lines.append(f"{label}:")
         self.label = label
 
-    def switch(self, kind: str, index: str, name: str, count: int) -> None:
+    def print_switch(self, kind: str, index: str, name: str, count: int) -> None:
         """Jump to the block `name`_k of an index k, clamped to 0 .. count - 1.
 
         Args:
@@ -69,13 +76,13 @@ class LlvmText:
         cases = " ".join(f"{kind} {k}, label %{name}_{k}" for k in range(count - 1))
         self.lines.append(f"switch {kind} {index}, label %{name}_{count - 1} [{cases}]")
 
-    def vector(self, dtype: str) -> str:
+    def vector_type(self, dtype: str) -> str:
         """LLVM's type of a number in all lanes."""
-        return TYPES[dtype] if self.lanes == 1 else f"<{self.lanes} x {TYPES[dtype]}>"
+        return LLVM_TYPES[dtype] if self.lanes == 1 else f"<{self.lanes} x {LLVM_TYPES[dtype]}>"
 
     def type_suffix(self, dtype: str) -> str:
         """Suffix of LLVM's intrinsics for a type."""
-        kind = {"float": "f32", "double": "f64"}.get(TYPES[dtype], TYPES[dtype])
+        kind = {"float": "f32", "double": "f64"}.get(LLVM_TYPES[dtype], LLVM_TYPES[dtype])
         return kind if self.lanes == 1 else f"v{self.lanes}{kind}"
 
     def splat(self, kind: str, value: Any) -> str:
@@ -85,14 +92,14 @@ class LlvmText:
     def literal(self, value: Any) -> str:
         """Constant with one value in all lanes."""
         value = np.asarray(value)
-        kind = TYPES[value.dtype.name]
+        kind = LLVM_TYPES[value.dtype.name]
         if value.dtype == bool:
             return self.splat(kind, "true" if value else "false")
         if value.dtype.kind == "f":
             return self.splat(kind, f"0x{np.float64(value).view(np.uint64):016X}")
         return self.splat(kind, int(value))
 
-    def call(self, name: str, dtype: str, args: Sequence[str], extra: str = "") -> str:
+    def call_intrinsic(self, name: str, dtype: str, args: Sequence[str], extra: str = "") -> str:
         """Call an LLVM intrinsic.
 
         Args:
@@ -101,7 +108,7 @@ class LlvmText:
             args: names of the operands.
             extra: further operands as text.
         """
-        vector, function = self.vector(dtype), f"@llvm.{name}.{self.type_suffix(dtype)}"
+        vector, function = self.vector_type(dtype), f"@llvm.{name}.{self.type_suffix(dtype)}"
         self.declared.add(f"declare {vector} {function}({', '.join([vector] * len(args))}{', i1' if extra else ''})")
         return self.emit(f"call {vector} {function}({', '.join(f'{vector} {x}' for x in args)}{extra})")
 
@@ -114,42 +121,48 @@ class LlvmText:
             args: names of the operands.
             kinds: their types.
         """
-        of, vector = kinds[-1], self.vector(kinds[-1])
+        of, vector = kinds[-1], self.vector_type(kinds[-1])
         floating = np.issubdtype(of, np.floating)
         match op:
             case "select":
-                return self.emit(f"select {self.vector('bool')} {args[0]}, {vector} {args[1]}, {vector} {args[2]}")
+                return self.emit(f"select {self.vector_type('bool')} {args[0]}, {vector} {args[1]}, {vector} {args[2]}")
             case "convert":
                 return self._convert(args[0], of, dtype)
             case "bitcast_convert_type":
-                return self.emit(f"bitcast {vector} {args[0]} to {self.vector(dtype)}")
+                return self.emit(f"bitcast {vector} {args[0]} to {self.vector_type(dtype)}")
             case "is_finite":
-                size = self.call("fabs", of, args)
+                size = self.call_intrinsic("fabs", of, args)
                 return self.emit(f"fcmp olt {vector} {size}, {self.literal(np.asarray(np.inf, of))}")
             case "not":
-                ones = self.splat(TYPES[of], "true" if of == "bool" else -1)
+                ones = self.splat(LLVM_TYPES[of], "true" if of == "bool" else -1)
                 return self.emit(f"xor {vector} {args[0]}, {ones}")
             case "neg":
                 return self.emit(f"fneg {vector} {args[0]}" if floating else f"sub {vector} zeroinitializer, {args[0]}")
             case "abs":
-                return self.call("fabs", of, args) if floating else self.call("abs", of, args, ", i1 false")
+                return (
+                    self.call_intrinsic("fabs", of, args)
+                    if floating
+                    else self.call_intrinsic("abs", of, args, ", i1 false")
+                )
             case "max" | "min" if floating:
                 return self.max_or_min(op, of, args)
             case "max" | "min":
                 sign = "u" if of.startswith("u") or of == "bool" else "s"
-                return self.call(f"{sign}{op}", of, args)
-            case _ if op in FLOAT_COMPARE and floating:
-                return self.emit(f"fcmp {FLOAT_COMPARE[op]} {vector} {args[0]}, {args[1]}")
-            case _ if op in FLOAT_COMPARE:
+                return self.call_intrinsic(f"{sign}{op}", of, args)
+            case _ if op in FLOAT_COMPARISONS and floating:
+                return self.emit(f"fcmp {FLOAT_COMPARISONS[op]} {vector} {args[0]}, {args[1]}")
+            case _ if op in FLOAT_COMPARISONS:
                 sign = "" if op in ("eq", "ne") else "u" if of.startswith("u") or of == "bool" else "s"
                 return self.emit(f"icmp {sign}{op} {vector} {args[0]}, {args[1]}")
             case _ if op in INTRINSICS and floating:
-                return self.call(INTRINSICS[op], of, args)
+                return self.call_intrinsic(INTRINSICS[op], of, args)
             case _ if floating:
-                return self.emit(f"{FLOAT[op]} {vector} {args[0]}, {args[1]}")
+                return self.emit(f"{FLOAT_INSTRUCTIONS[op]} {vector} {args[0]}, {args[1]}")
             case _:
                 unsigned = {"sdiv": "udiv", "srem": "urem"} if of.startswith("u") else {}
-                return self.emit(f"{unsigned.get(WHOLE[op], WHOLE[op])} {vector} {args[0]}, {args[1]}")
+                return self.emit(
+                    f"{unsigned.get(INTEGER_INSTRUCTIONS[op], INTEGER_INSTRUCTIONS[op])} {vector} {args[0]}, {args[1]}"
+                )
 
     def max_or_min(self, op: str, dtype: str, args: list[str]) -> str:
         """Print a maximum or minimum of two; NaN if either is NaN.
@@ -159,14 +172,14 @@ class LlvmText:
             dtype: type of the numbers.
             args: names of the operands.
         """
-        vector, chosen = self.vector(dtype), self.vector("bool")
+        vector, chosen = self.vector_type(dtype), self.vector_type("bool")
         better = self.emit(f"fcmp {'ogt' if op == 'max' else 'olt'} {vector} {args[0]}, {args[1]}")
         best = self.emit(f"select {chosen} {better}, {vector} {args[0]}, {vector} {args[1]}")
         nan = self.emit(f"fcmp uno {vector} {args[0]}, {args[0]}")
         return self.emit(f"select {chosen} {nan}, {vector} {args[0]}, {vector} {best}")
 
     def _convert(self, value: str, from_type: str, to_type: str) -> str:
-        a, b = self.vector(from_type), self.vector(to_type)
+        a, b = self.vector_type(from_type), self.vector_type(to_type)
         was, to = np.dtype(from_type), np.dtype(to_type)
         if to.kind == "b":
             test = "fcmp une" if was.kind == "f" else "icmp ne"
@@ -180,7 +193,7 @@ class LlvmText:
             return self.emit(f"call {b} {name}({a} {value})")
         if to.kind == "f":
             return self.emit(f"{'sitofp' if was.kind == 'i' else 'uitofp'} {a} {value} to {b}")
-        if TYPES[from_type] == TYPES[to_type]:
+        if LLVM_TYPES[from_type] == LLVM_TYPES[to_type]:
             return value
         wider = "sext" if was.kind == "i" else "zext"
         return self.emit(f"{wider if was.kind == 'b' or to.itemsize > was.itemsize else 'trunc'} {a} {value} to {b}")

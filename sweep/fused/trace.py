@@ -13,13 +13,13 @@ from sweep.fused.interpret import Interpreter
 from sweep.fused.program import Block, LoopCount, Program, Region
 from sweep.fused.randomness import key_words, restore_keys
 
-GROUP = 6  # the robot's legs
+LEG_COUNT = 6  # the robot's legs
 
 
-class Leaf(NamedTuple):
+class ArrayLayout(NamedTuple):
     """Where an array lies in a rollout's memory: the offset of its first element; the others follow in order."""
 
-    place: int
+    offset: int
     shape: tuple[int, ...]
     dtype: str
 
@@ -29,26 +29,28 @@ class Leaf(NamedTuple):
         return math.prod(self.shape)
 
 
-class Traced(NamedTuple):
+class TracedProgram(NamedTuple):
     """A traced program with the layout of its arrays."""
 
-    top: Block
-    given: list[Leaf]  # inputs, which do not change
-    carried: list[Leaf]  # carry from tick to tick
-    recorded: dict[str, Leaf]  # record of each tick, in memory of its own
+    top_block: Block
+    input_leaves: list[ArrayLayout]  # inputs, which do not change
+    carry_leaves: list[ArrayLayout]  # carry from tick to tick
+    record_leaves: dict[str, ArrayLayout]  # record of each tick, in memory of its own
 
 
-Layout = Callable[[Sequence[Any], int], tuple[list[Leaf], int]]  # (shapes, first place) -> (leaves, end of the last)
+LayoutFunction = Callable[
+    [Sequence[Any], int], tuple[list[ArrayLayout], int]
+]  # (shapes, first place) -> (leaves, end of the last)
 
 
 def trace_program(
     function: Callable[[Any, Any, Array], tuple[Any, dict[str, Array]]],
     inputs: Any,
     carry: Any,
-    layout: Layout,
+    layout: LayoutFunction,
     share_memory: bool,
     group: int,
-) -> Traced:
+) -> TracedProgram:
     """Trace the tick function `(inputs, carry, number) -> (carry, record)` of one rollout.
 
     Args:
@@ -84,7 +86,7 @@ def trace_program(
 
     program = Program(group)
     interpreter = Interpreter(program)
-    regions = [[Region(x.size, x.dtype, depth, x.place, told) for x in leaves]
+    regions = [[Region(x.size, x.dtype, depth, x.offset, told) for x in leaves]
                for leaves, depth, told in ((constant, 0, False), (moving, 1, False), (recorded, 1, True))]  # fmt: skip
     with program.loop(None) as loop:
         tick = np.full((), program.node("tick", (), "int32", LoopCount(1)), object)
@@ -94,4 +96,4 @@ def trace_program(
         results = interpreter.evaluate(jaxpr.jaxpr, jaxpr.consts, [*inputs, tick])
         for region, value in zip((*regions[1], *regions[2]), results, strict=True):
             interpreter.save(region, value, loop.body.stores)
-    return Traced(program.top, constant, moving, dict(zip(names, recorded, strict=True)))
+    return TracedProgram(program.top, constant, moving, dict(zip(names, recorded, strict=True)))

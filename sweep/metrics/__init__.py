@@ -8,7 +8,7 @@ from sweep.core import shared_metrics
 from sweep.core.metric import Cause, Metric, find_metrics, select_metrics
 from sweep.models.case import Case
 
-ORDER = (
+CAUSE_ORDER = (
     "progress",
     "attitude",
     "rest",
@@ -34,22 +34,22 @@ ORDER = (
     "touch",
     "solver",
 )  # of causes at the same time the first decides; a new module comes after these
-OTHERS = "accumulator", "outcome", "tick"  # modules that are no metric
-PARTS = "base", "hinges", "hinge_drives", "feet"  # of what shared metrics need
+NON_METRIC_MODULES = "accumulator", "outcome", "tick"  # modules that are no metric
+AVAILABLE_PARTS = "base", "hinges", "hinge_drives", "feet"  # of what shared metrics need
 # shared metrics that the robot leaves out: each would enlarge its GPU kernels
-LEFT_OUT = "base_height", "path_length"
+OMITTED_SHARED_METRICS = "base_height", "path_length"
 
-OWN = find_metrics(__name__, ORDER, OTHERS)
-_KNOWN = {column for metric in OWN.values() for column in metric.columns}
+HEXAPOD_METRICS = find_metrics(__name__, CAUSE_ORDER, NON_METRIC_MODULES)
+_KNOWN = {column for metric in HEXAPOD_METRICS.values() for column in metric.columns}
 _SHARED = {
     name: metric
     for name, metric in shared_metrics.METRICS.items()
-    if name not in LEFT_OUT and not _KNOWN & {*metric.columns}
+    if name not in OMITTED_SHARED_METRICS and not _KNOWN & {*metric.columns}
 }
-METRICS: tuple[Metric, ...] = (*OWN.values(), *_SHARED.values())
+METRICS: tuple[Metric, ...] = (*HEXAPOD_METRICS.values(), *_SHARED.values())
 CAUSES: tuple[Cause, ...] = tuple(cause for metric in METRICS for cause in metric.causes)
 
 
 def applicable_metrics(case: Case) -> tuple[Metric, ...]:
     """Select the metrics that apply to a kind of world; numbers of the world do not matter."""
-    return select_metrics(METRICS, PARTS, case)
+    return select_metrics(METRICS, AVAILABLE_PARTS, case)

@@ -10,19 +10,19 @@ from sweep import metrics
 from sweep.controllers.plan import Plan
 from sweep.core.metric import Cause, Metric, compute_columns
 from sweep.metrics import solver
-from sweep.metrics.outcome import Thresholds, threshold_value
-from sweep.metrics.tick import MetricTick, Rollout, RolloutStart
+from sweep.metrics.outcome import OutcomeThresholds, threshold_value
+from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart
 from sweep.models.case import Case
 
-OVERTURNED = 60.0  # deg of tilt: nothing after it tells anything of the manoeuvre
+OVERTURNED_TILT_DEG = 60.0  # deg of tilt: nothing after it tells anything of the manoeuvre
 
 
 class RunningMetrics(NamedTuple):
     """States of all metrics of a rollout, and the times of its c causes that are known in a tick; engines carry it."""
 
     time: Float[Array, ""]  # s
-    rested: Float[Array, ""]  # s, since the plan has ended
-    over: Bool[Array, ""]  # overturned or not finite: metrics are frozen
+    time_since_plan_end: Float[Array, ""]  # s, since the plan has ended
+    is_over: Bool[Array, ""]  # overturned or not finite: metrics are frozen
     states: tuple[Any, ...]
     cause_time: Float[Array, " c"]  # s, first crossing of each threshold, NaN before
     cause_stage: Int[Array, " c"]
@@ -39,7 +39,7 @@ def tick_metrics(world: Case) -> tuple[str, ...]:
     """Names of the metrics of `tick_causes` and of their companions, which are computed in every tick."""
     causes = tick_causes(world)
     there = {name for metric in metrics.applicable_metrics(world) for name in metric.columns}
-    return (*(c.metric for c in causes), *(c.companion for c in causes if c.companion in there))
+    return (*(c.metric for c in causes), *(c.companion_metric for c in causes if c.companion_metric in there))
 
 
 def begin(start: RolloutStart) -> RunningMetrics:
@@ -47,8 +47,8 @@ def begin(start: RolloutStart) -> RunningMetrics:
     dtype, n = start.plan.duration.dtype, len(tick_causes(start.world))
     return RunningMetrics(
         time=jnp.zeros((), dtype),
-        rested=jnp.zeros((), dtype),
-        over=jnp.asarray(False),
+        time_since_plan_end=jnp.zeros((), dtype),
+        is_over=jnp.asarray(False),
         states=tuple(metric.begin(start) for metric in metrics.applicable_metrics(start.world)),
         cause_time=jnp.full(n, jnp.nan, dtype),
         cause_stage=jnp.full(n, -1, jnp.int32),
@@ -65,12 +65,12 @@ def with_start_energy(world: Case, running: RunningMetrics, energy: Array) -> Ru
     """
     states = zip(metrics.applicable_metrics(world), running.states, strict=True)
     return running._replace(
-        states=tuple(s._replace(energy=energy) if metric is solver.METRIC else s for metric, s in states)
+        states=tuple(s._replace(start_energy=energy) if metric is solver.METRIC else s for metric, s in states)
     )
 
 
 def update(
-    running: RunningMetrics, ctx: MetricTick, limits: Thresholds, number: Array
+    running: RunningMetrics, ctx: MetricTick, limits: OutcomeThresholds, number: Array
 ) -> tuple[RunningMetrics, Float[Array, " w"]]:
     """Update all metrics after a control tick.
 
@@ -88,18 +88,18 @@ def update(
         _update_metric(m, s, ctx, number)
         for m, s in zip(metrics.applicable_metrics(world), running.states, strict=True)
     )
-    found = _compute_metrics(Rollout(world, ctx.plan, time, ctx.stage), states)
+    found = _compute_metrics(RolloutEnd(world, ctx.plan, time, ctx.stage), states)
     crossed = [c.holds(found[c.metric], threshold_value(c, limits)) for c in tick_causes(world)]
     first = jnp.stack(crossed) & jnp.isnan(running.cause_time)
     new = RunningMetrics(
         time=time,
-        rested=running.rested + ctx.period * ctx.finished,
-        over=(found["tilt_max_deg"] > OVERTURNED) | ~found["finite"],
+        time_since_plan_end=running.time_since_plan_end + ctx.period * ctx.finished,
+        is_over=(found["tilt_max_deg"] > OVERTURNED_TILT_DEG) | ~found["finite"],
         states=states,
         cause_time=jnp.where(first, time, running.cause_time),
         cause_stage=jnp.where(first, ctx.stage, running.cause_stage),
     )
-    kept = jax.tree.map(lambda old, fresh: jnp.where(running.over, old, fresh), running, new)
+    kept = jax.tree.map(lambda old, fresh: jnp.where(running.is_over, old, fresh), running, new)
     return kept, jnp.stack([jnp.asarray(found[name], time.dtype) for name in tick_metrics(world)])
 
 
@@ -122,12 +122,12 @@ def compute(world: Case, plan: Plan, running: RunningMetrics, stage: Int[Array, 
     Returns:
         Values by column, whose name has the unit, and times and stages of `tick_causes`.
     """
-    out = _compute_metrics(Rollout(world, plan, running.time, stage), running.states)
+    out = _compute_metrics(RolloutEnd(world, plan, running.time, stage), running.states)
     for k, cause in enumerate(tick_causes(world)):
         out[f"{cause.name}_time_s"] = running.cause_time[k]
         out[f"{cause.name}_stage"] = running.cause_stage[k]
     return out
 
 
-def _compute_metrics(rollout: Rollout, states: tuple[Any, ...]) -> dict[str, Array]:
+def _compute_metrics(rollout: RolloutEnd, states: tuple[Any, ...]) -> dict[str, Array]:
     return compute_columns(metrics.applicable_metrics(rollout.world), states, rollout)

@@ -8,10 +8,10 @@ from jaxtyping import Array, Float
 from sweep.core.metric import Cause, Metric
 from sweep.core.shared_metrics import attitude
 from sweep.core.shared_metrics.attitude import Tilt
-from sweep.metrics.tick import MetricTick, Rollout, RolloutStart, goal_cause
+from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart, goal_cause
 
 
-class Attitude(NamedTuple):
+class AttitudeErrors(NamedTuple):
     """Largest tilt and turn about the commanded vertical so far (deg), and the base's last orientation.
 
     The order is that of the kernels' text: another one makes `ptxas` spill other numbers.
@@ -22,21 +22,21 @@ class Attitude(NamedTuple):
     quat: Float[Array, " 4"]
 
 
-def begin(start: RolloutStart) -> Attitude:
+def begin(start: RolloutStart) -> AttitudeErrors:
     """Initial state, before the first tick."""
     tilt = attitude.METRIC.begin(start)
-    return Attitude(tilt.largest, start.constant(0.0), tilt.quat)
+    return AttitudeErrors(tilt.largest_tilt, start.constant(0.0), tilt.quat)
 
 
-def update(state: Attitude, ctx: MetricTick) -> Attitude:
+def update(state: AttitudeErrors, ctx: MetricTick) -> AttitudeErrors:
     """Update the largest tilt from the commanded vertical, and the largest turn about it."""
     w, _, _, z = ctx.attitude_error
     heading = jnp.degrees(jnp.abs(2 * jnp.arctan2(z * jnp.sign(w), jnp.abs(w))))
     tilt = attitude.METRIC.update(Tilt(state.tilt, state.quat), ctx)
-    return Attitude(tilt.largest, jnp.maximum(state.heading, heading), tilt.quat)
+    return AttitudeErrors(tilt.largest_tilt, jnp.maximum(state.heading, heading), tilt.quat)
 
 
-def compute(state: Attitude, rollout: Rollout) -> dict[str, Array]:
+def compute(state: AttitudeErrors, rollout: RolloutEnd) -> dict[str, Array]:
     """Largest attitude errors, and the final tilt."""
     tilt = attitude.METRIC.compute(Tilt(state.tilt, state.quat), rollout)
     return {**tilt, "heading_error_max_deg": state.heading}

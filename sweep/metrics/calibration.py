@@ -7,7 +7,7 @@ from sweep.core.metric import Metric
 from sweep.estimation.calibration import CalibrationResult, learnable_sizes
 from sweep.metrics.tick import RolloutStart
 
-SIZES = {
+SIZE_COLUMNS = {
     "body_length": "length of the body",
     "body_width": "width of the body",
     "mount_radius": "radius at which the legs are mounted",
@@ -35,7 +35,7 @@ METRIC = Metric(
     begin,
     lambda state, ctx: state,
     lambda state, rollout: learned_sizes(state),
-    {f"learned_{name}_m": f"{what}, estimated by calibration" for name, what in SIZES.items()}
-    | {f"learned_{name}_sd_m": f"standard deviation of the estimate of {what}" for name, what in SIZES.items()},
+    {f"learned_{name}_m": f"{what}, estimated by calibration" for name, what in SIZE_COLUMNS.items()}
+    | {f"learned_{name}_sd_m": f"standard deviation of the estimate of {what}" for name, what in SIZE_COLUMNS.items()},
     applies=lambda case: case.control.calibrate == "sizes",
 )

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.core.metric import Cause, extremes
+from sweep.core.metric import Cause, make_extremes_metric
 from sweep.core.rotations import matrix
 from sweep.metrics.tick import MetricTick
 from sweep.models.geometry import base_gap, fold_gap, leg_gap, link_capsules
@@ -18,8 +18,8 @@ def distances(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
 
     Links are `link_capsules`. Towards base and thigh they begin with a round end beyond the joint.
     """
-    tick, robot = ctx.tick, ctx.world.robot
-    base = tick.truth.position, matrix(tick.truth.quat)
+    tick, robot = ctx.report, ctx.world.robot
+    base = tick.actual.position, matrix(tick.actual.quat)
     solids = ctx.world.obstacle.solids(tick.bodies)
     links = link_capsules(tick.joints, robot).distance_to(solids)
     yield jnp.minimum(jnp.min(links), distance_to_box(solids, *base, half_size(robot)))
@@ -28,7 +28,7 @@ def distances(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
     yield fold_gap(tick.joints, robot.fork_ratio * robot.shin + robot.link_radius) - 2 * robot.link_radius
 
 
-METRIC = extremes(
+METRIC = make_extremes_metric(
     distances,
     {
         "clearance_min_m": "least distance of base and links to the obstacle, negative inside; links collide only "

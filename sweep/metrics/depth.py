@@ -5,17 +5,17 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.core.metric import Cause, extremes
+from sweep.core.metric import Cause, make_extremes_metric
 from sweep.metrics.tick import MetricTick
 from sweep.models.obstacles.surface import surface_at
 
 
 def largest_depth(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
     """Largest depth (m) of a simulated foot inside the obstacle in this tick."""
-    yield jnp.max(surface_at(ctx.world.obstacle, ctx.tick.joints[:, -1], ctx.tick.bodies).depth)
+    yield jnp.max(surface_at(ctx.world.obstacle, ctx.report.joints[:, -1], ctx.report.bodies).depth)
 
 
-METRIC = extremes(
+METRIC = make_extremes_metric(
     largest_depth,
     {"depth_max_m": "largest penetration of a foot into its support"},
     (

@@ -8,69 +8,69 @@ from jaxtyping import Array, Float
 
 from sweep.core.metric import Cause, Metric
 from sweep.core.shared_metrics import joint_speed, joint_torque, work
-from sweep.metrics.tick import BRIEF, MetricTick, Rollout, RolloutStart
-from sweep.models.legs import KINDS
+from sweep.metrics.tick import FORCE_FILTER_TIME_S, MetricTick, RolloutEnd, RolloutStart
+from sweep.models.legs import JOINT_KINDS
 
 
-class Drives(NamedTuple):
+class DriveLoads(NamedTuple):
     """For each kind of joint the largest torque (N m) and the time in saturation (s); the positive work (J).
 
     The largest turn of a leg (rad), rate (rad/s) and power (W) of a joint. By kind of joint the torque over its limit
     that legs take in the mean, lately; and the least that it was away from 1.
     """
 
-    torque: Float[Array, " 3"]
-    saturated: Float[Array, " 3"]
-    effort: Float[Array, ""]
-    turn: Float[Array, ""]
-    rate: tuple[Float[Array, ""]]
-    power: Float[Array, ""]
-    use: Float[Array, " 3"]
-    reserve: Float[Array, ""]
+    peak_torque: Float[Array, " 3"]
+    saturated_time: Float[Array, " 3"]
+    positive_work: Float[Array, ""]
+    peak_alpha: Float[Array, ""]
+    peak_rate: tuple[Float[Array, ""]]
+    peak_power: Float[Array, ""]
+    filtered_torque_use: Float[Array, " 3"]
+    least_torque_reserve: Float[Array, ""]
 
 
-def begin(start: RolloutStart) -> Drives:
+def begin(start: RolloutStart) -> DriveLoads:
     """Initial state, before the first tick."""
     torque, effort, speed = (part.METRIC.begin(start) for part in (joint_torque, work, joint_speed))
     zero, kinds = start.constant(0.0), start.constant(np.zeros(3))
-    return Drives(torque, kinds, effort, zero, speed, zero, kinds, start.constant(1.0))
+    return DriveLoads(torque, kinds, effort, zero, speed, zero, kinds, start.constant(1.0))
 
 
-def update(state: Drives, ctx: MetricTick) -> Drives:
+def update(state: DriveLoads, ctx: MetricTick) -> DriveLoads:
     """Update peaks over the legs, and times averaged over them. Power is a tick's mean, angles are those at its end."""
-    tick, world = ctx.tick, ctx.world
+    tick, world = ctx.report, ctx.world
     limit = world.execution.torque_scale * world.drive.torque_limit
     use = jnp.mean(tick.torque_peak, axis=0) / jnp.maximum(limit, 1e-9)
-    use = state.use + min(1.0, ctx.period / BRIEF) * (use - state.use)
-    return Drives(
-        joint_torque.METRIC.update(state.torque, ctx),
-        state.saturated + ctx.period * jnp.mean(tick.saturated, axis=0),
-        work.METRIC.update(state.effort, ctx),
-        jnp.maximum(state.turn, jnp.max(jnp.abs(tick.truth.angles[:, 0]))),
-        joint_speed.METRIC.update(state.rate, ctx),
-        jnp.maximum(state.power, jnp.max(jnp.abs(tick.power))),
+    use = state.filtered_torque_use + min(1.0, ctx.period / FORCE_FILTER_TIME_S) * (use - state.filtered_torque_use)
+    return DriveLoads(
+        joint_torque.METRIC.update(state.peak_torque, ctx),
+        state.saturated_time + ctx.period * jnp.mean(tick.saturated, axis=0),
+        work.METRIC.update(state.positive_work, ctx),
+        jnp.maximum(state.peak_alpha, jnp.max(jnp.abs(tick.actual.angles[:, 0]))),
+        joint_speed.METRIC.update(state.peak_rate, ctx),
+        jnp.maximum(state.peak_power, jnp.max(jnp.abs(tick.power))),
         use,
-        jnp.minimum(state.reserve, 1 - jnp.max(use)),
+        jnp.minimum(state.least_torque_reserve, 1 - jnp.max(use)),
     )
 
 
-def compute(state: Drives, rollout: Rollout) -> dict[str, Array]:
+def compute(state: DriveLoads, rollout: RolloutEnd) -> dict[str, Array]:
     """Torque peaks, shares of time in saturation, and positive work."""
-    share = state.saturated / jnp.maximum(rollout.time, 1e-9)
-    speed = joint_speed.METRIC.compute(state.rate, rollout)
+    share = state.saturated_time / jnp.maximum(rollout.time, 1e-9)
+    speed = joint_speed.METRIC.compute(state.peak_rate, rollout)
     drive = rollout.world.drive
     return {
-        **work.METRIC.compute(state.effort, rollout),
-        **{f"torque_peak_{joint}_nm": state.torque[k] for k, joint in enumerate(KINDS)},
-        **joint_torque.METRIC.compute(state.torque, rollout),
-        **{f"saturation_share_{joint}": share[k] for k, joint in enumerate(KINDS)},
+        **work.METRIC.compute(state.positive_work, rollout),
+        **{f"torque_peak_{joint}_nm": state.peak_torque[k] for k, joint in enumerate(JOINT_KINDS)},
+        **joint_torque.METRIC.compute(state.peak_torque, rollout),
+        **{f"saturation_share_{joint}": share[k] for k, joint in enumerate(JOINT_KINDS)},
         "saturation_share_max": jnp.max(share),
-        "torque_reserve_min": state.reserve,
-        "turn_over_limit": state.turn / drive.turn_limit,
+        "torque_reserve_min": state.least_torque_reserve,
+        "turn_over_limit": state.peak_alpha / drive.turn_limit,
         **speed,
         "joint_speed_over_limit": speed["joint_speed_max_radps"] / drive.speed_limit,
-        "joint_power_max_w": state.power,
-        "joint_power_over_limit": state.power / drive.power_limit,
+        "joint_power_max_w": state.peak_power,
+        "joint_power_over_limit": state.peak_power / drive.power_limit,
     }
 
 
@@ -80,9 +80,11 @@ METRIC = Metric(
     compute,
     {
         **work.METRIC.columns,
-        **{f"torque_peak_{joint}_nm": f"largest torque of a {joint} joint" for joint in KINDS},
+        **{f"torque_peak_{joint}_nm": f"largest torque of a {joint} joint" for joint in JOINT_KINDS},
         **joint_torque.METRIC.columns,
-        **{f"saturation_share_{joint}": f"share of time at the torque limit of {joint} joints" for joint in KINDS},
+        **{
+            f"saturation_share_{joint}": f"share of time at the torque limit of {joint} joints" for joint in JOINT_KINDS
+        },
         "saturation_share_max": "largest of the saturation shares of alpha, beta and gamma joints",
         "torque_reserve_min": "smallest value of 1 minus torque over limit, averaged over all legs and 50 ms, among "
         "alpha, beta and gamma joints",

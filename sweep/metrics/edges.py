@@ -5,24 +5,24 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.core.metric import extremes
+from sweep.core.metric import make_extremes_metric
 from sweep.metrics.tick import MetricTick
-from sweep.models.geometry import AROUND, edge_distance
+from sweep.models.geometry import EDGE_SEARCH_RADIUS_M, edge_distance
 from sweep.models.obstacles.plane import Plane
 
 
 def least_edge_distance(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
     """Least distance of a foot that carries load to an edge of its face (m)."""
-    tick = ctx.tick
+    tick = ctx.report
     left = edge_distance(ctx.world.obstacle, tick.joints[:, -1], tick.bodies)
-    yield jnp.min(left, where=tick.truth.loaded, initial=AROUND)
+    yield jnp.min(left, where=tick.actual.loaded, initial=EDGE_SEARCH_RADIUS_M)
 
 
-METRIC = extremes(
+METRIC = make_extremes_metric(
     least_edge_distance,
     {
         "edge_reserve_min_m": "least distance of a loaded foot to an edge of its face, at most "
-        f"{AROUND:g} m or half the solid's thickness there"
+        f"{EDGE_SEARCH_RADIUS_M:g} m or half the solid's thickness there"
     },
     applies=lambda case: not isinstance(case.obstacle, Plane),
     interval=0.02,

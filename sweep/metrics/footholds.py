@@ -5,35 +5,35 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.frames import to_world
 from sweep.core.metric import ContinuousTwin, Metric
-from sweep.metrics.tick import MetricTick, Rollout, RolloutStart, goal_cause
+from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart, goal_cause
 from sweep.models.obstacles.surface import FreeState, body_poses, surface_at
 
 # m, within which a foot that may hover, since others carry, is at a face: what a base off by 2 degrees makes of the
 # feet beside it, and half the height of a swing
-AT_FACE = 0.02
+FACE_TOLERANCE_M = 0.02
 
-Last = tuple[Float[Array, "6 3"], FreeState]  # feet (m) and free bodies
+FinalPositions = tuple[Float[Array, "6 3"], FreeState]  # feet (m) and free bodies
 
 
-def begin(start: RolloutStart) -> Last:
+def begin(start: RolloutStart) -> FinalPositions:
     """Store the feet and free bodies at the start."""
     return start.feet, start.free
 
 
-def update(state: Last, ctx: MetricTick) -> Last:
+def update(state: FinalPositions, ctx: MetricTick) -> FinalPositions:
     """Store the feet and free bodies of this tick."""
-    return ctx.tick.joints[:, -1], ctx.tick.truth.free
+    return ctx.report.joints[:, -1], ctx.report.actual.free
 
 
-def compute(state: Last, rollout: Rollout) -> dict[str, Array]:
+def compute(state: FinalPositions, rollout: RolloutEnd) -> dict[str, Array]:
     """Return the number of feet that ended on their planned face, and the distance of the worst one from it, by
     column."""
     feet, free = state
     target = to_world(rollout.plan.foothold[-1], rollout.plan.foot_frame[-1], free)
     here, there = (surface_at(rollout.world.obstacle, p, body_poses(free)) for p in (feet, target))
     same = (here.face == there.face) & (here.body == there.body)
-    hit = same & (here.depth > -AT_FACE)
-    away = jnp.maximum(jnp.linalg.norm(feet - target, axis=-1), 1.001 * AT_FACE)
+    hit = same & (here.depth > -FACE_TOLERANCE_M)
+    away = jnp.maximum(jnp.linalg.norm(feet - target, axis=-1), 1.001 * FACE_TOLERANCE_M)
     gap = jnp.where(same, -here.depth, away)
     return {"feet_on_target": jnp.sum(hit).astype(jnp.int32), "foot_gap_max_m": jnp.max(gap)}
 
@@ -53,7 +53,7 @@ METRIC = Metric(
             "feet_on_target",
             below=True,
             is_count=True,
-            twin=ContinuousTwin("foot_gap_max_m", AT_FACE, AT_FACE),
+            twin=ContinuousTwin("foot_gap_max_m", FACE_TOLERANCE_M, FACE_TOLERANCE_M),
         ),
     ),
 )

@@ -8,9 +8,9 @@ from jaxtyping import Array, Float
 
 from sweep.core.metric import Cause, Metric
 from sweep.core.rotations import conjugate, logarithm, multiply
-from sweep.metrics.tick import REST, MetricTick, PlanTail, Rollout, RolloutStart, goal_cause
+from sweep.metrics.tick import REST_DURATION_S, FinalInterval, MetricTick, RolloutEnd, RolloutStart, goal_cause
 
-TAIL = 12.0  # s of the plan, its last, over which the speed of a body that is left in motion is taken
+FINAL_INTERVAL_S = 12.0  # s of the plan, its last, over which the speed of a body that is left in motion is taken
 
 
 class BodiesMotion(NamedTuple):
@@ -21,66 +21,69 @@ class BodiesMotion(NamedTuple):
     """
 
     start: Float[Array, "k 3"]
-    settled: Float[Array, "k 3"]
-    place: Float[Array, "k 3"]
-    quat: Float[Array, "k 4"]
-    tail: PlanTail
-    ended: PlanTail
-    moved: Float[Array, ""]
-    shifted: Float[Array, ""]
-    turned: Float[Array, ""]
-    aside: Float[Array, ""]
-    ride_height: Float[Array, ""]
+    first_stage_end: Float[Array, "k 3"]
+    position: Float[Array, "k 3"]
+    first_stage_quat: Float[Array, "k 4"]
+    final_interval: FinalInterval
+    final_state: FinalInterval
+    largest_displacement: Float[Array, ""]
+    largest_shift: Float[Array, ""]
+    largest_turn: Float[Array, ""]
+    largest_lateral_offset: Float[Array, ""]
+    least_ride_height: Float[Array, ""]
 
 
 def begin(start: RolloutStart) -> BodiesMotion:
     """Initial state, before any motion."""
     place = start.free.position
     zero = jnp.zeros((), place.dtype)
-    here, far = PlanTail(place, zero), jnp.full((), jnp.inf, place.dtype)
+    here, far = FinalInterval(place, zero), jnp.full((), jnp.inf, place.dtype)
     return BodiesMotion(place, place, place, start.free.quat, here, here, zero, zero, zero, zero, far)
 
 
 def update(state: BodiesMotion, ctx: MetricTick) -> BodiesMotion:
     """Update the displacements from the start."""
-    place, quat = ctx.tick.truth.free.position, ctx.tick.truth.free.quat
+    place, quat = ctx.report.actual.free.position, ctx.report.actual.free.quat
     way = place - state.start
-    settled = jnp.where(ctx.stage == 0, place, state.settled)
-    upright = jnp.where(ctx.stage == 0, quat, state.quat)
+    settled = jnp.where(ctx.stage == 0, place, state.first_stage_end)
+    upright = jnp.where(ctx.stage == 0, quat, state.first_stage_quat)
     turn = jnp.linalg.norm(logarithm(multiply(quat, conjugate(upright))), axis=-1)
-    here, manoeuvre = PlanTail(place, ctx.time), ctx.world.manoeuvre
+    here, manoeuvre = FinalInterval(place, ctx.time), ctx.world.manoeuvre
     return BodiesMotion(
         start=state.start,
-        settled=settled,
-        place=place,
-        quat=upright,
-        tail=state.tail.update(ctx, place, TAIL),
-        ended=jax.tree.map(lambda a, b: jnp.where(ctx.finished, a, b), state.ended, here),
-        moved=jnp.maximum(state.moved, jnp.max(jnp.linalg.norm(way, axis=-1))),
-        shifted=jnp.maximum(state.shifted, jnp.max(jnp.linalg.norm(place - settled, axis=-1))),
-        turned=jnp.maximum(state.turned, jnp.max(turn)),
-        aside=jnp.maximum(state.aside, manoeuvre.lateral_offset(way[0])),
-        ride_height=jnp.minimum(state.ride_height, ctx.tick.truth.position[2] - place[0, 2]),
+        first_stage_end=settled,
+        position=place,
+        first_stage_quat=upright,
+        final_interval=state.final_interval.update(ctx, place, FINAL_INTERVAL_S),
+        final_state=jax.tree.map(lambda a, b: jnp.where(ctx.finished, a, b), state.final_state, here),
+        largest_displacement=jnp.maximum(state.largest_displacement, jnp.max(jnp.linalg.norm(way, axis=-1))),
+        largest_shift=jnp.maximum(state.largest_shift, jnp.max(jnp.linalg.norm(place - settled, axis=-1))),
+        largest_turn=jnp.maximum(state.largest_turn, jnp.max(turn)),
+        largest_lateral_offset=jnp.maximum(state.largest_lateral_offset, manoeuvre.lateral_offset(way[0])),
+        least_ride_height=jnp.minimum(state.least_ride_height, ctx.report.actual.position[2] - place[0, 2]),
     )
 
 
-def compute(state: BodiesMotion, rollout: Rollout) -> dict[str, Array]:
+def compute(state: BodiesMotion, rollout: RolloutEnd) -> dict[str, Array]:
     """Return the displacements of the free bodies so far, and the speeds over the final interval of the plan, by
     column."""
     manoeuvre = rollout.world.manoeuvre
     if manoeuvre.drives_body:
-        aim, velocity = manoeuvre.obstacle_speed(jnp.sum(rollout.plan.duration)), state.tail.mean_velocity(*state.ended)
+        aim, velocity = (
+            manoeuvre.obstacle_speed(jnp.sum(rollout.plan.duration)),
+            state.final_interval.mean_velocity(*state.final_state),
+        )
     else:
-        aim, velocity = 0.0, state.ended.mean_velocity(state.place, rollout.time)
+        aim, velocity = 0.0, state.final_state.mean_velocity(state.position, rollout.time)
     speed = jnp.linalg.norm(velocity[0, :2])
     return {
-        "obstacle_moved_m": state.moved,
-        "obstacle_shift_m": state.shifted,
-        "obstacle_turn_max_rad": state.turned,
-        "ride_height_min_m": state.ride_height,
-        "obstacle_x_m": state.place[0, 0],
-        "obstacle_y_m": state.place[0, 1],
-        "obstacle_aside_max_m": state.aside,
+        "obstacle_moved_m": state.largest_displacement,
+        "obstacle_shift_m": state.largest_shift,
+        "obstacle_turn_max_rad": state.largest_turn,
+        "ride_height_min_m": state.least_ride_height,
+        "obstacle_x_m": state.position[0, 0],
+        "obstacle_y_m": state.position[0, 1],
+        "obstacle_aside_max_m": state.largest_lateral_offset,
         "obstacle_speed_mps": speed,
         "obstacle_speed_error_mps": jnp.abs(speed - aim),
     }
@@ -98,8 +101,9 @@ METRIC = Metric(
         "obstacle_x_m": "final x coordinate of the body that the robot rides on, world axes",
         "obstacle_y_m": "final y coordinate of the body that the robot rides on, world axes",
         "obstacle_aside_max_m": "largest lateral distance of the body that the robot rides on from its path",
-        "obstacle_speed_mps": f"mean speed of the body that the robot rides on in the {REST:g} s after the plan; of a "
-        f"body that is left in motion, over the plan's last {TAIL:g} s",
+        "obstacle_speed_mps": f"mean speed of the body that the robot rides on in the {REST_DURATION_S:g} s after "
+        "the plan; of a "
+        f"body that is left in motion, over the plan's last {FINAL_INTERVAL_S:g} s",
         "obstacle_speed_error_mps": "difference of obstacle_speed_mps from the speed that the manoeuvre aims at",
     },
     (

@@ -6,44 +6,48 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sweep.core.metric import Metric, initial_state
-from sweep.metrics.footholds import AT_FACE
+from sweep.core.metric import Metric, make_constant_begin
+from sweep.metrics.footholds import FACE_TOLERANCE_M
 from sweep.metrics.tick import MetricTick
 from sweep.models.obstacles.surface import surface_at
 
 
-class Landing(NamedTuple):
+class LandingPatience(NamedTuple):
     """The last tick's stage, its start and remaining patience (s); the least patience of earlier stages."""
 
     stage: Int[Array, ""]
-    began: Float[Array, ""]
-    left: Float[Array, ""]
-    reserve: Float[Array, ""]
+    stage_start_time: Float[Array, ""]
+    remaining_patience: Float[Array, ""]
+    least_patience: Float[Array, ""]
 
 
-def update(state: Landing, ctx: MetricTick) -> Landing:
+def update(state: LandingPatience, ctx: MetricTick) -> LandingPatience:
     """When a stage begins, judge the one before it by its last tick; the plan's last stage is judged at its end."""
-    plan, tick, new = ctx.plan, ctx.tick, ctx.stage != state.stage
-    began = jnp.where(new, ctx.time - ctx.period, state.began)
+    plan, tick, new = ctx.plan, ctx.report, ctx.stage != state.stage
+    began = jnp.where(new, ctx.time - ctx.period, state.stage_start_time)
     waited = jnp.maximum(ctx.time - began - plan.duration[ctx.stage], 0.0) / jnp.maximum(plan.patience, ctx.period)
     depth = surface_at(ctx.world.obstacle, tick.joints[:, -1], tick.bodies).depth
-    hangs = jnp.max(jnp.where(plan.swing[ctx.stage] & ~tick.truth.loaded, -depth, 0.0))
-    left = jnp.where(hangs > 0, -hangs / AT_FACE, 1 - jnp.minimum(waited, 1.0))
+    hangs = jnp.max(jnp.where(plan.swing[ctx.stage] & ~tick.actual.loaded, -depth, 0.0))
+    left = jnp.where(hangs > 0, -hangs / FACE_TOLERANCE_M, 1 - jnp.minimum(waited, 1.0))
     over = new | ctx.finished
-    return Landing(
+    return LandingPatience(
         stage=ctx.stage,
-        began=began,
-        left=jnp.where(ctx.finished, state.left, jnp.where(jnp.any(plan.swing[ctx.stage]), left, 1.0)),
-        reserve=jnp.where(over, jnp.minimum(state.reserve, state.left), state.reserve),
+        stage_start_time=began,
+        remaining_patience=jnp.where(
+            ctx.finished, state.remaining_patience, jnp.where(jnp.any(plan.swing[ctx.stage]), left, 1.0)
+        ),
+        least_patience=jnp.where(
+            over, jnp.minimum(state.least_patience, state.remaining_patience), state.least_patience
+        ),
     )
 
 
 METRIC = Metric(
-    initial_state(Landing, np.int32(0), 0.0, 1.0, 1.0),
+    make_constant_begin(LandingPatience, np.int32(0), 0.0, 1.0, 1.0),
     update,
-    lambda state, rollout: {"landing_reserve_min": state.reserve},
+    lambda state, rollout: {"landing_reserve_min": state.least_patience},
     {
         "landing_reserve_min": "least of 1 minus the time that a stage waited for its swinging feet to touch down over "
-        f"its patience; where one did not, minus its distance from its face over {1e3 * AT_FACE:g} mm"
+        f"its patience; where one did not, minus its distance from its face over {1e3 * FACE_TOLERANCE_M:g} mm"
     },
 )

@@ -7,52 +7,56 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.plan import is_under_law
-from sweep.core.metric import Cause, Metric, initial_state
+from sweep.core.metric import Cause, Metric, make_constant_begin
 from sweep.manoeuvres.balancing.ball_ledges import OFF, ON
-from sweep.metrics.tick import MetricTick, Rollout, goal_cause
+from sweep.metrics.tick import MetricTick, RolloutEnd, goal_cause
 from sweep.models.obstacles.ledges import Ledges
 
-THERE = 4e-3  # m, of a ball that has come to the far wall
+ARRIVAL_GAP_M = 4e-3  # m, of a ball that has come to the far wall
 
 
 class LedgeCrossing(NamedTuple):
     """Distances (m) of the mass centre past the ball's centre, and of the ball from the far wall; docking speed."""
 
-    past: Float[Array, ""]
-    gap: Float[Array, ""]
-    docking: Float[Array, ""]  # m/s
+    mass_centre_past_ball: Float[Array, ""]
+    wall_gap: Float[Array, ""]
+    docking_speed: Float[Array, ""]  # m/s
 
 
 def update(state: LedgeCrossing, ctx: MetricTick) -> LedgeCrossing:
     """Update distances, and the docking speed when the ball first reaches the far wall."""
-    ledges, tick = ctx.world.obstacle, ctx.tick
+    ledges, tick = ctx.world.obstacle, ctx.report
     assert isinstance(ledges, Ledges)
-    ball, speed = tick.truth.free.position[0], tick.truth.free.velocity[0, 0]
+    ball, speed = tick.actual.free.position[0], tick.actual.free.velocity[0, 0]
     ahead = tick.centre_of_mass[0] - ball[0]
     leaves = is_under_law(ctx.plan, ctx.stage, OFF)
     past = jnp.where(is_under_law(ctx.plan, ctx.stage, ON), ahead, jnp.where(leaves, -ahead, -jnp.inf))
-    gap = jnp.minimum(state.gap, jnp.where(leaves, jnp.inf, ledges.far_wall_x - ball[0]))
+    gap = jnp.minimum(state.wall_gap, jnp.where(leaves, jnp.inf, ledges.far_wall_x - ball[0]))
     return LedgeCrossing(
-        past=jnp.maximum(state.past, past),
-        gap=gap,
-        docking=jnp.where((state.gap >= THERE) & (gap < THERE), speed, state.docking),
+        mass_centre_past_ball=jnp.maximum(state.mass_centre_past_ball, past),
+        wall_gap=gap,
+        docking_speed=jnp.where((state.wall_gap >= ARRIVAL_GAP_M) & (gap < ARRIVAL_GAP_M), speed, state.docking_speed),
     )
 
 
-def compute(state: LedgeCrossing, rollout: Rollout) -> dict[str, Array]:
+def compute(state: LedgeCrossing, rollout: RolloutEnd) -> dict[str, Array]:
     """Distance of the mass centre past the ball's centre, and docking gap and speed."""
-    return {"past_centre_max_m": state.past, "docking_gap_m": state.gap, "docking_speed_mps": state.docking}
+    return {
+        "past_centre_max_m": state.mass_centre_past_ball,
+        "docking_gap_m": state.wall_gap,
+        "docking_speed_mps": state.docking_speed,
+    }
 
 
 METRIC = Metric(
-    initial_state(LedgeCrossing, -math.inf, math.inf, 0.0),
+    make_constant_begin(LedgeCrossing, -math.inf, math.inf, 0.0),
     update,
     compute,
     {
         "past_centre_max_m": "largest distance of the robot's centre of mass beyond the ball's, away from the ledge "
         "that it leaves or reaches",
         "docking_gap_m": "smallest distance of the ball from the far wall before the robot began to leave the ball",
-        "docking_speed_mps": f"speed of the ball when it first was within {1e3 * THERE:g} mm of the far wall",
+        "docking_speed_mps": f"speed of the ball when it first was within {1e3 * ARRIVAL_GAP_M:g} mm of the far wall",
     },
     (
         Cause(

@@ -5,59 +5,61 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.core.constants import GRAVITY, LOADED
-from sweep.core.metric import Metric, initial_state
-from sweep.metrics.tick import BRIEF, MetricTick, Rollout
+from sweep.core.constants import FOOT_LOAD_THRESHOLD_N, GRAVITY
+from sweep.core.metric import Metric, make_constant_begin
+from sweep.metrics.tick import FORCE_FILTER_TIME_S, MetricTick, RolloutEnd
 from sweep.models.obstacles.surface import surface_at
 from sweep.models.robot import total_mass
 
 
-class Load(NamedTuple):
+class FootLoads(NamedTuple):
     """Largest tangential over normal force, its integral over time (s), largest normal force over the weight.
 
     Sums over the feet of tangential force and of what friction allows (N), lately, and the least reserve they left.
     """
 
-    friction: Float[Array, ""]
-    use: Float[Array, ""]
-    normal: Float[Array, ""]
-    taken: Float[Array, ""]
-    allowed: Float[Array, ""]
-    reserve: Float[Array, ""]
+    largest_friction: Float[Array, ""]
+    friction_use_integral: Float[Array, ""]
+    largest_normal: Float[Array, ""]
+    filtered_tangential: Float[Array, ""]
+    filtered_friction_limit: Float[Array, ""]
+    least_reserve: Float[Array, ""]
 
 
-def update(state: Load, ctx: MetricTick) -> Load:
+def update(state: FootLoads, ctx: MetricTick) -> FootLoads:
     """Update peaks and integrals with a tick's mean forces."""
-    tick, weight = ctx.tick, GRAVITY * total_mass(ctx.world.robot)
-    demand = jnp.where(tick.normal > LOADED, tick.tangential / jnp.maximum(tick.normal, LOADED), 0.0)
-    use = jnp.sum(tick.tangential) / jnp.maximum(jnp.sum(tick.normal), LOADED)
+    tick, weight = ctx.report, GRAVITY * total_mass(ctx.world.robot)
+    demand = jnp.where(
+        tick.normal > FOOT_LOAD_THRESHOLD_N, tick.tangential / jnp.maximum(tick.normal, FOOT_LOAD_THRESHOLD_N), 0.0
+    )
+    use = jnp.sum(tick.tangential) / jnp.maximum(jnp.sum(tick.normal), FOOT_LOAD_THRESHOLD_N)
     feet = tick.joints[:, -1]
     friction = ctx.world.contact.friction * surface_at(ctx.world.obstacle, feet, tick.bodies).friction_scale
-    lately = min(1.0, ctx.period / BRIEF)
-    taken = state.taken + lately * (jnp.sum(tick.tangential) - state.taken)
-    allowed = state.allowed + lately * (jnp.sum(friction * tick.normal) - state.allowed)
-    return Load(
-        jnp.maximum(state.friction, jnp.max(demand)),
-        state.use + ctx.period * use,
-        jnp.maximum(state.normal, jnp.max(tick.normal) / weight),
+    lately = min(1.0, ctx.period / FORCE_FILTER_TIME_S)
+    taken = state.filtered_tangential + lately * (jnp.sum(tick.tangential) - state.filtered_tangential)
+    allowed = state.filtered_friction_limit + lately * (jnp.sum(friction * tick.normal) - state.filtered_friction_limit)
+    return FootLoads(
+        jnp.maximum(state.largest_friction, jnp.max(demand)),
+        state.friction_use_integral + ctx.period * use,
+        jnp.maximum(state.largest_normal, jnp.max(tick.normal) / weight),
         taken,
         allowed,
-        jnp.minimum(state.reserve, 1 - taken / jnp.maximum(allowed, LOADED)),
+        jnp.minimum(state.least_reserve, 1 - taken / jnp.maximum(allowed, FOOT_LOAD_THRESHOLD_N)),
     )
 
 
-def compute(state: Load, rollout: Rollout) -> dict[str, Array]:
+def compute(state: FootLoads, rollout: RolloutEnd) -> dict[str, Array]:
     """Peaks and means of the used friction, and the reserve."""
     return {
-        "friction_demand_max": state.friction,
-        "friction_demand_mean": state.use / jnp.maximum(rollout.time, 1e-9),
-        "normal_max_over_weight": state.normal,
-        "friction_reserve_min": state.reserve,
+        "friction_demand_max": state.largest_friction,
+        "friction_demand_mean": state.friction_use_integral / jnp.maximum(rollout.time, 1e-9),
+        "normal_max_over_weight": state.largest_normal,
+        "friction_reserve_min": state.least_reserve,
     }
 
 
 METRIC = Metric(
-    initial_state(Load, 0.0, 0.0, 0.0, 0.0, LOADED, 1.0),
+    make_constant_begin(FootLoads, 0.0, 0.0, 0.0, 0.0, FOOT_LOAD_THRESHOLD_N, 1.0),
     update,
     compute,
     {

@@ -9,22 +9,24 @@ import numpy as np
 
 from sweep.core.errors import InputError
 from sweep.core.metric import Cause, column_unit, merge_columns
-from sweep.core.outcomes import MISSED, JudgedCause, cause_margin, classify_rows, find_least_margins, judge_cause
+from sweep.core.outcomes import GOAL_MISSED, JudgedCause, cause_margin, classify_rows, find_least_margins, judge_cause
 from sweep.core.parameters import format_unit, parameters
 from sweep.metrics import CAUSES, METRICS, applicable_metrics
 from sweep.models.case import Case
 
 _MEANING = {cause.name: cause.sentence for cause in CAUSES} | {
-    MISSED: "the manoeuvre's goal was missed; the column `limit` says which part of it"
+    GOAL_MISSED: "the manoeuvre's goal was missed; the column `limit` says which part of it"
 }
-FAILURES = {cause.name: _MEANING[cause.name] for cause in CAUSES if not cause.invalid}
+FAILURE_MEANINGS = {cause.name: _MEANING[cause.name] for cause in CAUSES if not cause.invalid}
 INVALID_CAUSES = {cause.name: _MEANING[cause.name] for cause in CAUSES if cause.invalid}
-MEANING = {**FAILURES, **INVALID_CAUSES}
-COLUMNS = merge_columns(METRICS)
-BOOKKEEPING = {f"{cause.name}_{what}" for cause in CAUSES for what in ("time_s", "stage")}  # when causes were met
+CAUSE_MEANINGS = {**FAILURE_MEANINGS, **INVALID_CAUSES}
+COLUMN_MEANINGS = merge_columns(METRICS)
+BOOKKEEPING_COLUMNS = {
+    f"{cause.name}_{what}" for cause in CAUSES for what in ("time_s", "stage")
+}  # when causes were met
 
 
-class Thresholds:
+class OutcomeThresholds:
     """When a rollout counts as failed, or as not to be trusted; null is what the manoeuvre's goal says."""
 
     meanings: ClassVar = {cause.threshold: f"{cause.name}: {cause.sentence}" for cause in CAUSES if cause.threshold}
@@ -37,12 +39,12 @@ class Thresholds:
 
 for _cause in CAUSES:
     if _cause.threshold:
-        Thresholds.__annotations__[_cause.threshold] = float if _cause.default is not None else float | None
-        setattr(Thresholds, _cause.threshold, _cause.quantity())
-parameters(Thresholds)
+        OutcomeThresholds.__annotations__[_cause.threshold] = float if _cause.default is not None else float | None
+        setattr(OutcomeThresholds, _cause.threshold, _cause.quantity())
+parameters(OutcomeThresholds)
 
 
-def thresholds(values: Mapping[str, float | None], case: Case) -> Thresholds:
+def resolve_thresholds(values: Mapping[str, float | None], case: Case) -> OutcomeThresholds:
     """Resolve the thresholds of a kind of world; null values become those of the manoeuvre's goal.
 
     Args:
@@ -54,7 +56,7 @@ def thresholds(values: Mapping[str, float | None], case: Case) -> Thresholds:
     """
     known = {cause.threshold: cause for metric in applicable_metrics(case) for cause in metric.causes}
     chosen = {}
-    for field in dataclasses.fields(Thresholds):  # pyright: ignore[reportArgumentType]
+    for field in dataclasses.fields(OutcomeThresholds):  # pyright: ignore[reportArgumentType]
         value, cause = values.get(field.name, field.default), known.get(field.name)
         if cause is None and value != field.default:
             kinds = f"manoeuvre = {case.manoeuvre.kind} on obstacle = {case.obstacle.kind}"
@@ -62,10 +64,10 @@ def thresholds(values: Mapping[str, float | None], case: Case) -> Thresholds:
         if value is None and cause is not None:
             value = case.manoeuvre.goal.get(field.name, cause.default_for(case))
         chosen[field.name] = value
-    return Thresholds(**chosen)
+    return OutcomeThresholds(**chosen)
 
 
-def cause_meanings(limits: Thresholds) -> dict[str, str]:
+def cause_meanings(limits: OutcomeThresholds) -> dict[str, str]:
     """Say what each cause of failure or invalidity means, with the value of its threshold.
 
     Args:
@@ -74,12 +76,12 @@ def cause_meanings(limits: Thresholds) -> dict[str, str]:
     Returns:
         Sentence by name of the cause: `a standing foot slipped by more than 0.02 m (slip_max_m)`.
     """
-    return MEANING | {cause.name: f"{sentence} ({cause.threshold})" if sentence != cause.sentence else sentence
-                      for cause in CAUSES if cause.name != MISSED
-                      for sentence in [sentence_with_limit(cause, limits)]}  # fmt: skip
+    return CAUSE_MEANINGS | {cause.name: f"{sentence} ({cause.threshold})" if sentence != cause.sentence else sentence
+                             for cause in CAUSES if cause.name != GOAL_MISSED
+                             for sentence in [sentence_with_limit(cause, limits)]}  # fmt: skip
 
 
-def sentence_with_limit(cause: Cause, limits: Thresholds) -> str:
+def sentence_with_limit(cause: Cause, limits: OutcomeThresholds) -> str:
     """The sentence of a cause with the value and unit of its threshold, where it has one, in place of its key."""
     if not cause.threshold or not np.isfinite(limit := threshold_value(cause, limits)):
         return cause.sentence
@@ -88,7 +90,7 @@ def sentence_with_limit(cause: Cause, limits: Thresholds) -> str:
     return re.sub(rf"\b{cause.threshold}\b", value, cause.sentence)
 
 
-def threshold_value(cause: Cause, limits: Thresholds) -> float:
+def threshold_value(cause: Cause, limits: OutcomeThresholds) -> float:
     """Look up the threshold of a cause.
 
     Args:
@@ -101,7 +103,9 @@ def threshold_value(cause: Cause, limits: Thresholds) -> float:
     return cause.limit(getattr(limits, cause.threshold) if cause.threshold else cause.default)
 
 
-def classify(figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequence[str]) -> dict[str, np.ndarray]:
+def classify(
+    figures: Mapping[str, np.ndarray], limits: OutcomeThresholds, stages: Sequence[str]
+) -> dict[str, np.ndarray]:
     """Label each row with its outcome; a pure function of the stored metrics.
 
     The cause that occurred first decides. If several occur in the same tick, those that make a row invalid take
@@ -124,7 +128,7 @@ def classify(figures: Mapping[str, np.ndarray], limits: Thresholds, stages: Sequ
 
 
 def least_margins(
-    causes: Sequence[Cause], figures: Mapping[str, np.ndarray], limits: Thresholds
+    causes: Sequence[Cause], figures: Mapping[str, np.ndarray], limits: OutcomeThresholds
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the failure whose threshold is nearest to each row.
 
@@ -142,7 +146,7 @@ def least_margins(
     return find_least_margins({key: margin for key, margin in margins.items() if margin is not None})
 
 
-def explain_cause(row: Mapping[str, Any], limits: Thresholds) -> str:
+def explain_cause(row: Mapping[str, Any], limits: OutcomeThresholds) -> str:
     """Explain the cause of a row in words.
 
     Args:
@@ -159,13 +163,13 @@ def explain_cause(row: Mapping[str, Any], limits: Thresholds) -> str:
             return sentence_with_limit(cause, limits) + (
                 value and f"{value}{side} {threshold_value(cause, limits):.4g})"
             )
-    return MEANING.get(str(row["cause"]), "")
+    return CAUSE_MEANINGS.get(str(row["cause"]), "")
 
 
-def _judge_cause(cause: Cause, f: Mapping[str, np.ndarray], limits: Thresholds) -> JudgedCause:
+def _judge_cause(cause: Cause, f: Mapping[str, np.ndarray], limits: OutcomeThresholds) -> JudgedCause:
     """Judge rows by a cause. A comparison with NaN is false, hence the explicit check of every figure."""
     judged = judge_cause(cause, f, threshold_value(cause, limits), f["end_stage"])
     if cause.name != "not_finite":
         return judged
-    unknown = np.any([np.isnan(v.astype(float)) for key, v in f.items() if key not in BOOKKEEPING], axis=0)
+    unknown = np.any([np.isnan(v.astype(float)) for key, v in f.items() if key not in BOOKKEEPING_COLUMNS], axis=0)
     return dataclasses.replace(judged, holds=judged.holds | unknown)

@@ -6,10 +6,10 @@ from jaxtyping import Array, Float
 from sweep.controllers.layers import Feedforward
 from sweep.controllers.plan import Plan
 from sweep.core.metric import Cause, Metric
-from sweep.metrics.tick import Rollout
+from sweep.metrics.tick import RolloutEnd
 
 
-def compute(state: None, rollout: Rollout) -> dict[str, Array]:
+def compute(state: None, rollout: RolloutEnd) -> dict[str, Array]:
     """Largest unsupported weight over the plan's stages, and its stage."""
     left = imbalance(rollout.plan)
     return {"imbalance_max": jnp.max(left), "infeasible_stage": jnp.argmax(left).astype(jnp.int32)}

@@ -9,35 +9,35 @@ from sweep.controllers.plan import is_under_law
 from sweep.core.metric import Cause, Metric
 from sweep.core.rotations import heading, rotate
 from sweep.manoeuvres.afloat.raft_cross import PUSH, WAIT
-from sweep.metrics.tick import FootHold, MetricTick, Rollout, RolloutStart
-from sweep.models.obstacles.raft import CORNERS, Raft
+from sweep.metrics.tick import BodyTouchdownPoints, MetricTick, RolloutEnd, RolloutStart
+from sweep.models.obstacles.raft import CORNER_SIGNS, Raft
 
 
-class Afloat(NamedTuple):
+class RaftMotionExtremes(NamedTuple):
     """Least freeboard and draught of the raft's corners (m), tilt (rad), motion, and where feet took hold."""
 
-    freeboard: Float[Array, ""]
-    draught: Float[Array, ""]
-    tilt: Float[Array, ""]
-    pushed: Float[Array, ""]  # m/s
-    arrived: Float[Array, ""]  # m/s
-    turned: Float[Array, ""]  # rad
-    hold: FootHold
-    slip: Float[Array, ""]  # m
+    least_freeboard: Float[Array, ""]
+    least_draught: Float[Array, ""]
+    largest_tilt: Float[Array, ""]
+    departure_speed: Float[Array, ""]  # m/s
+    arrival_speed: Float[Array, ""]  # m/s
+    arrival_heading: Float[Array, ""]  # rad
+    touchdown_points: BodyTouchdownPoints
+    largest_slip: Float[Array, ""]  # m
 
 
-def begin(start: RolloutStart) -> Afloat:
+def begin(start: RolloutStart) -> RaftMotionExtremes:
     """Initial state; no foot is loaded yet."""
     far, zero = jnp.full((), jnp.inf, start.feet.dtype), jnp.zeros((), start.feet.dtype)
-    return Afloat(far, far, zero, zero, zero, zero, FootHold.at_start(start), zero)
+    return RaftMotionExtremes(far, far, zero, zero, zero, zero, BodyTouchdownPoints.at_start(start), zero)
 
 
-def update(state: Afloat, ctx: MetricTick) -> Afloat:
+def update(state: RaftMotionExtremes, ctx: MetricTick) -> RaftMotionExtremes:
     """Update extremes, and the slip of feet that took hold on the deck."""
-    raft, tick = ctx.world.obstacle, ctx.tick
+    raft, tick = ctx.world.obstacle, ctx.report
     assert isinstance(raft, Raft)
-    free = tick.truth.free
-    half = raft.half_size * jnp.array([[x, y, 1.0] for x, y in CORNERS])
+    free = tick.actual.free
+    half = raft.half_size * jnp.array([[x, y, 1.0] for x, y in CORNER_SIGNS])
     quat = jnp.broadcast_to(free.quat[0], (4, 4))
     deck, bottom = (
         free.position[0, 2] + rotate(quat, half * jnp.array([1.0, 1.0, side]))[:, 2] + raft.bank_height
@@ -46,29 +46,29 @@ def update(state: Afloat, ctx: MetricTick) -> Afloat:
     up = rotate(free.quat[0], jnp.array([0.0, 0.0, 1.0], free.quat.dtype))
     pushes, arrives = (is_under_law(ctx.plan, ctx.stage, law) for law in (PUSH, WAIT))
     speed = free.velocity[0, 0]
-    hold, way = state.hold.update(ctx)
-    return Afloat(
-        freeboard=jnp.minimum(state.freeboard, jnp.min(deck)),
-        draught=jnp.minimum(state.draught, -jnp.max(bottom)),
-        tilt=jnp.maximum(state.tilt, jnp.arccos(jnp.clip(up[2], -1.0, 1.0))),
-        pushed=jnp.where(pushes, speed, state.pushed),
-        arrived=jnp.where(arrives, speed, state.arrived),
-        turned=jnp.where(arrives, heading(free.quat[0]), state.turned),
-        hold=hold,
-        slip=jnp.maximum(state.slip, jnp.max(jnp.where(hold.body == 0, way, 0.0))),
+    hold, way = state.touchdown_points.update(ctx)
+    return RaftMotionExtremes(
+        least_freeboard=jnp.minimum(state.least_freeboard, jnp.min(deck)),
+        least_draught=jnp.minimum(state.least_draught, -jnp.max(bottom)),
+        largest_tilt=jnp.maximum(state.largest_tilt, jnp.arccos(jnp.clip(up[2], -1.0, 1.0))),
+        departure_speed=jnp.where(pushes, speed, state.departure_speed),
+        arrival_speed=jnp.where(arrives, speed, state.arrival_speed),
+        arrival_heading=jnp.where(arrives, heading(free.quat[0]), state.arrival_heading),
+        touchdown_points=hold,
+        largest_slip=jnp.maximum(state.largest_slip, jnp.max(jnp.where(hold.body == 0, way, 0.0))),
     )
 
 
-def compute(state: Afloat, rollout: Rollout) -> dict[str, Array]:
+def compute(state: RaftMotionExtremes, rollout: RolloutEnd) -> dict[str, Array]:
     """Extremes so far, and the raft's speed at departure, speed and heading at arrival."""
     return {
-        "freeboard_min_m": state.freeboard,
-        "draught_min_m": state.draught,
-        "raft_tilt_max_rad": state.tilt,
-        "push_speed_mps": state.pushed,
-        "arrival_speed_mps": state.arrived,
-        "arrival_turn_rad": state.turned,
-        "deck_slip_max_m": state.slip,
+        "freeboard_min_m": state.least_freeboard,
+        "draught_min_m": state.least_draught,
+        "raft_tilt_max_rad": state.largest_tilt,
+        "push_speed_mps": state.departure_speed,
+        "arrival_speed_mps": state.arrival_speed,
+        "arrival_turn_rad": state.arrival_heading,
+        "deck_slip_max_m": state.largest_slip,
     }
 
 

@@ -5,20 +5,20 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.core.metric import Cause, extremes
+from sweep.core.metric import Cause, make_extremes_metric
 from sweep.metrics.tick import MetricTick
 
 
 def reach_values(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
     """Largest shortfall of a foot target, and the least length by which a leg could still stretch or fold (m)."""
-    robot, leg = ctx.world.robot, ctx.tick.joints
+    robot, leg = ctx.world.robot, ctx.report.joints
     stretch = jnp.linalg.norm(leg[:, -1] - leg[:, -3], axis=-1)
     left = jnp.minimum(robot.thigh + robot.shin - stretch, stretch - jnp.abs(robot.thigh - robot.shin))
     yield ctx.shortfall
     yield jnp.min(left) - ctx.shortfall
 
 
-METRIC = extremes(
+METRIC = make_extremes_metric(
     reach_values,
     {
         "reach_shortfall_max_m": "largest distance of a foot target beyond its leg's reach",

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from jaxtyping import Array, Float
 
-from sweep.core.metric import Cause, extremes
+from sweep.core.metric import Cause, make_extremes_metric
 from sweep.metrics.tick import MetricTick
 
 
@@ -14,7 +14,7 @@ def plan_shortfall(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
     yield ctx.learned.shortfall
 
 
-METRIC = extremes(
+METRIC = make_extremes_metric(
     plan_shortfall,
     {"replanned_shortfall_max_m": "largest distance beyond a leg's reach of a foothold planned again; inf: no plan"},
     (

@@ -7,38 +7,39 @@ from jaxtyping import Array, Bool, Float
 
 from sweep.core.metric import Cause, Metric
 from sweep.core.rotations import matrix
-from sweep.metrics.tick import REST, MetricTick, RolloutStart
+from sweep.metrics.tick import REST_DURATION_S, MetricTick, RolloutStart
 
 
-class Resting(NamedTuple):
+class RestDrift(NamedTuple):
     """Positions of hips, knees and feet at the end of the plan (m), and their largest displacement since."""
 
-    ended: Bool[Array, ""]
-    place: Float[Array, "6 k 3"]  # in the axes of the base as it is told to be
-    drift: Float[Array, ""]
+    has_plan_ended: Bool[Array, ""]
+    plan_end_positions: Float[Array, "6 k 3"]  # in the axes of the base as it is told to be
+    largest_drift: Float[Array, ""]
 
 
-def begin(start: RolloutStart) -> Resting:
+def begin(start: RolloutStart) -> RestDrift:
     """Initial state, before the plan has ended."""
     links = 3 if start.world.robot.legs == "two_link" else 4
     zero = jnp.zeros((), start.feet.dtype)
-    return Resting(jnp.asarray(False), jnp.zeros((6, links, 3), zero.dtype), zero)
+    return RestDrift(jnp.asarray(False), jnp.zeros((6, links, 3), zero.dtype), zero)
 
 
-def update(state: Resting, ctx: MetricTick) -> Resting:
+def update(state: RestDrift, ctx: MetricTick) -> RestDrift:
     """Update displacements relative to the base's reference: a robot at rest on a moving body is at rest."""
-    here = (ctx.tick.joints - ctx.target.position) @ matrix(ctx.target.quat)
-    place = jnp.where(state.ended, state.place, here)
+    here = (ctx.report.joints - ctx.target.position) @ matrix(ctx.target.quat)
+    place = jnp.where(state.has_plan_ended, state.plan_end_positions, here)
     drift = jnp.where(ctx.finished, jnp.max(jnp.linalg.norm(here - place, axis=-1)), 0.0)
-    return Resting(ctx.finished, place, jnp.maximum(state.drift, drift))
+    return RestDrift(ctx.finished, place, jnp.maximum(state.largest_drift, drift))
 
 
 METRIC = Metric(
     begin,
     update,
-    lambda state, rollout: {"end_drift_m": state.drift},
+    lambda state, rollout: {"end_drift_m": state.largest_drift},
     {
-        "end_drift_m": f"largest motion of a hip, knee or foot in the {REST:g} s after the plan, relative to the "
+        "end_drift_m": f"largest motion of a hip, knee or foot in the {REST_DURATION_S:g} s after the plan, "
+        "relative to the "
         "reference of the base"
     },
     (

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.core.metric import Cause, Metric, initial_state
+from sweep.core.metric import Cause, Metric, make_constant_begin
 from sweep.metrics.tick import MetricTick
 from sweep.models.geometry import shin_slopes
 from sweep.models.obstacles.surface import surface_at
@@ -11,14 +11,14 @@ from sweep.models.obstacles.surface import surface_at
 
 def update(state: Float[Array, ""], ctx: MetricTick) -> Float[Array, ""]:
     """Update the least sine of the angle, over loaded feet that are not in the first half of their swing."""
-    tick = ctx.tick
+    tick = ctx.report
     normal = surface_at(ctx.world.obstacle, tick.joints[:, -1], tick.bodies).normal
     goes = ctx.plan.swing[ctx.stage] & ~ctx.finished & (ctx.phase <= 0.5)
-    return jnp.minimum(state, jnp.min(jnp.where(tick.truth.loaded & ~goes, shin_slopes(tick.joints, normal), 1.0)))
+    return jnp.minimum(state, jnp.min(jnp.where(tick.actual.loaded & ~goes, shin_slopes(tick.joints, normal), 1.0)))
 
 
 METRIC = Metric(
-    initial_state(jnp.asarray, 1.0),  # upright
+    make_constant_begin(jnp.asarray, 1.0),  # upright
     update,
     lambda sine, rollout: {"shin_angle_min_rad": jnp.arcsin(sine)},
     {"shin_angle_min_rad": "smallest angle of a standing leg's shin above the face it stands on, negative below it"},

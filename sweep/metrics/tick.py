@@ -16,26 +16,26 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan
 from sweep.core.constants import GRAVITY
 from sweep.core.metric import Cause
-from sweep.core.outcomes import MISSED
+from sweep.core.outcomes import GOAL_MISSED
 from sweep.core.rotations import conjugate, multiply
 from sweep.core.shared_metrics.attitude import tilt_deg
-from sweep.dynamics.contacts import to_body, to_world
+from sweep.dynamics.contacts import to_body_frame, to_world_frame
 from sweep.estimation.belief_update import LearnedState
 from sweep.models.case import Case
-from sweep.models.legs import KINDS
+from sweep.models.legs import JOINT_KINDS
 from sweep.models.obstacles.surface import BodyPoses, FreeState, surface_at
 from sweep.models.posture import Stance
 from sweep.models.robot import total_mass
 
 # s; a rollout continues for this time after its plan has ended, and nothing may change then
-REST = 1.0
+REST_DURATION_S = 1.0
 # a rollout is stopped when this multiple of its plan's duration has passed
-GRACE = 1.2
+MAX_DURATION_FACTOR = 1.2
 # s; forces are averaged over it, so that a bounce of the feet is neither a fall nor a slip
-BRIEF = 0.05
+FORCE_FILTER_TIME_S = 0.05
 
 
-class Tick(NamedTuple):
+class TickReport(NamedTuple):
     """An engine's report of one control tick. World axes; k points along a leg."""
 
     torque_peak: Float[Array, "6 3"]  # N m, absolute
@@ -45,10 +45,10 @@ class Tick(NamedTuple):
     tangential: Float[Array, " 6"]  # N, size of the mean
     residual: Float[Array, ""]  # N, largest of the solver
     work: Float[Array, ""]  # J, of drives and pushes
-    effort: Float[Array, ""]  # J, positive drive work only
+    positive_work: Float[Array, ""]  # J, positive drive work only
     power: Float[Array, "6 3"]  # W, of the drives, mean
     energy: Float[Array, ""]  # J, kinetic and potential, at the end
-    truth: Observation  # of exact sensors, at the end
+    actual: Observation  # of exact sensors, at the end
     centre_of_mass: Float[Array, " 3"]  # m, of the robot
     joints: Float[Array, "6 k 3"]  # m, along each leg: hip, ..., knee, foot
     bodies: BodyPoses
@@ -67,7 +67,7 @@ class RolloutStart(NamedTuple):
     learned: LearnedState = LearnedState()
 
     direction_varies = True
-    torque_groups = len(KINDS)
+    torque_groups = len(JOINT_KINDS)
 
     @property
     def base_position(self) -> Float[Array, " 3"]:
@@ -83,9 +83,9 @@ class RolloutStart(NamedTuple):
         """Return a constant as a state, floats in the rollout's precision."""
         return jnp.asarray(value, self.feet.dtype if np.asarray(value).dtype.kind == "f" else None)
 
-    def foot_holds(self) -> "FootHold":
+    def init_touchdown_points(self) -> "BodyTouchdownPoints":
         """Return the touchdown points before any foot is loaded."""
-        return FootHold.at_start(self)
+        return BodyTouchdownPoints.at_start(self)
 
 
 class MetricTick(NamedTuple):
@@ -100,7 +100,7 @@ class MetricTick(NamedTuple):
     target: Stance  # that the tracker commanded
     reference: Stance  # `target` with the base where exact sensors would have it: the true command, see `Command`
     shortfall: Float[Array, ""]  # m, of targets beyond the legs' reach
-    tick: Tick
+    report: TickReport
     period: float  # s, of a tick
     time: Float[Array, ""]  # s, at its end
     learned: LearnedState = LearnedState()
@@ -113,22 +113,22 @@ class MetricTick(NamedTuple):
     @property
     def base_position(self) -> Float[Array, "1 3"]:
         """Return the position (1, 3) of the base at the end of the tick (m, world axes)."""
-        return self.tick.truth.position[None]
+        return self.report.actual.position[None]
 
     @property
     def base_quat(self) -> Float[Array, "1 4"]:
         """Return the orientation (1, 4) of the base at the end of the tick, body to world."""
-        return self.tick.truth.quat[None]
+        return self.report.actual.quat[None]
 
     @property
     def base_velocity(self) -> Float[Array, "1 3"]:
         """Return the velocity (1, 3) of the base at the end of the tick (m/s, world axes)."""
-        return self.tick.truth.velocity[None]
+        return self.report.actual.velocity[None]
 
     @property
     def attitude_error(self) -> Float[Array, " 4"]:
         """Turn of the base from its reference, in the axes of the reference."""
-        return multiply(conjugate(self.reference.quat), self.tick.truth.quat)
+        return multiply(conjugate(self.reference.quat), self.report.actual.quat)
 
     @property
     def tilt_deg(self) -> Float[Array, ""]:
@@ -138,77 +138,77 @@ class MetricTick(NamedTuple):
     @property
     def joint_rates(self) -> Float[Array, "6 3"]:
         """Rates (rad/s) at the end of the tick, of six joints in each of the groups alpha, beta and gamma."""
-        return self.tick.truth.rates
+        return self.report.actual.rates
 
     @property
     def joint_torques(self) -> Float[Array, "6 3"]:
         """Largest torques (N m) of the tick, of six joints in each of the groups alpha, beta and gamma."""
-        return self.tick.torque_peak
+        return self.report.torque_peak
 
     @property
     def positive_work(self) -> Float[Array, ""]:
         """Positive work of the drives in this tick (J)."""
-        return self.tick.effort
+        return self.report.positive_work
 
     def motion_along(self, before: Float[Array, " 3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Return the distance (m) in this tick along the planned direction, and the tick's length (s); 0 at rest."""
         way = self.plan.position[self.stage] - self.stage_start
         length = jnp.linalg.norm(way)
         moving = (length > 1e-6) & ~self.finished
-        step = (self.tick.truth.position - before) @ (way / jnp.maximum(length, 1e-6))
+        step = (self.report.actual.position - before) @ (way / jnp.maximum(length, 1e-6))
         return jnp.where(moving, step, 0.0), jnp.where(moving, self.period, 0.0)
 
 
-def time_left(ctx: MetricTick) -> Float[Array, ""]:
+def remaining_plan_time(ctx: MetricTick) -> Float[Array, ""]:
     """Remaining duration of the plan (s); stages may have ended before their time."""
     duration = ctx.plan.duration
     later = jnp.sum(jnp.where(jnp.arange(len(duration)) > ctx.stage, duration, 0.0))
     return later + (1 - ctx.phase) * duration[ctx.stage]
 
 
-class FootHold(NamedTuple):
+class BodyTouchdownPoints(NamedTuple):
     """Points where the feet touched down (m), in the axes of the body under each foot; that body; and which feet hold.
 
     A foot that slides from one body to another without a swing keeps the point on the first one.
     """
 
-    place: Float[Array, "6 3"]
+    positions: Float[Array, "6 3"]
     body: Int[Array, " 6"] | None  # -1 is fixed ground; None where there is nothing else
-    holds: Bool[Array, " 6"]
+    is_holding: Bool[Array, " 6"]
 
     @classmethod
-    def at_start(cls, start: RolloutStart) -> "FootHold":
+    def at_start(cls, start: RolloutStart) -> "BodyTouchdownPoints":
         """State of feet that have not been loaded yet."""
         body = jnp.full(6, -1, jnp.int32) if len(start.free.position) else None
         return cls(jnp.zeros_like(start.feet), body, jnp.zeros(6, bool))
 
-    def update(self, ctx: MetricTick) -> tuple["FootHold", Float[Array, " 6"]]:
+    def update(self, ctx: MetricTick) -> tuple["BodyTouchdownPoints", Float[Array, " 6"]]:
         """Update after a tick, and return the distance of each loaded foot from where it took hold (m).
 
         A foot takes hold at its actual position when it is first loaded: after the start, or in the second half of a
         swing. A standing foot that is unloaded for a moment keeps its point, so that chattering does not hide a slip.
         """
-        tick = ctx.tick
+        tick = ctx.report
         feet = tick.joints[:, -1]
         swings = ctx.plan.swing[ctx.stage] & ~ctx.finished
-        holds = jnp.where(swings, tick.truth.loaded & (ctx.phase > 0.5), self.holds | tick.truth.loaded)
-        held = holds & self.holds
+        holds = jnp.where(swings, tick.actual.loaded & (ctx.phase > 0.5), self.is_holding | tick.actual.loaded)
+        held = holds & self.is_holding
         here = surface_at(ctx.world.obstacle, feet, tick.bodies).body.astype(jnp.int32)
         body = here if self.body is None else jnp.where(held, self.body, here)
-        place = jnp.where(held[:, None], self.place, to_body(feet, body, tick.bodies))
-        way = jnp.linalg.norm(feet - to_world(place, body, tick.bodies), axis=-1)
-        return FootHold(place, None if self.body is None else body, holds), jnp.where(
-            holds & tick.truth.loaded, way, 0.0
+        place = jnp.where(held[:, None], self.positions, to_body_frame(feet, body, tick.bodies))
+        way = jnp.linalg.norm(feet - to_world_frame(place, body, tick.bodies), axis=-1)
+        return BodyTouchdownPoints(place, None if self.body is None else body, holds), jnp.where(
+            holds & tick.actual.loaded, way, 0.0
         )
 
 
-class PlanTail(NamedTuple):
+class FinalInterval(NamedTuple):
     """Positions (m) and time (s) at the start of the plan's final interval, for mean velocities since then."""
 
-    place: Float[Array, "*k 3"]
+    positions: Float[Array, "*k 3"]
     time: Float[Array, ""]
 
-    def update(self, ctx: MetricTick, place: Float[Array, "*k 3"], length: float) -> "PlanTail":
+    def update(self, ctx: MetricTick, place: Float[Array, "*k 3"], length: float) -> "FinalInterval":
         """Follow positions until the last `length` seconds of the plan begin.
 
         Args:
@@ -216,15 +216,15 @@ class PlanTail(NamedTuple):
             place: Positions at its end (m).
             length: Duration of the last part (s).
         """
-        before = time_left(ctx) > length
-        return PlanTail(jnp.where(before, place, self.place), jnp.where(before, ctx.time, self.time))
+        before = remaining_plan_time(ctx) > length
+        return FinalInterval(jnp.where(before, place, self.positions), jnp.where(before, ctx.time, self.time))
 
     def mean_velocity(self, place: Float[Array, "*k 3"], time: Array) -> Float[Array, "*k 3"]:
         """Mean velocity (m/s) from the start of the last part to positions `place` (m) at `time` (s)."""
-        return (place - self.place) / jnp.maximum(time - self.time, 1e-9)
+        return (place - self.positions) / jnp.maximum(time - self.time, 1e-9)
 
 
-class Rollout(NamedTuple):
+class RolloutEnd(NamedTuple):
     """A rollout after its last tick, from which metrics are computed."""
 
     world: Case
@@ -242,7 +242,7 @@ class Rollout(NamedTuple):
         """Return the sum as it is: the engines report integrals over a tick."""
         return total
 
-    def displacement_along(self, way: Array) -> Array:
+    def displacement_along(self, displacement: Array) -> Array:
         """Refuse: the planned direction changes from stage to stage."""
         raise NotImplementedError
 
@@ -255,4 +255,4 @@ def goal_cause(sentence: str, metric: str, **options: Any) -> Cause:
         metric: Name of the metric.
         options: Fields of `Cause`.
     """
-    return Cause(MISSED, sentence, metric, None, known_at="end", **options)
+    return Cause(GOAL_MISSED, sentence, metric, None, known_at="end", **options)

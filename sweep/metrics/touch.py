@@ -7,7 +7,7 @@ from jaxtyping import Array
 
 from sweep.core.metric import Metric
 from sweep.estimation.touch import TouchState, learnable_sizes
-from sweep.metrics.tick import MetricTick, Rollout, RolloutStart
+from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.obstacles.surface import Obstacle
 
@@ -18,7 +18,7 @@ def touch_estimate(rollout: RolloutStart | MetricTick) -> TouchState:
     return rollout.learned.touch
 
 
-def compute(state: TouchState, rollout: Rollout) -> dict[str, Array]:
+def compute(state: TouchState, rollout: RolloutEnd) -> dict[str, Array]:
     """Estimated sizes of the obstacle and their standard deviations, by column."""
     parts = ({f"learned_{n}_{u}": jnp.asarray(getattr(state.obstacle, n)),
               f"learned_{n}_sd_{u}": jnp.sqrt(state.covariance[k, k])}

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from sweep.core.parameters import parameters
 from sweep.models.contact import Contact
 from sweep.models.control import Control
-from sweep.models.disturbance import Execution
+from sweep.models.disturbance import ExecutionFaults
 from sweep.models.drive import Drive
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import Obstacle
@@ -101,7 +101,7 @@ class Case:
     obstacle: Obstacle
     manoeuvre: Manoeuvre
     noise: Noise
-    execution: Execution
+    execution: ExecutionFaults
     control: Control = Control()
     plan: PlanTable = PlanTable()
 

@@ -10,12 +10,16 @@ import numpy as np
 
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
-from sweep.models.obstacles.geoms import COLLIDING, STIFF
+from sweep.models.obstacles.geoms import COLLISION_GROUP, STIFF_CONTACT
 from sweep.models.obstacles.surface import identity_poses
 from sweep.models.robot import FOOT_LENGTH, PIN_RADIUS, half_between_hips
 
-OWN_BASE = "inner_base"  # what legs meet of their own base
-OBSTACLE, SHIN, LEG = 4, 8, 16  # what bodies collide with: contype and conaffinity, beside those of feet and balls
+INNER_BASE_NAME = "inner_base"  # what legs meet of their own base
+OBSTACLE_COLLISION_BIT, SHIN_COLLISION_BIT, LEG_COLLISION_BIT = (
+    4,
+    8,
+    16,
+)  # what bodies collide with: contype and conaffinity, beside those of feet and balls
 
 
 def enable_collisions(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -> None:
@@ -28,32 +32,40 @@ def enable_collisions(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -
     """
     friction, radius = float(case.contact.friction), float(case.robot.link_radius)
     fork, hip = (float(way + radius) for way in (case.robot.fork_ratio * case.robot.shin, case.robot.hip_clearance))
-    touch = {**STIFF, "friction": [friction, 0.005, 1e-4]}
+    touch = {**STIFF_CONTACT, "friction": [friction, 0.005, 1e-4]}
     for solid in case.obstacle.solids(identity_poses(len(case.obstacle.free_bodies))):
-        _set(spec.geom(solid.name), conaffinity=OBSTACLE, **touch)
+        _set(spec.geom(solid.name), conaffinity=OBSTACLE_COLLISION_BIT, **touch)
     base = spec.body("base").first_geom()
-    _set(base, name="base", contype=OBSTACLE, conaffinity=0, **touch)
+    _set(base, name="base", contype=OBSTACLE_COLLISION_BIT, conaffinity=0, **touch)
     spec.body("base").add_geom(
-        name=OWN_BASE,
+        name=INNER_BASE_NAME,
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=np.asarray(half_between_hips(case.robot)),
         mass=0.0,
-        group=COLLIDING,
+        group=COLLISION_GROUP,
         rgba=[0, 0, 0, 0],
         contype=0,
-        conaffinity=SHIN,
+        conaffinity=SHIN_COLLISION_BIT,
         **touch,
     )
     for leg in LEGS:
         bodies = [f"{link}{leg}" for link in links]
-        solid = {"contype": OBSTACLE | LEG, "conaffinity": LEG, **touch}
+        solid = {"contype": OBSTACLE_COLLISION_BIT | LEG_COLLISION_BIT, "conaffinity": LEG_COLLISION_BIT, **touch}
         for link in map(spec.body, bodies[:-1]):
             _add_capsule(link, link.name, (np.zeros(3), _end(link)), radius, **solid)
         thigh, shin = spec.body(f"thigh{leg}"), spec.body(bodies[-1])
         shares = (1 - off / np.linalg.norm(_end(shin)) for off in (FOOT_LENGTH + radius, radius))
         thick, thin = (_end(shin) * max(0.0, share) for share in shares)
-        _add_capsule(shin, shin.name, (np.zeros(3), thick), radius, **solid | {"contype": OBSTACLE | LEG | SHIN})
-        _add_capsule(shin, f"pin{leg}", (thick, thin), PIN_RADIUS, contype=OBSTACLE, conaffinity=0, **touch)
+        _add_capsule(
+            shin,
+            shin.name,
+            (np.zeros(3), thick),
+            radius,
+            **solid | {"contype": OBSTACLE_COLLISION_BIT | LEG_COLLISION_BIT | SHIN_COLLISION_BIT},
+        )
+        _add_capsule(
+            shin, f"pin{leg}", (thick, thin), PIN_RADIUS, contype=OBSTACLE_COLLISION_BIT, conaffinity=0, **touch
+        )
         parts = {
             f"outer_thigh{leg}": (thigh, _way(thigh, hip), _end(thigh)),
             f"inner_thigh{leg}": (thigh, np.zeros(3), _end(thigh) - _way(thigh, fork)),
@@ -63,10 +75,12 @@ def enable_collisions(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -
             _add_capsule(body, name, (ends[0], ends[1]), radius, contype=0, conaffinity=0)
         # as pairs, since a body and its child do not collide otherwise
         for one, other in (
-            (OWN_BASE, f"outer_thigh{leg}_solid"),
+            (INNER_BASE_NAME, f"outer_thigh{leg}_solid"),
             (f"inner_thigh{leg}_solid", f"outer_shin{leg}_solid"),
         ):
-            spec.add_pair(geomname1=one, geomname2=other, friction=[friction, friction, 0.005, 1e-4, 1e-4], **STIFF)
+            spec.add_pair(
+                geomname1=one, geomname2=other, friction=[friction, friction, 0.005, 1e-4, 1e-4], **STIFF_CONTACT
+            )
         for inner, outer in zip(bodies, bodies[2:], strict=False):
             spec.add_exclude(bodyname1=inner, bodyname2=outer)
 
@@ -83,7 +97,7 @@ def _add_capsule(
         fromto=np.concatenate(ends),
         mass=0.0,
         size=[radius, 0, 0],
-        group=COLLIDING,
+        group=COLLISION_GROUP,
         rgba=[0, 0, 0, 0],
         **how,
     )

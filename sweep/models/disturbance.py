@@ -5,7 +5,7 @@ from sweep.models.legs import N_JOINTS
 
 
 @parameters
-class Execution:
+class ExecutionFaults:
     """Faults in the execution of a plan, all off by default."""
 
     torque_scale: float = quantity(1.0, "-", at_least=0, at_most=1)  # multiplies the drives' torque limit

@@ -1,6 +1,6 @@
 """Numbers of coordinate frames: the world's, and two for each free body of the obstacle."""
 
-WORLD = 0
+WORLD_FRAME = 0
 
 
 def koenig_frame(body: int) -> int:

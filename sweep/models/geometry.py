@@ -16,9 +16,9 @@ from sweep.models.obstacles.surface import BodyPoses, Obstacle, surface_at
 from sweep.models.robot import FOOT_LENGTH, PIN_RADIUS, Robot, half_between_hips
 from sweep.models.solids import Solid, distance_from_box, distance_to_segments
 
-HALVINGS = 8  # a segment of 0.4 m is searched to 1 mm
-AROUND = 0.05  # m, how far from a foot edges are looked for
-PROBES = (0.4, 1.0)  # of it, how deep under a foot: the first is in the middle of a rung, 40 mm thick
+BISECTION_STEPS = 8  # a segment of 0.4 m is searched to 1 mm
+EDGE_SEARCH_RADIUS_M = 0.05  # m, how far from a foot edges are looked for
+PROBE_DEPTHS = (0.4, 1.0)  # of it, how deep under a foot: the first is in the middle of a rung, 40 mm thick
 
 
 def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point: Float[Array, " 2"]) -> Array:
@@ -51,7 +51,8 @@ def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point
 def edge_distance(obstacle: Obstacle, feet: Float[Array, "n 3"], bodies: BodyPoses) -> Float[Array, " n"]:
     """Distance of feet from the edges of the faces on which they stand.
 
-    It probes the depth of the obstacle under each foot, so that it is at most `AROUND` and half the local thickness.
+    It probes the depth of the obstacle under each foot, so that it is at most `EDGE_SEARCH_RADIUS_M` and half the local
+    thickness.
 
     Args:
         obstacle: The obstacle.
@@ -62,7 +63,9 @@ def edge_distance(obstacle: Obstacle, feet: Float[Array, "n 3"], bodies: BodyPos
         Distances (m).
     """
     normal = surface_at(obstacle, feet, bodies).normal
-    probes = [surface_at(obstacle, feet - share * AROUND * normal, bodies).depth for share in PROBES]
+    probes = [
+        surface_at(obstacle, feet - share * EDGE_SEARCH_RADIUS_M * normal, bodies).depth for share in PROBE_DEPTHS
+    ]
     return reduce(jnp.maximum, probes)
 
 
@@ -93,7 +96,7 @@ def segment_box_distance(
     """
     start, along = a.T, (b - a).T
     share, step = jnp.full_like(start[0], 0.5), 0.25
-    for _ in range(HALVINGS):
+    for _ in range(BISECTION_STEPS):
         slope = sum(_out(p + share * u, h) * u for p, u, h in zip(start, along, half, strict=True))
         share, step = share - step * jnp.sign(slope), step / 2
     return distance_from_box((start + share * along).T, half)

@@ -11,7 +11,7 @@ from typing import Any
 import jax
 from jaxtyping import Array
 
-MORE = "+"  # before a path: by how much the number there is more than what its formula says
+INCREMENT_PREFIX = "+"  # before a path: by how much the number there is more than what its formula says
 
 
 @jax.tree_util.register_dataclass
@@ -35,13 +35,13 @@ class PlanTable:
             formulas: Values of formulas by path; one of these numbers is raised to `value` and keeps its formula.
         """
         if formulas and path in formulas:
-            path, value = MORE + path, value - formulas[path]
+            path, value = INCREMENT_PREFIX + path, value - formulas[path]
         changes = self.changes | {path: value}
         return dataclasses.replace(self, paths=tuple(changes), values=tuple(changes.values()))
 
     def with_increment(self, path: str, increment: Any) -> "PlanTable":
         """Return a table with `increment` added to the number at `path`, after its formula and earlier increments."""
-        return self.with_value(MORE + path, self.changes.get(MORE + path, 0.0) + increment)
+        return self.with_value(INCREMENT_PREFIX + path, self.changes.get(INCREMENT_PREFIX + path, 0.0) + increment)
 
     @property
     def changes(self) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.rotations import conjugate, exponential, rotate
-from sweep.formulas.leg import SIDE, circular_mounts, fk, ik, rectangular_mounts
+from sweep.formulas.leg import SIDE_BY_LEG, circular_mounts, forward_kinematics, inverse_kinematics, rectangular_mounts
 from sweep.models.robot import Robot
 
 
@@ -35,14 +35,14 @@ def leg_mounts(robot: Robot) -> LegMounts:
     )
     if robot.leg_axes == "sides":
         return LegMounts(hips, np.zeros(6))
-    corners = np.array([[-1, -1, 0, 0, 1, 1], SIDE * np.array([1, 1, 2, 2, 1, 1])]) * np.array([[3**0.5], [1.0]])
-    return LegMounts(hips, np.arctan2(-SIDE * corners[0], SIDE * corners[1]))
+    corners = np.array([[-1, -1, 0, 0, 1, 1], SIDE_BY_LEG * np.array([1, 1, 2, 2, 1, 1])]) * np.array([[3**0.5], [1.0]])
+    return LegMounts(hips, np.arctan2(-SIDE_BY_LEG * corners[0], SIDE_BY_LEG * corners[1]))
 
 
 def leg_directions(robot: Robot) -> Float[Array, "6 3"]:
     """Return the unit vectors along which the legs point at alpha = 0, base axes."""
     yaw = leg_mounts(robot).yaw
-    return jnp.asarray(np.stack([-SIDE * np.sin(yaw), SIDE * np.cos(yaw), np.zeros(6)], axis=-1))
+    return jnp.asarray(np.stack([-SIDE_BY_LEG * np.sin(yaw), SIDE_BY_LEG * np.cos(yaw), np.zeros(6)], axis=-1))
 
 
 def foot_centres(robot: Robot, spread: Array | float, height: Array | float) -> Float[Array, "6 3"]:
@@ -104,7 +104,7 @@ def joint_targets(robot: Robot, stance: Stance) -> tuple[Float[Array, "6 3"], Fl
         Joint angles (rad), (6, 3), and the distance (m) by which each foot is out of reach, (6,), 0 within reach.
     """
     feet = feet_in_hip_axes(robot, stance)
-    return ik(SIDE, feet, robot.coxa, robot.thigh, robot.shin, robot.knees == "mirror")
+    return inverse_kinematics(SIDE_BY_LEG, feet, robot.coxa, robot.thigh, robot.shin, robot.knees == "mirror")
 
 
 def feet_in_hip_axes(robot: Robot, stance: Stance) -> Float[Array, "6 3"]:
@@ -145,4 +145,4 @@ def _points(robot: Robot, angles: Array, thigh: Array | float, shin: Array | flo
     """Ends of legs (6, 3), base axes, if their links had the lengths `thigh` and `shin` (m)."""
     mounts = leg_mounts(robot)
     turns = jnp.zeros((6, 3), angles.dtype).at[:, 2].set(jnp.asarray(mounts.yaw, angles.dtype))
-    return mounts.hips + rotate(exponential(turns), fk(SIDE, angles, robot.coxa, thigh, shin))
+    return mounts.hips + rotate(exponential(turns), forward_kinematics(SIDE_BY_LEG, angles, robot.coxa, thigh, shin))

@@ -15,11 +15,11 @@ from jaxtyping import Array
 
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import InputError
-from sweep.formulas.leg import SIDE
+from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.models.case import Case
 from sweep.models.collisions import enable_collisions
-from sweep.models.legs import JOINTS, LEGS
-from sweep.models.obstacles.geoms import COLLIDING, DRAWN, STIFF
+from sweep.models.legs import JOINT_NAMES, LEGS
+from sweep.models.obstacles.geoms import COLLISION_GROUP, RENDER_GROUP, STIFF_CONTACT
 from sweep.models.obstacles.surface import FOOT_RADIUS
 from sweep.models.posture import leg_mounts
 from sweep.models.robot import link_names
@@ -48,10 +48,10 @@ def batched_model_fields(case: Case) -> dict[str, dict[str, Array]]:
         "body_mass": {"base": jnp.asarray(robot.body_mass)},
         "body_inertia": {"base": robot.body_mass / 12 * (jnp.sum(box**2) - box**2)},
         "site_pos": {},
-        "dof_armature": {name: jnp.asarray(case.drive.armature) for name in JOINTS},
+        "dof_armature": {name: jnp.asarray(case.drive.armature) for name in JOINT_NAMES},
     }
     for leg in LEGS:
-        side = float(SIDE[leg - 1])
+        side = float(SIDE_BY_LEG[leg - 1])
         start = hips[leg - 1]
         for link in link_names(robot):
             length, mass = getattr(robot, link), getattr(robot, f"{link}_mass")
@@ -95,7 +95,7 @@ def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
         raise InputError(f"robot or obstacle is not allowed: MuJoCo makes no model of it: {reason}") from None
 
 
-def find_too_small(case: Case) -> np.ndarray:
+def find_too_light_bodies(case: Case) -> np.ndarray:
     """Return which cases of a batch have a body with too little mass or inertia for MuJoCo to compile the model.
 
     Args:
@@ -150,7 +150,7 @@ def build_spec(case: Case, geoms: bool = True) -> mujoco.MjSpec:
     return spec
 
 
-_DRAWING = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": DRAWN}
+_DRAWING = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": RENDER_GROUP}
 
 
 def _add_looks(spec: mujoco.MjSpec) -> None:
@@ -230,8 +230,8 @@ def _add_leg(
             conaffinity=0,
             friction=[0, 0, 0],
             mass=0.0,
-            group=COLLIDING,
-            **STIFF,
+            group=COLLISION_GROUP,
+            **STIFF_CONTACT,
         )
         force, net = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3  # summed over the foot's contacts, world axes
         spec.add_sensor(
@@ -275,7 +275,7 @@ def native_spec(case: Case, time_step: float, solid: bool = False) -> mujoco.MjS
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     drive, execution = case.drive, case.execution
     dead, limit = round(float(execution.dead_joint)), execution.torque_scale * drive.torque_limit
-    for number, (name, motor) in enumerate(zip(JOINTS, spec.actuators, strict=True)):
+    for number, (name, motor) in enumerate(zip(JOINT_NAMES, spec.actuators, strict=True)):
         alive = float(number != dead)
         motor.gainprm[0] = alive  # controls are torques: stiffness times target, and what comes on top
         motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE

@@ -19,15 +19,17 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-SEARCH = 12  # golden sections, to 3 mm of a segment of 1 m; its least distance is then right to 0.1 mm
-RIM_STEPS = 3  # Newton's, for the tangent of a rim that an edge crosses
-PARALLEL = 1e-3  # an axis shorter than that, from unit vectors that are nearly parallel, tells nothing
-TINY = 1e-12  # m^2, under roots: their derivatives stay finite, and their values true to 1 um
+GOLDEN_SECTION_STEPS = 12  # golden sections, to 3 mm of a segment of 1 m; its least distance is then right to 0.1 mm
+RIM_NEWTON_STEPS = 3  # Newton's, for the tangent of a rim that an edge crosses
+MIN_AXIS_LENGTH = 1e-3  # an axis shorter than that, from unit vectors that are nearly parallel, tells nothing
+MIN_SQUARE = 1e-12  # m^2, under roots: their derivatives stay finite, and their values true to 1 um
 SOIL = (0.62, 0.66, 0.60, 1.0)
 WOOD = (0.72, 0.55, 0.36, 1.0)
-SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])  # of a box's corners
+CORNER_SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])  # of a box's corners
 # ends of a box's edges among its corners: the four along each axis, in twos, as six are one operation when compiled
-STARTS, ENDS = (np.stack([np.flatnonzero(SIGNS[:, axis] == s) for axis in range(3)]).reshape(6, 2) for s in (-1, 1))
+EDGE_STARTS, EDGE_ENDS = (
+    np.stack([np.flatnonzero(CORNER_SIGNS[:, axis] == s) for axis in range(3)]).reshape(6, 2) for s in (-1, 1)
+)
 
 
 class Solid(Protocol):
@@ -108,7 +110,7 @@ def box_corners(
     centre: Float[Array, " 3"], rotation: Float[Array, "3 3"], half: Float[Array, " 3"]
 ) -> Float[Array, "8 3"]:
     """The eight corners of a box (m)."""
-    return centre + (SIGNS.astype(half.dtype) * half) @ rotation.T
+    return centre + (CORNER_SIGNS.astype(half.dtype) * half) @ rotation.T
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +144,7 @@ class Sphere:
     def segment_distance(self, a: Array, b: Array) -> Array:
         """Distance of the nearest point to the centre, less the radius, see `Solid`."""
         centre, along = _vector(self.centre, a.dtype), b - a
-        share = jnp.clip(_dot(centre - a, along) / (_dot(along, along) + TINY), 0.0, 1.0)
+        share = jnp.clip(_dot(centre - a, along) / (_dot(along, along) + MIN_SQUARE), 0.0, 1.0)
         return _length(a + share[:, None] * along - centre) - self.radius
 
     def box_distance(self, centre: Array, rotation: Array, half: Array) -> Array:
@@ -211,7 +213,7 @@ class _Convex(ABC):
         centre = self.to_solid_frame(centre)
         rotation = rotation if self.rotation is None else self.rotation.T @ rotation
         corners = box_corners(centre, rotation, half)
-        edges = (centre + (SIGNS[k].astype(half.dtype) * half) @ rotation.T for k in (STARTS, ENDS))
+        edges = (centre + (CORNER_SIGNS[k].astype(half.dtype) * half) @ rotation.T for k in (EDGE_STARTS, EDGE_ENDS))
         at, from_edges = jax.vmap(partial(minimize_along, self.signed_distance))(*edges)
         from_tips = distance_from_box((self.support_points(rotation.T) - centre) @ rotation, half)
         apart = jnp.minimum(jnp.min(from_edges), jnp.min(from_tips))
@@ -232,7 +234,7 @@ class _Convex(ABC):
         """Gap along axes, or against them, between the solid and what extends from `low` to `high`."""
         size = _length(axes)
         along, against = self.extent(axes)
-        return jnp.where(size > PARALLEL, jnp.maximum(low - along, -high - against) / size, -jnp.inf)
+        return jnp.where(size > MIN_AXIS_LENGTH, jnp.maximum(low - along, -high - against) / size, -jnp.inf)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,7 +254,7 @@ class Box(_Convex):
 
     def support_points(self, axes: Array) -> Array:
         """The eight corners, see `_Convex`."""
-        return jnp.asarray(SIGNS, axes.dtype) * _vector(self.half, axes.dtype)
+        return jnp.asarray(CORNER_SIGNS, axes.dtype) * _vector(self.half, axes.dtype)
 
     def face_normals(self, dtype: Any) -> Array:
         """The box's three axes, see `_Convex`."""
@@ -302,11 +304,11 @@ class Cylinder(_Convex):
         )
         axes = [outer, jnp.cross(np.array([0, 0, 1], along.dtype), along)]
         radial = points[:, :2] / distance
-        for _ in range(RIM_STEPS):
+        for _ in range(RIM_NEWTON_STEPS):
             tangent = jnp.stack([-radial[:, 1], radial[:, 0], jnp.zeros_like(side)], axis=1)
             axes.append(jnp.cross(tangent, along))
             gap, cosine = points - self._rim(radial, side), _dot(tangent, along)
-            step = (_dot(gap, tangent) - _dot(gap, along) * cosine) / jnp.maximum(1 - cosine**2, PARALLEL)
+            step = (_dot(gap, tangent) - _dot(gap, along) * cosine) / jnp.maximum(1 - cosine**2, MIN_AXIS_LENGTH)
             radial = self.radius * radial + jnp.clip(step, -self.radius, self.radius)[:, None] * tangent[:, :2]
             radial = radial / _length(radial)[:, None]
         return axes
@@ -332,7 +334,7 @@ class Prism(_Convex):
         offset = points[:, None, :2] - corners
         out, on = _dot(offset, _turn_left(along)), _dot(offset, along)
         deepest = jnp.max(out, axis=1)
-        outside = jnp.sqrt(jnp.min(out**2 + (on - jnp.clip(on, 0.0, length)) ** 2, axis=1) + TINY)
+        outside = jnp.sqrt(jnp.min(out**2 + (on - jnp.clip(on, 0.0, length)) ** 2, axis=1) + MIN_SQUARE)
         aside = jnp.where(deepest > 0, outside, deepest)
         return _extruded_distance(aside, jnp.abs(points[:, 2]) - self.height / 2)
 
@@ -392,7 +394,7 @@ def minimize_along(
 
     zero = jnp.zeros_like(a[:, 0])
     first, last = (signed_distance(at(zero + share)) for share in (1 - golden, golden))
-    start, width, early, late = lax.fori_loop(0, SEARCH, narrow, (zero, zero + 1, first, last))
+    start, width, early, late = lax.fori_loop(0, GOLDEN_SECTION_STEPS, narrow, (zero, zero + 1, first, last))
     places = [zero, start + (1 - golden) * width, start + golden * width, zero + 1]
     values = [signed_distance(a), early, late, signed_distance(b)]
     place, value = places[0], values[0]
@@ -404,7 +406,7 @@ def minimize_along(
 def _extruded_distance(aside: Array, above: Array) -> Array:
     """Signed distance to a prism, from the distances to its cross-section and to its slab."""
     most = jnp.maximum(aside, above)
-    return jnp.where(most > 0, jnp.sqrt(jnp.maximum(aside, 0.0) ** 2 + jnp.maximum(above, 0.0) ** 2 + TINY), most)
+    return jnp.where(most > 0, jnp.sqrt(jnp.maximum(aside, 0.0) ** 2 + jnp.maximum(above, 0.0) ** 2 + MIN_SQUARE), most)
 
 
 def distance_from_box(points: Float[Array, "*n 3"], half: Float[Array, " 3"]) -> Float[Array, "*n"]:
@@ -442,4 +444,4 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _length(a: Array) -> Array:
-    return jnp.sqrt(_dot(a, a) + TINY)
+    return jnp.sqrt(_dot(a, a) + MIN_SQUARE)

@@ -20,9 +20,9 @@ from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.controllers.tracker import TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, multiply, rotate, wrap_angle
-from sweep.formulas.ball import ROLLING
+from sweep.formulas.ball import ROLLING_INERTIA
 from sweep.models.case import Case
-from sweep.models.frames import WORLD, body_frame
+from sweep.models.frames import WORLD_FRAME, body_frame
 from sweep.models.geometry import support_margin
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.surface import FreeState, body_poses, free_start_state, surface_at
@@ -109,7 +109,7 @@ def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> PlayedPlan:
         rates = wrap_angle(joints - observation.angles) / h
         swing = Swing(swings, starts, goal)
         margins = stance_margins(case, body_poses(free), command.target, joints, rates, command.shortfall, swing)
-        on_floor = jnp.any(~swings & (contacts.frame == WORLD))
+        on_floor = jnp.any(~swings & (contacts.frame == WORLD_FRAME))
         centre = position + rotate(quat, mass_centre(case.robot, joints))
         roll, next_free = _roll_ball(case, plan, state, roll, free, centre - free.position[0], on_floor, h)
         velocity = (position - observation.position) / h
@@ -126,7 +126,7 @@ def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> PlayedPlan:
 def _contacts_at(case: Case, feet: Float[Array, "6 3"], free: FreeState) -> FootContacts:
     """Contacts of feet (m, world axes) with the surface nearest to each."""
     body = surface_at(case.obstacle, feet, body_poses(free)).body
-    frame = jnp.array([WORLD, *map(body_frame, range(len(case.obstacle.free_bodies)))])[body + 1]
+    frame = jnp.array([WORLD_FRAME, *map(body_frame, range(len(case.obstacle.free_bodies)))])[body + 1]
     return FootContacts(to_frame(feet, frame, free), frame)
 
 
@@ -153,7 +153,7 @@ def _roll_ball(
     u = (centre - roll.centre) / h
     v = free.velocity[0, :2]
     above = centre[2] + ball.radius
-    inertia = ROLLING * ball.mass * ball.radius + mass * above
+    inertia = ROLLING_INERTIA * ball.mass * ball.radius + mass * above
     own = mass * (above * u[:2] - u[2] * centre[:2])
     momentum = roll.momentum + h * mass * (GRAVITY * centre[:2] + u[2] * v)
     rolls = (momentum - own) / inertia

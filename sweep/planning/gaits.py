@@ -49,7 +49,7 @@ class Step(NamedTuple):
     @property
     def landing(self) -> Array | float:
         """Half length x* (m) of a swing: a foot goes from -x* to x* about the centre of its cycle."""
-        return self.half_length * stepping.LANDING
+        return self.half_length * stepping.LANDING_RATIO
 
 
 def body_advance(gait: Sequence[Sequence[int]], step: Step) -> Array | float:

@@ -14,7 +14,7 @@ from sweep.formulas import leg, stepping
 from sweep.models import solids
 from sweep.models.case import Case
 from sweep.models.geometry import (
-    AROUND,
+    EDGE_SEARCH_RADIUS_M,
     base_gap,
     edge_distance,
     fold_gap,
@@ -125,10 +125,10 @@ def stance_margins(
         legs=leg_gap(legs) - 2 * robot.link_radius,
         body=base_gap(legs, *base[:2], robot),
         fold=fold_gap(legs, robot.fork_ratio * robot.shin + robot.link_radius) - 2 * robot.link_radius,
-        outer=jnp.min(leg.SIDE * feet_in_hip_axes(robot, stance)[:, 1]),
+        outer=jnp.min(leg.SIDE_BY_LEG * feet_in_hip_axes(robot, stance)[:, 1]),
         reach=jnp.min(reach),
         swing=jnp.min(above),
-        edge=jnp.min(jnp.where(swing.swings, AROUND, inside)),
+        edge=jnp.min(jnp.where(swing.swings, EDGE_SEARCH_RADIUS_M, inside)),
         support=jnp.where(level, support_margin(stance.feet[:, :2], ~swing.swings, centre[:2]), jnp.inf),
         rate=-jnp.max(jnp.abs(rates)),
     )

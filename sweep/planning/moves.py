@@ -18,10 +18,10 @@ from jaxtyping import Array, Float
 from sweep.controllers.frames import to_frame, to_world
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, SMOOTH, STEADY, Stage, Support
 from sweep.core.errors import InputError, require_choice, suggest
-from sweep.formulas.leg import SIDE
+from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.models.case import Case
-from sweep.models.frames import WORLD
-from sweep.models.legs import GROUPS, LEGS, NAMES
+from sweep.models.frames import WORLD_FRAME
+from sweep.models.legs import LEG_GROUPS, LEG_NAMES, LEGS
 from sweep.models.obstacles.charts import Chart, Number
 from sweep.models.obstacles.surface import free_start_state
 from sweep.planning.plan_table import COMPONENTS, LONG, REPEAT, SINGLE, evaluate_plan
@@ -31,7 +31,7 @@ CYCLES = {"a": CYCLE_A, "b": CYCLE_B, "b_smooth": CYCLE_B_SMOOTH, "half_ellipse"
 PACES = {"even": (STEADY, (1.0, 1.0)), "eased": (STEADY, (0.0, 0.0)), "smooth": (SMOOTH, (1.0, 1.0))}
 # front legs for rear legs, and the other way round
 OPPOSITE = {group: group.replace("front", "rear") if "front" in group else group.replace("rear", "front")
-            for group in GROUPS}  # fmt: skip
+            for group in LEG_GROUPS}  # fmt: skip
 NOT_A_NUMBER = str | bool | list | Mapping | None  # types in a plan file that are no numbers
 type Feet = dict[int, Float[Array, " 3"]]  # m, by leg
 type Numbers = list[Any]
@@ -78,8 +78,8 @@ class Footing(NamedTuple):
     """Foothold of a foot: a point, and the frame that it moves with."""
 
     point: Float[Array, " 3"]  # m, in `frame`; the next swing's curve starts from it
-    frame: int = WORLD  # frame of `point`
-    stance_frame: int = WORLD  # frame that the foot moves with while it stands
+    frame: int = WORLD_FRAME  # frame of `point`
+    stance_frame: int = WORLD_FRAME  # frame that the foot moves with while it stands
     place: Place | None = None  # place in a chart, if the file names one
 
 
@@ -88,10 +88,10 @@ class StandingState(NamedTuple):
 
     feet: Mapping[int, Footing]  # by leg
     pitch: Number  # rad, of the base, nose up
-    frame: int = WORLD  # of the base
+    frame: int = WORLD_FRAME  # of the base
 
 
-def make_standing(feet: Feet, pitch: Number, frame: int = WORLD) -> StandingState:
+def make_standing(feet: Feet, pitch: Number, frame: int = WORLD_FRAME) -> StandingState:
     """Return the `StandingState` of a robot on footholds that are not given in a chart.
 
     Args:
@@ -132,11 +132,11 @@ class MoveContext:
             InputError: the chart is unknown, or has other coordinates.
         """
         name, chart, numbers = self.chart(place, where)
-        if not len(chart.names) - chart.optional <= len(numbers) <= len(chart.names):
+        if not len(chart.names) - chart.optional_count <= len(numbers) <= len(chart.names):
             raise InputError(f"{where} = {_plain(numbers)} is not allowed: [{', '.join(chart.names)}]")
         deep = self.depths.get(name, 0.0) if depth is None else depth
         stands = chart.frame if chart.standing_frame is None else chart.standing_frame
-        point = chart.at(self.belief.obstacle, float(SIDE[leg - 1]), self.unit, deep, *numbers)
+        point = chart.at(self.belief.obstacle, float(SIDE_BY_LEG[leg - 1]), self.unit, deep, *numbers)
         return Footing(point, chart.frame, stands, place)
 
     def base(self, place: Place, where: str) -> tuple[Float[Array, " 3"], Number | None, Chart]:
@@ -151,7 +151,7 @@ class MoveContext:
         """
         _, chart, numbers = self.chart(place, where)
         names, count = chart.base_names(), len(chart.names)
-        if not (count - chart.optional <= len(numbers) <= len(names)):
+        if not (count - chart.optional_count <= len(numbers) <= len(names)):
             raise InputError(f"{where} = {_plain(numbers)} is not allowed: [{', '.join(names)}]")
         obstacle, numbers, pitch = self.belief.obstacle, numbers[:count], numbers[count:]
         point = chart.at(obstacle, 1.0, self.unit, 0.0, *numbers)
@@ -187,7 +187,7 @@ class MoveContext:
     def vector(self, leg: int, numbers: Numbers) -> Float[Array, " 3"]:
         """Return a vector (world axes) from its components outward from the leg's side, ahead and up."""
         out, ahead, up = (jnp.asarray(number, float) for number in numbers)
-        level = float(SIDE[leg - 1]) * out * self.left + ahead * np.array([*self.belief.obstacle.forward, 0.0])
+        level = float(SIDE_BY_LEG[leg - 1]) * out * self.left + ahead * np.array([*self.belief.obstacle.forward, 0.0])
         return level + up * np.array([0.0, 0.0, 1.0])
 
 
@@ -206,11 +206,11 @@ def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"]
     """
     _, move = placing_move(context.belief, part)
     feet = {leg: context.foot(leg, place or {}, f"{move.path}.{group}", move.depth)
-            for group, place in move.feet.items() for leg in GROUPS[group]}  # fmt: skip
+            for group, place in move.feet.items() for leg in LEG_GROUPS[group]}  # fmt: skip
     position, pitch, chart = context.base(move.base, f"{move.path}.base")
     standing = StandingState(feet, 0.0 if pitch is None else pitch, chart.frame)
-    world = jnp.stack([foot_in_frame(context.belief, feet[leg], WORLD) for leg in LEGS])
-    return world, foot_in_frame(context.belief, Footing(position, chart.frame), WORLD), standing
+    world = jnp.stack([foot_in_frame(context.belief, feet[leg], WORLD_FRAME) for leg in LEGS])
+    return world, foot_in_frame(context.belief, Footing(position, chart.frame), WORLD_FRAME), standing
 
 
 def part_stages(
@@ -260,7 +260,7 @@ def _move_stage(name: str, move: Move, context: MoveContext, standing: StandingS
     )
     for group, place_said in move.feet.items():
         where = f"{move.path}.{group}"
-        for leg in GROUPS[group]:
+        for leg in LEG_GROUPS[group]:
             old_footing = standing.feet[leg]
             if (place := place_said or old_footing.place) is None:
                 raise InputError(
@@ -398,7 +398,7 @@ def _with_pitch(belief: Case, moves: Mapping[str, Move]) -> dict[str, Move]:
 
 def _by_leg(move: Move) -> dict[str, Place | None]:
     """Place of each leg that a move names."""
-    return {NAMES[leg]: place for group, place in move.feet.items() for leg in GROUPS[group]}
+    return {LEG_NAMES[leg]: place for group, place in move.feet.items() for leg in LEG_GROUPS[group]}
 
 
 def placing_move(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> tuple[str, Move]:
@@ -448,11 +448,11 @@ def _base_with_chart(common: Mapping[str, Any], values: Mapping[str, Any]) -> An
 
 
 def _parse_move(where: str, values: Mapping[str, Any]) -> Move:
-    feet = {key: values[key] for key in GROUPS if key in values}
-    words = {key: value for key, value in values.items() if key not in GROUPS}
+    feet = {key: values[key] for key in LEG_GROUPS if key in values}
+    words = {key: value for key, value in values.items() if key not in LEG_GROUPS}
     allowed = [f.name for f in fields(Move) if f.name not in ("feet", "path")]
     for key, value in words.items():
-        require_choice(key, [*allowed, *GROUPS], f"{where}.{key}")
+        require_choice(key, [*allowed, *LEG_GROUPS], f"{where}.{key}")
         if key in WORDS:
             require_choice(value, WORDS[key], f"{where}.{key} = {value}")
         if key in SIZES and (not isinstance(value, list) or (value and len(value) != SIZES[key])):

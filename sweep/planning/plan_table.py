@@ -21,11 +21,11 @@ from jaxtyping import Array
 
 from sweep.core import project
 from sweep.core.errors import InputError, require_choice, suggest
-from sweep.core.expressions import evaluate
+from sweep.core.expressions import evaluate_expression
 from sweep.core.parameters import check_value, quantity
-from sweep.models.legs import GROUPS
+from sweep.models.legs import LEG_GROUPS
 from sweep.models.obstacles.charts import Chart
-from sweep.models.plan_numbers import MORE
+from sweep.models.plan_numbers import INCREMENT_PREFIX
 from sweep.models.robot import leg_unit
 from sweep.models.solids import array_module
 
@@ -92,7 +92,7 @@ def plan_content(case: Any) -> Content:
     changes = case.plan.changes
 
     def now(path: str, value: Any) -> Any:
-        more = changes.get(MORE + path)
+        more = changes.get(INCREMENT_PREFIX + path)
         return changes.get(path, value) if more is None else f"{value} + {more:.4g}"
 
     return map_numbers(_file_content(case), case.obstacle.charts, now) if changes else _file_content(case)
@@ -173,7 +173,7 @@ def _evaluate_content(case: Any, content: Content, added: Mapping[str, Array], a
             value = _number(path, value, named, times.get(path.partition(".")[0]))
         if path in changes:  # what goes by `k` is told as it is at first, and changed as much later
             value = changes[path] + (value - value[0]) if np.ndim(value) else changes[path]
-        for more in (changes.get(MORE + path), added.get(path)):
+        for more in (changes.get(INCREMENT_PREFIX + path), added.get(path)):
             value = value if more is None else value + more
         return value
 
@@ -199,7 +199,9 @@ def _evaluate_content(case: Any, content: Content, added: Mapping[str, Array], a
 def _number(path: str, formula: str, named: Callable[[str], Any], times: np.ndarray | None = None) -> Any:
     """Evaluate the formula at a path; a formula of `k` gives an array. Raises `InputError`."""
     try:
-        value = evaluate(formula, lambda name: named(name) if times is None or name != TIMES else times, array_module)
+        value = evaluate_expression(
+            formula, lambda name: named(name) if times is None or name != TIMES else times, array_module
+        )
         if jnp.issubdtype(jnp.result_type(value), jnp.number):
             return value
         raise TypeError
@@ -313,7 +315,7 @@ def _nested_path(
     above = path.rpartition(".")[2]
     if above == "base":
         return path, charts[key].base_names() if key in charts else COMPONENTS["base"]
-    if above in GROUPS and isinstance(value, list) and key not in COMPONENTS:
+    if above in LEG_GROUPS and isinstance(value, list) and key not in COMPONENTS:
         told = charts[key].names if key in charts else ()
         return path, told if len(told) == len(value) else PLACE[-len(value) :]
     if isinstance(chart := content.get("base"), str):
@@ -360,7 +362,7 @@ def merge_extended(name: str, read: Callable[[str], str]) -> Content:
         name: The table's name.
         read: From the name of a table to the text of its file.
     """
-    content = dict(yaml.load(project.quote_truth_words(read(name)), project.LOADER))
+    content = dict(yaml.load(project.quote_boolean_words(read(name)), project.YAML_LOADER))
     bases = content.pop("extends", [])
     below = [merge_extended(base, read) for base in ([bases] if isinstance(bases, str) else bases)]
     return functools.reduce(_merge_contents, [*below, content])

@@ -30,7 +30,7 @@ from foxglove.messages import (
 from sweep.contract.engine import Trace
 from sweep.contract.trace_frames import finite_frames, frames_at_rate, joint_names, joint_positions, joint_rates
 from sweep.core.errors import Fault
-from sweep.core.files import descriptor, write_atomically
+from sweep.core.files import path_descriptor, write_atomically
 from sweep.core.json_values import to_json_value
 from sweep.replay.arrows import ARROW_RADIUS, FORCE_COLOR, arrow_tips
 from sweep.replay.layout import foxglove_layout
@@ -68,7 +68,7 @@ def write_mcap(path: str | Path, trace: Trace, config: Mapping[str, Any], outcom
         if not any(words in str(error) for words in ("I/O error", "after a write method failed")):
             raise
         raise Fault(f"{path} cannot be written: {error}") from None
-    if path.is_file() and descriptor(path) is None:
+    if path.is_file() and path_descriptor(path) is None:
         write_atomically(path.with_suffix(".layout.json"), f"{json.dumps(foxglove_layout(trace), indent=1)}\n".encode())
 
 

@@ -24,7 +24,7 @@ from sweep.core.spacing import evenly_spaced_indices
 from sweep.replay.arrows import arrow_tips
 from sweep.replay.draw import ARRAYS_FILE, MODEL_FILE, NO_OPENGL
 
-SIZE = (960, 544)  # pixels; video codecs need multiples of 16
+PICTURE_SIZE = (960, 544)  # pixels; video codecs need multiples of 16
 STRIP_PICTURE_SIZE = (424, 240)  # pixels of a picture in a strip
 PICTURES_PER_ROW = 4  # pictures in a row of a strip
 STILL_SAMPLES = 4  # samples per pixel of a still picture
@@ -32,13 +32,13 @@ VIDEO_RATE = 25  # frames per second, simulated and shown
 CAMERA_DISTANCE = 1.7  # least distance, in units of the distance between the robot's farthest feet at the start
 MODEL_DISTANCE = 2.0  # distance in units of a model's extent, for a model without feet
 HALF_FIELD = np.tan(np.radians(22.5)) * np.array(
-    [SIZE[0] / SIZE[1], 1.0]
+    [PICTURE_SIZE[0] / PICTURE_SIZE[1], 1.0]
 )  # half of MuJoCo's 45 deg, per unit of distance
 LONGEST_ARROW = 1.6  # m
 MAX_SPAN = 0.9  # largest share of half the picture's width and height that the feet span
 AZIMUTHS = (125.0, -125.0, 55.0, -55.0)  # deg, viewing directions of the camera in order of preference
 ELEVATION = -22.0  # deg
-LIBRARIES = {"egl": "libegl1 libegl-mesa0 libgl1-mesa-dri", "osmesa": "libosmesa6"}  # Debian packages
+OPENGL_PACKAGES = {"egl": "libegl1 libegl-mesa0 libgl1-mesa-dri", "osmesa": "libosmesa6"}  # Debian packages
 
 
 def write_png(folder: str | Path, trace: Trace, outcome: str = "", count: int = 8) -> list[Path]:
@@ -140,7 +140,18 @@ def _write_video(path: Path, trace: Trace, title: str, outcome: str, progress: C
     import imageio_ffmpeg
 
     # imageio_ffmpeg's own writer forks, which may hang a process that runs JAX
-    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{SIZE[0]}x{SIZE[1]}", "-r", str(VIDEO_RATE), "-i", "-"]
+    raw = [
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        f"{PICTURE_SIZE[0]}x{PICTURE_SIZE[1]}",
+        "-r",
+        str(VIDEO_RATE),
+        "-i",
+        "-",
+    ]
     encoded = ["-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *raw, *encoded]
     chosen = frames_at_rate(trace, VIDEO_RATE)
@@ -179,10 +190,10 @@ def render(trace: Trace, frames: np.ndarray, samples: int = STILL_SAMPLES) -> Ge
     """
     with tempfile.TemporaryDirectory() as job:
         _write_job(Path(job), trace, frames, samples)
-        for backend in LIBRARIES:
+        for backend in OPENGL_PACKAGES:
             if (yield from _read_pictures(job, backend)):
                 return
-    packages = " or ".join(f"`{names}`" for names in LIBRARIES.values())
+    packages = " or ".join(f"`{names}`" for names in OPENGL_PACKAGES.values())
     raise InputError(f"pictures need OpenGL without a screen: install the Debian packages {packages}")
 
 
@@ -196,7 +207,7 @@ def _write_job(job: Path, trace: Trace, frames: np.ndarray, samples: int) -> Non
         distance=_camera_distance(trace, frames, azimuth),
         azimuth=azimuth,
         elevation=ELEVATION,
-        size=SIZE,
+        size=PICTURE_SIZE,
         samples=samples,
         tails=trace.foot_position[frames],
         tips=_tips(trace, frames),
@@ -250,7 +261,7 @@ def _count_hidden_points(trace: Trace, frames: np.ndarray, azimuth: float) -> in
 
 def _read_pictures(job: str, backend: str) -> Generator[np.ndarray, None, bool]:
     """Yield the pictures of the drawing process; return whether its OpenGL library works."""
-    width, height = SIZE
+    width, height = PICTURE_SIZE
     command = [sys.executable, "-m", "sweep.replay.draw", job]
     environment = {**os.environ, "MUJOCO_GL": backend}
     with tempfile.TemporaryFile("w+") as errors:

@@ -15,7 +15,7 @@ from sweep.contract.system import System, judge_rollout
 from sweep.runs import store
 from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
 from sweep.runs.runner import load_point
-from sweep.study.columns import LABELS
+from sweep.study.columns import LABEL_COLUMNS
 from sweep.study.study import parameter_columns
 
 
@@ -31,7 +31,7 @@ class Replay:
     other_run: str | None  # a note where code, libraries or device differ from those of the stored row
 
 
-def replay(folder: Path, point: str) -> Replay:
+def replay_rollout(folder: Path, point: str) -> Replay:
     """Simulate a stored rollout again and record its trace.
 
     Its whole batch runs, because equal bits need equal neighbours in equal slots.
@@ -78,7 +78,7 @@ def format_comparison(result: Replay) -> str:
     stored, again = result.stored, result.again
     figures = [name for name in result.trace.metrics if name in stored]
     changed = [name for name in figures if not same_bits(stored[name], again[name])]
-    rows = [(name, _format_value(stored[name]), _format_value(again[name])) for name in (*LABELS[:4], *changed)]
+    rows = [(name, _format_value(stored[name]), _format_value(again[name])) for name in (*LABEL_COLUMNS[:4], *changed)]
     lines = [
         f"point {stored['point_id']}",
         tabulate(rows, headers=("", "stored", "replayed"), disable_numparse=True),

@@ -5,10 +5,10 @@ from matplotlib.axes import Axes
 
 from sweep.config.experiment import Experiment
 from sweep.contract.system import split_side
-from sweep.report.cells import Cells, axis_places
+from sweep.report.cells import MapCells, axis_places
 from sweep.study.analytic_limits import AnalyticLimit
 
-STYLES = ("--", "-.", ":")
+LINE_STYLES = ("--", "-.", ":")
 
 
 def limit_curve(theory: AnalyticLimit, exp: Experiment, rows: pd.DataFrame, along: str) -> pd.DataFrame:
@@ -28,9 +28,9 @@ def limit_curve(theory: AnalyticLimit, exp: Experiment, rows: pd.DataFrame, alon
     return pd.DataFrame(found, columns=["along", "limit"])
 
 
-def draw_limits(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, cells: Cells) -> None:
+def draw_limits(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, cells: MapCells) -> None:
     """Draw the analytic limits of both parameters of a map as labelled curves."""
-    for theory, style in zip(exp.study.theory, STYLES, strict=False):
+    for theory, style in zip(exp.study.theory, LINE_STYLES, strict=False):
         for across, along in ((x, y), (y, x)):
             if split_side(across)[1] != theory.of or rows[along].dtype.kind not in "fi":
                 continue

@@ -9,10 +9,13 @@ from matplotlib.axes import Axes
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.report.labels import shorten_files
 
-NAMED, SIDE_BY_SIDE = 12, 6  # values of an uneven axis that have a label; that have room beside each other
+MAX_LABELLED_VALUES, MAX_HORIZONTAL_LABELS = (
+    12,
+    6,
+)  # values of an uneven axis that have a label; that have room beside each other
 
 
-class Cells(NamedTuple):
+class MapCells(NamedTuple):
     """Cell values of both parameters in order; parameters with names have the numbers 1, 2, ... instead."""
 
     x: np.ndarray
@@ -21,7 +24,7 @@ class Cells(NamedTuple):
     y_names: tuple[str, ...] = ()
 
 
-def place_cells(rows: pd.DataFrame, x: str, y: str) -> tuple[pd.DataFrame, Cells]:
+def place_cells(rows: pd.DataFrame, x: str, y: str) -> tuple[pd.DataFrame, MapCells]:
     """Lay rows out over two parameters, of numbers or of names.
 
     Args:
@@ -41,7 +44,7 @@ def place_cells(rows: pd.DataFrame, x: str, y: str) -> tuple[pd.DataFrame, Cells
         codes, names = pd.factorize(values)
         placed[axis], cells[axis] = codes + 1.0, np.arange(1.0, len(names) + 1)
         cells[f"{axis}_names"] = tuple(shorten_files([*map(str, names)]))
-    return rows.assign(**placed), Cells(**cells)
+    return rows.assign(**placed), MapCells(**cells)
 
 
 def evenly_spaced(values: np.ndarray) -> bool:
@@ -71,15 +74,15 @@ def end_axes_at_zero(ax: Axes) -> None:
             set_limit(0)
 
 
-def mark_values(ax: Axes, cells: Cells) -> None:
+def mark_values(ax: Axes, cells: MapCells) -> None:
     """Label the values of uneven axes, and names, cell by cell."""
     for axis, values, names in ((ax.xaxis, cells.x, cells.x_names), (ax.yaxis, cells.y, cells.y_names)):
         if names:
             axis.set_ticks(values, [name.replace("_", " ") for name in names])
         elif not evenly_spaced(values):
-            named = evenly_spaced_indices(len(values), NAMED)
+            named = evenly_spaced_indices(len(values), MAX_LABELLED_VALUES)
             axis.set_ticks(named, [format_number(float(values[k])) for k in named])
-    if len(cells.x) > SIDE_BY_SIDE and (cells.x_names or not evenly_spaced(cells.x)):
+    if len(cells.x) > MAX_HORIZONTAL_LABELS and (cells.x_names or not evenly_spaced(cells.x)):
         ax.tick_params(axis="x", labelrotation=60)
 
 

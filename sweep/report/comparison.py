@@ -8,13 +8,13 @@ import pandas as pd
 from sweep.analysis import compare, first_differences
 from sweep.analysis.stats import format_percent
 from sweep.core.errors import InputError, suggest
-from sweep.core.expressions import column
+from sweep.core.expressions import find_column
 from sweep.report.labels import axis_words
 from sweep.report.tables import page_table
 from sweep.runs import store, time_series
 from sweep.study.study import identity_columns
 
-SHOWN = 12  # pairs and figures of a list; `--output` has them all
+MAX_LISTED = 12  # pairs and figures of a list; `--output` has them all
 
 
 def comparison_text(
@@ -45,9 +45,9 @@ def comparison_text(
                 page_table(compare.flips_by_region(pairs, axes, unit)),
             ]
         parts += ["", "What became what:", page_table(compare.cause_changes(pairs))]
-        parts += ["", "Pairs that differ:", page_table(compare.changed_pairs(pairs).head(SHOWN))]
+        parts += ["", "Pairs that differ:", page_table(compare.changed_pairs(pairs).head(MAX_LISTED))]
     drift = compare.metric_drift(pairs)
-    drift = drift[drift > 0].head(SHOWN)
+    drift = drift[drift > 0].head(MAX_LISTED)
     if len(drift):
         figures = pd.DataFrame({"figure": drift.index, "typical change": [format_percent(v) for v in drift]})
         parts += ["", "Metrics that changed most:", page_table(figures)]
@@ -62,9 +62,9 @@ def first_difference_text(a: Path, b: Path, share: float) -> str:
         b: The other folder.
         share: Largest difference that counts as equal, over the range of a column.
     """
-    if not all(one.is_dir() and store.list_recordings(one, store.HISTORIES) for one in (a, b)):
+    if not all(one.is_dir() and store.list_recordings(one, store.HISTORIES_FOLDER) for one in (a, b)):
         return ""
-    here, there = (time_series.read(one) for one in (a, b))
+    here, there = (time_series.read_histories(one) for one in (a, b))
     known = {*identity_columns(here.columns), first_differences.TIME}
     columns = [name for name in here.columns if name in there.columns and name not in known]
     if not columns:
@@ -90,7 +90,7 @@ def name_pair_columns(pairs: pd.DataFrame) -> str:
 
 def find_parameter(pairs: pd.DataFrame, name: str) -> str:
     """Find the parameter that a user means. Raises `InputError` where it is another column."""
-    found = column(pairs, name)
+    found = find_column(pairs, name)
     if found not in (allowed := compare.varied_axes(pairs)):
         raise InputError(f"{name} is not a parameter{suggest(name, allowed)}")
     return found

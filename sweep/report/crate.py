@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from sweep.core import project
 from sweep.core.errors import InputError
-from sweep.core.files import digest_file, path_in, printable_name, write_atomically
+from sweep.core.files import digest_file, path_inside_folder, printable_name, write_atomically
 from sweep.core.version import VERSION
 from sweep.report.page import run_dates
 from sweep.runs import manifest, store
@@ -25,18 +25,21 @@ if TYPE_CHECKING:
     from rocrate.rocrate import ROCrate
 
 PYPI = "https://pypi.org/project"
-PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
-STUDY, PROJECT = "study", "project"  # folders of the crate: a study's again, and what its system is read from
-PICTURES = ("report.html", "map.png", "map.svg", "draws.png", "draws.svg")  # where the study's folder has them
-CODE = (*all_suffixes(), ".onnx")  # ends of files that can be imported, or are evaluated as networks
-ENCRYPTED = 1  # bit of a ZIP entry's flags
+CRATE_PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
+STUDY_FOLDER, PROJECT_FOLDER = (
+    "study",
+    "project",
+)  # folders of the crate: a study's again, and what its system is read from
+PICTURE_FILES = ("report.html", "map.png", "map.svg", "draws.png", "draws.svg")  # where the study's folder has them
+CODE_SUFFIXES = (*all_suffixes(), ".onnx")  # ends of files that can be imported, or are evaluated as networks
+ENCRYPTED_FLAG = 1  # bit of a ZIP entry's flags
 # an archive may unpack to SMALL bytes; to more only up to DENSEST times its size, and never beyond LARGEST
-SMALL, LARGEST, DENSEST, MOST_FILES = 100 * 2**20, 64 * 2**30, 100, 100_000
-MEANINGS = {
-    store.STUDY: "the resolved configuration, versions of the libraries, commit, devices",
-    store.POINTS: "the points: one row for each rollout",
-    manifest.MANIFEST: "length and SHA-256 of each file of rows",
-    store.LOG: "time and machine of each finished batch",
+ALWAYS_ALLOWED_BYTES, MAX_UNPACKED_BYTES, MAX_COMPRESSION_RATIO, MAX_FILES = 100 * 2**20, 64 * 2**30, 100, 100_000
+FILE_MEANINGS = {
+    store.STUDY_FILE: "the resolved configuration, versions of the libraries, commit, devices",
+    store.POINTS_FILE: "the points: one row for each rollout",
+    manifest.MANIFEST_FILE: "length and SHA-256 of each file of rows",
+    store.LOG_FILE: "time and machine of each finished batch",
     "report.html": "the page: map, filters, replays",
 }
 
@@ -89,30 +92,32 @@ def describe_study(crate: "ROCrate", results: Results, license_: str, author: st
 
     folder, stored, exp = results.folder, results.stored, results.exp
     profile = {"@type": "CreativeWork", "name": "Process Run Crate", "version": "0.5"}
-    crate.add(ContextEntity(crate, PROFILE, properties=profile))
+    crate.add(ContextEntity(crate, CRATE_PROFILE, properties=profile))
     crate.add(ContextEntity(crate, license_, properties={"@type": "CreativeWork", "name": license_.rpartition("/")[2]}))
     root: Any = crate.root_dataset
-    root["conformsTo"] = {"@id": PROFILE}
+    root["conformsTo"] = {"@id": CRATE_PROFILE}
     root["name"] = f"{results.name}: {exp.scenario}"
-    root["description"] = f"{results.done} rollouts of {exp.scenario} on {exp.settings.name}, by sweep {VERSION}"
+    root["description"] = (
+        f"{results.finished_count} rollouts of {exp.scenario} on {exp.settings.name}, by sweep {VERSION}"
+    )
     root["license"] = {"@id": license_}
     crate.datePublished = datetime.now(UTC).replace(microsecond=0)
     given = [
-        crate.add_file(path_in(folder, name), f"{STUDY}/{name}", properties=describe_file(name))
-        for name in (store.STUDY, store.POINTS)
+        crate.add_file(path_inside_folder(folder, name), f"{STUDY_FOLDER}/{name}", properties=describe_file(name))
+        for name in (store.STUDY_FILE, store.POINTS_FILE)
     ]
     if read := exp.system.source_files():
-        sources = {**read, project.FILE: io.StringIO("modules: []\n")}
-        given += [crate.add_file(file, f"{PROJECT}/{name}", properties=describe_file(name, "what is simulated"))
+        sources = {**read, project.PROJECT_FILE: io.StringIO("modules: []\n")}
+        given += [crate.add_file(file, f"{PROJECT_FOLDER}/{name}", properties=describe_file(name, "what is simulated"))
                   for name, file in sources.items()]  # fmt: skip
     made = [
-        crate.add_file(path_in(folder, name), f"{STUDY}/{name}", properties=describe_file(name))
+        crate.add_file(path_inside_folder(folder, name), f"{STUDY_FOLDER}/{name}", properties=describe_file(name))
         for name in list_stored_files(folder)
     ]
     made += [
-        crate.add_file(path_in(folder, name), name, properties=describe_file(name))
-        for name in PICTURES
-        if path_in(folder, name).exists()
+        crate.add_file(path_inside_folder(folder, name), name, properties=describe_file(name))
+        for name in PICTURE_FILES
+        if path_inside_folder(folder, name).exists()
     ]
     programs: list[Any] = [
         crate.add(SoftwareApplication(crate, f"{PYPI}/{name}/{number}/#{version}",
@@ -138,10 +143,10 @@ def describe_study(crate: "ROCrate", results: Results, license_: str, author: st
 
 def list_stored_files(folder: Path) -> Iterator[str]:
     """List files of a study's folder that belong to the study, apart from its plan and configuration."""
-    yield manifest.MANIFEST
-    if path_in(folder, store.LOG).exists():
-        yield store.LOG
-    yield from (entry.file for entry in manifest.read(folder) if entry.file != store.POINTS)
+    yield manifest.MANIFEST_FILE
+    if path_inside_folder(folder, store.LOG_FILE).exists():
+        yield store.LOG_FILE
+    yield from (entry.file for entry in manifest.read_manifest(folder) if entry.file != store.POINTS_FILE)
 
 
 def describe_file(name: str, meaning: str = "") -> dict[str, Any]:
@@ -149,7 +154,7 @@ def describe_file(name: str, meaning: str = "") -> dict[str, Any]:
     kind = {".parquet": "application/vnd.apache.parquet", ".yaml": "application/yaml"}.get(Path(name).suffix)
     other = "finished rows" if name.endswith(".parquet") else f"picture of the study, {name}"
     form = kind or mimetypes.guess_type(name)[0] or "text/plain"
-    return {"name": name, "description": meaning or MEANINGS.get(name, other), "encodingFormat": form}
+    return {"name": name, "description": meaning or FILE_MEANINGS.get(name, other), "encodingFormat": form}
 
 
 @contextlib.contextmanager
@@ -168,13 +173,16 @@ def unpack_crate(path: Path) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as room:
         folder = path
         if path.is_file():
-            unpack(path, folder := Path(room))
-        if not all(path_in(folder, name).exists() for name in (project.CRATE, f"{STUDY}/{store.STUDY}")):
+            unpack_archive(path, folder := Path(room))
+        if not all(
+            path_inside_folder(folder, name).exists()
+            for name in (project.CRATE_FILE, f"{STUDY_FOLDER}/{store.STUDY_FILE}")
+        ):
             raise InputError(f"{path} is not a crate of a study: `sweep export DIR --crate FOLDER` writes one")
         yield folder.resolve()
 
 
-def unpack(path: Path, to: Path) -> None:
+def unpack_archive(path: Path, to: Path) -> None:
     """Unpack a ZIP archive that may come from a stranger.
 
     Args:
@@ -191,16 +199,18 @@ def unpack(path: Path, to: Path) -> None:
         with zipfile.ZipFile(path) as packed:
             files, size = packed.infolist(), path.stat().st_size
             total = sum(one.file_size for one in files)
-            if any(one.flag_bits & ENCRYPTED for one in files):
+            if any(one.flag_bits & ENCRYPTED_FLAG for one in files):
                 raise InputError(f"{path} is encrypted: unpack it, and give the folder")
             if others := [one for one in files if one.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)]:
                 raise InputError(
                     f"{path}: {others[0].filename} is not compressed by deflate: unpack it, and give the folder"
                 )
-            if len(files) > MOST_FILES or total > max(SMALL, min(LARGEST, DENSEST * size)):
+            if len(files) > MAX_FILES or total > max(
+                ALWAYS_ALLOWED_BYTES, min(MAX_UNPACKED_BYTES, MAX_COMPRESSION_RATIO * size)
+            ):
                 raise InputError(
                     f"{path} is not allowed: its {size:,} bytes unpack to {total:,} in {len(files):,} files, more than "
-                    f"{DENSEST} times its size, {LARGEST:,} bytes or {MOST_FILES:,} files"
+                    f"{MAX_COMPRESSION_RATIO} times its size, {MAX_UNPACKED_BYTES:,} bytes or {MAX_FILES:,} files"
                 )
             packed.extractall(to)
     except InputError:
@@ -209,7 +219,7 @@ def unpack(path: Path, to: Path) -> None:
         raise InputError(f"{path} cannot be unpacked: {(str(error) or type(error).__name__).splitlines()[0]}") from None
 
 
-def code_in(crate: Path) -> list[str]:
+def list_code_files(crate: Path) -> list[str]:
     """List what a crate would have Python import or a runtime execute, without importing anything.
 
     Args:
@@ -222,15 +232,18 @@ def code_in(crate: Path) -> list[str]:
     Raises:
         InputError: `study.yaml` or the project's `sweep.yaml` cannot be read.
     """
-    place, config = path_in(crate, PROJECT), store.read_study(path_in(crate, STUDY))["config"]
+    place, config = (
+        path_inside_folder(crate, PROJECT_FOLDER),
+        store.read_study(path_inside_folder(crate, STUDY_FOLDER))["config"],
+    )
     lines = [f"controller {printable_name(name)}" for name in list_controllers(config)]
     if place.is_dir():
-        if path_in(place, project.FILE).is_file():
+        if path_inside_folder(place, project.PROJECT_FILE).is_file():
             settings = project.read_settings(place)
-            lines += [f"module {name}, by {project.FILE}" for name in settings["modules"]]
+            lines += [f"module {name}, by {project.PROJECT_FILE}" for name in settings["modules"]]
         for file in sorted(place.rglob("*")):
-            path = path_in(crate, file.relative_to(crate))  # which refuses links to code elsewhere
-            if file.name.endswith(CODE) and path.is_file():
+            path = path_inside_folder(crate, file.relative_to(crate))  # which refuses links to code elsewhere
+            if file.name.endswith(CODE_SUFFIXES) and path.is_file():
                 sha256 = digest_file(path)
                 lines.append(f"{printable_name(file.relative_to(crate))}, SHA-256 {sha256}")
     return lines
@@ -248,7 +261,7 @@ def list_controllers(config: Mapping[str, Any]) -> list[str]:
     return list(dict.fromkeys(str(name) for name in named if name))
 
 
-def working_project(crate: Path) -> contextlib.AbstractContextManager[None]:
+def use_crate_project(crate: Path) -> contextlib.AbstractContextManager[None]:
     """Make the project of a crate the current one, whose modules can be imported; else keep the present one."""
-    place = path_in(crate, PROJECT)
-    return project.trusted_project(place) if place.is_dir() else contextlib.nullcontext()
+    place = path_inside_folder(crate, PROJECT_FOLDER)
+    return project.trust_project(place) if place.is_dir() else contextlib.nullcontext()

@@ -14,23 +14,27 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from sweep.analysis import sensitivity
-from sweep.core.plot_style import PAGE, fit_ticks, legend_below, new_figure, wrap_text
+from sweep.core.plot_style import PAGE_WIDTH_IN, fit_ticks, legend_below, new_figure, wrap_text
 from sweep.report.cells import end_axes_at_zero
 from sweep.report.figure import StudyFigure
 from sweep.report.headline import headline
 from sweep.report.labels import axis_title, axis_words, outcome_kind
-from sweep.report.outcome_style import find_look, kinds_by_frequency, legend_handle, marker_path
+from sweep.report.outcome_style import find_style, kinds_by_frequency, legend_handle, marker_path
 from sweep.runs.results import Results
-from sweep.study.columns import LABELS
+from sweep.study.columns import LABEL_COLUMNS
 
-LINES, DOTS, AXES = 600, 20_000, 12  # that are drawn at most: of each kind of outcome, in all, and of parameters
-LINEAR = 0.1  # margins within which the axis is even, in units of the limit
-MARGIN = "margin"  # column: how far a rollout stayed from its nearest limit, negative beyond it
+MAX_LINES_PER_KIND, MAX_DOTS, MAX_AXES = (
+    600,
+    20_000,
+    12,
+)  # that are drawn at most: of each kind of outcome, in all, and of parameters
+LINEAR_MARGIN_RANGE = 0.1  # margins within which the axis is even, in units of the limit
+MARGIN_COLUMN = "margin"  # column: how far a rollout stayed from its nearest limit, negative beyond it
 
 
 def has_draws_figure(results: Results) -> bool:
     """Whether the study draws numbers, and lists fewer than the two that a map needs."""
-    return bool(drawn_columns(results)) and len(results.listed_numeric) < 2
+    return bool(drawn_columns(results)) and len(results.listed_numeric_columns) < 2
 
 
 def drawn_columns(results: Results) -> list[str]:
@@ -43,17 +47,17 @@ def draws_figure(results: Results) -> Iterator[StudyFigure]:
     if not has_draws_figure(results):
         return
     columns, size = drawn_columns(results), len(results.rows)
-    lines = sum(min(len(part), LINES) for _, part in rows_by_kind(results.rows, ["outcome"]))
+    lines = sum(min(len(part), MAX_LINES_PER_KIND) for _, part in rows_by_kind(results.rows, ["outcome"]))
     text = "Above: a line for each rollout through its drawn values, on axes from the smallest to the largest. "
-    if lines < size or len(columns) > AXES:
-        text += f"{lines} of {size} lines and {min(len(columns), AXES)} of {len(columns)} parameters are shown. "
+    if lines < size or len(columns) > MAX_AXES:
+        text += f"{lines} of {size} lines and {min(len(columns), MAX_AXES)} of {len(columns)} parameters are shown. "
     if not {"success", "failure"} <= set(results.rows["outcome"].unique()):
         text += "Below: the rollouts over the first parameters."
     else:
         grey = "; grey where p > 0.05" if results.regional_sensitivity["p"].notna().any() else ""
         text += "Below: how differently successes and failures are distributed along each parameter "
         text += f"(Kolmogorov-Smirnov distance{grey}), and the rollouts over the two with the largest distance."
-    table = results.rows[[*columns, *LABELS, "point_id"]]
+    table = results.rows[[*columns, *LABEL_COLUMNS, "point_id"]]
     yield StudyFigure("draws", "Draws", text, table, lambda: draw_overview(results))
 
 
@@ -79,9 +83,9 @@ def draw_overview(results: Results) -> Figure:
     mosaic: list[Any] = [["lines"] * len(panels), panels] if wide else [panels]
     axes = figure.subplot_mosaic(mosaic)
     if wide:
-        draw_parallel_axes(axes["lines"], results, columns[:AXES])
+        draw_parallel_axes(axes["lines"], results, columns[:MAX_AXES])
     if "rank" in axes:
-        draw_ranking(axes["rank"], ranked.head(AXES), results)
+        draw_ranking(axes["rank"], ranked.head(MAX_AXES), results)
     draw_pair(axes["pair"], results, columns)
     draw_margins(axes["margin"], results, columns[0])
     for name in panels[-2:]:
@@ -91,7 +95,7 @@ def draw_overview(results: Results) -> Figure:
         for kind, part in rows_by_kind(rows, ["outcome"])
     ]
     legend_below(figure, handles)
-    figure.suptitle(wrap_text(f"{results.name}: {headline(rows, results.exp)}", 72 * PAGE - 20))
+    figure.suptitle(wrap_text(f"{results.name}: {headline(rows, results.exp)}", 72 * PAGE_WIDTH_IN - 20))
     return figure
 
 
@@ -101,18 +105,18 @@ def draw_parallel_axes(ax: Axes, results: Results, columns: list[str]) -> None:
     low, high = values.min(axis=0), values.max(axis=0)
     places = np.arange(len(columns))
     for kind, part in rows_by_kind(results.rows, columns):
-        chosen = part.sample(min(len(part), LINES), random_state=0).sort_index()
+        chosen = part.sample(min(len(part), MAX_LINES_PER_KIND), random_state=0).sort_index()
         shares = (chosen[columns].to_numpy(dtype=float) - low) / (high - low)
         lines = np.stack(np.broadcast_arrays(places, shares), axis=-1)
         strength = np.clip(30 / np.sqrt(len(chosen)) / 4, 0.15, 0.8)
         ax.add_collection(
-            LineCollection(list(lines), colors=find_look(kind).colour, alpha=strength, linewidths=0.8, rasterized=True)
+            LineCollection(list(lines), colors=find_style(kind).colour, alpha=strength, linewidths=0.8, rasterized=True)
         )
     for place in range(len(columns)):
         ax.plot([place, place], [0, 1], color="0.3", linewidth=0.8)
         for at, value, side in ((-0.02, low[place], "top"), (1.02, high[place], "bottom")):
             ax.text(place, at, f"{value:.3g}", ha="center", va=side)
-    room = 0.75 * 72 * PAGE / len(columns)  # the names of the bars below have the rest
+    room = 0.75 * 72 * PAGE_WIDTH_IN / len(columns)  # the names of the bars below have the rest
     ax.set_xticks(places, [wrap_text(axis_title(name, results.exp), room) for name in columns])
     ax.xaxis.tick_top()  # below they would be titles of the panels there
     ax.tick_params(axis="x", length=0)
@@ -147,23 +151,23 @@ def draw_pair(ax: Axes, results: Results, columns: list[str]) -> None:
 
 def draw_margins(ax: Axes, results: Results, column: str) -> None:
     """Draw the margin of each rollout to its nearest threshold over the parameter that matters most."""
-    for kind, part in rows_by_kind(results.rows, [column, MARGIN]):
-        draw_dots(ax, part[column], part[MARGIN], kind, len(results.rows))
-    ax.set_yscale("symlog", linthresh=LINEAR)
+    for kind, part in rows_by_kind(results.rows, [column, MARGIN_COLUMN]):
+        draw_dots(ax, part[column], part[MARGIN_COLUMN], kind, len(results.rows))
+    ax.set_yscale("symlog", linthresh=LINEAR_MARGIN_RANGE)
     ax.axhline(0, color="0.3", linewidth=0.8, linestyle="--")
     ax.set_xlabel(axis_title(column, results.exp))
     ax.set_ylabel("margin to the nearest limit")
 
 
 def draw_dots(ax: Axes, x: pd.Series, y: pd.Series, kind: str, total: int) -> None:
-    """Draw a share of the rollouts of a kind, so that at most `DOTS` are drawn in all.
+    """Draw a share of the rollouts of a kind, so that at most `MAX_DOTS` are drawn in all.
 
     More rollouts get smaller dots.
     """
-    number = max(1, round(len(x) * min(1.0, DOTS / total)))
+    number = max(1, round(len(x) * min(1.0, MAX_DOTS / total)))
     chosen = x.sample(number, random_state=0).index
     size = np.clip(600 / np.sqrt(total), 1.5, 40)
     edge: dict[str, Any] = {"edgecolors": "white", "linewidths": 0.2} if total < 500 else {"linewidths": 0}
     ax.scatter(
-        x[chosen], y[chosen], s=size, c=find_look(kind).colour, marker=marker_path(kind), rasterized=True, **edge
+        x[chosen], y[chosen], s=size, c=find_style(kind).colour, marker=marker_path(kind), rasterized=True, **edge
     )

@@ -9,26 +9,26 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sweep.analysis import compare, sensitivity
-from sweep.analysis.compare import SECOND
-from sweep.analysis.sample import is_sample
+from sweep.analysis.compare import SECOND_RUN_MARK
+from sweep.analysis.sample import is_random_sample
 from sweep.analysis.sampling_units import draw_ids, draw_interval_method, interval_method
-from sweep.analysis.stats import bin_values, format_percent, rate, rates
+from sweep.analysis.stats import bin_values, format_percent, success_rate, success_rates
 from sweep.core.distinct_values import count_distinct
-from sweep.core.plot_style import COLUMN, PAGE, fit_ticks, legend_below, new_figure, use_whole_ticks
+from sweep.core.plot_style import COLUMN_WIDTH_IN, PAGE_WIDTH_IN, fit_ticks, legend_below, new_figure, use_whole_ticks
 from sweep.report import draws, sections, time_series_plots
 from sweep.report.cells import end_axes_at_zero
 from sweep.report.figure import StudyFigure
 from sweep.report.labels import axis_title, axis_words
 from sweep.report.maps import draw_glyph_at, legend_cell
-from sweep.report.outcome_style import DOUBTFUL, FAILURE, GOOD, find_look
+from sweep.report.outcome_style import FAILURE_COLOUR, INVALID_MARK_COLOUR, SUCCESS_COLOUR, find_style
 from sweep.runs import audit
 from sweep.runs.results import Results
 from sweep.study.columns import metric_columns
 
-EFFECT_VALUES, EFFECT_BINS, HISTOGRAM_BINS, LINES, HISTOGRAMS = 50, 20, 30, 5, 12
-BARE = 0.02  # of the longest bar, and a part that is no longer has no room for a glyph
-REJECTED = 0.01  # p-value below which a fit is not drawn
-ROUNDING = 1e-12  # of a value: a difference that is no distribution
+EFFECT_VALUES, EFFECT_BINS, HISTOGRAM_BINS, MAX_LINES, MAX_HISTOGRAMS = 50, 20, 30, 5, 12
+MIN_GLYPH_SHARE = 0.02  # of the longest bar, and a part that is no longer has no room for a glyph
+MAX_REJECTED_P = 0.01  # p-value below which a fit is not drawn
+ROUNDING_TOLERANCE = 1e-12  # of a value: a difference that is no distribution
 STYLES = (
     ("#00649E", "-", "o"),
     ("#D55E00", "--", "s"),
@@ -75,7 +75,7 @@ def map_figures(results: Results) -> Iterator[StudyFigure]:
 
 def count_invalid(rows: pd.DataFrame, where: str) -> str:
     """Say how many of the rows are invalid; empty if none is."""
-    found = rate(rows["outcome"])
+    found = success_rate(rows["outcome"])
     if not found.invalid:
         return ""
     return (
@@ -100,25 +100,25 @@ def effects_figure(results: Results) -> Iterator[StudyFigure]:
     """Yield the success rate along each parameter, unless earlier rows decided where rollouts were placed."""
     if results.exp.study.is_sequential:
         return
-    by = [c for c in results.categorical if count_distinct(results.rows[c], LINES) <= LINES][:1]
-    if results.one_at_a_time:
+    by = [c for c in results.categorical_columns if count_distinct(results.rows[c], MAX_LINES) <= MAX_LINES][:1]
+    if results.is_one_at_a_time:
         by, table = [], sensitivity.one_at_a_time_rates(results.rows, results.exp)
         caption = (
             "Rate of success at each value of one parameter, the others nominal, with its 95 % interval "
             f"({interval_method(results.exp.study)}); dotted: logistic fit of the error on either side of the nominal "
-            f"value, unless the rates reject it (p < {REJECTED:g})."
+            f"value, unless the rates reject it (p < {MAX_REJECTED_P:g})."
             if results.exp.study.has_repeats
             else "Whether a rollout succeeds at each value of one parameter, the others nominal."
         )
     else:
         tables, in_bins = [], False
-        for axis in results.numeric:
+        for axis in results.numeric_columns:
             value = results.rows[axis]
             if count_distinct(value, EFFECT_VALUES) > EFFECT_VALUES:
                 value, in_bins = bin_values(value, EFFECT_BINS), True
             draws = draw_ids(results.rows, results.exp)
-            found = rates(results.rows.assign(value=value), [*by, "value"], unit=draws).assign(axis=axis)
-            if not is_sample(results.rows, results.exp, (axis, *by)):
+            found = success_rates(results.rows.assign(value=value), [*by, "value"], unit=draws).assign(axis=axis)
+            if not is_random_sample(results.rows, results.exp, (axis, *by)):
                 found[["low", "high"]] = np.nan
             tables.append(found)
         tables = [table for table in tables if table["total"].max() > 1]
@@ -154,7 +154,7 @@ def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figur
         ax.set_ylim(-0.02, 1.02)
     if by:  # below: in a panel it would lie on its lines
         legend_below(figure, [line for ax in spots for line in ax.get_lines()])
-    if results.one_at_a_time and results.exp.study.has_repeats:
+    if results.is_one_at_a_time and results.exp.study.has_repeats:
         _draw_fits(results, dict(zip(axes, spots, strict=True)))
     return figure
 
@@ -170,7 +170,7 @@ def _draw_fits(results: Results, spots: dict[str, Axes]) -> None:
                 success = rows["outcome"].to_numpy()[here] == "success"
                 fit = sensitivity.fit_logistic(np.abs(away[here]), success)
                 unit = draw_ids(rows[here], results.exp)
-                if sensitivity.goodness_of_fit_p(fit, np.abs(away[here]), success, unit) < REJECTED:
+                if sensitivity.goodness_of_fit_p(fit, np.abs(away[here]), success, unit) < MAX_REJECTED_P:
                     continue
                 size = np.linspace(0, most, 50)
                 spots[axis.column].plot(centre + sign * size, fit.probability(size)[0], ":", color="0.3", linewidth=1)
@@ -183,7 +183,7 @@ def causes_figure(results: Results) -> Iterator[StudyFigure]:
         return
     table = pd.crosstab(failed["stage"], failed["cause"])
     stages = [s for s in results.stages if s in table.index] + [s for s in table.index if s not in results.stages]
-    table = table.loc[stages, list(results.causes_seen)]
+    table = table.loc[stages, list(results.occurring_causes)]
     caption = "Rollouts that did not succeed, by the stage of the plan in which the cause occurred."
     yield StudyFigure("causes", "Causes by stage", caption, table.reset_index(), lambda: _draw_causes(table))
 
@@ -194,8 +194,8 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
     left, totals = np.zeros(len(table)), table.to_numpy().sum(axis=1)
     for cause in table:
         number = table[cause].to_numpy()
-        ax.barh(table.index, number, left=left, color=find_look(str(cause)).colour, edgecolor="white", linewidth=0.4)
-        roomy = number > BARE * totals.max()
+        ax.barh(table.index, number, left=left, color=find_style(str(cause)).colour, edgecolor="white", linewidth=0.4)
+        roomy = number > MIN_GLYPH_SHARE * totals.max()
         draw_glyph_at(ax, str(cause), (left + number / 2)[roomy], np.flatnonzero(roomy))
         left += number
     for y, total in enumerate(left):
@@ -204,13 +204,13 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
     use_whole_ticks(ax.xaxis)
     ax.set(xlabel="rollouts", ylabel="stage")
     ax.spines[["top", "right"]].set_visible(False)
-    legend_below(figure, [legend_cell(str(c).replace("_", " "), find_look(str(c)).colour, str(c)) for c in table])
+    legend_below(figure, [legend_cell(str(c).replace("_", " "), find_style(str(c)).colour, str(c)) for c in table])
     return figure
 
 
 def distributions_figure(results: Results) -> Iterator[StudyFigure]:
     """Yield histograms of metrics; those with a threshold come first."""
-    names = metrics_with_threshold_first(results)[:HISTOGRAMS]
+    names = metrics_with_threshold_first(results)[:MAX_HISTOGRAMS]
     if not names:
         return
     tables = []
@@ -229,16 +229,16 @@ def distributions_figure(results: Results) -> Iterator[StudyFigure]:
 def _bin_edges(values: pd.Series) -> np.ndarray:
     """Edges of a histogram's bins; values that differ by rounding alone are drawn as one value."""
     low, high = values.min(), values.max()
-    constant = high - low <= ROUNDING * max(abs(low), abs(high))
+    constant = high - low <= ROUNDING_TOLERANCE * max(abs(low), abs(high))
     return np.histogram_bin_edges(values, HISTOGRAM_BINS, (low - 0.5, low + 0.5) if constant else None)
 
 
 def audit_figure(results: Results) -> Iterator[StudyFigure]:
     """Yield the figure of audited rollouts whose outcome changes in other variants of the simulation."""
-    x_y, found = results.numeric[:2], dict(audit.iter_audited_variants(results))
+    x_y, found = results.numeric_columns[:2], dict(audit.iter_audited_variants(results))
     if len(x_y) < 2 or not found:
         return
-    columns = ["point_id", *x_y, "outcome", f"outcome{SECOND}"]
+    columns = ["point_id", *x_y, "outcome", f"outcome{SECOND_RUN_MARK}"]
     parts = [
         pairs[columns].assign(simulated=results.exp.system.audit_variants[way].description)
         for way, pairs in found.items()
@@ -252,16 +252,16 @@ def audit_figure(results: Results) -> Iterator[StudyFigure]:
 
 
 def _draw_audits(results: Results, data: pd.DataFrame) -> Figure:
-    x, y = results.numeric[:2]
+    x, y = results.numeric_columns[:2]
     ways = list(data.groupby("simulated", sort=False))
     figure, spots = _panels(len(ways))
     for (way, part), ax in zip(ways, spots, strict=True):
         changed = compare.outcome_changes(part)
-        broken = (part[["outcome", f"outcome{SECOND}"]] == "invalid").any(axis=1)
+        broken = (part[["outcome", f"outcome{SECOND_RUN_MARK}"]] == "invalid").any(axis=1)
         for chosen, mark, colour in (
-            (~changed, ".", GOOD),
-            (changed & broken, "+", DOUBTFUL),
-            (changed & ~broken, "x", FAILURE),
+            (~changed, ".", SUCCESS_COLOUR),
+            (changed & broken, "+", INVALID_MARK_COLOUR),
+            (changed & ~broken, "x", FAILURE_COLOUR),
         ):
             ax.plot(part.loc[chosen, x], part.loc[chosen, y], mark, color=colour)
         ax.set_title(str(way))
@@ -295,8 +295,8 @@ def _draw_distributions(results: Results, data: pd.DataFrame) -> Figure:
     figure, spots = _panels(len(names), columns=3, height=1.6)
     judged = metric_thresholds(results)
     looks: dict[str, Any] = {
-        "success": {"color": GOOD},
-        "failure": {"color": FAILURE},
+        "success": {"color": SUCCESS_COLOUR},
+        "failure": {"color": FAILURE_COLOUR},
         "invalid": {"color": "white", "hatch": "///", "edgecolor": "black"},
     }
     for name, ax in zip(names, spots, strict=True):
@@ -322,7 +322,7 @@ def _panels(number: int, columns: int = 2, height: float = 2.2) -> tuple[Figure,
     """A figure as wide as a page with `number` panels."""
     columns = min(columns, number)
     lines = -(-number // columns)
-    figure = new_figure(height * lines + 0.4, PAGE if columns > 1 else COLUMN)
+    figure = new_figure(height * lines + 0.4, PAGE_WIDTH_IN if columns > 1 else COLUMN_WIDTH_IN)
     axes = figure.subplots(lines, columns, squeeze=False).ravel().tolist()
     for ax in axes[number:]:
         ax.set_visible(False)

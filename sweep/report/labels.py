@@ -7,16 +7,18 @@ from pathlib import PurePosixPath
 
 import pandas as pd
 
-from sweep.analysis.compare import SECOND
+from sweep.analysis.compare import SECOND_RUN_MARK
 from sweep.config.experiment import Experiment
 from sweep.contract.system import split_side
 from sweep.core.outcomes import SUCCESS
-from sweep.core.parameters import UNITS, format_unit
+from sweep.core.parameters import UNIT_BY_SUFFIX, format_unit
 from sweep.study.designs import Axis
 from sweep.study.study import unit_of_column
 
 FILES = (".xml", ".urdf", ".mjb", ".onnx", ".pt", ".pt2", ".png")  # ends of files that axes name
-READ = {end: format_unit(unit) for end, unit in UNITS.items()} | {"deg": "°"}  # units of figures as they are read
+READABLE_UNITS = {end: format_unit(unit) for end, unit in UNIT_BY_SUFFIX.items()} | {
+    "deg": "°"
+}  # units of figures as they are read
 
 
 def outcome_kind(rows: pd.DataFrame) -> pd.Series:
@@ -34,7 +36,11 @@ def kind_meaning(kind: str, exp: Experiment) -> str:
 def name_and_unit(column: str) -> tuple[str, str]:
     """`slip_max_m` -> (`slip max`, `m`); the unit is empty where the column has none."""
     head, _, last = column.rpartition("_")
-    return (head.replace("_", " "), READ[last]) if head and last in READ else (column.replace("_", " "), "")
+    return (
+        (head.replace("_", " "), READABLE_UNITS[last])
+        if head and last in READABLE_UNITS
+        else (column.replace("_", " "), "")
+    )
 
 
 def axis_words(column: str, exp: Experiment | None = None) -> str:
@@ -149,9 +155,9 @@ def heading(column: str, exp: Experiment | None = None) -> str:
 
 def words_and_unit(column: str, exp: Experiment | None = None) -> tuple[str, str]:
     """Label of a column, and its unit."""
-    if column.endswith(SECOND):
-        words, unit = words_and_unit(column.removesuffix(SECOND), exp)
-        return f"{words}{SECOND}", unit
+    if column.endswith(SECOND_RUN_MARK):
+        words, unit = words_and_unit(column.removesuffix(SECOND_RUN_MARK), exp)
+        return f"{words}{SECOND_RUN_MARK}", unit
     if "." not in column:
         return name_and_unit(column)
     return axis_words(column, exp), column_unit(column, exp) if exp else ""

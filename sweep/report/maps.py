@@ -21,21 +21,21 @@ from matplotlib.transforms import Affine2D
 from sweep.analysis.sample import pooled_rate
 from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.distinct_values import has_several_values
-from sweep.core.expressions import column
+from sweep.core.expressions import find_column
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError
-from sweep.core.plot_style import LETTERS, PAGE, legend_below, wrap_text
+from sweep.core.plot_style import FONT_SIZE_PT, PAGE_WIDTH_IN, legend_below, wrap_text
 from sweep.report import analytic_curves
-from sweep.report.cells import Cells, axis_places, cell_edges, mark_values, place_cells
+from sweep.report.cells import MapCells, axis_places, cell_edges, mark_values, place_cells
 from sweep.report.headline import count_placed
 from sweep.report.labels import axis_title, label_with_value
-from sweep.report.outcome_style import INVALID, find_look, glyph_ink, marker_path
+from sweep.report.outcome_style import INVALID_CELL_COLOUR, find_style, glyph_ink, marker_path
 from sweep.runs import refine
 
 # cells, with more of which outlines would cover the colours; cells along a panel that have room for a glyph; boxes that
 # hatching may be cut into
-OUTLINED, GLYPHS, BOXES = 4000, 40, 20_000
-GLYPH = 3.2  # points across, of a glyph whose radius is one
+MAX_OUTLINED_CELLS, MAX_GLYPH_CELLS, MAX_BOXES = 4000, 40, 20_000
+GLYPH_SIZE_PT = 3.2  # points across, of a glyph whose radius is one
 
 
 def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str, ...] = (), title: str = "") -> Figure:
@@ -63,7 +63,12 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     measured = analytic_curves.measured_metrics(exp, rows)
     columns = len(panels) * (1 + len(measured))
     figure, axes = plt.subplots(
-        1, columns, figsize=(max(PAGE, 0.6 + 3 * columns), 3.6), squeeze=False, sharey=True, layout="constrained"
+        1,
+        columns,
+        figsize=(max(PAGE_WIDTH_IN, 0.6 + 3 * columns), 3.6),
+        squeeze=False,
+        sharey=True,
+        layout="constrained",
     )
     plt.close(figure)  # else a notebook shows it once more at the end of the cell
     room = 72 * (figure.get_size_inches()[0] - 1) / columns
@@ -91,7 +96,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
         scale = ScalarMappable(Normalize(0, 1), "cividis")
         figure.colorbar(scale, ax=axes, label=f"rate of success, n = {count_range(counts)} a cell", shrink=0.8)
     name = title or stored["config"]["study"]["name"] or stored["config"]["scenario"]["name"]
-    figure.suptitle(wrap_text(name.replace("_", " "), 72 * figure.get_size_inches()[0] - 2 * LETTERS))
+    figure.suptitle(wrap_text(name.replace("_", " "), 72 * figure.get_size_inches()[0] - 2 * FONT_SIZE_PT))
     return figure
 
 
@@ -125,7 +130,7 @@ def independent_parameters(rows: pd.DataFrame, chosen: tuple[str, ...] = ()) -> 
         determines all others.
     """
     varied = [c for c in rows.columns if "." in c and has_several_values(rows[c])]
-    found = [column(rows, name) for name in chosen]
+    found = [find_column(rows, name) for name in chosen]
     for one in sorted(varied, key=lambda c: rows[c].dtype.kind not in "fi"):  # numbers first, then names
         if len(found) < 2 and not any((rows.groupby(known)[one].nunique() == 1).all() for known in found):
             found.append(one)
@@ -158,10 +163,10 @@ def count_range(counts: list[pd.Series]) -> str:
     return str(low) if low == high else f"{low}-{high}"
 
 
-def draw_outcomes(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
+def draw_outcomes(ax: Axes, rows: pd.DataFrame, cells: MapCells) -> None:
     """Colour cells by outcome and cause."""
     kind = pd.Categorical(rows["cause"].where(rows["outcome"] == "failure", "success"))
-    palette = ListedColormap([find_look(one).colour for one in kind.categories])
+    palette = ListedColormap([find_style(one).colour for one in kind.categories])
     draw_cell_values(
         ax, rows.assign(value=kind.codes.astype(float)), cells, cmap=palette, vmin=-0.5, vmax=palette.N - 0.5
     )
@@ -169,12 +174,12 @@ def draw_outcomes(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
         draw_glyphs(ax, rows[rows["outcome"] == "failure"], cells)
 
 
-def has_room_for_glyphs(cells: Cells) -> bool:
+def has_room_for_glyphs(cells: MapCells) -> bool:
     """Whether cells are large enough for a glyph."""
-    return max(len(cells.x), len(cells.y)) <= GLYPHS
+    return max(len(cells.x), len(cells.y)) <= MAX_GLYPH_CELLS
 
 
-def draw_glyphs(ax: Axes, failed: pd.DataFrame, cells: Cells) -> None:
+def draw_glyphs(ax: Axes, failed: pd.DataFrame, cells: MapCells) -> None:
     """Draw the shape of its cause in each failed cell, for readers who cannot tell the colours apart."""
     middles = [(cell_edges(values)[1:] + cell_edges(values)[:-1]) / 2 for values in cells[:2]]
     for cause, part in failed.groupby("cause"):
@@ -191,12 +196,12 @@ def draw_glyph_at(ax: Axes, cause: str, x: np.ndarray, y: np.ndarray) -> None:
 
 def cause_glyph(cause: str) -> Line2D:
     """Shape of a cause, in a colour that contrasts with its cell."""
-    look = find_look(cause)
-    style: dict[str, Any] = {"marker": marker_path(cause), "markersize": GLYPH * np.abs(look.shape).max()}
+    look = find_style(cause)
+    style: dict[str, Any] = {"marker": marker_path(cause), "markersize": GLYPH_SIZE_PT * np.abs(look.shape).max()}
     return Line2D([], [], linestyle="", color=glyph_ink(look.colour), markeredgewidth=0, **style)
 
 
-def equal_runs(grid: np.ndarray, cells: Cells) -> Iterator[tuple[tuple[tuple[float, float], float, float], Any]]:
+def equal_runs(grid: np.ndarray, cells: MapCells) -> Iterator[tuple[tuple[tuple[float, float], float, float], Any]]:
     """Find runs of equal cells in each line: corner, width, height and value."""
     x, y = cell_edges(cells.x).tolist(), cell_edges(cells.y).tolist()
     for j, line in enumerate(grid):
@@ -205,12 +210,12 @@ def equal_runs(grid: np.ndarray, cells: Cells) -> Iterator[tuple[tuple[tuple[flo
             yield ((x[start], y[j]), x[end] - x[start], y[j + 1] - y[j]), line[start]
 
 
-def cell_indices(rows: pd.DataFrame, cells: Cells) -> tuple[np.ndarray, np.ndarray]:
+def cell_indices(rows: pd.DataFrame, cells: MapCells) -> tuple[np.ndarray, np.ndarray]:
     """Line and column of the cell of each row."""
     return np.searchsorted(cells.y, rows["y"]), np.searchsorted(cells.x, rows["x"])
 
 
-def cell_means(rows: pd.DataFrame, cells: Cells, name: str) -> np.ma.MaskedArray:
+def cell_means(rows: pd.DataFrame, cells: MapCells, name: str) -> np.ma.MaskedArray:
     """Mean of a column over the rows of each cell, masked where no row has a number."""
     own = rows[rows[name].notna()]
     at = np.ravel_multi_index(cell_indices(own, cells), (len(cells.y), len(cells.x)))
@@ -221,45 +226,45 @@ def cell_means(rows: pd.DataFrame, cells: Cells, name: str) -> np.ma.MaskedArray
     return mean.reshape(len(cells.y), len(cells.x))
 
 
-def draw_rates(ax: Axes, rows: pd.DataFrame, cells: Cells) -> None:
+def draw_rates(ax: Axes, rows: pd.DataFrame, cells: MapCells) -> None:
     """Colour cells by the rate of success among valid rollouts."""
     draw_cell_values(
         ax, rows.assign(value=(rows["outcome"] == "success").astype(float)), cells, cmap="cividis", vmin=0, vmax=1
     )
 
 
-def draw_cell_values(ax: Axes, rows: pd.DataFrame, cells: Cells, **style: Any) -> None:
+def draw_cell_values(ax: Axes, rows: pd.DataFrame, cells: MapCells, **style: Any) -> None:
     """Colour cells by the mean value of their valid rows, and hatch those with invalid ones."""
     invalid = rows["outcome"] == "invalid"
     draw_cells(ax, cell_means(rows[~invalid], cells, "value"), cells, **style)
     doubtful = np.zeros((len(cells.y), len(cells.x)), dtype=bool)
     doubtful[cell_indices(rows[invalid], cells)] = True
     boxes = [box for box, broken in equal_runs(doubtful, cells) if broken] if invalid.any() else []
-    if doubtful.size <= OUTLINED:
+    if doubtful.size <= MAX_OUTLINED_CELLS:
         for box in boxes:
             ax.add_patch(Rectangle(*box, fill=False, hatch="////", linewidth=0.4))
-    elif 0 < len(boxes) <= BOXES:
+    elif 0 < len(boxes) <= MAX_BOXES:
         turns = (Affine2D().scale(width, height).translate(*corner) for corner, width, height in boxes)
         path = Path.make_compound_path(*map(Path.unit_rectangle().transformed, turns))
         ax.add_patch(PathPatch(path, fill=False, hatch="////", linewidth=0))
 
 
-def draw_cells(ax: Axes, values: np.ma.MaskedArray, cells: Cells, **style: Any) -> Any:
+def draw_cells(ax: Axes, values: np.ma.MaskedArray, cells: MapCells, **style: Any) -> Any:
     """Draw cells coloured by value, with outlines; many cells become one image."""
     x, y = cell_edges(cells.x), cell_edges(cells.y)
-    if values.size > OUTLINED:
+    if values.size > MAX_OUTLINED_CELLS:
         return ax.pcolorfast(x, y, values, **style)
     return ax.pcolormesh(x, y, values, edgecolors="white", linewidth=0.4, **style)
 
 
-def draw_refined_cells(ax: Axes, exp: Experiment, painted: pd.DataFrame, x: str, y: str, cells: Cells) -> None:
+def draw_refined_cells(ax: Axes, exp: Experiment, painted: pd.DataFrame, x: str, y: str, cells: MapCells) -> None:
     """Outline the cells of a refined map, and mark the rows that were simulated with dots."""
     rows = painted[painted["known"]]
     for panel in refine.summarize_panels(exp, rows):
-        columns = [a.column for a in panel.grid.axes]
+        columns = [a.column for a in panel.lattice.axes]
         for power, corners in enumerate(panel.cells if panel.rollouts else ()):
             (left, right), (low, high) = (
-                [axis_places(panel.grid.values[k][corners[:, k] + step], values) for step in (0, 2**power)]
+                [axis_places(panel.lattice.values[k][corners[:, k] + step], values) for step in (0, 2**power)]
                 for k, values in zip(map(columns.index, (x, y)), cells[:2], strict=True)
             )
             boxes = np.stack([[left, low], [right, low], [right, high], [left, high]]).transpose(2, 0, 1)
@@ -268,7 +273,7 @@ def draw_refined_cells(ax: Axes, exp: Experiment, painted: pd.DataFrame, x: str,
     ax.plot(*dots, ".", markersize=1.5, color="black")
 
 
-def draw_metric(ax: Axes, rows: pd.DataFrame, cells: Cells, name: str) -> None:
+def draw_metric(ax: Axes, rows: pd.DataFrame, cells: MapCells, name: str) -> None:
     """Colour cells by a metric of the successful rollouts."""
     colours = draw_cells(ax, cell_means(rows[rows["outcome"] == "success"], cells, name), cells)
     ax.figure.colorbar(colours, ax=ax, label=f"{axis_title(name)}, where it succeeds", shrink=0.8)
@@ -277,13 +282,13 @@ def draw_metric(ax: Axes, rows: pd.DataFrame, cells: Cells, name: str) -> None:
 def draw_legend(figure: Figure, kinds: Sequence[str], shaped: bool, invalid: bool, lines: Sequence[Artist]) -> None:
     """Draw a legend of colours, glyphs, hatching and curves below a map."""
     glyphs = {kind: kind if shaped and kind != SUCCESS else "" for kind in kinds}
-    handles: list[Any] = [legend_cell(kind.replace("_", " "), find_look(kind).colour, glyphs[kind]) for kind in kinds]
+    handles: list[Any] = [legend_cell(kind.replace("_", " "), find_style(kind).colour, glyphs[kind]) for kind in kinds]
     if invalid:
-        handles.append(Patch(facecolor=INVALID, edgecolor="black", hatch="////", label="invalid"))
+        handles.append(Patch(facecolor=INVALID_CELL_COLOUR, edgecolor="black", hatch="////", label="invalid"))
     legend_below(figure, [*handles, *lines])
 
 
 def legend_cell(label: str, colour: str, cause: str = "") -> tuple[Line2D, ...]:
     """Legend entry of a map's cell, with the glyph of its cause."""
-    square = Line2D([], [], linestyle="", marker="s", markersize=LETTERS, color=colour, label=label)
+    square = Line2D([], [], linestyle="", marker="s", markersize=FONT_SIZE_PT, color=colour, label=label)
     return (square, cause_glyph(cause)) if cause else (square,)

@@ -16,7 +16,7 @@ from matplotlib.path import Path
 from sweep.core.outcomes import SUCCESS
 
 
-class Look(NamedTuple):
+class OutcomeStyle(NamedTuple):
     """Colour and shape of rollouts of one kind."""
 
     colour: str  # of marks, lines and cells; of doubts that of marks, as their cells are hatched
@@ -72,21 +72,21 @@ def rotation(degrees: float) -> np.ndarray:
     return np.array([[c, s], [-s, c]])
 
 
-def family_looks(family: str, **kinds: tuple[str, np.ndarray]) -> dict[str, Look]:
+def family_styles(family: str, **kinds: tuple[str, np.ndarray]) -> dict[str, OutcomeStyle]:
     """Styles of a family of causes, with shapes of about equal area."""
     found = {}
     for kind, (colour, shape) in kinds.items():
         x, y = shape.T
         area = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2
-        found[kind] = Look(colour, shape * min(1.25 / np.hypot(x, y).max(), np.sqrt(2.6 / abs(area))), family)
+        found[kind] = OutcomeStyle(colour, shape * min(1.25 / np.hypot(x, y).max(), np.sqrt(2.6 / abs(area))), family)
     return found
 
 
-DOUBTS = "sunk", "not_finite", "solver", "unsettled", "energy"
-LOOKS = {
-    **family_looks("success", success=("#56B4E9", star(24))),
-    **family_looks("foot", slipped=("#C8102E", star(3, turn=180)), slipped_on_deck=("#FF6367", chevron(180))),
-    **family_looks(
+INVALID_CAUSES = "sunk", "not_finite", "solver", "unsettled", "energy"
+OUTCOME_STYLES = {
+    **family_styles("success", success=("#56B4E9", star(24))),
+    **family_styles("foot", slipped=("#C8102E", star(3, turn=180)), slipped_on_deck=("#FF6367", chevron(180))),
+    **family_styles(
         "body",
         fell=("#D55E00", star(4, turn=45)),
         fell_off=("#F28C28", bar(0.5, turn=90)),
@@ -96,21 +96,21 @@ LOOKS = {
         folded=("#B97A3C", chevron(90)),
         shin_under_face=("#FFC79C", dome(180)),
     ),
-    **family_looks(
+    **family_styles(
         "plan",
         unreachable=("#8F8600", star(4)),
         no_plan=("#D6C600", star(4, 0.4, turn=45)),
         infeasible=("#5F5A00", star(4) * (0.6, 1)),
         uncalibrated=("#BDB76B", dome(90)),
     ),
-    **family_looks(
+    **family_styles(
         "drive",
         overload=("#5E5E5E", star(6, 0.5)),
         overturned_leg=("#A39A8C", star(5, turn=180)),
         overspeed=("#756C5E", chevron(-90)),
         overpower=("#8A7F72", dome()),
     ),
-    **family_looks(
+    **family_styles(
         "goal",
         stalled=("#90115E", bar(0.35)),
         goal_missed=("#480037", star(3)),
@@ -123,43 +123,47 @@ LOOKS = {
         restless=("#7A3350", hourglass(90)),
         obstacle_turned=("#905F2E", star(4, 0.45)),
     ),
-    **family_looks("doubt", **{doubt: ("#8A8C92", star(k, 0.3)) for k, doubt in enumerate(DOUBTS, 6)}),
+    **family_styles("doubt", **{doubt: ("#8A8C92", star(k, 0.3)) for k, doubt in enumerate(INVALID_CAUSES, 6)}),
 }
-PAIRS = family_looks(  # of the same point in two studies
+PAIR_STYLES = family_styles(  # of the same point in two studies
     "pair",
     both_fail=("#5E5E5E", star(4, turn=45)),
     only_A_succeeds=("#C8102E", star(3, turn=180)),
     only_B_succeeds=("#FFB000", star(3)),
     invalid_in_one=("#8A8C92", star(6, 0.3)),
 )
-OTHER = family_looks("", other=("#7F7F7F", dome(-90)))["other"]  # of a kind that is not known
-FAILURE, INVALID, INK = LOOKS["fell"].colour, "#FFFFFF", "#1C2024"  # of all failures together; cells of doubts; glyphs
-DOUBTFUL = "#8A8C92"
-GOOD = LOOKS[SUCCESS].colour
+UNKNOWN_KIND_STYLE = family_styles("", other=("#7F7F7F", dome(-90)))["other"]  # of a kind that is not known
+FAILURE_COLOUR, INVALID_CELL_COLOUR, DARK_INK = (
+    OUTCOME_STYLES["fell"].colour,
+    "#FFFFFF",
+    "#1C2024",
+)  # of all failures together; cells of doubts; glyphs
+INVALID_MARK_COLOUR = "#8A8C92"
+SUCCESS_COLOUR = OUTCOME_STYLES[SUCCESS].colour
 
 
-def find_look(kind: str) -> Look:
+def find_style(kind: str) -> OutcomeStyle:
     """Style of success, of a cause or of a pair's outcome; a user's cause gets one from its name."""
-    spare = [one for one in LOOKS.values() if one.family not in ("success", "doubt")]
-    known = LOOKS.get(kind) or PAIRS.get(kind)
-    return known or (spare[crc32(kind.encode()) % len(spare)] if kind else OTHER)
+    spare = [one for one in OUTCOME_STYLES.values() if one.family not in ("success", "doubt")]
+    known = OUTCOME_STYLES.get(kind) or PAIR_STYLES.get(kind)
+    return known or (spare[crc32(kind.encode()) % len(spare)] if kind else UNKNOWN_KIND_STYLE)
 
 
 def marker_path(kind: str) -> Path:
     """The shape of a kind as a matplotlib marker."""
-    shape = find_look(kind).shape
+    shape = find_style(kind).shape
     return Path(np.concatenate([shape, shape[:1]]), closed=True)
 
 
 def glyph_ink(colour: str) -> str:
     """Colour of a glyph on a cell: dark on light colours, light on dark ones."""
     red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
-    return INVALID if 0.299 * red + 0.587 * green + 0.114 * blue < 110 else INK
+    return INVALID_CELL_COLOUR if 0.299 * red + 0.587 * green + 0.114 * blue < 110 else DARK_INK
 
 
 def legend_handle(kind: str, label: str, **style: object) -> Line2D:
     """The legend entry for marks of a kind."""
-    return Line2D([], [], linestyle="", marker=marker_path(kind), color=find_look(kind).colour, label=label, **style)  # pyright: ignore[reportArgumentType]
+    return Line2D([], [], linestyle="", marker=marker_path(kind), color=find_style(kind).colour, label=label, **style)  # pyright: ignore[reportArgumentType]
 
 
 def kinds_by_frequency(kinds: pd.Series) -> list[str]:

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from sweep.analysis.stats import format_percent, rate
+from sweep.analysis.stats import format_percent, success_rate
 from sweep.config.experiment import flatten_values
 from sweep.core.errors import InputError
-from sweep.core.files import path_in, printable_name
+from sweep.core.files import path_inside_folder, printable_name
 from sweep.report.headline import probability_of_failure
 from sweep.runs import store
 from sweep.runs.results import load_experiment
@@ -23,10 +23,10 @@ def overview_text(folders: list[Path]) -> str:
 
 def find_study_folders(folder: Path) -> list[Path]:
     """The folder itself if it holds a study, else the study folders directly in it. Raises `InputError` without any."""
-    places = [folder / store.STUDY, *sorted(folder.glob(f"*/{store.STUDY}"))]
+    places = [folder / store.STUDY_FILE, *sorted(folder.glob(f"*/{store.STUDY_FILE}"))]
     if found := [file.parent for file in places if file.exists()]:
         return found[:1] if found[0] == folder else found
-    raise InputError(f"{folder} holds no study: a folder with {store.STUDY} is one")
+    raise InputError(f"{folder} holds no study: a folder with {store.STUDY_FILE} is one")
 
 
 def describe_folder(folder: Path) -> dict[str, str]:
@@ -38,10 +38,11 @@ def describe_folder(folder: Path) -> dict[str, str]:
         outcome = read_outcomes(folder)
     except InputError as error:
         return {"folder": name, **empty, "study": printable_name(str(error).split(":")[0].removeprefix(f"{folder}/"))}
-    found, config = rate(outcome), flatten_values(stored["config"])
+    found, config = success_rate(outcome), flatten_values(stored["config"])
     succeed = format_percent(found.share) if found.valid_count else ""
     if is_adaptive_kind(config.get("study.design.kind")) and config.get("study.design.num"):
         succeed = probability_of_failure(store.read_rows(folder), load_experiment(folder)) if found.total else ""
+    changed_s = path_inside_folder(folder, store.STUDY_FILE).stat().st_mtime
     return {
         "folder": name,
         "study": str(config.get("study.name") or config.get("scenario.name", "")),
@@ -49,7 +50,7 @@ def describe_folder(folder: Path) -> dict[str, str]:
         "succeed": succeed,
         "invalid": format_percent(found.invalid_share),
         "commit": stored["commit"] or stored["code"],
-        "date": f"{datetime.fromtimestamp(path_in(folder, store.STUDY).stat().st_mtime):%Y-%m-%d %H:%M}",
+        "date": f"{datetime.fromtimestamp(changed_s):%Y-%m-%d %H:%M}",
     }
 
 

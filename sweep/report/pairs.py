@@ -11,24 +11,24 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from sweep.analysis import compare
-from sweep.analysis.compare import SECOND
+from sweep.analysis.compare import SECOND_RUN_MARK
 from sweep.analysis.stats import bin_values
 from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
-from sweep.core.plot_style import PAGE, new_figure, wrap_text
+from sweep.core.plot_style import PAGE_WIDTH_IN, new_figure, wrap_text
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.report import maps, replays
-from sweep.report.cells import Cells, mark_values
+from sweep.report.cells import MapCells, mark_values
 from sweep.report.comparison import default_regions, name_pair_columns
 from sweep.report.figure import StudyFigure
 from sweep.report.labels import axis_title, axis_words
 from sweep.report.page.replay_data import ShownReplay
 from sweep.runs.results import Results
 
-BOTH_FAIL, ONLY_A, ONLY_B, DOUBTED = "both_fail", "only_A_succeeds", "only_B_succeeds", "invalid_in_one"
-BINS = 20  # along an axis of more values than this
-LISTED = 25  # pairs that differ, in the table
-RATE = {"cmap": "cividis", "vmin": 0, "vmax": 1}
-CHANGE = {"cmap": "RdBu", "vmin": -1, "vmax": 1}  # blue as success is where B gains
+BOTH_FAIL, ONLY_A, ONLY_B, INVALID_IN_ONE = "both_fail", "only_A_succeeds", "only_B_succeeds", "invalid_in_one"
+BINS_PER_AXIS = 20  # along an axis of more values than this
+MAX_LISTED_PAIRS = 25  # pairs that differ, in the table
+RATE_COLOURS = {"cmap": "cividis", "vmin": 0, "vmax": 1}
+CHANGE_COLOURS = {"cmap": "RdBu", "vmin": -1, "vmax": 1}  # blue as success is where B gains
 
 
 def join_pairs(a: Results, b: Results) -> tuple[Results, pd.DataFrame]:
@@ -45,9 +45,9 @@ def join_pairs(a: Results, b: Results) -> tuple[Results, pd.DataFrame]:
         InputError: the studies share no points.
     """
     pairs = compare.pair_rows(a.rows, b.rows)
-    one, other = pairs["outcome"], pairs[f"outcome{SECOND}"]
+    one, other = pairs["outcome"], pairs[f"outcome{SECOND_RUN_MARK}"]
     choices = [(one == INVALID) | (other == INVALID), (one == SUCCESS) & (other == SUCCESS), one == SUCCESS]
-    cause = np.select([*choices, other == SUCCESS], [DOUBTED, "", ONLY_A, ONLY_B], BOTH_FAIL)
+    cause = np.select([*choices, other == SUCCESS], [INVALID_IN_ONE, "", ONLY_A, ONLY_B], BOTH_FAIL)
     rows = pairs[list(a.rows.columns)].assign(cause=cause, outcome=np.where(cause == "", SUCCESS, FAILURE))
     return replace(a, rows=rows), pairs
 
@@ -81,7 +81,7 @@ def pairs_tables(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Iterato
         test = "" if unit is None else " (McNemar's p, and corrected for so many)"
         yield f"Flips by region of {words}{test}", compare.flips_by_region(pairs, axes, unit)
     yield "What became what", compare.cause_changes(pairs)
-    yield "Pairs that differ", compare.changed_pairs(pairs).head(LISTED)
+    yield "Pairs that differ", compare.changed_pairs(pairs).head(MAX_LISTED_PAIRS)
 
 
 def replay_flipped_pairs(a: Results, b: Results, number: int, progress: Callable[[int, int], None]) -> None:
@@ -96,7 +96,7 @@ def replay_flipped_pairs(a: Results, b: Results, number: int, progress: Callable
     found, pairs = join_pairs(a, b)
     flipped = np.flatnonzero(found.rows["cause"].isin([ONLY_A, ONLY_B]))
     some = flipped[evenly_spaced_indices(len(flipped), number)]
-    for side, names in ((a, replay_names(pairs, "")), (b, replay_names(pairs, SECOND))):
+    for side, names in ((a, replay_names(pairs, "")), (b, replay_names(pairs, SECOND_RUN_MARK))):
         rows = side.rows[replay_names(side.rows, "").isin(names.iloc[some])]
         replays.make_replays(side, rows.assign(why="one succeeds, the other fails"), progress)
 
@@ -110,10 +110,10 @@ def read_pair_replays(a: Results, b: Results) -> Iterator[ShownReplay]:
     """
     found, pairs = join_pairs(a, b)
     of_b = {name: kept for place, kept in replays.read_replays(b) for name in replay_names(b.rows.iloc[[place]], "")}
-    names = replay_names(pairs, SECOND)
+    names = replay_names(pairs, SECOND_RUN_MARK)
     for place, kept in replays.read_replays(replace(a, rows=found.rows)):
         row, pair = found.rows.iloc[place], pairs.iloc[place]
-        for side, mark, replay in (("A", "", kept), ("B", SECOND, of_b.get(names.iloc[place]))):
+        for side, mark, replay in (("A", "", kept), ("B", SECOND_RUN_MARK, of_b.get(names.iloc[place]))):
             if replay:
                 came = (pair[f"cause{mark}"] or SUCCESS).replace("_", " ")
                 yield ShownReplay(-1 if mark else place, row, replay, f"{side} {came}, {row['point_id'][:6]}")
@@ -135,8 +135,8 @@ def difference_figure(difference: Results, pairs: pd.DataFrame) -> Iterator[Stud
     axes = default_regions(pairs)
     if len(axes) == 2:
         x, y = axes
-        valid = (pairs["outcome"] != INVALID) & (pairs[f"outcome{SECOND}"] != INVALID)
-        data = pairs.loc[valid, [x, y, "outcome", f"outcome{SECOND}"]].reset_index(drop=True)
+        valid = (pairs["outcome"] != INVALID) & (pairs[f"outcome{SECOND_RUN_MARK}"] != INVALID)
+        data = pairs.loc[valid, [x, y, "outcome", f"outcome{SECOND_RUN_MARK}"]].reset_index(drop=True)
         title = f"{axis_words(y, difference.exp)} by {axis_words(x, difference.exp)}"
         caption = "Rate of success of A, of B, and B's less A's, of the pairs that are valid in both."
         yield StudyFigure("difference", title, caption, data, lambda: draw_difference(difference, data, x, y))
@@ -144,20 +144,23 @@ def difference_figure(difference: Results, pairs: pd.DataFrame) -> Iterator[Stud
 
 def draw_difference(difference: Results, data: pd.DataFrame, x: str, y: str) -> Figure:
     """Draw maps of A, of B and of the difference over the same cells."""
-    places = {"x": bin_values(data[x], BINS), "y": bin_values(data[y], BINS)}
-    won, won_b = (data[f"outcome{mark}"] == SUCCESS for mark in ("", SECOND))
+    places = {"x": bin_values(data[x], BINS_PER_AXIS), "y": bin_values(data[y], BINS_PER_AXIS)}
+    won, won_b = (data[f"outcome{mark}"] == SUCCESS for mark in ("", SECOND_RUN_MARK))
     own = data.assign(**places, a=won.astype(float), b=won_b.astype(float), change=won_b.astype(float) - won)
-    cells = Cells(np.sort(own["x"].unique()), np.sort(own["y"].unique()))
+    cells = MapCells(np.sort(own["x"].unique()), np.sort(own["y"].unique()))
     figure = new_figure(2.4)
     spots = figure.subplots(1, 3, sharex=True, sharey=True)
-    looks = {"a": ("A", RATE), "b": ("B", RATE), "change": ("B less A", CHANGE)}
+    looks = {"a": ("A", RATE_COLOURS), "b": ("B", RATE_COLOURS), "change": ("B less A", CHANGE_COLOURS)}
     for ax, (column, (title, look)) in zip(spots, looks.items(), strict=True):
         maps.draw_cells(ax, maps.cell_means(own, cells, column), cells, **look)
         mark_values(ax, cells)
         ax.set_title(title)
-        ax.set_xlabel(wrap_text(axis_title(x, difference.exp), 72 * PAGE / 4))
+        ax.set_xlabel(wrap_text(axis_title(x, difference.exp), 72 * PAGE_WIDTH_IN / 4))
     spots[0].set_ylabel(axis_title(y, difference.exp))
-    for ax, look, label in ((spots[1], RATE, "rate of success"), (spots[2], CHANGE, "difference of rates")):
+    for ax, look, label in (
+        (spots[1], RATE_COLOURS, "rate of success"),
+        (spots[2], CHANGE_COLOURS, "difference of rates"),
+    ):
         scale = ScalarMappable(Normalize(look["vmin"], look["vmax"]), look["cmap"])
         figure.colorbar(scale, ax=ax, label=label, shrink=0.8)
     return figure

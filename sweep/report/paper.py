@@ -14,10 +14,10 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import rare
-from sweep.analysis.sample import is_sample, pooled_rate
+from sweep.analysis.sample import is_random_sample, pooled_rate
 from sweep.analysis.sampling_units import interval_method
 from sweep.core.errors import InputError
-from sweep.core.expressions import mask
+from sweep.core.expressions import condition_mask
 from sweep.core.files import write_atomically
 from sweep.core.plot_style import plot_style
 from sweep.report import cells, statistics, tables
@@ -28,9 +28,9 @@ from sweep.runs.results import Results
 from sweep.study.columns import metric_columns
 from sweep.study.design_kinds.base import FailureEstimate
 
-LINES = 40  # of a table; longer ones are data only
-CSV_ROWS = 5_000  # more rows than this are kept as parquet
-NAMED_ROWS = 3  # a number that comes from so few rows names them
+MAX_TABLE_LINES = 40  # of a table; longer ones are data only
+MAX_CSV_ROWS = 5_000  # more rows than this are kept as parquet
+MAX_NAMED_ROWS = 3  # a number that comes from so few rows names them
 # what LaTeX knows in UTF-8: Latin letters, what T2A has of Cyrillic ones, and some signs
 LATIN, CYRILLIC, PUNCTUATION = 0x17F, "".join(map(chr, range(0x400, 0x460))), "–—‘’“”…€"
 # what LuaLaTeX and XeLaTeX take letters from that are not in their own fonts, the first that is there: a whole paper,
@@ -38,11 +38,11 @@ LATIN, CYRILLIC, PUNCTUATION = 0x17F, "".join(map(chr, range(0x400, 0x460))), "�
 ALPHABETS = ("LATIN", "GREEK", "CYRILLIC")
 ALPHABET_FONTS = ("CMU Serif", "FreeSerif", "DejaVu Serif")
 OTHER_FONTS = ("Noto Serif CJK SC", "Source Han Serif SC", "FandolSong", "WenQuanYi Zen Hei", "WenQuanYi Micro Hei")
-DIGITS = ("Zero", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
+DIGIT_WORDS = ("Zero", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
 
 @dataclass(frozen=True)
-class Number:
+class QuotableNumber:
     """A number that a paper may quote, and the rows that it comes from."""
 
     name: str  # of its macro
@@ -84,7 +84,7 @@ def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
     for name, caption, table in summed:
         paths.append(out / "data" / f"{name}.csv")
         write_atomically(paths[-1], table.to_csv(index=False).encode())
-        if len(table) <= LINES:
+        if len(table) <= MAX_TABLE_LINES:
             texts[f"tables/{name}.tex"], captions[name] = tables.latex_table(table, results.exp), caption
     found = rare.estimate_failure_probability(results.rows, results.exp) if results.exp.study.is_adaptive else None
     numbers = list(quotable_numbers(results, found))
@@ -111,9 +111,9 @@ def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
         figures=shown,
         escape=escape_latex,
         tables=captions,
-        sample=is_sample(results.rows, results.exp),
+        sample=is_random_sample(results.rows, results.exp),
         method=escape_latex(interval_method(results.exp.study)),
-        beside=caveat(results, found),
+        beside=sampling_caveat(results, found),
         adaptive=found is not None,
     )
     for name, text in texts.items():
@@ -137,7 +137,7 @@ def _refuse_foreign_files(out: Path, expected: Mapping[str, Collection[str]]) ->
 
 def _rows(results: Results, out: Path) -> Path:
     """All rows, from which the numbers can be recomputed."""
-    if len(results.rows) > CSV_ROWS:
+    if len(results.rows) > MAX_CSV_ROWS:
         path = out / "data" / "rows.parquet"
         write_atomically(path, partial(results.rows.to_parquet, index=False, compression="zstd"))
     else:
@@ -153,13 +153,13 @@ def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         columns = ["words", "side", "values", "number", "unit", "nominal"]
         yield "parameters", "What was varied.", pd.DataFrame(varied)[columns].rename(columns={"words": "varied"})
     parts = [("all", rows)]
-    for column in results.categorical:
+    for column in results.categorical_columns:
         parts += [(f"{heading(column, results.exp)} {value}", part) for value, part in rows.groupby(column)]
     lines = []
     for name, part in parts:
         one = pooled_rate(part, results.exp)
         shares = ("" if np.isnan(v) else f"{100 * v:.1f}" for v in (one.share, one.low, one.high))
-        lines.append((name, one.total, one.invalid, one.success, *shares))
+        lines.append((name, one.total, one.invalid, one.successes, *shares))
     method = interval_method(results.exp.study)
     success = pd.DataFrame(lines, columns=["rollouts", "number", "invalid", "succeed", "%", "from", "to"])
     if results.exp.study.is_adaptive:
@@ -172,9 +172,10 @@ def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
             f"How often rollouts succeed, with 95\\,\\% intervals where points were sampled ({method}).",
             success,
         )
-    if results.causes_seen:
+    if results.occurring_causes:
         counts = [
-            (c.replace("_", " "), words, int((rows["cause"] == c).sum())) for c, words in results.causes_seen.items()
+            (c.replace("_", " "), words, int((rows["cause"] == c).sum()))
+            for c, words in results.occurring_causes.items()
         ]
         table = pd.DataFrame(counts, columns=["cause", "what it means", "rollouts"])
         yield "not-successful", "Rollouts that did not succeed.", table
@@ -189,7 +190,7 @@ def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
             yield f"statistics-{number}", escape_latex(title) + ".", content
 
 
-def quotable_numbers(results: Results, failure: FailureEstimate | None) -> Iterator[Number]:
+def quotable_numbers(results: Results, failure: FailureEstimate | None) -> Iterator[QuotableNumber]:
     """Yield every number of the text, and those that a paper about the study is likely to quote.
 
     Args:
@@ -201,10 +202,10 @@ def quotable_numbers(results: Results, failure: FailureEstimate | None) -> Itera
     for name, count, where in (
         ("Rollouts", one.total, None),
         ("Valid", one.valid_count, valid),
-        ("Success", one.success, 'outcome == "success"'),
+        ("Success", one.successes, 'outcome == "success"'),
         ("Invalid", one.invalid, 'outcome == "invalid"'),
     ):
-        yield Number(start + name, count, str(count), "number of rows", where)
+        yield QuotableNumber(start + name, count, str(count), "number of rows", where)
     share = 'share of outcome == "success"'
     if failure is None:
         yield _percent(start + "Rate", one.share, share, valid)
@@ -217,25 +218,27 @@ def quotable_numbers(results: Results, failure: FailureEstimate | None) -> Itera
         for name, value in zip(("", "Low", "High"), (failure.probability, *failure.interval), strict=True):
             what = f"probability of failure{f', its {name.lower()} 95 % end' if name else ''}, sampling corrected"
             shown = "--" if np.isnan(value) else cells.format_number(value, 2)
-            yield Number(f"{start}Failing{name}", value, shown, what, None)
-    for cause in results.causes_seen:
+            yield QuotableNumber(f"{start}Failing{name}", value, shown, what, None)
+    for cause in results.occurring_causes:
         where = f'cause == "{cause}"'
         count = int((rows["cause"] == cause).sum())
-        yield Number(start + macro_name("cause_" + cause), count, str(count), "number of rows", where)
-    for axis in results.numeric:
+        yield QuotableNumber(start + macro_name("cause_" + cause), count, str(count), "number of rows", where)
+    for axis in results.numeric_columns:
         name = start + macro_name(axis.removesuffix(".name"))
         for word, value in (("Min", rows[axis].min()), ("Max", rows[axis].max())):
-            yield Number(name + word, float(value), f"{value:.4g}", f"{word.lower()} of {axis}", None)
+            yield QuotableNumber(name + word, float(value), f"{value:.4g}", f"{word.lower()} of {axis}", None)
     won = rows[rows["outcome"] == "success"]
     for figure in metric_columns(rows):
         if figure in results.exp.system.bookkeeping_metrics or won.empty or won[figure].dtype.kind != "f":
             continue
         for word, value in (("Median", won[figure].median()), ("Min", won[figure].min()), ("Max", won[figure].max())):
             what = f"{word.lower()} of {figure}"
-            yield Number(start + macro_name(figure) + word, float(value), f"{value:.4g}", what, 'outcome == "success"')
+            yield QuotableNumber(
+                start + macro_name(figure) + word, float(value), f"{value:.4g}", what, 'outcome == "success"'
+            )
 
 
-def caveat(results: Results, failure: FailureEstimate | None) -> str:
+def sampling_caveat(results: Results, failure: FailureEstimate | None) -> str:
     """Sentence that has to accompany the numbers if earlier rows decided which points were run."""
     if results.exp.study.is_refined:
         return "Most rollouts were placed next to the boundary, so this is not the share of the region."
@@ -246,17 +249,17 @@ def caveat(results: Results, failure: FailureEstimate | None) -> str:
     return text + ("." if failure.is_reliable else ", which is not reliable: \\texttt{sweep stats} says why.")
 
 
-def _percent(name: str, share: float, meaning: str, where: str | None) -> Number:
-    return Number(name, share, "--" if np.isnan(share) else rf"{100 * share:.1f}\,\%", meaning, where)
+def _percent(name: str, share: float, meaning: str, where: str | None) -> QuotableNumber:
+    return QuotableNumber(name, share, "--" if np.isnan(share) else rf"{100 * share:.1f}\,\%", meaning, where)
 
 
-def macro_definition(results: Results, number: Number, file: str) -> str:
+def macro_definition(results: Results, number: QuotableNumber, file: str) -> str:
     """LaTeX definition of a number's macro, after a comment that names its rows and how to list them."""
-    chosen = results.rows[mask(results.rows, number.where)]
+    chosen = results.rows[condition_mask(results.rows, number.where)]
     if extreme := re.fullmatch(r"(min|max) of (\S+)", number.what):
         values = chosen[extreme[2]]
         chosen = chosen[(values == number.value).to_numpy()]
-    few = f": {', '.join(chosen['point_id'])}" if 0 < len(chosen) <= NAMED_ROWS else ""
+    few = f": {', '.join(chosen['point_id'])}" if 0 < len(chosen) <= MAX_NAMED_ROWS else ""
     where = " and ".join(f"({c})" if results.where and number.where else c for c in (results.where, number.where) if c)
     command = f"sweep table {results.folder} --format csv" + (f" --where '{where}'" if where else "")
     definition = f"\\newcommand{{\\{number.name}}}{{{number.text}}}"
@@ -273,7 +276,7 @@ def macro_prefix(results: Results) -> str:
 def macro_name(text: str) -> str:
     """Name of a macro: `slip_max_m` -> `SlipMaxM`. Macro names have letters only, so digits are spelt."""
     words = [w[0].upper() + w[1:] for w in re.split(r"[^0-9A-Za-z]+", text) if w]
-    return re.sub(r"\d", lambda digit: DIGITS[int(digit[0])], "".join(words))
+    return re.sub(r"\d", lambda digit: DIGIT_WORDS[int(digit[0])], "".join(words))
 
 
 def escape_latex(text: str) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sweep.analysis.sample import choose_indices
+from sweep.analysis.sample import sample_indices
 from sweep.report.figures import metrics_with_threshold_first
 from sweep.report.labels import column_unit, heading
 from sweep.report.representative import find_representatives
@@ -19,8 +19,8 @@ from sweep.report.tables import format_value
 from sweep.runs import audit
 from sweep.runs.results import Results
 
-SHORTEST = 0.2  # s, of a rollout that there is something to see of
-MANY = 20_000  # rows that are searched for distant ones
+MIN_DURATION_S = 0.2  # s, of a rollout that there is something to see of
+MAX_SEARCHED_ROWS = 20_000  # rows that are searched for distant ones
 
 
 def choose_replays(results: Results, number: int) -> pd.DataFrame:
@@ -40,7 +40,9 @@ def choose_replays(results: Results, number: int) -> pd.DataFrame:
     ]
     turns = zip_longest(boundary_rows(results), extreme_rows(results), spread_rows(results))
     every = chain(alike, *([one for one in turn if one] for turn in turns))
-    long = rows["duration_s"].to_numpy(dtype=float) >= SHORTEST if "duration_s" in rows else np.ones(len(rows), bool)
+    long = (
+        rows["duration_s"].to_numpy(dtype=float) >= MIN_DURATION_S if "duration_s" in rows else np.ones(len(rows), bool)
+    )
     found: dict[Any, str] = {}  # by place
     for index, why in every:
         if len(found) == number:
@@ -74,14 +76,14 @@ def extreme_rows(results: Results) -> Iterator[tuple[int, str]]:
 
 def spread_rows(results: Results) -> Iterator[tuple[int, str]]:
     """Choose rows, each as far as possible from those before it."""
-    every = choose_indices(len(results.rows), MANY)
+    every = sample_indices(len(results.rows), MAX_SEARCHED_ROWS)
     yield from ((int(every[k]), "far from all others") for k in order_by_distance(parameter_places(results)[every]))
 
 
 def parameter_places(results: Results) -> np.ndarray:
     """Parameters of each row (N, K), in units of their range; two different names are 1 apart."""
-    columns = [pd.factorize(results.rows[c])[0].astype(float) for c in results.categorical]
-    columns += [results.rows[c].to_numpy(dtype=float) for c in results.numeric]
+    columns = [pd.factorize(results.rows[c])[0].astype(float) for c in results.categorical_columns]
+    columns += [results.rows[c].to_numpy(dtype=float) for c in results.numeric_columns]
     values = np.column_stack(columns) if columns else np.zeros((len(results.rows), 1))
     size = values.max(axis=0, initial=0) - values.min(axis=0, initial=0)
     return values / np.where(size > 0, size, 1.0)

@@ -12,20 +12,20 @@ import pandas as pd
 
 from sweep.backends import devices
 from sweep.config.experiment import Experiment
-from sweep.contract.engine import NoTrace, Trace, same_bits
+from sweep.contract.engine import MissingTrace, Trace, same_bits
 from sweep.contract.system import judge_rollout
 from sweep.contract.trace_frames import base_pose, finite_frames
 from sweep.core.errors import InputError
-from sweep.core.files import path_in, read_limited, write_atomically
+from sweep.core.files import path_inside_folder, read_bytes_limited, write_atomically
 from sweep.replay.motion import MAX_RATE, describe_bodies, encode_motion
 from sweep.runs import batches, store
 from sweep.runs.results import Results
 
-REPLAYS = "replays"  # folder beside the study's parts
-NUMBER = int | float
-MEMBERS = {"states": str, "frames": int, "step": NUMBER, "scales": list, "force_scale": NUMBER, "stages": list,
-           "bodies": dict, "equal": int, "of": int, "why": str}  # of a replay file  # fmt: skip
-STATES, MOST_FRAMES = re.compile("[A-Za-z0-9+/]*=*"), 1_000_000  # base64
+REPLAYS_FOLDER = "replays"  # folder beside the study's parts
+NUMBER_TYPES = int | float
+REPLAY_KEYS = {"states": str, "frames": int, "step": NUMBER_TYPES, "scales": list, "force_scale": NUMBER_TYPES,
+               "stages": list, "bodies": dict, "equal": int, "of": int, "why": str}  # of a replay file  # fmt: skip
+STATES_PATTERN, MAX_FRAMES = re.compile("[A-Za-z0-9+/]*=*"), 1_000_000  # base64
 
 
 def make_replays(
@@ -72,9 +72,9 @@ def simulate_again(
     Yields:
         Row, recorded rollout, and the labels that it gets here.
     """
-    devices.configure()  # the CPU counts as several devices from then on
+    devices.configure_jax()  # the CPU counts as several devices from then on
     exp = batches.with_delay_buffer(exp, planned)
-    for _, part in pack_batches(rows, devices.default_width()).groupby(["group", "batch", "width"]):
+    for _, part in pack_batches(rows, devices.default_batch_width()).groupby(["group", "batch", "width"]):
         order = np.zeros(int(part["width"].iloc[0]), dtype=int)
         order[part["slot"]] = np.arange(len(part))
         full = part.iloc[order]
@@ -84,7 +84,7 @@ def simulate_again(
         traces = engine.traces(task.world, task.belief, task.streams, every)
         for _, row in part.iterrows():
             trace = traces[row["slot"]]
-            if isinstance(trace, NoTrace):
+            if isinstance(trace, MissingTrace):
                 print(f"sweep: no replay of {row['point_id']}: {trace.reason}", file=sys.stderr)
                 continue
             yield row, trace, judge_rollout(exp.system, trace.metrics, exp.thresholds, engine.stages)
@@ -145,8 +145,10 @@ def read_replay(folder: Path, row: pd.Series) -> dict[str, Any] | None:
 
 def read_replays(results: Results) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield the index of each row that has a replay, and the replay."""
-    folder = path_in(results.folder, REPLAYS)
-    there = {file.stem: path_in(folder, file.name) for file in folder.glob("*.json")} if folder.is_dir() else {}
+    folder = path_inside_folder(results.folder, REPLAYS_FOLDER)
+    there = (
+        {file.stem: path_inside_folder(folder, file.name) for file in folder.glob("*.json")} if folder.is_dir() else {}
+    )
     if not there:
         return
     names = results.rows["run_id"].astype(str) + "-" + results.rows["point_id"].astype(str)
@@ -161,9 +163,9 @@ def load_replay(file: Path) -> dict[str, Any]:
         InputError: It is no replay.
     """
     try:
-        replay = json.loads(read_limited(file))
-        whole = all(isinstance(replay[name], kind) for name, kind in MEMBERS.items())
-        if not whole or not STATES.fullmatch(replay["states"]) or not 1 <= replay["frames"] <= MOST_FRAMES:
+        replay = json.loads(read_bytes_limited(file))
+        whole = all(isinstance(replay[name], kind) for name, kind in REPLAY_KEYS.items())
+        if not whole or not STATES_PATTERN.fullmatch(replay["states"]) or not 1 <= replay["frames"] <= MAX_FRAMES:
             raise ValueError
     except (ValueError, KeyError, TypeError, RecursionError):
         raise InputError(f"{file} is no replay: remove it, and `sweep report --replays` makes it again") from None
@@ -177,4 +179,4 @@ def replay_path(folder: Path, row: pd.Series) -> Path:
         folder: folder of the study.
         row: row of the study.
     """
-    return path_in(folder, f"{REPLAYS}/{row['run_id']}-{row['point_id']}.json")
+    return path_inside_folder(folder, f"{REPLAYS_FOLDER}/{row['run_id']}-{row['point_id']}.json")

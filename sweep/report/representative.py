@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sweep.core.files import path_in
+from sweep.core.files import path_inside_folder
 from sweep.core.outcomes import SUCCESS
 from sweep.report import replays
 from sweep.report.labels import kind_meaning, outcome_kind
 from sweep.runs.results import Results
 from sweep.study.columns import metric_columns
 
-SAMPLE = 1000  # rollouts of a kind that are looked at
-PICTURES = "pictures"  # folder beside the study's parts
-FRAMES, AFTER = 4, 1.0  # of a picture: how many, and how long after the cause (s)
+MAX_ROLLOUTS = 1000  # rollouts of a kind that are looked at
+PICTURES_FOLDER = "pictures"  # folder beside the study's parts
+FRAMES_PER_PICTURE, TIME_AFTER_CAUSE_S = 4, 1.0  # of a picture: how many, and how long after the cause (s)
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,12 @@ def find_representatives(results: Results) -> Iterator[Representative]:
     columns = [
         c for c in metric_columns(rows) if c not in results.exp.system.bookkeeping_metrics and rows[c].dtype.kind == "f"
     ]
-    for kind in [*results.causes_seen, SUCCESS]:
+    for kind in [*results.occurring_causes, SUCCESS]:
         own = pd.Series(np.flatnonzero(kinds == kind))
         if len(own):
-            sample = rows.iloc[np.sort(own.sample(min(len(own), SAMPLE), random_state=0))]
+            sample = rows.iloc[np.sort(own.sample(min(len(own), MAX_ROLLOUTS), random_state=0))]
             row = sample.iloc[medoid(standardize(sample[columns].to_numpy(dtype=float)))]
-            picture = path_in(results.folder, f"{PICTURES}/{row['run_id']}-{row['point_id']}.png")
+            picture = path_inside_folder(results.folder, f"{PICTURES_FOLDER}/{row['run_id']}-{row['point_id']}.png")
             yield Representative(kind, len(own), row, kind_meaning(kind, results.exp), picture)
 
 
@@ -88,9 +88,9 @@ def draw_pictures(results: Results) -> list[Path]:
         if (labels["outcome"], labels["cause"]) != (row["outcome"], row["cause"]):
             print(f"sweep: no picture of {row['point_id']}: here it has another outcome", file=sys.stderr)
             continue
-        end = np.fmin(row["t_cause_s"] + AFTER, trace.time[-1])
+        end = np.fmin(row["t_cause_s"] + TIME_AFTER_CAUSE_S, trace.time[-1])
         one.picture.parent.mkdir(exist_ok=True)
-        shown = frames_at_times(trace, np.linspace(trace.time[0], end, FRAMES))
+        shown = frames_at_times(trace, np.linspace(trace.time[0], end, FRAMES_PER_PICTURE))
         write_strip(one.picture, trace, shown, one.kind.replace("_", " "))
         drawn.append(one.picture)
     return drawn

@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 
 from sweep.analysis import sensitivity
 from sweep.analysis.intervals import confidence_sequence, wilson
-from sweep.analysis.sample import is_sample
+from sweep.analysis.sample import is_random_sample
 from sweep.analysis.sampling_units import draw_ids
-from sweep.analysis.stats import bin_values, rates
+from sweep.analysis.stats import bin_values, success_rates
 from sweep.core.distinct_values import count_distinct, has_several_values
-from sweep.core.plot_style import COLUMN, PAGE, new_figure, wrap_text
+from sweep.core.plot_style import COLUMN_WIDTH_IN, PAGE_WIDTH_IN, new_figure, wrap_text
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.report import analytic_curves
 from sweep.report.cells import mark_values, place_cells
@@ -34,10 +34,10 @@ from sweep.report.maps import (
 from sweep.runs import refine
 from sweep.runs.results import Results
 
-MAPS = 6  # pairs of parameters, at most
-PANELS = 4  # sections along a third parameter
-BINNED = 320  # fewer draws than this leave bins empty
-GRID = 400  # more values than this along an axis are no grid that a picture could show
+MAX_MAPS = 6  # pairs of parameters, at most
+MAX_PANELS = 4  # sections along a third parameter
+MIN_BINNED_DRAWS = 320  # fewer draws than this leave bins empty
+MAX_GRID_VALUES = 400  # more values than this along an axis are no grid that a picture could show
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Section:
 
     x: str
     y: str
-    beside: str | None  # parameter that the panels go through
+    panel_parameter: str | None  # parameter that the panels go through
     rows: pd.DataFrame
     note: str
     refined: bool = False  # whether rows without `known` are as their cell's corners
@@ -60,16 +60,20 @@ def list_sections(results: Results) -> Iterator[Section]:
     listed, maps are over those.
     """
     conditions = [axis.column for axis in sensitivity.listed_axes(results.rows, results.exp)]
-    few = len(results.rows) < BINNED and len(conditions) < 2 and not results.exp.study.points
-    if results.one_at_a_time or few or results.exp.study.is_adaptive:  # whose rows are no sample that has a rate
+    few = len(results.rows) < MIN_BINNED_DRAWS and len(conditions) < 2 and not results.exp.study.points
+    if results.is_one_at_a_time or few or results.exp.study.is_adaptive:  # whose rows are no sample that has a rate
         return
-    axes = results.listed_numeric
+    axes = results.listed_numeric_columns
     if len(axes) < 2:  # numbers before names, which are read more easily as panels
-        axes = sorted(conditions, key=results.categorical.__contains__) if len(conditions) > 1 else results.numeric
+        axes = (
+            sorted(conditions, key=results.categorical_columns.__contains__)
+            if len(conditions) > 1
+            else results.numeric_columns
+        )
     if len(axes) < 2:
-        axes = [*results.numeric, *results.categorical][:2]
-    for x, y in list(combinations(axes, 2))[:MAPS]:
-        others = [c for c in axes if c not in (x, y) and c in results.numeric]
+        axes = [*results.numeric_columns, *results.categorical_columns][:2]
+    for x, y in list(combinations(axes, 2))[:MAX_MAPS]:
+        others = [c for c in axes if c not in (x, y) and c in results.numeric_columns]
         if results.exp.study.resolution and not others:
             note = f"each cell as its corners; {len(results.rows)} were run (dots), most of them next to the boundary"
             yield Section(x, y, None, refine.paint_cells(results.exp, results.rows), note, refined=True)
@@ -84,7 +88,7 @@ def cut_section(results: Results, x: str, y: str, remaining: list[str]) -> Secti
     rows = results.rows
     if len(remaining) == 1:
         values = np.sort(rows[remaining[0]].unique())
-        chosen = values[evenly_spaced_indices(len(values), PANELS)]
+        chosen = values[evenly_spaced_indices(len(values), MAX_PANELS)]
         note = f"at values of {axis_words(remaining[0], results.exp)}"
         return Section(x, y, remaining[0], rows[rows[remaining[0]].isin(chosen)], note)
     fixed = {}
@@ -97,10 +101,10 @@ def cut_section(results: Results, x: str, y: str, remaining: list[str]) -> Secti
 
 def is_filled(section: Section) -> bool:
     """Whether a section is a grid of few enough values, and at least half of its cells have rows."""
-    by = [section.x, section.y, *([section.beside] if section.beside else [])]
+    by = [section.x, section.y, *([section.panel_parameter] if section.panel_parameter else [])]
     counts = [section.rows[c].nunique() for c in by]
     cells = len(section.rows[by].drop_duplicates())
-    return min(counts[:2]) > 1 and max(counts[:2]) <= GRID and 2 * cells >= math.prod(counts)
+    return min(counts[:2]) > 1 and max(counts[:2]) <= MAX_GRID_VALUES and 2 * cells >= math.prod(counts)
 
 
 def bin_rows(results: Results, x: str, y: str, remaining: list[str]) -> Section:
@@ -128,14 +132,16 @@ def draw_section(results: Results, chosen: Section) -> Figure:
     """Draw outcomes of single rollouts, or success rates with the ends of their intervals."""
     x, y = chosen.x, chosen.y
     rows, cells = place_cells(chosen.rows, x, y)
-    panels = list(split_panels(rows, x, y, (chosen.beside,) if chosen.beside else (), exp=results.exp))
+    panels = list(
+        split_panels(rows, x, y, (chosen.panel_parameter,) if chosen.panel_parameter else (), exp=results.exp)
+    )
     tables = [cell_rates(results, panel, ["x", "y"], [x, y]) for _, panel in panels]
     single = max(table["total"].max() for table in tables) == 1
     sample = any(table["low"].notna().any() for table in tables)
     shown = [""] if single else ["low", "share", "high"] if sample else ["share"]
     columns = min(len(panels), 2) if len(shown) == 1 else 3
     lines = -(-len(panels) * len(shown) // columns)
-    figure = new_figure(2.2 * lines + 0.6, PAGE if columns > 1 else COLUMN)
+    figure = new_figure(2.2 * lines + 0.6, PAGE_WIDTH_IN if columns > 1 else COLUMN_WIDTH_IN)
     axes = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel()
     spots = iter(axes)
     for (title, panel), table in zip(panels, tables, strict=True):
@@ -151,7 +157,7 @@ def draw_section(results: Results, chosen: Section) -> Figure:
             word = {"low": "lower end", "share": "rate of success", "high": "upper end"}.get(kind, "")
             if chosen.refined:
                 draw_refined_cells(ax, results.exp, panel, x, y, cells)
-            room = 72 * (PAGE - 1) / 3 - 10  # titles side by side stay apart
+            room = 72 * (PAGE_WIDTH_IN - 1) / 3 - 10  # titles side by side stay apart
             ax.set_title(wrap_text(", ".join([*title, word] if word else title), room))
             mark_values(ax, cells)
             analytic_curves.draw_limits(ax, results.exp, panel, x, y, cells)
@@ -184,12 +190,12 @@ def cell_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[s
         axes: Columns of the axes that these are made from.
 
     Returns:
-        The table of `stats.rates`; `low` and `high` are NaN where the rows of a cell are no sample.
+        The table of `stats.success_rates`; `low` and `high` are NaN where the rows of a cell are no sample.
     """
     study = results.exp.study
     unit = draw_ids(rows, results.exp) if rows["replicate"].notna().all() else None
-    table = rates(rows, by, confidence_sequence if study.budget else wilson, unit)
-    return table if is_sample(rows, results.exp, axes) else table.assign(low=np.nan, high=np.nan)
+    table = success_rates(rows, by, confidence_sequence if study.budget else wilson, unit)
+    return table if is_random_sample(rows, results.exp, axes) else table.assign(low=np.nan, high=np.nan)
 
 
 def section_data(results: Results, chosen: Section) -> pd.DataFrame:
@@ -197,7 +203,7 @@ def section_data(results: Results, chosen: Section) -> pd.DataFrame:
     rows = chosen.rows
     named = [c for c in rows if "." in str(c) and rows[c].dtype.kind not in "fi" and has_several_values(rows[c])]
     named = [c for c in named if c not in (chosen.x, chosen.y)]
-    by = [*named, *([chosen.beside] if chosen.beside else []), chosen.x, chosen.y]
+    by = [*named, *([chosen.panel_parameter] if chosen.panel_parameter else []), chosen.x, chosen.y]
     table = cell_rates(results, rows, by, by)
     if (table["total"] > 1).any():
         return table

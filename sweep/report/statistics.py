@@ -8,9 +8,9 @@ import pandas as pd
 
 from sweep.analysis import failing, rare, screening, sensitivity
 from sweep.analysis.axis_effects import compare_along_axes
-from sweep.analysis.sample import drop_copies, pooled_rate
+from sweep.analysis.sample import drop_repeated_rollouts, pooled_rate
 from sweep.analysis.sampling_units import condition_rates, draw_ids, interval_method
-from sweep.analysis.sensitivity import MIN_RARER
+from sweep.analysis.sensitivity import MIN_RARER_OUTCOMES
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
 from sweep.core.distinct_values import number_distinct
@@ -29,7 +29,7 @@ def statistics_sections(
     rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None
 ) -> Iterator[tuple[str, pd.DataFrame | str]]:
     """Yield title and content of all statistics that the design of the study allows."""
-    rows, copies = drop_copies(rows, exp)
+    rows, copies = drop_repeated_rollouts(rows, exp)
     listed, drawn = sensitivity.listed_axes(rows, exp), sensitivity.drawn_axes(rows, exp)
     numbers = sensitivity.numeric_axes(rows, listed)
     several = len(rows) > len(rows.drop_duplicates([a.column for a in listed])) if listed else bool(drawn)
@@ -54,7 +54,7 @@ def statistics_sections(
     elif drawn and exp.study.design.gives_rate:
         method = interval_method(exp.study).replace("Wilson", "Clopper-Pearson")
         volume = sensitivity.success_volume(rows, exp)
-        if listed or (volume[["success", "valid"]] != [every.success, every.valid_count]).to_numpy().any():
+        if listed or (volume[["success", "valid"]] != [every.successes, every.valid_count]).to_numpy().any():
             yield f"Share of the draws that succeed ({method}, 95 %)", volume
     elif several and listed:
         title = f"Rate at each condition ({interval_method(exp.study)}, 95 %)"
@@ -71,7 +71,7 @@ def statistics_sections(
         if found.invalid:
             text += f"; the range covers both outcomes of {every.invalid_text}"
         yield "Share of the grid's volume that succeeds", text
-    ineffective = {name: pairs for name, pairs in compare_along_axes(rows, exp).items() if pairs.same}
+    ineffective = {name: pairs for name, pairs in compare_along_axes(rows, exp).items() if pairs.are_equal}
     if ineffective:
         told = [f"axis {name} changed no metric in {one.rollouts:,} rollouts" for name, one in ineffective.items()]
         yield "Axes without an effect", "\n".join(told)
@@ -99,7 +99,10 @@ def statistics_sections(
             yield title, str(error)
             continue
         if function is screening.rbd_fast_indices and table["error"].isna().all():
-            table = f"not shown, as no error holds: it needs {MIN_RARER} draws of either outcome, and no Sobol sequence"
+            table = (
+                f"not shown, as no error holds: it needs {MIN_RARER_OUTCOMES} draws of either outcome, "
+                "and no Sobol sequence"
+            )
         yield f"{title} of {figure or 'success'}", table
 
 
@@ -113,7 +116,7 @@ def _sensitivity_tables(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[s
     with suppress(InputError):
         yield (
             "Share of each parameter in failure (Shapley values of the Hilbert-Schmidt criterion)",
-            failing.failure_shares(rows, exp),
+            failing.shapley_failure_shares(rows, exp),
         )
 
 
@@ -129,7 +132,7 @@ def sensitivity_methods(exp: Experiment, draws: int) -> dict[str, Analysis]:
             return {"Sobol indices": sensitivity.sobol_indices}
         case Sensitivity.ELEMENTARY_EFFECTS:
             return {"Elementary effects (Morris)": sensitivity.elementary_effects}
-        case Sensitivity.GIVEN_DATA if draws >= screening.LEAST:
+        case Sensitivity.GIVEN_DATA if draws >= screening.MIN_DRAWS:
             return {
                 "PAWN indices": screening.pawn_indices,
                 "First Sobol indices (RBD-FAST)": screening.rbd_fast_indices,
@@ -149,7 +152,7 @@ def render_statistics(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, f
     """
     (_, answer), *sections = statistics_sections(rows, exp, level, figure)
     if not exp.study.is_adaptive:
-        answer = f"{answer}; {sample_size(drop_copies(rows, exp)[0], exp)}"
+        answer = f"{answer}; {sample_size(drop_repeated_rollouts(rows, exp)[0], exp)}"
     parts = [f"{exp.study.name}: {answer}\n{largest_failure(rows, exp)}\n"]
     for title, content in sections:
         if isinstance(content, pd.DataFrame):

@@ -15,14 +15,14 @@ from pyarrow.csv import WriteOptions, write_csv
 from sweep.analysis.stats import cause_lines, format_percent
 from sweep.config.experiment import Experiment
 from sweep.contract.system import split_side
-from sweep.core.expressions import column
+from sweep.core.expressions import find_column
 from sweep.report.labels import column_unit, name_and_unit, path_words, unique_headings, unique_words
 from sweep.runs.results import Results
-from sweep.study.columns import LABELS, metric_columns
+from sweep.study.columns import LABEL_COLUMNS, metric_columns
 
-SIGNS = {"°": r"\textdegree{}", "·": r"$\cdot$", "⁴": r"\textsuperscript{4}", r"a\_r": "$a_r$"}
+LATEX_SIGNS = {"°": r"\textdegree{}", "·": r"$\cdot$", "⁴": r"\textsuperscript{4}", r"a\_r": "$a_r$"}
 GROUP_ROWS = 2**16  # rows that a group of a Parquet file has at least, but for the last
-SHARES = ("share", "low", "high")  # of tables of rates; without a share, low and high are numbers of their own
+SHARE_COLUMNS = ("share", "low", "high")  # of tables of rates; without a share, low and high are numbers of their own
 
 
 def render_table(rows: pd.DataFrame, form: str, names: list[str] | None = None, exp: Experiment | None = None) -> bytes:
@@ -67,7 +67,7 @@ def choose_columns(rows: pd.DataFrame, form: str, names: list[str] | None) -> li
         InputError: a name is no column.
     """
     if names:
-        return list(dict.fromkeys(column(rows, name) for name in names))
+        return list(dict.fromkeys(find_column(rows, name) for name in names))
     # a page has no room for more than these; csv and parquet hold everything
     return readable_columns(rows) if form in ("markdown", "latex") else list(rows.columns)
 
@@ -150,12 +150,12 @@ def page_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
 def readable_columns(rows: pd.DataFrame) -> list[str]:
     """Columns that fit on a page: parameters, the replicate if there are several, and labels of the outcome."""
     several = ["replicate"] if rows["replicate"].nunique() > 1 else []
-    return [c for c in rows.columns if "." in c] + several + list(LABELS)
+    return [c for c in rows.columns if "." in c] + several + list(LABEL_COLUMNS)
 
 
 def format_rows(rows: pd.DataFrame, exp: Experiment | None = None) -> pd.DataFrame:
     """Format rows with readable headings and numbers; shares and their intervals in per cent."""
-    shares = [c for c in SHARES if c in rows and "share" in rows]
+    shares = [c for c in SHARE_COLUMNS if c in rows and "share" in rows]
     rows = rows.assign(**{c: [format_percent(v) if pd.notna(v) else "" for v in rows[c]] for c in shares})
     return rows.map(format_value).rename(columns=unique_headings(rows.columns, exp))
 
@@ -179,7 +179,7 @@ def latex_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
 
 def latex_signs(escaped: str) -> str:
     """Replace signs of units in escaped text with commands of pdfLaTeX."""
-    for sign, word in SIGNS.items():
+    for sign, word in LATEX_SIGNS.items():
         escaped = escaped.replace(sign, word)
     return escaped
 

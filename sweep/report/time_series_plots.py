@@ -12,43 +12,44 @@ from sweep.core.plot_style import legend_below, new_figure
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.report.figure import StudyFigure
 from sweep.report.labels import axis_title
-from sweep.report.outcome_style import DOUBTFUL, FAILURE, GOOD
+from sweep.report.outcome_style import FAILURE_COLOUR, INVALID_MARK_COLOUR, SUCCESS_COLOUR
 from sweep.runs import store, time_series
 from sweep.runs.results import Results
 from sweep.study.study import identity_columns
 
-LINES, PANELS = 100, 8  # that are drawn at most: of each outcome, and columns
-LOW, HIGH = 0.1, 0.9  # quantiles that the band lies between
-COLOURS = {"success": GOOD, "failure": FAILURE, "invalid": DOUBTFUL}
+MAX_LINES_PER_OUTCOME, MAX_PANELS = 100, 8  # that are drawn at most: of each outcome, and columns
+LOW_QUANTILE, HIGH_QUANTILE = 0.1, 0.9  # quantiles that the band lies between
+COLOURS = {"success": SUCCESS_COLOUR, "failure": FAILURE_COLOUR, "invalid": INVALID_MARK_COLOUR}
 
 
 def load_samples(results: Results) -> pd.DataFrame:
     """Read the stored time series of the rows, with the outcome of each rollout."""
-    kept = time_series.read(results.folder)
+    kept = time_series.read_histories(results.folder)
     keys = identity_columns(kept.columns)
     return kept.merge(results.rows[[*keys, "outcome"]], on=keys)
 
 
 def time_series_figure(results: Results) -> Iterator[StudyFigure]:
     """Yield the time series of the columns in `study.keep`, with quantiles over the rollouts that are still running."""
-    if not results.exp.study.keep or not store.list_recordings(results.folder, store.HISTORIES):
+    if not results.exp.study.keep or not store.list_recordings(results.folder, store.HISTORIES_FOLDER):
         return
     kept = load_samples(results)
     long = kept.melt(["outcome", "time_s"], list(results.exp.study.keep), "column")
     found = long.groupby(["column", "outcome", "time_s"], sort=False)["value"]
-    parts = {"low": found.quantile(LOW), "median": found.median(), "high": found.quantile(HIGH)}
+    parts = {"low": found.quantile(LOW_QUANTILE), "median": found.median(), "high": found.quantile(HIGH_QUANTILE)}
     table = pd.DataFrame({**parts, "rollouts": found.count()}).reset_index()
     rollouts = len(kept[identity_columns(kept.columns)].drop_duplicates())
     caption = (
-        f"Over time: {rollouts} of {len(results.rows)} rollouts, a thin line each (at most {LINES} of an outcome), "
-        f"their median, and the band that holds {HIGH - LOW:.0%} of those still under way."
+        f"Over time: {rollouts} of {len(results.rows)} rollouts, a thin line each (at most {MAX_LINES_PER_OUTCOME} "
+        "of an outcome), "
+        f"their median, and the band that holds {HIGH_QUANTILE - LOW_QUANTILE:.0%} of those still under way."
     )
     yield StudyFigure("histories", "Over time", caption, table, lambda: draw_time_series(results, kept, table))
 
 
 def draw_time_series(results: Results, samples: pd.DataFrame, quantiles: pd.DataFrame) -> Figure:
     """Draw a panel for each column: single rollouts, and the quantiles of each outcome."""
-    columns = results.exp.study.keep[:PANELS]
+    columns = results.exp.study.keep[:MAX_PANELS]
     figure = new_figure(0.8 + 1.4 * len(columns))
     spots = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
     for name, ax in zip(columns, spots, strict=True):
@@ -68,6 +69,6 @@ def draw_time_series(results: Results, samples: pd.DataFrame, quantiles: pd.Data
 def _lines(ax: Axes, samples: pd.DataFrame, name: str, colour: str) -> None:
     """Draw evenly chosen rollouts as one image inside the figure."""
     groups = [part for _, part in samples.groupby(identity_columns(samples.columns), sort=False)]
-    lines = [groups[k][["time_s", name]].to_numpy() for k in evenly_spaced_indices(len(groups), LINES)]
+    lines = [groups[k][["time_s", name]].to_numpy() for k in evenly_spaced_indices(len(groups), MAX_LINES_PER_OUTCOME)]
     look = mpl.rcParams["lines.linewidth"] / 3
     ax.add_collection(LineCollection(lines, colors=colour, linewidths=look, alpha=0.4, rasterized=True))

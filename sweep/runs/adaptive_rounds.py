@@ -13,7 +13,7 @@ from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.runs.runner import Job, prepare_job
-from sweep.study.adaptive_sampling import Draws
+from sweep.study.adaptive_sampling import RoundDraws
 from sweep.study.study import make_points
 
 
@@ -34,7 +34,7 @@ def iter_jobs(exp: Experiment, folder: Path) -> Iterator[Job]:
     """
     study, design = exp.study, exp.study.search_design
     search = design.start_search(study.draw_context)
-    draws: Draws = next(search)
+    draws: RoundDraws = next(search)
     while True:
         table = make_points(study, exp.system, exp.settings, round_=draws)
         planned = store.read_points(folder)

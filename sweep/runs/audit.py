@@ -17,16 +17,20 @@ from sweep.analysis import compare
 from sweep.config.experiment import Experiment, build_experiment
 from sweep.contract.system import AuditVariant
 from sweep.core.errors import InputError
-from sweep.core.files import path_in
+from sweep.core.files import path_inside_folder
 from sweep.runs import runner, store
 from sweep.runs.results import Results
 from sweep.study.study import Logger, parameter_columns, replace_settings
 
-AUDIT = "audit"
+AUDIT_FOLDER = "audit"
 
 
-def run(
-    results: Results, count: int, variants: list[str], progress: runner.Progress, say: Logger | None = None
+def run_audit(
+    results: Results,
+    count: int,
+    variants: list[str],
+    progress: runner.ProgressCallback,
+    on_message: Logger | None = None,
 ) -> None:
     """Simulate a sample of finished rollouts again in variants of the simulation, and store their rows.
 
@@ -36,7 +40,7 @@ def run(
         variants: Names of the variants to simulate. If empty, all variants of the system, without those that cannot
             simulate these rollouts.
         progress: Receives the rows of every finished batch.
-        say: Receives a line on each variant that is left out.
+        on_message: Receives a line on each variant that is left out.
 
     Raises:
         InputError: A variant is unknown or cannot simulate these rollouts, or there are no rollouts to audit.
@@ -55,20 +59,20 @@ def run(
     points = results.rows.iloc[np.sort(chosen)]
     parameters = [c for c in points if "." in str(c) and not str(c).startswith("engine.")]
     points = points[[*parameters, "replicate", "stream", "point_id"]].reset_index(drop=True)
-    folder = path_in(results.folder, AUDIT)
+    folder = path_inside_folder(results.folder, AUDIT_FOLDER)
     folder.mkdir(exist_ok=True)
     for name in variants or available:
         try:
-            study, table = _variant_study(exp, available[name], points, path_in(folder, name))
+            study, table = _variant_study(exp, available[name], points, path_inside_folder(folder, name))
         except InputError as error:
             if variants:
                 raise
-            if say:
-                say(f"audit: {name} is left out: {error}")
+            if on_message:
+                on_message(f"audit: {name} is left out: {error}")
             continue
         with store.lock_folder(study.folder):
             runner.repair_folder(study, study.folder)
-            runner.run(runner.prepare_job(study, study.folder, table), progress)
+            runner.run_job(runner.prepare_job(study, study.folder, table), progress)
 
 
 def _variant_study(
@@ -122,7 +126,7 @@ def boundary_mask(results: Results) -> np.ndarray:
     """
     from scipy.spatial import KDTree
 
-    rows, axes = results.rows, results.numeric
+    rows, axes = results.rows, results.numeric_columns
     near = np.zeros(len(rows), dtype=bool)
     if not axes:
         return near
@@ -132,7 +136,7 @@ def boundary_mask(results: Results) -> np.ndarray:
     # drawn points instead of a grid: scale the ranks so that all parameters count alike
     if np.prod(ranks.max().to_numpy()) > 2 * len(rows):
         ranks = ranks / ranks.max() * len(rows) ** (1 / len(axes))
-    for _, index in rows[valid].groupby([*results.categorical, replicate[valid]]).indices.items():
+    for _, index in rows[valid].groupby([*results.categorical_columns, replicate[valid]]).indices.items():
         members = np.flatnonzero(valid)[index]
         if len(members) > 1:
             succeeds = (rows["outcome"].iloc[members] == "success").to_numpy()
@@ -147,9 +151,11 @@ def iter_audited_variants(results: Results) -> Iterator[tuple[str, pd.DataFrame]
 
     The table is that of `compare.pair_rows`, paired by `point_id`.
     """
-    folder = path_in(results.folder, AUDIT)
+    folder = path_inside_folder(results.folder, AUDIT_FOLDER)
     for variant in results.exp.system.audit_variants:
-        if path_in(folder, f"{variant}/{store.STUDY}").exists() and store.finished_batches(folder / variant):
+        if path_inside_folder(folder, f"{variant}/{store.STUDY_FILE}").exists() and store.finished_batches(
+            folder / variant
+        ):
             audited = store.read_rows(folder / variant)
             before = results.rows[results.rows["point_id"].isin(audited["point_id"])]
             if before.empty:  # `where` chose none of the audited rows

@@ -23,7 +23,7 @@ from sweep.runs.axis_effects import find_unread_columns
 from sweep.runs.batches import forget_engine, make_batch, make_engine, make_nominal_batch, with_delay_buffer
 from sweep.study.study import is_static, parameter_columns
 
-MAX_LEVELS = 9  # tried on an axis
+MAX_LEVELS_PER_AXIS = 9  # tried on an axis
 ENGINE_COLUMN = "engine.name"
 Levels = Mapping[str, Sequence[Any]]  # by column
 
@@ -72,7 +72,7 @@ class AxisCheckReport:
             yield f"{says}: {why or ('no figure differs by a bit' + (f' {between}' if whole else ''))}"
 
 
-def run(
+def run_axis_check(
     exp: Experiment, table: pd.DataFrame, on_progress: Callable[[int], None] = lambda rollouts: None
 ) -> AxisCheckReport:
     """Check that every axis of a study has an effect and that rollouts repeat; writes nothing.
@@ -148,9 +148,9 @@ def _find_inactive(
 
 
 def _levels(values: pd.Series) -> Sequence[Any]:
-    """Up to `MAX_LEVELS` values of an axis in their order, both ends among them."""
+    """Up to `MAX_LEVELS_PER_AXIS` values of an axis in their order, both ends among them."""
     every = np.sort(values.unique()) if values.dtype.kind in "fi" else values.unique()
-    return every[evenly_spaced_indices(len(every), MAX_LEVELS)].tolist()
+    return every[evenly_spaced_indices(len(every), MAX_LEVELS_PER_AXIS)].tolist()
 
 
 def _rows(table: pd.DataFrame, base: Mapping[str, Any], levels: Levels, k: int) -> pd.DataFrame:

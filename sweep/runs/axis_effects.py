@@ -67,7 +67,9 @@ def describe_ineffective_axes(exp: Experiment, rows: pd.DataFrame) -> list[str]:
         A sentence for each such axis.
     """
     pairs = compare_along_axes(rows, exp)
-    lines = [f"axis {name} changed no metric in {one.rollouts:,} rollouts" for name, one in pairs.items() if one.same]
+    lines = [
+        f"axis {name} changed no metric in {one.rollouts:,} rollouts" for name, one in pairs.items() if one.are_equal
+    ]
     open_ones = {axis.target: axis.name for axis in exp.study.axes if axis.name not in pairs and axis.target in rows}
     if open_ones:
         unread = find_unread_columns(exp, rows)

@@ -6,7 +6,7 @@ from pathlib import Path
 from sweep.backends import devices
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
-from sweep.core.files import path_in
+from sweep.core.files import path_inside_folder
 
 CPU_NAME = re.compile(r"(\d+ x )?cpu\b")  # matches the name of a CPU in study.yaml
 
@@ -35,6 +35,6 @@ def _row_devices(folder: Path) -> list[str]:
     from sweep.runs import store  # slow to import, and a single rollout does not need it
 
     try:
-        return store.read_study(folder)["devices"] if path_in(folder, store.STUDY).exists() else []
+        return store.read_study(folder)["devices"] if path_inside_folder(folder, store.STUDY_FILE).exists() else []
     except InputError:
         return []

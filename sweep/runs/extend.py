@@ -36,7 +36,7 @@ def check_extendable(exp: Experiment, folder: Path) -> None:
         raise InputError(f"{folder} cannot be extended: it has neither draws nor replicates")
 
 
-def grow(exp: Experiment, folder: Path, count: int, progress: runner.Progress) -> Experiment:
+def extend_study(exp: Experiment, folder: Path, count: int, progress: runner.ProgressCallback) -> Experiment:
     """Extend a stored study to a larger number of draws or replicates, and simulate the rollouts that its folder lacks.
 
     Args:
@@ -56,5 +56,5 @@ def grow(exp: Experiment, folder: Path, count: int, progress: runner.Progress) -
     extended = build_experiment({**exp.values, "study": study, "out": str(folder)})
     with store.lock_folder(folder):
         runner.repair_folder(extended, folder)
-        runner.run(runner.prepare_job(extended, folder, runner.select_points(extended)), progress)
+        runner.run_job(runner.prepare_job(extended, folder, runner.select_points(extended)), progress)
     return extended

@@ -16,17 +16,17 @@ from typing import Any
 from sweep.core import files
 from sweep.core.errors import InputError
 
-MANIFEST, POINTS = "manifest.txt", "points.parquet"
-PARTS, HISTORIES, LAST_STATES = "parts", "histories", "last_states"
-SUBFOLDERS = (PARTS, HISTORIES, LAST_STATES)  # of files that the manifest may list
+MANIFEST_FILE, POINTS_FILE = "manifest.txt", "points.parquet"
+PARTS_FOLDER, HISTORIES_FOLDER, LAST_STATES_FOLDER = "parts", "histories", "last_states"
+SUBFOLDERS = (PARTS_FOLDER, HISTORIES_FOLDER, LAST_STATES_FOLDER)  # of files that the manifest may list
 FILE_NAME = re.compile(rf"({'|'.join(SUBFOLDERS)})/\w[\w.-]{{,200}}", re.ASCII)  # names of listed files
-LONGEST = 200  # characters of another name in messages
+MAX_NAME_LENGTH = 200  # characters of another name in messages
 DIGEST_DIGITS = 16  # digits of the digest at the start of a line
 RETRY_PAUSES = (0.01, 0.05, 0.2, 0.5)  # s, in which another command may finish the last line
 
 
 @dataclass(frozen=True)
-class Entry:
+class ManifestEntry:
     """A line of the manifest: one file of the folder, as it was when it was written."""
 
     file: str  # path below the folder
@@ -44,13 +44,13 @@ class Entry:
         return None if files.digest_file(path) == self.sha256 else "its content has changed"
 
 
-def format_line(entry: Entry) -> str:
+def format_line(entry: ManifestEntry) -> str:
     """Return the entry as a line of the manifest: a digest of the text, then the text (JSON)."""
     text = json.dumps(asdict(entry))
     return f"{files.digest(text.encode())[:DIGEST_DIGITS]} {text}"
 
 
-def parse(folder: Path) -> tuple[list[Entry], list[int]]:
+def parse_manifest(folder: Path) -> tuple[list[ManifestEntry], list[int]]:
     """Read the manifest of a folder, damaged lines included.
 
     Returns:
@@ -60,7 +60,7 @@ def parse(folder: Path) -> tuple[list[Entry], list[int]]:
         InputError: A sound line names a file that cannot belong to a study.
     """
     try:
-        content = _read_when_complete(files.path_in(folder, MANIFEST))
+        content = _read_when_complete(files.path_inside_folder(folder, MANIFEST_FILE))
     except FileNotFoundError:
         return [], []
     entries, damaged = [], []
@@ -75,11 +75,11 @@ def parse(folder: Path) -> tuple[list[Entry], list[int]]:
     return entries, damaged
 
 
-def entry_of(values: Mapping[str, Any]) -> Entry:
+def entry_from_json(values: Mapping[str, Any]) -> ManifestEntry:
     """Make an entry of the members that JSON holds.
 
     Args:
-        values: Members of `Entry` by name.
+        values: Members of `ManifestEntry` by name.
 
     Raises:
         ValueError: A member has another type.
@@ -87,22 +87,22 @@ def entry_of(values: Mapping[str, Any]) -> Entry:
         TypeError: There are other members.
     """
     batches, run_ids = (tuple(values[name]) for name in ("batches", "run_ids"))
-    entry = Entry(**{**values, "batches": batches, "run_ids": run_ids})
+    entry = ManifestEntry(**{**values, "batches": batches, "run_ids": run_ids})
     words, numbers = (entry.file, entry.sha256, entry.study, entry.labels, *run_ids), (entry.length, *batches)
     if {*map(type, words)} != {str} or {*map(type, numbers)} != {int} or not all(0 <= n < 2**63 for n in numbers):
         raise ValueError("a member of another type")
     return entry
 
 
-def _parse_entry(folder: Path, number: int, text: bytes) -> Entry:
-    where = f"{folder / MANIFEST}, line {number}"
+def _parse_entry(folder: Path, number: int, text: bytes) -> ManifestEntry:
+    where = f"{folder / MANIFEST_FILE}, line {number}"
     try:
-        entry = entry_of(json.loads(text))
+        entry = entry_from_json(json.loads(text))
     except (ValueError, KeyError, TypeError, RecursionError):
         raise InputError(f"{where} is no entry of a study's file") from None
-    if entry.file != POINTS and not FILE_NAME.fullmatch(entry.file):
-        allowed = f"{POINTS}, or a file in {', '.join(SUBFOLDERS)}"
-        shown = entry.file if len(entry.file) < LONGEST else f"{entry.file[:LONGEST]}..."
+    if entry.file != POINTS_FILE and not FILE_NAME.fullmatch(entry.file):
+        allowed = f"{POINTS_FILE}, or a file in {', '.join(SUBFOLDERS)}"
+        shown = entry.file if len(entry.file) < MAX_NAME_LENGTH else f"{entry.file[:MAX_NAME_LENGTH]}..."
         raise InputError(f"{where} names {shown!r}, which is not allowed: {allowed}")
     return entry
 
@@ -110,35 +110,36 @@ def _parse_entry(folder: Path, number: int, text: bytes) -> Entry:
 def _read_when_complete(path: Path) -> bytes:
     """Return the content of the manifest; wait for a last line that another command is still writing."""
     for pause in RETRY_PAUSES:
-        if (content := files.read_limited(path)).endswith(b"\n"):
+        if (content := files.read_bytes_limited(path)).endswith(b"\n"):
             return content
         time.sleep(pause)
-    return files.read_limited(path)
+    return files.read_bytes_limited(path)
 
 
-def read(folder: Path) -> list[Entry]:
+def read_manifest(folder: Path) -> list[ManifestEntry]:
     """Return the entries of a folder's manifest in the order of its lines. Raises `InputError` if a line is damaged."""
-    entries, damaged = parse(folder)
+    entries, damaged = parse_manifest(folder)
     if damaged:
         raise InputError(
-            f"{folder / MANIFEST} is damaged in line {damaged[0]}: repeat the same `sweep run` to repair it"
+            f"{folder / MANIFEST_FILE} is damaged in line {damaged[0]}: repeat the same `sweep run` to repair it"
         )
     return entries
 
 
-def add(folder: Path, *entries: Entry) -> None:
+def append_entries(folder: Path, *entries: ManifestEntry) -> None:
     """Append entries to the manifest in one write. Raises `Fault` if the disk refuses it."""
-    files.append_line(files.path_in(folder, MANIFEST), "\n".join(map(format_line, entries)))
+    files.append_line(files.path_inside_folder(folder, MANIFEST_FILE), "\n".join(map(format_line, entries)))
 
 
-def rewrite(folder: Path, entries: Iterable[Entry]) -> None:
+def rewrite_manifest(folder: Path, entries: Iterable[ManifestEntry]) -> None:
     """Replace all entries of the manifest, atomically. Raises `Fault` if the disk refuses it."""
     files.write_atomically(
-        files.path_in(folder, MANIFEST), "".join(f"{format_line(entry)}\n" for entry in entries).encode()
+        files.path_inside_folder(folder, MANIFEST_FILE),
+        "".join(f"{format_line(entry)}\n" for entry in entries).encode(),
     )
 
 
-def select_current_parts(entries: Sequence[Entry], labels: str) -> list[Entry]:
+def select_current_parts(entries: Sequence[ManifestEntry], labels: str) -> list[ManifestEntry]:
     """Select the parts that hold a folder's rows.
 
     Args:

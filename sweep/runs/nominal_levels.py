@@ -10,7 +10,7 @@ from sweep.runs.runner import simulate_batch
 from sweep.study.designs import Axis
 from sweep.study.study import make_points
 
-MAX_LEVELS = 12  # tried on an axis, as each level compiles a program
+MAX_LEVELS_PER_AXIS = 12  # tried on an axis, as each level compiles a program
 
 
 class FailingLevel(NamedTuple):
@@ -51,7 +51,7 @@ def _is_categorical(axis: Axis) -> bool:
 
 
 def _iter_failing(exp: Experiment, axis: Axis) -> Iterator[FailingLevel]:
-    axis = replace(axis, values=(axis.values or ())[:MAX_LEVELS])
+    axis = replace(axis, values=(axis.values or ())[:MAX_LEVELS_PER_AXIS])
     nominal = replace(exp.study.design, num=0, correlation=())
     alone = {"axes": (axis,), "design": nominal, "replicates": 1, "where": None, "resolution": 0.0, "budget": 0}
     exp = replace(exp, study=replace(exp.study, **alone, keep=()))

@@ -15,17 +15,26 @@ import pyarrow.parquet as pq
 
 from sweep.core.errors import InputError
 from sweep.runs.parquet_pages import iterate_page_sizes
-from sweep.study.columns import FORMULA, NAMES, WORDS
+from sweep.study.columns import ID_COLUMNS, SPREADSHEET_FORMULA_SIGNS, WORD_COLUMNS
 
-pc: Any = pyarrow.compute  # whose functions exist only once it is imported
+arrow_compute: Any = pyarrow.compute  # whose functions exist only once it is imported
 # a file may expand to ALWAYS_ALLOWED bytes; to more only up to MAX_RATIO times its size, and never beyond MAX_EXPANSION
 ALWAYS_ALLOWED, MAX_EXPANSION, MAX_RATIO = 256 * 2**20, 64 * 2**30, 1000
 FEW_PAGES, LEAST_PAGE = 10_000, 256  # a file may have FEW_PAGES pages; more only of LEAST_PAGE bytes on average
 FEW_ROWS = 1_000_000  # a table of rollouts may have as many rows; more only with a byte for each, as ids take 8
-WIDTHS = {"BOOLEAN": 1, "INT32": 4, "FLOAT": 4, "INT64": 8, "DOUBLE": 8, "BYTE_ARRAY": 4}  # bytes; of text its number
-TEXT = "BYTE_ARRAY"
+BYTES_BY_TYPE = {
+    "BOOLEAN": 1,
+    "INT32": 4,
+    "FLOAT": 4,
+    "INT64": 8,
+    "DOUBLE": 8,
+    "BYTE_ARRAY": 4,
+}  # bytes; of text its number
+TEXT_TYPE = "BYTE_ARRAY"
 HEX_NAME = "^[0-9a-f]{1,64}$"  # of `NAMES`
-PRINTABLE = rf"^([^{re.escape(FORMULA)}\pC]\PC*)?$"  # of other words: no control characters, and no formula
+PRINTABLE = (
+    rf"^([^{re.escape(SPREADSHEET_FORMULA_SIGNS)}\pC]\PC*)?$"  # of other words: no control characters, and no formula
+)
 
 
 def read_parquet(path: Path, columns: Sequence[str] | None = None, has_row_names: bool = False) -> pa.Table:
@@ -84,7 +93,7 @@ def column_names(path: Path, metadata: pq.FileMetaData) -> list[str]:
     names = [metadata.schema.column(k).path for k in range(metadata.num_columns)]
     if list(metadata.schema.names) != names:
         raise InputError(f"{path} is not allowed: it has columns with parts")
-    if odd := next((name for name in names if not name.isprintable() or name[:1] in FORMULA), None):
+    if odd := next((name for name in names if not name.isprintable() or name[:1] in SPREADSHEET_FORMULA_SIGNS), None):
         raise InputError(f"{path} is not allowed: it has a column called {odd[:100]!r}")
     if len({*names}) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
@@ -126,9 +135,9 @@ def _check_sizes(path: Path, source: pa.OSFile, metadata: pq.FileMetaData, chose
     words, total, pages, size = [], 0, 0, source.size()
     for k in chosen:
         column = metadata.schema.column(k)
-        if column.max_repetition_level or column.max_definition_level > 1 or column.physical_type not in WIDTHS:
+        if column.max_repetition_level or column.max_definition_level > 1 or column.physical_type not in BYTES_BY_TYPE:
             raise InputError(f"{path} is not allowed: column {column.name} holds neither numbers nor words")
-        if column.physical_type == TEXT:
+        if column.physical_type == TEXT_TYPE:
             words.append(column.name)
     groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
     numbers = [group.num_rows for group in groups]
@@ -139,7 +148,7 @@ def _check_sizes(path: Path, source: pa.OSFile, metadata: pq.FileMetaData, chose
             column = group.column(k)
             if column.num_values != group.num_rows:
                 raise InputError(f"{path} is damaged: its columns differ in length")
-            total += column.num_values * WIDTHS[column.physical_type]
+            total += column.num_values * BYTES_BY_TYPE[column.physical_type]
             starts = (column.data_page_offset, column.dictionary_page_offset or column.data_page_offset)
             for page in iterate_page_sizes(source, min(starts), column.total_compressed_size):
                 total, pages = total + page, pages + 1
@@ -153,8 +162,8 @@ def _count_bytes(column: pa.ChunkedArray) -> int:
     """Return what a column of dictionaries takes once it holds its words (bytes)."""
     total = column.nbytes
     for chunk in column.chunks:
-        sizes = pc.fill_null(pc.binary_length(chunk.dictionary), 0)
-        total += pc.sum(pc.take(sizes, chunk.indices)).as_py() or 0
+        sizes = arrow_compute.fill_null(arrow_compute.binary_length(chunk.dictionary), 0)
+        total += arrow_compute.sum(arrow_compute.take(sizes, chunk.indices)).as_py() or 0
     return total
 
 
@@ -162,8 +171,8 @@ def _decode_words(path: Path, name: str, column: pa.ChunkedArray) -> pa.ChunkedA
     """Replace dictionaries by their words, which are UTF-8 that a terminal can print."""
     for chunk in column.chunks:
         chunk.dictionary.validate(full=True)
-        allowed = pc.match_substring_regex(chunk.dictionary, HEX_NAME if name in NAMES else PRINTABLE)
-        odd = chunk.dictionary.filter(pc.invert(pc.fill_null(allowed, True)))
+        allowed = arrow_compute.match_substring_regex(chunk.dictionary, HEX_NAME if name in ID_COLUMNS else PRINTABLE)
+        odd = chunk.dictionary.filter(arrow_compute.invert(arrow_compute.fill_null(allowed, True)))
         if len(odd):
             raise InputError(f"{path} is not allowed: column {name} holds {str(odd[0])[:100]!r}")
     return column.cast(pa.large_string())
@@ -172,11 +181,11 @@ def _decode_words(path: Path, name: str, column: pa.ChunkedArray) -> pa.ChunkedA
 def _check_types(path: Path, table: pa.Table) -> None:
     """Refuse words where numbers belong, the other way round, and rows without a name."""
     for field in table.schema:
-        words = field.name in (*NAMES, *WORDS) or ("." in field.name and not _is_number(field.type))
+        words = field.name in (*ID_COLUMNS, *WORD_COLUMNS) or ("." in field.name and not _is_number(field.type))
         fits = pa.types.is_large_string(field.type) if words else _is_number(field.type)
-        if not fits and not (pa.types.is_null(field.type) and field.name not in NAMES):
+        if not fits and not (pa.types.is_null(field.type) and field.name not in ID_COLUMNS):
             raise InputError(f"{path} is not allowed: column {field.name} holds no {'words' if words else 'numbers'}")
-        if field.name in NAMES and table[field.name].null_count:
+        if field.name in ID_COLUMNS and table[field.name].null_count:
             raise InputError(f"{path} is not allowed: column {field.name} lacks values")
 
 

@@ -9,8 +9,8 @@ from sweep.core.errors import InputError
 
 KEY_COLUMNS = ["batch", "slot"]  # columns that identify a row of the points table
 INTEGER_COLUMNS = ("replicate", "stream", "group", "batch", "slot", "width")  # with whole numbers
-MOST_BATCHES, MOST_SLOTS = 2**31, 2**32  # upper bounds of batch and slot numbers in a key
-WIDEST = 20_000_000  # rollouts of a batch: as many as a study may have
+MAX_BATCHES, MAX_SLOTS = 2**31, 2**32  # upper bounds of batch and slot numbers in a key
+MAX_BATCH_WIDTH = 20_000_000  # rollouts of a batch: as many as a study may have
 
 
 class AssignedPoints:
@@ -32,7 +32,11 @@ class AssignedPoints:
         for column in INTEGER_COLUMNS:
             if column in assigned and assigned[column].dtype.kind not in "iu":
                 raise InputError(f"{name} is not allowed: column {column} holds no whole numbers")
-        for column, least, most in (("batch", 0, MOST_BATCHES), ("slot", 0, WIDEST), ("width", 1, WIDEST + 1)):
+        for column, least, most in (
+            ("batch", 0, MAX_BATCHES),
+            ("slot", 0, MAX_BATCH_WIDTH),
+            ("width", 1, MAX_BATCH_WIDTH + 1),
+        ):
             if column in assigned and len(odd := assigned[column][~assigned[column].between(least, most - 1)]):
                 raise InputError(f"{name} is not allowed: {column} = {odd.iloc[0]}, from {least} to {most - 1}")
         keys = place_keys(assigned)
@@ -46,7 +50,7 @@ class AssignedPoints:
         """Return the numbers of all assigned batches."""
         return set(np.unique(self._batches).tolist())
 
-    def rows_of(self, batches: Collection[int]) -> tuple[pd.DataFrame, np.ndarray]:
+    def select_batches(self, batches: Collection[int]) -> tuple[pd.DataFrame, np.ndarray]:
         """Return the points of some batches by batch and slot, and their keys, see `place_keys`."""
         numbers = np.sort(np.fromiter(batches, dtype=np.int64, count=len(batches)))
         first, last = (np.searchsorted(self._batches, numbers, side) for side in ("left", "right"))
@@ -73,7 +77,7 @@ class AssignedPoints:
             if rows[column].dtype.kind not in "iu":
                 return [f"column {column} holds no whole numbers"]
         there = place_keys(rows)
-        expected, wanted = self.rows_of(batches)
+        expected, wanted = self.select_batches(batches)
         if _is_increasing(wanted) and np.array_equal(there, wanted):
             return _differing_inputs(rows, expected)
         found, here, assigned = [], pd.Index(there), pd.Index(wanted)
@@ -95,8 +99,8 @@ class AssignedPoints:
 def place_keys(rows: pd.DataFrame) -> np.ndarray:
     """Return a sortable integer key (n,) for the batch and slot of each row; -1 where one of them is out of range."""
     batch, slot = (rows[column].to_numpy() for column in KEY_COLUMNS)
-    possible = (batch >= 0) & (batch < MOST_BATCHES) & (slot >= 0) & (slot < MOST_SLOTS)
-    return np.where(possible, batch.astype(np.int64) * MOST_SLOTS + slot.astype(np.int64), -1)
+    possible = (batch >= 0) & (batch < MAX_BATCHES) & (slot >= 0) & (slot < MAX_SLOTS)
+    return np.where(possible, batch.astype(np.int64) * MAX_SLOTS + slot.astype(np.int64), -1)
 
 
 def _is_increasing(keys: np.ndarray) -> bool:

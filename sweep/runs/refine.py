@@ -17,15 +17,15 @@ import pandas as pd
 
 from sweep.analysis import sensitivity
 from sweep.analysis.intervals import clopper_pearson, confidence_sequence
-from sweep.analysis.stats import Rate, format_percent, rate
+from sweep.analysis.stats import SuccessRate, format_percent, success_rate
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.runs.runner import Job, prepare_job
-from sweep.study.designs import MOST, Axis, drawn_names
+from sweep.study.designs import MAX_ROLLOUTS, Axis, drawn_names
 from sweep.study.study import Study, make_points
 
-MISSING, INVALID, FAILS, SUCCEEDS = -2, -1, 0, 1
+MISSING_LABEL, INVALID_LABEL, FAILURE_LABEL, SUCCESS_LABEL = -2, -1, 0, 1
 
 
 @dataclass(frozen=True)
@@ -74,13 +74,15 @@ def make_lattice(study: Study) -> Lattice:
     if study.resolution:
         widest = max(np.diff(v).max() / (v[-1] - v[0]) for v in values)
         halvings = max(math.ceil(math.log2(widest / study.resolution) - 1e-9), 0)
-    if math.prod((len(v) - 1) * 2**halvings + 1 for v in values) > MOST:
-        raise InputError(f"study.resolution = {study.resolution:g} is not allowed: a grid of more than {MOST} points")
+    if math.prod((len(v) - 1) * 2**halvings + 1 for v in values) > MAX_ROLLOUTS:
+        raise InputError(
+            f"study.resolution = {study.resolution:g} is not allowed: a grid of more than {MAX_ROLLOUTS} points"
+        )
     fine = [np.interp(np.arange((len(v) - 1) * 2**halvings + 1) / 2**halvings, np.arange(len(v)), v) for v in values]
     return Lattice(axes, tuple(np.array([float(f"{x:.12g}") for x in v]) for v in fine), halvings)
 
 
-def check(study: Study, first_grid: pd.DataFrame) -> None:
+def check_refinable(study: Study, first_grid: pd.DataFrame) -> None:
     """Check that a study can be refined.
 
     Args:
@@ -188,7 +190,7 @@ def _point_rollouts(
 
 
 @dataclass(frozen=True)
-class Counts:
+class LatticeCounts:
     """Number of rollouts at every lattice point."""
 
     total: np.ndarray
@@ -196,22 +198,22 @@ class Counts:
     success: np.ndarray
 
 
-def _count_rollouts(grid: Lattice, rows: pd.DataFrame) -> Counts:
+def _count_rollouts(grid: Lattice, rows: pd.DataFrame) -> LatticeCounts:
     arrays = [np.zeros(grid.shape, dtype=np.int64) for _ in range(3)]
     if len(rows):
         at, outcome = grid.indices(rows), rows["outcome"].to_numpy()
         for array, hit in zip(arrays, (outcome == outcome, outcome != "invalid", outcome == "success"), strict=True):
             np.add.at(array, at, hit)
-    return Counts(*arrays)
+    return LatticeCounts(*arrays)
 
 
-def _undecided_points(study: Study, counts: Counts) -> np.ndarray:
+def _undecided_points(study: Study, counts: LatticeCounts) -> np.ndarray:
     """Mask of the points whose interval contains the level; points with invalid rollouts only are given up."""
     low, high = confidence_sequence(counts.success, counts.valid)
     return (low <= study.level) & (study.level <= high) & (counts.valid > 0)
 
 
-def label_points(study: Study, counts: Counts) -> np.ndarray:
+def label_points(study: Study, counts: LatticeCounts) -> np.ndarray:
     """Label every lattice point.
 
     Args:
@@ -223,11 +225,11 @@ def label_points(study: Study, counts: Counts) -> np.ndarray:
         MISSING where none was simulated.
     """
     share = counts.success / np.maximum(counts.valid, 1)
-    known = np.where(share >= study.level, SUCCEEDS, FAILS)
-    return np.where(counts.total == 0, MISSING, np.where(counts.valid == 0, INVALID, known))
+    known = np.where(share >= study.level, SUCCESS_LABEL, FAILURE_LABEL)
+    return np.where(counts.total == 0, MISSING_LABEL, np.where(counts.valid == 0, INVALID_LABEL, known))
 
 
-def select_lattice_points(study: Study, grid: Lattice, counts: Counts) -> np.ndarray:
+def select_lattice_points(study: Study, grid: Lattice, counts: LatticeCounts) -> np.ndarray:
     """Select the lattice points that bisection needs, and once these are simulated, those of the audit.
 
     Args:
@@ -240,7 +242,7 @@ def select_lattice_points(study: Study, grid: Lattice, counts: Counts) -> np.nda
     """
     label = label_points(study, counts)
     wanted = bisect_cells(label, grid.halvings)
-    if not study.audit or (wanted & (label == MISSING)).any():
+    if not study.audit or (wanted & (label == MISSING_LABEL)).any():
         return wanted
     return wanted | draw_audit_points(study, wanted)
 
@@ -276,9 +278,9 @@ def bisect_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
     """
     wanted = np.zeros(labels.shape, dtype=bool)
     wanted[(slice(None, None, 2**halvings),) * labels.ndim] = True
-    while not (wanted & (labels == MISSING)).any():
+    while not (wanted & (labels == MISSING_LABEL)).any():
         grown = wanted.copy()
-        seen = np.where(wanted, labels, MISSING)
+        seen = np.where(wanted, labels, MISSING_LABEL)
         for size in (2**k for k in range(halvings, 0, -1)):
             cells = np.argwhere(_disagreeing_cells(seen, size)) * size
             for offset in itertools.product((0, size // 2, size), repeat=labels.ndim):
@@ -292,7 +294,7 @@ def bisect_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
 def _disagreeing_cells(labels: np.ndarray, size: int) -> np.ndarray:
     inside = _cell_windows(labels, size)
     axes = tuple(range(labels.ndim, 2 * labels.ndim))
-    return (inside == FAILS).any(axis=axes) & (inside == SUCCEEDS).any(axis=axes)
+    return (inside == FAILURE_LABEL).any(axis=axes) & (inside == SUCCESS_LABEL).any(axis=axes)
 
 
 def _cell_windows(array: np.ndarray, size: int) -> np.ndarray:
@@ -335,11 +337,11 @@ def fill_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
         inside = _cell_windows(labels, size)
         corners = inside[(..., *(slice(None, None, size),) * labels.ndim)]
         axes = tuple(range(labels.ndim, 2 * labels.ndim))
-        alike = (corners.min(axis=axes) == corners.max(axis=axes)) & (corners.min(axis=axes) >= FAILS)
+        alike = (corners.min(axis=axes) == corners.max(axis=axes)) & (corners.min(axis=axes) >= FAILURE_LABEL)
         alike &= ~_disagreeing_cells(labels, size)
         for cell in np.argwhere(alike):
             block = guess[tuple(slice(i * size, (i + 1) * size + 1) for i in cell)]
-            block[block == MISSING] = labels[tuple(cell * size)]
+            block[block == MISSING_LABEL] = labels[tuple(cell * size)]
     return guess
 
 
@@ -347,12 +349,12 @@ def fill_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
 class RefinedPanel:
     """Result of refinement in one panel: the labelled lattice, its cells, and how well filled-in labels hold."""
 
-    names: dict[str, str]  # level of each categorical axis, by axis name
-    grid: Lattice
+    level_names: dict[str, str]  # level of each categorical axis, by axis name
+    lattice: Lattice
     labels: np.ndarray  # of every lattice point, simulated or filled in; MISSING where neither
-    known: np.ndarray  # mask of the simulated points
+    is_simulated: np.ndarray  # mask of the simulated points
     cells: tuple[np.ndarray, ...]  # see `leaf_cells`
-    rate: Rate  # of success, over the rollouts
+    rate: SuccessRate  # of success, over the rollouts
     audited: int  # number of points simulated to check the label that was filled in
     missed: int  # number of audited points with another label than the one filled in
     undecided: int  # number of points whose interval still contains the level
@@ -368,12 +370,12 @@ class RefinedPanel:
         return float(clopper_pearson(self.missed, self.audited).high)
 
     def __str__(self) -> str:
-        size, shape = self.labels.size, " x ".join(map(str, self.grid.shape))
+        size, shape = self.labels.size, " x ".join(map(str, self.lattice.shape))
         text = f"{self.rollouts:,} rollouts, {self.rate.invalid_text}, for a grid of {shape} points"
-        text = ", ".join(self.names.values()) + f": {text}" if self.names else text
+        text = ", ".join(self.level_names.values()) + f": {text}" if self.level_names else text
         if self.rollouts < size:
             text += f", {size / self.rollouts:.1f} times fewer"
-        if missing := int((self.labels == MISSING).sum()):
+        if missing := int((self.labels == MISSING_LABEL).sum()):
             text += f"; {missing} points are not decided"
         if self.undecided:
             text += f"; at {self.undecided} the interval still holds the level"
@@ -398,14 +400,14 @@ def summarize_panels(exp: Experiment, rows: pd.DataFrame) -> list[RefinedPanel]:
         counts = _count_rollouts(grid, part)
         label = label_points(exp.study, counts)
         wanted = bisect_cells(label, grid.halvings)
-        seen = np.where(wanted, label, MISSING)
+        seen = np.where(wanted, label, MISSING_LABEL)
         filled, cells = fill_cells(seen, grid.halvings), leaf_cells(seen, grid.halvings)
-        audit = draw_audit_points(exp.study, wanted) & (label >= FAILS) & (filled >= FAILS)
+        audit = draw_audit_points(exp.study, wanted) & (label >= FAILURE_LABEL) & (filled >= FAILURE_LABEL)
         missed = int((label != filled)[audit].sum())
         undecided = int(_undecided_points(exp.study, counts).sum()) if exp.study.has_repeats else 0
         known = counts.total > 0
         merged = np.where(known, label, filled)
-        success = rate(part["outcome"])
+        success = success_rate(part["outcome"])
         summaries.append(RefinedPanel(names, grid, merged, known, cells, success, int(audit.sum()), missed, undecided))
     return summaries
 
@@ -427,11 +429,11 @@ def total_effects(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
     summaries, study = summarize_panels(exp, rows), exp.study
     named = [a for a in study.axes if a.values is not None and any(isinstance(v, str) for v in a.values)]
     names = [len(a.values or ()) for a in named]
-    value = np.stack([np.where(one.labels < FAILS, 0.5, one.labels == SUCCEEDS) for one in summaries])
+    value = np.stack([np.where(one.labels < FAILURE_LABEL, 0.5, one.labels == SUCCESS_LABEL) for one in summaries])
     weights = [np.ones(n) for n in names]
-    weights += [np.diff(np.concatenate([v[:1], (v[1:] + v[:-1]) / 2, v[-1:]])) for v in summaries[0].grid.values]
+    weights += [np.diff(np.concatenate([v[:1], (v[1:] + v[:-1]) / 2, v[-1:]])) for v in summaries[0].lattice.values]
     total = sensitivity.total_effects(value.reshape(*names, *value.shape[1:]), weights)
-    table = pd.DataFrame({"axis": [a.column for a in (*named, *summaries[0].grid.axes)], "total": total})
+    table = pd.DataFrame({"axis": [a.column for a in (*named, *summaries[0].lattice.axes)], "total": total})
     return table.dropna().sort_values("total", ascending=False, ignore_index=True)
 
 
@@ -450,18 +452,18 @@ def paint_cells(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
 
     parts = [rows.assign(known=True)]
     for panel, (_, part) in zip(summarize_panels(exp, rows), iter_panels(exp.study, rows), strict=True):
-        guessed = ~panel.known & (panel.labels >= FAILS)
+        guessed = ~panel.is_simulated & (panel.labels >= FAILURE_LABEL)
         if part.empty or not guessed.any():
             continue
         causes = np.full(panel.labels.shape, "", dtype=object)
         failed = part[part["outcome"] == "failure"]
-        causes[panel.grid.indices(failed)] = failed["cause"]
+        causes[panel.lattice.indices(failed)] = failed["cause"]
         if len(failed):
             nearest = distance_transform_edt(causes == "", return_distances=False, return_indices=True)
-            causes = np.where(panel.labels == FAILS, causes[tuple(np.asarray(nearest))], "")
+            causes = np.where(panel.labels == FAILURE_LABEL, causes[tuple(np.asarray(nearest))], "")
         at = np.nonzero(guessed)
-        more = {a.column: v[i] for a, v, i in zip(panel.grid.axes, panel.grid.values, at, strict=True)}
-        outcome = np.where(panel.labels[at] == SUCCEEDS, "success", "failure")
-        named = {a.column: panel.names[a.name] for a in exp.study.axes if a.name in panel.names}
+        more = {a.column: v[i] for a, v, i in zip(panel.lattice.axes, panel.lattice.values, at, strict=True)}
+        outcome = np.where(panel.labels[at] == SUCCESS_LABEL, "success", "failure")
+        named = {a.column: panel.level_names[a.name] for a in exp.study.axes if a.name in panel.level_names}
         parts.append(pd.DataFrame({**more, **named, "outcome": outcome, "cause": causes[at], "known": False}))
     return pd.concat(parts, ignore_index=True)

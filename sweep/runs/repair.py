@@ -10,9 +10,9 @@ import pyarrow.parquet as pq
 
 from sweep.core import files
 from sweep.core.errors import InputError
-from sweep.core.files import path_in, printable_name
+from sweep.core.files import path_inside_folder, printable_name
 from sweep.runs import manifest, store
-from sweep.runs.manifest import Entry
+from sweep.runs.manifest import ManifestEntry
 from sweep.runs.parquet import read_parquet
 from sweep.runs.points_check import AssignedPoints
 
@@ -23,7 +23,7 @@ SMALL_PART_ROWS, MAX_PART_ROWS = (
 MIN_MERGED_PARTS = 8  # least number of parts that are merged
 
 
-def verify(folder: Path) -> tuple[list[str], list[str], int]:
+def verify_folder(folder: Path) -> tuple[list[str], list[str], int]:
     """Check every file of a study's folder; changes nothing.
 
     Returns:
@@ -33,23 +33,24 @@ def verify(folder: Path) -> tuple[list[str], list[str], int]:
     Raises:
         InputError: `folder` is not a study's.
     """
-    entries, damaged = manifest.parse(folder)
-    problems = [f"{folder / manifest.MANIFEST} is damaged in line {number}" for number in damaged]
+    entries, damaged = manifest.parse_manifest(folder)
+    problems = [f"{folder / manifest.MANIFEST_FILE} is damaged in line {number}" for number in damaged]
     try:
         store.read_study(folder)
     except store.DamagedFile as error:
-        if not path_in(folder, store.PARTS).is_dir():
+        if not path_inside_folder(folder, store.PARTS_FOLDER).is_dir():
             raise
         problems.append(str(error))
     points = _read_sound_points(folder, entries)
     if points is None:
-        problems.append(f"{folder / store.POINTS} is lost or damaged")
+        problems.append(f"{folder / store.POINTS_FILE} is lost or damaged")
     parts = {folder / entry.file: _find_problem(folder, entry, points) for entry in entries if entry.batches}
     recordings = {folder / entry.file: _find_problem(folder, entry) for entry in entries if _is_recording(entry)}
     problems += [f"{path} is damaged ({problem})" for path, problem in {**parts, **recordings}.items() if problem]
     sound = list(parts.values()).count(None)
     unlisted = [
-        f"{printable_name(path)} is not in {manifest.MANIFEST}: ignored" for path in _unlisted_files(folder, entries)
+        f"{printable_name(path)} is not in {manifest.MANIFEST_FILE}: ignored"
+        for path in _unlisted_files(folder, entries)
     ]
     return problems, unlisted, sound
 
@@ -70,9 +71,9 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
     Raises:
         Fault: The disk refuses a write.
     """
-    entries, damaged = manifest.parse(folder)
-    lines = [f"{folder / manifest.MANIFEST} is damaged in line {number}: rebuilt" for number in damaged]
-    kept = [entry for entry in entries if entry.file == store.POINTS]
+    entries, damaged = manifest.parse_manifest(folder)
+    lines = [f"{folder / manifest.MANIFEST_FILE} is damaged in line {number}: rebuilt" for number in damaged]
+    kept = [entry for entry in entries if entry.file == store.POINTS_FILE]
     # parts of a killed `relabel`, then damaged files; deleted below
     dropped = [entry for entry in entries if entry.batches and entry.labels != labels]
     points = _read_sound_points(folder, entries)
@@ -91,42 +92,42 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
             has_lost_lines if _is_recording(entry) else entry.labels == labels and _belongs(folder, entry, kept, points)
         ):
             kept.append(entry)
-            lines.append(f"{printable_name(path)} was not in {manifest.MANIFEST}: listed")
+            lines.append(f"{printable_name(path)} was not in {manifest.MANIFEST_FILE}: listed")
         elif entry and set(entry.batches) <= {b for listed in kept for b in listed.batches}:
             path.unlink()  # its rows are in another part: a worker or a merge came too late
         else:
             lines.append(f"{printable_name(path)} does not belong to this study: ignored")
     if damaged or kept != entries:
-        manifest.rewrite(folder, kept)
+        manifest.rewrite_manifest(folder, kept)
     for entry in dropped:
-        path_in(folder, entry.file).unlink(missing_ok=True)
+        path_inside_folder(folder, entry.file).unlink(missing_ok=True)
     parts = [entry for entry in kept if entry.batches]
-    if points is None and (parts or path_in(folder, store.POINTS).exists()):
-        lines.append(f"{folder / store.POINTS} was missing or damaged: rebuilt from the parts")
-        path_in(folder, store.POINTS).unlink(missing_ok=True)
+    if points is None and (parts or path_inside_folder(folder, store.POINTS_FILE).exists()):
+        lines.append(f"{folder / store.POINTS_FILE} was missing or damaged: rebuilt from the parts")
+        path_inside_folder(folder, store.POINTS_FILE).unlink(missing_ok=True)
         if parts:
             store.write_points(folder, rebuild_points(folder, parts))
     return lines
 
 
-def rebuild_points(folder: Path, parts: Sequence[Entry]) -> pd.DataFrame:
+def rebuild_points(folder: Path, parts: Sequence[ManifestEntry]) -> pd.DataFrame:
     """Return the assigned points of `parts`, from the leading columns of their rows."""
     rows = pd.concat([store.read_part(folder, entry) for entry in parts], ignore_index=True)
     return rows[list(rows.columns[: rows.columns.get_loc("run_id")])]
 
 
-def _read_sound_points(folder: Path, listed: Sequence[Entry]) -> AssignedPoints | None:
+def _read_sound_points(folder: Path, listed: Sequence[ManifestEntry]) -> AssignedPoints | None:
     """Return the points table, or None where it is damaged or lacks batches of the listed parts."""
-    path = path_in(folder, store.POINTS)
-    if not path.exists() or not any(e.file == store.POINTS and not _find_problem(folder, e) for e in listed):
+    path = path_inside_folder(folder, store.POINTS_FILE)
+    if not path.exists() or not any(e.file == store.POINTS_FILE and not _find_problem(folder, e) for e in listed):
         return None
-    points = AssignedPoints(store.to_frame(read_parquet(path)), str(path))
+    points = AssignedPoints(store.to_pandas(read_parquet(path)), str(path))
     return points if {b for e in listed for b in e.batches} <= points.batches() else None
 
 
-def _find_problem(folder: Path, entry: Entry, points: AssignedPoints | None = None) -> str | None:
+def _find_problem(folder: Path, entry: ManifestEntry, points: AssignedPoints | None = None) -> str | None:
     """Describe what is wrong with a listed file, or return None; with a points table, its rows are compared too."""
-    path = path_in(folder, entry.file)
+    path = path_inside_folder(folder, entry.file)
     try:
         problem = entry.find_problem(path)
     except OSError as error:
@@ -134,39 +135,39 @@ def _find_problem(folder: Path, entry: Entry, points: AssignedPoints | None = No
     if problem or points is None or not entry.batches:
         return problem
     try:
-        rows = store.to_frame(read_parquet(path, list(points.rows.columns)))
+        rows = store.to_pandas(read_parquet(path, list(points.rows.columns)))
     except InputError as error:
         return str(error)
     return "; ".join(points.differences(rows, entry.batches)) or None
 
 
-def _unlisted_files(folder: Path, entries: Sequence[Entry]) -> Iterator[Path]:
+def _unlisted_files(folder: Path, entries: Sequence[ManifestEntry]) -> Iterator[Path]:
     listed = {entry.file for entry in entries}
     for place in store.SUBFOLDERS:
-        for path in sorted(path_in(folder, place).glob("*")):
-            if f"{place}/{path.name}" not in listed and not path.name.startswith(files.HIDDEN):
+        for path in sorted(path_inside_folder(folder, place).glob("*")):
+            if f"{place}/{path.name}" not in listed and not path.name.startswith(files.UNFINISHED_PREFIX):
                 yield path
 
 
-def _is_recording(entry: Entry) -> bool:
-    return not entry.batches and entry.file != store.POINTS
+def _is_recording(entry: ManifestEntry) -> bool:
+    return not entry.batches and entry.file != store.POINTS_FILE
 
 
-def _entry_from_metadata(folder: Path, path: Path) -> Entry | None:
+def _entry_from_metadata(folder: Path, path: Path) -> ManifestEntry | None:
     """Return the entry of a part that is not listed, from its own metadata; None where it is no part or was changed."""
     try:
-        path = path_in(folder, path.relative_to(folder))
+        path = path_inside_folder(folder, path.relative_to(folder))
         sha256 = files.digest_file(path)
         if not path.stem.endswith(f"-{sha256[:12]}"):
             return None
         about = json.loads(pq.read_schema(path).metadata[store.METADATA_KEY])
         place = {"file": f"{path.parent.name}/{path.name}", "length": path.stat().st_size, "sha256": sha256}
-        return manifest.entry_of({**about, **place})
+        return manifest.entry_from_json({**about, **place})
     except (OSError, ValueError, KeyError, TypeError, RecursionError, pa.ArrowException):  # `InputError` among them
         return None
 
 
-def _belongs(folder: Path, entry: Entry, kept: Sequence[Entry], points: AssignedPoints | None) -> bool:
+def _belongs(folder: Path, entry: ManifestEntry, kept: Sequence[ManifestEntry], points: AssignedPoints | None) -> bool:
     """Whether a part that is not listed belongs to the points table and holds no batch of a listed part.
 
     Without a points table, none of its points may be in a listed part.
@@ -175,16 +176,16 @@ def _belongs(folder: Path, entry: Entry, kept: Sequence[Entry], points: Assigned
         return False
     rows = store.read_part(folder, entry)
     if points is not None:
-        return points.rows_of(entry.batches)[0]["point_id"].tolist() == rows["point_id"].tolist()
+        return points.select_batches(entry.batches)[0]["point_id"].tolist() == rows["point_id"].tolist()
     parts = [listed for listed in kept if listed.batches]
     return not parts or not rows["point_id"].isin(rebuild_points(folder, parts)["point_id"]).any()
 
 
-def remove_parts(folder: Path, entries: Sequence[Entry]) -> None:
+def remove_parts(folder: Path, entries: Sequence[ManifestEntry]) -> None:
     """Remove parts from the manifest, then their files. Raises `Fault` if the disk refuses it."""
-    manifest.rewrite(folder, [entry for entry in manifest.read(folder) if entry not in entries])
+    manifest.rewrite_manifest(folder, [entry for entry in manifest.read_manifest(folder) if entry not in entries])
     for entry in entries:
-        path_in(folder, entry.file).unlink(missing_ok=True)
+        path_inside_folder(folder, entry.file).unlink(missing_ok=True)
 
 
 def merge_small_parts(folder: Path, planned: pd.DataFrame) -> None:
@@ -207,20 +208,20 @@ def merge_small_parts(folder: Path, planned: pd.DataFrame) -> None:
             merged[run[0].file] = store.write_table(folder, table, run[0].study, run[0].labels)
             merged |= dict.fromkeys((entry.file for entry in run[1:]), None)
     if merged:
-        listed = manifest.read(folder)
-        points = [entry for entry in listed if entry.file == store.POINTS]
+        listed = manifest.read_manifest(folder)
+        points = [entry for entry in listed if entry.file == store.POINTS_FILE]
         kept = [merged.get(entry.file, entry) for entry in parts]
         recordings = filter(_is_recording, listed)
-        manifest.rewrite(folder, [*points[-1:], *recordings, *(entry for entry in kept if entry)])
+        manifest.rewrite_manifest(folder, [*points[-1:], *recordings, *(entry for entry in kept if entry)])
         for file in merged:
-            path_in(folder, file).unlink(missing_ok=True)
+            path_inside_folder(folder, file).unlink(missing_ok=True)
 
 
-def _mergeable_runs(parts: Sequence[Entry], planned: pd.DataFrame) -> Iterator[list[Entry]]:
+def _mergeable_runs(parts: Sequence[ManifestEntry], planned: pd.DataFrame) -> Iterator[list[ManifestEntry]]:
     """Yield runs of small parts whose batches are neighbours and share a group, up to MAX_PART_ROWS rows a run."""
     batches = planned.groupby("batch")["group"].agg(["first", "size"])
     place = {batch: k for k, batch in enumerate(batches.index)}
-    run: list[Entry] = []
+    run: list[ManifestEntry] = []
     total = 0
     for entry in parts:
         size = int(batches.loc[list(entry.batches), "size"].sum())

@@ -9,11 +9,11 @@ from typing import Any
 import pandas as pd
 
 from sweep.analysis import sensitivity
-from sweep.analysis.sample import drop_copies
+from sweep.analysis.sample import drop_repeated_rollouts
 from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.distinct_values import has_several_values
 from sweep.core.errors import InputError
-from sweep.core.expressions import condition_columns, mask
+from sweep.core.expressions import condition_columns, condition_mask
 from sweep.runs import store
 from sweep.study.study import name_axes, parameter_columns
 
@@ -27,8 +27,8 @@ class Results:
     exp: Experiment
     rows: pd.DataFrame
     where: str | None  # condition that chose the rows
-    done: int = 0  # number of finished rows in the folder
-    copies: str = ""  # sentence about rows left out because they repeat others
+    finished_count: int = 0  # number of finished rows in the folder
+    duplicates_note: str = ""  # sentence about rows left out because they repeat others
 
     @cached_property
     def axes(self) -> list[str]:
@@ -38,25 +38,25 @@ class Results:
         return [c for c in every if c in self.rows and has_several_values(self.rows[c])]
 
     @cached_property
-    def numeric(self) -> list[str]:
+    def numeric_columns(self) -> list[str]:
         """Varied columns with numbers."""
         return [c for c in self.axes if self.rows[c].dtype.kind in "fi"]
 
     @cached_property
-    def categorical(self) -> list[str]:
+    def categorical_columns(self) -> list[str]:
         """Varied columns with names, such as that of an engine."""
-        return [c for c in self.axes if c not in self.numeric]
+        return [c for c in self.axes if c not in self.numeric_columns]
 
     @cached_property
-    def listed_numeric(self) -> list[str]:
+    def listed_numeric_columns(self) -> list[str]:
         """Varied columns with listed numbers, as in a grid; all numeric ones for a table of points."""
         if self.exp.study.points:
-            return self.numeric
+            return self.numeric_columns
         own = [a.column for a in sensitivity.listed_axes(self.rows, self.exp)]
-        return [c for c in self.numeric if c in own]
+        return [c for c in self.numeric_columns if c in own]
 
     @property
-    def one_at_a_time(self) -> bool:
+    def is_one_at_a_time(self) -> bool:
         """Whether every parameter is varied alone, with all others at their nominal values."""
         return self.exp.study.design.varies_axes_alone and not self.exp.study.points
 
@@ -79,7 +79,7 @@ class Results:
             return pd.DataFrame({"axis": [], "distance": [], "p": []})
 
     @cached_property
-    def causes_seen(self) -> dict[str, str]:
+    def occurring_causes(self) -> dict[str, str]:
         """Causes that occur in the rows, with their meanings, in the order of their definition."""
         seen = set(self.rows["cause"].unique())
         meanings = self.exp.system.cause_meanings(self.exp.thresholds)
@@ -132,10 +132,10 @@ def iterate_matching_rows(
     wanted = [*dict.fromkeys([*columns, *condition_columns(empty_rows(folder, exp), where)])]
     for part in store.iterate_parts(folder, wanted):
         rows = name_axes(part.to_pandas().reindex(columns=wanted), exp.study.axes)  # a group may lack others' metrics
-        yield rows.loc[mask(rows, where), list(columns)], len(rows)
+        yield rows.loc[condition_mask(rows, where), list(columns)], len(rows)
 
 
-def read(folder: Path, where: str | None = None) -> Results:
+def read_results(folder: Path, where: str | None = None) -> Results:
     """Read the finished rows of a study's folder.
 
     Rollouts without noise that repeat others are left out.
@@ -151,8 +151,8 @@ def read(folder: Path, where: str | None = None) -> Results:
     rows = name_axes(store.read_rows(folder), exp.study.axes)
     done = len(rows)
     if where:
-        rows = rows[mask(rows, where)].reset_index(drop=True)
+        rows = rows[condition_mask(rows, where)].reset_index(drop=True)
         if rows.empty:
             raise InputError(f"no row of {folder} matches where = {where!r}")
-    chosen, copies = drop_copies(rows, exp)
+    chosen, copies = drop_repeated_rollouts(rows, exp)
     return Results(folder, stored, exp, chosen, where, done, copies)

@@ -16,8 +16,8 @@ from sweep.config.experiment import Experiment, build_experiment, flatten_values
 from sweep.contract.engine import Engine
 from sweep.core import provenance, user_code
 from sweep.core.errors import Fault, InputError
-from sweep.core.expressions import mask
-from sweep.core.files import path_in
+from sweep.core.expressions import condition_mask
+from sweep.core.files import path_inside_folder
 from sweep.core.outcomes import INVALID
 from sweep.runs import manifest, repair, store, time_series
 from sweep.runs.batches import (
@@ -31,9 +31,9 @@ from sweep.runs.batches import (
     make_nominal_batch,
     with_delay_buffer,
 )
-from sweep.runs.manifest import Entry
+from sweep.runs.manifest import ManifestEntry
 from sweep.study import design_kinds
-from sweep.study.clusters import Dispatch
+from sweep.study.clusters import DispatchFunction
 from sweep.study.columns import metric_columns
 from sweep.study.study import Logger, make_points, name_axes
 
@@ -44,7 +44,7 @@ MUTABLE_KEYS = ("study.axes.", "study.points", "study.where",
                 "study.invalid_max", "study.expect", "study.theory", "scenario.expect", "outcome", "cluster",
                 "out")  # fmt: skip
 PROGRESS_COLUMNS = ["outcome", "wall_s"]
-Progress = Callable[[pd.DataFrame], None]  # receives these columns of every finished batch
+ProgressCallback = Callable[[pd.DataFrame], None]  # receives these columns of every finished batch
 
 
 @dataclass
@@ -62,8 +62,8 @@ class Job:
     exp: Experiment
     folder: Path
     table: pd.DataFrame  # all points of the folder, with group, batch, slot and width
-    wanted: set[int]  # numbers of the batches that this run asks for
-    unplanned: int = 0  # number of the study's points that have no batch
+    wanted_batches: set[int]  # numbers of the batches that this run asks for
+    unassigned_points: int = 0  # number of the study's points that have no batch
 
     @cached_property
     def study_digest(self) -> str:
@@ -77,7 +77,7 @@ class Job:
 
     def missing(self) -> list[int]:
         """Return the numbers of wanted batches that are not on disk."""
-        return sorted(self.wanted - store.finished_batches(self.folder))
+        return sorted(self.wanted_batches - store.finished_batches(self.folder))
 
     @cached_property
     def _places(self) -> dict[int, np.ndarray]:
@@ -86,7 +86,9 @@ class Job:
 
     def rows(self, batches: list[int]) -> pd.DataFrame:
         """Return the points of `batches`, in the table's order."""
-        if self.wanted == {*batches} and self.table["batch"].nunique() == len(batches):  # no copy of millions of rows
+        if self.wanted_batches == {*batches} and self.table["batch"].nunique() == len(
+            batches
+        ):  # no copy of millions of rows
             return self.table
         places = [self._places[number] for number in batches]
         return self.table.take(np.sort(np.concatenate([np.zeros(0, dtype=int), *places])))
@@ -96,7 +98,7 @@ def select_points(
     exp: Experiment,
     where: str | None = None,
     limit: int | None = None,
-    say: Logger | None = None,
+    on_message: Logger | None = None,
     with_ids: bool = True,
 ) -> pd.DataFrame:
     """Return the points of a study that a run should simulate.
@@ -105,7 +107,7 @@ def select_points(
         exp: Experiment of the study.
         where: Condition on axes and parameters that chooses points; None for all.
         limit: Largest number of points; None for all.
-        say: Receives a line where points are left out because they equal others.
+        on_message: Receives a line where points are left out because they equal others.
         with_ids: Whether the points are to be simulated, see `make_points`. A condition may name ids, and has them.
 
     Returns:
@@ -114,16 +116,18 @@ def select_points(
     Raises:
         InputError: No point matches, or the study's axes are not allowed.
     """
-    table = make_points(exp.study, exp.system, exp.settings, on_message=say, with_ids=with_ids or where is not None)
+    table = make_points(
+        exp.study, exp.system, exp.settings, on_message=on_message, with_ids=with_ids or where is not None
+    )
     if where is not None:
-        table = table[mask(name_axes(table, exp.study.axes), where)]
+        table = table[condition_mask(name_axes(table, exp.study.axes), where)]
     table = table.iloc[:limit]
     if table.empty:
         raise InputError(f"no point of {exp.study.name} matches the selection")
     return table.reset_index(drop=True)
 
 
-def count_unplanned(exp: Experiment, table: pd.DataFrame, wanted: pd.DataFrame) -> int:
+def count_unassigned_points(exp: Experiment, table: pd.DataFrame, wanted: pd.DataFrame) -> int:
     """Count the study's points that have no batch, as after `--limit`.
 
     Args:
@@ -163,8 +167,8 @@ def prepare_job(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
     every = pd.concat([planned, wanted], ignore_index=True) if len(planned) else wanted  # no copy of millions of rows
     buffered = with_delay_buffer(exp, every)
     table = assign_batches(buffered, planned, wanted)
-    time_series.check_size(buffered, table)
-    unplanned = count_unplanned(exp, table, wanted)  # by the points' ids, which are not those with a buffer
+    time_series.check_history_size(buffered, table)
+    unplanned = count_unassigned_points(exp, table, wanted)  # by the points' ids, which are not those with a buffer
     chosen = table["batch"][isin_points(table, wanted)] if len(planned) else table["batch"]
     return Job(buffered, folder, table, set(chosen.unique().tolist()), unplanned)
 
@@ -183,7 +187,7 @@ def repair_folder(exp: Experiment, folder: Path) -> list[str]:
         InputError: The folder holds another study.
     """
     study, labels, stored = study_id(exp.values), labels_id(exp.values), None
-    entries, _ = manifest.parse(folder)
+    entries, _ = manifest.parse_manifest(folder)
     try:
         stored = store.read_study(folder)
         labels = stored["labels"]
@@ -192,8 +196,8 @@ def repair_folder(exp: Experiment, folder: Path) -> list[str]:
     except store.DamagedFile:
         if any(entry.batches and (entry.study, entry.labels) != (study, labels) for entry in entries):
             raise InputError(
-                f"{folder / store.STUDY} is lost or damaged, and the rows are of another study, version or thresholds "
-                "than those asked for: give the same, or out=DIR"
+                f"{folder / store.STUDY_FILE} is lost or damaged, and the rows are of another study, version or "
+                "thresholds than those asked for: give the same, or out=DIR"
             ) from None
     lines = repair.repair_files(folder, study, labels)
     planned = store.read_points(folder)
@@ -203,7 +207,7 @@ def repair_folder(exp: Experiment, folder: Path) -> list[str]:
             start = make_nominal_batch(job.exp, rows, int(rows["width"].iloc[0]))
             record.stages[int(group)] = list(make_engine(job.exp, start).stages)  # pyright: ignore[reportArgumentType]
         write_description(job, record)
-        lines.append(f"{folder / store.STUDY} was missing or damaged: written again")
+        lines.append(f"{folder / store.STUDY_FILE} was missing or damaged: written again")
     return lines
 
 
@@ -275,7 +279,7 @@ def labels_id(values: Mapping[str, Any]) -> str:
     return store.digest([values["outcome"], provenance.code_version()])
 
 
-def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
+def run_job(job: Job, progress: ProgressCallback, dispatch: DispatchFunction = map) -> Job:
     """Simulate the missing batches of a job; every batch is stored when it is done.
 
     Batches that do not fit into a device's memory are assigned anew, at half the width.
@@ -292,7 +296,7 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
         Fault: Disk, memory or workers fail.
     """
     folder, exp, record = job.folder, job.exp, RunRecord()
-    if path_in(folder, store.STUDY).exists():
+    if path_inside_folder(folder, store.STUDY_FILE).exists():
         stored = store.read_study(folder)
         record = RunRecord(stored["stages"], stored["devices"])
         if stored["labels"] != job.labels_digest:
@@ -311,7 +315,9 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
                 record.devices.append(done.device)
                 write_description(job, record)
             where = f"{done.host}, {done.device}"
-            store.log(folder, f"batch {done.batch}: {len(rows)} rollouts, {rows['wall_s'].sum():.1f} s on {where}")
+            store.append_to_log(
+                folder, f"batch {done.batch}: {len(rows)} rollouts, {rows['wall_s'].sum():.1f} s on {where}"
+            )
             progress(rows)
         if out_of_memory:
             job = halve_batch_width(job, out_of_memory)
@@ -319,7 +325,7 @@ def run(job: Job, progress: Progress, dispatch: Dispatch = map) -> Job:
     return job
 
 
-def accept_part(job: Job, done: "FinishedBatch", entry: Entry) -> pd.DataFrame:
+def accept_part(job: Job, done: "FinishedBatch", entry: ManifestEntry) -> pd.DataFrame:
     """List the part that a worker wrote, so that its rows count.
 
     Args:
@@ -333,27 +339,27 @@ def accept_part(job: Job, done: "FinishedBatch", entry: Entry) -> pd.DataFrame:
     Raises:
         Fault: The part is not in this folder, or is of another study or other thresholds.
     """
-    if not all(path_in(job.folder, one.file).exists() for one in (entry, *done.recordings)):
+    if not all(path_inside_folder(job.folder, one.file).exists() for one in (entry, *done.recordings)):
         raise Fault(f"{done.host} wrote batch {done.batch} to {job.folder.resolve()}, which is not seen here")
     if (entry.study, entry.labels) != (job.study_digest, job.labels_digest) or {
         one.study for one in done.recordings
     } - {job.study_digest}:
         raise Fault(f"{done.host} simulated batch {done.batch} of another study, or judged it by other thresholds")
     rows = store.read_table(job.folder, entry, PROGRESS_COLUMNS).to_pandas()
-    manifest.add(job.folder, *limit_last_states(job.folder, done.recordings), entry)
+    manifest.append_entries(job.folder, *limit_last_states(job.folder, done.recordings), entry)
     return rows
 
 
-def limit_last_states(folder: Path, beside: tuple[Entry, ...]) -> list[Entry]:
+def limit_last_states(folder: Path, recordings: tuple[ManifestEntry, ...]) -> list[ManifestEntry]:
     """Return the recordings to keep; delete last states of invalid rows beyond the folder's limit.
 
     Workers do not know of each other, so together they may record too many.
     """
-    last = [entry for entry in beside if entry.file.startswith(f"{store.LAST_STATES}/")]
-    room = time_series.MAX_INVALID_ROWS - len(store.list_recordings(folder, store.LAST_STATES)) if last else 0
+    last = [entry for entry in recordings if entry.file.startswith(f"{store.LAST_STATES_FOLDER}/")]
+    room = time_series.MAX_INVALID_ROWS - len(store.list_recordings(folder, store.LAST_STATES_FOLDER)) if last else 0
     for entry in last[room:]:
-        path_in(folder, entry.file).unlink(missing_ok=True)
-    return [entry for entry in beside if entry not in last[room:]]
+        path_inside_folder(folder, entry.file).unlink(missing_ok=True)
+    return [entry for entry in recordings if entry not in last[room:]]
 
 
 def iter_batches(
@@ -376,7 +382,7 @@ def iter_batches(
         record.stages[group] = list(engine.stages)
         write_description(job, record)
         how = f"{start.settings}, {engine.dynamics} dynamics"
-        store.log(job.folder, f"group {group}: {how}, {len(rows)} rollouts of {engine.duration:g} s")
+        store.append_to_log(job.folder, f"group {group}: {how}, {len(rows)} rollouts of {engine.duration:g} s")
         for number in rows["batch"].unique().tolist():
             if not (out_of_memory and rows["batch"].isin([done.batch for done in out_of_memory]).any()):
                 yield number
@@ -392,9 +398,11 @@ def halve_batch_width(job: Job, out_of_memory: list["FinishedBatch"]) -> Job:
     batches = left.merge(crowded, on=["group", "width"])["batch"].unique().tolist()
     table = halve_batches(job.table, batches, out_of_memory[0].devices)
     for done in out_of_memory:
-        store.log(job.folder, f"batch {done.batch}: too little memory on {done.host}, {done.device}; half the width")
-    asked = job.table["batch"].isin(job.wanted)
-    return replace(job, table=table, wanted=set(table.loc[asked, "batch"]))
+        store.append_to_log(
+            job.folder, f"batch {done.batch}: too little memory on {done.host}, {done.device}; half the width"
+        )
+    asked = job.table["batch"].isin(job.wanted_batches)
+    return replace(job, table=table, wanted_batches=set(table.loc[asked, "batch"]))
 
 
 @dataclass(frozen=True)
@@ -405,8 +413,8 @@ class FinishedBatch:
     host: str
     device: str
     devices: int  # number of devices that share a batch
-    entry: Entry | None  # of its part; None where the device's memory is too small
-    recordings: tuple[Entry, ...] = ()  # files with histories and last states
+    entry: ManifestEntry | None  # of its part; None where the device's memory is too small
+    recordings: tuple[ManifestEntry, ...] = ()  # files with histories and last states
 
 
 def simulate_on_worker(folder: Path, version: str, code: str, number: int) -> FinishedBatch:
@@ -439,14 +447,14 @@ def simulate_on_worker(folder: Path, version: str, code: str, number: int) -> Fi
         finished, table = simulate_batch(job.exp, engine, rows)
         # labelled by the thresholds that judged the rows, even if the command has others by now
         entry = store.write_part(folder, finished, job.study_digest, job.labels_digest)
-        beside = time_series.write(
+        beside = time_series.write_recordings(
             folder, job.study_digest, number, table, last_states_of_invalid_rows(job, engine, rows, finished)
         )
     except MemoryError:
         pass
     finally:
-        for line in user_code.take_output(with_tracebacks=True):
-            store.log(folder, line)
+        for line in user_code.take_printed_lines(with_tracebacks=True):
+            store.append_to_log(folder, line)
     if entry is None:  # outside the handler, whose exception keeps the arrays alive
         forget_engine()
     return FinishedBatch(number, host, job.exp.system.device(start.settings), engine.devices, entry, beside)
@@ -468,7 +476,9 @@ def last_states_of_invalid_rows(
     """
     if not (finished["outcome"] == INVALID).any():
         return []
-    room = time_series.MAX_INVALID_ROWS - len(list(path_in(job.folder, store.LAST_STATES).glob("*.parquet")))
+    room = time_series.MAX_INVALID_ROWS - len(
+        list(path_inside_folder(job.folder, store.LAST_STATES_FOLDER).glob("*.parquet"))
+    )
     try:
         return (
             time_series.simulate_last_states(job.exp, engine, make_batch(job.exp, rows), finished, room)
@@ -487,7 +497,7 @@ def _read_job(folder: Path, version: str) -> Job:
 
 def write_description(job: Job, record: RunRecord) -> None:
     """Write `study.yaml`: configuration, number of rollouts, versions, and what the run has recorded so far."""
-    about = {"config": job.exp.values, "rollouts": len(job.table) + job.unplanned, "labels": job.labels_digest}
+    about = {"config": job.exp.values, "rollouts": len(job.table) + job.unassigned_points, "labels": job.labels_digest}
     there = {"stages": record.stages, "devices": record.devices, **provenance.version_record()}
     store.write_study(job.folder, about | there)
 
@@ -565,13 +575,13 @@ def relabel(folder: Path, outcome: Mapping[str, Any]) -> None:
     before = store.current_parts(folder)
     if labels == stored["labels"]:
         return
-    unfinished = [e for e in manifest.read(folder) if e.batches and e not in before]  # of a killed `relabel`
+    unfinished = [e for e in manifest.read_manifest(folder) if e.batches and e not in before]  # of a killed `relabel`
     repair.remove_parts(folder, unfinished)
     for entry in before:
         rows = store.read_part(folder, entry)
         figures = {name: rows[name].to_numpy() for name in metric_columns(rows)}
         judged = exp.system.judge(figures, exp.thresholds, tuple(stored["stages"][int(rows["group"].iloc[0])]))
-        manifest.add(folder, store.write_part(folder, rows.assign(**judged), entry.study, labels))
+        manifest.append_entries(folder, store.write_part(folder, rows.assign(**judged), entry.study, labels))
     store.write_study(folder, {**stored, "config": config, "labels": labels})
     repair.remove_parts(folder, before)
 

@@ -20,20 +20,20 @@ import yaml
 
 from sweep.core import files, project
 from sweep.core.errors import Fault, InputError
-from sweep.core.files import path_in
+from sweep.core.files import path_inside_folder
 from sweep.core.yaml_check import check_yaml
 from sweep.runs import manifest
-from sweep.runs.manifest import PARTS, POINTS, SUBFOLDERS, Entry
+from sweep.runs.manifest import PARTS_FOLDER, POINTS_FILE, SUBFOLDERS, ManifestEntry
 from sweep.runs.parquet import check_expansion, column_names, decoded_schema, read_parquet
 from sweep.runs.points_check import KEY_COLUMNS, AssignedPoints
 
 # reads a million rows in 2 s of CPU time; Arrow's own pool takes 8 s
 pa.set_memory_pool(pa.system_memory_pool())
-STUDY, LOG, LOCK = project.STUDY, "log.txt", ".lock"
-HISTORIES, LAST_STATES = manifest.HISTORIES, manifest.LAST_STATES
-FORMAT = 2  # of the folder
-MOST_DESCRIBED = 2**24  # bytes of study.yaml
-JOINED = 16  # columns that are joined from all parts at once
+STUDY_FILE, LOG_FILE, LOCK_FILE = project.STUDY_FILE, "log.txt", ".lock"
+HISTORIES_FOLDER, LAST_STATES_FOLDER = manifest.HISTORIES_FOLDER, manifest.LAST_STATES_FOLDER
+FOLDER_FORMAT = 2  # of the folder
+MAX_STUDY_FILE_BYTES = 2**24  # bytes of study.yaml
+COLUMNS_PER_JOIN = 16  # columns that are joined from all parts at once
 # of study.yaml, beside the format
 STUDY_KEYS = {"config": dict, "rollouts": int, "labels": str, "stages": dict, "devices": list, "code": str,
               "commit": str, "versions": dict}  # fmt: skip
@@ -53,7 +53,7 @@ def refuse_foreign_folder(folder: Path) -> None:
         return
     except OSError as error:
         raise InputError(f"out = {folder} cannot be written: {files.os_error_text(error)}") from None
-    if names and PARTS not in names:
+    if names and PARTS_FOLDER not in names:
         raise InputError(f"out = {folder} holds {names[0]} and no results: give a new folder, or an empty one")
 
 
@@ -64,14 +64,14 @@ def lock_folder(folder: Path) -> Iterator[None]:
     Raises:
         InputError: The folder cannot be written, or another process holds its lock.
     """
-    lock = filelock.FileLock(path_in(folder, LOCK), timeout=0)
-    subfolders = [path_in(folder, name) for name in SUBFOLDERS]
+    lock = filelock.FileLock(path_inside_folder(folder, LOCK_FILE), timeout=0)
+    subfolders = [path_inside_folder(folder, name) for name in SUBFOLDERS]
     try:
-        path_in(folder, PARTS).mkdir(parents=True, exist_ok=True)
-        files.separate_hard_link(path_in(folder, LOCK))  # the lock empties the file
+        path_inside_folder(folder, PARTS_FOLDER).mkdir(parents=True, exist_ok=True)
+        files.separate_hard_link(path_inside_folder(folder, LOCK_FILE))  # the lock empties the file
         lock.acquire()
         for directory in (folder, *subfolders):
-            for unfinished in directory.glob(f"{files.HIDDEN}*"):
+            for unfinished in directory.glob(f"{files.UNFINISHED_PREFIX}*"):
                 unfinished.unlink(missing_ok=True)
     except filelock.Timeout:
         raise InputError(f"{folder} is in use by another sweep process: wait for it, or give out=DIR") from None
@@ -85,8 +85,10 @@ def lock_folder(folder: Path) -> Iterator[None]:
 
 def write_study(folder: Path, content: Mapping[str, Any]) -> None:
     """Write `study.yaml`: configuration, versions, devices. Raises `Fault` if the disk refuses it."""
-    text = yaml.safe_dump({"format": FORMAT, **content}, sort_keys=False, allow_unicode=True)
-    files.write_atomically(path_in(folder, STUDY), f"{text}{CHECKSUM_PREFIX}{files.digest(text.encode())}\n".encode())
+    text = yaml.safe_dump({"format": FOLDER_FORMAT, **content}, sort_keys=False, allow_unicode=True)
+    files.write_atomically(
+        path_inside_folder(folder, STUDY_FILE), f"{text}{CHECKSUM_PREFIX}{files.digest(text.encode())}\n".encode()
+    )
 
 
 def read_study(folder: Path) -> dict[str, Any]:
@@ -96,17 +98,17 @@ def read_study(folder: Path) -> dict[str, Any]:
         DamagedFile: The folder is not a study's, or the file has changed.
         InputError: The folder has another format.
     """
-    path = path_in(folder, STUDY)
+    path = path_inside_folder(folder, STUDY_FILE)
     damaged = DamagedFile(f"{path} is damaged: repeat the same `sweep run` to repair it")
     try:
-        text, check, given = files.read_limited(path, MOST_DESCRIBED).rpartition(CHECKSUM_PREFIX.encode())
+        text, check, given = files.read_bytes_limited(path, MAX_STUDY_FILE_BYTES).rpartition(CHECKSUM_PREFIX.encode())
         if check and given != f"{files.digest(text)}\n".encode():
             raise damaged
         body = (text if check else given).decode()
         check_yaml(body, str(path), numbers=False)  # a dump has no ambiguous numbers
-        content = yaml.load(body, project.LOADER)
+        content = yaml.load(body, project.YAML_LOADER)
     except (FileNotFoundError, NotADirectoryError):
-        raise DamagedFile(f"{folder} is not a folder of results: it has no {STUDY}") from None
+        raise DamagedFile(f"{folder} is not a folder of results: it has no {STUDY_FILE}") from None
     except InputError:
         raise
     except (OSError, ValueError, RecursionError, yaml.YAMLError):
@@ -115,9 +117,9 @@ def read_study(folder: Path) -> dict[str, Any]:
         content = {"format": 1, **content}
     elif not isinstance(content, dict) or not check:
         raise damaged
-    if content.get("format") != FORMAT:
+    if content.get("format") != FOLDER_FORMAT:
         by = f"format {content.get('format')}, of version {content.get('commit') or content.get('code')}"
-        raise InputError(f"{folder} has {by}; this one reads {FORMAT}: give out=DIR")
+        raise InputError(f"{folder} has {by}; this one reads {FOLDER_FORMAT}: give out=DIR")
     for key, kind in STUDY_KEYS.items():
         if not isinstance(value := content.get(key), kind):
             raise InputError(f"{path} is not allowed: {key} = {str(value)[:100]!r}")
@@ -136,11 +138,11 @@ def digest(values: Any) -> str:
 def write_points(folder: Path, points: pd.DataFrame) -> None:
     """Write all points of a study, with their group, batch and slot. Raises `Fault` if the disk refuses it."""
     content = _to_parquet(pa.Table.from_pandas(points, preserve_index=False), {})
-    entry = Entry(POINTS, len(content), files.digest(content))
+    entry = ManifestEntry(POINTS_FILE, len(content), files.digest(content))
     # listed before it is written: any listed points table counts as sound, so a kill in between does no harm
-    if entry not in manifest.read(folder):
-        manifest.add(folder, entry)
-    files.write_atomically(path_in(folder, POINTS), content)
+    if entry not in manifest.read_manifest(folder):
+        manifest.append_entries(folder, entry)
+    files.write_atomically(path_inside_folder(folder, POINTS_FILE), content)
 
 
 def read_points(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
@@ -156,17 +158,17 @@ def read_points(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFr
     Raises:
         InputError: The points table is damaged, or not allowed.
     """
-    path = path_in(folder, POINTS)
+    path = path_inside_folder(folder, POINTS_FILE)
     if not path.exists():
         return pd.DataFrame()
-    listed = [entry for entry in manifest.read(folder) if entry.file == POINTS]
+    listed = [entry for entry in manifest.read_manifest(folder) if entry.file == POINTS_FILE]
     content = path.stat().st_size, files.digest_file(path)
     if content not in [(entry.length, entry.sha256) for entry in listed]:
         raise DamagedFile(f"{path} is damaged: repeat the same `sweep run` to repair it")
     return read_parquet(path, columns, has_row_names=True).to_pandas()
 
 
-def to_frame(table: pa.Table) -> pd.DataFrame:
+def to_pandas(table: pa.Table) -> pd.DataFrame:
     """Convert a table to pandas for reading only, without copies where that is possible; `table` is used up."""
     return table.to_pandas(self_destruct=True, split_blocks=True)
 
@@ -181,7 +183,7 @@ def _to_parquet(table: pa.Table, about: Mapping[str, Any]) -> bytes:
     return sink.getvalue().to_pybytes()
 
 
-def write_part(folder: Path, rows: pd.DataFrame, study: str, labels: str) -> Entry:
+def write_part(folder: Path, rows: pd.DataFrame, study: str, labels: str) -> ManifestEntry:
     """Write finished rows of one or more batches to a part, which counts once it is listed in the manifest.
 
     Args:
@@ -191,7 +193,7 @@ def write_part(folder: Path, rows: pd.DataFrame, study: str, labels: str) -> Ent
         labels: Digest of the thresholds that judged the rows, see `runner.labels_id`.
 
     Returns:
-        Its entry for `manifest.add`.
+        Its entry for `manifest.append_entries`.
 
     Raises:
         Fault: The disk refuses the write.
@@ -199,13 +201,15 @@ def write_part(folder: Path, rows: pd.DataFrame, study: str, labels: str) -> Ent
     return write_table(folder, pa.Table.from_pandas(rows, preserve_index=False), study, labels)
 
 
-def write_table(folder: Path, table: pa.Table, study: str, labels: str) -> Entry:
+def write_table(folder: Path, table: pa.Table, study: str, labels: str) -> ManifestEntry:
     """Write an Arrow table of finished rows to a part; see `write_part`."""
     batches, ids = (tuple(sorted(table[name].unique().to_pylist())) for name in ("batch", "run_id"))
-    return _write_listed(folder, f"{PARTS}/part-{batches[0]:06d}", table, Entry("", 0, "", batches, study, labels, ids))
+    return _write_listed(
+        folder, f"{PARTS_FOLDER}/part-{batches[0]:06d}", table, ManifestEntry("", 0, "", batches, study, labels, ids)
+    )
 
 
-def write_recording(folder: Path, name: str, rows: pd.DataFrame, study: str) -> Entry:
+def write_recording(folder: Path, name: str, rows: pd.DataFrame, study: str) -> ManifestEntry:
     """Write a file that goes with the parts, such as time histories; it counts once it is listed in the manifest.
 
     Args:
@@ -215,50 +219,54 @@ def write_recording(folder: Path, name: str, rows: pd.DataFrame, study: str) -> 
         study: Digest of the study.
 
     Returns:
-        Its entry for `manifest.add`.
+        Its entry for `manifest.append_entries`.
 
     Raises:
         Fault: The disk refuses the write.
     """
-    return _write_listed(folder, name, pa.Table.from_pandas(rows, preserve_index=False), Entry("", 0, "", study=study))
+    return _write_listed(
+        folder, name, pa.Table.from_pandas(rows, preserve_index=False), ManifestEntry("", 0, "", study=study)
+    )
 
 
-def _write_listed(folder: Path, name: str, table: pa.Table, about: Entry) -> Entry:
+def _write_listed(folder: Path, name: str, table: pa.Table, about: ManifestEntry) -> ManifestEntry:
     metadata = {"study": about.study, "labels": about.labels, "batches": about.batches, "run_ids": about.run_ids}
     content = _to_parquet(table, metadata)
     sha256 = files.digest(content)
     entry = replace(about, file=f"{name}-{sha256[:12]}.parquet", length=len(content), sha256=sha256)
     with contextlib.suppress(OSError):  # reported when the file itself is written
-        path_in(folder, entry.file).parent.mkdir(exist_ok=True)
-    files.write_atomically(path_in(folder, entry.file), content)
+        path_inside_folder(folder, entry.file).parent.mkdir(exist_ok=True)
+    files.write_atomically(path_inside_folder(folder, entry.file), content)
     return entry
 
 
-def list_recordings(folder: Path, subfolder: str) -> list[Entry]:
+def list_recordings(folder: Path, subfolder: str) -> list[ManifestEntry]:
     """Return the listed files of a subfolder; of files with one name, as after a repeated batch, the last.
 
     Args:
         folder: Folder of the study.
-        subfolder: `HISTORIES` or `LAST_STATES`.
+        subfolder: `HISTORIES_FOLDER` or `LAST_STATES_FOLDER`.
 
     Raises:
         InputError: The manifest is damaged.
     """
-    listed = (entry for entry in manifest.read(folder) if entry.file.startswith(f"{subfolder}/"))
+    listed = (entry for entry in manifest.read_manifest(folder) if entry.file.startswith(f"{subfolder}/"))
     return list({entry.file.rpartition("-")[0]: entry for entry in listed}.values())
 
 
-def current_parts(folder: Path) -> list[Entry]:
+def current_parts(folder: Path) -> list[ManifestEntry]:
     """Return the parts that hold a folder's rows: listed in its manifest, and judged by its present thresholds.
 
     Raises:
         InputError: The manifest is missing or damaged.
     """
-    if not path_in(folder, STUDY).exists():
+    if not path_inside_folder(folder, STUDY_FILE).exists():
         return []
-    if not path_in(folder, manifest.MANIFEST).exists() and any(path_in(folder, PARTS).glob("*.parquet")):
-        raise InputError(f"{folder / manifest.MANIFEST} is missing: repeat the same `sweep run` to repair it")
-    return manifest.select_current_parts(manifest.read(folder), read_study(folder)["labels"])
+    if not path_inside_folder(folder, manifest.MANIFEST_FILE).exists() and any(
+        path_inside_folder(folder, PARTS_FOLDER).glob("*.parquet")
+    ):
+        raise InputError(f"{folder / manifest.MANIFEST_FILE} is missing: repeat the same `sweep run` to repair it")
+    return manifest.select_current_parts(manifest.read_manifest(folder), read_study(folder)["labels"])
 
 
 def finished_batches(folder: Path) -> set[int]:
@@ -274,7 +282,7 @@ def count_rollouts(folder: Path) -> tuple[int, int]:
     return len(planned), int(planned["batch"].isin(finished_batches(folder)).sum())
 
 
-def read_part(folder: Path, entry: Entry) -> pd.DataFrame:
+def read_part(folder: Path, entry: ManifestEntry) -> pd.DataFrame:
     """Return the rows of one part.
 
     Args:
@@ -287,7 +295,7 @@ def read_part(folder: Path, entry: Entry) -> pd.DataFrame:
     return read_table(folder, entry).to_pandas()
 
 
-def read_table(folder: Path, entry: Entry, columns: Sequence[str] | None = None) -> pa.Table:
+def read_table(folder: Path, entry: ManifestEntry, columns: Sequence[str] | None = None) -> pa.Table:
     """Read a listed file as an Arrow table.
 
     Args:
@@ -298,7 +306,7 @@ def read_table(folder: Path, entry: Entry, columns: Sequence[str] | None = None)
     Raises:
         InputError: The file is not what is listed, or not allowed.
     """
-    path = path_in(folder, entry.file)
+    path = path_inside_folder(folder, entry.file)
     try:
         problem = entry.find_problem(path)
     except OSError as error:
@@ -341,8 +349,8 @@ def _join_parts(tables: list[pa.Table], names: Sequence[str]) -> pd.DataFrame:
     `tables` is emptied meanwhile.
     """
     frames = []
-    for first in range(0, len(names), JOINED):
-        some = names[first : first + JOINED]
+    for first in range(0, len(names), COLUMNS_PER_JOIN):
+        some = names[first : first + COLUMNS_PER_JOIN]
         parts = [one.select([name for name in some if name in one.column_names]) for one in tables]
         frames.append(pa.concat_tables(parts, promote_options="permissive").select(some).to_pandas())
         del parts
@@ -379,9 +387,9 @@ def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterato
             parts, points = now, _read_points_table(folder, wanted)
             continue
         planned = [name for name in points.rows.columns if name in table.column_names]
-        if problems := points.differences(to_frame(table.select(planned)), entry.batches):
+        if problems := points.differences(to_pandas(table.select(planned)), entry.batches):
             raise InputError(
-                f"{folder} does not hold the rows of its {POINTS}: {problems[0]}; `sweep verify` names all"
+                f"{folder} does not hold the rows of its {POINTS_FILE}: {problems[0]}; `sweep verify` names all"
             )
         if not todo.issuperset(entry.batches):  # a run has merged parts meanwhile: some rows were yielded before
             table = table.filter(pa.array(np.isin(table["batch"].to_numpy(), sorted(todo))))
@@ -394,8 +402,8 @@ def _read_points_table(folder: Path, columns: Sequence[str] | None) -> AssignedP
     # after the parts are listed: a run that goes on plans its batches before it finishes them
     planned = read_points(folder, columns)
     if planned.empty:
-        raise DamagedFile(f"{folder / POINTS} is missing: repeat the same `sweep run` to repair it")
-    return AssignedPoints(planned, str(folder / POINTS))
+        raise DamagedFile(f"{folder / POINTS_FILE} is missing: repeat the same `sweep run` to repair it")
+    return AssignedPoints(planned, str(folder / POINTS_FILE))
 
 
 def list_columns(folder: Path) -> list[str]:
@@ -420,7 +428,7 @@ def read_column_types(folder: Path) -> pd.DataFrame:
         raise InputError(f"{folder} has no finished rollouts yet")
     schemas = []
     for entry in parts:
-        path = path_in(folder, entry.file)
+        path = path_inside_folder(folder, entry.file)
         try:
             metadata = pq.read_metadata(path)
             column_names(path, metadata)
@@ -458,7 +466,7 @@ def find_row(rows: pd.DataFrame, point: str, folder: Path) -> pd.Series:
     return matches.iloc[0]
 
 
-def log(folder: Path, message: str) -> None:
+def append_to_log(folder: Path, message: str) -> None:
     """Append a line with the present time to a folder's log.
 
     Args:
@@ -468,10 +476,10 @@ def log(folder: Path, message: str) -> None:
     Raises:
         Fault: The disk refuses the write.
     """
-    path = path_in(folder, LOG)
+    path = path_inside_folder(folder, LOG_FILE)
     files.separate_hard_link(path)
     try:
         with path.open("a", encoding="utf-8") as file:
             file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} {message}\n")
     except OSError as error:
-        raise Fault(f"{folder / LOG} cannot be written: {files.os_error_text(error)}") from None
+        raise Fault(f"{folder / LOG_FILE} cannot be written: {files.os_error_text(error)}") from None

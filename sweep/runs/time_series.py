@@ -16,11 +16,11 @@ from sweep.core.errors import InputError
 from sweep.core.outcomes import INVALID
 from sweep.runs import store
 from sweep.runs.batches import Batch, make_engine, make_nominal_batch
-from sweep.runs.manifest import Entry
+from sweep.runs.manifest import ManifestEntry
 from sweep.study.study import identity_columns
 
 MAX_INVALID_ROWS = 10  # of a folder, whose last states are stored
-LAST_SECONDS = 1.0  # of such a row that are stored, s
+LAST_STATES_DURATION_S = 1.0  # of such a row that are stored, s
 MAX_NUMBERS = 500_000_000  # of 4 bytes, in the histories of a study
 
 
@@ -35,7 +35,7 @@ def recorded_slots(exp: Experiment, rows: pd.DataFrame) -> np.ndarray:
     return np.flatnonzero(rows.index < exp.study.keep_rows) if exp.study.keep else np.zeros(0, int)
 
 
-def check_size(exp: Experiment, table: pd.DataFrame) -> int:
+def check_history_size(exp: Experiment, table: pd.DataFrame) -> int:
     """Estimate how many numbers the histories of a study hold.
 
     Args:
@@ -127,26 +127,26 @@ def simulate_last_states(
     for k, slot in enumerate(slots):
         row = finished.iloc[[slot]]
         end = row["t_cause_s"].fillna(row["duration_s"]).to_numpy() + period / 2
-        chosen = time > end - LAST_SECONDS
+        chosen = time > end - LAST_STATES_DURATION_S
         tables.append(to_table(row, samples[chosen, k : k + 1], time[chosen], end + period, watched.columns))
     return tables
 
 
-def read(folder: Path) -> pd.DataFrame:
+def read_histories(folder: Path) -> pd.DataFrame:
     """Return the histories in a folder: the columns that identify a row, `time_s`, and the study's `keep`.
 
     Raises:
         InputError: The folder holds no histories, or a file is damaged.
     """
-    entries = store.list_recordings(folder, store.HISTORIES)
+    entries = store.list_recordings(folder, store.HISTORIES_FOLDER)
     if not entries:
         raise InputError(f"{folder} holds no time series: run the study with study.keep=[tilt_deg]")
     return pd.concat([store.read_part(folder, entry) for entry in entries], ignore_index=True)
 
 
-def write(
+def write_recordings(
     folder: Path, study: str, batch: int, table: pd.DataFrame | None, states: Sequence[pd.DataFrame]
-) -> tuple[Entry, ...]:
+) -> tuple[ManifestEntry, ...]:
     """Write the recordings of a batch and return their entries for the manifest.
 
     Args:
@@ -159,10 +159,10 @@ def write(
     Raises:
         Fault: The disk refuses the write.
     """
-    entries: list[Entry] = []
+    entries: list[ManifestEntry] = []
     if table is not None:
-        entries.append(store.write_recording(folder, f"{store.HISTORIES}/batch-{batch:06d}", table, study))
+        entries.append(store.write_recording(folder, f"{store.HISTORIES_FOLDER}/batch-{batch:06d}", table, study))
     for one in states:
-        name = f"{store.LAST_STATES}/{one['point_id'].iloc[0]}"
+        name = f"{store.LAST_STATES_FOLDER}/{one['point_id'].iloc[0]}"
         entries.append(store.write_recording(folder, name, one, study))
     return tuple(entries)

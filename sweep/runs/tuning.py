@@ -163,11 +163,11 @@ class AdamState(NamedTuple):
     """State of a gradient search: numbers (n,) in units of their first steps, and Adam's moments."""
 
     steps: int  # number of steps so far
-    least: float  # mean deficit of the draws at `best`
-    at: np.ndarray  # present numbers
+    best_deficit: float  # mean deficit of the draws at `best`
+    current: np.ndarray  # present numbers
     best: np.ndarray
-    mean: np.ndarray  # running mean of the gradients
-    square: np.ndarray  # running mean of their squares
+    gradient_mean: np.ndarray  # running mean of the gradients
+    gradient_square_mean: np.ndarray  # running mean of their squares
 
     def step(self, mean: float, down: np.ndarray) -> "AdamState":
         """Return the state after one step of Adam.
@@ -177,11 +177,16 @@ class AdamState(NamedTuple):
             down: Its gradient (n,), in units of first steps.
         """
         k = self.steps + 1
-        least, best = (mean, self.at) if mean < self.least else (self.least, self.best)
-        first, second = 0.9 * self.mean + 0.1 * down, 0.99 * self.square + 0.01 * down**2
+        least, best = (mean, self.current) if mean < self.best_deficit else (self.best_deficit, self.best)
+        first, second = 0.9 * self.gradient_mean + 0.1 * down, 0.99 * self.gradient_square_mean + 0.01 * down**2
         direction = first / (1 - 0.9**k) / (np.sqrt(second / (1 - 0.99**k)) + 1e-12)
         return AdamState(
-            k, least, self.at - LEARNING_RATE * min(1.0, (RATE_DECAY_STEPS / k) ** 0.5) * direction, best, first, second
+            k,
+            least,
+            self.current - LEARNING_RATE * min(1.0, (RATE_DECAY_STEPS / k) ** 0.5) * direction,
+            best,
+            first,
+            second,
         )
 
 
@@ -215,14 +220,14 @@ def search_by_gradients(
     done, least, *parts = entries[-1] if entries else (0, np.inf, *np.zeros((4, len(first))))
     now = AdamState(done, least, *map(np.array, parts))
     while now.steps < settings["generations"]:
-        lack, gradients = descent(first + steps * now.at)
+        lack, gradients = descent(first + steps * now.current)
         gradients = steps * gradients
         gradients /= np.maximum(1.0, np.linalg.norm(gradients, axis=1, keepdims=True) / MAX_GRADIENT)
         mean = float(np.mean(np.minimum(np.nan_to_num(lack, nan=MAX_DEFICIT), MAX_DEFICIT)))
-        now = now.step(mean, gradients.mean(axis=0) + 2 * RIDGE * now.at)
+        now = now.step(mean, gradients.mean(axis=0) + 2 * RIDGE * now.current)
         if now.steps % LOG_INTERVAL == 0 or now.steps == settings["generations"]:
-            append_log(log, [now.steps, now.least, *(part.tolist() for part in now[2:])])
-        progress(now.steps, now.least)
+            append_log(log, [now.steps, now.best_deficit, *(part.tolist() for part in now[2:])])
+        progress(now.steps, now.best_deficit)
     return first + steps * now.best
 
 
@@ -237,8 +242,8 @@ def fit_size_slopes(
 ) -> np.ndarray:
     """Find how numbers should follow sizes of robot and obstacle, by sequential linear programming.
 
-    A program moves no farther than a trust radius, which halves until the mean `cost` falls; where it never does, the
-    search ends.
+    A program moves no farther than a trust radius, which halves until the mean `draw_cost` falls; where it never does,
+    the search ends.
 
     Args:
         deficits: Function from the change of every draw's numbers (draws, n) to deficits (draws, margins).
@@ -260,13 +265,13 @@ def fit_size_slopes(
     by, entries = shares / spread, resume_log(log, settings)
     radius, at = entries[-1] if entries else (FIRST_RADIUS, np.zeros((len(steps), len(spread))))
     at = np.array(at)  # slopes in first steps, per largest share of a draw
-    least = cost(deficits(steps * (by @ at.T))).mean()
+    least = draw_cost(deficits(steps * (by @ at.T))).mean()
     for k in range(len(entries), settings["generations"]):
         progress(k, least)
         lack, slope = slopes(steps * (by @ at.T))
         for tried in radius / 2.0 ** np.arange(MAX_HALVINGS):
             to = solve_linear_program(lack, slope * steps, by, at, tried)
-            if (mean_cost := cost(deficits(steps * (by @ to.T))).mean()) < least:
+            if (mean_cost := draw_cost(deficits(steps * (by @ to.T))).mean()) < least:
                 break
         else:
             break
@@ -275,7 +280,7 @@ def fit_size_slopes(
     return steps[:, None] * at / spread
 
 
-def cost(deficit: np.ndarray) -> np.ndarray:
+def draw_cost(deficit: np.ndarray) -> np.ndarray:
     """Return the cost (draws,) of deficits (draws, margins): the largest of a draw, and a small share of their sum.
 
     Costs above `COST_SCALE` grow logarithmically, so that draws out of reach do not outweigh all others.
@@ -287,7 +292,7 @@ def cost(deficit: np.ndarray) -> np.ndarray:
 def solve_linear_program(
     deficit: np.ndarray, slope: np.ndarray, by: np.ndarray, present_slopes: np.ndarray, radius: float
 ) -> np.ndarray:
-    """Return the slopes (n, k) within a radius of `present_slopes` that minimize the mean `cost`, linearized.
+    """Return the slopes (n, k) within a radius of `present_slopes` that minimize the mean `draw_cost`, linearized.
 
     The variables are the positive and negative parts of the slopes, the deficit of each margin of a draw, and the
     largest deficit of each draw.
@@ -316,7 +321,7 @@ def solve_linear_program(
     largest = minus_column(pairs // deficit.shape[-1], count)
     rows = block_array([[moves, -moves, minus_column(pair, len(pairs)), None],
                         [None, None, eye_array(len(pairs)), largest]])  # fmt: skip
-    weight = np.exp(-cost(deficit.max(axis=1)) / COST_SCALE) / count
+    weight = np.exp(-draw_cost(deficit.max(axis=1)) / COST_SCALE) / count
     price = np.concatenate(
         [np.full(2 * present_slopes.size, STEP_COST), SUM_WEIGHT * weight[pairs // deficit.shape[-1]], weight]
     )

@@ -12,20 +12,20 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from sweep.core.errors import InputError
-from sweep.core.expressions import column, evaluate
+from sweep.core.expressions import evaluate_expression, find_column
 
 if TYPE_CHECKING:
     import pandas as pd
 
-DIGITS = 6  # decimals of proposals, so that draws are equal on machines whose last bits differ
-EDGE = 2.0**-32  # of quantiles, so that none is infinite
-LEAD = "margin"  # column that subset simulation follows by default
+PROPOSAL_DECIMALS = 6  # decimals of proposals, so that draws are equal on machines whose last bits differ
+MIN_QUANTILE = 2.0**-32  # of quantiles, so that none is infinite
+DEFAULT_LEAD_COLUMN = "margin"  # column that subset simulation follows by default
 
 
-class Draws(NamedTuple):
+class RoundDraws(NamedTuple):
     """Draws of one round of adaptive sampling: a search yields them, and the study simulates them."""
 
-    shares: Float[np.ndarray, "n d"]  # quantiles, before axes are correlated
+    quantiles: Float[np.ndarray, "n d"]  # quantiles, before axes are correlated
     numbers: Int[np.ndarray, " n"]  # of the draws: each has noise of its own
     columns: Mapping[str, np.ndarray]  # (n,) what else is kept of each, by the names of axes without a path
 
@@ -41,10 +41,10 @@ class RoundSummary(NamedTuple):
         return RoundSummary(self.failed[rows], self.lead[rows])
 
 
-Search = Generator[Draws, RoundSummary, Any]
+SearchGenerator = Generator[RoundDraws, RoundSummary, Any]
 
 
-def summarize_round(rows: "pd.DataFrame", draws: Draws, lead: str) -> RoundSummary:
+def summarize_round(rows: "pd.DataFrame", draws: RoundDraws, lead: str) -> RoundSummary:
     """Summarize the rows of a round for its search.
 
     Args:
@@ -60,10 +60,12 @@ def summarize_round(rows: "pd.DataFrame", draws: Draws, lead: str) -> RoundSumma
     """
     here = rows.set_index("replicate").loc[draws.numbers]
     try:
-        values = evaluate(lead, lambda name: here[column(here, name)].to_numpy())
+        values = evaluate_expression(lead, lambda name: here[find_column(here, name)].to_numpy())
         found = np.broadcast_to(np.asarray(values, dtype=float), len(here))
     except InputError:
         raise
     except (SyntaxError, TypeError, ValueError):
-        raise InputError(f"study.design.lead = {lead!r} is not allowed: a column of numbers, such as {LEAD}") from None
+        raise InputError(
+            f"study.design.lead = {lead!r} is not allowed: a column of numbers, such as {DEFAULT_LEAD_COLUMN}"
+        ) from None
     return RoundSummary((here["outcome"] != "success").to_numpy(), found)

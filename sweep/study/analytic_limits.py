@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from sweep.core.errors import InputError, require_choice
-from sweep.core.expressions import evaluate
+from sweep.core.expressions import evaluate_expression
 from sweep.study.distributions import require_keys
 from sweep.systems import find_formula
 
-KEYS = ("label", "formula", "output", "of", "inputs", "measured")
+LIMIT_KEYS = ("label", "formula", "output", "of", "inputs", "measured")
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,11 @@ class AnalyticLimit:
         given = {}
         for name, value in self.inputs.items():
             try:
-                given[name] = float(evaluate(value, value_of)) if isinstance(value, str) else value
+                given[name] = float(evaluate_expression(value, value_of)) if isinstance(value, str) else value
             except (SyntaxError, TypeError, ValueError) as error:
                 reason = error if isinstance(error, InputError) else "a number or an expression of parameters"
                 raise InputError(f"study.theory.inputs.{name} = {value!r} is not allowed: {reason}") from None
-        return find_formula(self.formula).complete(given)
+        return find_formula(self.formula).complete_inputs(given)
 
 
 def parse_limit(key: str, values: Any) -> AnalyticLimit:
@@ -79,7 +79,7 @@ def parse_limit(key: str, values: Any) -> AnalyticLimit:
     Raises:
         InputError: A key is missing or unknown, or the formula has no such output or input.
     """
-    values = require_keys(key, values, KEYS)
+    values = require_keys(key, values, LIMIT_KEYS)
     for needed in ("formula", "output", "of"):
         if needed not in values:
             raise InputError(f"{key}.{needed} is missing")

@@ -22,11 +22,13 @@ from importlib import import_module
 from typing import Any, ClassVar
 
 from sweep.core.errors import Fault, InputError
-from sweep.core.interrupts import patient_exit
+from sweep.core.interrupts import suspend_forced_exit
 from sweep.core.parameters import choice, count
 
-Work = Callable[[int], Any]
-Dispatch = Callable[[Work, Iterable[int]], Iterator[Any]]  # results in the order in which they are ready
+BatchFunction = Callable[[int], Any]
+DispatchFunction = Callable[
+    [BatchFunction, Iterable[int]], Iterator[Any]
+]  # results in the order in which they are ready
 
 
 @dataclass
@@ -38,19 +40,19 @@ class WorkerStatus:
 
 
 @dataclass(frozen=True)
-class Local:
+class LocalCluster:
     """In this process, one batch after the other; each batch uses all devices."""
 
     is_remote: ClassVar[bool] = False  # whether workers have other devices than this machine
     kind: str = choice("local", "local")
 
-    def connect(self, _: WorkerStatus) -> AbstractContextManager[Dispatch]:
+    def connect(self, _: WorkerStatus) -> AbstractContextManager[DispatchFunction]:
         """Return a context that simulates batches one after the other in this process."""
         return nullcontext(map)
 
 
 @dataclass(frozen=True)
-class DaskLocal:
+class DaskLocalCluster:
     """Worker processes on this machine."""
 
     is_remote: ClassVar[bool] = False
@@ -58,13 +60,13 @@ class DaskLocal:
     workers: int = count(2, at_least=1)  # processes, each of which simulates one batch at a time
 
     @contextmanager
-    def connect(self, status: WorkerStatus) -> Iterator[Dispatch]:
+    def connect(self, status: WorkerStatus) -> Iterator[DispatchFunction]:
         """Start worker processes on this machine, and restart those that are lost, within this context."""
         distributed = _dask("distributed", self.kind)
         from tornado.ioloop import PeriodicCallback
 
         options = {"n_workers": self.workers, "threads_per_worker": 1, "memory_limit": 0, "security": _security()}
-        with distributed.LocalCluster(**options, **QUIET) as cluster, distributed.Client(cluster) as client:
+        with distributed.LocalCluster(**options, **QUIET_CLUSTER) as cluster, distributed.Client(cluster) as client:
             client.register_worker_callbacks(setup=_ignore_interrupt)
             # Dask starts a lost worker again, but not one that is lost before it has said that it started
             restart_lost = PeriodicCallback(lambda: cluster.scale(self.workers), RESTART_PERIOD_MS)
@@ -76,7 +78,7 @@ class DaskLocal:
 
 
 @dataclass(frozen=True)
-class DaskAddress:
+class DaskSchedulerCluster:
     """Workers of a running Dask scheduler. They need this package, and the study's folder at the same path."""
 
     is_remote: ClassVar[bool] = True
@@ -84,7 +86,7 @@ class DaskAddress:
     address: str = ""  # of a scheduler that runs already, such as tcp://host:8786
 
     @contextmanager
-    def connect(self, status: WorkerStatus) -> Iterator[Dispatch]:
+    def connect(self, status: WorkerStatus) -> Iterator[DispatchFunction]:
         """Connect to a running Dask scheduler within this context. Raises `InputError` if none answers."""
         distributed = _dask("distributed", self.kind)
         if not self.address:
@@ -99,7 +101,7 @@ class DaskAddress:
 
 
 @dataclass(frozen=True)
-class Slurm:
+class SlurmCluster:
     """One Slurm job for each worker, submitted from this machine. A job that ends early is submitted again."""
 
     is_remote: ClassVar[bool] = True
@@ -116,7 +118,7 @@ class Slurm:
     logs: str = "results/slurm"  # folder of the jobs' output
 
     @contextmanager
-    def connect(self, status: WorkerStatus) -> Iterator[Dispatch]:
+    def connect(self, status: WorkerStatus) -> Iterator[DispatchFunction]:
         """Submit the jobs, and cancel them after this context. Raises `InputError` where sbatch refuses them."""
         distributed, jobqueue = _dask("distributed", self.kind), _dask("dask_jobqueue", self.kind)
         os.makedirs(self.logs, exist_ok=True)
@@ -134,18 +136,18 @@ class Slurm:
             python=sys.executable,
             # one batch at a time; Slurm guards the memory, where Dask would only pause the worker
             worker_extra_args=["--nthreads", "1", "--memory-limit", "0"],
-            scheduler_options=QUIET_SCHEDULER,
+            scheduler_options=QUIET_SCHEDULER_OPTIONS,
             security=_security(),
             shared_temp_directory=os.path.abspath(self.logs),  # readable by this user alone
         )
-        with patient_exit(), cluster, distributed.Client(cluster) as client:  # which cancels the jobs at the end
+        with suspend_forced_exit(), cluster, distributed.Client(cluster) as client:  # which cancels the jobs at the end
             _check_job(cluster.job_script())
             cluster.adapt(minimum_jobs=self.workers, maximum_jobs=self.workers)
             yield partial(_distribute, client, status)
 
 
 @contextmanager
-def connect_lazily(cluster: "Cluster", status: WorkerStatus) -> Iterator[Dispatch]:
+def connect_lazily(cluster: "Cluster", status: WorkerStatus) -> Iterator[DispatchFunction]:
     """Connect to a cluster only when the first batch is distributed, so that a finished study starts no workers.
 
     Args:
@@ -160,8 +162,13 @@ def connect_lazily(cluster: "Cluster", status: WorkerStatus) -> Iterator[Dispatc
         yield lambda work, batches: connect()(work, batches)
 
 
-CLUSTERS = {"local": Local, "dask_local": DaskLocal, "dask_address": DaskAddress, "slurm": Slurm}
-Cluster = Local | DaskLocal | DaskAddress | Slurm
+CLUSTERS = {
+    "local": LocalCluster,
+    "dask_local": DaskLocalCluster,
+    "dask_address": DaskSchedulerCluster,
+    "slurm": SlurmCluster,
+}
+Cluster = LocalCluster | DaskLocalCluster | DaskSchedulerCluster | SlurmCluster
 RESTART_PERIOD_MS = 5000  # between two searches for lost workers
 # a worker is restarted if its batch takes longer than both, the second in median durations of a batch
 MIN_TIME_LIMIT_S, MEDIANS_PER_LIMIT = 60.0, 10
@@ -170,8 +177,11 @@ FETCH_TIMEOUT_S = 5.0  # for a result of a few hundred bytes
 JOIN_TIMEOUT_S, REPEAT_AFTER_S = 20.0, 60.0  # without a worker: until the message, and between two messages
 RESTART_TIMEOUT_S = 30.0  # for a worker to end and start again
 FIRST_BATCH_LIMIT_S = 600.0  # of a worker's first batch, for which it compiles
-QUIET_SCHEDULER: dict[str, Any] = {"dashboard": False, "dashboard_address": "localhost:0"}  # where no port is taken
-QUIET: dict[str, Any] = {"scheduler_kwargs": QUIET_SCHEDULER, "silence_logs": logging.CRITICAL}
+QUIET_SCHEDULER_OPTIONS: dict[str, Any] = {
+    "dashboard": False,
+    "dashboard_address": "localhost:0",
+}  # where no port is taken
+QUIET_CLUSTER: dict[str, Any] = {"scheduler_kwargs": QUIET_SCHEDULER_OPTIONS, "silence_logs": logging.CRITICAL}
 
 
 def _dask(module: str, kind: str) -> Any:
@@ -222,7 +232,7 @@ def _security() -> Any:
         raise InputError("cluster needs the package cryptography: pip install 'insect-sweep[cluster]'") from None
 
 
-def _distribute(client: Any, status: WorkerStatus, work: Work, batches: Iterable[int]) -> Iterator[Any]:
+def _distribute(client: Any, status: WorkerStatus, work: BatchFunction, batches: Iterable[int]) -> Iterator[Any]:
     """Run batches on the workers and yield their results.
 
     Raises `Fault` if the scheduler is lost, or after all other batches if workers kept dying over some of them.
@@ -236,7 +246,7 @@ def _distribute(client: Any, status: WorkerStatus, work: Work, batches: Iterable
         raise Fault(f"the scheduler {address} is lost") from None
 
 
-def _collect_results(client: Any, status: WorkerStatus, work: Work, batches: Iterable[int]) -> Iterator[Any]:
+def _collect_results(client: Any, status: WorkerStatus, work: BatchFunction, batches: Iterable[int]) -> Iterator[Any]:
     """Run batches on the workers and yield their results, see `_distribute`."""
     from distributed import KilledWorker, as_completed
 
@@ -267,7 +277,7 @@ def _collect_results(client: Any, status: WorkerStatus, work: Work, batches: Ite
         raise Fault(f"{len(lost)} batches repeatedly lost their worker; it may have too little memory")
 
 
-def _timed(work: Work, number: int) -> tuple[float, Any]:
+def _timed(work: BatchFunction, number: int) -> tuple[float, Any]:
     """Return the duration of `work` in s, and its result."""
     start = time.monotonic()
     result = work(number)

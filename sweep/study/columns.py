@@ -5,13 +5,19 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import pandas as pd
 
-PLAN = ("replicate", "stream", "point_id", "group", "batch", "slot", "width", "run_id")
-LABELS = ("outcome", "cause", "stage", "t_cause_s", "limit", "margin", "margin_of")
-NAMES = ("point_id", "run_id")  # columns of words that files are named by
-WORDS = ("outcome", "cause", "stage", "limit", "margin_of")  # further columns of words; axes may have words or numbers
-TIMING = ("wall_s",)  # differs between runs
-FORMULA = "=+-@"  # signs at the start of a word that a spreadsheet computes when it opens a CSV file
-MEANINGS = {  # of labels and of what places a row in its study
+PLACEMENT_COLUMNS = ("replicate", "stream", "point_id", "group", "batch", "slot", "width", "run_id")
+LABEL_COLUMNS = ("outcome", "cause", "stage", "t_cause_s", "limit", "margin", "margin_of")
+ID_COLUMNS = ("point_id", "run_id")  # columns of words that files are named by
+WORD_COLUMNS = (
+    "outcome",
+    "cause",
+    "stage",
+    "limit",
+    "margin_of",
+)  # further columns of words; axes may have words or numbers
+TIMING_COLUMNS = ("wall_s",)  # differs between runs
+SPREADSHEET_FORMULA_SIGNS = "=+-@"  # signs at the start of a word that a spreadsheet computes when it opens a CSV file
+COLUMN_MEANINGS = {  # of labels and of what places a row in its study
     "outcome": "success, failure, or invalid where the simulation cannot vouch for the rollout",
     "cause": "what ended a rollout that did not succeed; empty for a success",
     "stage": "stage of the plan in which the cause occurred",
@@ -33,4 +39,4 @@ MEANINGS = {  # of labels and of what places a row in its study
 
 def metric_columns(rows: "pd.DataFrame") -> list[str]:
     """List the metric columns of a table: all except axes, place in the study, labels and timing."""
-    return [c for c in rows.columns if "." not in c and c not in (*PLAN, *LABELS, *TIMING)]
+    return [c for c in rows.columns if "." not in c and c not in (*PLACEMENT_COLUMNS, *LABEL_COLUMNS, *TIMING_COLUMNS)]

@@ -33,7 +33,7 @@ from sweep.study.distributions import parse_distribution as parse_distribution
 if TYPE_CHECKING:
     import pandas as pd
 
-MOST = 20_000_000  # rollouts of a study, whose plan takes 10 GB
+MAX_ROLLOUTS = 20_000_000  # rollouts of a study, whose plan takes 10 GB
 AXIS_KEYS = {  # meaning of each key of an axis
     "path": "parameter that varies, such as contact.friction; without it the axis is a number that other axes refer to",
     "side": "world: vary what is simulated; belief: what the planner believes; both (default)",
@@ -47,8 +47,8 @@ AXIS_KEYS = {  # meaning of each key of an axis
     "with": "name of a listed axis whose values this one goes along with, one by one",
     "nominal": "the number of an axis without a path where it is not varied",
 }
-PARAMETER = "a parameter such as contact.friction"
-OLD_SIDE = ("on", True)  # what `side` was called; a bare `on` is YAML's true
+PARAMETER_EXAMPLE = "a parameter such as contact.friction"
+FORMER_SIDE_KEYS = ("on", True)  # what `side` was called; a bare `on` is YAML's true
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,9 @@ def rename_on_to_side(axes: Mapping[str, Any]) -> dict[str, Any]:
     """Rename the former key `on` of axes to `side`. Raises `InputError` where an axis has both."""
 
     def renamed(name: str, axis: Mapping[Any, Any]) -> dict[Any, Any]:
-        if "side" in axis and any(key in OLD_SIDE for key in axis):
+        if "side" in axis and any(key in FORMER_SIDE_KEYS for key in axis):
             raise InputError(f"study.axes.{name}.on is not allowed together with side, its new name")
-        return {"side" if key in OLD_SIDE else key: value for key, value in axis.items()}
+        return {"side" if key in FORMER_SIDE_KEYS else key: value for key, value in axis.items()}
 
     return {name: renamed(name, axis) if isinstance(axis, Mapping) else axis for name, axis in axes.items()}
 
@@ -169,7 +169,7 @@ def parse_axes(axes_config: Mapping[str, Any]) -> tuple[Axis, ...]:
     for axis in axes:
         key = f"study.axes.{axis.name}"
         if axis.path is None and axis.name not in used:
-            raise InputError(f"{key}.path is missing: {PARAMETER}")
+            raise InputError(f"{key}.path is missing: {PARAMETER_EXAMPLE}")
         if isinstance(axis.relative, str) and (axis.relative not in by_name or by_name[axis.relative].path):
             raise InputError(f"{key}.relative = {axis.relative!r} is not allowed: a number, or an axis without a path")
         if axis.along is not None:
@@ -200,7 +200,7 @@ def parse_design(values: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     values = {key: check_value(fields[key], value, f"study.design.{key}") for key, value in values.items()}
     drawn = list(drawn_names(axes))
     values["correlation"] = _correlation("study.design.correlation", values.get("correlation") or [], drawn)
-    kind = design_kinds.find_kind(values.get("kind", design_kinds.DEFAULT))
+    kind = design_kinds.find_kind(values.get("kind", design_kinds.DEFAULT_KIND))
     require_choice(grid := values.get("grid", kind.grid), GRIDS, f"study.design.grid = {grid!r}")
     own = {member.name: member for member in dataclasses.fields(kind)}
     design = kind(
@@ -250,7 +250,7 @@ def _axis(key: str, name: str, axis_config: Any) -> Axis:
     side, path, times, relative = (axis_config.get(word) for word in ("side", "path", "times", "relative"))
     if (side := side or "both") not in ("both", *SIDES):
         raise InputError(f"{key}.side = {side!r} is not allowed: one of both, world, belief")
-    for word, what in (("path", PARAMETER), ("times", PARAMETER), ("with", "the name of an axis")):
+    for word, what in (("path", PARAMETER_EXAMPLE), ("times", PARAMETER_EXAMPLE), ("with", "the name of an axis")):
         if (text := axis_config.get(word)) is not None and (not isinstance(text, str) or not text):
             raise InputError(f"{key}.{word} = {text!r} is not allowed: {what}")
     if relative is not None and not isinstance(relative, str):
@@ -258,7 +258,7 @@ def _axis(key: str, name: str, axis_config: Any) -> Axis:
     if relative is not None and times is not None:
         raise InputError(f"{key} is not allowed with both relative and times")
     if path is None and (relative is not None or times is not None):
-        raise InputError(f"{key}.path is missing: {PARAMETER}")
+        raise InputError(f"{key}.path is missing: {PARAMETER_EXAMPLE}")
     values = _values(key, axis_config)
     distribution = None
     if values is None:
@@ -285,8 +285,8 @@ def _values(key: str, axis_config: Mapping[str, Any]) -> tuple[Any, ...] | None:
     if lacking := [name for name, end in zip(("from", "to", "num"), ends, strict=True) if end is None]:
         raise InputError(f"{key}.{lacking[0]} is missing: a range has from, to and num")
     low, high = (parse_number(f"{key}.{name}", end) for name, end in zip(("from", "to"), ends[:2], strict=True))
-    if not isinstance(ends[2], int | float) or not 1 <= ends[2] <= MOST or ends[2] != int(ends[2]):
-        raise InputError(f"{key}.num = {ends[2]!r} is not allowed: a whole number from 1 to {MOST}")
+    if not isinstance(ends[2], int | float) or not 1 <= ends[2] <= MAX_ROLLOUTS or ends[2] != int(ends[2]):
+        raise InputError(f"{key}.num = {ends[2]!r} is not allowed: a whole number from 1 to {MAX_ROLLOUTS}")
     if ends[2] == 1 and low != high:
         raise InputError(f"{key}.num = 1 is not allowed from {low:g} to {high:g}: at least 2, or values: [{low:g}]")
     # shortest decimals, so that the values read, compare and hash as written
@@ -299,7 +299,7 @@ def make_design_table(
     seed: int,
     nominal_of: Callable[[str], Any],
     grid: "pd.DataFrame | None" = None,
-    round_: adaptive_sampling.Draws | None = None,
+    round_: adaptive_sampling.RoundDraws | None = None,
 ) -> "pd.DataFrame":
     """Make the table of grid points and draws.
 
@@ -324,7 +324,7 @@ def make_design_table(
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
     if grid is None:
         grid = _one_at_a_time(listed, nominal_of) if listed and design.varies_axes_alone else _grid(listed)
-    shares = unit_draws(axes, design, seed) if round_ is None else _spread(round_.shares, drawn, design)
+    shares = unit_draws(axes, design, seed) if round_ is None else _spread(round_.quantiles, drawn, design)
     size, count = len(grid), max(len(shares), 1)
     numbers = grid.take(np.repeat(np.arange(size), count)).reset_index(drop=True)
     for i, axis in enumerate(drawn):
@@ -392,14 +392,14 @@ def unit_draws(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:
     return _spread(design.sample(DrawContext(drawn_names(axes), seed)), drawn, design)
 
 
-def extreme_draws(axes: tuple[Axis, ...]) -> adaptive_sampling.Draws:
+def extreme_draws(axes: tuple[Axis, ...]) -> adaptive_sampling.RoundDraws:
     """Return two draws with all drawn axes at the lower, and at the upper ends of their ranges."""
-    return adaptive_sampling.Draws(np.repeat([[0.0], [1.0]], len(drawn_names(axes)), axis=1), np.arange(2), {})
+    return adaptive_sampling.RoundDraws(np.repeat([[0.0], [1.0]], len(drawn_names(axes)), axis=1), np.arange(2), {})
 
 
 def _spread(shares: np.ndarray, axes: list[Axis], design: Design) -> np.ndarray:
     """Give independent quantiles the correlations of the design (a Gaussian copula)."""
-    shares = np.clip(shares, adaptive_sampling.EDGE, 1 - adaptive_sampling.EDGE)
+    shares = np.clip(shares, adaptive_sampling.MIN_QUANTILE, 1 - adaptive_sampling.MIN_QUANTILE)
     if design.correlation:
         return design.correlate(shares, np.linalg.cholesky(_matrix(design.correlation, [a.name for a in axes])))
     return shares

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sweep.core.errors import InputError, require_choice, suggest
-from sweep.study.columns import FORMULA
+from sweep.study.columns import SPREADSHEET_FORMULA_SIGNS
 
 # what each distribution needs, and what it may have besides
 DISTRIBUTIONS = {
@@ -178,8 +178,10 @@ def refuse_formula(key: str, name: Any) -> None:
     Raises:
         InputError: It starts with one of `FORMULA`.
     """
-    if isinstance(name, str) and name.startswith(tuple(FORMULA)):
-        raise InputError(f"{key}: {name!r} is not allowed: a name that does not start with {' '.join(FORMULA)}")
+    if isinstance(name, str) and name.startswith(tuple(SPREADSHEET_FORMULA_SIGNS)):
+        raise InputError(
+            f"{key}: {name!r} is not allowed: a name that does not start with {' '.join(SPREADSHEET_FORMULA_SIGNS)}"
+        )
 
 
 def parse_number(key: str, value: Any) -> float:

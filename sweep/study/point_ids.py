@@ -10,7 +10,7 @@ from sweep.contract.system import SIDES, System, split_side
 if TYPE_CHECKING:
     import pandas as pd
 
-DIGITS = 12  # of a number that count
+HASHED_DIGITS = 12  # of a number that count
 CHUNK = 1 << 14  # rows that are hashed at a time, whose numbers fit into the cache of a core
 MOST_POWER = 300  # of ten; the smallest numbers are scaled by two powers
 _POWERS = 10.0 ** np.arange(-MOST_POWER, MOST_POWER + 1)
@@ -90,7 +90,7 @@ def point_hashes(table: "pd.DataFrame", system: System) -> np.ndarray:
 
 
 def _hashes(key: str, values: np.ndarray) -> np.ndarray:
-    """Hash the values (n,) of one input; numbers count to `DIGITS` significant digits."""
+    """Hash the values (n,) of one input; numbers count to `HASHED_DIGITS` significant digits."""
     return _mixed(_value_hashes(values) + text_hash(key))
 
 
@@ -106,13 +106,13 @@ def _value_hashes(values: np.ndarray) -> np.ndarray:
 
 
 def _decimal(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Split numbers into a mantissa of `DIGITS` digits and a decimal exponent, both whole numbers."""
+    """Split numbers into a mantissa of `HASHED_DIGITS` digits and a decimal exponent, both whole numbers."""
     size = np.abs(values)
     exponent = np.floor(np.log10(np.where(size > 0, size, 1.0))).astype(np.int64)
-    shift = DIGITS - 1 - exponent
+    shift = HASHED_DIGITS - 1 - exponent
     most = np.minimum(shift, MOST_POWER)
     mantissa = np.rint(values * _power_of_ten(most) * _power_of_ten(shift - most)).astype(np.int64)
-    carried = np.abs(mantissa) == 10**DIGITS  # 9.9999... rounded up, or a logarithm rounded down
+    carried = np.abs(mantissa) == 10**HASHED_DIGITS  # 9.9999... rounded up, or a logarithm rounded down
     return np.where(carried, mantissa // 10, mantissa), np.where(mantissa == 0, 0, exponent + carried)
 
 

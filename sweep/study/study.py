@@ -16,26 +16,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.contract.engine_settings import EngineSettings
-from sweep.contract.system import Parameter, System, Values
+from sweep.contract.system import ColumnValues, Parameter, System
 from sweep.core.distinct_values import are_all_different
 from sweep.core.errors import InputError, require_choice
-from sweep.core.expressions import AXES, mask
-from sweep.core.parameters import WHOLE, check_value, count, is_within_bounds
+from sweep.core.expressions import AXIS_NAMES_KEY, condition_mask
+from sweep.core.parameters import WHOLE_NUMBER_UNITS, check_value, count, is_within_bounds
 from sweep.study import design_kinds, designs
-from sweep.study.adaptive_sampling import Draws
+from sweep.study.adaptive_sampling import RoundDraws
 from sweep.study.analytic_limits import AnalyticLimit
 from sweep.study.analytic_limits import parse_limit as parse_theory
-from sweep.study.columns import LABELS, PLAN, TIMING
+from sweep.study.columns import LABEL_COLUMNS, PLACEMENT_COLUMNS, TIMING_COLUMNS
 from sweep.study.design_kinds.base import AdaptiveDesign, Design, DrawContext
 from sweep.study.designs import Axis
 from sweep.study.distributions import require_keys
-from sweep.study.point_ids import DIGITS, point_hashes, point_ids, replicate_streams, row_streams
+from sweep.study.point_ids import HASHED_DIGITS, point_hashes, point_ids, replicate_streams, row_streams
 
 if TYPE_CHECKING:
     import pandas as pd
 
 FEW_COLUMNS = 50  # up to which pandas is fast with columns that were made one by one
-DTYPES = {"quantity": "float64", "setting": "float64", "count": "int64", "choice": "str", "file": "str"}
+DTYPE_BY_ROLE = {"quantity": "float64", "setting": "float64", "count": "int64", "choice": "str", "file": "str"}
 Logger = Callable[[str], None]
 
 
@@ -231,10 +231,10 @@ def name_axes(rows: "pd.DataFrame", axes: Iterable[Axis]) -> "pd.DataFrame":
         axes: Axes of the study.
 
     Returns:
-        The same rows, with the columns of the axes by name in `attrs`: see `expressions.column`.
+        The same rows, with the columns of the axes by name in `attrs`: see `expressions.find_column`.
     """
     named = rows.copy(deep=False)
-    named.attrs[AXES] = {axis.name: axis.column for axis in axes if axis.column in rows}
+    named.attrs[AXIS_NAMES_KEY] = {axis.name: axis.column for axis in axes if axis.column in rows}
     return named
 
 
@@ -289,12 +289,18 @@ def check_expect(study: Study, system: System, points: "pd.DataFrame | None" = N
     """
     import pandas as pd
 
-    names = (*(points if points is not None else ()), *PLAN, *LABELS, *TIMING, *system.metric_names)
+    names = (
+        *(points if points is not None else ()),
+        *PLACEMENT_COLUMNS,
+        *LABEL_COLUMNS,
+        *TIMING_COLUMNS,
+        *system.metric_names,
+    )
     rows = pd.DataFrame(columns=list(dict.fromkeys(names)), dtype=object)
     for i, one in enumerate(study.expect):
         for key, condition in (("where", one.where), ("that", one.that)):
             try:
-                mask(name_axes(rows, study.axes), condition)
+                condition_mask(name_axes(rows, study.axes), condition)
             except InputError as error:
                 source = "scenario" if study.single else "study"
                 raise InputError(f"{source}.expect.{i}.{key}: {error}") from None
@@ -306,7 +312,7 @@ def make_points(
     settings: EngineSettings,
     grid: "pd.DataFrame | None" = None,
     on_message: Logger | None = None,
-    round_: Draws | None = None,
+    round_: RoundDraws | None = None,
     with_ids: bool = True,
 ) -> "pd.DataFrame":
     """Make the table of a study's rollouts: axis values, replicate, noise stream and point id.
@@ -331,8 +337,8 @@ def make_points(
         InputError: The study has too many rollouts, or a value is not allowed.
     """
     rollouts = study.replicates if study.points or grid is not None else study.max_rollouts
-    if rollouts > designs.MOST:
-        raise InputError(f"study {study.name} has {rollouts} rollouts: at most {designs.MOST} are allowed")
+    if rollouts > designs.MAX_ROLLOUTS:
+        raise InputError(f"study {study.name} has {rollouts} rollouts: at most {designs.MAX_ROLLOUTS} are allowed")
     if study.points:
         design = _from_csv(study.points)
     else:
@@ -355,9 +361,9 @@ def make_points(
             raise InputError(
                 f"{error}; axis {axis.name} draws it: give its distribution `from` and `to` to truncate it"
             ) from None
-    whole = [column for column in drawn if fields[column].metadata.get("unit") in WHOLE]
+    whole = [column for column in drawn if fields[column].metadata.get("unit") in WHOLE_NUMBER_UNITS]
     design[whole] = np.rint(design[whole])  # rows say what is simulated
-    design = design.astype({column: DTYPES[member.metadata["role"]] for column, member in fields.items()})
+    design = design.astype({column: DTYPE_BY_ROLE[member.metadata["role"]] for column, member in fields.items()})
     if len(fields) > FEW_COLUMNS:
         design = design.copy()
     system.check(design, settings)
@@ -366,7 +372,7 @@ def make_points(
     order = design.groupby(static, sort=False).ngroup().argsort(kind="stable") if static else slice(None)
     design = design.assign(draw=draw).iloc[order]
     if study.where:
-        design = design.loc[mask(name_axes(design, study.axes), study.where)]
+        design = design.loc[condition_mask(name_axes(design, study.axes), study.where)]
     table = design.loc[design.index.repeat(study.replicates)] if study.replicates > 1 else design
     table = table.reset_index(drop=True)
     again = np.tile(np.arange(study.replicates), len(design))
@@ -387,7 +393,8 @@ def make_points(
     distinct = table.drop_duplicates(identity_columns(table.columns), ignore_index=True)
     if on_message and len(distinct) < len(table):
         on_message(
-            f"{len(table) - len(distinct)} of {len(table)} rollouts are left out: they equal others in {DIGITS} digits"
+            f"{len(table) - len(distinct)} of {len(table)} rollouts are left out: "
+            f"they equal others in {HASHED_DIGITS} digits"
         )
     return distinct
 
@@ -397,7 +404,7 @@ def _check_values(member: Parameter, values: "pd.Series", column: str, exact: bo
     import pandas as pd
 
     if values.dtype.kind == "f" and member.metadata["role"] == "quantity":
-        between = (values % 1 != 0) & (exact and member.metadata["unit"] in WHOLE)
+        between = (values % 1 != 0) & (exact and member.metadata["unit"] in WHOLE_NUMBER_UNITS)
         values = values[~(np.isfinite(values) & is_within_bounds(member, values)) | between].head(1)
     is_word = member.metadata["role"] in ("choice", "file")
     if values.dtype.kind in "OUT" and not is_word:  # of a file: one word makes a column words
@@ -461,7 +468,7 @@ def _from_csv(file: str) -> "pd.DataFrame":
     return table
 
 
-def replace_settings(settings: EngineSettings, values: Values) -> EngineSettings:
+def replace_settings(settings: EngineSettings, values: ColumnValues) -> EngineSettings:
     """Return engine settings with the values of a row.
 
     Args:

@@ -13,20 +13,20 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from sweep.study.adaptive_sampling import DIGITS, Draws, RoundSummary, Search
+from sweep.study.adaptive_sampling import PROPOSAL_DECIMALS, RoundDraws, RoundSummary, SearchGenerator
 
-ACCEPTED = 0.44  # share of proposals that is aimed at
-WIDTH = 0.6  # of the first proposals, in standard deviations
-NARROWEST = 0.05
-PLATEAU = 2.0  # a level may have so many times the rows that it is to have, if they have one lead
-FEWEST = 10  # rows below it that chains are then begun from instead
+TARGET_ACCEPTANCE = 0.44  # share of proposals that is aimed at
+INITIAL_PROPOSAL_WIDTH = 0.6  # of the first proposals, in standard deviations
+MIN_PROPOSAL_WIDTH = 0.05
+MAX_PLATEAU_FACTOR = 2.0  # a level may have so many times the rows that it is to have, if they have one lead
+MIN_SEEDS = 10  # rows below it that chains are then begun from instead
 
 
 class LevelRows(NamedTuple):
     """Rows of one level of a run. A rejected proposal repeats the row before it."""
 
-    u: Float[np.ndarray, "n d"]
-    number: Int[np.ndarray, " n"]  # of their draws
+    points: Float[np.ndarray, "n d"]
+    draw_numbers: Int[np.ndarray, " n"]  # of their draws
     failed: Bool[np.ndarray, " n"]
     lead: Float[np.ndarray, " n"]  # -inf where failed
 
@@ -34,21 +34,21 @@ class LevelRows(NamedTuple):
         """Return some of the rows, by index or mask."""
         return LevelRows(*(part[which] for part in self))
 
-    def merge(self, which: np.ndarray, others: "LevelRows") -> "LevelRows":
+    def where_else(self, which: np.ndarray, others: "LevelRows") -> "LevelRows":
         """Return these rows where the mask `which` (n,) holds, and those of `others` elsewhere."""
-        u = np.where(which[:, None], self.u, others.u)
+        u = np.where(which[:, None], self.points, others.points)
         return LevelRows(u, *(np.where(which, a, b) for a, b in zip(self[1:], others[1:], strict=True)))
 
 
-class RunResult(NamedTuple):
+class SubsetRunResult(NamedTuple):
     """Result of one run of subset simulation."""
 
     probability: float
-    level: LevelRows  # the last
-    bounds: tuple[float, ...]  # of the lead, level by level
-    accepted: tuple[float, ...]  # share of proposals, level by level
+    last_level: LevelRows  # the last
+    lead_bounds: tuple[float, ...]  # of the lead, level by level
+    acceptance_rates: tuple[float, ...]  # share of proposals, level by level
     rollouts: int
-    why: str  # it ended before it came to where all fail; empty where it did not
+    end_reason: str  # it ended before it came to where all fail; empty where it did not
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class LevelSettings:
         return self.num + (self.max_levels - 1) * self.chain_count * self.steps_per_chain
 
 
-def start_search(d: int, settings: LevelSettings, runs: int, seed: int) -> Search:
+def start_search(d: int, settings: LevelSettings, runs: int, seed: int) -> SearchGenerator:
     """Start independent runs of subset simulation side by side, a search as in `sweep.study.adaptive_sampling`.
 
     Each round holds one step of all runs. The draws of a run do not depend on the number of runs.
@@ -92,7 +92,7 @@ def start_search(d: int, settings: LevelSettings, runs: int, seed: int) -> Searc
         seed: Seed of the draws.
 
     Returns:
-        The search; its result is a list of `RunResult`, one for each run.
+        The search; its result is a list of `SubsetRunResult`, one for each run.
     """
     going = {number: _run(d, settings, seed, number) for number in range(runs)}
     asked, ended = {number: next(run) for number, run in going.items()}, {}
@@ -109,27 +109,27 @@ def start_search(d: int, settings: LevelSettings, runs: int, seed: int) -> Searc
     return [ended[number] for number in range(runs)]
 
 
-def _together(parts: list[Draws]) -> Draws:
+def _together(parts: list[RoundDraws]) -> RoundDraws:
     """Join the draws of several runs into one round."""
     columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
     shares, numbers = (np.concatenate([getattr(part, name) for part in parts]) for name in ("shares", "numbers"))
-    return Draws(shares, numbers, columns)
+    return RoundDraws(shares, numbers, columns)
 
 
-def _run(d: int, settings: LevelSettings, seed: int, run: int) -> Generator[Draws, RoundSummary, RunResult]:
+def _run(d: int, settings: LevelSettings, seed: int, run: int) -> Generator[RoundDraws, RoundSummary, SubsetRunResult]:
     """Run subset simulation once. Its draws are numbered from `run * settings.max_rollouts` on."""
     rng = np.random.default_rng([seed, run])
-    rollouts, width, p, bounds, accepted = 0, WIDTH, 1.0, [], []
+    rollouts, width, p, bounds, accepted = 0, INITIAL_PROPOSAL_WIDTH, 1.0, [], []
 
-    def draws(u: np.ndarray, level: int, step: int) -> Draws:
+    def draws(u: np.ndarray, level: int, step: int) -> RoundDraws:
         from scipy.special import ndtr  # slow to import
 
         n = len(u)
         columns = {"run": np.full(n, run), "level": np.full(n, level), "step": np.full(n, step), "chain": np.arange(n)}
         numbers = run * settings.max_rollouts + rollouts + np.arange(n)
-        return Draws(ndtr(u), numbers, {name: values.astype(float) for name, values in columns.items()})
+        return RoundDraws(ndtr(u), numbers, {name: values.astype(float) for name, values in columns.items()})
 
-    u = np.round(rng.standard_normal((settings.num, d)), DIGITS)
+    u = np.round(rng.standard_normal((settings.num, d)), PROPOSAL_DECIMALS)
     asked = draws(u, 0, 0)
     level = _level(u, asked, (yield asked))
     rollouts += settings.num
@@ -137,30 +137,30 @@ def _run(d: int, settings: LevelSettings, seed: int, run: int) -> Generator[Draw
         inside, bound = next_level(level.lead, settings)
         why = _explain_end(inside, bound, settings, p, number)
         if why is not None:
-            return RunResult(p * float(level.failed.mean()), level, tuple(bounds), tuple(accepted), rollouts, why)
+            return SubsetRunResult(p * float(level.failed.mean()), level, tuple(bounds), tuple(accepted), rollouts, why)
         p *= float(inside.mean())
         bounds.append(bound)
         seeds = rng.permutation(np.flatnonzero(inside))
         here = level.select(np.resize(seeds, settings.chain_count))
         states, taken = [here], []
         for step in range(1, settings.steps_per_chain + 1):
-            apart = rng.standard_normal(here.u.shape)
-            u = np.round(np.sqrt(1 - width**2) * here.u + width * apart, DIGITS)
+            apart = rng.standard_normal(here.points.shape)
+            u = np.round(np.sqrt(1 - width**2) * here.points + width * apart, PROPOSAL_DECIMALS)
             asked = draws(u, number, step)
             there = _level(u, asked, (yield asked))
             rollouts += len(u)
             stays = there.lead <= bound
-            here = there.merge(stays, here)
+            here = there.where_else(stays, here)
             states.append(here)
             taken.append(float(stays.mean()))
-            width *= np.exp((taken[-1] - ACCEPTED) / np.sqrt(step))
-            width = round(float(np.clip(width, NARROWEST, 1.0)), DIGITS)
+            width *= np.exp((taken[-1] - TARGET_ACCEPTANCE) / np.sqrt(step))
+            width = round(float(np.clip(width, MIN_PROPOSAL_WIDTH, 1.0)), PROPOSAL_DECIMALS)
         accepted.append(float(np.mean(taken)))
         level = LevelRows(*(np.concatenate(parts) for parts in zip(*states, strict=True)))
     raise AssertionError("a run has no more levels than `_over` allows")
 
 
-def _level(u: np.ndarray, draws: Draws, summary: RoundSummary) -> LevelRows:
+def _level(u: np.ndarray, draws: RoundDraws, summary: RoundSummary) -> LevelRows:
     """Make the rows of a level. A lead of NaN counts as infinite, so it never leads to failure."""
     lead = np.where(summary.failed, -np.inf, np.nan_to_num(summary.lead, nan=np.inf, neginf=np.finfo(float).min))
     return LevelRows(u, draws.numbers, summary.failed, lead)
@@ -191,6 +191,6 @@ def next_level(lead: Float[np.ndarray, " n"], settings: LevelSettings) -> tuple[
     """
     bound = float(np.sort(lead)[settings.chain_count - 1])
     inside, below = lead <= bound, lead < bound
-    if inside.sum() <= PLATEAU * settings.chain_count or below.sum() < FEWEST:
+    if inside.sum() <= MAX_PLATEAU_FACTOR * settings.chain_count or below.sum() < MIN_SEEDS:
         return inside, bound
     return below, float(lead[below].max())

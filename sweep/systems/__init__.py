@@ -3,15 +3,15 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sweep.contract.system import Kinds, Nominal
+from sweep.contract.system import ClassesByKind, Nominal
 from sweep.core.errors import require_choice
 from sweep.core.groups import GROUPS
 
 if TYPE_CHECKING:
     from sweep.formulas import Formula
 
-COMMON = ("scenario", "study", "cluster", "out")  # keys of every configuration
-DERIVED = ("model.content",)  # keys that a stored one has besides
+COMMON_KEYS = ("scenario", "study", "cluster", "out")  # keys of every configuration
+DERIVED_KEYS = ("model.content",)  # keys that a stored one has besides
 
 DEFAULT_SYSTEM = "hexapod"  # the system of a scenario that names none
 FORMER_NAMES = {"own": "mujoco"}  # words for a system that older scenarios have
@@ -22,10 +22,10 @@ class SystemKind(NamedTuple):
 
     config: str  # name of Hydra's primary configuration
     keys: tuple[str, ...]  # keys of its configuration, beside the common ones
-    free: tuple[str, ...] = ()  # the keys that may be left out
-    open: tuple[str, ...] = ()  # the keys whose parts only the system knows
+    optional_keys: tuple[str, ...] = ()  # the keys that may be left out
+    open_keys: tuple[str, ...] = ()  # the keys whose parts only the system knows
 
-    def nominal(self, values: Mapping[str, Any], kinds: Kinds) -> Nominal:
+    def nominal(self, values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
         """Build the system at its nominal parameters from a plain configuration.
 
         Args:
@@ -52,8 +52,8 @@ SYSTEMS = {
     ),
     "hexapod": SystemKind(
         "config",
-        tuple(name for name in GROUPS if name not in COMMON),
-        tuple(name for name, group in GROUPS.items() if group.free),
+        tuple(name for name in GROUPS if name not in COMMON_KEYS),
+        tuple(name for name, group in GROUPS.items() if group.has_free_keys),
     ),
 }
 
@@ -74,7 +74,7 @@ def find_formula(name: str) -> "Formula":
     """Return a closed-form formula of the built-in robot by name. Raises `InputError`."""
     from sweep import formulas  # slow to import
 
-    return formulas.find(name)
+    return formulas.find_formula(name)
 
 
 def describe_columns() -> dict[str, str]:
@@ -83,4 +83,4 @@ def describe_columns() -> dict[str, str]:
     from sweep.metrics import outcome
     from sweep.systems.mujoco_model import metrics, tracking
 
-    return merge_columns(metrics.METRICS) | tracking.COLUMNS | outcome.COLUMNS
+    return merge_columns(metrics.METRICS) | tracking.COLUMNS | outcome.COLUMN_MEANINGS

@@ -10,7 +10,7 @@ from sweep import engines
 from sweep.cli.main import main
 from sweep.runs import store
 
-REAL = engines.make
+REAL = engines.make_engine
 SMALL = ["study=walk_map", "study.axes.friction.num=4", "study.axes.step.num=3"]
 
 
@@ -386,7 +386,7 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
     ],
 )
 def test_what_only_the_engine_knows_is_one_line_too(arguments, message, capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr(engines, "make", REAL)
+    monkeypatch.setattr(engines, "make_engine", REAL)
     (tmp_path / "bad.yaml").write_text("extends: corner\nsizes: {rise: 0}\nroof: {reverse: roof}\n")
     assert main(["run", *arguments]) == 2
     one_line(capsys.readouterr().err, f"sweep: {message}")

@@ -5,7 +5,7 @@ import pytest
 
 from sweep.cli.main import main
 from sweep.core.errors import InputError
-from sweep.core.expressions import column, mask
+from sweep.core.expressions import condition_mask, find_column
 
 ROWS = pd.DataFrame({"world.contact.friction": [0.5], "slip_max_m": [0.01], "slip_mean_m": [0.01],
                      "tilt_max_deg": [1.0],
@@ -61,7 +61,7 @@ def test_describe_knows_columns_and_choices(name, said, capsys):
 
 def test_an_unknown_column_is_answered_with_the_five_nearest():
     with pytest.raises(InputError) as caught:
-        column(ROWS, "slip_max")
+        find_column(ROWS, "slip_max")
     assert str(caught.value).startswith(
         "column slip_max is unknown: did you mean slip_max_m? (nearest: slip_max_m, slip_"
     )
@@ -70,6 +70,6 @@ def test_an_unknown_column_is_answered_with_the_five_nearest():
 
 def test_a_single_equals_sign_is_answered_with_two():
     with pytest.raises(InputError, match=r"is not a condition \(equality is written ==\)"):
-        mask(ROWS, 'outcome = "failure"')
+        condition_mask(ROWS, 'outcome = "failure"')
     with pytest.raises(InputError, match=r"is not a condition, such as"):
-        mask(ROWS, "slip_max_m <")
+        condition_mask(ROWS, "slip_max_m <")

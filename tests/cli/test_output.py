@@ -27,7 +27,7 @@ def folder(tmp_path_factory):
 
     path = tmp_path_factory.mktemp("out")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sweep.engines, "make", FakeEngine)
+        patch.setattr(sweep.engines, "make_engine", FakeEngine)
         batches.forget_engine()
         assert main(["run", *STUDY, f"out={path}"]) == 0
     return path

@@ -18,21 +18,21 @@ def clock(monkeypatch):
 
 
 def test_the_remaining_time_is_known_after_the_first_batch_and_counts_down(clock):
-    pace = run_progress.Pace(40)
-    assert pace.remaining() is None
+    pace = run_progress.RemainingTimeEstimate(40)
+    assert pace.remaining_s() is None
     assert pace.remaining_text() == "-:-- left"
-    with progress.timed_compilation():
+    with progress.time_compilation():
         clock[0] += 60.0
     clock[0] += 30.0
-    pace.count(10)
-    assert pace.remaining() == pytest.approx(90.0)  # 3 s a rollout: the minute of compiling does not count
+    pace.add_finished(10)
+    assert pace.remaining_s() == pytest.approx(90.0)  # 3 s a rollout: the minute of compiling does not count
     clock[0] += 1.0
     assert pace.remaining_text() == "1:29 left"
     clock[0] += 9.0
-    pace.count(10)  # the next batch took a third of the time
-    assert pace.remaining() == pytest.approx(20.0)
+    pace.add_finished(10)  # the next batch took a third of the time
+    assert pace.remaining_s() == pytest.approx(20.0)
     clock[0] += 50.0
-    assert pace.remaining() == 0.0
+    assert pace.remaining_s() == 0.0
 
 
 def test_numbers_come_first_in_eighty_columns(monkeypatch):

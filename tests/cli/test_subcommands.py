@@ -130,4 +130,4 @@ print("imported", *(name for name in {slow} if name in sys.modules))"""
 
 def test_names_that_are_written_twice_to_import_nothing_slow_are_equal():
     assert tuple(PLOTS) == replay.REPLAY_PLOTS
-    assert (score.MIN_PHASES, score.MAX_PHASE_INTERVAL) == (tune.LEAST_MOMENTS, tune.MOST_SECONDS)
+    assert (score.MIN_PHASES, score.MAX_PHASE_INTERVAL) == (tune.MIN_MOMENTS, tune.MAX_MOMENT_INTERVAL_S)

@@ -12,7 +12,7 @@ import pytest
 
 from sweep.cli.main import main
 from sweep.config import reference
-from sweep.core.terminal import ELSEWHERE, fit_to_width
+from sweep.core.terminal import HIDDEN_COLUMNS_HINT, fit_to_width
 from sweep.report.tables import page_table
 
 WIDTH = 80
@@ -27,7 +27,9 @@ def test_the_reference_breaks_between_words(width):
     whole = reference.parameters_page()
     shown = fit_to_width(whole, width)
     assert max(map(len, shown.splitlines())) <= width
-    assert words(shown) - words(whole) <= words(f"Not shown for lack of width: default unit allowed{ELSEWHERE}.")
+    assert words(shown) - words(whole) <= words(
+        f"Not shown for lack of width: default unit allowed{HIDDEN_COLUMNS_HINT}."
+    )
 
 
 def test_columns_that_are_left_out_are_named_and_the_kept_ones_stay():
@@ -48,7 +50,7 @@ def test_counts_shares_and_units_are_told_in_one_way():
         "20.0 %",
         "",
     ]
-    assert "| N·m/rad " in reference.describe("drive")
+    assert "| N·m/rad " in reference.describe_name("drive")
     assert "N*m" not in reference.parameters_page()
 
 

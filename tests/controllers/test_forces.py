@@ -8,12 +8,12 @@ import pytest
 from scipy.optimize import linprog
 
 from sweep.formulas import corner
-from sweep.formulas.leg import SIDE
+from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.manoeuvres.walking.walk import Stand
-from sweep.metrics.outcome import Thresholds
+from sweep.metrics.outcome import OutcomeThresholds
 from sweep.models.case import Case
 from sweep.models.contact import Contact
-from sweep.models.disturbance import Execution
+from sweep.models.disturbance import ExecutionFaults
 from sweep.models.drive import Drive
 from sweep.models.noise import Noise
 from sweep.models.obstacles.plane import Plane
@@ -35,7 +35,7 @@ def standing(seed: int) -> StaticPose:
     stands = np.ones(6, bool)
     kind = seed % 3
     if kind == 0:
-        feet = np.stack([along, SIDE * u(0.4, 0.7, 6), np.zeros(6)], -1)
+        feet = np.stack([along, SIDE_BY_LEG * u(0.4, 0.7, 6), np.zeros(6)], -1)
         normal, quat, base = (
             np.tile([0, 0, 1.0], (6, 1)),
             (1.0, 0, 0, 0),
@@ -44,8 +44,8 @@ def standing(seed: int) -> StaticPose:
         stands[[0, 3, 4] if seed % 2 else [2]] = False
     else:
         psi = [0.0, np.pi / 4][kind - 1]
-        feet = np.stack([np.full(6, u(0.38, 0.48)), SIDE * u(0.33, 0.42), along], -1)
-        normal = np.stack([np.full(6, -np.sin(psi)), SIDE * np.cos(psi), np.zeros(6)], -1)
+        feet = np.stack([np.full(6, u(0.38, 0.48)), SIDE_BY_LEG * u(0.33, 0.42), along], -1)
+        normal = np.stack([np.full(6, -np.sin(psi)), SIDE_BY_LEG * np.cos(psi), np.zeros(6)], -1)
         quat, base = UPRIGHT, [0.0, 0, 0]
         lifted = 2 * (seed // 3 % 4)
         stands[lifted : lifted + 2] = False  # from 6 on: none
@@ -108,7 +108,7 @@ def test_forces_ask_for_hardly_more_than_a_linear_program_finds(least):
     best = np.array([least_by_program(p, bounds, least) for p in poses])
     holds = np.isfinite(best)
     assert 0 < holds.sum() < len(poses)  # stances of both kinds
-    np.testing.assert_array_equal(np.asarray(found.imbalance) < Thresholds().imbalance_max, holds)
+    np.testing.assert_array_equal(np.asarray(found.imbalance) < OutcomeThresholds().imbalance_max, holds)
     got = np.asarray(getattr(found, least))[holds]
     assert np.all(got <= 1.04 * best[holds] + 1e-3)
     assert np.all(got >= 0.99 * best[holds] - 1e-3)
@@ -122,7 +122,7 @@ def test_slack_buys_room_to_the_bounds_for_a_little_of_the_effort():
     bounds = Bounds(friction=1.2, torque=200.0, least_normal=2.0, most_normal=3000.0)
     many = jax.jit(jax.vmap(lambda p, slack: distribute_forces(p, bounds._replace(slack=slack), "friction"), (0, None)))
     close, far = many(poses, 0.01), many(poses, 0.3)
-    holds = np.asarray(close.imbalance) < Thresholds().imbalance_max
+    holds = np.asarray(close.imbalance) < OutcomeThresholds().imbalance_max
     normal = [
         np.where(poses.stands, np.sum(found.force * poses.normal, -1), np.inf).min(-1)[holds] for found in (close, far)
     ]
@@ -133,7 +133,7 @@ def test_slack_buys_room_to_the_bounds_for_a_little_of_the_effort():
 
 @pytest.mark.parametrize("aside", [0.0, 0.1, 0.3, 0.5])  # m; from 0.4 on the mass centre is not over the feet
 def test_on_level_ground_the_reserve_is_what_the_lightest_foot_bears_over_the_least(aside):
-    feet = jnp.asarray(np.stack([SIDE * 0.3, [0.4, 0.4, 0.0, 0.0, -0.4, -0.4], np.full(6, -0.5)], -1), float)
+    feet = jnp.asarray(np.stack([SIDE_BY_LEG * 0.3, [0.4, 0.4, 0.0, 0.0, -0.4, -0.4], np.full(6, -0.5)], -1), float)
     up, none = jnp.tile(jnp.array([0.0, 0.0, 1.0]), (6, 1)), jnp.zeros((6, 3))
     stands = jnp.asarray([True, True, False, False, True, True])
 
@@ -157,15 +157,17 @@ def test_the_reserve_is_positive_where_forces_hold_and_has_the_slopes_of_small_c
 
     there = jax.jit(jax.vmap(jax.value_and_grad(shifted), (None, 0)))
     (less, _), (value, slope), (more, _) = (there(way, poses) for way in (-0.005, 0.0, 0.005))
-    np.testing.assert_array_equal(np.asarray(value) > 0, np.asarray(found.imbalance) < Thresholds().imbalance_max)
+    np.testing.assert_array_equal(
+        np.asarray(value) > 0, np.asarray(found.imbalance) < OutcomeThresholds().imbalance_max
+    )
     np.testing.assert_allclose(slope, (more - less) / 0.01, rtol=0.03, atol=0.01)
 
 
 def on_a_corner(psi: float, eps: float) -> StaticPose:
     """Four feet of monograph 2.1 on walls at 2 psi, the pairs 1 m apart, the mass centre eps m off."""
     feet = np.zeros((6, 3))
-    feet[:4] = [[SIDE[i] * 0.35, -eps, 0.5 if i < 2 else -0.5] for i in range(4)]
-    normal = np.stack([SIDE * np.cos(psi), np.full(6, np.sin(psi)), np.zeros(6)], -1)
+    feet[:4] = [[SIDE_BY_LEG[i] * 0.35, -eps, 0.5 if i < 2 else -0.5] for i in range(4)]
+    normal = np.stack([SIDE_BY_LEG * np.cos(psi), np.full(6, np.sin(psi)), np.zeros(6)], -1)
     zero = jnp.zeros((6, 3))
     stands = jnp.asarray([True] * 4 + [False] * 2)
     return StaticPose(
@@ -190,8 +192,8 @@ def test_section_2_1_is_found_again(psi, eps, k):
 def test_joint_torques_are_those_of_the_full_model(legs):
     """Gravity and foot forces at rest as C MuJoCo has them, to the round-off of f32; planned forces carry the base."""
     robot = Robot(legs=legs, coxa=0.05 if legs == "three_link" else 0.0)
-    case = Case(robot, Drive(), Contact(), Plane(), Stand(), Noise(), Execution())
-    feet = np.stack([np.repeat([-0.5, 0.1, 0.55], 2), SIDE * 0.6, np.zeros(6)], -1)
+    case = Case(robot, Drive(), Contact(), Plane(), Stand(), Noise(), ExecutionFaults())
+    feet = np.stack([np.repeat([-0.5, 0.1, 0.55], 2), SIDE_BY_LEG * 0.6, np.zeros(6)], -1)
     stance = Stance(*(jnp.asarray(x, float) for x in (feet, [0.02, -0.01, 0.45], (1.0, 0.0, 0.0, 0.0))))
     p = static_pose(robot, stance, jnp.tile(jnp.array([0.0, 0, 1]), (6, 1)), jnp.ones(6, bool))
     planned = distribute_forces(p, Bounds(1.0, 100.0), "torque")

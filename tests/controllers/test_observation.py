@@ -10,7 +10,7 @@ import pytest
 from sweep.controllers.observation import Observation, init_sensors, observe
 from sweep.core.rotations import exponential, multiply
 from sweep.engines.closed_loop import classify_sensing
-from sweep.fused.trace import Leaf, trace_program
+from sweep.fused.trace import ArrayLayout, trace_program
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
 
@@ -88,7 +88,7 @@ def test_the_longest_delay_that_may_be_asked_for_can_be_fused():
     one, sensors = jax.eval_shape(lambda: ((jnp.zeros(()), KEY), init_sensors(noise, KEY, truth(0))))
 
     def somewhere(arrays, _):
-        return [Leaf(0, x.shape, np.dtype(x.dtype).name) for x in arrays], 0
+        return [ArrayLayout(0, x.shape, np.dtype(x.dtype).name) for x in arrays], 0
 
     trace_program(tick, one, sensors, somewhere, share_memory=False, group=6)  # else it raises `Unsupported`
 

@@ -11,8 +11,8 @@ from playing import play_case, vary_lengths
 from sweep.config.experiment import compose
 from sweep.controllers.plan import Plan, Stage, reference_stance, transform_plan
 from sweep.core.rotations import exponential, matrix, rotate
-from sweep.formulas.leg import SIDE
-from sweep.formulas.stepping import LANDING
+from sweep.formulas.leg import SIDE_BY_LEG
+from sweep.formulas.stepping import LANDING_RATIO
 from sweep.models.case import Case
 from sweep.models.posture import Stance, joint_targets
 from sweep.models.robot import leg_unit
@@ -21,7 +21,7 @@ from sweep.planning.plan_table import evaluate_plan
 
 U = np.linspace(0, 1, 41)
 RADIUS, HALF, D, D_C = 0.42, 0.525, 0.525, 0.4935  # m: r, a_r / 2, d, d_c
-X_STAR = 0.105 * LANDING
+X_STAR = 0.105 * LANDING_RATIO
 
 
 pytestmark = pytest.mark.usefixtures("double")
@@ -71,7 +71,7 @@ def test_feet_come_on_to_the_pole_a_little_inside_it(case):
     first = plan.names.index("on.rear")
     feet = plan.foothold[first:]
     np.testing.assert_allclose(np.hypot(feet[..., 0], feet[..., 1]), RADIUS - 5e-3, atol=1e-12)
-    assert np.all(np.sign(feet[..., 0]) == SIDE)
+    assert np.all(np.sign(feet[..., 0]) == SIDE_BY_LEG)
     np.testing.assert_allclose(plan.foothold[: plan.names.index("on.front"), :, 2], 0, atol=1e-12)
 
 
@@ -144,7 +144,7 @@ def test_the_plan_follows_what_is_believed(case):
     last = plan.foothold[:, -1]
     grip = np.broadcast_to(cases.obstacle.radius[:, None] - 5e-3, last.shape[:2])
     np.testing.assert_allclose(np.hypot(last[..., 0], last[..., 1]), grip, atol=1e-12)
-    height = cases.robot.body_length / 2 + leg_unit(cases.robot) * (0.5 + 0.9 * LANDING)
+    height = cases.robot.body_length / 2 + leg_unit(cases.robot) * (0.5 + 0.9 * LANDING_RATIO)
     np.testing.assert_allclose(stances.position[:, -1, -1, 2], height, rtol=1e-12)
 
 

@@ -16,13 +16,13 @@ from sweep.controllers.plan import reference_stance, stage_start
 from sweep.controllers.tracker import init
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
-from sweep.engines import closed_loop, make
+from sweep.engines import closed_loop, make_engine
 from sweep.engines.pre_rollout import measure_body_positions, prepare_belief
 from sweep.estimation import touch
 from sweep.estimation.belief_update import LearnedState, replan_rest, update_from_touch
 from sweep.estimation.calibration import CalibrationResult
 from sweep.estimation.touch import TouchState
-from sweep.models.frames import WORLD
+from sweep.models.frames import WORLD_FRAME
 from sweep.models.noise import Noise
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.kerb import Kerb
@@ -280,7 +280,7 @@ def test_feet_on_the_rungs_of_a_ladder_that_leans_otherwise_tell_their_step():
     rest = belief.noise, belief.robot, plan, ground
     found, moves, _ = touch.touch_tick(belief.control, *rest, state, known, now, 1.0)
     np.testing.assert_allclose(found.obstacle.rung_step, other.rung_step, atol=1e-3)
-    on_rungs = np.asarray(plan.foot_frame[stage]) != WORLD
+    on_rungs = np.asarray(plan.foot_frame[stage]) != WORLD_FRAME
     assert on_rungs.sum() == 4
     off = landmarks(ladder) - landmarks(other)  # of the axes in which the two plans are given
     told = np.asarray(plan.foothold[stage] + moves - true.foothold[stage] - off)[on_rungs]
@@ -323,4 +323,4 @@ def test_a_plan_out_of_reach_is_told_as_soon_as_it_is_made():
 def test_what_a_robot_cannot_do_is_refused_in_one_line(overrides, message):
     exp = compose([*overrides, "engine=native"])
     with pytest.raises(InputError, match=message):
-        make(dataclasses.replace(exp.settings, width=1), exp.case, exp.case, exp.thresholds)
+        make_engine(dataclasses.replace(exp.settings, width=1), exp.case, exp.case, exp.thresholds)

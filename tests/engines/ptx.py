@@ -201,7 +201,7 @@ class Memory:
 def call(code: Any, operands: Any) -> list[Any]:
     """As `launch.call`."""
     changed = [np.array(x) for x in operands]
-    Kernel(code.text).run(changed, len(operands[0]), 32 * cuda.WARPS)
+    Kernel(code.text).run(changed, len(operands[0]), 32 * cuda.MAX_WARPS_PER_BLOCK)
     return [jnp.asarray(changed[k]) for k in ([2] if len(changed) == 3 else [2, 4])]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sweep.config.experiment import compose
-from sweep.engines import make
+from sweep.engines import make_engine
 from sweep.estimation.calibration import learnable_sizes
 from sweep.metrics.outcome import classify
 
@@ -18,7 +18,7 @@ def simulated(*overrides: str):
     exp = compose([*STAND, *overrides])
     off = {name: getattr(exp.case.robot, name) * np.array([0.98, 1.02]) for name in learnable_sizes(exp.case.robot)}
     world = dataclasses.replace(exp.case, robot=dataclasses.replace(exp.case.robot, **off))
-    engine = make(dataclasses.replace(exp.settings, width=2), exp.case, exp.case, exp.thresholds)
+    engine = make_engine(dataclasses.replace(exp.settings, width=2), exp.case, exp.case, exp.thresholds)
     traces = engine.traces(world, exp.case, np.arange(2), 1)
     figures = {name: np.array([trace.metrics[name] for trace in traces]) for name in traces[0].metrics}
     return figures, classify(figures, exp.thresholds, engine.stages), traces[0], off

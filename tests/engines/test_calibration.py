@@ -9,7 +9,7 @@ import pytest
 from sweep.backends import devices
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
-from sweep.engines import make, pre_rollout
+from sweep.engines import make_engine, pre_rollout
 from sweep.estimation.calibration import learnable_sizes
 
 STAND = ["scenario=walk_tripod", "manoeuvre=stand", "control=calibrate"]
@@ -32,7 +32,7 @@ def learned(*overrides):
     world = wrong(case, ROBOTS)
     over = (devices.batch_axes(world), None, 0)
     calibrate = jax.vmap(lambda *of_one: pre_rollout.prepare_belief(*of_one)[2].calibration, in_axes=over)
-    arrays = devices.as_arrays(world), devices.as_arrays(case), devices.noise_keys(np.arange(ROBOTS))
+    arrays = devices.to_jax_arrays(world), devices.to_jax_arrays(case), devices.noise_keys(np.arange(ROBOTS))
     found = jax.jit(calibrate)(*arrays)
     true = [getattr(world.robot, n) for n in learnable_sizes(case.robot)]
     pairs = [
@@ -69,7 +69,7 @@ def test_the_base_stands_where_it_is_told_once_the_legs_are_known():
     for calibrate in ("none", "sizes"):
         exp = compose([*STAND, f"control.calibrate={calibrate}", "manoeuvre.duration=0.3", "engine=native"])
         world = wrong(exp.case, 4)
-        engine = make(dataclasses.replace(exp.settings, width=4), exp.case, exp.case, exp.thresholds)
+        engine = make_engine(dataclasses.replace(exp.settings, width=4), exp.case, exp.case, exp.thresholds)
         figures = engine.run(world, exp.case, np.arange(4))
         errors[calibrate] = figures["position_error_max_m"]
         if calibrate == "sizes":
@@ -83,4 +83,4 @@ def test_the_base_stands_where_it_is_told_once_the_legs_are_known():
 def test_who_does_not_start_on_the_floor_cannot_calibrate():
     exp = compose(["scenario=ball_balance", "engine=native", "control=calibrate"])
     with pytest.raises(InputError, match=r"control\.calibrate = sizes is not allowed: manoeuvre = ball_balance on"):
-        make(dataclasses.replace(exp.settings, width=1), exp.case, exp.case, exp.thresholds)
+        make_engine(dataclasses.replace(exp.settings, width=1), exp.case, exp.case, exp.thresholds)

@@ -16,7 +16,7 @@ CODE = bytes(range(256)) * 8  # no UTF-8, and zeros in it
 
 def made_up(target, launch):
     """A handler on a CPU, and a program that calls it for three blocks."""
-    handler = driver.make_handler(launch)
+    handler = driver.make_xla_handler(launch)
     jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(handler), platform="cpu")
     given = jnp.zeros((3, 5), jnp.uint32), jnp.int32(7), jnp.zeros((3, len(CODE)), jnp.uint8)
 
@@ -99,7 +99,7 @@ class Driver:
 def test_what_the_driver_links_is_its_machine_code_and_what_it_cannot_is_told(monkeypatch):
     made_up = Driver()
     monkeypatch.setattr(driver, "_driver", lambda: made_up)
-    assert driver.wait_for_kernel(driver.start_translation("ret;")) == (driver.kernel_key("ret;"), CODE)
+    assert driver.wait_for_kernel(driver.start_ptx_translation("ret;")) == (driver.kernel_key("ret;"), CODE)
     with pytest.raises(Unsupported, match=r"cuLinkAddData_v2: error \(218\): line 1; error"):
-        driver.wait_for_kernel(driver.start_translation("rat;"))
+        driver.wait_for_kernel(driver.start_ptx_translation("rat;"))
     assert made_up.contexts == []

@@ -14,8 +14,8 @@ from sweep.engines.mjx import MjxEngine
 from sweep.engines.native import NativeEngine
 from sweep.formulas import stepping
 from sweep.metrics import accumulator
-from sweep.metrics.outcome import Thresholds, classify, least_margins
-from sweep.models.legs import KINDS
+from sweep.metrics.outcome import OutcomeThresholds, classify, least_margins
+from sweep.models.legs import JOINT_KINDS
 
 STEPS, WIDTH = 3, 12
 WALK = ["scenario=walk_tripod", f"manoeuvre.steps={STEPS}"]
@@ -40,7 +40,7 @@ def differing(a, b, i, j=None):
 def speed(case) -> float:
     """v_o = k' x*/t* of the tripod, k' = 2 (m/s)."""
     walk = case.manoeuvre
-    x = walk.half_step_ratio * case.robot.body_length * stepping.LANDING
+    x = walk.half_step_ratio * case.robot.body_length * stepping.LANDING_RATIO
     return 2 * x / stepping.swing_time(walk.rate)
 
 
@@ -78,7 +78,10 @@ def world(nominal):
 @pytest.fixture(scope="module")
 def mjx(nominal, world):
     return MjxEngine(
-        dataclasses.replace(compose(WALK).settings, width=WIDTH), world_structure(world, nominal), nominal, Thresholds()
+        dataclasses.replace(compose(WALK).settings, width=WIDTH),
+        world_structure(world, nominal),
+        nominal,
+        OutcomeThresholds(),
     )
 
 
@@ -107,7 +110,7 @@ def again(mjx, world, nominal):
 @pytest.fixture(scope="module")
 def native(nominal):
     engine = NativeEngine(
-        dataclasses.replace(compose(WALK).settings, name="native", width=1), nominal, nominal, Thresholds()
+        dataclasses.replace(compose(WALK).settings, name="native", width=1), nominal, nominal, OutcomeThresholds()
     )
     return engine.run(nominal, nominal, np.zeros(1, int))
 
@@ -122,7 +125,7 @@ def test_figures_are_there_and_finite(figures):
 
 def test_tripod_walks_at_v_o(figures, nominal):
     assert figures["speed_mps"][NOMINAL] == pytest.approx(speed(nominal), rel=0.02)
-    assert classify(figures, Thresholds(), ("",) * 20)["outcome"][NOMINAL] == "success"
+    assert classify(figures, OutcomeThresholds(), ("",) * 20)["outcome"][NOMINAL] == "success"
 
 
 def test_standing_feet_do_not_slip(figures):
@@ -140,7 +143,7 @@ def test_engines_agree(figures, native, nominal):
 
 
 def test_a_nan_touches_no_other_row(figures, again):
-    outcome = classify(figures, Thresholds(), ("",) * 20)["outcome"]
+    outcome = classify(figures, OutcomeThresholds(), ("",) * 20)["outcome"]
     assert outcome[BROKEN] == "invalid"
     assert differing(figures, again, BROKEN)
     for row in set(range(WIDTH)) - {BROKEN}:
@@ -179,7 +182,7 @@ def test_without_noise_the_stream_does_not_matter(figures):
 def test_errors_of_execution_tell(figures):
     """Too weak drives give way, a big push fells, a nudge and (with five good legs) a dead joint are only felt."""
     # while it tumbles, two iterations leave more of the solver's residual than a trusted rollout may
-    outcome = classify(figures, Thresholds(solver_residual_max=1e9, solver_unsettled_share_max=1), ("",) * 20)
+    outcome = classify(figures, OutcomeThresholds(solver_residual_max=1e9, solver_unsettled_share_max=1), ("",) * 20)
     assert outcome["outcome"][WEAK] == "failure"
     assert (outcome["outcome"][FELLED], outcome["cause"][FELLED]) == ("failure", "fell")
     assert outcome["outcome"][NUDGED] == "success"
@@ -209,11 +212,11 @@ def test_all_rollouts_of_a_batch_are_recorded_as_one_is(name, mjx, world, nomina
     engine, cases, streams, slot = mjx, (world, belief), STREAMS, NOISY
     if name == "native":
         settings = dataclasses.replace(compose(WALK).settings, name="native", width=2)
-        engine = NativeEngine(settings, nominal, nominal, Thresholds())
+        engine = NativeEngine(settings, nominal, nominal, OutcomeThresholds())
         cases, streams, slot = (nominal, nominal), np.zeros(2, int), 1
     one, every = engine.trace(*cases, streams, slot), engine.traces(*cases, streams, 25)
     peaks = one.joint_torque.reshape(-1, 6, 3).max(axis=(0, 1))  # back-EMF taken off, as in the row
-    np.testing.assert_allclose(peaks, [one.metrics[f"torque_peak_{joint}_nm"] for joint in KINDS], rtol=1e-5)
+    np.testing.assert_allclose(peaks, [one.metrics[f"torque_peak_{joint}_nm"] for joint in JOINT_KINDS], rtol=1e-5)
     assert len(every) == len(streams)
     again = every[slot]
     assert again.time == pytest.approx(one.time[24::25])

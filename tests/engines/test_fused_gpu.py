@@ -18,7 +18,7 @@ from sweep.engines.mjx import MjxEngine
 from sweep.fused import driver, launch
 from sweep.fused.arrays import Unsupported
 
-WIDTH = launch.BLOCK
+WIDTH = launch.MIN_ROLLOUTS_PER_BLOCK
 HOW = pytest.mark.parametrize("few", [False, True], ids=["many", "few"])  # some parts without legs in lanes, or none
 
 
@@ -208,9 +208,9 @@ def test_parts_hand_on_what_they_have_worked_out_however_many_rollouts_a_block_h
     one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), (given, carried))
 
     def run(turns):
-        monkeypatch.setattr(launch, "TURNS", turns)
+        monkeypatch.setattr(launch, "MAX_BLOCK_FACTOR", turns)
         code = launch.compile_to_ptx(ticked, *one, lambda carried: carried[2], 2, WIDTH, width, small_batch=few)
-        assert code.rollouts == turns * WIDTH
+        assert code.rollouts_per_block == turns * WIDTH
         return launch.run_kernel(code, given, carried, jnp.int32(3), jnp.arange(WIDTH))
 
     parts, xla = run(1), carried
@@ -304,20 +304,20 @@ def test_few_rollouts_begin_and_end_as_on_a_cpu_and_their_kernel_is_kept_beside_
             carry, _ = programs.chunk(world, belief, plans, carry, 0, kept)
         return programs.finish(world, plans, carry)
 
-    handler = driver.make_handler(
+    handler = driver.make_xla_handler(
         lambda call: launched.append(driver.wait_for_kernel(call.key).code)
     )  # changes nothing
     jax.ffi.register_ffi_target("idle", jax.ffi.pycapsule(handler), platform="cpu")
     monkeypatch.setattr(
         launch,
         "call_kernel",
-        lambda code, of: driver.call_kernel(driver.start_translation(code.text), 1, of, [2], "idle"),
+        lambda code, of: driver.call_kernel(driver.start_ptx_translation(code.text), 1, of, [2], "idle"),
     )
     monkeypatch.setattr(driver, "_translate", lambda text: translated.append(text) or b"machine code")
     begun = ended(0)
     monkeypatch.setattr(program_cache, "_folder", lambda: tmp_path)
     monkeypatch.setattr(MjxEngine, "_runs_outside_xla", False)
-    monkeypatch.setattr(launch, "OPTIONS", {})
+    monkeypatch.setattr(launch, "XLA_OPTIONS", {})
     for _ in range(2):  # the second finds all there is
         monkeypatch.setattr(driver, "_machine_code", {})
         for name, figure in ended(1).items():

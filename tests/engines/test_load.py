@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import parameters, quantity
-from sweep.engines import make
+from sweep.engines import make_engine
 from sweep.models.obstacles.plane import Plane
 from sweep.models.obstacles.surface import FreeState
 
@@ -56,7 +56,7 @@ def test_buoy_heaves_and_its_work_is_counted(name):
     """At the frequency of spring and mass, as far at the end as at the start; all energy that it has is the load's."""
     exp = compose(["manoeuvre=stand"])
     case = dataclasses.replace(exp.case, obstacle=Buoy())
-    engine = make(dataclasses.replace(exp.settings, name=name, width=1), case, case, exp.thresholds)
+    engine = make_engine(dataclasses.replace(exp.settings, name=name, width=1), case, case, exp.thresholds)
     trace = engine.trace(case, case, np.zeros(1, int), 0)
     heave, t = trace.qpos[:, 27] - 1, trace.time
     begins = t < 1.0

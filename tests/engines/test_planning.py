@@ -62,8 +62,8 @@ def test_one_search_is_made_for_all_rollouts_of_the_same_pose():
     arrays = jnp.full(3, 0.5), jnp.array(0.4), jnp.stack([key] * 3)
     _, begin = begun(arrays)
     (search,) = begin.searches.values()
-    searched, enter = [], search.enter
-    search.enter = lambda given, carried, width: searched.append(width) or enter(given, carried, width)
+    searched, enter = [], search.load_batch
+    search.load_batch = lambda given, carried, width: searched.append(width) or enter(given, carried, width)
     several = begin(*arrays)[0].force
     external = {name: partial(planning._search_forces, search) for name in begin.searches}
     once = begin.program(1, np.float32(0.5), np.float32(0.4), key, external=external)

@@ -23,7 +23,7 @@ from sweep.engines import fused_loop
 from sweep.engines.mjx import MjxEngine
 from sweep.fused import driver
 from sweep.fused.arrays import Unsupported
-from sweep.metrics.outcome import Thresholds
+from sweep.metrics.outcome import OutcomeThresholds
 
 CASE = compose(["scenario=walk_tripod"]).case
 X = jnp.arange(3.0)
@@ -117,9 +117,9 @@ def test_a_program_that_is_damaged_within_its_archive_never_reaches_xla(folder, 
     program_cache.load_or_compile("two", ONE, Compiler(2.0))
     (file,) = folder.glob("*.programs")
     whole = file.read_bytes()
-    content = bytearray(zlib.decompress(whole[program_cache.DIGEST :]))
+    content = bytearray(zlib.decompress(whole[program_cache.DIGEST_SIZE :]))
     content[len(content) // 2] ^= 1
-    file.write_bytes(whole[: program_cache.DIGEST] + zlib.compress(bytes(content)))
+    file.write_bytes(whole[: program_cache.DIGEST_SIZE] + zlib.compress(bytes(content)))
     monkeypatch.setattr(program_cache, "deserialize_and_load", lambda *_, **__: pytest.fail("XLA was given it"))
     compiler = Compiler(2.0)
     with pytest.warns(RuntimeWarning, match="its content has changed"):
@@ -151,7 +151,7 @@ def test_two_threads_that_compile_at_once_leave_keeping_as_it_was(folder):
 
 
 def test_nothing_is_kept_of_sources_written_since_the_start(folder, monkeypatch):
-    monkeypatch.setattr(provenance, "STARTED", 0.0)
+    monkeypatch.setattr(provenance, "PROCESS_START_S", 0.0)
     program_cache.load_or_compile("two", ONE, Compiler(2.0))
     assert not list(folder.glob("*.programs"))
 
@@ -161,7 +161,10 @@ def made_of(monkeypatch, settings=(), limits=(), case=CASE, vary=False, slots=No
     asked = []
     none = None, {}, None, None
     engine = MjxEngine(
-        EngineSettings(**{"width": 2, "compiler": "xla", **dict(settings)}), case, case, Thresholds(**dict(limits))
+        EngineSettings(**{"width": 2, "compiler": "xla", **dict(settings)}),
+        case,
+        case,
+        OutcomeThresholds(**dict(limits)),
     )
     world = dataclasses.replace(case, contact=dataclasses.replace(case.contact, friction=np.ones(2) if vary else 1.0))
     with jax.enable_x64(engine.settings.precision == "float64"), monkeypatch.context() as patch:

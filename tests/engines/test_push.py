@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sweep.config.experiment import compose
-from sweep.engines import make
+from sweep.engines import make_engine
 from sweep.metrics.outcome import classify
 
 IMPULSE = 15.0  # N s
@@ -32,7 +32,7 @@ def pushed(*overrides):
         trial.case.execution, push_impulse=IMPULSE, push_time=BEGIN, push_duration=DURATIONS, push_direction=0.0
     )
     world = replace(trial.case, execution=execution, contact=replace(trial.case.contact, friction=SLIPPERY))
-    simulation = make(replace(trial.settings, width=len(DURATIONS)), trial.case, trial.case, trial.thresholds)
+    simulation = make_engine(replace(trial.settings, width=len(DURATIONS)), trial.case, trial.case, trial.thresholds)
     return simulation.traces(world, trial.case, np.zeros(len(DURATIONS), int), 1), trial.thresholds
 
 

@@ -10,7 +10,7 @@ import pytest
 from sweep.config.experiment import compose
 from sweep.contract.system import judge_rollout
 from sweep.core.errors import InputError
-from sweep.engines import make
+from sweep.engines import make_engine
 from sweep.models.scene import native_model
 from sweep.study.study import make_points
 
@@ -91,7 +91,7 @@ def test_only_native_can_be_solid():
 
 def rolled_out(exp, solid):
     """Outcome, cause and stage, and the trace of the nominal rollout."""
-    engine = make(dataclasses.replace(exp.settings, solid=solid), exp.case, exp.case, exp.thresholds)
+    engine = make_engine(dataclasses.replace(exp.settings, solid=solid), exp.case, exp.case, exp.thresholds)
     trace = engine.trace(exp.case, exp.case, np.zeros(1, int), 0)
     labels = judge_rollout(exp.system, trace.metrics, exp.thresholds, engine.stages)
     return [labels[name] for name in ("outcome", "cause", "stage")], trace

@@ -30,12 +30,12 @@ def both(function, *batch, group=6):
         code = kernel.compile_function(
             lambda given, carried, k: (carried, function(*given)), one, [jnp.zeros(())], group, lanes
         )
-        tiles = kernel.Kernel(code).enter(list(batch), [jnp.zeros(WIDTH)], WIDTH)
+        tiles = kernel.Kernel(code).load_batch(list(batch), [jnp.zeros(WIDTH)], WIDTH)
         record = tiles.advance(0, 1, np.arange(WIDTH))
         assert record is not None
         return {name: x[0] for name, x in record.items()}
 
-    wide, narrow = fused(llvm.LANES), fused(llvm.NARROW)
+    wide, narrow = fused(llvm.TILE_LANES), fused(llvm.NARROW_TILE_LANES)
     for name, values in narrow.items():
         np.testing.assert_array_equal(values, wide[name], err_msg=name)
     return wide, jax.vmap(function)(*batch)
@@ -139,7 +139,7 @@ def test_a_row_is_stored_at_a_computed_address(shape):
     size, ticks, tick = 5, 12, ring(5)
     delays, start = jnp.arange(WIDTH) % size, (some(size, *shape), some(*shape, seed=1))
     code = kernel.compile_function(tick, delays[0], jax.tree.map(lambda x: x[0], start))
-    record = kernel.Kernel(code).enter(delays, start, WIDTH).advance(0, ticks, np.arange(WIDTH))
+    record = kernel.Kernel(code).load_batch(delays, start, WIDTH).advance(0, ticks, np.arange(WIDTH))
     assert record is not None
     for k in range(WIDTH):
         carried = jax.tree.map(lambda x, k=k: x[k], start)
@@ -164,7 +164,7 @@ def test_a_replaced_row_that_is_used_at_once_is_looked_up():
 
     start = some(3, 2)
     code = kernel.compile_function(tick, jnp.float32(0), start[0])
-    tiles = kernel.Kernel(code).enter(jnp.ones(WIDTH), start, WIDTH)
+    tiles = kernel.Kernel(code).load_batch(jnp.ones(WIDTH), start, WIDTH)
     record = tiles.advance(0, 4, np.arange(WIDTH))
     assert record is not None
     for number in range(4):
@@ -301,7 +301,7 @@ def test_what_no_rollout_needs_is_skipped_and_changes_nothing_where_another_need
 def test_what_may_be_skipped_stands_in_a_branch_but_for_what_the_loop_repeats():
     one = jax.ShapeDtypeStruct((), jnp.float32)
     program, _ = kernel.print_program(lambda x, carried, k: (carried, cube_root("cond", x)), one, jnp.zeros(()), 6)
-    (branch,) = (x for x in walk_block(program.top) if isinstance(x, Branch))
+    (branch,) = (x for x in walk_block(program.top_block) if isinstance(x, Branch))
     idle, busy = branch.blocks
     assert [x for x in walk_block(idle) if isinstance(x, Node)] == []
     assert [x.op for x in walk_block(busy) if isinstance(x, Node) and x.op in ("div", "sqrt")] == ["div"]
@@ -333,7 +333,7 @@ def test_a_group_may_have_another_size(group):
         np.testing.assert_allclose(values, xla[name], rtol=1e-5, atol=1e-6, err_msg=name)
     one = jax.ShapeDtypeStruct(x.shape[1:], x.dtype)
     program, _ = kernel.print_program(lambda given, carried, k: (carried, moved(given)), one, jnp.zeros(()), group)
-    roots = [n for n in walk_block(program.top) if isinstance(n, Node) and n.op == "sqrt"]
+    roots = [n for n in walk_block(program.top_block) if isinstance(n, Node) and n.op == "sqrt"]
     assert [n.leg for n in roots] == [True]
 
 
@@ -345,7 +345,7 @@ def test_rows_that_are_alike_leave_the_others_one_operation_for_the_legs():
     np.testing.assert_allclose(fused["x"], xla["x"], rtol=1e-6)
     one = jax.ShapeDtypeStruct(x.shape[1:], x.dtype)
     program, _ = kernel.print_program(lambda given, carried, k: (carried, rooted(given)), one, jnp.zeros(()))
-    roots = [n for n in walk_block(program.top) if isinstance(n, Node) and n.op == "sqrt"]
+    roots = [n for n in walk_block(program.top_block) if isinstance(n, Node) and n.op == "sqrt"]
     assert sorted(n.leg for n in roots) == [False, True]
 
 

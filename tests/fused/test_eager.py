@@ -139,7 +139,7 @@ def test_what_is_set_apart_is_done_by_others():
 
     x, y, _ = batch(3)
     program = eager.trace(function, x[0], y, external=("dear",))
-    assert [(a.shape, a.dtype) for a in program.external["dear"]] == [((4, 6), np.float32), ((), np.float32)]
+    assert [(a.shape, a.dtype) for a in program.external_functions["dear"]] == [((4, 6), np.float32), ((), np.float32)]
     made = program(3, x, y, external={"dear": lambda rows, scale: np.sort(rows, axis=1) * scale})
     np.testing.assert_allclose(made, np.sort(x, axis=2) * 2 + y.sum(), rtol=1e-6)
     with pytest.raises(Unsupported, match="sort"):

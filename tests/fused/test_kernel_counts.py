@@ -24,8 +24,8 @@ def test_a_metric_that_carries_where_all_joints_were_exceeds_the_stored_counts(m
     naive = Metric(
         lambda start: (jnp.zeros((6, 3, 3)), jnp.zeros(())),
         lambda state, ctx: (
-            ctx.tick.joints,
-            jnp.maximum(state[1], jnp.max(jnp.linalg.norm(ctx.tick.joints - state[0], axis=-1))),
+            ctx.report.joints,
+            jnp.maximum(state[1], jnp.max(jnp.linalg.norm(ctx.report.joints - state[0], axis=-1))),
         ),
         lambda state, rollout: {"joint_step_max_m": state[1]},
         {"joint_step_max_m": "farthest that a joint went in a tick"},

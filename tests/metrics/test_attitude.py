@@ -7,7 +7,7 @@ import pytest
 
 from sweep.config.experiment import compose
 from sweep.core.shared_metrics.attitude import tilt_deg
-from sweep.engines import make
+from sweep.engines import make_engine
 
 OFFSETS = np.array([0.0, 0.36, -0.1])  # rad, of the measured orientation about the world's x axis
 FELL = 20.0  # deg, default of outcome.tilt_max_deg
@@ -17,7 +17,7 @@ FELL = 20.0  # deg, default of outcome.tilt_max_deg
 def test_a_tilted_sensor_makes_no_fall_of_a_level_robot(engine):
     trial = compose(["scenario=walk_tripod", "manoeuvre.steps=1", f"engine={engine}"])
     world = replace(trial.case, noise=replace(trial.case.noise, orientation_offset_x=OFFSETS))
-    simulation = make(
+    simulation = make_engine(
         replace(trial.settings, width=len(OFFSETS)),
         replace(trial.case, noise=replace(trial.case.noise, orientation_offset_x=OFFSETS[1])),
         trial.case,

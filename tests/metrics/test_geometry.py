@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 from scipy.spatial import ConvexHull, QhullError
 
 from sweep.models.geometry import (
-    AROUND,
+    EDGE_SEARCH_RADIUS_M,
     base_gap,
     edge_distance,
     leg_gap,
@@ -127,7 +127,9 @@ def test_a_shin_goes_through_the_rung_that_its_foot_is_on_or_rises_over_it(angle
 def test_a_foot_on_a_kerb_is_as_far_from_the_edge_as_it_stands_from_it():
     """Along its top, and down its side; no farther than edges are looked for."""
     feet = jnp.array([[0.02, 0.0, 0.1], [0.3, 1.0, 0.1], [0.0, 0.0, 0.07]])
-    assert edge_distance(Kerb(), feet, identity_poses(0)) == pytest.approx(np.array([0.02, AROUND, 0.03]), abs=1e-6)
+    assert edge_distance(Kerb(), feet, identity_poses(0)) == pytest.approx(
+        np.array([0.02, EDGE_SEARCH_RADIUS_M, 0.03]), abs=1e-6
+    )
 
 
 def test_a_foot_on_a_rung_is_as_far_from_its_edge_as_half_of_the_rung_is_high_at_most():

@@ -10,10 +10,10 @@ import pytest
 
 from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
-from sweep.core.outcomes import MISSED
+from sweep.core.outcomes import GOAL_MISSED
 from sweep.metrics import attitude, clearance, depth, drives, free_bodies, rest, shins, slip, solver
 from sweep.metrics.outcome import threshold_value
-from sweep.metrics.tick import MetricTick, Rollout, RolloutStart
+from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart
 from sweep.models.geometry import base_gap, fold_gap
 from sweep.models.obstacles.surface import FreeState, body_poses, no_free_bodies
 from sweep.models.robot import total_mass
@@ -33,7 +33,7 @@ def moment(time: float = 0.0, legs: np.ndarray = LEGS, free: FreeState | None = 
     none = jnp.zeros((6, 3))
     tick = {
         "joints": jnp.asarray(legs), "bodies": body_poses(free), "power": none, "torque_peak": none, "saturated": none,
-        "effort": jnp.zeros(()), "work": jnp.zeros(()), "energy": jnp.zeros(()), "residual": jnp.zeros(()),
+        "positive_work": jnp.zeros(()), "work": jnp.zeros(()), "energy": jnp.zeros(()), "residual": jnp.zeros(()),
     }  # fmt: skip
     truth = {"position": BASE, "quat": UPRIGHT, "free": free, "angles": none, "rates": none,
              "loaded": jnp.ones(6, bool)}  # fmt: skip
@@ -45,22 +45,22 @@ def moment(time: float = 0.0, legs: np.ndarray = LEGS, free: FreeState | None = 
         "stage_start": BASE, "shortfall": jnp.zeros(()),
     }  # fmt: skip
     tick, truth, now = ({name: changes.get(name, value) for name, value in part.items()} for part in (tick, truth, now))
-    return MetricTick(**now, tick=SimpleNamespace(truth=SimpleNamespace(**truth), **tick))
+    return MetricTick(**now, report=SimpleNamespace(actual=SimpleNamespace(**truth), **tick))
 
 
 def judged(metric: Any, moments: list[Any], experiment: Any = EXPERIMENT) -> tuple[dict[str, float], set[str]]:
     """Its figures of a way, and the names of the causes that hold, a goal's by its threshold."""
-    world, limits, first = experiment.case, experiment.thresholds, moments[0].tick
+    world, limits, first = experiment.case, experiment.thresholds, moments[0].report
     start = RolloutStart(
-        world, moments[0].plan, BASE, UPRIGHT, jnp.asarray(LEGS[:, -1]), first.truth.free, first.energy
+        world, moments[0].plan, BASE, UPRIGHT, jnp.asarray(LEGS[:, -1]), first.actual.free, first.energy
     )
     state = metric.METRIC.begin(start)
     for now in moments:
         state = metric.METRIC.update(state, now._replace(world=world))
-    end = Rollout(world, moments[-1].plan, jnp.asarray(moments[-1].time), jnp.int32(0))
+    end = RolloutEnd(world, moments[-1].plan, jnp.asarray(moments[-1].time), jnp.int32(0))
     found = {name: float(value) for name, value in metric.METRIC.compute(state, end).items()}
     met = {c for c in metric.METRIC.causes if c.holds(found[c.metric], threshold_value(c, limits))}
-    return found, {c.threshold if c.name == MISSED else c.name for c in met}
+    return found, {c.threshold if c.name == GOAL_MISSED else c.name for c in met}
 
 
 def turned(degrees: float, axis: int) -> Any:
@@ -257,6 +257,6 @@ def test_forces_that_the_solver_leaves_are_doubted(residual, ticks, met):
 def test_energy_that_no_drive_has_given_is_doubted(share, met):
     """Compared with the drives' work and the weight at the height of the body's length."""
     most = 1000 + GRAVITY * total_mass(CASE.robot) * CASE.robot.body_length
-    gives = {"work": jnp.asarray(800.0), "effort": jnp.asarray(1000.0)}
+    gives = {"work": jnp.asarray(800.0), "positive_work": jnp.asarray(1000.0)}
     way = [moment(), moment(10.0, energy=jnp.asarray(800 + share * most), **gives)]
     assert judged(solver, way)[1] == met

@@ -34,11 +34,11 @@ def reserve(*stages):
         feet = FEET + height * FIRST[:, None] * np.array([0, 0, 1.0])
         loaded = ALL if lands else ~FIRST
         truth = SimpleNamespace(loaded=jnp.asarray(loaded))
-        tick = SimpleNamespace(joints=jnp.asarray(feet)[:, None], truth=truth, bodies=body_poses(no_free_bodies()))
+        tick = SimpleNamespace(joints=jnp.asarray(feet)[:, None], actual=truth, bodies=body_poses(no_free_bodies()))
         for _ in range(round(takes / PERIOD)):
             time += 1
             now = SimpleNamespace(world=WORLD, plan=PLAN, stage=jnp.int32(number), finished=jnp.asarray(False),
-                                  tick=tick, time=time * PERIOD, period=PERIOD)  # fmt: skip
+                                  report=tick, time=time * PERIOD, period=PERIOD)  # fmt: skip
             state = landing.update(state, now)
     return float(landing.METRIC.compute(state, None)["landing_reserve_min"])
 

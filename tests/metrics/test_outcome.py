@@ -10,25 +10,25 @@ from faultless import faultless
 
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
-from sweep.core.outcomes import MISSED
+from sweep.core.outcomes import GOAL_MISSED
 from sweep.metrics import CAUSES, METRICS
 from sweep.metrics.outcome import (
-    COLUMNS,
-    MEANING,
-    Thresholds,
+    CAUSE_MEANINGS,
+    COLUMN_MEANINGS,
+    OutcomeThresholds,
     classify,
     explain_cause,
     sentence_with_limit,
     threshold_value,
 )
-from sweep.study.columns import LABELS
+from sweep.study.columns import LABEL_COLUMNS
 
 STAGES = ("stand", "walk", "halt")
-STRICT = Thresholds(slip_max_m=0.02, ride_height_min_m=0.5, obstacle_moved_max_m=3.0, saturation_share_max=0.5,
-                    feet_on_target_min=6.0, end_tilt_max_deg=3.0, progress_min=0.9, obstacle_speed_error_max_mps=0.01,
-                    obstacle_aside_max_m=0.02, obstacle_shift_max_m=1e-3, past_centre_max_m=0.02,
-                    docking_gap_max_m=4e-3, docking_speed_max_mps=0.04, second_ball_speed_max_mps=0.01,
-                    obstacle_turn_max_rad=1e-3)  # fmt: skip
+STRICT = OutcomeThresholds(slip_max_m=0.02, ride_height_min_m=0.5, obstacle_moved_max_m=3.0, saturation_share_max=0.5,
+                           feet_on_target_min=6.0, end_tilt_max_deg=3.0, progress_min=0.9,
+                           obstacle_speed_error_max_mps=0.01, obstacle_aside_max_m=0.02, obstacle_shift_max_m=1e-3,
+                           past_centre_max_m=0.02, docking_gap_max_m=4e-3, docking_speed_max_mps=0.04,
+                           second_ball_speed_max_mps=0.01, obstacle_turn_max_rad=1e-3)  # fmt: skip
 
 
 def label(limits=STRICT, **changes):
@@ -44,7 +44,7 @@ def beyond(cause):
 
 def test_success_has_no_cause():
     got = label()
-    assert tuple(got) == LABELS
+    assert tuple(got) == LABEL_COLUMNS
     assert (got["outcome"], got["cause"], got["stage"], got["limit"]) == ("success", "", "", "")
     assert np.isnan(got["t_cause_s"])
 
@@ -55,13 +55,13 @@ def test_every_threshold_has_its_cause(cause):
     assert (got["outcome"], got["cause"], got["limit"]) == (
         "invalid" if cause.invalid else "failure", cause.name, cause.threshold
     )  # fmt: skip
-    assert cause.name in MEANING
+    assert cause.name in CAUSE_MEANINGS
     said = sentence_with_limit(cause, STRICT)
     assert explain_cause({**got, **beyond(cause)}, STRICT).startswith(said)
 
 
 def test_every_figure_that_is_judged_is_a_column_and_causes_are_told_apart():
-    assert {cause.metric for cause in CAUSES} <= set(COLUMNS)
+    assert {cause.metric for cause in CAUSES} <= set(COLUMN_MEANINGS)
     timed = [cause.name for cause in CAUSES if cause.known_at == "tick"]
     assert len(timed) == len(set(timed))
     names = [name for metric in METRICS for name in metric.columns]
@@ -96,13 +96,13 @@ def test_nan_is_invalid_and_no_success_or_failure(key):
 def test_relabelling_moves_the_threshold_only():
     """Looser: the cause goes, though its time is stored. Tighter: it comes without a time, after the others."""
     fell = {"tilt_max_deg": 25.0, "fell_time_s": 2.0, "fell_stage": 1}
-    assert label(Thresholds(tilt_max_deg=30.0), **fell)["outcome"] == "success"
-    tight = label(Thresholds(tilt_max_deg=0.5), tilt_max_deg=1.0)
+    assert label(OutcomeThresholds(tilt_max_deg=30.0), **fell)["outcome"] == "success"
+    tight = label(OutcomeThresholds(tilt_max_deg=0.5), tilt_max_deg=1.0)
     assert (tight["outcome"], tight["cause"], tight["stage"]) == ("failure", "fell", "halt")
     assert np.isnan(tight["t_cause_s"])
-    both = label(Thresholds(heading_error_max_deg=0.05), heading_error_max_deg=0.1, **fell)
+    both = label(OutcomeThresholds(heading_error_max_deg=0.05), heading_error_max_deg=0.1, **fell)
     assert (both["cause"], both["t_cause_s"]) == ("fell", 2.0)
-    assert label(Thresholds(feet_on_target_min=3.0), feet_on_target=4)["outcome"] == "success"
+    assert label(OutcomeThresholds(feet_on_target_min=3.0), feet_on_target=4)["outcome"] == "success"
 
 
 def test_the_margin_is_the_least_distance_to_a_threshold():
@@ -131,7 +131,7 @@ def test_a_count_has_the_margin_of_its_twin(figures, limit, margin):
 
 def test_a_twin_that_says_otherwise_than_the_count_is_not_heard():
     """As where fewer feet are enough."""
-    got = label(Thresholds(feet_on_target_min=4.0), feet_on_target=4, foot_gap_max_m=0.3)
+    got = label(OutcomeThresholds(feet_on_target_min=4.0), feet_on_target=4, foot_gap_max_m=0.3)
     assert (got["outcome"], got["margin"]) == ("success", 1.0)
 
 
@@ -176,6 +176,6 @@ def test_the_page_of_success_has_every_condition_with_its_limit_and_its_test():
         assert cause.default is None or not cause.threshold or float(default.split()[0]) == cause.default
         assert len(reason) > 3
         test = broken_by.strip("|` ")
-        tells = {cause.name, cause.threshold, cause.metric} - {"", MISSED}
+        tells = {cause.name, cause.threshold, cause.metric} - {"", GOAL_MISSED}
         named = any(re.search(rf"\b{name}\b", tests[test]) for name in tells)
         assert named or test == test_every_threshold_has_its_cause.__name__, (cause.name, test)

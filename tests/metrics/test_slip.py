@@ -22,11 +22,11 @@ def rollout(ticks, world=WORLD, free=no_free_bodies):
     state = slip.METRIC.begin(start)
     for feet, loaded, swing, phase in ticks:
         truth = SimpleNamespace(loaded=jnp.asarray(loaded))
-        tick = SimpleNamespace(joints=jnp.asarray(feet)[:, None], truth=truth, bodies=body_poses(free()))
+        tick = SimpleNamespace(joints=jnp.asarray(feet)[:, None], actual=truth, bodies=body_poses(free()))
         plan = SimpleNamespace(swing=jnp.asarray(swing)[None])
-        now = SimpleNamespace(world=world, plan=plan, stage=0, finished=jnp.asarray(False), phase=phase, tick=tick)
+        now = SimpleNamespace(world=world, plan=plan, stage=0, finished=jnp.asarray(False), phase=phase, report=tick)
         state = slip.METRIC.update(state, now)
-    return float(state.largest)
+    return float(state.largest_slip)
 
 
 ALL, NONE = np.ones(6, bool), np.zeros(6, bool)

@@ -24,14 +24,14 @@ def moment(time: float) -> Any:
     stage = int(time >= DURATION[0])
     phase = (time - DURATION[0] * stage) / DURATION[stage]
     plan = SimpleNamespace(laws=("roll", "over"), duration=jnp.array(DURATION))
-    tick = SimpleNamespace(truth=SimpleNamespace(free=free))
+    tick = SimpleNamespace(actual=SimpleNamespace(free=free))
     world = SimpleNamespace(obstacle=WORLD)
     when = SimpleNamespace(stage=stage, phase=phase, time=time, period=0.1, finished=jnp.asarray(time > 29))
-    return SimpleNamespace(tick=tick, plan=plan, world=world, **vars(when))
+    return SimpleNamespace(report=tick, plan=plan, world=world, **vars(when))
 
 
 def test_their_meeting_their_parting_and_the_end_of_the_second_are_told():
-    found = two_balls.begin(cast(Any, moment(0.0).tick.truth))
+    found = two_balls.begin(cast(Any, moment(0.0).report.actual))
     for k in range(301):
         found = two_balls.update(found, moment(0.1 * k))
     told = two_balls.compute(found, cast(Any, SimpleNamespace(time=30.0)))

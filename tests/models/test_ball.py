@@ -12,7 +12,7 @@ from validity.simulation import simulate
 from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
 from sweep.dynamics.free_bodies import start_at_rest
-from sweep.formulas.leg import SIDE
+from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.models import scene
 from sweep.models.obstacles.ball import Ball
 from sweep.models.posture import Stance, joint_targets
@@ -38,7 +38,7 @@ def history(nominal):
     never come down.
     """
     robot, ball = nominal.robot, nominal.obstacle
-    across = zip((-0.3, -0.3, 0, 0, 0.3, 0.3), SIDE, strict=True)
+    across = zip((-0.3, -0.3, 0, 0, 0.3, 0.3), SIDE_BY_LEG, strict=True)
     feet = jnp.stack([jnp.array([x, float(side) * 0.4, 0.0]) for x, side in across])
     feet = feet.at[:, 2].set(jnp.sqrt(ball.radius**2 - feet[:, 0] ** 2 - feet[:, 1] ** 2) - 0.5e-3)
     t = np.arange(0, SECONDS, STEP)

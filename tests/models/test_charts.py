@@ -12,7 +12,7 @@ import yaml
 from sweep.config.experiment import compose
 from sweep.controllers.plan import stage_end_stances
 from sweep.core.rotations import rotate
-from sweep.models.legs import PAIRS
+from sweep.models.legs import LEG_PAIRS
 from sweep.models.obstacles import OBSTACLES
 from sweep.models.obstacles.surface import body_poses, free_start_state, surface_at
 
@@ -36,7 +36,7 @@ def test_a_plan_of_a_file_finds_its_places_on_the_obstacle(kind, tmp_path, monke
     (tmp_path / "scenarios").mkdir()
     head = f"# @package _global_\ndefaults:\n  - override /obstacle: {kind}\n  - override /manoeuvre: follow\n"
     sizes, base, (chart, *ahead), to, front = PLANS[kind]
-    stand = {"base": base, **{pair: {chart: [0.5, x]} for pair, x in zip(PAIRS, ahead, strict=True)}}
+    stand = {"base": base, **{pair: {chart: [0.5, x]} for pair, x in zip(LEG_PAIRS, ahead, strict=True)}}
     plan = {"start": {"stand": stand}, "on": {"step": {"base": to, "front": front}}}
     body = {"scenario": {"name": "mine"}, "obstacle": sizes, "plan": plan}
     (tmp_path / "scenarios/mine.yaml").write_text(head + yaml.safe_dump(body, sort_keys=False))

@@ -12,12 +12,12 @@ from sweep.core.vectors import Matrix, Vector
 from sweep.dynamics.contacts import (
     Anchors,
     ContactGeometry,
+    contact_damping,
     contact_forces,
     contact_geometry,
-    contact_slope,
     no_anchors,
-    to_body,
-    to_world,
+    to_body_frame,
+    to_world_frame,
     update_anchors,
 )
 from sweep.dynamics.newton import BlockMatrix
@@ -59,7 +59,7 @@ def test_slope_equals_finite_differences(seed):
         return contact_forces(CONTACT, geometry, Vector.from_array(jnp.asarray(v)))
 
     here, d = at(velocity), 1e-6
-    slope = np.asarray(contact_slope(geometry, here, H).array()) / H
+    slope = np.asarray(contact_damping(geometry, here, H).array()) / H
     for axis in np.eye(3):
         ahead, behind = at(velocity + d * axis), at(velocity - d * axis)
         same = (ahead.slipping == behind.slipping) & (ahead.loaded == behind.loaded)
@@ -93,7 +93,7 @@ def test_dragged_anchor_holds_just_the_limit():
     assert forces.slipping[0]
     after = update_anchors(CONTACT, surface, foot, (), place, forces, passing, H)
     moved = point + H * velocity
-    stretch = np.asarray(after.place.array() - moved)[0, :2]
+    stretch = np.asarray(after.positions.array() - moved)[0, :2]
     assert CONTACT.stiffness * np.linalg.norm(stretch) == pytest.approx(0.7 * float(forces.normal[0]), rel=1e-5)
     assert stretch[0] < 0  # and it pulls back
 
@@ -102,10 +102,10 @@ def test_axes_of_free_bodies_round_trip():
     rng = np.random.default_rng(2)
     bodies = BodyPoses(jnp.asarray(rng.normal(size=(2, 3))), matrix(exponential(jnp.asarray(rng.normal(size=(2, 3))))))
     body, place = jnp.array([-1, 0, 1, 1]), jnp.asarray(rng.normal(size=(4, 3)))
-    world = to_world(place, body, bodies)
+    world = to_world_frame(place, body, bodies)
     np.testing.assert_allclose(world[0], place[0])
     np.testing.assert_allclose(world[2], bodies.rotation[1] @ place[2] + bodies.position[1], atol=1e-14)
-    np.testing.assert_allclose(to_body(world, body, bodies), place, atol=1e-14)
+    np.testing.assert_allclose(to_body_frame(world, body, bodies), place, atol=1e-14)
 
 
 def test_anchors_keep_their_form_in_double_precision():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweep.formulas.leg import fk, ik
+from sweep.formulas.leg import forward_kinematics, inverse_kinematics
 
 THIGH, SHIN = 0.52, 0.335
 LEG = st.sampled_from([-1, 1])
@@ -24,14 +24,14 @@ pytestmark = pytest.mark.usefixtures("double")
 
 @jax.jit
 def there_and_back(side, foot, coxa, thigh, shin, mirror):
-    angles, shortfall = ik(side, foot, coxa, thigh, shin, mirror)
-    return angles, shortfall, fk(side, angles, coxa, thigh, shin)
+    angles, shortfall = inverse_kinematics(side, foot, coxa, thigh, shin, mirror)
+    return angles, shortfall, forward_kinematics(side, angles, coxa, thigh, shin)
 
 
 @settings(max_examples=300, deadline=None)
 @given(LEG, st.tuples(ALPHA, ANGLE, ANGLE), COXA, MIRROR)
 def test_reached_feet_are_found_again(side, angles, coxa, mirror):
-    foot = fk(side, jnp.array(angles), coxa, THIGH, SHIN)
+    foot = forward_kinematics(side, jnp.array(angles), coxa, THIGH, SHIN)
     _, shortfall, back = there_and_back(side, foot, coxa, THIGH, SHIN, mirror)
     assert shortfall < TOLERANCE
     np.testing.assert_allclose(back, foot, atol=TOLERANCE)
@@ -53,13 +53,13 @@ def test_knee_stands_outward_or_mirrors():
     """Foot on the inner side of the left hip: by default the knee is outside the hip, mirrored it is inside."""
     foot = jnp.array([0.05, -0.2, -0.5])
     for mirror, sign in ((False, 1), (True, -1)):
-        angles, _ = ik(1, foot, 0.0, THIGH, SHIN, mirror)
-        knee = fk(1, angles, 0.0, THIGH, 0.0)
+        angles, _ = inverse_kinematics(1, foot, 0.0, THIGH, SHIN, mirror)
+        knee = forward_kinematics(1, angles, 0.0, THIGH, 0.0)
         assert np.sign(knee[1]) == sign
 
 
 @pytest.mark.parametrize("foot", [[0, 0, 0], [0, 0.136, 0], [0, 0, -1], [5, 5, 5]])
 def test_singular_targets_give_numbers(foot):
-    angles, shortfall = ik(np.array([-1, 1]), jnp.array([foot, foot], float), 0.136, THIGH, SHIN)
+    angles, shortfall = inverse_kinematics(np.array([-1, 1]), jnp.array([foot, foot], float), 0.136, THIGH, SHIN)
     assert np.all(np.isfinite(angles))
     assert np.all(np.isfinite(shortfall))

@@ -40,7 +40,7 @@ def test_fields_that_differ_within_a_batch_are_all_found(paths):
     spec = mujoco.MjSpec.from_string(MODEL)
     batch = Batch(spec.copy().compile(), 2)
     written = fields.write_values(batch, {path: np.array(VARIED[path]) for path in paths}, lambda: spec)
-    found = mujoco_versions.expanded_values(batch, written)
+    found = mujoco_versions.batched_fields(batch, written)
     models = [batch.get_model(k) for k in range(2)]
     for name in MODEL_FIELDS:
         rows = np.array([fields.field_values(model, name) for model in models])
@@ -69,7 +69,7 @@ def test_an_mjx_that_does_not_import_is_one_line(small, monkeypatch, capsys):
     assert main(["run", "study=study.yaml", "engine=native", "out=native"]) == 0
 
 
-@pytest.mark.skipif(not mujoco_versions.YIELDING, reason="needs MuJoCo 4")
+@pytest.mark.skipif(not mujoco_versions.YIELDING_SPRING_FIELDS, reason="needs MuJoCo 4")
 def test_a_spring_that_yields_is_refused_by_mjx(small, capsys):
     joint = '<joint name="j" stiffness="5" springyield="0.1"/>'
     small.write_text(f"<mujoco><worldbody><body>{joint}<geom size='.1'/></body></worldbody></mujoco>")

@@ -15,14 +15,14 @@ from sweep.controllers.plan import Plan, Stage
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import parameters, quantity
 from sweep.core.rotations import exponential, matrix
-from sweep.engines import make
+from sweep.engines import make_engine
 from sweep.formulas import evaluate
 from sweep.formulas.raft_dynamics import RaftBody as Formula
 from sweep.formulas.raft_dynamics import raft_linear, raft_modes
 from sweep.formulas.raft_statics import hydro_thick
 from sweep.manoeuvres.walking.walk import Stand, level_stance
 from sweep.models.case import Case
-from sweep.models.obstacles.raft import CORNERS, Raft
+from sweep.models.obstacles.raft import CORNER_SIGNS, Raft
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.posture import joint_targets, mass_centre
 from sweep.models.robot import total_mass
@@ -49,8 +49,9 @@ def coasting() -> dict[str, float]:
     mass = float(raft.mass) + load()
     a, b, _ = np.asarray(raft.half_size, float)
     al2 = raft.drag * raft.width * float(raft.draught(load()))
-    push = evaluate("crossing", {"S": raft.water_width, "sigma": raft.length, "v_eps": 0.1, "mt": mass, "al2": al2,
-                                 "J": mass * (a * a + b * b) / 3, "h": 0.1})  # fmt: skip
+    push = evaluate("crossing", {"S": raft.water_width, "sigma": raft.length, "v_eps": 0.1, "mt": mass,
+                                 "al2": al2,                                  "J": mass * (a * a + b * b) / 3,
+                                 "h": 0.1})  # fmt: skip
     return {"density": mass / (raft.length * raft.width * raft.thickness), "v0": push["v0"], "w0": push["w0"] / 0.1}
 
 
@@ -123,7 +124,7 @@ def test_buoyancy_is_that_of_four_columns():
         wrench = np.asarray(raft.external_wrench(FreeState(place, quat[None], still, still))[0])
         turned, (a, b, d) = np.asarray(matrix(quat)), np.asarray(raft.half_size)
         a3, depth, total = turned[2], -raft.bank_height + 0.06, np.zeros(6)
-        for x, y in CORNERS:
+        for x, y in CORNER_SIGNS:
             at = np.array([x * a, y * b]) / np.sqrt(3)
             top = (depth - a3[:2] @ at) / a3[2]
             force = GAMMA * a * b * (top + d) * a3
@@ -252,7 +253,7 @@ def test_native_heaves_for_ever_and_stops_at_a_bank(nominal):
                    viscosity=0.0, water_width=500.0)  # pyright: ignore  # fmt: skip
     case = dataclasses.replace(nominal, obstacle=world, manoeuvre=Ashore(duration=40.0))
     one = dataclasses.replace(case, obstacle=Afloat(drag=0.0, viscosity=0.0, water_width=500.0))
-    engine = make(dataclasses.replace(exp.settings, name="native", width=2), one, one, exp.thresholds)
+    engine = make_engine(dataclasses.replace(exp.settings, name="native", width=2), one, one, exp.thresholds)
     heaves, stops = engine.traces(case, case, np.arange(2), 5)
     height = heaves.qpos[:, 27] - float(Raft().start().position[0, 2])
     assert np.abs(height[heaves.time > 38.0]).max() == pytest.approx(0.02, abs=1e-4)

@@ -43,7 +43,7 @@ def case():
 
 def largest_error(recorded, case, width: int, seconds: float) -> np.ndarray:
     """How far (m) the base of each of `width` rollouts, started up to 1 um apart in height, was from the record."""
-    devices.configure()
+    devices.configure_jax()
     top = interface.topology(case)
     limits = physics.execution_limits(case, jnp.int32(0), TICK / 2)
 

@@ -17,7 +17,7 @@ from sweep.core.rotations import rotate
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics
 from sweep.engines import batching
-from sweep.formulas.leg import SIDE, fk
+from sweep.formulas.leg import SIDE_BY_LEG, forward_kinematics
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
@@ -87,9 +87,9 @@ def test_swept_leaves_equal_fresh_models(name):
         close = partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-9)
         close(s.mass, mass)
         close(s.bias, d.qfrc_bias)
-        close(s.foot, d.site_xpos[top.feet])
+        close(s.foot, d.site_xpos[top.foot_site_ids])
         close(s.centre_of_mass, d.subtree_com[1])
-        for leg, site in enumerate(top.feet):
+        for leg, site in enumerate(top.foot_site_ids):
             jacobian = np.zeros((3, 24))
             mujoco.mj_jacSite(m, d, jacobian, None, site)
             close(s.jacobian[:, leg].T, jacobian)
@@ -119,7 +119,9 @@ def test_kinematics_equal_mujocos(name):
         q[3:7] /= np.linalg.norm(q[3:7])
         feet = feet_at(q)
         joints = jnp.asarray(q[7:].reshape(6, 3))
-        local = mounts.hips + rotate(jnp.asarray(turn), fk(SIDE, joints, robot.coxa, robot.thigh, robot.shin))
+        local = mounts.hips + rotate(
+            jnp.asarray(turn), forward_kinematics(SIDE_BY_LEG, joints, robot.coxa, robot.thigh, robot.shin)
+        )
         world = q[:3] + rotate(jnp.broadcast_to(jnp.asarray(q[3:7]), (6, 4)), local)
         np.testing.assert_allclose(world, feet, atol=1e-12)
         angles, shortfall = joint_targets(robot, Stance(jnp.asarray(feet), jnp.asarray(q[:3]), jnp.asarray(q[3:7])))

@@ -28,10 +28,10 @@ TORQUES = (-40.0, 0.0, 60.0, 400.0)  # N m, the last beyond the limit
 @pytest.fixture(scope="module")
 def one_step():
     """One step of a robot in the air, joint beta_3 given a torque only: its torque, and all joints' rates."""
-    devices.configure()
+    devices.configure_jax()
     top = dynamics.topology(CASE)
     smooth = mjx_dynamics.mjx_dynamics(top)(CASE)
-    q = jnp.asarray(top.model.qpos0).at[2].set(9.0).at[1 + top.leg].set(ANGLES)
+    q = jnp.asarray(top.model.qpos0).at[2].set(9.0).at[1 + top.leg_dofs].set(ANGLES)
     limits = physics.execution_limits(CASE, jnp.int32(0), H)
 
     def run(torque):

@@ -55,9 +55,9 @@ def test_structure_gives_mujocos_blocks(name, double):
         mujoco.mj_forward(model, data)
         mass = np.zeros((nv, nv))
         mujoco.mj_fullM(model, data, mass)
-        pairs = [(s.mass, mass), (s.bias, data.qfrc_bias), (s.foot, data.site_xpos[top.feet]),
+        pairs = [(s.mass, mass), (s.bias, data.qfrc_bias), (s.foot, data.site_xpos[top.foot_site_ids]),
                  (s.centre_of_mass, data.subtree_com[1]), (s.links.reshape(-1, 3), data.xpos[2:])]  # fmt: skip
-        for n, site in enumerate(top.feet):
+        for n, site in enumerate(top.foot_site_ids):
             jacobian = np.zeros((3, nv))
             mujoco.mj_jacSite(model, data, jacobian, None, site)
             pairs.append((s.jacobian[:, n].T, jacobian))
@@ -84,7 +84,7 @@ def test_momentum_goes_where_forces_send_it(name):
         for state in q:
             data.qpos = state
             mujoco.mj_forward(model, data)
-            state[2] += (5.05 if name == "slab" else 0.0) - np.median(data.site_xpos[top.feet][:, 2])
+            state[2] += (5.05 if name == "slab" else 0.0) - np.median(data.site_xpos[top.foot_site_ids][:, 2])
         targets = q[:, 7:25].reshape(-1, 6, 3) + rng.normal(scale=2e-3, size=(STATES, 6, 3))
         limits = physics.execution_limits(case, jnp.int32(0), H)
 
@@ -105,11 +105,11 @@ def test_momentum_goes_where_forces_send_it(name):
         gained, outside, other = np.zeros(nv), np.zeros(nv), np.zeros((3, nv))
         mujoco.mj_mulM(model, data, gained, after[i] - 0.1 * v[i])
         outside[6:24] = torque[i].ravel()
-        for n, site in enumerate(top.feet):
+        for n, site in enumerate(top.foot_site_ids):
             jacobian = np.zeros((3, nv))
             mujoco.mj_jacSite(model, data, jacobian, None, site)
-            if top.free:
-                mujoco.mj_jac(model, data, other, None, data.site_xpos[site], top.free[0])
+            if top.free_body_ids:
+                mujoco.mj_jac(model, data, other, None, data.site_xpos[site], top.free_body_ids[0])
             outside += (jacobian - other).T @ force[i, n]
         np.testing.assert_allclose(gained / H + data.qfrc_bias, outside, atol=1e-6 * np.abs(outside).max())
 

@@ -17,7 +17,7 @@ from sweep.contract import trace_frames
 from sweep.contract.engine import Trace
 from sweep.core.errors import Fault
 from sweep.core.json_values import to_json_value
-from sweep.models.legs import KINDS
+from sweep.models.legs import JOINT_KINDS
 from sweep.replay.arrows import FORCE_SCALE, arrow_tips
 from sweep.replay.hulls import geom_hull
 from sweep.replay.mcap import rotation_from_x_axis, write_mcap
@@ -92,7 +92,7 @@ def test_joints_are_numbers_of_foxgloves_own_schema(written, trace):
         trace_frames.joint_rates(trace)[100],
         trace.joint_torque[100],
     )
-    for k, name in enumerate(f"{kind}{leg}" for leg in range(1, 7) for kind in KINDS):
+    for k, name in enumerate(f"{kind}{leg}" for leg in range(1, 7) for kind in JOINT_KINDS):
         assert message.count(name.encode()) == 1
         rest = message[message.index(name.encode()) + len(name) :]
         found = {rest[at] >> 3: struct.unpack_from("<d", rest, at + 1)[0] for at in (0, 9, 18)}

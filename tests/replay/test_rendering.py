@@ -51,7 +51,7 @@ def test_png_frames(drawable, tmp_path):
     paths = rendering.write_png(tmp_path / "png", drawable, count=3)
     assert [path.name for path in paths] == ["t000.004s.png", "t000.500s.png", "t001.000s.png"]
     picture = imread(paths[0])
-    assert picture.shape[:2] == rendering.SIZE[::-1]
+    assert picture.shape[:2] == rendering.PICTURE_SIZE[::-1]
     assert picture[..., :3].std() > 0.05  # not one flat colour
 
 
@@ -122,7 +122,7 @@ def test_feet_are_in_the_picture(trace, monkeypatch):
     from_camera = feet[[0, 124]] - seen["look_at"][:, None] + seen["distance"] * ahead
     high = np.tan(np.radians(45 / 2)) * (from_camera @ ahead)
     assert (np.abs(from_camera @ np.cross(right, ahead)) < high).all()
-    assert (np.abs(from_camera @ right) < high * rendering.SIZE[0] / rendering.SIZE[1]).all()
+    assert (np.abs(from_camera @ right) < high * rendering.PICTURE_SIZE[0] / rendering.PICTURE_SIZE[1]).all()
 
 
 def test_caller_may_stop_early(drawable):
@@ -143,7 +143,7 @@ def test_video(drawable, tmp_path):
                 [ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / name, *first], capture_output=True, check=True
             ).stdout,
             np.uint8,
-        ).reshape(*rendering.SIZE[::-1], 3)
+        ).reshape(*rendering.PICTURE_SIZE[::-1], 3)
         for name in ("walk.mp4", "told.mp4")
     )
     changed = (np.abs(plain.astype(int) - told) > 60).any(axis=2)
@@ -155,7 +155,7 @@ def test_video(drawable, tmp_path):
 
 
 def test_missing_opengl_names_the_packages(trace, monkeypatch, tmp_path):
-    monkeypatch.setattr(rendering, "LIBRARIES", {"nonsense": "some-package"})
+    monkeypatch.setattr(rendering, "OPENGL_PACKAGES", {"nonsense": "some-package"})
     with pytest.raises(InputError, match="Debian packages `some-package`"):
         rendering.write_png(tmp_path, trace)
 

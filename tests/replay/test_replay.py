@@ -8,7 +8,7 @@ import pytest
 from faultless import faultless
 from mcap.reader import make_reader
 
-from sweep.cli.commands import execute
+from sweep.cli.commands import execute_command
 from sweep.config.experiment import compose
 from sweep.core.parameters import InputError
 from sweep.replay import replay as module
@@ -50,20 +50,20 @@ def folder(trace, tmp_path_factory):
             patch.setattr(place, "make_engine", lambda *_: StandInEngine(trace))
         exp = compose(["scenario=walk_tripod", "study.name=slip", f"engine.width={WIDTH}", AXIS])
         with store.lock_folder(folder):
-            runner.run(runner.prepare_job(exp, folder, runner.select_points(exp)), lambda rows: None)
+            runner.run_job(runner.prepare_job(exp, folder, runner.select_points(exp)), lambda rows: None)
         yield folder
 
 
 @pytest.mark.parametrize("number", range(5))
 def test_every_point_is_found_in_its_slot(folder, number, capsys):
     row = store.read_rows(folder).iloc[number]
-    result = module.replay(folder, row["point_id"][:10])
+    result = module.replay_rollout(folder, row["point_id"][:10])
     assert result.stored["point_id"] == row["point_id"]
     assert result.again["slip_max_m"] == row["slip_max_m"]
     friction = row["world.contact.friction"]
     assert result.again["outcome"] == row["outcome"] == ("failure" if friction < 0.5 else "success")
     assert result.config["point"]["world.contact.friction"] == friction
-    assert execute(["replay", str(folder), str(number)]) == 0
+    assert execute_command(["replay", str(folder), str(number)]) == 0
     shown = capsys.readouterr().out
     assert row["point_id"] in shown
     assert "metrics are equal to the last bit" in shown
@@ -77,7 +77,7 @@ def test_what_differs_is_shown(folder, trace, monkeypatch, capsys):
 
     monkeypatch.setattr(module, "make_engine", lambda *_: Other(trace))
     monkeypatch.setattr("sweep.core.provenance.code_version", lambda: "another")
-    execute(["replay", str(folder), "4"])
+    execute_command(["replay", str(folder), "4"])
     lines = capsys.readouterr().out.splitlines()
     assert [line.split() for line in lines if line.startswith(("outcome", "tilt"))] == [
         ["outcome", "success", "failure"],
@@ -88,7 +88,7 @@ def test_what_differs_is_shown(folder, trace, monkeypatch, capsys):
 
 def test_files(folder, tmp_path):
     out = tmp_path / "new" / "walk"
-    execute(["replay", str(folder), "1", "--mcap", f"{out}.mcap", "--plot", "base", "feet", "-o", f"{out}.svg"])
+    execute_command(["replay", str(folder), "1", "--mcap", f"{out}.mcap", "--plot", "base", "feet", "-o", f"{out}.svg"])
     assert {f.name for f in out.parent.iterdir()} == {"walk.mcap", "walk.layout.json", "walk-base.svg", "walk-feet.svg"}
     with out.with_suffix(".mcap").open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
@@ -100,7 +100,7 @@ def test_files(folder, tmp_path):
 
 
 def test_one_plot_has_the_name_given(folder, tmp_path):
-    execute(["replay", str(folder), "0", "--plot", "joints", "-o", str(tmp_path / "angles.png")])
+    execute_command(["replay", str(folder), "0", "--plot", "joints", "-o", str(tmp_path / "angles.png")])
     assert (tmp_path / "angles.png").exists()
 
 
@@ -116,16 +116,16 @@ def test_one_plot_has_the_name_given(folder, tmp_path):
 )
 def test_bad_arguments_are_one_line(folder, args, message):
     with pytest.raises(InputError, match=message) as error:
-        execute(["replay", str(folder), *args])
+        execute_command(["replay", str(folder), *args])
     assert "\n" not in str(error.value)
 
 
 def test_a_recording_for_foxglove_needs_its_extra(folder, monkeypatch):
     monkeypatch.setattr("sweep.cli.commands.replay.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"--mcap is not allowed: .* pip install 'insect-sweep\[mcap\]'"):
-        execute(["replay", str(folder), "0", "--mcap", "walk.mcap"])
+        execute_command(["replay", str(folder), "0", "--mcap", "walk.mcap"])
 
 
 def test_folder_without_results(tmp_path):
     with pytest.raises(InputError, match="not a folder of results"):
-        execute(["replay", str(tmp_path), "0"])
+        execute_command(["replay", str(tmp_path), "0"])

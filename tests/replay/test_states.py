@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sweep.cli.commands import execute
+from sweep.cli.commands import execute_command
 from sweep.cli.main import main
 from sweep.core.parameters import InputError
 
@@ -57,4 +57,4 @@ def test_velocities_are_those_of_the_positions(folder):
 @pytest.mark.parametrize("options", [["--states", "walk.csv"], ["--model", "walk.mjb"]])
 def test_other_files_are_refused(options):
     with pytest.raises(InputError, match="is not allowed: a file that ends in"):
-        execute(["replay", "results", "0", *options])
+        execute_command(["replay", "results", "0", *options])

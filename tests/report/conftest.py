@@ -11,7 +11,7 @@ from sweep.runs import batches, results
 def simulated(out, *overrides):
     """A study of the fake engine in the folder `out`; the exit status of the command."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sweep.engines, "make", fake_engine.FakeEngine)
+        patch.setattr(sweep.engines, "make_engine", fake_engine.FakeEngine)
         batches.forget_engine()
         status = main(["run", "study=walk_map", "study.expect=[]", *overrides, f"out={out}"])
         batches.forget_engine()
@@ -33,7 +33,7 @@ def wide(tmp_path_factory):
     """A map of 16,384 rollouts of the fake engine, of which some have a replay that was moved by hand."""
     out = tmp_path_factory.mktemp("wide")
     assert simulated(out, "study.axes.friction.num=128", "study.axes.step.num=128", "engine.width=8192") == 0
-    rows, trace = results.read(out).rows, moved("scenario=pole_climb")
+    rows, trace = results.read_results(out).rows, moved("scenario=pole_climb")
     for place in range(64, len(rows), 1000):
         replays.write_replay(out, rows.iloc[place], trace)
     return out

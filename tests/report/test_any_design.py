@@ -125,7 +125,7 @@ def of_points(points, folder):
 
 def told(folder):
     """Everything that a page, its pictures and a paper show is made, and every map is one of something."""
-    found = results.read(folder)
+    found = results.read_results(folder)
     for one in sections.list_sections(found):
         assert len(one.rows[[one.x, one.y]].drop_duplicates()) > 1, (one.x, one.y, one.note)
     for one in figures.list_figures(found):
@@ -163,7 +163,7 @@ def test_a_study_of_any_design_is_told(design, fake_engine, tmp_path):
 def test_points_from_a_file_are_told(points, fake_engine, tmp_path):
     ran(tmp_path / "study", *of_points(points, tmp_path))
     told(tmp_path / "study")
-    assert isinstance(save_pictures(results.read(tmp_path / "study"), tmp_path, ()), list)
+    assert isinstance(save_pictures(results.read_results(tmp_path / "study"), tmp_path, ()), list)
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,7 @@ def test_every_command_ends_well(design, fake_engine, tmp_path, monkeypatch):
 def test_single_rollouts_of_one_axis_at_a_time_have_no_interval_and_counts_are_whole(fake_engine, tmp_path, capsys):
     for replicates, sure in ((1, False), (2, True)):
         ran(folder := tmp_path / str(replicates), *DESIGNS["one_at_a_time"], f"study.replicates={replicates}")
-        shown = {one.key: one for one in figures.list_figures(results.read(folder))}
+        shown = {one.key: one for one in figures.list_figures(results.read_results(folder))}
         assert shown["effects"].data["low"].notna().all() == sure
         assert ("Wilson" in shown["effects"].caption) == sure
         for name, axis in (("distributions", "yaxis"), ("causes", "xaxis")):

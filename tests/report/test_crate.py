@@ -77,7 +77,7 @@ def test_a_log_that_is_damaged_tells_what_days_it_has(study, tmp_path):
     pytest.importorskip("rocrate")
     folder, crate = tmp_path / "study", tmp_path / "crate"
     shutil.copytree(study, folder)
-    (folder / store.LOG).write_bytes(b"| a |\n2026-01-02T03:04:05+0000 batch 0\n\xff\x00 batch 1\n")
+    (folder / store.LOG_FILE).write_bytes(b"| a |\n2026-01-02T03:04:05+0000 batch 0\n\xff\x00 batch 1\n")
     assert main(["export", str(folder), "--crate", str(crate)]) == 0
     (run,) = (
         one for one in json.loads((crate / "ro-crate-metadata.json").read_text())["@graph"] if one["@id"] == "#run"

@@ -25,7 +25,7 @@ def rare_folder(tmp_path, fake_engine):
 
 
 def test_a_study_of_rare_failures_is_headed_by_their_probability(rare_folder, tmp_path, capsys):
-    found = results.read(rare_folder)
+    found = results.read_results(rare_folder)
     value = rare.estimate_failure_probability(found.rows, found.exp)
     low, high = value.interval
     expected = f"P(failure) = {value.probability:.3g} (95 % interval {low:.2g} to {high:.2g})"

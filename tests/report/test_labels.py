@@ -10,7 +10,7 @@ from sweep import load
 from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
-from sweep.core.expressions import column
+from sweep.core.expressions import find_column
 from sweep.report.labels import axis_words, unique_headings, unique_words
 from sweep.report.page.data import page_data
 from sweep.runs import results
@@ -41,7 +41,9 @@ def test_labels_are_the_names_of_the_axes(masses, capsys):
     page = (masses / "report.html").read_text()
     for head, path in zip(heads, ("trunk", "lf_hip"), strict=True):
         assert f'<th title="world.model.body.{path}.mass [kg]">{head}</th>' in page
-    assert [one["label"] for one in page_data(results.read(masses))["columns"][:2]] == [head[:-5] for head in heads]
+    assert [one["label"] for one in page_data(results.read_results(masses))["columns"][:2]] == [
+        head[:-5] for head in heads
+    ]
     assert main(["table", str(masses), "--format", "latex"]) == 0
     assert " & ".join(heads) in capsys.readouterr().out
 
@@ -69,9 +71,9 @@ def test_an_axis_that_another_column_ends_like_is_ambiguous():
     rows = pd.DataFrame({"robot.body_mass": [1.0], "obstacle.mass": [2.0], "axis.shin": [0.1], "robot.shin": [0.2]})
     exp = compose(["study=walk_map", "+study.axes.mass={path: robot.body_mass, values: [10.0, 20.0]}"])
     with pytest.raises(InputError, match=r"column mass is ambiguous .*obstacle\.mass, robot\.body_mass"):
-        column(name_axes(rows, exp.study.axes), "mass")
+        find_column(name_axes(rows, exp.study.axes), "mass")
     rows.attrs["axes"] = {"shin": "axis.shin"}
-    assert column(rows, "shin") == "axis.shin"
+    assert find_column(rows, "shin") == "axis.shin"
 
 
 def test_columns_of_the_second_run_have_the_units_of_the_first():

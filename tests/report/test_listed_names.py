@@ -13,7 +13,7 @@ from conftest import simulated
 import sweep.engines
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.core.outcomes import MISSED
+from sweep.core.outcomes import GOAL_MISSED
 from sweep.metrics.outcome import cause_meanings
 from sweep.report import figures, maps, sections
 from sweep.report.labels import kind_meaning
@@ -31,7 +31,7 @@ def gaits(tmp_path_factory):
     """A grid of a number and two names on the fake engine."""
     folder = tmp_path_factory.mktemp("gaits")
     assert simulated(folder, *GAITS, "engine.width=6") in (0, 3)
-    return results.read(folder)
+    return results.read_results(folder)
 
 
 def test_names_are_axes_and_panels_of_maps(gaits):
@@ -41,7 +41,7 @@ def test_names_are_axes_and_panels_of_maps(gaits):
     assert left.get_ylabel() == "gait"
     assert [tick.get_text() for tick in left.get_yticklabels()] == ["tripod", "gallop"]
     assert ("engine mjx" in left.get_title(), "engine native" in right.get_title()) == (True, True)
-    pairs = [(one.x, one.y, one.beside) for one in sections.list_sections(gaits)]
+    pairs = [(one.x, one.y, one.panel_parameter) for one in sections.list_sections(gaits)]
     gait, engine, friction = "manoeuvre.gait", "engine.name", "world.contact.friction"
     assert pairs == [(friction, gait, None), (friction, engine, None), (gait, engine, friction)]
     for one in sections.list_sections(gaits):
@@ -93,7 +93,7 @@ def test_a_level_that_fails_at_the_nominal_point_is_reported(monkeypatch, tmp_pa
             slip = np.full(self.width, 0.1 if self.gait == "gallop" else 0.0)
             return found | {"slip_max_m": slip, "slipped_time_s": np.where(slip > 0, 0.5, np.inf)}
 
-    monkeypatch.setattr(sweep.engines, "make", FailsByGallop)
+    monkeypatch.setattr(sweep.engines, "make_engine", FailsByGallop)
     batches.forget_engine()
     line = "gait = gallop fails at the nominal point, before anything else is varied: a standing foot slipped by more"
     study = ["run", "study=walk_map", "study.expect=[]", *GAITS, "engine.width=6", f"out={tmp_path / 'walk'}"]
@@ -117,7 +117,7 @@ def test_causes_print_the_values_of_their_thresholds():
     exp = compose(["scenario=walk_tripod", "outcome.slip_max_m=0.03"])
     assert kind_meaning("slipped", exp) == "a standing foot slipped by more than 0.03 m (slip_max_m)"
     said = cause_meanings(exp.thresholds)
-    keyed = [words for cause, words in said.items() if re.search(r"\b\w+_(max|min)\b", words) and cause != MISSED]
+    keyed = [words for cause, words in said.items() if re.search(r"\b\w+_(max|min)\b", words) and cause != GOAL_MISSED]
     assert all(re.search(r"\d.*\(\w+\)$", words) for words in keyed), keyed
     assert said["fell"] == "the base tilted beyond 20° (tilt_max_deg)"
 
@@ -127,5 +127,5 @@ def test_effects_of_draws_are_said_to_be_of_bins(tmp_path):
     design = "study.design={kind: monte_carlo, num: 96}"
     more = ["~study.axes.friction", "~study.axes.step", f"+study.axes.mass={drawn}", design, "engine.width=96"]
     assert simulated(tmp_path, *more) == 0
-    (effects,) = figures.effects_figure(results.read(tmp_path))
+    (effects,) = figures.effects_figure(results.read_results(tmp_path))
     assert "in 20 bins of equal width of one parameter" in effects.caption

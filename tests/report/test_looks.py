@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from matplotlib.path import Path
 
-from sweep.metrics.outcome import FAILURES, INVALID_CAUSES, MEANING
-from sweep.report.outcome_style import INVALID, LOOKS, OTHER, find_look, marker_path
+from sweep.metrics.outcome import CAUSE_MEANINGS, FAILURE_MEANINGS, INVALID_CAUSES
+from sweep.report.outcome_style import INVALID_CELL_COLOUR, OUTCOME_STYLES, UNKNOWN_KIND_STYLE, find_style, marker_path
 
 # what eyes without one kind of cone see of linear red, green and blue (Machado and others 2009, severity 1)
 EYES = {
@@ -34,8 +34,8 @@ def lab(colour, eyes):
 
 @pytest.mark.parametrize("eyes", EYES)
 def test_success_is_apart_from_every_failure(eyes):
-    for cause in FAILURES:
-        away = np.linalg.norm(lab(find_look("success").colour, eyes) - lab(find_look(cause).colour, eyes))
+    for cause in FAILURE_MEANINGS:
+        away = np.linalg.norm(lab(find_style("success").colour, eyes) - lab(find_style(cause).colour, eyes))
         assert away >= 40, cause
 
 
@@ -48,32 +48,37 @@ def test_causes_that_a_study_shows_together_are_apart():
         pairs |= set(combinations(sorted(frequent - set(INVALID_CAUSES)), 2))
     assert len(pairs) > 40
     for one, other in pairs:
-        away = np.linalg.norm(lab(find_look(one).colour, "all cones") - lab(find_look(other).colour, "all cones"))
+        away = np.linalg.norm(lab(find_style(one).colour, "all cones") - lab(find_style(other).colour, "all cones"))
         assert away >= 20, (one, other)
 
 
 def test_every_cause_has_a_colour_and_a_shape_of_its_own():
-    assert set(LOOKS) == {"success", *MEANING}
-    assert {find_look(cause).family for cause in FAILURES} == {"foot", "body", "plan", "drive", "goal"}
-    assert len({find_look(cause).colour for cause in FAILURES}) == len(FAILURES)
-    assert len({look.shape.round(3).tobytes() for look in LOOKS.values()}) == len(LOOKS)
-    for kind, look in LOOKS.items():
+    assert set(OUTCOME_STYLES) == {"success", *CAUSE_MEANINGS}
+    assert {find_style(cause).family for cause in FAILURE_MEANINGS} == {"foot", "body", "plan", "drive", "goal"}
+    assert len({find_style(cause).colour for cause in FAILURE_MEANINGS}) == len(FAILURE_MEANINGS)
+    assert len({look.shape.round(3).tobytes() for look in OUTCOME_STYLES.values()}) == len(OUTCOME_STYLES)
+    for kind, look in OUTCOME_STYLES.items():
         assert np.hypot(*look.shape.T).max() <= 1.3, kind  # within its stamp
-        for theme in (INVALID, "#1C2025"):  # seen on light and on dark
+        for theme in (INVALID_CELL_COLOUR, "#1C2025"):  # seen on light and on dark
             assert (
                 kind in INVALID_CAUSES or np.linalg.norm(lab(look.colour, "all cones") - lab(theme, "all cones")) > 25
             ), kind
-    assert find_look("a cause of another system") == find_look("a cause of another system") != OTHER == find_look("")
+    assert (
+        find_style("a cause of another system")
+        == find_style("a cause of another system")
+        != UNKNOWN_KIND_STYLE
+        == find_style("")
+    )
     assert len(marker_path("slipped").vertices) == 4
 
 
 def test_every_shape_is_seen_as_a_glyph():
     """None is so thin that it fades, and none of a family covers what another does, at the size that a map has them."""
-    seen = {kind: covered(look.shape) for kind, look in LOOKS.items() if kind not in INVALID_CAUSES}
+    seen = {kind: covered(look.shape) for kind, look in OUTCOME_STYLES.items() if kind not in INVALID_CAUSES}
     for kind, one in seen.items():
         assert (one[1:-1, 1:-1] & one[:-2, 1:-1] & one[1:-1, :-2] & one[:-2, :-2]).sum() > 8, kind
         for other in seen.keys() - {kind}:
-            if find_look(kind).family == find_look(other).family:
+            if find_style(kind).family == find_style(other).family:
                 assert (one ^ seen[other]).sum() > 0.2 * min(one.sum(), seen[other].sum()), (kind, other)
 
 

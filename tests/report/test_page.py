@@ -77,10 +77,10 @@ def test_the_page_says_what_was_run_and_what_came_of_it(html, folder):
 
 
 def test_maps_of_three_parameters_are_sections(folder):
-    found = results.read(folder)
+    found = results.read_results(folder)
     maps = list(sections.list_sections(found))
     assert (maps[0].x, maps[0].y) == ("world.contact.friction", "manoeuvre.half_step_ratio")
-    assert [m.beside for m in maps] == ["drive.damping", "manoeuvre.half_step_ratio", "world.contact.friction"]
+    assert [m.panel_parameter for m in maps] == ["drive.damping", "manoeuvre.half_step_ratio", "world.contact.friction"]
     table = sections.section_data(found, maps[0])
     assert len(table) == 6 * 5 * 3
     assert (table["total"] == 2).all()
@@ -94,9 +94,9 @@ def test_maps_of_three_parameters_are_sections(folder):
 
 
 def test_drawn_points_are_counted_in_bins(folder):
-    found = results.read(folder)
+    found = results.read_results(folder)
     rng = np.random.default_rng(0)
-    axes = {name: rng.uniform(0, 1, len(found.rows)) for name in found.numeric[:2]}
+    axes = {name: rng.uniform(0, 1, len(found.rows)) for name in found.numeric_columns[:2]}
     rows = found.rows.drop(columns="drive.damping").assign(**axes)
     (one,) = sections.list_sections(results.Results(folder, found.stored, found.exp, rows, None))
     table = sections.section_data(results.Results(folder, found.stored, found.exp, rows, None), one)
@@ -120,13 +120,13 @@ def test_the_page_of_one_parameter_and_of_none(fake_engine, tmp_path):
     for name in ("one", "none"):
         assert main(["report", str(tmp_path / name)]) == 0
         assert "<h2>Representative rollouts</h2>" in (tmp_path / name / "report.html").read_text()
-    assert compose(one[1:]).study.name in page.render_page(results.read(tmp_path / "one"))
+    assert compose(one[1:]).study.name in page.render_page(results.read_results(tmp_path / "one"))
 
 
 def test_one_success_is_told_without_what_it_does_not_say(fake_engine, tmp_path, capsys):
     assert main(["run", "scenario.expect=[]", f"out={tmp_path}"]) == 0
     assert "1 of 1 succeed (100.0 %), 0 invalid" in capsys.readouterr().out
-    text = page.render_page(results.read(tmp_path))
+    text = page.render_page(results.read_results(tmp_path))
     assert "<h2>Figures</h2>" not in text
     assert not re.search(r"interval \d", text)
     assert main(["relabel", str(tmp_path), "tilt_max_deg<50"]) == 0
@@ -139,7 +139,7 @@ def test_only_what_is_drawn_at_one_condition_has_an_interval(fake_engine, tmp_pa
     axes = [f"study.axes.friction.values={listed}", "~study.axes.step", f"+study.axes.drawn={draws}",
             "study.design={kind: monte_carlo, num: 60}"]  # fmt: skip
     assert main(["run", "study=walk_map", *axes, "study.expect=[]", f"out={tmp_path}"]) == 0
-    found = results.read(tmp_path)
+    found = results.read_results(tmp_path)
     (shown,) = figures.effects_figure(found)
     sure = shown.data["low"].notna().groupby(shown.data["axis"]).agg(lambda known: {*known})
     several = "," in listed
@@ -154,7 +154,7 @@ def test_only_what_is_drawn_at_one_condition_has_an_interval(fake_engine, tmp_pa
 def test_a_refined_map_is_shown_whole(fake_engine, tmp_path):
     axes = ["study.axes.friction.num=5", "study.axes.step.num=5", "study.resolution=0.0625", "study.expect=[]"]
     assert main(["run", "study=walk_map", *axes, f"out={tmp_path}"]) == 0
-    found = results.read(tmp_path)
+    found = results.read_results(tmp_path)
     (one,) = sections.list_sections(found)
     assert len(one.rows) == 17 * 17 > 2 * len(found.rows)
     assert f"{len(found.rows)} were run" in one.note
@@ -181,8 +181,8 @@ def test_columns_are_read_as_they_were(folder):
         if name == "names":
             assert [about["names"][k] for k in codes] == column.tolist()
         elif name == "levels":
-            assert [about["levels"][k] for k in codes[codes != data.MISSING]] == [0.1, 0.3, 0.1]
-            assert (codes == data.MISSING).tolist() == column.isna().tolist()
+            assert [about["levels"][k] for k in codes[codes != data.MISSING_CODE]] == [0.1, 0.3, 0.1]
+            assert (codes == data.MISSING_CODE).tolist() == column.isna().tolist()
         else:
             found = about["low"] + about["step"] * codes
             found = about["middle"] + about["bend"] * np.sinh(found) if about["bend"] else found
@@ -191,7 +191,7 @@ def test_columns_are_read_as_they_were(folder):
 
 
 def test_replays_are_typical_then_at_the_boundary_then_extreme(folder):
-    found = results.read(folder)
+    found = results.read_results(folder)
     found = replace(found, rows=found.rows.assign(duration_s=5.0))
     rows = replay_selection.choose_replays(found, 12)
     assert rows["why"].iloc[:3].tolist() == ["typical of fell", "typical of not finite", "typical of success"]
@@ -212,19 +212,21 @@ def test_rows_keep_slot_and_width_where_the_batch_is_not_too_wide():
 
 
 def test_only_so_many_replays_as_there_is_room_for(folder, tmp_path):
-    found = replace(results.read(folder), folder=tmp_path)
+    found = replace(results.read_results(folder), folder=tmp_path)
     for place in (3, 8, 15):
         replays.write_replay(tmp_path, found.rows.iloc[place], moved())
     assert [place for place, _ in replays.read_replays(found)] == [3, 8, 15]
     size = len(replays.read_replay(tmp_path, found.rows.iloc[3])["states"])
     assert size < 6000
     placed = replay_data.describe_replays(found, replay_data.read_shown_replays(found), 3 * size)
-    assert [(one["row"], one["frames"]) for one in placed.about] == [(3, 50), (8, 50), (15, 50)]
+    assert [(one["row"], one["frames"]) for one in placed.descriptions] == [(3, 50), (8, 50), (15, 50)]
     placed = replay_data.describe_replays(found, replay_data.read_shown_replays(found), 2 * size)
-    assert [one["row"] for one in placed.about] == [3, 8, 15]
-    assert all(one["frames"] * one["step"] == pytest.approx(5, abs=0.3) and one["frames"] < 50 for one in placed.about)
+    assert [one["row"] for one in placed.descriptions] == [3, 8, 15]
+    assert all(
+        one["frames"] * one["step"] == pytest.approx(5, abs=0.3) and one["frames"] < 50 for one in placed.descriptions
+    )
     placed = replay_data.describe_replays(found, replay_data.read_shown_replays(found), size // 2)
-    assert placed.left_out == 3 - len(placed.streams) > 0
+    assert placed.omitted_count == 3 - len(placed.streams) > 0
 
 
 def test_a_long_rollout_takes_no_more_room_than_it_may(monkeypatch):

@@ -22,9 +22,9 @@ from moved import arm, body_places, moved
 from PIL import Image
 from scipy.stats import ks_2samp
 
-from sweep.core.expressions import mask
+from sweep.core.expressions import condition_mask
 from sweep.engines.contact_forces import measured_contact_forces
-from sweep.metrics.outcome import FAILURES
+from sweep.metrics.outcome import FAILURE_MEANINGS
 from sweep.replay.motion import FRICTION_LEVELS, MARGIN_LEVELS, describe_bodies, encode_motion
 from sweep.report import page, replays
 from sweep.report.page.replay_data import ShownReplay
@@ -49,13 +49,13 @@ def browser(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def file(wide):
-    return page.write_page(results.read(wide), wide / "report.html")
+    return page.write_page(results.read_results(wide), wide / "report.html")
 
 
 @pytest.fixture(scope="module")
 def repeated(folder, tmp_path_factory):
     """The page of three parameters and two replicates of each point, of which one has a replay; and both rows."""
-    found = results.read(folder)
+    found = results.read_results(folder)
     rows = found.rows[found.rows.duplicated(found.axes, keep=False)].sort_values(found.axes)
     one, other = (found.rows.loc[place] for place in rows.index[:2])
     path = tmp_path_factory.mktemp("repeated") / "report.html"
@@ -68,7 +68,7 @@ def uneven(tmp_path_factory):
     """A page of a grid whose first axis goes up in powers of two, and its rows."""
     out = tmp_path_factory.mktemp("uneven")
     assert simulated(out, "study.axes.friction.values=[0.1,0.2,0.4,0.8,1.6]", "study.axes.step.num=5") == 0
-    found = results.read(out)
+    found = results.read_results(out)
     return page.write_page(found, out / "report.html"), found.rows
 
 
@@ -116,7 +116,7 @@ def left_over(browser, rows, axis="world.contact.friction"):
     """The values of an axis that pass the filters, as the page's condition chooses them; all filters go."""
     browser.run("document.querySelector('#copy').click()")
     told = browser.run("document.querySelector('#copied').textContent")
-    found = sorted(rows.loc[mask(rows, re.fullmatch("--where '(.*)'", told)[1]), axis].unique())
+    found = sorted(rows.loc[condition_mask(rows, re.fullmatch("--where '(.*)'", told)[1]), axis].unique())
     browser.run("document.querySelector('#clear').click()")
     return found
 
@@ -162,18 +162,18 @@ def test_kinds_are_named_by_what_the_map_shows(browser, tmp_path):
     folder = tmp_path / "study"
     values = "study.axes.friction.values=[0.5,0.6,0.7,0.8,0.9,1.0]"
     assert simulated(folder, values, "study.axes.step.num=5") == 0
-    found = results.read(folder)
-    causes = dict(enumerate(FAILURES))
+    found = results.read_results(folder)
+    causes = dict(enumerate(FAILURE_MEANINGS))
     rows = found.rows.copy()
     rows["outcome"] = ["failure" if place in causes else "success" for place in range(len(rows))]
     rows["cause"] = [causes.get(place, "") for place in range(len(rows))]
     browser.open(page.write_page(replace(found, rows=rows), tmp_path / "report.html"))
     browser.until("performance.getEntriesByName('map').length")
     names = browser.run("[...document.querySelectorAll('#kinds button')].map((one) => one.childNodes[1].textContent)")
-    assert set(names) == {"success", *(cause.replace("_", " ") for cause in FAILURES)}
+    assert set(names) == {"success", *(cause.replace("_", " ") for cause in FAILURE_MEANINGS)}
     left, top, width, height = (np.array(plot(browser)) - [*browser.place("#map-over")[:2], 0, 0]).tolist()
     whole = colours(browser)
-    x, y = (np.unique(rows[name], return_inverse=True) for name in found.listed_numeric)
+    x, y = (np.unique(rows[name], return_inverse=True) for name in found.listed_numeric_columns)
     for number, name in enumerate(names):
         swatch = colours(browser, f"#kinds button:nth-child({number + 1}) canvas")
         place = list(rows["cause"]).index("" if name == "success" else name.replace(" ", "_"))
@@ -306,7 +306,7 @@ def test_a_value_of_a_further_axis_is_kept_and_a_replay_of_a_repeated_point_is_t
     browser.until("performance.getEntriesByName('map').length")
     chosen(browser, "#map-slices select", "530")
     browser.until("location.hash.includes('drive.damping=%40530')")
-    point = other["point_id"][: page.data.DIGITS]
+    point = other["point_id"][: page.data.POINT_ID_DIGITS]
     browser.run(f"window.before_ = true; location.hash += '&point={point}'; location.reload()")
     browser.until("!window.before_ && performance.getEntriesByName('map').length")
     note = browser.until("document.querySelector('#replay-note').textContent")
@@ -325,11 +325,11 @@ def test_rows_and_filters_are_taken_away(shown, wide):
     shown.run("document.querySelector('#csv').click()")
     table = pd.read_csv(io.StringIO(shown.run("given_[0].text()")))
     assert len(table) == number
-    rows = results.read(wide).rows
-    assert set(table["point_id"]) <= set(rows["point_id"].str[: page.data.DIGITS])
+    rows = results.read_results(wide).rows
+    assert set(table["point_id"]) <= set(rows["point_id"].str[: page.data.POINT_ID_DIGITS])
     shown.run("document.querySelector('#copy').click()")
     told = shown.run("document.querySelector('#copied').textContent")
-    assert mask(rows, re.fullmatch("--where '(.*)'", told)[1]).sum() == number
+    assert condition_mask(rows, re.fullmatch("--where '(.*)'", told)[1]).sum() == number
 
 
 @pytest.mark.parametrize("form", ["PNG", "SVG"])
@@ -463,12 +463,12 @@ def records():
 def test_python_writes_the_keys_that_the_script_reads(browser, refined):
     """Both ways: a key that the script lacks is never read, and one that Python lacks is missed."""
     told, folder = records(), refined
-    found = results.read(folder)
+    found = results.read_results(folder)
     text = page.render_page(
         found, [ShownReplay(0, found.rows.iloc[0], replays.replay_content(found.rows.iloc[0], moved()))]
     )
     about = json.loads(re.search(r'id="data">(.*?)</script>', text)[1])
-    rows = pd.concat([found.rows] * (page.data.ROWS // len(found.rows) + 1), ignore_index=True)
+    rows = pd.concat([found.rows] * (page.data.MAX_ROWS // len(found.rows) + 1), ignore_index=True)
     many = page.data.page_data(replace(found, rows=rows))
     for name, one in (("About", about), ("Kind", about["kinds"][0]), ("Mesh", about["refined_cells"]),
                       ("Shown", about["replays"][0]), ("Arrow", about["arrow"]), ("Binned", many["densities"][0]),
@@ -479,7 +479,7 @@ def test_python_writes_the_keys_that_the_script_reads(browser, refined):
 
 
 def test_a_refined_map_has_cells(browser, refined, tmp_path):
-    browser.open(page.write_page(results.read(refined), tmp_path / "refined.html"))
+    browser.open(page.write_page(results.read_results(refined), tmp_path / "refined.html"))
     browser.until("performance.getEntriesByName('map').length")
     assert "Cells as refinement left them" in browser.run("document.querySelector('#map-key').textContent")
     assert browser.errors == []
@@ -488,7 +488,7 @@ def test_a_refined_map_has_cells(browser, refined, tmp_path):
 def test_there_is_no_gap_between_cells_for_the_pointer(browser, tmp_path):
     """A click on a line between two of them would let go of what was chosen."""
     assert simulated(tmp_path / "study", "study.axes.friction.num=33", "study.axes.step.num=17") == 0
-    browser.open(page.write_page(results.read(tmp_path / "study"), tmp_path / "report.html"))
+    browser.open(page.write_page(results.read_results(tmp_path / "study"), tmp_path / "report.html"))
     browser.until("performance.getEntriesByName('map').length")
     left, top, width, height = plot(browser)
     for x, y in np.random.default_rng(0).uniform(0.02, 0.98, (40, 2)):
@@ -599,7 +599,7 @@ def test_rates_of_a_grid_are_up_to_a_value_and_those_of_draws_also_by_number(bro
     even = "distribution: {kind: uniform, from: 0.05, to: 0.15}"
     axes = ["~study.axes.step", f"+study.axes.drawn={{path: {STEP}, {even}}}", "~study.axes.friction"]
     assert simulated(tmp_path, *axes, "study.design={kind: monte_carlo, num: 60}") == 0
-    drawn = page.write_page(results.read(tmp_path), tmp_path / "report.html")
+    drawn = page.write_page(results.read_results(tmp_path), tmp_path / "report.html")
     options = "[...document.querySelector('#rates-by').options].map((one) => [one.value, one.selected])"
     of_page = {}
     for name, path in (("grid", uneven[0]), ("draws", drawn)):
@@ -607,13 +607,13 @@ def test_rates_of_a_grid_are_up_to_a_value_and_those_of_draws_also_by_number(bro
         browser.until("document.querySelectorAll('#rates-by option').length")
         of_page[name] = browser.run(options)
     chosen = {name: next(key for key, selected in listed if selected) for name, listed in of_page.items()}
-    assert chosen["grid"] in results.read(uneven[0].parent).axes
+    assert chosen["grid"] in results.read_results(uneven[0].parent).axes
     assert "" not in [key for key, _ in of_page["grid"]]
     assert chosen["draws"] == ""
 
 
 def test_names_of_theories_do_not_lie_on_each_other(browser, refined, tmp_path):
-    found = results.read(refined)
+    found = results.read_results(refined)
     (theory,) = found.exp.study.theory
     names = [f"limit {k} of friction" for k in range(4)]
     study = replace(found.exp.study, theory=tuple(replace(theory, label=name) for name in names))
@@ -669,7 +669,9 @@ def test_the_keyboard_does_what_the_mouse_does(shown):
 
 
 def test_lines_of_rollouts_keep_off_the_names_at_the_ends_of_an_axis(browser, tmp_path):
-    browser.open(page.write_page(results.read(Path(__file__).parents[1] / "data/ci_smoke"), tmp_path / "engines.html"))
+    browser.open(
+        page.write_page(results.read_results(Path(__file__).parents[1] / "data/ci_smoke"), tmp_path / "engines.html")
+    )
     browser.until("performance.getEntriesByName('map').length")
     drawn = list(ElementTree.fromstring(drawing(browser, "Every rollout")).iter())
     upper, lower = (next(float(one.attrib["y"]) for one in drawn if one.text == name) for name in ("native", "mjx"))
@@ -786,7 +788,7 @@ def test_a_film_of_two_shows_both(shown):
 @pytest.mark.filterwarnings("error:constrained_layout not applied")
 def test_names_of_others_run_nothing(browser, wide, tmp_path):
     evil = '"\'></script><script>window.hacked=1</script><img src=x onerror="window.hacked=2">'
-    found = results.read(wide)
+    found = results.read_results(wide)
     rows = found.rows.head(400).assign(**{"world.obstacle.kind": "plane"})
     rows.loc[:9, ["outcome", "cause", "stage"]] = ["failure", "fell", evil]
     rows.loc[10:19, "world.obstacle.kind"] = evil
@@ -835,11 +837,11 @@ def places_by_script(browser, told, frame):
 
 def by_script(browser, told, code):
     """What `code` gives, beside the modules that read a replay, as it is `told`."""
-    from sweep.report.page.script import EXPORT, IMPORT
+    from sweep.report.page.script import EXPORT_KEYWORD, IMPORT_LINE
 
     source = files("sweep.report.page")
     names = ("numbers.js", "data.js", "axes.js", "contour.js", "kinematics.js", "path.js")
-    modules = "\n".join(EXPORT.sub("", IMPORT.sub("", (source / name).read_text())) for name in names)
+    modules = "\n".join(EXPORT_KEYWORD.sub("", IMPORT_LINE.sub("", (source / name).read_text())) for name in names)
     return browser.run(f"""(async () => {{ {modules}
         const told = {json.dumps(told)};
         {code} }})()""")
@@ -877,7 +879,7 @@ def test_friction_is_read_as_the_share_of_what_there_is(shown):
     told = {**encode_motion(trace), "bodies": describe_bodies(trace.model, 6)}
     read = """const motion = readMotion(told, told.bodies, await inflate(told.states));
         return Array.from(motion.friction)"""
-    used = np.nan_to_num(measured_contact_forces(trace).share)
+    used = np.nan_to_num(measured_contact_forces(trace).elastic_share)
     assert used.max(axis=0) == pytest.approx([150 / 90, 0] * 3)
     assert np.abs(np.reshape(by_script(shown, told, read), used.shape) - used).max() <= 0.5 / FRICTION_LEVELS + 1e-9
 
@@ -925,7 +927,7 @@ def test_on_paper_the_figures_stand(browser, repeated):
 
 
 def test_a_million_rows_are_densities(browser, wide, tmp_path):
-    found = results.read(wide)
+    found = results.read_results(wide)
     rows = pd.concat([found.rows] * 3, ignore_index=True)
     path = page.write_page(replace(found, rows=rows), tmp_path / "many.html")
     browser.open(path)

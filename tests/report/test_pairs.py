@@ -26,19 +26,19 @@ def folders(tmp_path_factory):
 
 
 def test_a_pair_is_told_by_what_came_of_both(folders):
-    a, b = map(results.read, folders)
+    a, b = map(results.read_results, folders)
     outcome, cause = b.rows["outcome"].to_numpy(copy=True), b.rows["cause"].to_numpy(copy=True)
     won = np.flatnonzero(a.rows["outcome"] == "success")
     outcome[won[0]], cause[won[0]], outcome[won[1]], cause[won[1]] = "failure", "fell", "invalid", "solver"
     shuffled = b.rows.assign(outcome=outcome, cause=cause).sample(frac=1, random_state=0)
     found, table = pairs.join_pairs(a, replace(b, rows=shuffled))
     flips, counts = compare.count_flips(table), found.rows["cause"].value_counts()
-    assert (counts[pairs.ONLY_A], counts[pairs.ONLY_B], counts[pairs.DOUBTED]) == (flips.lost, flips.gained, 1)
+    assert (counts[pairs.ONLY_A], counts[pairs.ONLY_B], counts[pairs.INVALID_IN_ONE]) == (flips.lost, flips.gained, 1)
     assert flips.lost == 1
     assert flips.gained > 2
     assert "McNemar" not in pairs.pairs_headline(table, *folders)  # the points of a grid are no sample
     tested = compare.count_flips(table, np.arange(len(table)))
-    assert f"McNemar p = {tested.p:.2g}" in pairs.pairs_headline(table, *folders, np.arange(len(table)))
+    assert f"McNemar p = {tested.p_value:.2g}" in pairs.pairs_headline(table, *folders, np.arange(len(table)))
     (figure,) = pairs.difference_figure(found, table)
     assert len(figure.data) == len(a.rows) - 1  # without the invalid one
     maps = figure.draw().axes[:3]
@@ -50,7 +50,7 @@ def test_a_pair_is_told_by_what_came_of_both(folders):
 def test_the_page_of_two_is_written(folders, capsys, tmp_path):
     assert main(["report", *map(str, folders), "-o", str(tmp_path)]) == 0
     page = (tmp_path / "report_b.html").read_text()
-    a, b = map(results.read, folders)
+    a, b = map(results.read_results, folders)
     assert str(compare.count_flips(compare.pair_rows(a.rows, b.rows))) in page
     assert 'id="difference"' in page
     assert main(["report", *map(str, folders), "--pictures"]) == 2

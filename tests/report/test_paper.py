@@ -12,7 +12,7 @@ from matplotlib.font_manager import fontManager
 from matplotlib.text import Text
 
 from sweep.cli.main import main
-from sweep.core.plot_style import OTHER_FONTS, TALL, new_figure, plot_style
+from sweep.core.plot_style import MAX_HEIGHT_IN, OTHER_FONTS, new_figure, plot_style
 from sweep.report import paper
 from sweep.report.figures import list_figures
 from sweep.runs import results, store
@@ -84,7 +84,7 @@ def drawn(fake_engine, tmp_path):
 
 @pytest.mark.parametrize("study", ["folder", "drawn"])
 def test_figures_are_as_wide_as_a_column_or_a_page_and_have_letters_of_one_size(study, request):
-    found = results.read(request.getfixturevalue(study))
+    found = results.read_results(request.getfixturevalue(study))
     values = np.linspace(1.35e-4, 2.36e-4, len(found.rows))  # of long numbers
     long = dict.fromkeys(("depth_max_m", "end_drift_m", "fold_gap_min_m"), values)
     rows = found.rows.assign(**long)
@@ -94,7 +94,7 @@ def test_figures_are_as_wide_as_a_column_or_a_page_and_have_letters_of_one_size(
                 figure = one.draw()
                 figure.draw_without_rendering()
             assert any(figure.get_size_inches()[0] == pytest.approx(mm / 25.4) for mm in (84, 174)), one.key
-            assert figure.get_size_inches()[1] <= TALL, one.key  # else a page shrinks it, and its letters
+            assert figure.get_size_inches()[1] <= MAX_HEIGHT_IN, one.key  # else a page shrinks it, and its letters
             texts = [text for text in figure.findobj(Text) if text.get_text().strip() and text.get_visible()]
             assert {text.get_fontsize() for text in texts} == {8}, one.key
             for axes in figure.axes:  # labels of ticks stand apart
@@ -133,7 +133,7 @@ def test_a_paper_is_made_anew_in_its_folder_but_not_in_another_s(bundle, folder,
 @pytest.fixture(scope="module")
 def foreign(folder, tmp_path_factory):
     """The bundle of a study whose name has letters of Russian, Greek and Chinese."""
-    out, found = tmp_path_factory.mktemp("foreign"), results.read(folder)
+    out, found = tmp_path_factory.mktemp("foreign"), results.read_results(folder)
     study = replace(found.exp.study, name="Ходьба Βάδισμα 步行_é")
     paths = paper.write_paper(replace(found, exp=replace(found.exp, study=study), rows=found.rows.head(40)), out)
     assert len(set(paths)) == len(paths)  # no figure's data are lost to a table's

@@ -10,13 +10,13 @@ from matplotlib.patches import Patch
 
 from sweep.analysis import expectations
 from sweep.analysis.expectations import unmet_expectations
-from sweep.analysis.stats import rate
+from sweep.analysis.stats import success_rate
 from sweep.config.experiment import compose
 from sweep.core.parameters import InputError
-from sweep.core.plot_style import PAGE, legend_below, plot_style, save_figure
-from sweep.metrics.outcome import FAILURES
+from sweep.core.plot_style import PAGE_WIDTH_IN, legend_below, plot_style, save_figure
+from sweep.metrics.outcome import FAILURE_MEANINGS
 from sweep.report import maps, tables
-from sweep.report.cells import Cells
+from sweep.report.cells import MapCells
 from sweep.report.outcome_style import marker_path
 from sweep.study.study import Expectation
 
@@ -42,10 +42,10 @@ def rows():
 
 
 def test_rate_counts_invalid_rows_apart():
-    found = rate(pd.Series(["success"] * 8 + ["failure"] * 2 + ["invalid"] * 3))
+    found = success_rate(pd.Series(["success"] * 8 + ["failure"] * 2 + ["invalid"] * 3))
     assert (found.valid_count, found.share) == (10, 0.8)
     assert (found.low, found.high) == pytest.approx((0.4902, 0.9433), abs=1e-4)  # Wilson, 8 of 10
-    assert "no valid rollout among 1" in str(rate(pd.Series(["invalid"])))
+    assert "no valid rollout among 1" in str(success_rate(pd.Series(["invalid"])))
 
 
 def test_expectations_look_at_valid_rows(rows):
@@ -116,7 +116,7 @@ def test_map_of_single_rollouts_shows_causes_and_hatches_invalid_cells(rows, tmp
 
 def test_a_legend_shows_what_the_map_shows(rows):
     """Each failure's colour, glyph and ink, to the pixel; and no glyph where cells have no room for one."""
-    causes = [list(FAILURES)[k % len(FAILURES)] for k in range(len(rows) // 2)]
+    causes = [list(FAILURE_MEANINGS)[k % len(FAILURE_MEANINGS)] for k in range(len(rows) // 2)]
     rows = rows.assign(outcome="failure", cause=[*causes, *causes])
     figure = maps.success_map(rows, STORED)
     figure.set_dpi(400)
@@ -137,7 +137,7 @@ def test_a_legend_shows_what_the_map_shows(rows):
         assert np.abs(shown - around(pixels, middle)).mean() < 12, cause
     many = maps.legend_cell("fell", "#D55E00")
     assert len(many) == 1
-    assert not maps.has_room_for_glyphs(Cells(np.arange(maps.GLYPHS + 1), np.arange(2)))
+    assert not maps.has_room_for_glyphs(MapCells(np.arange(maps.MAX_GLYPH_CELLS + 1), np.arange(2)))
 
 
 def around(pixels, middle):
@@ -147,7 +147,7 @@ def around(pixels, middle):
 
 
 def test_a_legend_is_never_cut(rows):
-    causes = [list(FAILURES)[k % len(FAILURES)] for k in range(len(rows))]
+    causes = [list(FAILURE_MEANINGS)[k % len(FAILURE_MEANINGS)] for k in range(len(rows))]
     with plot_style():
         figure = maps.success_map(rows.assign(outcome="failure", cause=causes), STORED)
         figure.draw_without_rendering()
@@ -155,11 +155,11 @@ def test_a_legend_is_never_cut(rows):
     assert len(figure.legends[0].get_texts()) == len(set(causes)) > 20  # none succeeds
     assert whole.x0 <= legend.x0 < legend.x1 <= whole.x1
     assert whole.y0 <= legend.y0 < legend.y1 <= whole.y1
-    assert figure.get_size_inches()[0] == pytest.approx(PAGE)
+    assert figure.get_size_inches()[0] == pytest.approx(PAGE_WIDTH_IN)
 
 
 def test_a_long_entry_of_a_legend_leaves_the_map_its_room(rows):
-    figure = Figure(figsize=(PAGE, 3.6), layout="constrained")
+    figure = Figure(figsize=(PAGE_WIDTH_IN, 3.6), layout="constrained")
     axes = figure.subplots()
     with plot_style():
         legend_below(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sweep.config.experiment import compose
-from sweep.engines import make
+from sweep.engines import make_engine
 from sweep.metrics.outcome import classify
 
 pytestmark = pytest.mark.slow
@@ -18,7 +18,7 @@ SCENARIOS = sorted(file.name.removesuffix(".yaml") for file in (files("sweep.con
 
 def labels(exp, world, belief, width, **settings):
     """Outcome and cause of each of `width` rollouts."""
-    engine = make(replace(exp.settings, width=width, **settings), exp.case, exp.case, exp.thresholds)
+    engine = make_engine(replace(exp.settings, width=width, **settings), exp.case, exp.case, exp.thresholds)
     found = classify(engine.run(world, belief, np.zeros(width, int)), exp.thresholds, engine.stages)
     return found["outcome"], found["cause"]
 

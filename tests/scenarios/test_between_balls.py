@@ -15,11 +15,11 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import MEASURED, stage_end_stances
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.core.errors import InputError
-from sweep.engines import make
+from sweep.engines import make_engine
 from sweep.manoeuvres.balancing.ball import BallDrive
 from sweep.manoeuvres.balancing.ball_to_ball import BallDocking, Closing
 from sweep.metrics.outcome import classify
-from sweep.models.frames import WORLD
+from sweep.models.frames import WORLD_FRAME
 from sweep.models.obstacles.surface import body_poses
 from sweep.models.obstacles.two_balls import TwoBalls
 from sweep.models.posture import Stance, feet_in_hip_axes
@@ -148,7 +148,10 @@ def test_the_way_down_is_told_from_the_second_ball():
     for name in ("turn", "down", "rest"):
         here, there = plan.names.index(name), down.names.index(name)
         wanted = np.asarray(down.foot_frame[there])
-        assert np.asarray(plan.foot_frame[here]).tolist() == np.where(wanted == WORLD, WORLD, wanted + 2).tolist()
+        assert (
+            np.asarray(plan.foot_frame[here]).tolist()
+            == np.where(wanted == WORLD_FRAME, WORLD_FRAME, wanted + 2).tolist()
+        )
         mode, of_one = (np.asarray(of.layer(ReferenceBodyMotion).support.mode) for of in (plan, down))
         assert mode[here].tolist() == [MEASURED, of_one[there, 0]]
 
@@ -214,7 +217,7 @@ def test_what_the_checks_have_mended_succeeds(engine):
     """All three: the base goes on, a foot stands farther, another one nearer after a squat as low as may be."""
     trial = compose(["scenario=ball_to_ball", f"engine={engine}", "manoeuvre.spare=0.1"])
     case = replace(trial.case, plan=trial.case.plan.with_value("over.front2.front.ahead", -0.2))
-    simulation = make(replace(trial.settings, width=1), case, case, trial.thresholds)
+    simulation = make_engine(replace(trial.settings, width=1), case, case, trial.thresholds)
     figures = simulation.run(case, case, np.arange(1))
     rows = {**figures, **classify(figures, trial.thresholds, simulation.stages)}
     assert rows["outcome"].tolist() == ["success"], rows["cause"]

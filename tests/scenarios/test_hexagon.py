@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sweep.config.experiment import compose
-from sweep.engines import make
+from sweep.engines import make_engine
 from sweep.metrics.outcome import classify
 
 pytestmark = pytest.mark.slow
@@ -24,7 +24,7 @@ def outcomes(engine: str, width: int, spread: float) -> dict[str, np.ndarray]:
         off = {k: getattr(case.robot, k) * random.uniform(1 - spread, 1 + spread, width) for k in SIZES + MASSES}
         friction = np.linspace(0.7, 1.2, width)
         case = replace(case, robot=replace(case.robot, **off), contact=replace(case.contact, friction=friction))
-    simulation = make(replace(trial.settings, width=width), trial.case, trial.case)
+    simulation = make_engine(replace(trial.settings, width=width), trial.case, trial.case)
     figures = simulation.run(case, case, np.zeros(width, dtype=np.int64))
     return {**figures, **classify(figures, trial.thresholds, simulation.stages)}
 

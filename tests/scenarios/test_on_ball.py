@@ -7,8 +7,8 @@ import pytest
 
 from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
-from sweep.engines import make
-from sweep.formulas.ball import ROLLING
+from sweep.engines import make_engine
+from sweep.formulas.ball import ROLLING_INERTIA
 from sweep.metrics.outcome import classify
 from sweep.models.obstacles.ball import Ball
 
@@ -21,7 +21,7 @@ def outcomes(overrides: list[str], width: int = 1, known: bool = True, **groups:
     case = replace(
         trial.case, **{name: replace(getattr(trial.case, name), **values) for name, values in groups.items()}
     )
-    simulation = make(replace(trial.settings, width=width), trial.case, trial.case, trial.thresholds)
+    simulation = make_engine(replace(trial.settings, width=width), trial.case, trial.case, trial.thresholds)
     figures = simulation.run(case, case if known else trial.case, np.arange(width))
     return {**figures, **classify(figures, trial.thresholds, simulation.stages)}
 
@@ -119,7 +119,7 @@ def test_it_comes_down_from_a_ball(engine):
 def test_it_gets_over_a_ball(engine):
     """2 m along with it, and walks away from it."""
     trial = compose(["scenario=ball_over", f"engine={engine}"])
-    simulation = make(replace(trial.settings, width=1), trial.case, trial.case, trial.thresholds)
+    simulation = make_engine(replace(trial.settings, width=1), trial.case, trial.case, trial.thresholds)
     trace = simulation.trace(trial.case, trial.case, np.zeros(1, int), 0)
     assert classify(trace.metrics, trial.thresholds, simulation.stages)["outcome"] == "success"
     assert trace.metrics["slip_max_m"] < 0.04  # of 0.05
@@ -137,7 +137,7 @@ def test_leaning_alone_turns_the_way_of_a_ball(engine):
     """By (3.1.33), without any feedback of the way."""
     gains = ["manoeuvre.aside_gain=0", "manoeuvre.aside_gain_before=0"]
     trial = compose(["scenario=ball_turn", f"engine={engine}", *gains])
-    simulation = make(replace(trial.settings, width=1), trial.case, trial.case, trial.thresholds)
+    simulation = make_engine(replace(trial.settings, width=1), trial.case, trial.case, trial.thresholds)
     trace = simulation.trace(trial.case, trial.case, np.zeros(1, int), 0)
     way = trace.qpos[trace.time > 25, 25:27]
     found = np.linalg.lstsq(np.c_[2 * way, np.ones(len(way))], np.sum(way**2, axis=1))[0]
@@ -151,11 +151,11 @@ def test_it_drives_a_ball_aside(engine):
     """(3.3.7) gives the speed that its k_l is for, less what rolling friction takes in that time."""
     trial = compose(["scenario=ball_aside", f"engine={engine}"])
     ball, aside = trial.case.obstacle_as(Ball), trial.case.manoeuvre
-    simulation = make(replace(trial.settings, width=1), trial.case, trial.case, trial.thresholds)
+    simulation = make_engine(replace(trial.settings, width=1), trial.case, trial.case, trial.thresholds)
     trace = simulation.trace(trial.case, trial.case, np.zeros(1, int), 0)
     after = (trace.time > aside.period + 0.1) & (trace.time < aside.period + aside.coast)
     speed = trace.qvel[after, 25].mean()
-    lost = ball.rolling_friction * GRAVITY * aside.period / (ROLLING * ball.radius)
+    lost = ball.rolling_friction * GRAVITY * aside.period / (ROLLING_INERTIA * ball.radius)
     assert aside.speed - lost < speed < aside.speed
     assert classify(trace.metrics, trial.thresholds, simulation.stages)["outcome"] == "success"
     assert trace.metrics["slip_max_m"] < 0.005

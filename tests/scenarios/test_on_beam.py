@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sweep.config.experiment import compose
-from sweep.engines import make
+from sweep.engines import make_engine
 from sweep.metrics.outcome import classify
 
 
@@ -15,7 +15,7 @@ def rollouts(*overrides: str, **execution: list[float]):
     exp = compose(list(overrides))
     width = len(next(iter(execution.values()), [0]))
     world = replace(exp.case, execution=replace(exp.case.execution, **{k: np.array(v) for k, v in execution.items()}))
-    engine = make(replace(exp.settings, width=width), exp.case, exp.case, exp.thresholds)
+    engine = make_engine(replace(exp.settings, width=width), exp.case, exp.case, exp.thresholds)
     figures = engine.run(world, exp.case, np.zeros(width, int))
     return figures, classify(figures, exp.thresholds, engine.stages)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sweep.config.experiment import compose
-from sweep.engines import make
+from sweep.engines import make_engine
 from sweep.metrics.outcome import classify
 from sweep.models.obstacles.pole_ledge import PoleLedge
 
@@ -28,7 +28,7 @@ def outcomes(engine: str, width: int, scenario: str = "pole_climb", *changes: st
     if width > 1:
         case = replace(case, robot=off(case.robot, *SIZES, *MASSES), obstacle=off(case.obstacle, "radius"),
                        contact=off(case.contact, "friction"))  # fmt: skip
-    simulation = make(replace(trial.settings, width=width), trial.case, trial.case, trial.thresholds)
+    simulation = make_engine(replace(trial.settings, width=width), trial.case, trial.case, trial.thresholds)
     figures = simulation.run(case, case, np.zeros(width, dtype=np.int64))
     return {**figures, **classify(figures, trial.thresholds, simulation.stages)}
 
@@ -84,7 +84,7 @@ def test_robots_that_know_neither_themselves_nor_the_pole_find_out_and_climb_it_
     off = {k: getattr(case.robot, k) * random.uniform(1 - SPREAD, 1 + SPREAD, width) for k in (*SIZES, *MASSES)}
     radius = pole.radius * (1 + random.uniform(0.015, 0.02, width) * np.tile([-1, 1], width // 2))
     world = replace(case, robot=replace(case.robot, **off), obstacle=replace(pole, radius=radius))
-    simulation = make(replace(trial.settings, width=width), case, case, trial.thresholds)
+    simulation = make_engine(replace(trial.settings, width=width), case, case, trial.thresholds)
     figures = simulation.run(world, case, np.arange(width))
     rows = classify(figures, trial.thresholds, simulation.stages)
     assert rows["outcome"].tolist() == ["success"] * width, rows["cause"]

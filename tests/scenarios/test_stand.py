@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sweep.config.experiment import compose
-from sweep.engines import make
+from sweep.engines import make_engine
 from sweep.metrics.outcome import classify
 
 TIMES = np.array([1.0, 3.965, 1.0, 1.0])
@@ -23,7 +23,7 @@ def test_success_asks_how_it_stands_when_the_plan_has_ended(engine):
         execution=replace(trial.case.execution, push_time=TIMES, push_impulse=IMPULSES),
         contact=replace(trial.case.contact, stiffness=STIFFNESSES),
     )
-    simulation = make(replace(trial.settings, width=len(TIMES)), trial.case, trial.case, trial.thresholds)
+    simulation = make_engine(replace(trial.settings, width=len(TIMES)), trial.case, trial.case, trial.thresholds)
     figures = simulation.run(case, trial.case, np.zeros(len(TIMES), int))
     rows = classify(figures, trial.thresholds, simulation.stages)
     assert rows["outcome"][:3].tolist() == ["failure", "failure", "success"], rows["cause"]

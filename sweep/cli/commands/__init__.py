@@ -21,16 +21,16 @@ from typing import cast
 
 from sweep.cli.command import Command, CommandModule, Section
 from sweep.core.arguments import Arguments
-from sweep.core.errors import WRONG, InputError, escape_control_characters, format_user_exception
+from sweep.core.errors import USER_CODE_ERRORS, InputError, escape_control_characters, format_user_exception
 from sweep.core.files import printable_name
 from sweep.core.version import VERSION
 
 ENTRY_POINTS = "sweep.commands"
-CONTRACT = ("COMMAND", "add_arguments", "run")  # what a module of an installed package has to define
+REQUIRED_MEMBERS = ("COMMAND", "add_arguments", "run")  # what a module of an installed package has to define
 NAME_WIDTH = 14  # of a command in `sweep --help`
 
 
-def execute(argv: list[str]) -> int:
+def execute_command(argv: list[str]) -> int:
     """Run the subcommand at the start of `argv` and return its exit code. Raises `InputError`."""
     if strange := [word for word in argv if word.encode(errors="ignore").decode() != word]:
         raise InputError(f"{printable_name(strange[0])} is not allowed: letters in UTF-8")
@@ -69,16 +69,16 @@ def load_command(name: str) -> CommandModule:
     point = installed_commands()[name]
     try:
         module = point.load()
-    except WRONG as error:
+    except USER_CODE_ERRORS as error:
         raise InputError(
-            f"subcommand {name} of {package_of(point)} cannot be imported: {format_user_exception(error)}"
+            f"subcommand {name} of {providing_package(point)} cannot be imported: {format_user_exception(error)}"
         ) from None
-    if missing := [one for one in CONTRACT if not hasattr(module, one)]:
-        raise InputError(f"subcommand {name} of {package_of(point)}: {point.value} does not define {missing[0]}")
+    if missing := [one for one in REQUIRED_MEMBERS if not hasattr(module, one)]:
+        raise InputError(f"subcommand {name} of {providing_package(point)}: {point.value} does not define {missing[0]}")
     return cast(CommandModule, module)
 
 
-def package_of(point: metadata.EntryPoint) -> str:
+def providing_package(point: metadata.EntryPoint) -> str:
     """Name of the installed package that announces an entry point."""
     return escape_control_characters(point.dist.name if point.dist else point.value)
 
@@ -99,7 +99,7 @@ def make_parser(name: str) -> Arguments:
 
 def make_overview_parser() -> Arguments:
     """Make the parser of `sweep` without a subcommand, which `sweep --help` prints."""
-    parser = Overview(
+    parser = OverviewParser(
         prog="sweep",
         usage="sweep [-h] [--version] command ...",
         description="Batch experiments with six-legged robots.",
@@ -111,7 +111,7 @@ def make_overview_parser() -> Arguments:
     return parser
 
 
-class Overview(Arguments):
+class OverviewParser(Arguments):
     """The parser of `sweep`, whose help lists the subcommands by section."""
 
     def format_help(self) -> str:
@@ -127,16 +127,20 @@ def list_commands(width: int) -> str:
     for section in Section:
         lines += [
             f"{section}:",
-            *(entry(name, one.help, width) for name, one in abouts.items() if one.section == section),
+            *(format_command_entry(name, one.help, width) for name, one in abouts.items() if one.section == section),
         ]
         lines.append("")
     # names only: their code runs when they are called, not before
     if others := installed_commands():
-        lines += ["of installed packages:", *(entry(one, package_of(at), width) for one, at in others.items()), ""]
+        lines += [
+            "of installed packages:",
+            *(format_command_entry(one, providing_package(at), width) for one, at in others.items()),
+            "",
+        ]
     return "\n".join([*lines, "`sweep COMMAND --help` explains a command."])
 
 
-def entry(name: str, text: str, width: int) -> str:
+def format_command_entry(name: str, text: str, width: int) -> str:
     """Format a subcommand and its help for a list."""
     indent = " " * (NAME_WIDTH + 2)
     return textwrap.fill(

@@ -34,11 +34,11 @@ def run(args: argparse.Namespace) -> int:
 
     if args.points < 1:
         raise InputError(f"--points = {args.points} is not allowed: at least 1")
-    found = results.read(args.dir, args.where)
+    found = results.read_results(args.dir, args.where)
     device_choice.choose_device_for_folder(args.dir)
     ways = parse_names(args.ways) or []
     most = 2 * args.points * len(ways or found.exp.system.audit_variants)
     with report_progress("audit", most, f"{found.exp.scenario} in other ways") as report:
-        audit.run(found, args.points, ways, report, lambda line: print(f"sweep: {line}", file=sys.stderr))
+        audit.run_audit(found, args.points, ways, report, lambda line: print(f"sweep: {line}", file=sys.stderr))
     terminal.print_markdown(tables.page_table(audit.flip_table(found)) + "\n")
     return DONE

@@ -20,16 +20,18 @@ if TYPE_CHECKING:
     from sweep.models.case import Case
 
 COMMAND = Command(Section.SIMULATE, "measure the simulation speed of this machine by engine and dynamics")
-ROWS = ("arrowhead", "mjx", "native")
-MOST_NATIVE = 128  # rollouts for the row of C MuJoCo, the slowest
-MEASURED = "walk_tripod over walk_map: controller, physics and metrics of whole rollouts; env-steps are physics steps"
+ROW_NAMES = ("arrowhead", "mjx", "native")
+MAX_NATIVE_ROLLOUTS = 128  # rollouts for the row of C MuJoCo, the slowest
+MEASUREMENT_DESCRIPTION = (
+    "walk_tripod over walk_map: controller, physics and metrics of whole rollouts; env-steps are physics steps"
+)
 
 
 def add_arguments(parser: Arguments) -> None:
     """Add the size of the measurement, and which rows of the table are measured."""
     parser.add_argument("--rollouts", type=int, default=0, help="rollouts for each row of the table; 0: one batch")
     parser.add_argument("--width", type=int, default=0, help="rollouts in a batch; 0: best for the device")
-    parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS), help="which of them")
+    parser.add_argument("--rows", nargs="+", choices=ROW_NAMES, default=list(ROW_NAMES), help="which of them")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -45,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     for line in measure_rows(compose(["scenario=walk_tripod"]).case, args.rollouts, args.width, tuple(args.rows)):
         print(f"{line['engine']} {line['dynamics']}: {line['env-steps/s']:.4g} env-steps/s", file=sys.stderr)
         lines.append(line)
-    print(MEASURED)
+    print(MEASUREMENT_DESCRIPTION)
     print(tabulate(lines, headers="keys", tablefmt="github", floatfmt=".4g", missingval=""))
     return DONE
 
@@ -88,13 +90,13 @@ def _engine(settings: "EngineSettings", nominal: "Case", rollouts: int) -> dict[
     import jax
     import numpy as np
 
-    from sweep.engines import make
-    from sweep.metrics.outcome import Thresholds
+    from sweep.engines import make_engine
+    from sweep.metrics.outcome import OutcomeThresholds
 
-    engine = make(settings, nominal, nominal, Thresholds())
+    engine = make_engine(settings, nominal, nominal, OutcomeThresholds())
     rollouts = rollouts or engine.width
     if settings.name == "native":
-        rollouts = min(rollouts, MOST_NATIVE)
+        rollouts = min(rollouts, MAX_NATIVE_ROLLOUTS)
     batches = walk_map_batches(nominal, rollouts, engine.width)
     streams = np.zeros(engine.width, int)
 

@@ -13,7 +13,7 @@ from sweep.core.arguments import Arguments, list_flags
 from sweep.core.groups import GROUPS
 
 COMMAND = Command(Section.LOOK_UP, "completion for bash", 'eval "$(sweep completion)"  # in .bashrc')
-SCRIPT = """_sweep() {
+BASH_SCRIPT = """_sweep() {
   mapfile -t COMPREPLY < <(sweep completion --line "${COMP_LINE:0:COMP_POINT}" 2>/dev/null)
   if [[ ${COMPREPLY[0]-} == *= ]]; then compopt -o nospace; fi
 }
@@ -28,7 +28,7 @@ def add_arguments(parser: Arguments) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the completion script for bash, or the possible completions of a line."""
     if args.line is None:
-        print(SCRIPT)
+        print(BASH_SCRIPT)
         return DONE
     before = args.line.split()[1:]
     word = "" if args.line.endswith(" ") or not before else before.pop()

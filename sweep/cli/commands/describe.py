@@ -2,7 +2,7 @@
 
 import argparse
 
-from sweep.cli.choices import outside_of_project
+from sweep.cli.choices import outside_project_hint
 from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
 from sweep.core import terminal
@@ -30,8 +30,8 @@ def run(args: argparse.Namespace) -> int:
     from sweep.config import reference
 
     try:
-        text = reference.parameters_page() if args.name is None else reference.describe(args.name)
+        text = reference.parameters_page() if args.name is None else reference.describe_name(args.name)
     except InputError as error:
-        raise InputError(f"{error}{outside_of_project() if '=' in (args.name or '') else ''}") from None
+        raise InputError(f"{error}{outside_project_hint() if '=' in (args.name or '') else ''}") from None
     terminal.print_markdown(text + "\n", required=("meaning",))
     return DONE

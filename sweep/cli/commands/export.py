@@ -42,10 +42,10 @@ def run(args: argparse.Namespace) -> int:
         store.read_study(args.dir)  # before it is held, which would make it
         # nothing is added while it is copied, nor ever to what cannot be written
         with store.lock_folder(args.dir) if os.access(args.dir, os.W_OK) else nullcontext():
-            print(crate.write_crate(results.read(args.dir), args.crate, args.license, args.zip, args.author))
+            print(crate.write_crate(results.read_results(args.dir), args.crate, args.license, args.zip, args.author))
         return DONE
     if args.zip or args.author or args.license != LICENSE:
         raise InputError("--zip, --author and --license need --crate")
-    for path in paper.write_paper(results.read(args.dir, args.where), args.paper, args.serif):
+    for path in paper.write_paper(results.read_results(args.dir, args.where), args.paper, args.serif):
         print(path)
     return DONE

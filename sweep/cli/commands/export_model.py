@@ -16,7 +16,8 @@ MuJoCo reads robot.mjb, which has all digits; robot.xml is the same to read, to 
 example:
   sweep export-model scenario=pole_climb out=pole
   cd pole; sweep run scenario=own; sweep run scenario=own engine=mjx"""
-POLICY = '''"""Plan, tracker and metrics of {scenario} for a user model; written by `sweep export-model`."""
+CONTROLLER_TEMPLATE = '''\
+"""Plan, tracker and metrics of {scenario} for a user model; written by `sweep export-model`."""
 
 from pathlib import Path
 
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         "sweep.yaml": "# A sweep project, written by `sweep export-model`\nmodules: []\n",
         "scenarios/own.yaml": f"# {exp.scenario} as a user model\n{yaml.safe_dump(about, sort_keys=False, width=110)}",
         "case.yaml": yaml.safe_dump({**case, "out": None}, sort_keys=False),
-        f"{module}.py": POLICY.format(scenario=exp.scenario),
+        f"{module}.py": CONTROLLER_TEMPLATE.format(scenario=exp.scenario),
         "robot.xml": spec.to_xml(),
     }
     for name in (*texts, "robot.mjb"):

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sweep.formulas import Formula, Input
 
 COMMAND = Command(Section.LOOK_UP, "evaluate a closed-form formula from the literature")
-PICTURES = (".pdf", ".png", ".svg")
+PICTURE_SUFFIXES = (".pdf", ".png", ".svg")
 
 
 def add_arguments(parser: Arguments) -> None:
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _evaluate_command(args: argparse.Namespace) -> Iterator[str]:
-    from sweep.formulas import FORMULAS, find, find_by_equation
+    from sweep.formulas import FORMULAS, find_by_equation, find_formula
 
     if args.plot and not args.sweep:
         raise InputError("--plot needs --sweep key=lo:hi:n, whose table it plots")
@@ -54,7 +54,7 @@ def _evaluate_command(args: argparse.Namespace) -> Iterator[str]:
         if not found:
             raise InputError(f"equation {args.name} is unknown (`sweep formula` lists all equations)")
         return _format_listing(found, args.json)
-    formula = find(args.name)
+    formula = find_formula(args.name)
     values = _parse_inputs(formula, args.values)
     if args.sweep:
         key, points = _parse_range(formula, args.sweep)
@@ -77,7 +77,7 @@ def _format_listing(formulas: Any, as_json: bool) -> Iterator[str]:
 
 def _parse_inputs(formula: "Formula", assignments: Sequence[str]) -> dict[str, Any]:
     """Parse `key=value` assignments to checked inputs by flat name, with defaults for the others."""
-    values = formula.complete({})
+    values = formula.complete_inputs({})
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
         if not equals:
@@ -92,7 +92,7 @@ def _assign(formula: "Formula", values: Mapping[str, Any], key: str, value: Any)
     vector = values.get(name)
     if isinstance(vector, list) and index.isdigit() and int(index) < len(vector):
         key, value = name, [*vector[: int(index)], value, *vector[int(index) + 1 :]]
-    return formula.complete({**values, key: value})
+    return formula.complete_inputs({**values, key: value})
 
 
 def _parse_value(text: str) -> Any:
@@ -201,8 +201,8 @@ def _text(value: Any) -> str:
 
 def _plot(formula: "Formula", rows: Sequence[Mapping[str, Any]], key: str, file: Path) -> None:
     """Plot every output against `key`, one panel for each unit."""
-    if file.suffix not in PICTURES or not file.parent.is_dir():
-        raise InputError(f"--plot {file} is not allowed: a {', '.join(PICTURES)} file in a folder that exists")
+    if file.suffix not in PICTURE_SUFFIXES or not file.parent.is_dir():
+        raise InputError(f"--plot {file} is not allowed: a {', '.join(PICTURE_SUFFIXES)} file in a folder that exists")
     import numpy as np
     from matplotlib.figure import Figure
 

@@ -14,7 +14,7 @@ from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
 
 COMMAND = Command(Section.LOOK_UP, "create a project: a folder for your own studies, robots and modules")
-HIDDEN = {"gitignore": ".gitignore"}  # files that a package cannot hold under their name
+DOT_FILE_NAMES = {"gitignore": ".gitignore"}  # files that a package cannot hold under their name
 
 
 def add_arguments(parser: Arguments) -> None:
@@ -79,4 +79,4 @@ def template_files(folder: Traversable, above: tuple[str, ...] = ()) -> Iterator
         if entry.is_dir() and entry.name != "__pycache__":
             yield from template_files(entry, (*above, entry.name))
         elif entry.is_file():
-            yield entry, (*above, HIDDEN.get(entry.name, entry.name))
+            yield entry, (*above, DOT_FILE_NAMES.get(entry.name, entry.name))

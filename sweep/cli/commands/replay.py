@@ -37,9 +37,9 @@ def run(args: argparse.Namespace) -> int:
     check_options(args)
     from sweep.contract.trace_frames import frames_at_rate
     from sweep.core.plot_style import save_figure
-    from sweep.core.progress import show_counts, show_wait
+    from sweep.core.progress import show_counts, show_elapsed_time
     from sweep.replay.rendering import VIDEO_RATE, write_png, write_video
-    from sweep.replay.replay import format_comparison, replay, state_table
+    from sweep.replay.replay import format_comparison, replay_rollout, state_table
     from sweep.runs import device_choice, results
 
     system = results.load_experiment(args.folder).system
@@ -50,8 +50,8 @@ def run(args: argparse.Namespace) -> int:
                 f"--{name} is not allowed: rollouts of this system are shown by {shown}, and what study.keep keeps"
             )
     device_choice.choose_device_for_folder(args.folder)
-    with show_wait(f"simulating {args.point} of {args.folder} in its batch"):
-        result = replay(args.folder, args.point)
+    with show_elapsed_time(f"simulating {args.point} of {args.folder} in its batch"):
+        result = replay_rollout(args.folder, args.point)
     print(format_comparison(result))
     for path in (args.mcap, args.video, args.output, args.states, args.model):
         if path is not None:

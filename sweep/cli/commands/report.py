@@ -9,7 +9,7 @@ from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
 from sweep.core.arguments import Arguments
 from sweep.core.errors import InputError
-from sweep.core.files import path_in
+from sweep.core.files import path_inside_folder
 
 if TYPE_CHECKING:
     from sweep.runs.results import Results
@@ -45,17 +45,17 @@ def add_arguments(parser: Arguments) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the page of a study, and its map or its overview of draws."""
-    from sweep.core.expressions import column
+    from sweep.core.expressions import find_column
     from sweep.core.progress import show_counts
     from sweep.report import maps, page, replay_selection, replays, representative
     from sweep.runs import device_choice, results
 
     if args.replays < 0:
         raise InputError(f"--replays = {args.replays} is not allowed: at least 0")
-    found, folder = results.read(args.dir, args.where), args.output or args.dir
+    found, folder = results.read_results(args.dir, args.where), args.output or args.dir
     if args.b:
         return write_pairs_page(args, found, folder)
-    columns = tuple(column(found.rows, name) for name in (args.x, args.y) if name)
+    columns = tuple(find_column(found.rows, name) for name in (args.x, args.y) if name)
     if columns:
         maps.map_axes(found.rows, columns)  # refuses before anything is written
     if args.pictures:
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         device_choice.choose_device_for_folder(args.dir)
         with show_counts(print_replay_progress, 0, args.replays) as report:
             replays.make_replays(found, replay_selection.choose_replays(found, args.replays), report)
-    print(page.write_page(found, path_in(folder, "report.html"), chosen=columns))
+    print(page.write_page(found, path_inside_folder(folder, "report.html"), chosen=columns))
     for path in save_pictures(found, folder, columns):
         print(path)
     return DONE
@@ -84,7 +84,7 @@ def write_pairs_page(args: argparse.Namespace, a: "Results", folder: Path) -> in
 
     if args.pictures or args.x or args.y:
         raise InputError("--pictures, --x and --y are not allowed with a second folder")
-    b = results.read(args.b, args.where)
+    b = results.read_results(args.b, args.where)
     found, table = pairs.join_pairs(a, b)
     unit = compare.independent_unit_of_pairs(table, a.exp)
     if args.replays:
@@ -97,7 +97,7 @@ def write_pairs_page(args: argparse.Namespace, a: "Results", folder: Path) -> in
         list(pairs.difference_figure(found, table)),
         list(pairs.pairs_tables(table, unit)),
     )
-    path = path_in(folder, f"report_{args.b.resolve().name}.html")
+    path = path_inside_folder(folder, f"report_{args.b.resolve().name}.html")
     print(page.write_page(found, path, shown=list(pairs.read_pair_replays(a, b)), pairs=about))
     return DONE
 
@@ -114,4 +114,4 @@ def save_pictures(results: "Results", folder: Path, chosen: tuple[str, ...]) -> 
             name, figure = "map", maps.success_map(results.rows, results.stored, chosen)
         else:
             return []
-    return [save_figure(figure, path_in(folder, f"{name}.{form}"), dpi=200) for form in ("png", "svg")]
+    return [save_figure(figure, path_inside_folder(folder, f"{name}.{form}"), dpi=200) for form in ("png", "svg")]

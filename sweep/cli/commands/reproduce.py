@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
 
     A crate that has code runs only with `--trust`; without it the code is listed.
     """
-    from sweep.cli.simulated_again import report_simulated_again
+    from sweep.cli.simulated_again import report_resimulation
     from sweep.report import crate
     from sweep.runs import repair, results
 
@@ -39,11 +39,11 @@ def run(args: argparse.Namespace) -> int:
     if not 0 <= args.seed < 2**32:
         raise InputError(f"--seed = {args.seed} is not allowed: at least 0 and below 2^32")
     with crate.unpack_crate(args.crate) as folder:
-        if (code := crate.code_in(folder)) and not args.trust:
+        if (code := crate.list_code_files(folder)) and not args.trust:
             print("\n".join(code))
             raise InputError(f"{args.crate} contains code, listed above: read it, then give --trust to run it")
-        with crate.working_project(folder):
-            if problems := repair.verify(folder / crate.STUDY)[0]:
+        with crate.use_crate_project(folder):
+            if problems := repair.verify_folder(folder / crate.STUDY_FOLDER)[0]:
                 raise InputError(problems[0])
-            found = results.read(folder / crate.STUDY)
-            return report_simulated_again(found, args.rows, args.seed, args.tolerance)
+            found = results.read_results(folder / crate.STUDY_FOLDER)
+            return report_resimulation(found, args.rows, args.seed, args.tolerance)

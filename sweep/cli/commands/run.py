@@ -5,7 +5,7 @@ import os
 import textwrap
 from typing import TYPE_CHECKING
 
-from sweep.cli.choices import refuse_unknown
+from sweep.cli.choices import refuse_unknown_choices
 from sweep.cli.command import Command, Section
 from sweep.cli.exits import MEANINGS
 from sweep.core.arguments import Arguments, list_flags
@@ -60,11 +60,11 @@ def run(args: argparse.Namespace) -> int:
     for group in GROUPS:
         if len(chosen := [one for one in overrides if one.startswith(f"{group}=")]) > 1:
             raise InputError(f"{group} is chosen twice: {' '.join(chosen)}")
-    refuse_unknown(overrides)
+    refuse_unknown_choices(overrides)
     os.environ.setdefault("MUJOCO_GL", "disable")  # a run opens no window; to look for a library takes a tenth second
     from sweep.backends import devices
     from sweep.cli.commands import make_parser
-    from sweep.cli.launch import launch  # takes a second to import
+    from sweep.cli.launch import launch_hydra  # takes a second to import
 
     if args.points is not None:
         quoted = args.points.replace("\\", "\\\\").replace("'", "\\'")
@@ -79,8 +79,11 @@ def run(args: argparse.Namespace) -> int:
             device_choice.choose_device_for_run(exp)
         if exp.settings.name == "mjx" and not args.dry_run and not exp.cluster.is_remote:
             devices.start_device_search()
-        from sweep.cli.execution import Flags, execute  # takes another, which what is wrong need not wait for
+        from sweep.cli.execution import (  # takes another, which what is wrong need not wait for
+            RunFlags,
+            execute_experiment,
+        )
 
-        return execute(exp, Flags(args.dry_run, args.check, args.limit, args.where))
+        return execute_experiment(exp, RunFlags(args.dry_run, args.check, args.limit, args.where))
 
-    return launch(overrides, work, list_flags(make_parser("run")))
+    return launch_hydra(overrides, work, list_flags(make_parser("run")))

@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the statistics of a study."""
     from sweep.analysis.axis_effects import compare_along_axes
     from sweep.cli.rows import read_matching_rows
-    from sweep.core.expressions import column
+    from sweep.core.expressions import find_column
     from sweep.report import statistics
     from sweep.runs import results
     from sweep.study import design_kinds
@@ -34,10 +34,10 @@ def run(args: argparse.Namespace) -> int:
 
     exp = results.load_experiment(args.dir)
     empty = results.empty_rows(args.dir, exp)
-    figures = [column(empty, args.figure)] if args.figure else []
+    figures = [find_column(empty, args.figure)] if args.figure else []
     measured = () if exp.study.is_adaptive else metric_columns(empty)  # a search may lead by any of them
     rows = read_matching_rows(args.dir, args.where, [c for c in empty.columns if c not in measured] + figures)
-    if any(one.same for one in compare_along_axes(rows, exp).values()):  # in what is read so far: metrics decide
+    if any(one.are_equal for one in compare_along_axes(rows, exp).values()):  # in what is read so far: metrics decide
         rows = read_matching_rows(args.dir, args.where)
     if not 0 < args.level < 1:
         raise InputError(f"--level = {args.level:g} is not allowed: between 0 and 1")

@@ -7,8 +7,8 @@ from sweep.core.arguments import Arguments, is_value
 from sweep.core.errors import InputError
 
 COMMAND = Command(Section.SIMULATE, "optimize the numbers of a plan")
-LEAST = {"population": 4, "generations": 1, "seed": 1}  # of the flags
-LEAST_MOMENTS, MOST_SECONDS = 11, 0.05  # of a stage; as in sweep/planning/score.py, which is slow to import
+MIN_FLAG_VALUES = {"population": 4, "generations": 1, "seed": 1}  # of the flags
+MIN_MOMENTS, MAX_MOMENT_INTERVAL_S = 11, 0.05  # of a stage; as in sweep/planning/score.py, which is slow to import
 EPILOG = """Margins are those of sweep/planning/kinematic_margins.py; draws are the points of the study, known to the
 planner. What is found is checked on the draws of the study's next seed. With --follow numbers get slopes, by which they
 follow the sizes that the study draws. With --simulate both draws are run, too, by the plan before and after, in folders
@@ -54,7 +54,7 @@ def add_arguments(parser: Arguments) -> None:
         action="append",
         default=[],
         metavar="[STAGES=]N",
-        help=f"of each stage, or of some ({LEAST_MOMENTS}, and no more than {MOST_SECONDS} s apart)",
+        help=f"of each stage, or of some ({MIN_MOMENTS}, and no more than {MAX_MOMENT_INTERVAL_S} s apart)",
     )
     parser.add_argument("--population", type=int, default=16, help="plans in a generation of CMA-ES (16)")
     parser.add_argument(
@@ -65,7 +65,7 @@ def add_arguments(parser: Arguments) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Search, and write the plan's file. Raises `InputError`."""
-    for flag, least in LEAST.items():
+    for flag, least in MIN_FLAG_VALUES.items():
         if getattr(args, flag) < least:
             raise InputError(f"--{flag} = {getattr(args, flag)} is not allowed: at least {least}")
     from sweep.cli.plan_search import tune_plan

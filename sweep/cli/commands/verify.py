@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--simulate = {args.simulate} is not allowed: at least 1")
     from sweep.runs import repair, store
 
-    problems, others, sound = repair.verify(args.dir)
+    problems, others, sound = repair.verify_folder(args.dir)
     for line in (*problems, *others):
         print(line)
     remedy = f", {len(problems)} damaged: repeat the same `sweep run` to repair it" if problems else ""
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"{args.dir}: {done} of {planned} planned rollouts are there")
     if args.simulate is None:
         return DONE
-    from sweep.cli.simulated_again import report_simulated_again
+    from sweep.cli.simulated_again import report_resimulation
     from sweep.runs import results
 
-    return report_simulated_again(results.read(args.dir), args.simulate)
+    return report_resimulation(results.read_results(args.dir), args.simulate)

@@ -10,7 +10,7 @@ from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
 from sweep.core.arguments import Arguments
 from sweep.core.errors import InputError
-from sweep.core.files import path_in
+from sweep.core.files import path_inside_folder
 
 COMMAND = Command(Section.WATCH, "play a rollout in the browser")
 EPILOG = """examples:
@@ -18,7 +18,7 @@ EPILOG = """examples:
   sweep view results/walk_map 42
   sweep view scenario=pole_climb --with engine=native
   sweep view results/before 42 --with results/after"""
-PAGES = Path("results") / "view"  # of rollouts that belong to no folder
+PAGES_FOLDER = Path("results") / "view"  # of rollouts that belong to no folder
 
 
 def add_arguments(parser: Arguments) -> None:
@@ -42,26 +42,28 @@ def add_arguments(parser: Arguments) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate the rollouts, write their page and open it. Raises `InputError`."""
     from sweep.cli import playback
-    from sweep.core.progress import show_wait
+    from sweep.core.progress import show_elapsed_time
     from sweep.report import page
     from sweep.runs import store
 
     for name in (args.what[0], *args.beside[:-1][:1]):  # one word alone is a row of the same folder
-        if "=" not in name and store.STUDY not in playback.file_names(name):
+        if "=" not in name and store.STUDY_FILE not in playback.file_names(name):
             raise InputError(f"{name} is neither a folder of results nor group.name=value")
     if args.mujoco:
         if not has_screen():
             raise InputError("--mujoco needs a screen: DISPLAY is not set; without --mujoco the page shows the same")
-        with show_wait(f"simulating {' '.join(args.what)}"):
+        with show_elapsed_time(f"simulating {' '.join(args.what)}"):
             trace = next(playback.record_traces(args.what), None)
         if trace is None:
             raise InputError(f"{' '.join(args.what)} cannot be shown")
-        playback.play(trace)
+        playback.play_in_viewer(trace)
         return DONE
-    of_folder = store.STUDY in playback.file_names(args.what[0])
+    of_folder = store.STUDY_FILE in playback.file_names(args.what[0])
     found, shown = (playback.open_study if of_folder else playback.simulate_configuration)(args.what, args.beside)
     path = args.output or (
-        path_in(Path(args.what[0]), "view.html") if of_folder else PAGES / f"{found.exp.scenario}.html"
+        path_inside_folder(Path(args.what[0]), "view.html")
+        if of_folder
+        else PAGES_FOLDER / f"{found.exp.scenario}.html"
     )
     print(page.write_page(found, path, shown=shown, opened=1 + bool(args.beside)))
     if not (has_screen() and webbrowser.open(path.resolve().as_uri())):

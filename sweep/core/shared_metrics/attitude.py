@@ -8,7 +8,7 @@ from sweep.core.metric import Array, CommonRollout, CommonStart, CommonTick, Met
 class Tilt(NamedTuple):
     """Largest tilt so far (deg), and the base's last orientation."""
 
-    largest: Array
+    largest_tilt: Array
     quat: Array
 
 
@@ -20,7 +20,7 @@ def begin(start: CommonStart) -> Tilt:
 def update(state: Tilt, ctx: CommonTick) -> Tilt:
     """Update the largest tilt (deg) and the base's last orientation."""
     tilt = ctx.tilt_deg
-    return Tilt(array_namespace(tilt).maximum(state.largest, tilt), ctx.base_quat[..., -1, :])
+    return Tilt(array_namespace(tilt).maximum(state.largest_tilt, tilt), ctx.base_quat[..., -1, :])
 
 
 def tilt_deg(quat: Array, xp: Any) -> Array:
@@ -40,7 +40,7 @@ def tilt_deg(quat: Array, xp: Any) -> Array:
 def compute(state: Tilt, rollout: CommonRollout) -> dict[str, Array]:
     """Return the largest and the final tilt (deg), by column."""
     xp = array_namespace(state.quat)
-    return {"tilt_max_deg": state.largest, "end_tilt_deg": tilt_deg(xp.moveaxis(state.quat, -1, 0), xp)}
+    return {"tilt_max_deg": state.largest_tilt, "end_tilt_deg": tilt_deg(xp.moveaxis(state.quat, -1, 0), xp)}
 
 
 METRIC = Metric(

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from sweep.core.metric import Array, CommonTick, array_namespace, extremes
+from sweep.core.metric import Array, CommonTick, array_namespace, make_extremes_metric
 
 
 def least_height(ctx: CommonTick) -> Iterator[Array]:
@@ -11,4 +11,6 @@ def least_height(ctx: CommonTick) -> Iterator[Array]:
     yield array_namespace(height).min(height, axis=-1)
 
 
-METRIC = extremes(least_height, {"base_height_min_m": "least height of the base in world axes"}, needs=("base",))
+METRIC = make_extremes_metric(
+    least_height, {"base_height_min_m": "least height of the base in world axes"}, needs=("base",)
+)

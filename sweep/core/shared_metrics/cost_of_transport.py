@@ -1,6 +1,6 @@
 """Cost of transport: work over weight times distance."""
 
-from sweep.core.metric import Array, CommonRollout, array_namespace, end_metric
+from sweep.core.metric import Array, CommonRollout, array_namespace, make_end_metric
 
 
 def compute(state: tuple[()], rollout: CommonRollout) -> dict[str, Array]:
@@ -10,7 +10,7 @@ def compute(state: tuple[()], rollout: CommonRollout) -> dict[str, Array]:
     return {"cost_of_transport": rollout.columns["energy_j"] / (rollout.weight * xp.maximum(xp.abs(way), 1e-9))}
 
 
-METRIC = end_metric(
+METRIC = make_end_metric(
     compute,
     {"cost_of_transport": "positive work of the drives over weight and way along the commanded direction"},
     reads=("travelled_m", "energy_j"),

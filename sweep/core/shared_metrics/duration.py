@@ -1,5 +1,5 @@
 """Duration of the rollout."""
 
-from sweep.core.metric import end_metric
+from sweep.core.metric import make_end_metric
 
-METRIC = end_metric(lambda state, rollout: {"duration_s": rollout.time}, {"duration_s": "simulated time"})
+METRIC = make_end_metric(lambda state, rollout: {"duration_s": rollout.time}, {"duration_s": "simulated time"})

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from sweep.core.metric import Array, CommonTick, array_namespace, extremes
+from sweep.core.metric import Array, CommonTick, array_namespace, make_extremes_metric
 
 
 def largest_rate(ctx: CommonTick) -> Iterator[Array]:
@@ -12,4 +12,6 @@ def largest_rate(ctx: CommonTick) -> Iterator[Array]:
     yield xp.max(xp.abs(rates), axis=(-2, -1))
 
 
-METRIC = extremes(largest_rate, {"joint_speed_max_radps": "largest rate of a hinge joint"}, needs=("hinges",))
+METRIC = make_extremes_metric(
+    largest_rate, {"joint_speed_max_radps": "largest rate of a hinge joint"}, needs=("hinges",)
+)

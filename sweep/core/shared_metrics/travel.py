@@ -11,10 +11,10 @@ class Travel(NamedTuple):
     The way is None where the direction never changes: it follows from the two positions, without a sum's rounding.
     """
 
-    start: Array
+    start_position: Array
     position: Array
-    way: Array | None
-    moving: Array
+    command_displacement: Array | None
+    motion_time: Array
 
 
 def begin(start: CommonStart) -> Travel:
@@ -26,19 +26,19 @@ def begin(start: CommonStart) -> Travel:
 def update(state: Travel, ctx: CommonTick) -> Travel:
     """Update the base's position, and add its displacement along the commanded direction."""
     way, moving = ctx.motion_along(state.position)
-    total = None if state.way is None else state.way + way
-    return Travel(state.start, ctx.base_position[..., -1, :], total, state.moving + moving)
+    total = None if state.command_displacement is None else state.command_displacement + way
+    return Travel(state.start_position, ctx.base_position[..., -1, :], total, state.motion_time + moving)
 
 
 def compute(state: Travel, rollout: CommonRollout) -> dict[str, Array]:
     """Return the distances that the base covered (m), and its mean speed (m/s), by column."""
-    between = state.position - state.start
+    between = state.position - state.start_position
     xp = array_namespace(between)
-    way = rollout.displacement_along(between) if state.way is None else state.way
+    way = rollout.displacement_along(between) if state.command_displacement is None else state.command_displacement
     return {
         "distance_m": xp.linalg.norm(between[..., :2], axis=-1),
         "travelled_m": way,
-        "speed_mps": way / xp.maximum(rollout.integral(state.moving), 1e-9),
+        "speed_mps": way / xp.maximum(rollout.integral(state.motion_time), 1e-9),
     }
 
 

@@ -1,6 +1,6 @@
 """Work of the drives."""
 
-from sweep.core.metric import Array, CommonRollout, CommonTick, Metric, initial_state
+from sweep.core.metric import Array, CommonRollout, CommonTick, Metric, make_constant_begin
 
 
 def update(state: Array, ctx: CommonTick) -> Array:
@@ -13,4 +13,6 @@ def compute(state: Array, rollout: CommonRollout) -> dict[str, Array]:
     return {"energy_j": rollout.integral(state)}
 
 
-METRIC = Metric(initial_state(lambda work: work, 0.0), update, compute, {"energy_j": "positive work of the drives"})
+METRIC = Metric(
+    make_constant_begin(lambda work: work, 0.0), update, compute, {"energy_j": "positive work of the drives"}
+)

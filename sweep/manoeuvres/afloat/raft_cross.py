@@ -27,12 +27,12 @@ from sweep.controllers.plan import (
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, rotate
-from sweep.formulas.crossing import Crossing, crossing
+from sweep.formulas.crossing import RaftCrossing, crossing
 from sweep.manoeuvres.afloat.statics import require_floating
 from sweep.manoeuvres.goals import ON_ITS_FEET
 from sweep.models.case import Case, Manoeuvre
-from sweep.models.frames import WORLD, body_frame
-from sweep.models.legs import LEGS, NAMES
+from sweep.models.frames import WORLD_FRAME, body_frame
+from sweep.models.legs import LEG_NAMES, LEGS
 from sweep.models.obstacles.charts import Chart, Number, point
 from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.surface import FreeState
@@ -145,11 +145,11 @@ class RaftCross(Manoeuvre):
         aside, deck = belief.robot.body_width / 2 + self.spread_ratio * length, raft.thickness / 2
         hips, squat = self.height_ratio * length, self.squat_ratio * length
         half, width, raft_frame = raft.length / 2, raft.water_width, body_frame(0)
-        feet = {"near": (0.0, 0.0, WORLD), "brace": (0.0, 0.0, WORLD), "deck": (-half, deck, raft_frame),
-                "deck_far": (half, deck, raft_frame), "far": (width, 0.0, WORLD)}  # fmt: skip
-        bases = {"by_near": (0.0, hips, WORLD), "on_deck": (-half, hips + deck, raft_frame),
+        feet = {"near": (0.0, 0.0, WORLD_FRAME), "brace": (0.0, 0.0, WORLD_FRAME), "deck": (-half, deck, raft_frame),
+                "deck_far": (half, deck, raft_frame), "far": (width, 0.0, WORLD_FRAME)}  # fmt: skip
+        bases = {"by_near": (0.0, hips, WORLD_FRAME), "on_deck": (-half, hips + deck, raft_frame),
                  "on_deck_far": (half, hips + deck, raft_frame), "squat": (half, squat + deck, raft_frame),
-                 "by_far": (width, hips, WORLD)}  # fmt: skip
+                 "by_far": (width, hips, WORLD_FRAME)}  # fmt: skip
         charts = {
             name: make_chart_beyond_edge(edge, self.offset, aside, up, frame)
             for name, (edge, up, frame) in feet.items()
@@ -165,7 +165,7 @@ class RaftCross(Manoeuvre):
         return MoveContext(belief, length, self.swing, self.lift_ratio * length, depths, charts, supports,
                      (PUSH, WAIT, REACH, PULL, ASHORE), {"onset": REGRIP})  # fmt: skip
 
-    def push_stage(self, belief: Case, stage: Stage, push: Crossing) -> Stage:
+    def push_stage(self, belief: Case, stage: Stage, push: RaftCrossing) -> Stage:
         """Return the stage that accelerates raft and robot at constant force, with a turn if the push is off-centre.
 
         Heavy or fast rafts are pushed harder, so that the rear feet can stay on the bank meanwhile.
@@ -181,7 +181,7 @@ class RaftCross(Manoeuvre):
         to = Support(TO_VELOCITY, jnp.array([1.0, 0.0, 0.0]) * speed, jnp.array([0.0, 0.0, -1.0]) * turn)
         return replace(stage, duration=mass * speed / force, support=(to,))
 
-    def push_motion(self, belief: Case) -> Crossing:
+    def push_motion(self, belief: Case) -> RaftCrossing:
         """Return speed, turn and time of the push-off by (4.3) and (4.3.1)."""
         raft, load = belief.obstacle_as(Raft), total_mass(belief.robot)
         a, b, _ = raft.half_size
@@ -205,7 +205,7 @@ class RaftCross(Manoeuvre):
         drift = jnp.stack([-short, self.drift_along_bank(plan, stage, free), jnp.zeros_like(short)])
         memory = jnp.where(ctx.is_first_tick & is_under_law(plan, stage, REACH), drift, state.memory)
         frames = jnp.append(plan.foot_frame[stage], plan.base_frame[stage])
-        ashore = is_under_law(plan, stage, REACH, PULL, ASHORE) & (frames == WORLD)
+        ashore = is_under_law(plan, stage, REACH, PULL, ASHORE) & (frames == WORLD_FRAME)
         shifts = jnp.where(ashore[:, None], memory, 0.0)
         goal, position = plan.foothold[stage] + shifts[:6], plan.position.at[stage].add(shifts[6])
         stance = reference_stance(replace(plan, position=position), stage, ctx.phase, state.feet, state.position, goal)
@@ -274,7 +274,7 @@ def tripod_moves(base: Number, count: int, stride: Number, chart: str, on: str) 
     for k in range(count + (count > 0)):
         base = base + stride if k < count else base
         ahead = stride / 2 if k < count - 1 else 0.0
-        feet = {NAMES[leg]: {on: [base + HIPS[leg - 1] + ahead]} for leg in TRIPOD[k % 2]}
+        feet = {LEG_NAMES[leg]: {on: [base + HIPS[leg - 1] + ahead]} for leg in TRIPOD[k % 2]}
         support = "free" if on == "deck" else "moored" if on == "near" and k == 0 else "stays"
         result[f"{k + 1}"] = Move(f"tripod {k + 1}", feet, base={chart: [base]}, pace="eased", swing="b_smooth",
                                  lift=1.0, support=support)  # fmt: skip

@@ -7,10 +7,10 @@ from jaxtyping import Array
 from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
 from sweep.formulas.raft_statics import raft_equilibrium
-from sweep.fused.numbers import evaluate_constants
+from sweep.fused.numbers import evaluate_numbers
 from sweep.models.case import Case
 from sweep.models.obstacles.charts import point
-from sweep.models.obstacles.raft import CORNERS, WATER_DENSITY, Raft
+from sweep.models.obstacles.raft import CORNER_SIGNS, WATER_DENSITY, Raft
 from sweep.models.robot import total_mass
 from sweep.planning.validation import are_plain_numbers
 
@@ -30,7 +30,7 @@ def freeboard_and_draught(
     mass = raft.mass + load
     place = load / mass * point(*offset, d + height)
     rest = raft_equilibrium(GRAVITY * mass, place, a, b, d, WATER_DENSITY * GRAVITY)
-    corners = jnp.stack([x * a * rest.a31 + y * b * rest.a32 for x, y in CORNERS])
+    corners = jnp.stack([x * a * rest.a31 + y * b * rest.a32 for x, y in CORNER_SIGNS])
     freeboard = d * rest.a33 - rest.depth
     return freeboard + jnp.min(corners), 2 * d * rest.a33 - freeboard - jnp.max(corners)
 
@@ -48,7 +48,7 @@ def require_floating(belief: Case, offset: tuple[float, float]) -> None:
     if not are_plain_numbers(belief.robot, belief.obstacle, belief.manoeuvre):
         return
     freeboard, draught = map(
-        float, evaluate_constants(lambda: freeboard_and_draught(belief, offset, 0.5 * belief.robot.body_length))
+        float, evaluate_numbers(lambda: freeboard_and_draught(belief, offset, 0.5 * belief.robot.body_length))
     )
     if freeboard > 0 and draught > 0:
         return

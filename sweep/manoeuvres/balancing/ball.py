@@ -32,7 +32,7 @@ from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import IDENTITY, conjugate, rotate
-from sweep.formulas.ball import ROLLING, stabilise_delta
+from sweep.formulas.ball import ROLLING_INERTIA, stabilise_delta
 from sweep.manoeuvres.goals import ON_ITS_FEET
 from sweep.models.case import Case, Manoeuvre
 from sweep.models.frames import body_frame, koenig_frame
@@ -417,7 +417,7 @@ def lean_on_curve(belief: Case, height: Array | float) -> Array | float:
         height: of the mass centre above the ball's centre (m).
     """
     ball, mass = belief.obstacle_as(Ball), total_mass(belief.robot)
-    return (ROLLING * ball.mass * ball.radius + mass * (ball.radius + height)) / (mass * GRAVITY)
+    return (ROLLING_INERTIA * ball.mass * ball.radius + mass * (ball.radius + height)) / (mass * GRAVITY)
 
 
 def compensate_base(

@@ -12,7 +12,7 @@ from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import rotate
-from sweep.formulas.ball import ROLLING, lateral_mu
+from sweep.formulas.ball import ROLLING_INERTIA, lateral_mu
 from sweep.manoeuvres.balancing.ball import (
     OnBall,
     compensate_base,
@@ -95,5 +95,5 @@ def lateral_gain(belief: Case, plan: Plan, period: Array | float) -> Array:
         period: T (s).
     """
     ball, mass = belief.obstacle_as(Ball), total_mass(belief.robot)
-    inertia = ROLLING * ball.mass * ball.radius + mass * (ball.radius + plan.position[0, 2])
+    inertia = ROLLING_INERTIA * ball.mass * ball.radius + mass * (ball.radius + plan.position[0, 2])
     return inertia / (MU_INTEGRAL * mass * GRAVITY * period)

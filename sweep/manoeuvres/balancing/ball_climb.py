@@ -12,7 +12,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import IDENTITY
 from sweep.formulas.ball_reach import max_ball
-from sweep.fused.numbers import evaluate_constants
+from sweep.fused.numbers import evaluate_numbers
 from sweep.manoeuvres.balancing.ball import ball_move_context, require_start_within_reach, stand_pose
 from sweep.manoeuvres.balancing.ball_ride import RIDE, Ride
 from sweep.manoeuvres.balancing.beside_ball import CALM, BesideBall
@@ -107,7 +107,7 @@ class BallClimb(BesideBall):
         numbers = (robot.thigh, robot.shin, highest, robot.body_width, belief.contact.friction)
         if not are_plain_numbers(numbers, radius):
             return
-        most = float(evaluate_constants(lambda: max_ball(*numbers).R))
+        most = float(evaluate_numbers(lambda: max_ball(*numbers).R))
         if not radius <= most:
             raise InputError(
                 f"obstacle.radius = {radius:g} is not allowed: at most {most:.2f} m can be climbed by legs of "

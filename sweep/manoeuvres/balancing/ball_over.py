@@ -16,7 +16,7 @@ from sweep.manoeuvres.climbing.walking import AHEAD, REST_TO_REST, departure_sta
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.frames import koenig_frame
-from sweep.models.legs import PAIRS
+from sweep.models.legs import LEG_PAIRS
 from sweep.models.obstacles.ball import Ball, tangent_base_position
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.gaits import Step
@@ -96,7 +96,7 @@ class BallCrossing(BesideBall):
         stood = tangent_base_position(belief.obstacle_as(Ball), 1.0, radius, 0.0, *last.base["tangent"])
         position = stood.at[0].add(step.half_length).at[2].set(height - radius)  # clear of the ball
         under = position + foot_centres_facing(belief, spread, height, AHEAD)
-        first = Stage("away.3-4", 1.0, {leg: under[leg - 1] for leg in PAIRS["middle"]}, CYCLE_B, 2 * step.height,
+        first = Stage("away.3-4", 1.0, {leg: under[leg - 1] for leg in LEG_PAIRS["middle"]}, CYCLE_B, 2 * step.height,
                       position=position, rates=REST_TO_REST)  # fmt: skip
         ready, walk = departure_stages(belief, step, position, spread, height, self.away, AHEAD)
         # Regrip: with `REZERO` the base would jump at once while feet follow within `ease`, and the robot would hop.

@@ -14,7 +14,7 @@ from sweep.controllers.plan import Plan, reference_stance
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, logarithm, rotate
-from sweep.formulas.ball import ROLLING, climbing_rate
+from sweep.formulas.ball import ROLLING_INERTIA, climbing_rate
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball, tangent_base_position, tangent_pitch
 from sweep.models.posture import Stance
@@ -96,7 +96,11 @@ class Ride:
         off = centre_of_mass(robot, measured_stance(robot, obs)) - obs.free.position[0]
         elevation = jnp.arctan2(off[2], -off[0])
         omega = jnp.maximum(obs.free.turn[0, 1], 0.0)
-        p = total_mass(robot) * jnp.hypot(off[0], off[2]) / (ball.radius * (ROLLING * ball.mass + total_mass(robot)))
+        p = (
+            total_mass(robot)
+            * jnp.hypot(off[0], off[2])
+            / (ball.radius * (ROLLING_INERTIA * ball.mass + total_mass(robot)))
+        )
         remaining = jnp.maximum(0.5 * np.pi - elevation, 0.0)
         effort = jnp.log((1 + p) / (1 + p * jnp.cos(remaining)))
         enough = (omega * ball.radius) ** 2 > 4 * effort**2 * ball.radius * GRAVITY

@@ -19,7 +19,7 @@ from sweep.controllers.tracker import FeedbackLaw, Guidance, TrackerState
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
-from sweep.fused.numbers import evaluate_constants
+from sweep.fused.numbers import evaluate_numbers
 from sweep.manoeuvres.balancing.ball import BallDrive, OnBall, ball_move_context, stance_on_ball, stand_pose
 from sweep.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.manoeuvres.balancing.ball_ride import rotation_about_y
@@ -197,7 +197,7 @@ class BallToBall(OnBall, ByParts):
             plan = compile_plan(stance_on_ball(belief, stand_pose(belief, self)), self.transfer_stages(belief), 0.0)
             return plan, mass_centre_margins(belief.robot, stage_end_stances(plan, start()), next_support(plan.swing))
 
-        plan, inside = evaluate_constants(plan_and_margins)
+        plan, inside = evaluate_numbers(plan_and_margins)
         require_within_reach(belief, lambda: stances_at_stage_ends(plan, start()), f"{self.kind}: ")
         inside = inside.min(axis=0)
         if not inside.min() >= self.spare:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from sweep.controllers.flywheel import Gains
 from sweep.controllers.plan import BALANCE, CYCLE_B, LEVELLING, LOCKED, SMOOTH, STAND, Plan, Stage
 from sweep.core.parameters import choice, count, parameters, quantity
-from sweep.formulas.leg import SIDE
+from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.manoeuvres.climbing.walking import FACING_MINUS_Y
 from sweep.manoeuvres.goals import ARRIVED, UPRIGHT
 from sweep.models.case import Case, Manoeuvre
@@ -51,7 +51,9 @@ class BeamSite(NamedTuple):
     def feet_at(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
         """Return feet beside their hips (m), each `track` (m) from the middle line, for a base at y."""
         depth = jnp.full(6, self.ground - self.deepening)
-        return jnp.stack([SIDE * jnp.asarray(track, float), y - leg_mounts(self.robot).hips[:, 0], depth], axis=-1)
+        return jnp.stack(
+            [SIDE_BY_LEG * jnp.asarray(track, float), y - leg_mounts(self.robot).hips[:, 0], depth], axis=-1
+        )
 
     def swing_stage(self, name: str, legs: Sequence[int], feet: Float[Array, "6 3"], **more) -> Stage:
         """Return a stage in which some legs step to their places in `feet`."""

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sweep.controllers.ball_state import centre_of_mass
 from sweep.controllers.plan import Stage, stage_end_stances
 from sweep.core.rotations import rotate
-from sweep.formulas.leg import SIDE
+from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.models.case import Case
 from sweep.models.frames import body_frame, koenig_frame
 from sweep.models.legs import LEGS
@@ -184,5 +184,5 @@ def _set_feet_nearer(robot: Robot, stances: Stance, steps: StageFeet, limits: Ch
 def _leg_extents(robot: Robot, stances: Stance) -> tuple[Float[Array, "s 6"], Float[Array, "s 6"]]:
     """Distances (m) of feet beside and below the joints from which the thighs hang."""
     feet = jax.vmap(lambda stance: feet_in_hip_axes(robot, stance))(stances)
-    outer = jnp.where(SIDE * feet[..., 1] >= 0, 1.0, -1.0)
+    outer = jnp.where(SIDE_BY_LEG * feet[..., 1] >= 0, 1.0, -1.0)
     return jnp.abs(outer * jnp.hypot(feet[..., 0], feet[..., 1]) - robot.coxa), -feet[..., 2]

@@ -16,7 +16,7 @@ from sweep.controllers.plan import Plan, Stage, Support, is_under_law, reference
 from sweep.controllers.tracker import FeedbackLaw, Guidance, TrackerState
 from sweep.manoeuvres.balancing.ball import BallDrive, DriveMemory
 from sweep.models.case import Case, Manoeuvre
-from sweep.models.frames import WORLD, koenig_frame
+from sweep.models.frames import WORLD_FRAME, koenig_frame
 from sweep.models.obstacles.surface import FreeState
 
 
@@ -121,7 +121,7 @@ class SingleBallLaw:
         """Return stages that were made for a single ball, for this ball."""
 
         def frame_on_ball(frame: int) -> int:
-            return frame if frame == WORLD else frame + koenig_frame(self.ball) - koenig_frame(0)
+            return frame if frame == WORLD_FRAME else frame + koenig_frame(self.ball) - koenig_frame(0)
 
         return [
             replace(

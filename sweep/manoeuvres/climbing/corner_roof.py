@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Stage
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
-from sweep.formulas.leg import SIDE
+from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.manoeuvres.climbing.corner import OnCorner
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
@@ -142,4 +142,4 @@ def roof_foothold(belief: Case, leg: int, y: Array | float, aside: Array | float
     slope, length = jnp.tan(belief.obstacle_as(Corner).half_angle), belief.robot.body_length
     y = jnp.minimum(y, -BRINK * length - NARROWEST * length / slope)
     aside = jnp.minimum(aside, slope * (-y - BRINK * length))
-    return point(float(SIDE[leg - 1]) * aside, y, belief.obstacle_as(Corner).height)
+    return point(float(SIDE_BY_LEG[leg - 1]) * aside, y, belief.obstacle_as(Corner).height)

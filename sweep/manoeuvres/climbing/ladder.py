@@ -13,7 +13,7 @@ from sweep.controllers.plan import Plan, Stage
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.ladder import ladder as statics
-from sweep.fused.numbers import evaluate_constants
+from sweep.fused.numbers import evaluate_numbers
 from sweep.manoeuvres.climbing.walking import approach_stages, departure_stages
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
@@ -111,7 +111,7 @@ class LadderClimb(PlannedForces):
                 f"obstacle.rungs = {ladder.rungs} is not allowed: at least {needs} for the moves of part climb"
             )
         grips = [contact.friction * grip for grip in (ladder.floor_grip, ladder.wall_grip)]
-        bears = evaluate_constants(lambda: statics(jnp.asarray(ladder.lean), *map(jnp.asarray, grips)).chi_max)
+        bears = evaluate_numbers(lambda: statics(jnp.asarray(ladder.lean), *map(jnp.asarray, grips)).chi_max)
         mass = float(total_mass(robot))
         load = (mass + ladder.mass * ladder.centre / ladder.length) / (mass + ladder.mass)
         if not bears >= load:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.frames import WORLD, body_frame, koenig_frame
+from sweep.models.frames import WORLD_FRAME, body_frame, koenig_frame
 from sweep.models.obstacles.base import ObstacleDefaults
 from sweep.models.obstacles.charts import Chart, Number, point
 from sweep.models.obstacles.geoms import add_rolling_contact, add_solids
@@ -107,14 +107,14 @@ class Ball(ObstacleDefaults):
     charts: ClassVar = {
         "ball": Chart(("aside", "elevation"), point_at_elevation, koenig_frame(0), body_frame(0)),
         "cap": Chart(("aside", "ahead"), cap_point, koenig_frame(0), body_frame(0)),
-        "ground": Chart(("aside", "ahead"), floor_point, koenig_frame(0), WORLD),
+        "ground": Chart(("aside", "ahead"), floor_point, koenig_frame(0), WORLD_FRAME),
         "tangent": Chart(
             ("elevation", "distance", "ahead"),
             tangent_base_position,
             koenig_frame(0),
             pitch=tangent_pitch,
             pivot=pitch_pivot,
-            optional=1,
+            optional_count=1,
         ),
     }
     lying = ("radius",)

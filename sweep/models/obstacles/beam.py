@@ -12,9 +12,11 @@ from sweep.models.obstacles.surface import FOOT_RADIUS, BodyPoses, Surface
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 
 FLOOR, LEDGE, NEAR_WALL, FAR_WALL, TOP, LEFT, RIGHT, BOTTOM = range(8)
-LEDGE_HALF = 2.0  # m, of a ledge's drawing and collision geometry; its surface has no end
-NEAR, BY_NEAR = level_ground_charts(lambda obstacle: (0.0, obstacle.height), ALONG_Y)
-FAR, BY_FAR = level_ground_charts(lambda obstacle: (obstacle.length, obstacle.height), ALONG_Y)
+LEDGE_HALF_LENGTH_M = 2.0  # m, of a ledge's drawing and collision geometry; its surface has no end
+NEAR_LEDGE_CHART, NEAR_LEDGE_BASE_CHART = level_ground_charts(lambda obstacle: (0.0, obstacle.height), ALONG_Y)
+FAR_LEDGE_CHART, FAR_LEDGE_BASE_CHART = level_ground_charts(
+    lambda obstacle: (obstacle.length, obstacle.height), ALONG_Y
+)
 
 
 @parameters
@@ -24,7 +26,12 @@ class Beam(StaticObstacle):
     It lies along the world's y axis, its top level with the ledges, which fill y > 0 and y < -length."""
 
     # for feet, and for bases, from the edges of the ledges; the beam's top is ahead of the near one
-    charts: ClassVar = {"near": NEAR, "far": FAR, "by_near": BY_NEAR, "by_far": BY_FAR}
+    charts: ClassVar = {
+        "near": NEAR_LEDGE_CHART,
+        "far": FAR_LEDGE_CHART,
+        "by_near": NEAR_LEDGE_BASE_CHART,
+        "by_far": FAR_LEDGE_BASE_CHART,
+    }
     heights = ("height",)
     kind: str = choice("beam", "beam")
     width: float = quantity(0.25, "m", above=0, at_most=4)  # of the beam's top, along the world's x axis
@@ -35,11 +42,16 @@ class Beam(StaticObstacle):
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """Return the solids: the beam and both ledges; the beam overlaps the ledges by the foot radius."""
         half, length, thickness = self.height / 2, self.length / 2, self.thickness / 2
-        ledges = (("near_ledge", LEDGE_HALF), ("far_ledge", -self.length - LEDGE_HALF))
+        ledges = (("near_ledge", LEDGE_HALF_LENGTH_M), ("far_ledge", -self.length - LEDGE_HALF_LENGTH_M))
         return (
             HalfSpace(name="floor", normal=(0.0, 0.0, 1.0)),
             *[
-                Box(name=name, position=(0.0, y, half), half=(LEDGE_HALF, LEDGE_HALF, half), colour=SOIL)
+                Box(
+                    name=name,
+                    position=(0.0, y, half),
+                    half=(LEDGE_HALF_LENGTH_M, LEDGE_HALF_LENGTH_M, half),
+                    colour=SOIL,
+                )
                 for name, y in ledges
             ],
             Box(

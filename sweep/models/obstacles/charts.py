@@ -7,9 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.vectors import Number
-from sweep.models.frames import WORLD
+from sweep.models.frames import WORLD_FRAME
 
-Forward = tuple[float, float]  # horizontal unit vector of the direction in which robots approach
+ForwardDirection = tuple[float, float]  # horizontal unit vector of the direction in which robots approach
 ALONG_X, ALONG_Y = (1.0, 0.0), (0.0, -1.0)
 
 
@@ -20,14 +20,14 @@ class Chart(NamedTuple):
     # the point (m) in `frame` of: what offers the chart; -1 or 1, the leg's side, as it mirrors places; the unit of
     # lengths (m); how deep below the surface (m); the coordinates
     at: Callable[..., Float[Array, " 3"]]
-    frame: int = WORLD  # in which feet go there, and bases; see `sweep/models/frames.py`
+    frame: int = WORLD_FRAME  # in which feet go there, and bases; see `sweep/models/frames.py`
     standing_frame: int | None = None  # in which feet stand there, if in another one
     # nose up (rad), of a base, by: what offers the chart; the unit; the coordinates. Without it the number after the
     # coordinates says it (deg), or it stays
     pitch: Callable[..., Number] | None = None
     # the point (m) that bases go round by as much as they pitch, by the same
     pivot: Callable[..., Float[Array, " 3"]] | None = None
-    optional: int = 0  # of the last coordinates, which are 0 where they are not said
+    optional_count: int = 0  # of the last coordinates, which are 0 where they are not said
 
     def base_names(self) -> tuple[str, ...]:
         """Names of the numbers that give a base pose in this chart."""
@@ -44,7 +44,7 @@ def edge_chart(edge: Callable[[Any], tuple[Number, Number]]) -> Chart:
     return Chart(("ahead", "above"), at)
 
 
-def approach_charts(foot: Callable[[Any], Number], forward: Forward = ALONG_Y) -> dict[str, Chart]:
+def approach_charts(foot: Callable[[Any], Number], forward: ForwardDirection = ALONG_Y) -> dict[str, Chart]:
     """Make charts of the floor in front of an obstacle: `floor` for feet and `foot` for bases.
 
     Args:
@@ -62,7 +62,7 @@ def approach_charts(foot: Callable[[Any], Number], forward: Forward = ALONG_Y) -
 
 
 def level_ground_charts(
-    edge: Callable[[Any], tuple[Number, Number]], forward: Forward = ALONG_X, frame: int = WORLD
+    edge: Callable[[Any], tuple[Number, Number]], forward: ForwardDirection = ALONG_X, frame: int = WORLD_FRAME
 ) -> tuple[Chart, Chart]:
     """Make charts of level ground beyond an edge.
 
@@ -106,7 +106,7 @@ def rearing_base_chart(length: Number) -> Chart:
     return Chart(("ahead", "above", "pitch"), at, pitch=nose_up, pivot=crossing)
 
 
-def point_ahead(forward: Forward, aside: Number, ahead: Number, up: Number) -> Float[Array, " 3"]:
+def point_ahead(forward: ForwardDirection, aside: Number, ahead: Number, up: Number) -> Float[Array, " 3"]:
     """Convert coordinates along the approach of robots to world axes.
 
     Args:

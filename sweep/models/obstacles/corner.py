@@ -13,7 +13,7 @@ from sweep.models.obstacles.surface import BodyPoses, Surface
 from sweep.models.solids import HalfSpace, Prism, Solid, array_module
 
 FLOOR, RIGHT, LEFT, ROOF = range(4)  # faces; the walls as a robot sees them that comes along -y
-DEPTH = 3.0  # m, that the house reaches back in y
+HOUSE_DEPTH_M = 3.0  # m, that the house reaches back in y
 
 
 def wall_point(
@@ -58,8 +58,8 @@ class Corner(StaticObstacle):
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """Return the solids: the floor and the house, whose back wall no robot reaches."""
-        half = DEPTH * array_module(self.half_angle).tan(self.half_angle)
-        polygon = ((0.0, 0.0), (half, -DEPTH), (-half, -DEPTH))
+        half = HOUSE_DEPTH_M * array_module(self.half_angle).tan(self.half_angle)
+        polygon = ((0.0, 0.0), (half, -HOUSE_DEPTH_M), (-half, -HOUSE_DEPTH_M))
         floor = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0))
         return floor, Prism(name="house", polygon=polygon, height=self.height)
 

@@ -14,15 +14,15 @@ from sweep.models.solids import Box, Cylinder, HalfSpace, Prism, Solid, Sphere
 if TYPE_CHECKING:
     import mujoco
 
-DRAWN, COLLIDING = 0, 3  # geom groups: group 3 is hidden by default
-STIFF = {"solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0], "condim": 3}
+RENDER_GROUP, COLLISION_GROUP = 0, 3  # geom groups: group 3 is hidden by default
+STIFF_CONTACT = {"solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0], "condim": 3}
 
 
 def add_solids(spec: "mujoco.MjSpec", solids: Sequence[Solid], friction: float, bodies: Sequence[str] = ()) -> None:
     """Add a geom to render and one for contact for each solid, in the axes of the free body that it belongs to."""
     for solid in solids:
         body = spec.worldbody if solid.body < 0 else spec.body(bodies[solid.body])
-        drawn = {"group": DRAWN, "mass": 0.0, "contype": 0, "conaffinity": 0}
+        drawn = {"group": RENDER_GROUP, "mass": 0.0, "contype": 0, "conaffinity": 0}
         body.add_geom(name=solid.name, **add_solid(spec, solid, solid.name), **_look(solid), **drawn)
         name = f"{solid.name}_contact"
         body.add_geom(name=name, **add_solid(spec, solid, name, FOOT_RADIUS), **_contact_options(friction))
@@ -101,8 +101,8 @@ def add_contact_pair(spec: "mujoco.MjSpec", first: str, second: str, friction: f
         geomname2=second,
         condim=3,
         friction=[friction] * 2 + [0.0] * 3,
-        solref=[STIFF["solref"][0], damping_ratio],
-        solimp=STIFF["solimp"],
+        solref=[STIFF_CONTACT["solref"][0], damping_ratio],
+        solimp=STIFF_CONTACT["solimp"],
     )
 
 
@@ -147,8 +147,14 @@ def _inset(polygon: np.ndarray, margin: float) -> np.ndarray:
 
 def hidden_geom_options() -> dict[str, Any]:
     """Options of a geom that collides and is not rendered."""
-    return {"rgba": [0, 0, 0, 0], "group": COLLIDING, "mass": 0.0}
+    return {"rgba": [0, 0, 0, 0], "group": COLLISION_GROUP, "mass": 0.0}
 
 
 def _contact_options(friction: float) -> dict:
-    return {"contype": 0, "conaffinity": 1, "friction": [friction, 0.005, 1e-4], **STIFF, **hidden_geom_options()}
+    return {
+        "contype": 0,
+        "conaffinity": 1,
+        "friction": [friction, 0.005, 1e-4],
+        **STIFF_CONTACT,
+        **hidden_geom_options(),
+    }

@@ -12,8 +12,8 @@ from sweep.models.obstacles.surface import BodyPoses, Surface
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 
 FLOOR, TOP, WALL = range(3)
-HALF = 5.0  # m, of the block that is drawn; its surface has no end
-BEYOND, OVER = level_ground_charts(lambda obstacle: (0.0, obstacle.height))
+BLOCK_HALF_SIZE_M = 5.0  # m, of the block that is drawn; its surface has no end
+BEYOND_EDGE_CHART, OVER_EDGE_BASE_CHART = level_ground_charts(lambda obstacle: (0.0, obstacle.height))
 
 
 @parameters
@@ -21,7 +21,11 @@ class Kerb(StaticObstacle):
     """A kerb, 0.1 m high by default: the ground is higher where x > 0."""
 
     # `floor` and `top` for feet before and beyond the edge, `foot` and `edge` for bases from there
-    charts: ClassVar = {**approach_charts(lambda obstacle: 0.0, ALONG_X), "top": BEYOND, "edge": OVER}
+    charts: ClassVar = {
+        **approach_charts(lambda obstacle: 0.0, ALONG_X),
+        "top": BEYOND_EDGE_CHART,
+        "edge": OVER_EDGE_BASE_CHART,
+    }
     forward = ALONG_X
     heights = ("height",)
     kind: str = choice("kerb", "kerb")
@@ -30,7 +34,12 @@ class Kerb(StaticObstacle):
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """Return the solids: the lower ground, and the raised block, which ends where no robot reaches."""
         floor, half = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0)), self.height / 2
-        return floor, Box(name="kerb", position=(HALF, 0.0, half), half=(HALF, HALF, half), colour=SOIL)
+        return floor, Box(
+            name="kerb",
+            position=(BLOCK_HALF_SIZE_M, 0.0, half),
+            half=(BLOCK_HALF_SIZE_M, BLOCK_HALF_SIZE_M, half),
+            colour=SOIL,
+        )
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
         """Surface of floor or block, whichever is deeper; the depth in the block is the least over both faces."""

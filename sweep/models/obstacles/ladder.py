@@ -25,17 +25,17 @@ if TYPE_CHECKING:
     import mujoco
 
 FLOOR, WALL, LEDGE, BARS = range(4)  # faces; each bar has six from BARS on
-EXTENT = 1.5  # m, half of how far the ledge reaches back
+LEDGE_HALF_DEPTH_M = 1.5  # m, half of how far the ledge reaches back
 SIDES = (-1.0, 1.0)
-TOP = 6.47  # rungs, of the ledge along the nominal ladder
-MORE = ("more_ahead", "more_out", "more_pitch")
-ON_LEDGE, _ = level_ground_charts(lambda obstacle: (0.0, obstacle.ledge_height), ALONG_Y)
+LEDGE_HEIGHT_RUNGS = 6.47  # rungs, of the ledge along the nominal ladder
+EXTRA_BASE_COORDINATES = ("more_ahead", "more_out", "more_pitch")
+LEDGE_CHART, _ = level_ground_charts(lambda obstacle: (0.0, obstacle.ledge_height), ALONG_Y)
 
 
 def rung_point(
     obstacle: "Ladder", side: float, unit: Number, depth: Number, rung: Number, aside: Number, out: Number
 ) -> Float[Array, " 3"]:
-    """Return a foothold on a rung from chart coordinates: the rung, `aside`, and `out` of the ladder's plane (rung
+    """Return a foothold on a rung from chart coordinates: the rung, and `aside`, and `out` of the ladder's plane (rung
     depths)."""
     return point(side * aside * unit, obstacle.y_at_rung(rung) + depth, out * obstacle.rung_depth)
 
@@ -75,7 +75,7 @@ def base_pitch(
     return (pitch + more_pitch * obstacle.extra_height / unit) * obstacle.lean
 
 
-class Bars(NamedTuple):
+class LadderBars(NamedTuple):
     """Boxes of a ladder in its own axes: two rails, then the rungs from the lowest up."""
 
     centre: Float[Array, "n 3"]  # m, from the mass centre
@@ -109,9 +109,17 @@ class Ladder(ObstacleDefaults):
     charts: ClassVar = {
         "rung": Chart(("rung", "aside", "out"), rung_point, body_frame(0)),
         **approach_charts(lambda obstacle: -obstacle.foot_distance),
-        "ledge": ON_LEDGE,
-        "along": Chart(("up", "out", "pitch", *MORE), base_along_ladder, body_frame(0), pitch=base_pitch, optional=3),
-        "over": Chart(("ahead", "above", "pitch", *MORE), base_over_ledge, pitch=base_pitch, optional=3),
+        "ledge": LEDGE_CHART,
+        "along": Chart(
+            ("up", "out", "pitch", *EXTRA_BASE_COORDINATES),
+            base_along_ladder,
+            body_frame(0),
+            pitch=base_pitch,
+            optional_count=3,
+        ),
+        "over": Chart(
+            ("ahead", "above", "pitch", *EXTRA_BASE_COORDINATES), base_over_ledge, pitch=base_pitch, optional_count=3
+        ),
     }
     free_bodies = ("ladder",)
     stood_on = ("rung_step", "length", "ledge_height")
@@ -131,8 +139,8 @@ class Ladder(ObstacleDefaults):
 
     @property
     def extra_height(self) -> Array | float:
-        """Height (m, along the ladder) of the ledge over its nominal place, `TOP` rungs."""
-        return self.ledge_height / jnp.sin(jnp.asarray(self.lean)) - TOP * self.rung_step
+        """Height (m, along the ladder) of the ledge over its nominal place, `LEDGE_HEIGHT_RUNGS` rungs."""
+        return self.ledge_height / jnp.sin(jnp.asarray(self.lean)) - LEDGE_HEIGHT_RUNGS * self.rung_step
 
     def y_at_rung(self, rungs: Array | float) -> Array | float:
         """Coordinate y (m, ladder axes) at a height along the ladder in rungs; whole numbers are tops of rungs."""
@@ -148,14 +156,14 @@ class Ladder(ObstacleDefaults):
         rails = 2 * self.length * self.rail_breadth * self.rail_depth
         return rails, self.rungs * self.width * self.rung_height * self.rung_depth
 
-    def bars(self) -> Bars:
+    def bars(self) -> LadderBars:
         """Return the boxes of rails and rungs, in the ladder's own axes."""
         aside = (self.width + self.rail_breadth) / 2
         rail = point(self.rail_breadth / 2, self.length / 2, self.rail_depth / 2)
         rung = point(self.width / 2, self.rung_height / 2, self.rung_depth / 2)
         middles = [point(side * aside, self.centre - self.length / 2, 0.0) for side in SIDES]
         tops = [self.centre - k * self.rung_step + self.rung_height / 2 for k in range(1, self.rungs + 1)]
-        return Bars(
+        return LadderBars(
             jnp.stack([*middles, *(point(0.0, top, 0.0) for top in tops)]), jnp.stack([rail] * 2 + [rung] * self.rungs)
         )
 
@@ -232,7 +240,12 @@ class Ladder(ObstacleDefaults):
         )
         return (
             HalfSpace(name="floor", normal=(0.0, 0.0, 1.0)),
-            Box(name="ledge", position=(0.0, -EXTENT, ledge), half=(2.0, EXTENT, ledge), colour=SOIL),
+            Box(
+                name="ledge",
+                position=(0.0, -LEDGE_HALF_DEPTH_M, ledge),
+                half=(2.0, LEDGE_HALF_DEPTH_M, ledge),
+                colour=SOIL,
+            ),
             *boxes,
         )
 
@@ -242,7 +255,7 @@ class Ladder(ObstacleDefaults):
         The ladder's own corners touch floor and wall only.
         """
         own, dtype = np.array(owner) >= 0, points.dtype
-        bars = Bars(*(x.astype(dtype) for x in self.bars()))
+        bars = LadderBars(*(x.astype(dtype) for x in self.bars()))
         _, y, z = points.T
         up, out = jnp.array([0.0, 0.0, 1.0], dtype), jnp.array([0.0, 1.0, 0.0], dtype)
         above = self.ledge_height - z

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     import mujoco
 
 FLOOR, BALL, NEAR_TOP, NEAR_WALL, FAR_TOP, FAR_WALL = range(6)
-DEPTH, BREADTH = 4.0, 4.0  # m, of the ledges that are drawn; their surface has no end
-NEAR, _ = level_ground_charts(lambda obstacle: (0.0, obstacle.height))
-FAR, _ = level_ground_charts(lambda obstacle: (obstacle.width, obstacle.height))
+LEDGE_DEPTH_M, LEDGE_BREADTH_M = 4.0, 4.0  # m, of the ledges that are drawn; their surface has no end
+NEAR_LEDGE_CHART, _ = level_ground_charts(lambda obstacle: (0.0, obstacle.height))
+FAR_LEDGE_CHART, _ = level_ground_charts(lambda obstacle: (obstacle.width, obstacle.height))
 
 
 def base_between(
@@ -40,8 +40,8 @@ class Ledges(Ball):
 
     charts: ClassVar = {
         **Ball.charts,
-        "near": NEAR,
-        "far": FAR,
+        "near": NEAR_LEDGE_CHART,
+        "far": FAR_LEDGE_CHART,
         "between": Chart(("ahead", "above"), base_between, koenig_frame(0)),
     }
     kind: str = choice("ledges", "ledges")
@@ -74,9 +74,9 @@ class Ledges(Ball):
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """Return the solids: floor, ball and ledges, which end where no robot reaches."""
-        half = (DEPTH / 2, BREADTH / 2, self.height / 2)
-        near = Box(name="near_ledge", position=(-DEPTH / 2, 0.0, half[2]), half=half, colour=SOIL)
-        far = Box(name="far_ledge", position=(self.width + DEPTH / 2, 0.0, half[2]), half=half, colour=SOIL)
+        half = (LEDGE_DEPTH_M / 2, LEDGE_BREADTH_M / 2, self.height / 2)
+        near = Box(name="near_ledge", position=(-LEDGE_DEPTH_M / 2, 0.0, half[2]), half=half, colour=SOIL)
+        far = Box(name="far_ledge", position=(self.width + LEDGE_DEPTH_M / 2, 0.0, half[2]), half=half, colour=SOIL)
         return *super().solids(bodies), near, far
 
     def depth_behind_walls(self, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:

@@ -38,7 +38,7 @@ class Plane(StaticObstacle):
     # of feet, then of bases
     charts: ClassVar = {
         "ground": Chart(("aside", "ahead"), ground_point),
-        "over_ground": Chart(("ahead", "above", "pitch"), base_over_ground, pitch=base_pitch, optional=1),
+        "over_ground": Chart(("ahead", "above", "pitch"), base_over_ground, pitch=base_pitch, optional_count=1),
     }
     forward = ALONG_X
     kind: str = choice("plane", "plane")

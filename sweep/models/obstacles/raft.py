@@ -18,25 +18,25 @@ from sweep.formulas.raft_statics import buoyancy
 from sweep.models.frames import body_frame
 from sweep.models.obstacles.base import ObstacleDefaults
 from sweep.models.obstacles.charts import ALONG_X, level_ground_charts, point
-from sweep.models.obstacles.geoms import DRAWN, add_contact_pair, add_solids
+from sweep.models.obstacles.geoms import RENDER_GROUP, add_contact_pair, add_solids
 from sweep.models.obstacles.surface import BodyPoses, FreeState, Surface, critical_damping, identity_poses
 from sweep.models.solids import SOIL, Box, Solid
 
 if TYPE_CHECKING:
     import mujoco
 
-NEAR, FAR = range(2)
-RAFT = 8  # the numbers of its faces are around this, those of the banks below
+NEAR_BANK_FACE, FAR_BANK_FACE = range(2)
+RAFT_FACE = 8  # the numbers of its faces are around this, those of the banks below
 WATER_DENSITY = 1000.0  # kg/m^3
-SHORE = 4.0  # m, of each bank that is drawn; its surface has no end
-CORNERS = tuple((x, y) for x in (-1, 1) for y in (-1, 1))
-WATER_DEPTH = 6.0  # m, that is drawn: what is translucent is drawn from far to near, by its middle
-WATER = (0.25, 0.5, 0.75, 0.45)
-BANK, BY_BANK = level_ground_charts(lambda obstacle: (0.0, 0.0))
-DECK, ON_DECK = level_ground_charts(
+BANK_LENGTH_M = 4.0  # m, of each bank that is drawn; its surface has no end
+CORNER_SIGNS = tuple((x, y) for x in (-1, 1) for y in (-1, 1))
+WATER_DEPTH_M = 6.0  # m, that is drawn: what is translucent is drawn from far to near, by its middle
+WATER_RGBA = (0.25, 0.5, 0.75, 0.45)
+BANK_CHART, BANK_BASE_CHART = level_ground_charts(lambda obstacle: (0.0, 0.0))
+DECK_CHART, DECK_BASE_CHART = level_ground_charts(
     lambda obstacle: (-obstacle.length / 2, obstacle.thickness / 2), frame=body_frame(0)
 )
-BEYOND, BY_FAR = level_ground_charts(lambda obstacle: (obstacle.water_width, 0.0))
+FAR_BANK_CHART, FAR_BANK_BASE_CHART = level_ground_charts(lambda obstacle: (obstacle.water_width, 0.0))
 
 
 @parameters
@@ -65,7 +65,8 @@ class Raft(ObstacleDefaults):
 
     # for feet, and for bases, from the edge of the near bank, of the deck, with which they go, and of the far bank
     charts: ClassVar = {
-        "near": BANK, "deck": DECK, "far": BEYOND, "by_near": BY_BANK, "on_deck": ON_DECK, "by_far": BY_FAR,
+        "near": BANK_CHART, "deck": DECK_CHART, "far": FAR_BANK_CHART,
+        "by_near": BANK_BASE_CHART, "on_deck": DECK_BASE_CHART, "by_far": FAR_BANK_BASE_CHART,
     }  # fmt: skip
     forward = ALONG_X
     free_bodies = ("raft",)
@@ -108,17 +109,17 @@ class Raft(ObstacleDefaults):
         add_solids(spec, [deck], friction, self.free_bodies)
         for bank in banks:
             add_contact_pair(spec, bank.name, deck.name, friction * self.side_grip, self.impact_damping)
-        across, deep = self.water_width / 2, WATER_DEPTH / 2
+        across, deep = self.water_width / 2, WATER_DEPTH_M / 2
         spec.worldbody.add_geom(
-            name="water", type=mujoco.mjtGeom.mjGEOM_BOX, size=[across, SHORE / 2, deep], rgba=WATER,
-            pos=[across, 0, -self.bank_height - deep], contype=0, conaffinity=0, group=DRAWN,
+            name="water", type=mujoco.mjtGeom.mjGEOM_BOX, size=[across, BANK_LENGTH_M / 2, deep], rgba=WATER_RGBA,
+            pos=[across, 0, -self.bank_height - deep], contype=0, conaffinity=0, group=RENDER_GROUP,
         )  # fmt: skip
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
         """Mass and inertia of a homogeneous box, and contact sites at the middles of its upright edges."""
         half, mass = self.half_size, jnp.asarray(self.mass)
         sides = half * jnp.array([1.0, 1.0, 0.0])
-        sites = zip(self.contact_sites, CORNERS, strict=True)
+        sites = zip(self.contact_sites, CORNER_SIGNS, strict=True)
         return {
             "body_mass": {"raft": mass},
             "body_inertia": {"raft": mass / 3 * (jnp.sum(half**2) - half**2)},
@@ -133,10 +134,10 @@ class Raft(ObstacleDefaults):
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """Return the solids: banks and raft; the banks end where no robot reaches."""
-        bank = {"half": (SHORE / 2, SHORE / 2, 0.5), "colour": SOIL}
+        bank = {"half": (BANK_LENGTH_M / 2, BANK_LENGTH_M / 2, 0.5), "colour": SOIL}
         return (
-            Box(name="near_bank", position=(-SHORE / 2, 0.0, -0.5), **bank),
-            Box(name="far_bank", position=(self.water_width + SHORE / 2, 0.0, -0.5), **bank),
+            Box(name="near_bank", position=(-BANK_LENGTH_M / 2, 0.0, -0.5), **bank),
+            Box(name="far_bank", position=(self.water_width + BANK_LENGTH_M / 2, 0.0, -0.5), **bank),
             Box(name="deck", position=bodies.position[0], rotation=bodies.rotation[0], body=0,
                 half=(self.length / 2, self.width / 2, self.thickness / 2)),
         )  # fmt: skip
@@ -176,7 +177,7 @@ class Raft(ObstacleDefaults):
         wall, over = jnp.max(beyond, axis=-1), -points[:, 2]
         sided = own | (wall <= over)
         inside = jnp.minimum(wall, jnp.where(own, wall, over))
-        to_water = jnp.where(bank == NEAR, 1.0, -1.0)[:, None] * jnp.array([1.0, 0.0, 0.0], dtype)
+        to_water = jnp.where(bank == NEAR_BANK_FACE, 1.0, -1.0)[:, None] * jnp.array([1.0, 0.0, 0.0], dtype)
         up = jnp.array([0.0, 0.0, 1.0], dtype)
 
         local = (points - bodies.position[0]) @ bodies.rotation[0]
@@ -187,7 +188,7 @@ class Raft(ObstacleDefaults):
         return Surface(
             depth=jnp.where(on_raft, depth, inside),
             normal=jnp.where(on_raft[:, None], outward, jnp.where(sided[:, None], to_water, up)),
-            face=jnp.where(on_raft, RAFT + side @ jnp.array([2.0, 3.0, 1.0]), 2 * bank + sided).astype(jnp.int32),
+            face=jnp.where(on_raft, RAFT_FACE + side @ jnp.array([2.0, 3.0, 1.0]), 2 * bank + sided).astype(jnp.int32),
             body=jnp.where(on_raft, 0, -1).astype(jnp.int32),
             friction_scale=jnp.where(own, self.side_grip, jnp.where(on_raft, 1.0, self.bank_grip)).astype(dtype),
             damping=jnp.asarray(own, dtype) * self.impact_damping * critical_damping(self.mass / 2),

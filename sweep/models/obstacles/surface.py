@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from sweep.models.obstacles.charts import Chart
 
-STIFFNESS = 1e6  # N/m, of the contact that an obstacle's `impact_damping` is a share of the critical damping of
+IMPACT_STIFFNESS = 1e6  # N/m, of the contact that an obstacle's `impact_damping` is a share of the critical damping of
 FOOT_RADIUS = 1e-3  # m, of the native engine's spheres: a larger one rolls under the drives and drifts
 
 
@@ -212,5 +212,6 @@ def surface_at(obstacle: Obstacle, points: Float[Array, "n 3"], bodies: BodyPose
 
 
 def critical_damping(mass: Array | float) -> Array:
-    """Critical damping (N s/m) of a contact of stiffness `STIFFNESS` between a body of `mass` (kg) and the world."""
-    return 2 * jnp.sqrt(STIFFNESS * mass)
+    """Critical damping (N s/m) of a contact between a body of `mass` (kg) and the world, of stiffness
+    `IMPACT_STIFFNESS`."""
+    return 2 * jnp.sqrt(IMPACT_STIFFNESS * mass)

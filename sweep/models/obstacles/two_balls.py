@@ -20,7 +20,7 @@ from sweep.models.solids import Solid, Sphere
 if TYPE_CHECKING:
     import mujoco
 
-SECOND = BALL + 1
+SECOND_BALL = BALL + 1
 
 
 def base_above_ball(
@@ -93,7 +93,7 @@ class TwoBalls(Ball):
         return Surface(
             depth=jnp.where(other, inside, one.depth),
             normal=jnp.where(other[:, None], offset / distance[:, None], one.normal),
-            face=jnp.where(other, jnp.where(between, BALL, SECOND), one.face).astype(jnp.int32),
+            face=jnp.where(other, jnp.where(between, BALL, SECOND_BALL), one.face).astype(jnp.int32),
             body=jnp.where(other, jnp.where(between, 0, 1), one.body).astype(jnp.int32),
             friction_scale=jnp.where(between, jnp.asarray(self.ball_grip, dtype), one.friction_scale),
             rolling=RollingResistance(one.rolling.radius, rolls * one.rolling.roll, rolls * one.rolling.spin),

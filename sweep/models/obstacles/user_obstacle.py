@@ -6,12 +6,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from sweep.core.errors import WRONG, InputError, format_user_exception
+from sweep.core.errors import USER_CODE_ERRORS, InputError, format_user_exception
 from sweep.models.obstacles.charts import Chart
 from sweep.models.obstacles.surface import Obstacle, Surface, identity_poses
 
-POINTS = 2
-FORMS = {"depth": (POINTS,), "normal": (POINTS, 3), "face": (POINTS,), "body": (POINTS,), "friction_scale": (POINTS,)}
+TEST_POINTS = 2
+SURFACE_SHAPES = {
+    "depth": (TEST_POINTS,),
+    "normal": (TEST_POINTS, 3),
+    "face": (TEST_POINTS,),
+    "body": (TEST_POINTS,),
+    "friction_scale": (TEST_POINTS,),
+}
 
 
 def check_user_obstacle(obstacle: Obstacle) -> None:
@@ -21,19 +27,19 @@ def check_user_obstacle(obstacle: Obstacle) -> None:
     def call_checked(part: str, function: Callable[..., Any], *args: Any) -> Any:
         try:
             return function(*args)
-        except WRONG as error:
+        except USER_CODE_ERRORS as error:
             raise _input_error(obstacle, f"{part} fails: {format_user_exception(error)}") from None
 
     solids = call_checked("solids", obstacle.solids, bodies)
     if not isinstance(solids, tuple | list) or not all(hasattr(one, "segment_distance") for one in solids):
         raise _input_error(obstacle, f"solids gives {solids!r}: a tuple of solids is wanted")
-    points, owner = jnp.zeros((POINTS, 3)), (-1,) * POINTS
+    points, owner = jnp.zeros((TEST_POINTS, 3)), (-1,) * TEST_POINTS
     found = call_checked("surface", jax.eval_shape, lambda at: obstacle.surface(at, owner, bodies), points)
     if not isinstance(found, Surface):
         raise _input_error(obstacle, f"surface gives {type(found).__name__}: a Surface is wanted")
-    for name, form in FORMS.items():
+    for name, form in SURFACE_SHAPES.items():
         if (given := getattr(getattr(found, name), "shape", None)) != form:
-            raise _input_error(obstacle, f"surface gives {name} {given} of {POINTS} points: {form} is wanted")
+            raise _input_error(obstacle, f"surface gives {name} {given} of {TEST_POINTS} points: {form} is wanted")
     if not isinstance(obstacle.charts, Mapping) or not all(isinstance(c, Chart) for c in obstacle.charts.values()):
         raise _input_error(obstacle, f"charts are {obstacle.charts}: a Chart by each name is wanted")
     for name, chart in obstacle.charts.items():

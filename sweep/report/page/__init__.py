@@ -24,7 +24,7 @@ from sweep.analysis.expectations import judge_expectations
 from sweep.analysis.sample import pooled_rate
 from sweep.analysis.sampling_units import has_independent_rows, independent_unit, interval_method
 from sweep.config.experiment import Experiment
-from sweep.core.files import path_in, read_limited, write_atomically
+from sweep.core.files import path_inside_folder, read_bytes_limited, write_atomically
 from sweep.core.plot_style import LEG_COLORS, plot_style
 from sweep.replay.arrows import FORCE_SCALE, FORCE_SHOWN
 from sweep.report import tables
@@ -39,11 +39,14 @@ from sweep.report.representative import Representative, find_representatives
 from sweep.report.statistics import labelled_sections
 from sweep.runs import audit, store
 from sweep.runs.results import Results
-from sweep.study.columns import LABELS
+from sweep.study.columns import LABEL_COLUMNS
 
-ROWS, LINES = 100, 100  # of the table at the end, and of the others
+MAX_TABLE_ROWS, MAX_LINES = 100, 100  # of the table at the end, and of the others
 DPI = 140  # of pictures that are for paper alone
-SIZE, REST = 5_000_000, 700_000  # characters of a page, and of what is neither picture, row nor state
+MAX_PAGE_CHARACTERS, RESERVED_CHARACTERS = (
+    5_000_000,
+    700_000,
+)  # characters of a page, and of what is neither picture, row nor state
 TELLING = (
     "distance_m",
     "slip_max_m",
@@ -57,7 +60,7 @@ TELLING = (
 
 
 @dataclass(frozen=True)
-class Plate:
+class PageFigure:
     """A figure as the page shows it."""
 
     key: str
@@ -115,7 +118,7 @@ def render_page(
     template = environment.from_string((files("sweep.report.page") / "page.html.j2").read_text(encoding="utf-8"))
     rows = results.rows
     style, script = style_sheet(), bundle_script()
-    plates = [plate_for_page(one) for one in (pairs.figures if pairs else list_figures(results))]
+    plates = [make_page_figure(one) for one in (pairs.figures if pairs else list_figures(results))]
     typicals = [
         (one, picture_url(one), list(representative_values(one, results.exp)))
         for one in (() if pairs else find_representatives(results))
@@ -135,10 +138,10 @@ def render_page(
         *(one.picture for one in plates),
         *(picture for _, picture, _ in typicals),
     ]
-    room = SIZE - REST - sum(map(len, others))
+    room = MAX_PAGE_CHARACTERS - RESERVED_CHARACTERS - sum(map(len, others))
     replays = describe_replays(results, read_shown_replays(results) if shown is None else shown, room)
     arrow = {"metres": FORCE_SCALE, "least": FORCE_SHOWN}
-    about |= {"replays": replays.about, "models": replays.models, "left_out": replays.left_out}
+    about |= {"replays": replays.descriptions, "models": replays.models, "left_out": replays.omitted_count}
     about |= {"arrow": arrow, "open": opened, "legs": list(LEG_COLORS)}
     return template.render(
         results=results,
@@ -163,23 +166,25 @@ def render_page(
         plates=plates,
         expectations=[] if pairs else list(check_expectations(results)),
         parameters=list(tables.varied_parameters(results)),
-        reasons=[(cause, words, int((rows["cause"] == cause).sum())) for cause, words in results.causes_seen.items()],
+        reasons=[
+            (cause, words, int((rows["cause"] == cause).sum())) for cause, words in results.occurring_causes.items()
+        ],
         typical=typicals,
         statistics=list(statistics_as_html(pairs.tables if pairs else labelled_sections(results), results.exp)),
         audit=[] if pairs else list(audit.flip_table(results).itertuples(index=False)),
         pairs=pairs,
         name=pairs.name if pairs else results.name,
-        table=first_rows_table(rows.head(ROWS), results.exp),
+        table=first_rows_table(rows.head(MAX_TABLE_ROWS), results.exp),
         configuration=yaml.safe_dump(results.stored["config"], sort_keys=False, allow_unicode=True),
         dates=run_dates(results.folder),
     )
 
 
-def plate_for_page(figure: StudyFigure) -> Plate:
+def make_page_figure(figure: StudyFigure) -> PageFigure:
     """Draw a figure for the page: as an image for print only where the script draws it on screen."""
     live = figure.key.startswith("map-") or figure.key in ("draws", "causes", "distributions")
     with plot_style():
-        return Plate(
+        return PageFigure(
             figure.key,
             figure.title,
             figure.caption,
@@ -204,8 +209,12 @@ def statistics_as_html(
         if isinstance(content, str):
             yield title, Markup("<p>{}</p>").format(content)
         else:
-            note = f"<p class='soft'>The first {LINES} of {len(content)} lines.</p>" if len(content) > LINES else ""
-            yield title, Markup(note) + as_html(tables.format_rows(content.head(LINES), exp), index=False)
+            note = (
+                f"<p class='soft'>The first {MAX_LINES} of {len(content)} lines.</p>"
+                if len(content) > MAX_LINES
+                else ""
+            )
+            yield title, Markup(note) + table_as_html(tables.format_rows(content.head(MAX_LINES), exp), index=False)
 
 
 def representative_values(representative: Representative, exp: Experiment) -> Iterator[tuple[str, str]]:
@@ -218,17 +227,19 @@ def representative_values(representative: Representative, exp: Experiment) -> It
 
 def picture_url(representative: Representative) -> str:
     """Data URL of a representative rollout's picture; empty if there is none."""
-    return data_url(read_limited(representative.picture)) if representative.picture.exists() else ""
+    return data_url(read_bytes_limited(representative.picture)) if representative.picture.exists() else ""
 
 
 def first_rows_table(rows: pd.DataFrame, exp: Experiment) -> Markup:
     """The first rows of the study as HTML: identity and outcome first, then parameters."""
-    axes = [c for c in tables.readable_columns(rows) if c not in LABELS]
-    columns = ["point_id", *LABELS, *axes]
-    return as_html(tables.format_rows(rows[columns], exp), index=True, hints=[column_meaning(c, exp) for c in columns])
+    axes = [c for c in tables.readable_columns(rows) if c not in LABEL_COLUMNS]
+    columns = ["point_id", *LABEL_COLUMNS, *axes]
+    return table_as_html(
+        tables.format_rows(rows[columns], exp), index=True, hints=[column_meaning(c, exp) for c in columns]
+    )
 
 
-def as_html(shown: pd.DataFrame, index: bool, hints: Iterable[str] = ()) -> Markup:
+def table_as_html(shown: pd.DataFrame, index: bool, hints: Iterable[str] = ()) -> Markup:
     """A table as HTML.
 
     Args:
@@ -249,7 +260,9 @@ def run_dates(folder: Path) -> tuple[str, str]:
     """First and last time stamp in a study's log; empty without any."""
     stamps = []
     with suppress(OSError):
-        for line in read_limited(path_in(folder, store.LOG)).decode(errors="replace").splitlines():
+        for line in (
+            read_bytes_limited(path_inside_folder(folder, store.LOG_FILE)).decode(errors="replace").splitlines()
+        ):
             with suppress(ValueError):  # of a line that begins with none
                 datetime.fromisoformat(stamp := line.partition(" ")[0])
                 stamps.append(stamp)

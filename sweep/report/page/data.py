@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sweep.analysis.sample import choose_indices
+from sweep.analysis.sample import sample_indices
 from sweep.contract.system import split_side
 from sweep.core.distinct_values import has_several_values
 from sweep.core.files import encode_text
@@ -25,18 +25,21 @@ from sweep.report.labels import (
     unique_words,
     words_and_unit,
 )
-from sweep.report.outcome_style import FAILURE, GOOD, find_look
+from sweep.report.outcome_style import FAILURE_COLOUR, SUCCESS_COLOUR, find_style
 from sweep.runs import refine
 from sweep.runs.results import Results
 
-ROWS, SAMPLE = 40_000, 20_000  # with more rows than that the page has a sample of them, and maps of densities
+MAX_ROWS, SAMPLE_SIZE = 40_000, 20_000  # with more rows than that the page has a sample of them, and maps of densities
 MAX_METRICS = 28  # that are on the page, the ones that outcomes are judged by first
-LEVELS = 1024  # a column with at most so many values has them to the last bit
-COARSE, ROOM = 12, 400_000  # bits of a measured number, where all of them take more bytes than `ROOM`; else 15
-MISSING = 2**16 - 1
-TAIL = 50.0  # a range that is so many times that of the middle half is stored by its inverse hyperbolic sine
-BINS, PAIRS = 128, 3  # of densities along an axis, and how many pairs of parameters have one
-DIGITS = 12  # of a point id: bytes are two of them
+MAX_EXACT_VALUES = 1024  # a column with at most so many values has them to the last bit
+COARSE_BITS, MAX_FINE_BYTES = (
+    12,
+    400_000,
+)  # bits of a measured number, where all of them take more bytes than `MAX_FINE_BYTES`; else 15
+MISSING_CODE = 2**16 - 1
+MAX_RANGE_RATIO = 50.0  # a range that is so many times that of the middle half is stored by its inverse hyperbolic sine
+DENSITY_BINS, MAX_DENSITY_PAIRS = 128, 3  # of densities along an axis, and how many pairs of parameters have one
+POINT_ID_DIGITS = 12  # of a point id: bytes are two of them
 
 
 def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -50,10 +53,10 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         Plain values, see `About` in `data.js`.
     """
     rows = results.rows.iloc[sample_places(len(results.rows))]
-    kinds, axes = page_kinds(results), [*results.categorical, *results.numeric]
+    kinds, axes = page_kinds(results), [*results.categorical_columns, *results.numeric_columns]
     figures = ["margin", "t_cause_s"] if "margin" in rows else []
     figures = [c for c in figures if has_several_values(rows[c])] + metrics_with_threshold_first(results)[:MAX_METRICS]
-    bits = COARSE if len(rows) * len(figures) * 2 > ROOM else 15
+    bits = COARSE_BITS if len(rows) * len(figures) * 2 > MAX_FINE_BYTES else 15
     coded = [encode_column(rows[c], bits) for c in (*axes, *figures)]
     judged, words = metric_thresholds(results), unique_words((*axes, *figures), results.exp)
     columns = [
@@ -63,7 +66,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
             "unit": words_and_unit(c, results.exp)[1],
             "path": column_meaning(c, results.exp),
             "axis": c in axes,
-            "drawn": c not in (*results.listed_numeric, *results.categorical),
+            "drawn": c not in (*results.listed_numeric_columns, *results.categorical_columns),
             "diverges": c == "margin",
             "limit": judged.get(c),
             **about,
@@ -71,11 +74,15 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         for c, (about, _) in zip((*axes, *figures), coded, strict=True)
     ]
     # of a map: two listed numbers; elsewhere the script takes what matters most
-    first = results.listed_numeric[:2] if len(results.listed_numeric) > 1 and not results.one_at_a_time else []
+    first = (
+        results.listed_numeric_columns[:2]
+        if len(results.listed_numeric_columns) > 1 and not results.is_one_at_a_time
+        else []
+    )
     stages = [*results.stages, *sorted(set(rows["stage"].astype(str)) - {*results.stages, ""})]
     kind = kind_codes(rows, kinds).astype(np.uint8)
     stage = 1 + pd.Index(stages).get_indexer(pd.Index(rows["stage"].astype(str)))  # 0: there is none
-    ids = b"".join(bytes.fromhex(f"{one[:DIGITS]:0<{DIGITS}}") for one in rows["point_id"])
+    ids = b"".join(bytes.fromhex(f"{one[:POINT_ID_DIGITS]:0<{POINT_ID_DIGITS}}") for one in rows["point_id"])
     blocks = [kind.tobytes(), stage.astype(np.uint8).tobytes(), ids, *(block for _, block in coded)]
     return {
         "name": results.name,
@@ -83,12 +90,12 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         "total": len(results.rows),
         "rows": len(rows),
         "kinds": kinds,
-        "colours": {"success": GOOD, "failure": FAILURE},
+        "colours": {"success": SUCCESS_COLOUR, "failure": FAILURE_COLOUR},
         "stages": stages,
         "columns": columns,
-        "digits": DIGITS,
+        "digits": POINT_ID_DIGITS,
         "block": encode_text(b"".join(blocks)),
-        "one_at_a_time": results.one_at_a_time,
+        "one_at_a_time": results.is_one_at_a_time,
         "start": [c for c in (*chosen, *first) if c in (*axes, *figures)][:2],
         "theory": list(limit_curves(results, rows)),
         "refined_cells": refined_cells(results) if len(rows) == len(results.rows) else None,
@@ -99,7 +106,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
 
 def sample_places(number: int) -> np.ndarray:
     """Indices of the rows that a page stores: all, or a random sample of too many."""
-    return choose_indices(number, SAMPLE if number > ROWS else number)
+    return sample_indices(number, SAMPLE_SIZE if number > MAX_ROWS else number)
 
 
 def as_json(content: Any) -> str:
@@ -123,8 +130,8 @@ def page_kinds(results: Results) -> list[dict[str, Any]]:
             "label": name.replace("_", " ") or "no cause",
             "meaning": kind_meaning(name, results.exp) if name in known else "",
             "count": int(counts[name]),
-            "colour": find_look(name).colour,
-            "shape": find_look(name).shape.round(3).ravel().tolist(),
+            "colour": find_style(name).colour,
+            "shape": find_style(name).shape.round(3).ravel().tolist(),
             "outcome": "success" if name == "success" else "invalid" if name in system.invalid_causes else "failure",
         }
         for name in [*known, *sorted(set(counts.index) - set(known))]
@@ -142,12 +149,12 @@ def encode_column(values: pd.Series, bits: int) -> tuple[dict[str, Any], bytes]:
     numbers = values.to_numpy(dtype=float)
     finite = np.isfinite(numbers)
     levels, codes = np.unique(numbers[finite], return_inverse=True)
-    whole = np.full(len(numbers), MISSING)
-    if len(levels) <= LEVELS and (len(levels) < len(numbers) / 4 or len(numbers) <= LEVELS):
+    whole = np.full(len(numbers), MISSING_CODE)
+    if len(levels) <= MAX_EXACT_VALUES and (len(levels) < len(numbers) / 4 or len(numbers) <= MAX_EXACT_VALUES):
         whole[finite] = codes
         return {"levels": levels.tolist()}, split_bytes(whole)
     quarter, middle, most = np.percentile(numbers[finite], [25, 50, 75])
-    bend = max(float(most - quarter), 1e-12) if np.ptp(levels) > TAIL * (most - quarter) else 0.0
+    bend = max(float(most - quarter), 1e-12) if np.ptp(levels) > MAX_RANGE_RATIO * (most - quarter) else 0.0
     shown = np.arcsinh((numbers - middle) / bend) if bend else numbers
     low, high = float(np.min(shown[finite])), float(np.max(shown[finite]))
     step = (high - low) / (2**bits - 1) or 1.0
@@ -163,8 +170,8 @@ def split_bytes(values: np.ndarray) -> bytes:
 def limit_curves(results: Results, rows: pd.DataFrame) -> Any:
     """Yield the analytic limits of `study.theory` over pairs of parameters."""
     for theory in results.exp.study.theory:
-        for of in [c for c in results.numeric if split_side(c)[1] == theory.of]:
-            for along in [c for c in results.numeric if c != of]:
+        for of in [c for c in results.numeric_columns if split_side(c)[1] == theory.of]:
+            for along in [c for c in results.numeric_columns if c != of]:
                 found = analytic_curves.limit_curve(theory, results.exp, rows, along)
                 yield {
                     "label": theory.label,
@@ -185,11 +192,11 @@ def refined_cells(results: Results) -> dict[str, Any] | None:
     for panel, (_, part) in zip(
         refine.summarize_panels(results.exp, rows), refine.iter_panels(study, rows), strict=True
     ):
-        axes = panel.grid.axes
+        axes = panel.lattice.axes
         if len(axes) != 2:
             return None
-        place = np.full(panel.grid.shape, -1)
-        place[panel.grid.indices(part)] = part.index
+        place = np.full(panel.lattice.shape, -1)
+        place[panel.lattice.indices(part)] = part.index
         for power, cells in enumerate(panel.cells if panel.rollouts else ()):
             corners = [cells + 2**power * np.array(corner) for corner in ((0, 0), (1, 0), (0, 1), (1, 1))]
             found.append(np.stack([place[tuple(corner.T)] for corner in corners], axis=1))
@@ -209,7 +216,9 @@ def cell_effects(results: Results) -> dict[str, float] | None:
 def count_densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
     """Yield, for a few pairs of parameters, how many rows of each kind lie in each bin, counted over all rows."""
     kind = kind_codes(results.rows, kinds)
-    pairs = [(x, y) for k, x in enumerate(results.numeric) for y in results.numeric[k + 1 :]][:PAIRS]
+    pairs = [(x, y) for k, x in enumerate(results.numeric_columns) for y in results.numeric_columns[k + 1 :]][
+        :MAX_DENSITY_PAIRS
+    ]
     for x, y in pairs:
         (i, wide, x_ends), (j, high, y_ends) = bin_values(results.rows[x]), bin_values(results.rows[y])
         counts = np.bincount((kind * high + j) * wide + i, minlength=len(kinds) * high * wide)
@@ -228,8 +237,8 @@ def bin_values(values: pd.Series) -> tuple[np.ndarray, int, list[float]]:
     """Bin of each value, the number of bins, and their outer ends; few evenly spaced values get a bin each."""
     levels = np.unique(values)
     low, high = float(levels[0]), float(levels[-1])
-    if len(levels) <= BINS and np.allclose(np.diff(levels), (high - low) / (len(levels) - 1)):
+    if len(levels) <= DENSITY_BINS and np.allclose(np.diff(levels), (high - low) / (len(levels) - 1)):
         half = (high - low) / (len(levels) - 1) / 2
         return np.searchsorted(levels, values), len(levels), [low - half, high + half]
-    place = np.minimum((values.to_numpy(dtype=float) - low) / (high - low) * BINS, BINS - 1).astype(int)
-    return place, BINS, [low, high]
+    place = np.minimum((values.to_numpy(dtype=float) - low) / (high - low) * DENSITY_BINS, DENSITY_BINS - 1).astype(int)
+    return place, DENSITY_BINS, [low, high]

@@ -13,28 +13,28 @@ from sweep.report import replays
 from sweep.report.page.data import sample_places
 from sweep.runs.results import Results
 
-THINNEST = 4  # frames of which one is kept at least, where all of them do not fit
-TOLD = ("step", "frames", "scales", "force_scale", "stages", "equal", "of", "why")  # of a replay as it is
+MAX_THINNING = 4  # frames of which one is kept at least, where all of them do not fit
+COPIED_KEYS = ("step", "frames", "scales", "force_scale", "stages", "equal", "of", "why")  # of a replay as it is
 # of a replay that was kept before these were
-LATER = {"torque_scale": 0.0, "torque_limit": None, "margin_scale": 0.0, "limits": [], "friction_scale": 0.0}
+LATER_DEFAULTS = {"torque_scale": 0.0, "torque_limit": None, "margin_scale": 0.0, "limits": [], "friction_scale": 0.0}
 
 
 class ShownReplay(NamedTuple):
     """A replay that is embedded in the page."""
 
-    place: int  # of its row among those of the results, -1 where it is not one of them
+    row_index: int  # of its row among those of the results, -1 where it is not one of them
     row: pd.Series
     replay: dict[str, Any]  # see `replays.keep`
     title: str = ""
 
 
-class Replays(NamedTuple):
+class PageReplays(NamedTuple):
     """The replays that a page embeds: their descriptions, their states as text, and the robot models."""
 
-    about: list[dict[str, Any]]
+    descriptions: list[dict[str, Any]]
     streams: list[str]
     models: str
-    left_out: int  # for want of room
+    omitted_count: int  # for want of room
 
 
 def read_shown_replays(results: Results) -> Iterator[ShownReplay]:
@@ -42,7 +42,7 @@ def read_shown_replays(results: Results) -> Iterator[ShownReplay]:
     return (ShownReplay(place, results.rows.iloc[place], replay) for place, replay in replays.read_replays(results))
 
 
-def describe_replays(results: Results, shown: Iterable[ShownReplay], room: int) -> Replays:
+def describe_replays(results: Results, shown: Iterable[ShownReplay], room: int) -> PageReplays:
     """Collect the data of replays for the page's script.
 
     Args:
@@ -62,8 +62,8 @@ def describe_replays(results: Results, shown: Iterable[ShownReplay], room: int) 
         streams.append(replay["states"])
         about.append(
             {
-                **{name: replay[name] for name in TOLD},
-                **{name: replay.get(name, value) for name, value in LATER.items()},
+                **{name: replay[name] for name in COPIED_KEYS},
+                **{name: replay.get(name, value) for name, value in LATER_DEFAULTS.items()},
                 "model": models.setdefault(bodies, len(models)),
                 "row": places.get(place, -1),
                 "point": row["point_id"],
@@ -71,13 +71,13 @@ def describe_replays(results: Results, shown: Iterable[ShownReplay], room: int) 
                 "title": title,
             }
         )
-    return Replays(about, streams, encode_text(f"[{','.join(models)}]".encode()), left_out)
+    return PageReplays(about, streams, encode_text(f"[{','.join(models)}]".encode()), left_out)
 
 
 def thin_to_room(shown: list[ShownReplay], room: int) -> list[ShownReplay]:
-    """Thin out the frames of replays to fit into `room` characters, at least one in `THINNEST`."""
+    """Thin out the frames of replays to fit into `room` characters, at least one in `MAX_THINNING`."""
     thin = shown
-    for every in range(1, THINNEST + 1):
+    for every in range(1, MAX_THINNING + 1):
         thin = [one._replace(replay=_thin(one, every)) if every > 1 else one for one in shown]
         if sum(len(one.replay["states"]) for one in thin) <= room:
             break

@@ -7,8 +7,8 @@ from functools import cache
 from graphlib import TopologicalSorter
 from importlib.resources import files
 
-IMPORT = re.compile(r'^import \{[^}]*\} from "\./([\w-]+\.js)";\n', re.MULTILINE)
-EXPORT = re.compile(r"^export (?=(?:async )?(?:function\*?|const|class) )", re.MULTILINE)
+IMPORT_LINE = re.compile(r'^import \{[^}]*\} from "\./([\w-]+\.js)";\n', re.MULTILINE)
+EXPORT_KEYWORD = re.compile(r"^export (?=(?:async )?(?:function\*?|const|class) )", re.MULTILINE)
 
 
 @cache
@@ -19,8 +19,8 @@ def bundle_script() -> str:
         for file in files(__package__).iterdir()
         if file.name.endswith(".js")
     }
-    order = TopologicalSorter({name: IMPORT.findall(text) for name, text in sources.items()}).static_order()
-    return "\n".join(EXPORT.sub("", IMPORT.sub("", sources[name])).strip() for name in order)
+    order = TopologicalSorter({name: IMPORT_LINE.findall(text) for name, text in sources.items()}).static_order()
+    return "\n".join(EXPORT_KEYWORD.sub("", IMPORT_LINE.sub("", sources[name])).strip() for name in order)
 
 
 @cache

@@ -13,9 +13,9 @@ from typing import Any
 from sweep.core.errors import InputError, require_choice
 from sweep.study.design_kinds.base import AdaptiveDesign, Design, Sensitivity
 
-KINDS: dict[str, type[Design]] = {}  # by name, in the order of lists
-DEFAULT = "monte_carlo"  # kind of a study that names none
-TABLE = "DESIGNS"  # name of a module's table
+DESIGN_BY_KIND: dict[str, type[Design]] = {}  # by name, in the order of lists
+DEFAULT_KIND = "monte_carlo"  # kind of a study that names none
+MODULE_TABLE = "DESIGNS"  # name of a module's table
 
 
 def add_designs(module: ModuleType) -> None:
@@ -28,12 +28,12 @@ def add_designs(module: ModuleType) -> None:
         InputError: The table is none, a class is no complete design, a kind exists already, or a setting differs from
             that of another kind.
     """
-    if not isinstance(own := getattr(module, TABLE, {}), Mapping):
-        raise InputError(f"module {module.__name__}: {TABLE} = {own} is not allowed: classes by kind")
+    if not isinstance(own := getattr(module, MODULE_TABLE, {}), Mapping):
+        raise InputError(f"module {module.__name__}: {MODULE_TABLE} = {own} is not allowed: classes by kind")
     for kind, cls in own.items():
-        if KINDS.get(kind) is cls:
+        if DESIGN_BY_KIND.get(kind) is cls:
             continue
-        wrong = f"module {module.__name__}: {TABLE} has {kind}: {cls}, "
+        wrong = f"module {module.__name__}: {MODULE_TABLE} has {kind}: {cls}, "
         if not isinstance(cls, type) or not issubclass(cls, Design):
             raise InputError(f"{wrong}not a subclass of Design")
         if getattr(cls, "kind", None) != kind:
@@ -44,13 +44,13 @@ def add_designs(module: ModuleType) -> None:
             wanted.append("trajectory_grid")
         if wanted:
             raise InputError(f"module {module.__name__}: design {kind} has no {min(wanted)}")
-        if kind in KINDS:
+        if kind in DESIGN_BY_KIND:
             raise InputError(f"module {module.__name__}: design {kind} exists already: choose another name")
         _check_settings(module, kind, cls)
-        KINDS[kind] = cls
-    ordered = sorted(KINDS.items(), key=lambda one: (one[1].position, one[0]))
-    KINDS.clear()
-    KINDS.update(ordered)
+        DESIGN_BY_KIND[kind] = cls
+    ordered = sorted(DESIGN_BY_KIND.items(), key=lambda one: (one[1].position, one[0]))
+    DESIGN_BY_KIND.clear()
+    DESIGN_BY_KIND.update(ordered)
 
 
 def own_settings(cls: type[Design]) -> dict[str, "dataclasses.Field[Any]"]:
@@ -60,7 +60,7 @@ def own_settings(cls: type[Design]) -> dict[str, "dataclasses.Field[Any]"]:
 
 
 def _check_settings(module: ModuleType, kind: str, cls: type[Design]) -> None:
-    known = {name: member for other in KINDS.values() for name, member in own_settings(other).items()}
+    known = {name: member for other in DESIGN_BY_KIND.values() for name, member in own_settings(other).items()}
     for name, member in own_settings(cls).items():
         if member.default is dataclasses.MISSING:
             raise InputError(f"module {module.__name__}: setting {name} of design {kind} has no default")
@@ -71,24 +71,24 @@ def _check_settings(module: ModuleType, kind: str, cls: type[Design]) -> None:
 
 def find_kind(kind: Any) -> type[Design]:
     """Find the class of a value of `study.design.kind`. Raises `InputError`."""
-    require_choice(kind, KINDS, f"study.design.kind = {kind!r}")
-    return KINDS[kind]
+    require_choice(kind, DESIGN_BY_KIND, f"study.design.kind = {kind!r}")
+    return DESIGN_BY_KIND[kind]
 
 
 def is_adaptive_kind(kind: Any) -> bool:
     """Return whether a value of `study.design.kind` names a design that searches for failures."""
-    return issubclass(KINDS.get(kind, Design), AdaptiveDesign)
+    return issubclass(DESIGN_BY_KIND.get(kind, Design), AdaptiveDesign)
 
 
 def list_kinds(matches: Callable[[type[Design]], bool]) -> list[str]:
     """List the kinds whose class matches, for messages about what is allowed."""
-    return [kind for kind, cls in KINDS.items() if matches(cls)]
+    return [kind for kind, cls in DESIGN_BY_KIND.items() if matches(cls)]
 
 
 def owners_of_settings() -> dict[str, list[str]]:
     """Return the kinds that have each setting that not all kinds have, by its name."""
     found: dict[str, list[str]] = {}
-    for kind, cls in KINDS.items():
+    for kind, cls in DESIGN_BY_KIND.items():
         for name in own_settings(cls):
             found.setdefault(name, []).append(kind)
     return found
@@ -96,7 +96,7 @@ def owners_of_settings() -> dict[str, list[str]]:
 
 def make_schema() -> type:
     """Make the Hydra schema of `study.design`: a frozen dataclass with the settings of all kinds."""
-    own = {name: member for cls in KINDS.values() for name, member in own_settings(cls).items()}
+    own = {name: member for cls in DESIGN_BY_KIND.values() for name, member in own_settings(cls).items()}
     common = {member.name: member for member in dataclasses.fields(Design)}
     grid, num, correlation = (common[name] for name in ("grid", "num", "correlation"))
     members = [(member.name, member.type, member.default) for member in (num, *own.values(), correlation)]
@@ -104,7 +104,7 @@ def make_schema() -> type:
         "DesignSchema",
         [
             (grid.name, grid.type, dataclasses.field(default=grid.default)),
-            ("kind", str, dataclasses.field(default=DEFAULT)),
+            ("kind", str, dataclasses.field(default=DEFAULT_KIND)),
             *((name, type_, dataclasses.field(default=default)) for name, type_, default in members),
         ],
         frozen=True,

@@ -14,7 +14,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from sweep.core.errors import InputError
-from sweep.study.adaptive_sampling import EDGE, LEAD, Draws, RoundSummary, Search, summarize_round
+from sweep.study.adaptive_sampling import (
+    DEFAULT_LEAD_COLUMN,
+    MIN_QUANTILE,
+    RoundDraws,
+    RoundSummary,
+    SearchGenerator,
+    summarize_round,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -215,7 +222,7 @@ class Design(ABC):
         """
         from scipy.special import ndtr, ndtri  # slow to import
 
-        return np.clip(ndtr(ndtri(shares) @ root.T), EDGE, 1 - EDGE)
+        return np.clip(ndtr(ndtri(shares) @ root.T), MIN_QUANTILE, 1 - MIN_QUANTILE)
 
 
 class AdaptiveDesign(Design):
@@ -244,10 +251,10 @@ class AdaptiveDesign(Design):
 
     def sample(self, ctx: DrawContext) -> Float[np.ndarray, "n d"]:
         """Return the draws of the first round."""
-        return next(self.start_search(ctx)).shares
+        return next(self.start_search(ctx)).quantiles
 
     @abstractmethod
-    def start_search(self, ctx: DrawContext) -> Search:
+    def start_search(self, ctx: DrawContext) -> SearchGenerator:
         """Start the search, a generator of rounds of draws; see `sweep.study.adaptive_sampling`."""
 
     @property
@@ -284,7 +291,7 @@ class AdaptiveDesign(Design):
             InputError: The search is not finished.
         """
 
-    def summarize(self, rows: "pd.DataFrame", draws: Draws) -> RoundSummary:
+    def summarize(self, rows: "pd.DataFrame", draws: RoundDraws) -> RoundSummary:
         """Summarize the rows of a round for the search.
 
         Args:
@@ -297,7 +304,7 @@ class AdaptiveDesign(Design):
         Raises:
             InputError: The column is no number of the rows.
         """
-        return summarize_round(rows, draws, LEAD)
+        return summarize_round(rows, draws, DEFAULT_LEAD_COLUMN)
 
     def replay_search(self, rows: "pd.DataFrame", ctx: DrawContext) -> Any:
         """Run the search again on stored rows, without simulating anything.

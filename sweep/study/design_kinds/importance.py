@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from sweep.core.constants import CONFIDENCE
+from sweep.core.constants import CONFIDENCE_LEVEL
 from sweep.core.errors import InputError
 from sweep.study import importance_sampling
-from sweep.study.adaptive_sampling import Search
+from sweep.study.adaptive_sampling import SearchGenerator
 from sweep.study.design_kinds.base import AdaptiveDesign, DrawContext
 from sweep.study.design_kinds.monte_carlo import advise_plain_draws
 
 if TYPE_CHECKING:
     import pandas as pd
 
-LARGEST = 0.1  # largest share of the sum that one row may carry in a reliable estimate
-WIDER = "try a larger study.design.wide, more draws, or wider distributions"
+MAX_RELIABLE_SHARE = 0.1  # largest share of the sum that one row may carry in a reliable estimate
+WIDER_PROPOSAL_ADVICE = "try a larger study.design.wide, more draws, or wider distributions"
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Importance(AdaptiveDesign):
         """Count the draws of all rounds."""
         return self.num * (self.rounds + 1)
 
-    def start_search(self, ctx: DrawContext) -> Search:
+    def start_search(self, ctx: DrawContext) -> SearchGenerator:
         """Start the search, whose result is None."""
         return importance_sampling.start_search(len(ctx.axes), self.num, self.wide, self.rounds, ctx.seed)
 
@@ -85,15 +85,15 @@ class Importance(AdaptiveDesign):
         counts = {"rows": n, "total_rows": len(rows), "failed": int(failed.sum())}
         counts["invalid"] = int((last["outcome"] == "invalid").sum())
         if not total:
-            most = min((1 - (1 - CONFIDENCE) ** (1 / n)) / importance_sampling.PLAIN, 1.0)
-            return WeightedEstimate(0.0, 0.0, most, **counts, largest=0.0, equivalent_plain_draws=np.nan)
+            most = min((1 - (1 - CONFIDENCE_LEVEL) ** (1 / n)) / importance_sampling.PLAIN_SHARE, 1.0)
+            return WeightedEstimate(0.0, 0.0, most, **counts, largest_weight_share=0.0, equivalent_plain_draws=np.nan)
         p = total / n
         variance = max(square / n - p**2, 0.0) / n
-        wide = np.exp(ndtri(0.5 + CONFIDENCE / 2) * np.sqrt(np.log1p(variance / p**2)))
+        wide = np.exp(ndtri(0.5 + CONFIDENCE_LEVEL / 2) * np.sqrt(np.log1p(variance / p**2)))
         p, low, high = (float(min(one, 1.0)) for one in (p, p / wide, p * wide))  # weights may sum to more
         plain = float(p * (1 - p) / variance) if variance else np.inf
         return WeightedEstimate(
-            p, low, high, **counts, largest=float(share.max() / total), equivalent_plain_draws=plain
+            p, low, high, **counts, largest_weight_share=float(share.max() / total), equivalent_plain_draws=plain
         )
 
     def weigh_rows(self, rows: "pd.DataFrame", ctx: DrawContext) -> tuple[np.ndarray, np.ndarray]:
@@ -122,7 +122,7 @@ class WeightedEstimate:
     total_rows: int  # in all
     failed: int  # of the last round, invalid ones among them
     invalid: int
-    largest: float  # share of the sum that the heaviest failure carries
+    largest_weight_share: float  # share of the sum that the heaviest failure carries
     equivalent_plain_draws: float  # plain draws that would say as much; NaN without a failure
 
     @property
@@ -132,19 +132,20 @@ class WeightedEstimate:
 
     @property
     def is_reliable(self) -> bool:
-        """Whether no single row carries more than `LARGEST` of the weighted sum."""
-        return self.failed > 0 and self.largest <= LARGEST
+        """Whether no single row carries more than `MAX_RELIABLE_SHARE` of the weighted sum."""
+        return self.failed > 0 and self.largest_weight_share <= MAX_RELIABLE_SHARE
 
     def __str__(self) -> str:
         draws = f"{self.rows} draws of {self.total_rows}"
         if not self.failed:
-            return f"no failure in the last {draws}: P(failure) <= {self.high:.2g} (95 %); {WIDER}"
+            return f"no failure in the last {draws}: P(failure) <= {self.high:.2g} (95 %); {WIDER_PROPOSAL_ADVICE}"
         text = f"P(failure) = {self.probability:.3g}, {self.low:.2g} to {self.high:.2g} (95 %), by the last {draws}, "
         text += f"of which {self.failed} failed; as precise as {self.equivalent_plain_draws:,.0f} plain draws"
         if self.invalid:
             text += f"; {self.invalid} invalid ones count as failures"
         if not self.is_reliable:
-            text += f"; NOT reliable: one row carries {self.largest:.0%} of the sum; use more draws or more rounds"
+            text += f"; NOT reliable: one row carries {self.largest_weight_share:.0%} of the sum; "
+            text += "use more draws or more rounds"
         return text + advise_plain_draws(self.probability)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from sweep.study.design_kinds.base import Design, DrawContext
 from sweep.study.point_ids import text_hash
 
-RARE = 0.1  # failure probability from which on independent draws are as good as a search
+RARE_PROBABILITY = 0.1  # failure probability from which on independent draws are as good as a search
 
 
 class MonteCarlo(Design):
@@ -28,7 +28,9 @@ class MonteCarlo(Design):
 def advise_plain_draws(probability: float) -> str:
     """Return advice to use independent draws where failures are not rare, as the end of an estimate's text; else
     empty."""
-    return f"; it is not rare: study.design.kind={MonteCarlo.kind} is as precise" if probability > RARE else ""
+    return (
+        f"; it is not rare: study.design.kind={MonteCarlo.kind} is as precise" if probability > RARE_PROBABILITY else ""
+    )
 
 
 DESIGNS = {"monte_carlo": MonteCarlo}

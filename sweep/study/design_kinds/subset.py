@@ -6,19 +6,26 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from sweep.core.constants import CONFIDENCE
+from sweep.core.constants import CONFIDENCE_LEVEL
 from sweep.core.errors import InputError
 from sweep.study import subset_simulation
-from sweep.study.adaptive_sampling import EDGE, LEAD, Draws, RoundSummary, Search, summarize_round
+from sweep.study.adaptive_sampling import (
+    DEFAULT_LEAD_COLUMN,
+    MIN_QUANTILE,
+    RoundDraws,
+    RoundSummary,
+    SearchGenerator,
+    summarize_round,
+)
 from sweep.study.design_kinds.base import AdaptiveDesign, DrawContext, SamplingUnit
 from sweep.study.design_kinds.importance import Importance
 from sweep.study.design_kinds.monte_carlo import advise_plain_draws
-from sweep.study.subset_simulation import LevelSettings, RunResult
+from sweep.study.subset_simulation import LevelSettings, SubsetRunResult
 
 if TYPE_CHECKING:
     import pandas as pd
 
-INSTEAD = f"try another study.design.lead, study.design.kind={Importance.kind}, or wider distributions"
+OTHER_DESIGN_ADVICE = f"try another study.design.lead, study.design.kind={Importance.kind}, or wider distributions"
 
 
 @dataclass(frozen=True)
@@ -35,7 +42,7 @@ class Subset(AdaptiveDesign):
     share: float = 0.1  # share of a level's rows that the next one begins with
     target: float = 1e-7  # the least probability that is looked for
     runs: int = 5  # independent repetitions, which tell its error
-    lead: str = LEAD  # column, or sum of some, that shrinks before anything breaks
+    lead: str = DEFAULT_LEAD_COLUMN  # column, or sum of some, that shrinks before anything breaks
 
     @property
     def level_settings(self) -> LevelSettings:
@@ -52,15 +59,17 @@ class Subset(AdaptiveDesign):
         super().check(drawn, listed)
         if self.runs < 1:
             raise InputError(f"study.design.runs = {self.runs} is not allowed: at least 1")
-        if not EDGE < self.target < 1:
-            raise InputError(f"study.design.target = {self.target:g} is not allowed: above {EDGE:.2g} and below 1")
+        if not MIN_QUANTILE < self.target < 1:
+            raise InputError(
+                f"study.design.target = {self.target:g} is not allowed: above {MIN_QUANTILE:.2g} and below 1"
+            )
         steps = 1 / self.share if self.share > 0 else 0
         if not 0 < self.share <= 0.5 or abs(steps - round(steps)) > 1e-9:
             raise InputError(
                 f"study.design.share = {self.share:g} is not allowed: 1 divided by a whole number of at least 2"
             )
-        if self.num < subset_simulation.FEWEST * steps or self.num % round(steps):
-            least = f"a multiple of {steps:.0f}, at least {subset_simulation.FEWEST * steps:.0f}"
+        if self.num < subset_simulation.MIN_SEEDS * steps or self.num % round(steps):
+            least = f"a multiple of {steps:.0f}, at least {subset_simulation.MIN_SEEDS * steps:.0f}"
             raise InputError(
                 f"study.design.num = {self.num} is not allowed: {least} with study.design.share = {self.share:g}"
             )
@@ -79,11 +88,11 @@ class Subset(AdaptiveDesign):
         """Count the draws of all runs if each takes all levels."""
         return self.runs * self.level_settings.max_rollouts if self.num else 0
 
-    def start_search(self, ctx: DrawContext) -> Search:
+    def start_search(self, ctx: DrawContext) -> SearchGenerator:
         """Start the search, whose result is a list of `RunResult`."""
         return subset_simulation.start_search(len(ctx.axes), self.level_settings, self.runs, ctx.seed)
 
-    def summarize(self, rows: "pd.DataFrame", draws: Draws) -> RoundSummary:
+    def summarize(self, rows: "pd.DataFrame", draws: RoundDraws) -> RoundSummary:
         """Summarize the rows of a round by the column or expression `lead`.
 
         Args:
@@ -121,7 +130,9 @@ class Subset(AdaptiveDesign):
 
         failing, places = np.zeros(len(rows)), pd.Index(rows["replicate"])
         for run in self.estimate_failure(rows, ctx).runs:
-            number = run.level.number[run.level.failed]  # a row counts as often as its chain stayed there
+            number = run.last_level.draw_numbers[
+                run.last_level.failed
+            ]  # a row counts as often as its chain stayed there
             np.add.at(failing, places.get_indexer(pd.Index(number)), run.probability / max(len(number), 1))
         return (rows["axis.level"] == 0).to_numpy(float), failing
 
@@ -131,7 +142,7 @@ class SubsetEstimate:
     """A failure probability by independent runs of subset simulation, whose spread gives the error."""
 
     target: float
-    runs: tuple[RunResult, ...]
+    runs: tuple[SubsetRunResult, ...]
 
     @property
     def run_probabilities(self) -> np.ndarray:
@@ -144,9 +155,9 @@ class SubsetEstimate:
         return float(self.run_probabilities.mean())
 
     @property
-    def stuck_runs(self) -> tuple[RunResult, ...]:
+    def stuck_runs(self) -> tuple[SubsetRunResult, ...]:
         """The runs that stopped before they reached the failure region."""
-        return tuple(run for run in self.runs if run.why)
+        return tuple(run for run in self.runs if run.end_reason)
 
     @property
     def variation(self) -> float:
@@ -159,7 +170,7 @@ class SubsetEstimate:
         """The 95 % interval: log-normal, with Student's t for the number of runs; NaN for a single run."""
         from scipy.stats import t
 
-        width = t.ppf(0.5 + CONFIDENCE / 2, max(len(self.runs) - 1, 1)) * np.sqrt(np.log1p(self.variation**2))
+        width = t.ppf(0.5 + CONFIDENCE_LEVEL / 2, max(len(self.runs) - 1, 1)) * np.sqrt(np.log1p(self.variation**2))
         return float(self.probability * np.exp(-width)), float(min(self.probability * np.exp(width), 1.0))
 
     @property
@@ -170,19 +181,22 @@ class SubsetEstimate:
     def __str__(self) -> str:
         count, rollouts = len(self.runs), sum(run.rollouts for run in self.runs)
         if not self.probability:
-            return f"none of {count} runs reached a failure in {rollouts:,} rollouts: {self.runs[0].why}; {INSTEAD}"
+            return (
+                f"none of {count} runs reached a failure in {rollouts:,} rollouts: {self.runs[0].end_reason}; "
+                f"{OTHER_DESIGN_ADVICE}"
+            )
         spread = "a single run gives no interval"
         if count > 1:
             low, high = self.interval
             spread = f"{low:.2g} to {high:.2g} (95 %, by the spread of {count} runs: "
             spread += ", ".join(f"{one:.2g}" for one in sorted(self.run_probabilities)) + ")"
-        taken = [share for run in self.runs for share in run.accepted]
+        taken = [share for run in self.runs for share in run.acceptance_rates]
         text = f"P(failure) = {self.probability:.3g}, {spread}, {rollouts:,} rollouts"
         if taken:
             text += f"; {min(taken):.0%} to {max(taken):.0%} of a level's proposals were accepted"
         if self.stuck_runs:
-            early = f"{len(self.stuck_runs)} of {count} runs ended early: {self.stuck_runs[0].why}"
-            text += f"; NOT reliable: {early}; {INSTEAD}"
+            early = f"{len(self.stuck_runs)} of {count} runs ended early: {self.stuck_runs[0].end_reason}"
+            text += f"; NOT reliable: {early}; {OTHER_DESIGN_ADVICE}"
         return text + advise_plain_draws(self.probability)
 
 

@@ -18,10 +18,10 @@ from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import (
     SIDES,
     AuditVariant,
-    Kinds,
+    ClassesByKind,
+    ColumnValues,
     Nominal,
     Parameter,
-    Values,
     split_side,
     split_world_and_belief,
 )
@@ -31,7 +31,7 @@ from sweep.core.parameters import build, build_by_kind
 from sweep.engines.states import available_columns
 from sweep.manoeuvres import MANOEUVRES
 from sweep.metrics import outcome
-from sweep.metrics.outcome import Thresholds
+from sweep.metrics.outcome import OutcomeThresholds
 from sweep.models.case import Case, Manoeuvre, complete_manoeuvre
 from sweep.models.control import Control
 from sweep.models.noise import Noise
@@ -51,18 +51,29 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-VARIED = "quantity", "count", "choice"
-LONGEST_DELAY = 100  # ticks: of what is measured and of the load, each at most 50
-SIZED, SMALLEST, LARGEST = ("robot", "obstacle"), 0.01, 20.0  # whose lengths (m) from where on, how often the nominal
-CHECKED = 1 << 16  # rows whose bodies are checked at a time
-RELAXING = "contact.stiffness", "contact.damping", "engine.time_step", "engine.name"
-ALONE = {"mjx": ("engine.time_step", "engine.dynamics", "engine.iterations"), "native": ("engine.native_time_step",)}
-LATER = ("noise.load_", "noise.position_offset_", "noise.orientation_offset_")  # inputs of before were as by default
-RANDOM: dict[str, float | str] = {
+VARIABLE_ROLES = "quantity", "count", "choice"
+MAX_DELAY_TICKS = 100  # ticks: of what is measured and of the load, each at most 50
+SIZE_GROUPS, MIN_SCALED_LENGTH_M, MAX_SIZE_RATIO = (
+    ("robot", "obstacle"),
+    0.01,
+    20.0,
+)  # whose lengths (m) from where on, how often the nominal
+ROWS_PER_CHECK = 1 << 16  # rows whose bodies are checked at a time
+RELAXATION_PARAMETERS = "contact.stiffness", "contact.damping", "engine.time_step", "engine.name"
+PARAMETERS_OF_ENGINE = {
+    "mjx": ("engine.time_step", "engine.dynamics", "engine.iterations"),
+    "native": ("engine.native_time_step",),
+}
+LATER_INPUTS = (
+    "noise.load_",
+    "noise.position_offset_",
+    "noise.orientation_offset_",
+)  # inputs of before were as by default
+RANDOM_INPUTS: dict[str, float | str] = {
     f"noise.{f.name}": 0 for f in dataclasses.fields(Noise) if f.name.endswith(("_noise", "_bias"))
 }
-RANDOM["control.calibrate"] = "none"
-WAYS = {
+RANDOM_INPUTS["control.calibrate"] = "none"
+AUDIT_VARIANTS = {
     "again": AuditVariant("as before, in batches of another width"),
     "half_step": AuditVariant(
         "half the time step",
@@ -84,14 +95,14 @@ class Hexapod:
     case: Case
 
     groups = tuple(f.name for f in dataclasses.fields(Case))
-    causes = outcome.MEANING
+    causes = outcome.CAUSE_MEANINGS
     cause_meanings = staticmethod(outcome.cause_meanings)
     invalid_causes = tuple(outcome.INVALID_CAUSES)
-    metric_names = frozenset({*outcome.COLUMNS, *outcome.BOOKKEEPING})
-    bookkeeping_metrics = frozenset(outcome.BOOKKEEPING | {"finite", "finished", "end_stage"})
+    metric_names = frozenset({*outcome.COLUMN_MEANINGS, *outcome.BOOKKEEPING_COLUMNS})
+    bookkeeping_metrics = frozenset(outcome.BOOKKEEPING_COLUMNS | {"finite", "finished", "end_stage"})
     replay_formats = ("mcap", "states", "model", "plot", "png", "video")
     unsupported_commands = MappingProxyType({"policy": "its controllers are built in"})
-    audit_variants = WAYS
+    audit_variants = AUDIT_VARIANTS
     device = staticmethod(run_id.describe_device)
     run_id = staticmethod(run_id.run_id)
     judge = staticmethod(outcome.classify)
@@ -152,7 +163,7 @@ class Hexapod:
             return plan_table.plan_parameter(self.case, path.removeprefix("plan."))
         owner, name = self._owner(column, settings)
         found = next(f for f in dataclasses.fields(owner) if f.name == name)
-        if found.metadata.get("role") not in VARIED:
+        if found.metadata.get("role") not in VARIABLE_ROLES:
             raise InputError(f"axis {column} cannot be varied: it is neither a single number nor a name")
         return found
 
@@ -192,7 +203,7 @@ class Hexapod:
         Point ids of earlier rows thus stay valid.
         """
         yield from flatten_case(Control(), "control")
-        yield from ((path, value) for path, value in flatten_case(Noise(), "noise") if path.startswith(LATER))
+        yield from ((path, value) for path, value in flatten_case(Noise(), "noise") if path.startswith(LATER_INPUTS))
         yield from _plan_inputs(self.case, plan_table.default_plan_content(self.case))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
@@ -226,10 +237,10 @@ class Hexapod:
         distinct = table[varied].drop_duplicates()
         names = [c for c in varied if c not in sizes]
         kinds = [part for _, part in distinct.groupby(names)] if names else [distinct]
-        for part in (kind.iloc[k : k + CHECKED] for kind in kinds for k in range(0, len(kind), CHECKED)):
+        for part in (kind.iloc[k : k + ROWS_PER_CHECK] for kind in kinds for k in range(0, len(kind), ROWS_PER_CHECK)):
             words = {name: part[name].iloc[0] for name in names}
             case, _ = self.make_sides({**words, **{name: part[name].to_numpy() for name in sizes}})
-            for _, row in part[scene.find_too_small(case)].iterrows():
+            for _, row in part[scene.find_too_light_bodies(case)].iterrows():
                 said = ", ".join(f"{name} = {row[name]:g}" for name in sizes)
                 raise InputError(f"{said} is not allowed: a body's mass or inertia is too small for MuJoCo")
 
@@ -237,9 +248,9 @@ class Hexapod:
         """Raise `InputError` where a time step of mjx exceeds the relaxation time of contacts."""
         import pandas as pd
 
-        table = _select_paths(table, RELAXING)
-        found = pd.DataFrame({path: _of_side(self, table, "world", path, settings) for path in RELAXING})
-        stiffness, damping, step, name = (found[path] for path in RELAXING)
+        table = _select_paths(table, RELAXATION_PARAMETERS)
+        found = pd.DataFrame({path: _of_side(self, table, "world", path, settings) for path in RELAXATION_PARAMETERS})
+        stiffness, damping, step, name = (found[path] for path in RELAXATION_PARAMETERS)
         slow = found[(name == "mjx") & (step * stiffness > damping * (1 + 1e-9))]
         for stiffness, damping, step, _ in slow.head(1).itertuples(index=False):
             raise InputError(
@@ -249,28 +260,30 @@ class Hexapod:
 
     def cpu_threshold(self, settings: EngineSettings) -> int:
         """Return a full tile of the fused compiler for each core, see `System`."""
-        from sweep.fused.llvm import LANES  # whose library what is wrong need not wait for
+        from sweep.fused.llvm import TILE_LANES  # whose library what is wrong need not wait for
 
-        return LANES * devices.count_cores() if settings.fusible else 0
+        return TILE_LANES * devices.count_cores() if settings.fusible else 0
 
     def explain_inactive_column(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
         """Explain parameters that only the world, only the belief or only another engine uses; see `System`."""
         side, path = split_side(column)
         if side == "world" and path.startswith(("manoeuvre.", "control.")):
             return "plans depend on the belief only"
-        if other := next((engine for engine, own in ALONE.items() if path in own and engine != settings.name), ""):
+        if other := next(
+            (engine for engine, own in PARAMETERS_OF_ENGINE.items() if path in own and engine != settings.name), ""
+        ):
             return f"engine {other} uses it"
         return "sensor errors are part of the world" if side == "belief" and path.startswith("noise.") else ""
 
     def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """Return which rows (n,) have sensor errors or calibration, which draw random numbers."""
         found = np.zeros(len(rows), dtype=bool)
-        for path, none in RANDOM.items():
+        for path, none in RANDOM_INPUTS.items():
             column = next((c for c in (f"world.{path}", path) if c in rows), None)
             found |= (rows[column] if column else self.nominal(path, settings)) != none
         return found
 
-    def make_sides(self, values: Values) -> tuple[Case, Case]:
+    def make_sides(self, values: ColumnValues) -> tuple[Case, Case]:
         """Make the cases of world and belief, see `System`."""
         sides = split_world_and_belief(values).values()
         world, belief = (
@@ -286,14 +299,14 @@ class Hexapod:
             return table[columns].max(axis=1) if columns else getattr(self.case.noise, name)
 
         longest = np.max(np.maximum(of("delay") + of("load_delay"), of("body_delay")))
-        room = max(min(math.ceil(longest), LONGEST_DELAY), self.case.noise.delay_buffer)
+        room = max(min(math.ceil(longest), MAX_DELAY_TICKS), self.case.noise.delay_buffer)
         return Hexapod(replace_parameter(self.case, "noise.delay_buffer", room))
 
-    def make_engine(self, settings: EngineSettings, world: Case, belief: Case, limits: Thresholds) -> Engine:
+    def make_engine(self, settings: EngineSettings, world: Case, belief: Case, limits: OutcomeThresholds) -> Engine:
         """Compile one of the robot's engines, see `System`."""
         from sweep import engines  # slow to import
 
-        return engines.make(settings, world, belief, limits)
+        return engines.make_engine(settings, world, belief, limits)
 
     def parse_threshold(self, text: str) -> tuple[str, float]:
         """Parse a threshold such as `slip_max_m<0.02`, see `System`. Maxima allow `<` only, minima `>` only."""
@@ -303,21 +316,21 @@ class Hexapod:
             number = float(value)
         except ValueError:
             raise InputError(f"{text!r} is not a threshold, such as 'slip_max_m<0.02'") from None
-        fields = dataclasses.fields(Thresholds)  # pyright: ignore[reportArgumentType]
+        fields = dataclasses.fields(OutcomeThresholds)  # pyright: ignore[reportArgumentType]
         require_choice(key.strip(), [field.name for field in fields], f"outcome.{key.strip()}")
         if sign and sign != "=" and ("max" in key) != ("<" in sign):
             raise InputError(f"{text!r} is not allowed: {key.strip()} is a {'maximum' if 'max' in key else 'minimum'}")
         return key.strip(), number
 
-    def thresholds(self, limits: Thresholds) -> dict[str, float]:
+    def thresholds(self, limits: OutcomeThresholds) -> dict[str, float]:
         """Return the threshold of each cause that has one, by metric."""
         return {cause.metric: outcome.threshold_value(cause, limits) for cause in outcome.CAUSES if cause.threshold}
 
 
-def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
+def nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
     """Build the robot's system from a plain configuration, see `sweep.systems.SystemKind.nominal`."""
-    classes = {"engine": EngineSettings, "outcome": Thresholds}
-    classes |= {name: group.load() for name, group in GROUPS.items() if group.in_case and group.one_class}
+    classes = {"engine": EngineSettings, "outcome": OutcomeThresholds}
+    classes |= {name: group.load() for name, group in GROUPS.items() if group.in_case and group.has_single_class}
     parts = {group: build(cls, values[group], group) for group, cls in classes.items()}
     settings, given = parts.pop("engine"), dataclasses.asdict(parts.pop("outcome"))
     parts |= {group: build_by_kind(kinds[group], values[group], group) for group in ("obstacle", "manoeuvre")}
@@ -329,11 +342,11 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
         raise InputError(f"{both} needs {needed}")
     if not type(case.obstacle).__module__.startswith("sweep."):
         check_user_obstacle(case.obstacle)
-    for group in SIZED:
+    for group in SIZE_GROUPS:
         part = getattr(case, group)
         for member in dataclasses.fields(part):
             _check_size(f"{group}.{member.name}", member, getattr(part, member.name))
-    return Nominal(Hexapod(case), settings, outcome.thresholds(given, case))
+    return Nominal(Hexapod(case), settings, outcome.resolve_thresholds(given, case))
 
 
 def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str]:
@@ -412,11 +425,11 @@ def _of_side(
 def _check_size(column: str, member: Parameter, value: Any) -> None:
     """Raise `InputError` where a length is so far above its nominal value that its unit must be wrong."""
     group, nominal = split_side(column)[1].partition(".")[0], member.default
-    if group not in SIZED or member.metadata.get("unit") != "m" or not isinstance(nominal, float):
+    if group not in SIZE_GROUPS or member.metadata.get("unit") != "m" or not isinstance(nominal, float):
         return
-    if nominal >= SMALLEST and value > LARGEST * nominal:
+    if nominal >= MIN_SCALED_LENGTH_M and value > MAX_SIZE_RATIO * nominal:
         meant = min((value / 100, value / 1000), key=lambda size: abs(math.log(size / nominal)))
-        allowed = f"at most {LARGEST:g} times the nominal {nominal:g} m"
+        allowed = f"at most {MAX_SIZE_RATIO:g} times the nominal {nominal:g} m"
         raise InputError(f"{column} = {value:g} is not allowed: is it {meant:g} m? ({allowed})")
 
 

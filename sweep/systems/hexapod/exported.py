@@ -19,11 +19,11 @@ from sweep.contract.engine_settings import EngineSettings
 from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.layers import Feedforward
 from sweep.core.errors import InputError
-from sweep.core.outcomes import MISSED
-from sweep.core.parameters import LARGEST
+from sweep.core.outcomes import GOAL_MISSED
+from sweep.core.parameters import MAX_WHOLE_NUMBER
 from sweep.engines.batching import nominal_plan
 from sweep.engines.closed_loop import (
-    GRACE,
+    MAX_DURATION_FACTOR,
     classify_sensing,
     compute_metrics,
     exact_observation,
@@ -34,19 +34,19 @@ from sweep.engines.closed_loop import (
 )
 from sweep.engines.pre_rollout import prepare_belief
 from sweep.estimation.belief_update import LearnedState
-from sweep.metrics.outcome import Thresholds, threshold_value
-from sweep.metrics.tick import REST, Tick
+from sweep.metrics.outcome import OutcomeThresholds, threshold_value
+from sweep.metrics.tick import REST_DURATION_S, TickReport
 from sweep.models.case import Case
-from sweep.models.legs import JOINT_V, JOINTS, N_JOINTS, N_LEGS
+from sweep.models.legs import JOINT_NAMES, JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import body_poses, surface_at
 from sweep.models.robot import link_names
 from sweep.models.scene import native_spec
 from sweep.systems.hexapod import flatten_case, replace_parameter
 
-BELIEVED = "robot", "drive", "contact", "obstacle", "manoeuvre"  # groups whose quantities the controller is told
+BELIEF_GROUPS = "robot", "drive", "contact", "obstacle", "manoeuvre"  # groups whose quantities the controller is told
 
 
-class Controller(NamedTuple):
+class ExportedController(NamedTuple):
     """The members of an exported controller's module: `begin`, `policy`, `figures` and the tables of parameters and
     metrics."""
 
@@ -100,7 +100,7 @@ def make_spec(case: Case, settings: EngineSettings) -> mujoco.MjSpec:
         made.add_sensor(name=f"at_{name}", type=sensed.mjSENS_FRAMEPOS, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=name)
     for name in feet:
         made.add_sensor(name=f"at_{name}", type=sensed.mjSENS_FRAMEPOS, objtype=site, objname=name)
-    for name in JOINTS:
+    for name in JOINT_NAMES:
         actuator = mujoco.mjtObj.mjOBJ_ACTUATOR
         made.add_sensor(name=f"torque_{name}", type=sensed.mjSENS_ACTUATORFRC, objtype=actuator, objname=name)
     return made
@@ -110,7 +110,7 @@ def _links(case: Case) -> list[str]:
     return [f"{link}{leg + 1}" for leg in range(N_LEGS) for link in link_names(case.robot)]
 
 
-def make_scenario(case: Case, settings: EngineSettings, limits: Thresholds, model: str, controller: str) -> Any:
+def make_scenario(case: Case, settings: EngineSettings, limits: OutcomeThresholds, model: str, controller: str) -> Any:
     """Make the scenario of the exported model, with the robot's causes of failure as conditions.
 
     Args:
@@ -124,7 +124,7 @@ def make_scenario(case: Case, settings: EngineSettings, limits: Thresholds, mode
         Plain values of a scenario file.
     """
     sensors = [sensor.name for sensor in make_spec(case, settings).sensors]
-    seconds = GRACE * float(np.sum(np.asarray(nominal_plan(case).duration))) + REST
+    seconds = MAX_DURATION_FACTOR * float(np.sum(np.asarray(nominal_plan(case).duration))) + REST_DURATION_S
     about = {
         "mjcf": model,
         "controller": controller,
@@ -136,17 +136,17 @@ def make_scenario(case: Case, settings: EngineSettings, limits: Thresholds, mode
     return {"system": "mujoco", "model": about, "outcome": dict(_conditions(case, limits))}
 
 
-def _conditions(case: Case, limits: Thresholds) -> Iterator[tuple[str, str]]:
+def _conditions(case: Case, limits: OutcomeThresholds) -> Iterator[tuple[str, str]]:
     """Yield names and conditions of the causes, those known at a tick first."""
     every = [cause for metric in metrics.applicable_metrics(case) for cause in metric.causes if not cause.invalid]
     for cause in sorted(every, key=lambda cause: cause.known_at == "end"):
         limit = threshold_value(cause, limits)
         if math.isfinite(limit):
-            name = cause.name if cause.name != MISSED else f"missed_{cause.threshold}"
+            name = cause.name if cause.name != GOAL_MISSED else f"missed_{cause.threshold}"
             yield name, f"{cause.metric} {'<' if cause.below else '>'} {limit!r}"
 
 
-def make_controller(case: Case, settings: EngineSettings, limits: Thresholds) -> Controller:
+def make_controller(case: Case, settings: EngineSettings, limits: OutcomeThresholds) -> ExportedController:
     """Make a controller that plans, tracks and measures as this package does.
 
     The nominal world is simulated for the plan, with the belief's values where the belief has them.
@@ -161,9 +161,11 @@ def make_controller(case: Case, settings: EngineSettings, limits: Thresholds) ->
     """
     period = settings.control_period
     numbers = {
-        path: value for path, value in flatten_case(case, "") if isinstance(value, float) and abs(value) < LARGEST
+        path: value
+        for path, value in flatten_case(case, "")
+        if isinstance(value, float) and abs(value) < MAX_WHOLE_NUMBER
     }
-    numbers = {path: value for path, value in numbers.items() if path.startswith(BELIEVED)}
+    numbers = {path: value for path, value in numbers.items() if path.startswith(BELIEF_GROUPS)}
     measured = {name: what for metric in metrics.applicable_metrics(case) for name, what in metric.columns.items()}
 
     def believed(belief: Mapping[str, Array]) -> Case:
@@ -179,7 +181,7 @@ def make_controller(case: Case, settings: EngineSettings, limits: Thresholds) ->
         loop = init_loop(own, own, plan, start, jnp.zeros(()), key, LearnedState(), sensing="exact")
         _, command = run_controller(own, own, plan, loop, jnp.int32(0), period)
         state = {"plan": plan, "loop": loop, "command": command, "tick": jnp.int32(0)}
-        return start.qpos, state, GRACE * jnp.sum(plan.duration) + REST
+        return start.qpos, state, MAX_DURATION_FACTOR * jnp.sum(plan.duration) + REST_DURATION_S
 
     def policy(belief: Mapping[str, Array], seen: Array, state: Any, key: Array) -> tuple[Array, Any]:
         own, plan, loop, tick = believed(belief), state["plan"], state["loop"], state["tick"]
@@ -195,13 +197,13 @@ def make_controller(case: Case, settings: EngineSettings, limits: Thresholds) ->
         found = compute_metrics(believed(belief), state["plan"], state["loop"])
         return {name: jnp.asarray(found[name], float) for name in measured}
 
-    return Controller(begin, policy, figures, numbers, measured)
+    return ExportedController(begin, policy, figures, numbers, measured)
 
 
 controller = make_controller  # imported by projects that earlier versions exported
 
 
-def summarize_tick(case: Case, seen: Float[Array, " k"], period: float) -> Tick:
+def summarize_tick(case: Case, seen: Float[Array, " k"], period: float) -> TickReport:
     """Compute the inputs of the metrics from the observation at the end of a control tick.
 
     Args:
@@ -220,7 +222,7 @@ def summarize_tick(case: Case, seen: Float[Array, " k"], period: float) -> Tick:
     exact = exact_observation(qpos, qvel, 0, load)
     bodies = body_poses(exact.free)
     normals = surface_at(case.obstacle, feet, bodies).normal
-    return Tick(
+    return TickReport(
         torque_peak=jnp.abs(torque).reshape(N_LEGS, 3),
         saturated=(jnp.abs(effort) >= 0.999 * drive.torque_limit).astype(seen.dtype).reshape(N_LEGS, 3),
         force=load[:, None] * normals,
@@ -228,10 +230,10 @@ def summarize_tick(case: Case, seen: Float[Array, " k"], period: float) -> Tick:
         tangential=jnp.zeros(N_LEGS),
         residual=jnp.zeros(()),
         work=period * jnp.sum(torque * rates),
-        effort=period * jnp.sum(jnp.maximum(torque * rates, 0.0)),
+        positive_work=period * jnp.sum(jnp.maximum(torque * rates, 0.0)),
         power=(torque * rates).reshape(N_LEGS, 3),
         energy=jnp.zeros(()),
-        truth=exact,
+        actual=exact,
         centre_of_mass=centre,
         joints=jnp.concatenate([places.reshape(N_LEGS, -1, 3), feet[:, None]], axis=1),
         bodies=bodies,

@@ -12,17 +12,25 @@ from matplotlib.figure import Figure
 from sweep.contract.engine import Trace
 from sweep.contract.trace_frames import base_pose, joint_positions, mass_centres
 from sweep.core.parameters import InputError
-from sweep.core.plot_style import LEG_COLORS, LETTERS, PAGE, legend_below, new_figure, plot_style, wrap_text
+from sweep.core.plot_style import (
+    FONT_SIZE_PT,
+    LEG_COLORS,
+    PAGE_WIDTH_IN,
+    legend_below,
+    new_figure,
+    plot_style,
+    wrap_text,
+)
 from sweep.engines.contact_forces import measured_contact_forces, planned_contact_forces
 from sweep.formulas import stepping
-from sweep.models.legs import KINDS, N_LEGS
+from sweep.models.legs import JOINT_KINDS, N_LEGS
 
 LEG_ROWS = ((6, 5), (4, 3), (2, 1))
-SYMBOLS = dict(zip(KINDS, ("α", "β", "γ"), strict=True))
-ACTUAL, SECOND, REFERENCE = "#0072b2", "#d55e00", "0.25"
+JOINT_SYMBOLS = dict(zip(JOINT_KINDS, ("α", "β", "γ"), strict=True))
+ACTUAL_COLOUR, SECOND_COLOUR, REFERENCE_COLOUR = "#0072b2", "#d55e00", "0.25"
 SPEED_WINDOW = 25  # ticks over which the speed of a body is averaged
 SLANTED_STAGES = 10  # most stage names that are written slanted; more are upright
-NAME_SPACING = 1.2 * LETTERS  # points between stage names that are written
+NAME_SPACING = 1.2 * FONT_SIZE_PT  # points between stage names that are written
 AXIS_WIDTH = 0.6  # in, of a panel's width that its axis takes
 BOOK_TORQUE = 75.2  # N·m, unit of the monograph's figures 2.3.5 and 2.3.6: about the body's moment of gravity on a pole
 
@@ -52,7 +60,10 @@ def plot_base(trace: Trace) -> Figure:
     """Plot position (m) and tilt (deg) of the base against its reference."""
     pose = base_pose(trace)
     figure, axes = _column("Base (dashed: reference)", "x (m)", "y (m)", "z (m)", "tilt (deg)")
-    for poses, color, style, width in ((trace.base_target, REFERENCE, "--", 1.0), (pose, ACTUAL, "-", 1.2)):
+    for poses, color, style, width in (
+        (trace.base_target, REFERENCE_COLOUR, "--", 1.0),
+        (pose, ACTUAL_COLOUR, "-", 1.2),
+    ):
         for ax, values in zip(axes[:, 0], [*poses[:, :3].T, tilt_deg(poses)], strict=True):
             ax.plot(trace.time, values, color=color, ls=style, lw=width)
     return _finish(figure, axes, trace)
@@ -62,12 +73,12 @@ def plot_feet(trace: Trace) -> Figure:
     """Plot the height (m) of each foot against its reference, and the force on it (N)."""
     figure, axes = _grid(6, 2, "Feet (dashed: planned height)", share="col")
     for leg, (left, right) in enumerate(axes):
-        left.plot(trace.time, trace.foot_target[:, leg, 2], color=REFERENCE, ls="--", lw=1.0)
+        left.plot(trace.time, trace.foot_target[:, leg, 2], color=REFERENCE_COLOUR, ls="--", lw=1.0)
         left.plot(trace.time, trace.foot_position[:, leg, 2], color=LEG_COLORS[leg], lw=1.2)
         left.set_ylabel(f"leg {leg + 1}\nheight (m)")
         force = trace.foot_force[:, leg]
-        right.plot(trace.time, force[:, 2], color=ACTUAL, lw=1.2, label="vertical")
-        right.plot(trace.time, np.linalg.norm(force[:, :2], axis=1), color=SECOND, lw=1.0, label="horizontal")
+        right.plot(trace.time, force[:, 2], color=ACTUAL_COLOUR, lw=1.2, label="vertical")
+        right.plot(trace.time, np.linalg.norm(force[:, :2], axis=1), color=SECOND_COLOUR, lw=1.0, label="horizontal")
         right.set_ylabel("force (N)")
     return _finish(figure, axes, trace)
 
@@ -78,7 +89,7 @@ def plot_margin(trace: Trace) -> Figure:
     for k, name in enumerate(dict.fromkeys(trace.margin_of)):
         nearest = np.where(trace.margin_of == name, trace.margin, np.nan)
         axes[0, 0].plot(trace.time, nearest, color=f"C{k}", lw=1.4, label=name)
-    axes[0, 0].axhline(0, color=REFERENCE, lw=0.9)
+    axes[0, 0].axhline(0, color=REFERENCE_COLOUR, lw=0.9)
     return _finish(figure, axes, trace)
 
 
@@ -89,11 +100,11 @@ def plot_paths(trace: Trace) -> Figure:
     axes = figure.subplots(2, 1)
     pose = base_pose(trace)
     for ax, k, name in zip(axes, (1, 2), "yz", strict=True):
-        ax.plot(trace.base_target[:, 0], trace.base_target[:, k], color=REFERENCE, ls="--", lw=1.0)
+        ax.plot(trace.base_target[:, 0], trace.base_target[:, k], color=REFERENCE_COLOUR, ls="--", lw=1.0)
         ax.plot(pose[:, 0], pose[:, k], color="k", lw=1.4, label="base")
         for leg, color in enumerate(LEG_COLORS):
             target, actual = trace.foot_target[:, leg], trace.foot_position[:, leg]
-            ax.plot(target[:, 0], target[:, k], color=REFERENCE, ls="--", lw=0.8)
+            ax.plot(target[:, 0], target[:, k], color=REFERENCE_COLOUR, ls="--", lw=0.8)
             ax.plot(actual[:, 0], actual[:, k], color=color, lw=1.1, label=f"foot {leg + 1}")
         ax.set_xlabel("x (m)")
         ax.set_ylabel(f"{name} (m)")
@@ -122,7 +133,7 @@ def plot_ball(trace: Trace) -> Figure:
     over_ball = mass_centres(trace, few)[:, :2] - place[few, :2]
     labels = ("speed (mm/s)", "way (m)", "base (mm)", "mass centre (mm)")
     figure, axes = _column("Ball: speed and path; base and centre of mass over its centre", *labels)
-    for k, (name, color) in enumerate((("ahead", ACTUAL), ("left", SECOND))):
+    for k, (name, color) in enumerate((("ahead", ACTUAL_COLOUR), ("left", SECOND_COLOUR))):
         axes[0, 0].plot(trace.time, 1e3 * speed[k], color=color, lw=1.2, label=name)
         axes[1, 0].plot(trace.time, place[:, k] - place[0, k], color=color, lw=1.2)
         axes[2, 0].plot(trace.time, 1e3 * (base_pose(trace)[:, k] - place[:, k]), color=color, lw=1.2)
@@ -139,14 +150,14 @@ def plot_flywheel(trace: Trace) -> Figure:
     torque = trace.joint_torque.reshape(-1, 6, 3)
     labels = ("β (rad)", "largest torque\nof β (N·m)", "centre of mass\nto the left (mm)", "tilt (deg)")
     figure, axes = _column("Middle legs as a flywheel", *labels)
-    for leg, color in ((3, ACTUAL), (4, SECOND)):
+    for leg, color in ((3, ACTUAL_COLOUR), (4, SECOND_COLOUR)):
         wrapped = np.mod(angle[:, leg - 1, 1], 2 * np.pi)
         axes[0, 0].plot(trace.time, wrapped, color=color, lw=1.2, label=f"leg {leg}")
         axes[1, 0].plot(trace.time, torque[:, leg - 1, 1], color=color, lw=1.0)
     aside = 1e3 * left_component(trace, mass_centres(trace, slice(None)) - trace.base_target[:, :3])
     axes[2, 0].plot(trace.time, aside, color="k", lw=1.0)
     axes[3, 0].plot(trace.time, tilt_deg(base_pose(trace)), color="k", lw=1.0)
-    axes[0, 0].axhline(np.pi / 2, color=REFERENCE, ls="--", lw=0.8)
+    axes[0, 0].axhline(np.pi / 2, color=REFERENCE_COLOUR, ls="--", lw=0.8)
     return _finish(figure, axes, trace)
 
 
@@ -167,12 +178,12 @@ def plot_forces(trace: Trace) -> Figure:
             axes[0, 0].plot(trace.time, measured.normal[:, leg], color=color, lw=1.2)
             if planned is not None:
                 axes[0, 0].plot(trace.time, planned.normal[:, leg], color=color, ls="--", lw=0.9)
-    axes[1, 0].axhline(friction, color=REFERENCE, lw=0.9)
-    for forces, color, style in ((measured, "k", "-"), (planned, REFERENCE, "--")):
+    axes[1, 0].axhline(friction, color=REFERENCE_COLOUR, lw=0.9)
+    for forces, color, style in ((measured, "k", "-"), (planned, REFERENCE_COLOUR, "--")):
         if forces is not None:
             left = friction - np.nanmax(np.nan_to_num(forces.friction), axis=1)
             axes[2, 0].plot(trace.time, left, color=color, ls=style, lw=1.0)
-    axes[2, 0].axhline(0, color=REFERENCE, lw=0.8)
+    axes[2, 0].axhline(0, color=REFERENCE_COLOUR, lw=0.8)
     if rate := getattr(trace.belief.manoeuvre, "rate", None):
         step = float(stepping.swing_time(rate))
         for t in np.arange(step, trace.time[-1], step):
@@ -228,12 +239,14 @@ def _per_leg(
     figure, axes = _grid(3, 2, title, share="all")
     for row, legs in zip(axes, LEG_ROWS, strict=True):
         for ax, leg in zip(row, legs, strict=True):
-            for kind, color in zip(range(3), (ACTUAL, SECOND, "#009e73"), strict=True):
-                ax.plot(trace.time, values[:, leg - 1, kind], color=color, lw=1.1, label=SYMBOLS[KINDS[kind]])
+            for kind, color in zip(range(3), (ACTUAL_COLOUR, SECOND_COLOUR, "#009e73"), strict=True):
+                ax.plot(
+                    trace.time, values[:, leg - 1, kind], color=color, lw=1.1, label=JOINT_SYMBOLS[JOINT_KINDS[kind]]
+                )
                 if target is not None:
                     ax.plot(trace.time, target[:, leg - 1, kind], color=color, ls="--", lw=0.8)
             if limit is not None:
-                ax.axhline(limit, color=REFERENCE, ls=":", lw=0.9, label="torque limit")
+                ax.axhline(limit, color=REFERENCE_COLOUR, ls=":", lw=0.9, label="torque limit")
             ax.set_ylabel(f"leg {leg}\n{label}")
     return _finish(figure, axes, trace)
 
@@ -241,7 +254,7 @@ def _per_leg(
 def _grid(rows: int, columns: int, title: str, share: Literal["none", "col", "all"] = "none") -> tuple[Figure, Any]:
     """Figure and its axes (rows, columns) with one time axis; `share` says which panels share a y axis."""
     figure = new_figure(1.6 + 1.1 * rows)
-    figure.suptitle(wrap_text(title, 72 * PAGE - 2 * LETTERS))
+    figure.suptitle(wrap_text(title, 72 * PAGE_WIDTH_IN - 2 * FONT_SIZE_PT))
     return figure, figure.subplots(rows, columns, sharex=True, sharey=share, squeeze=False)
 
 
@@ -257,7 +270,7 @@ def _finish(figure: Figure, axes: np.ndarray, trace: Trace) -> Figure:
     """Add time axis, lines where stages begin, stage names above the top row, and a legend."""
     legend_below(figure, [one for ax in axes.flat for one in ax.get_legend_handles_labels()[0]])
     starts = np.flatnonzero(np.diff(trace.stage, prepend=-1))
-    room = NAME_SPACING / (72 * (PAGE / axes.shape[1] - AXIS_WIDTH)) * (trace.time[-1] - trace.time[0])
+    room = NAME_SPACING / (72 * (PAGE_WIDTH_IN / axes.shape[1] - AXIS_WIDTH)) * (trace.time[-1] - trace.time[0])
     for ax in axes.flat:
         ax.grid(alpha=0.3)
         ax.margins(x=0.01)

@@ -21,7 +21,15 @@ import numpy as np
 from sweep.backends import mujoco_versions, run_id
 from sweep.contract.engine import Trace
 from sweep.contract.engine_settings import EngineSettings
-from sweep.contract.system import AuditVariant, Kinds, Nominal, Parameter, Values, split_side, split_world_and_belief
+from sweep.contract.system import (
+    AuditVariant,
+    ClassesByKind,
+    ColumnValues,
+    Nominal,
+    Parameter,
+    split_side,
+    split_world_and_belief,
+)
 from sweep.core.conditions import UNTRUSTED, Condition, parse_conditions
 from sweep.core.errors import InputError, require_choice
 from sweep.core.outcomes import classify_rows, judge_cause
@@ -43,25 +51,36 @@ from sweep.systems.mujoco_model import (
 from sweep.systems.mujoco_model.accumulator import MetricAccumulator
 from sweep.systems.mujoco_model.engine import ON_NATIVE, ModelEngine, NativeModelEngine, print_note
 from sweep.systems.mujoco_model.metrics import CAUSES
-from sweep.systems.mujoco_model.model_spec import FILE_PATHS, PHYSICAL, ModelConfig, ModelSpec, Settings, SideValues
+from sweep.systems.mujoco_model.model_spec import (
+    FILE_PATHS,
+    PHYSICAL,
+    ModelConfig,
+    ModelEngineSettings,
+    ModelSpec,
+    SideValues,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
 
-AXES = ("name", "width", "precision")  # settings that the engine of a user model reads, beside the period of a tick
-ALLOWED = (*AXES, "control_period", "cross_check")
-OTHER = {"elliptic": "pyramidal", "pyramidal": "elliptic"}
-WAYS = {
+ENGINE_AXES = (
+    "name",
+    "width",
+    "precision",
+)  # settings that the engine of a user model reads, beside the period of a tick
+ENGINE_SETTINGS = (*ENGINE_AXES, "control_period", "cross_check")
+OTHER_CONE = {"elliptic": "pyramidal", "pyramidal": "elliptic"}
+AUDIT_VARIANTS = {
     "again": AuditVariant("as before, in batches of another width"),
     "half_step": AuditVariant("half the time step", columns={"model.option.timestep": lambda step: step / 2}),
     "float64": AuditVariant("in double precision", lambda s: replace(s, precision="float64")),
     "other_engine": AuditVariant(
         "on the other engine", lambda s: replace(s, name="mjx" if s.name == "native" else "native")
     ),
-    "other_cone": AuditVariant("with the other friction cone", columns={"model.option.cone": OTHER.get}),
+    "other_cone": AuditVariant("with the other friction cone", columns={"model.option.cone": OTHER_CONE.get}),
 }
-INVALID = tuple(cause.name for cause in CAUSES if cause.invalid)
-MEANINGS = {cause.name: cause.sentence for cause in CAUSES}
+INVALID_CAUSES = tuple(cause.name for cause in CAUSES if cause.invalid)
+CAUSE_MEANINGS = {cause.name: cause.sentence for cause in CAUSES}
 
 
 def judge(
@@ -84,8 +103,8 @@ class MujocoModel(ModelSpec):
 
     case = SideValues()
     groups = ("model", "controller", "noise", *PHYSICAL, "schedule")
-    invalid_causes = (*INVALID, UNTRUSTED)
-    bookkeeping_metrics = frozenset({*INVALID, ON_NATIVE})
+    invalid_causes = (*INVALID_CAUSES, UNTRUSTED)
+    bookkeeping_metrics = frozenset({*INVALID_CAUSES, ON_NATIVE})
     replay_formats = ("mcap", "states", "png", "video")
     replay_plots = MappingProxyType({})
     unsupported_commands = MappingProxyType(
@@ -94,7 +113,7 @@ class MujocoModel(ModelSpec):
             "export-model": "it is a MuJoCo model already",
         }
     )
-    audit_variants = MappingProxyType(WAYS)
+    audit_variants = MappingProxyType(AUDIT_VARIANTS)
     device = staticmethod(run_id.describe_device)
     explain_inactive_column = inactive_parameters.explain_inactive
     judge = staticmethod(judge)
@@ -102,17 +121,17 @@ class MujocoModel(ModelSpec):
     @property
     def causes(self) -> dict[str, str]:
         """Meaning of each cause: conditions of the scenario, and causes of invalidity, see `System`."""
-        return {one.cause: one.meaning for one in self.conditions} | MEANINGS
+        return {one.cause: one.meaning for one in self.conditions} | CAUSE_MEANINGS
 
     def cause_meanings(self, limits: tuple[Condition, ...]) -> dict[str, str]:
         """Return the meaning of each cause, whose conditions contain their thresholds, see `System`."""
-        return {one.cause: one.meaning for one in limits} | MEANINGS
+        return {one.cause: one.meaning for one in limits} | CAUSE_MEANINGS
 
     @property
     def metric_names(self) -> tuple[str, ...]:
         """Metrics of any MuJoCo model, and those of its controller, see `System`."""
         tracked = tracking.tracking_columns(self.tracked_commands)
-        return (*MetricAccumulator(self).columns, *self.controller.measured, *tracked)
+        return (*MetricAccumulator(self).columns, *self.controller.metric_meanings, *tracked)
 
     def state_columns(self, trace: Trace) -> dict[str, np.ndarray]:
         """Return positions and velocities at every sample of a trace, by column, see `System`."""
@@ -162,7 +181,9 @@ class MujocoModel(ModelSpec):
             found = fields.parameter(self.model, path)
             fields.check_variable(self.load_source, self.model, path)
             return found
-        those = {f"engine.{one.name}": one for one in dataclasses.fields(Settings) if one.name in AXES}
+        those = {
+            f"engine.{one.name}": one for one in dataclasses.fields(ModelEngineSettings) if one.name in ENGINE_AXES
+        }
         require_choice(path, {**self.parameters, **those}, f"axis {column} is not allowed: {path}")
         if root == "engine":
             return those[path]
@@ -259,11 +280,11 @@ class MujocoModel(ModelSpec):
                 chosen = f"model.mjcf = {self.config.mjcf}, model.controller = {self.config.controller}"
                 raise InputError(f"{error} (with {chosen})") from None
 
-    def with_files(self, values: Values) -> "MujocoModel":
+    def with_files(self, values: ColumnValues) -> "MujocoModel":
         """Return this system with other files. Raises `InputError` where they do not fit together.
 
         Args:
-            values: Values by path; those of `FILE_PATHS` count.
+            values: ColumnValues by path; those of `FILE_PATHS` count.
         """
         chosen = {path: str(values[path]) for path in FILE_PATHS if path in values}
         if all(name == self.file_value(path) for path, name in chosen.items()):
@@ -298,7 +319,7 @@ class MujocoModel(ModelSpec):
         """Return which rows draw random numbers: those with sensor errors, and all rows if the controller may draw."""
         return np.ones(len(rows), dtype=bool)
 
-    def make_sides(self, values: Values) -> tuple[SideValues, SideValues]:
+    def make_sides(self, values: ColumnValues) -> tuple[SideValues, SideValues]:
         """Make the values of world and belief, by path, see `System`."""
         world, belief = (SideValues(tuple(chosen.items())) for chosen in split_world_and_belief(values).values())
         return world, belief
@@ -367,12 +388,12 @@ class MujocoModel(ModelSpec):
         return self.causes.get(str(row["cause"]), "")
 
 
-def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
+def nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
     """Build the system of a MuJoCo model from a plain configuration, see `sweep.systems.SystemKind.nominal`."""
     about = _parse_model(values["model"])
-    settings, usual = build(Settings, values["engine"], "engine"), Settings()
+    settings, usual = build(ModelEngineSettings, values["engine"], "engine"), ModelEngineSettings()
     for field in dataclasses.fields(usual):
-        if field.name not in ALLOWED and getattr(settings, field.name) != getattr(usual, field.name):
+        if field.name not in ENGINE_SETTINGS and getattr(settings, field.name) != getattr(usual, field.name):
             raise InputError(f"engine.{field.name} is not allowed: the model's file sets it")
     system, groups = (
         MujocoModel(about, ()),
@@ -394,7 +415,7 @@ def nominal(values: Mapping[str, Any], kinds: Kinds) -> Nominal:
         (path, check_value(one, asked.get(path, one.default), path)) for path, one in system.parameters.items()
     )
     _ = system.observed_slices, system.keyframe_index  # which refuse unknown names
-    conditions = parse_conditions(values.get("outcome") or {}, system.metric_names, MEANINGS)
+    conditions = parse_conditions(values.get("outcome") or {}, system.metric_names, CAUSE_MEANINGS)
     listed = _list_axis_files(values.get("study") or {})
     plain = {key: value for key, value in values.items() if key not in ("study", "cluster", "out")}
     system = replace(system, listed=listed, values=json.dumps(plain, default=str))
@@ -444,7 +465,10 @@ def _parse_model(given: Mapping[str, Any]) -> ModelConfig:
     options = tuple((path, check_value(fields.parameter(model, path), value, path)) for path, value in paths.items())
     spec = files.read_policy_spec(said.get("controller", ""))
     if spec and spec.period and said.setdefault("period", spec.period) != spec.period:
-        name, told = said["controller"], f"its {policy_spec.SUFFIX.removeprefix('.')} says {spec.period:g} s"
+        name, told = (
+            said["controller"],
+            f"its {policy_spec.SPECIFICATION_SUFFIX.removeprefix('.')} says {spec.period:g} s",
+        )
         raise InputError(f"model.period = {said['period']} is not allowed for {name}: {told}")
     about = build(ModelConfig, {**said, "direction": along, "option": options}, "model")
     if about.duration < about.period:

@@ -6,19 +6,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweep.contract.engine import Metrics
-from sweep.core.metric import Array, compute_columns, freeze_ended, select_metrics
+from sweep.core.metric import Array, compute_columns, keep_ended_states, select_metrics
 from sweep.systems.mujoco_model.metrics import METRICS
 from sweep.systems.mujoco_model.model_spec import ModelSpec
 from sweep.systems.mujoco_model.tick import ModelParts, ModelRollout, ModelStart, ModelTick
 
 
-class ModelMetrics(NamedTuple):
+class ModelMetricStates(NamedTuple):
     """States of all metrics of n rollouts, a pytree of NumPy or JAX arrays that engines carry."""
 
     steps: Array  # (n,), physics steps so far
-    start: Array  # positions (n, nq)
-    last: Array  # likewise, now
-    speed: Array  # velocities (n, nv), now
+    start_qpos: Array  # positions (n, nq)
+    last_qpos: Array  # likewise, now
+    last_qvel: Array  # velocities (n, nv), now
     states: tuple[Any, ...]
 
 
@@ -34,7 +34,7 @@ class MetricAccumulator:
         """Columns that rollouts of the model have."""
         return tuple(column for metric in self._metrics for column in metric.columns)
 
-    def start(self, qpos: Array, qvel: Array) -> ModelMetrics:
+    def start(self, qpos: Array, qvel: Array) -> ModelMetricStates:
         """Return the initial states.
 
         Args:
@@ -43,12 +43,12 @@ class MetricAccumulator:
         """
         start = ModelStart(self._parts, qpos)
         states = tuple(metric.begin(start) for metric in self._metrics)
-        return ModelMetrics(start.constant(0.0), qpos, qpos, qvel, states)
+        return ModelMetricStates(start.constant(0.0), qpos, qpos, qvel, states)
 
     @np.errstate(invalid="ignore", over="ignore")
     def update(
-        self, running: ModelMetrics, steps: Mapping[str, Array], limits: Mapping[str, Array], going: Array
-    ) -> ModelMetrics:
+        self, running: ModelMetricStates, steps: Mapping[str, Array], limits: Mapping[str, Array], going: Array
+    ) -> ModelMetricStates:
         """Add a report to the metrics.
 
         Args:
@@ -57,13 +57,13 @@ class MetricAccumulator:
             limits: The models' own limits, see `ModelTick`.
             going: Which rollouts (n,) have not ended before; the others stay as they are.
         """
-        ctx = ModelTick(self._parts, steps, limits, running.start)
+        ctx = ModelTick(self._parts, steps, limits, running.start_qpos)
         states = tuple(metric.update(state, ctx) for metric, state in zip(self._metrics, running.states, strict=True))
         ends = steps["qpos"][:, -1], steps["qvel"][:, -1]
-        new = ModelMetrics(running.steps + ctx.number, running.start, *ends, states)
-        return freeze_ended(going, new, running)
+        new = ModelMetricStates(running.steps + ctx.number, running.start_qpos, *ends, states)
+        return keep_ended_states(going, new, running)
 
-    def compute(self, running: ModelMetrics, mass: Array, gained: Array, broken: Array, full: Array) -> Metrics:
+    def compute(self, running: ModelMetricStates, mass: Array, gained: Array, broken: Array, full: Array) -> Metrics:
         """Compute the columns (n,) of all rollouts.
 
         Args:
@@ -73,5 +73,7 @@ class MetricAccumulator:
             broken: Where the engine found numbers that are not finite (n,).
             full: Where a buffer was full (n,).
         """
-        rollout = ModelRollout(self._parts, running.steps, running.start, running.last, mass, gained, broken, full)
+        rollout = ModelRollout(
+            self._parts, running.steps, running.start_qpos, running.last_qpos, mass, gained, broken, full
+        )
         return compute_columns(self._metrics, running.states, rollout)

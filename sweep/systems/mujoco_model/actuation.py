@@ -7,7 +7,7 @@ import numpy as np
 
 from sweep.core.errors import InputError
 
-JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
 class JointControl(NamedTuple):
@@ -53,7 +53,7 @@ def find_actuators(error_prefix: str, model: mujoco.MjModel, joints: list[str]) 
     kind, target = model.actuator_trntype, model.actuator_trnid[:, 0]
     found = []
     for name in joints:
-        mine = np.flatnonzero(np.isin(kind, JOINT) & (target == model.joint(name).id))
+        mine = np.flatnonzero(np.isin(kind, JOINT_TRANSMISSIONS) & (target == model.joint(name).id))
         if len(mine) != 1:
             count = "no actuator" if not len(mine) else f"{len(mine)} actuators"
             raise InputError(f"{error_prefix}: joint {name} has {count} in the model: one is wanted")
@@ -64,7 +64,7 @@ def find_actuators(error_prefix: str, model: mujoco.MjModel, joints: list[str]) 
 def actuated_joints(model: mujoco.MjModel) -> list[str]:
     """Return the names of the joints that have actuators, in the order of these."""
     return [model.joint(j).name for k, j in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
-            if int(k) in JOINT]  # fmt: skip
+            if int(k) in JOINT_TRANSMISSIONS]  # fmt: skip
 
 
 def is_servo(model: mujoco.MjModel) -> np.ndarray:

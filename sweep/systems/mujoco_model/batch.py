@@ -13,7 +13,7 @@ from sweep.core.errors import InputError
 from sweep.systems.mujoco_model import disturbances, fields, initial_state, motors, payloads, terrain
 from sweep.systems.mujoco_model.disturbances import TickForces
 from sweep.systems.mujoco_model.initial_state import StartOffsets
-from sweep.systems.mujoco_model.model_spec import PHYSICAL, TERM_NOISE, ModelSpec, SideValues
+from sweep.systems.mujoco_model.model_spec import PHYSICAL, TERM_NOISE_PARAMETERS, ModelSpec, SideValues
 
 PUSH_KEY, START_KEY = 2**31 - 1, 2**31 - 2  # of random pushes and initial states; controllers have those from 0 on
 
@@ -153,9 +153,9 @@ def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) ->
     found = {"belief": told, **{name: noise[f"noise.{name}"] for name in ("delay", "white", "bias")}}
     factors = {**dict(spec.controller_values), **belief.select_group("schedule")}
     found["factors"] = {one.name: factors[f"schedule.{one.name}.factor"] for one in spec.schedules}
-    if spec.controller.learned:
-        labels = spec.controller.learned.measured_terms
-        found["terms"] = {key: {one: noise[f"noise.{one}.{key}"] for one in labels} for key in TERM_NOISE}
+    if spec.controller.fitted_policy:
+        labels = spec.controller.fitted_policy.measured_terms
+        found["terms"] = {key: {one: noise[f"noise.{one}.{key}"] for one in labels} for key in TERM_NOISE_PARAMETERS}
     return found
 
 
@@ -185,5 +185,5 @@ def count_ticks(spec: ModelSpec, duration: Any) -> np.ndarray:
 def differing_fields(begun: BatchStart) -> dict[str, np.ndarray]:
     """Return the fields in which the models of a batch differ from the nominal model, (n, ...): written and derived
     ones."""
-    model, found = begun.batch.model, mujoco_versions.expanded_values(begun.batch, begun.written)
+    model, found = begun.batch.model, mujoco_versions.batched_fields(begun.batch, begun.written)
     return {name: rows for name, rows in sorted(found.items()) if (rows != fields.field_values(model, name)).any()}

@@ -11,7 +11,7 @@ from sweep.core.parameters import quantity
 from sweep.systems.mujoco_model.motors import MotorLimits
 from sweep.systems.mujoco_model.named_groups import iterate_named
 
-PUSH: Mapping[str, Parameter] = {  # numbers of a push
+PUSH_PARAMETERS: Mapping[str, Parameter] = {  # numbers of a push
     "impulse": quantity(0.0, "N*s"),  # delivered evenly within `length`
     "force": quantity(0.0, "N"),  # constant force during `length`, in addition to the impulse
     "direction": quantity(0.0, "rad"),  # in the horizontal plane, from the world's x axis
@@ -56,37 +56,37 @@ class TickForces(NamedTuple):
         return share[..., None] * self.force[:, None]
 
 
-def parse_pushes(given: Any, bodies: list[str]) -> tuple[tuple[PushedBody, ...], dict[str, Any]]:
+def parse_pushes(config: Any, bodies: list[str]) -> tuple[tuple[PushedBody, ...], dict[str, Any]]:
     """Parse the pushes of a configuration; return them, and their numbers by path. Raises `InputError`.
 
     Args:
-        given: For each name a mapping with `body` and keys of `PUSH`.
+        config: For each name a mapping with `body` and keys of `PUSH_PARAMETERS`.
         bodies: Bodies of the model.
     """
     pushes, numbers = [], {}
     such = "pushes by name, such as {kick: {body: trunk}}"
-    for name, said in iterate_named("push", given, such, ("body", *PUSH), ("body",)):
+    for name, said in iterate_named("push", config, such, ("body", *PUSH_PARAMETERS), ("body",)):
         require_choice(said["body"], bodies, f"push.{name}.body: {said['body']}")
         pushes.append(PushedBody(name, str(said["body"])))
         numbers |= {f"push.{name}.{key}": value for key, value in said.items() if key != "body"}
     return tuple(pushes), numbers
 
 
-def make_forces(pushes: tuple[PushedBody, ...], values: Mapping[str, Any], luck: np.ndarray) -> TickForces:
+def make_forces(pushes: tuple[PushedBody, ...], values: Mapping[str, Any], uniform: np.ndarray) -> TickForces:
     """Return the pushes and command delays that act on n rollouts.
 
     Args:
         pushes: The pushes of the scenario.
         values: `noise.action_delay`, and the numbers of the pushes by path; numbers, or arrays (n,).
-        luck: Even random numbers (n, p) from 0 to 1.
+        uniform: Even random numbers (n, p) from 0 to 1.
     """
-    n = len(luck)
+    n = len(uniform)
 
     def rows(name: str) -> np.ndarray:  # (n, p)
         every = [np.broadcast_to(values[f"push.{one.name}.{name}"], (n,)) for one in pushes]
         return np.stack(every, axis=1).astype(float) if every else np.zeros((n, 0))
 
-    turn, rise, start = rows("direction"), rows("elevation"), rows("start") + rows("spread") * luck
+    turn, rise, start = rows("direction"), rows("elevation"), rows("start") + rows("spread") * uniform
     size = rows("force") + rows("impulse") / rows("length")
     along = np.stack([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)], axis=-1)
     delay = np.broadcast_to(np.rint(values["noise.action_delay"]).astype(np.int32), (n,))

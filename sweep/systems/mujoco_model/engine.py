@@ -16,22 +16,25 @@ import numpy as np
 from mujoco.batch import SimulationError
 
 from sweep.backends import devices
-from sweep.contract.engine import Metrics, Sides, TimeSeriesRequest, Trace, count_substeps, single_joints
+from sweep.contract.engine import Metrics, SideMaker, TimeSeriesRequest, Trace, count_substeps, single_joints
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.fused.dependence import find_unread_columns
 from sweep.systems.mujoco_model import batch
-from sweep.systems.mujoco_model.accumulator import MetricAccumulator, ModelMetrics
+from sweep.systems.mujoco_model.accumulator import MetricAccumulator, ModelMetricStates
 from sweep.systems.mujoco_model.disturbances import delay_commands
-from sweep.systems.mujoco_model.metrics.unsolved import BALANCE, is_unbalanced
+from sweep.systems.mujoco_model.metrics.unsolved import BALANCE_FIELDS, is_unbalanced
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 from sweep.systems.mujoco_model.policy import ControllerBatch, ControllerPrograms, FirstTick
-from sweep.systems.mujoco_model.tick import STEPS
+from sweep.systems.mujoco_model.tick import STEP_FIELDS
 
-FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]  # others are worse
-CHUNK = 50  # ticks of a call of a compiled program, so that a command can be ended
+BUFFER_WARNINGS = [
+    int(mujoco.mjtWarning.mjWARN_CONTACTFULL),
+    int(mujoco.mjtWarning.mjWARN_CNSTRFULL),
+]  # others are worse
+TICKS_PER_CALL = 50  # ticks of a call of a compiled program, so that a command can be ended
 ON_NATIVE = "on_native"  # column of `kernel`: 1 where C MuJoCo has simulated a rollout that the kernel could not
-RECORDED = (*STEPS, "solver_niter", "M", *BALANCE)
+RECORDED_FIELDS = (*STEP_FIELDS, "solver_niter", "M", *BALANCE_FIELDS)
 
 
 class TickSample(NamedTuple):
@@ -64,10 +67,12 @@ class ModelEngine:
     columns: tuple[str, ...] | None = None  # of the study's rows, where its models or controllers have others
 
     def __init__(self, spec: ModelSpec, settings: EngineSettings):
-        devices.configure()
+        devices.configure_jax()
         self._spec, self._settings, self._model = spec, settings, spec.model
         self.duration = spec.config.duration
-        self.width = settings.width or (devices.CPU_WIDTH if settings.name == "native" else devices.default_width())
+        self.width = settings.width or (
+            devices.CPU_WIDTH if settings.name == "native" else devices.default_batch_width()
+        )
         period, step = spec.config.period, self._model.opt.timestep
         allowed = f"a multiple of {step:g} s, the model's time step"
         self._substeps = count_substeps(period, step, f"model.period = {period:g} is not allowed: {allowed}")
@@ -82,7 +87,7 @@ class ModelEngine:
     def _within(self) -> Iterator[None]:
         """The precision that JAX reckons in. Raises `InputError` where MuJoCo has no room for a step of the model."""
         try:
-            with devices.precision(self._settings):
+            with devices.precision_context(self._settings):
                 yield
         except SimulationError as error:
             reason = " ".join(str(error).split())
@@ -112,7 +117,7 @@ class ModelEngine:
     def rollout_bytes(self) -> None:
         """Return None: the memory of a rollout is not known, see `Engine`."""
 
-    def find_unread_columns(self, sides: Sides, ends: Mapping[str, tuple[float, float]]) -> set[str]:
+    def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
         """Return the columns that no program reads, see `Engine`. Columns of the MuJoCo model always count as read."""
         with self._within():
             return find_unread_columns(self._programs.rollout_outputs, sides, ends)
@@ -190,7 +195,7 @@ class NativeModelEngine(ModelEngine):
     @contextmanager
     def _within(self) -> Iterator[None]:
         """See `OwnEngine`; and on the CPU, of which rows say that they are, beside a GPU too."""
-        with super()._within(), devices.on_cpu():
+        with super()._within(), devices.cpu_context():
             yield
 
     def _simulate(
@@ -207,7 +212,7 @@ class NativeModelEngine(ModelEngine):
             rollouts.enter(spec.observable_state(qpos, qvel, seen), ticks)
             metric_state = aside.submit(self._meter.start, qpos.copy(), qvel.copy())
 
-            def update_metrics(metric_state: Any, steps: Any, going: np.ndarray) -> ModelMetrics:
+            def update_metrics(metric_state: Any, steps: Any, going: np.ndarray) -> ModelMetricStates:
                 steps = {**steps, "unsolved": find_unsolved_steps(self._model, steps)}
                 return self._meter.update(metric_state, steps, begun.limits, going)
 
@@ -229,9 +234,12 @@ class NativeModelEngine(ModelEngine):
                     frames.append(TickSample(time, ctrl[slots], *last, policy=policy))
             own_figures = rollouts.finish(spec.observable_state(qpos, qvel, seen))
         warned = begun.batch.warning[:, :, 0] > 0
-        full, broken = warned[:, FULL].any(axis=1), broken | np.delete(warned, FULL, axis=1).any(axis=1)
+        full, broken = (
+            warned[:, BUFFER_WARNINGS].any(axis=1),
+            broken | np.delete(warned, BUFFER_WARNINGS, axis=1).any(axis=1),
+        )
         last = metric_state.result()
-        gained = begun.energy(last.last, last.speed) - before_all
+        gained = begun.energy(last.last_qpos, last.last_qvel) - before_all
         found = self._meter.compute(last, begun.mass, gained, broken, full)
         return found | own_figures, frames, [begun.get_model(int(slot)) for slot in slots]
 
@@ -287,14 +295,14 @@ class TickStepper:
         return self._motors.controls(controls, *state, limits)
 
     def _simulate(self, commands: np.ndarray, forces: Any, out: Any) -> dict[str, np.ndarray]:
-        simulate, record, spec = self._begun.batch.rollout, RECORDED, int(mujoco.mjtState.mjSTATE_CTRL)
+        simulate, record, spec = self._begun.batch.rollout, RECORDED_FIELDS, int(mujoco.mjtState.mjSTATE_CTRL)
         beside = np.zeros((*commands.shape[:2], 0))
         if forces is not None:
             wrench = np.zeros((*commands.shape[:2], self._spec.model.nbody, 6))
             for k, body in enumerate(self._bodies):
                 wrench[:, :, body, :3] += forces[:, :, k]
             beside, spec = wrench.reshape(*commands.shape[:2], -1), spec | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
-            record = (*RECORDED, "xipos")
+            record = (*RECORDED_FIELDS, "xipos")
         if self._control is None and self._motors is None:
             inputs = commands if forces is None else np.concatenate([commands, beside], axis=2)
             steps = simulate(commands.shape[1], inputs, spec, record=record, out=out)
@@ -322,7 +330,7 @@ def find_unsolved_steps(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) 
     """
     found = steps["solver_niter"].reshape(*steps["M"].shape[:2], -1).max(axis=2) >= model.opt.iterations
     if found.any() and model.opt.solver != int(mujoco.mjtSolver.mjSOL_PGS) and not model.opt.noslip_iterations:
-        inertia, *forces = (steps[name][found] for name in ("M", *BALANCE))
+        inertia, *forces = (steps[name][found] for name in ("M", *BALANCE_FIELDS))
         row, column = np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind
         mass = np.zeros((len(inertia), model.nv, model.nv))  # of which the lower triangle is recorded
         mass[:, row, column] = mass[:, column, row] = inertia

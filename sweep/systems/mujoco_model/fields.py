@@ -21,9 +21,9 @@ from sweep.core.errors import InputError, require_choice, suggest
 from sweep.core.parameters import choice, count, quantity, setting
 
 XYZ = ("x", "y", "z")
-SOLREF, SOLIMP = ("timeconst", "dampratio"), ("dmin", "dmax", "width", "midpoint", "power")
-FRICTION = ("slide", "spin", "roll")
-OPTION, ROOT = "option", "model"
+SOLREF_COMPONENTS, SOLIMP_COMPONENTS = ("timeconst", "dampratio"), ("dmin", "dmax", "width", "midpoint", "power")
+FRICTION_COMPONENTS = ("slide", "spin", "roll")
+OPTION_KIND, PATH_ROOT = "option", "model"
 
 
 class NumberSpec(NamedTuple):
@@ -31,17 +31,17 @@ class NumberSpec(NamedTuple):
 
     unit: str = ""
     at_least: float = -np.inf
-    names: tuple[str, ...] = ()  # of its components
-    compiled: bool = False  # whether MuJoCo's compiler makes more of it
+    component_names: tuple[str, ...] = ()  # of its components
+    needs_compiler: bool = False  # whether MuJoCo's compiler makes more of it
     field: str = ""  # of MjModel
-    factor: bool = False  # whether values multiply what the model has
+    is_factor: bool = False  # whether values multiply what the model has
 
 
 class NumberLocation(NamedTuple):
     """Location of a number in a flattened field of a model, and its sign there."""
 
     field: str
-    flat: int
+    flat_index: int
     sign: float = 1.0
 
 
@@ -51,12 +51,12 @@ class Element(NamedTuple):
     kind: str
     number: int  # as MuJoCo counts things of the kind; of options, which are one thing, 0
     name: str
-    what: str  # the rest of the path
+    attribute: str  # the rest of the path
 
 
-RANGE = ("low", "high")
+RANGE_COMPONENTS = ("low", "high")
 # what may vary of each kind, in MJCF's words; with the field of MjModel where that is not what fields begin with and it
-WORDS = {
+VARIABLE_WORDS = {
     "body": ("body_", "mass inertia pos ipos gravcomp"),
     "geom": ("geom_", "friction margin gap adhesion surfacevel fluid solmix solref solimp size pos"),
     "joint": (
@@ -79,66 +79,73 @@ WORDS = {
     ),
     "pair": ("pair_", "friction margin gap adhesion solref solreffriction solimp"),
     "equality": ("eq_", "data solref solimp"),
-    OPTION: (
+    OPTION_KIND: (
         "opt.",
         "gravity wind magnetic density viscosity impratio tolerance ls_tolerance noslip_tolerance ccd_tolerance",
     ),
 }
 # what these words mean, of any kind or of one; of the others nothing is known
-MEANING = {
+WORD_MEANINGS = {
     "mass": NumberSpec("kg", 1e-9),  # inertia in proportion: another density
     "inertia": NumberSpec("kg m^2", 1e-12, XYZ),
-    "pos ipos": NumberSpec("m", names=XYZ),  # the latter of the centre of mass
-    "geom.pos": NumberSpec("m", names=XYZ, compiled=True),
-    "geom.size": NumberSpec("m", 1e-6, compiled=True),  # by the names of its shape: `SIZES`
+    "pos ipos": NumberSpec("m", component_names=XYZ),  # the latter of the centre of mass
+    "geom.pos": NumberSpec("m", component_names=XYZ, needs_compiler=True),
+    "geom.size": NumberSpec("m", 1e-6, needs_compiler=True),  # by the names of its shape: `SIZE_MEANINGS`
     "site.size": NumberSpec("m", 1e-6),
-    "friction": NumberSpec("", 0.0, FRICTION),
+    "friction": NumberSpec("", 0.0, FRICTION_COMPONENTS),
     "pair.friction": NumberSpec("", 0.0, ("slide", "slide2", "spin", "roll", "roll2")),
     "geom.margin pair.margin gap": NumberSpec("m"),
     "cranklength": NumberSpec("m", 1e-9),
     "stiffness damping armature frictionloss fluid solmix cutoff": NumberSpec("", 0.0),
-    "solref solreflimit solreffriction": NumberSpec(names=SOLREF),
-    "solimp solimplimit solimpfriction": NumberSpec(names=SOLIMP),
-    "range actuatorfrcrange forcerange ctrlrange actrange": NumberSpec(names=RANGE),
-    "tendon.range springlength": NumberSpec("m", names=RANGE),
-    "gravity": NumberSpec("m/s^2", names=XYZ),
-    "wind": NumberSpec("m/s", names=XYZ),
-    "magnetic": NumberSpec(names=XYZ),
+    "solref solreflimit solreffriction": NumberSpec(component_names=SOLREF_COMPONENTS),
+    "solimp solimplimit solimpfriction": NumberSpec(component_names=SOLIMP_COMPONENTS),
+    "range actuatorfrcrange forcerange ctrlrange actrange": NumberSpec(component_names=RANGE_COMPONENTS),
+    "tendon.range springlength": NumberSpec("m", component_names=RANGE_COMPONENTS),
+    "gravity": NumberSpec("m/s^2", component_names=XYZ),
+    "wind": NumberSpec("m/s", component_names=XYZ),
+    "magnetic": NumberSpec(component_names=XYZ),
     "density": NumberSpec("kg/m^3", 0.0),
     "viscosity": NumberSpec("Pa s", 0.0),
     "impratio": NumberSpec("", 1e-9),
     "tolerance ls_tolerance noslip_tolerance ccd_tolerance": NumberSpec("", 0.0),
 }
-MEANT = {word: numbers for words, numbers in MEANING.items() for word in words.split()}
-VARIED = {
+MEANING_BY_WORD = {word: numbers for words, numbers in WORD_MEANINGS.items() for word in words.split()}
+VARIABLE_NUMBERS = {
     kind: {
-        name: MEANT.get(f"{kind}.{name}", MEANT.get(name, NumberSpec()))._replace(field=field or begins + name)
+        name: MEANING_BY_WORD.get(f"{kind}.{name}", MEANING_BY_WORD.get(name, NumberSpec()))._replace(
+            field=field or begins + name
+        )
         for name, _, field in (word.partition(":") for word in words.split())
     }
-    for kind, (begins, words) in WORDS.items()
+    for kind, (begins, words) in VARIABLE_WORDS.items()
 }
-OPTIONS = VARIED.pop(OPTION)
-KINDS = {name: getattr(mujoco.mjtObj, f"mjOBJ_{name.upper()}") for name in VARIED}  # as MuJoCo numbers them
-Shape = mujoco.mjtGeom
-SIZES = {  # what numbers of a geom's size are, by its shape
-    Shape.mjGEOM_SPHERE: ("radius",),
-    **dict.fromkeys((Shape.mjGEOM_CAPSULE, Shape.mjGEOM_CYLINDER), ("radius", "half_length")),
-    **dict.fromkeys((Shape.mjGEOM_BOX, Shape.mjGEOM_ELLIPSOID), XYZ),
+OPTION_NUMBERS = VARIABLE_NUMBERS.pop(OPTION_KIND)
+OBJECT_TYPES = {
+    name: getattr(mujoco.mjtObj, f"mjOBJ_{name.upper()}") for name in VARIABLE_NUMBERS
+}  # as MuJoCo numbers them
+GeomType = mujoco.mjtGeom
+SIZE_MEANINGS = {  # what numbers of a geom's size are, by its shape
+    GeomType.mjGEOM_SPHERE: ("radius",),
+    **dict.fromkeys((GeomType.mjGEOM_CAPSULE, GeomType.mjGEOM_CYLINDER), ("radius", "half_length")),
+    **dict.fromkeys((GeomType.mjGEOM_BOX, GeomType.mjGEOM_ELLIPSOID), XYZ),
 }
-COUNTED = {"iterations": 1, "ls_iterations": 1, "noslip_iterations": 0}  # with the least of them
+ITERATION_MINIMA = {"iterations": 1, "ls_iterations": 1, "noslip_iterations": 0}  # with the least of them
 TIMESTEP = "timestep"
-CHOSEN = {  # the members of MuJoCo's enumerations in their order, by MJCF's words for them
+ENUM_OPTIONS = {  # the members of MuJoCo's enumerations in their order, by MJCF's words for them
     "cone": ("pyramidal", "elliptic"),
     "integrator": ("Euler", "RK4", "implicit", "implicitfast", "discrete"),
     "solver": ("PGS", "CG", "Newton"),
 }
-SERVO = {  # what is written of a position servo: gain and bias together, or its target scales
+SERVO_WORDS = {  # what is written of a position servo: gain and bias together, or its target scales
     "kp": (("actuator_gainprm", 0, 1.0), ("actuator_biasprm", 1, -1.0)),
     "kv": (("actuator_biasprm", 2, -1.0),),
 }
 STRENGTH = "strength"  # factor of the forces of an actuator, its limit included
-RELATIVE = ".relative"  # end of a path of a group whose values are factors
-SETTINGS = {name: NumberSpec(names=("",), field=f"opt.{name}") for name in (*CHOSEN, *COUNTED, TIMESTEP)}
+RELATIVE_SUFFIX = ".relative"  # end of a path of a group whose values are factors
+SETTING_NUMBERS = {
+    name: NumberSpec(component_names=("",), field=f"opt.{name}")
+    for name in (*ENUM_OPTIONS, *ITERATION_MINIMA, TIMESTEP)
+}
 FIXED = {  # why no other field of `mujoco.batch` can vary, by patterns of their names
     "*_invweight0 *_length0 actuator_acc0 actuator_lengthrange body_subtreemass body_margin bvh_aabb cam_mat0 *_pos0 "
     "*_poscom0 light_dir0 dof_M0 dof_length efm0_L geom_aabb geom_rbound": "computed from other fields",
@@ -158,16 +165,16 @@ def parameter(model: mujoco.MjModel, path: str) -> Parameter:
     """Return the field that describes the parameter of a path, with its nominal value. Raises `InputError`."""
     if is_group(path):
         return _group_parameter(model, path)
-    if (name := path.removeprefix(f"{ROOT}.{OPTION}.")) in CHOSEN:
-        return choice(CHOSEN[name][getattr(model.opt, name)], *CHOSEN[name])
-    if name in COUNTED:
-        return count(getattr(model.opt, name), at_least=COUNTED[name], at_most=10_000)
+    if (name := path.removeprefix(f"{PATH_ROOT}.{OPTION_KIND}.")) in ENUM_OPTIONS:
+        return choice(ENUM_OPTIONS[name][getattr(model.opt, name)], *ENUM_OPTIONS[name])
+    if name in ITERATION_MINIMA:
+        return count(getattr(model.opt, name), at_least=ITERATION_MINIMA[name], at_most=10_000)
     if name == TIMESTEP:
         return setting(model.opt.timestep, "s", above=0, at_most=0.1)
     numbers, places = locate_numbers(model, path)
-    if numbers.factor:
+    if numbers.is_factor:
         return quantity(1.0, numbers.unit, at_least=numbers.at_least)
-    value = places[0].sign * float(field_values(model, numbers.field).flat[places[0].flat])
+    value = places[0].sign * float(field_values(model, numbers.field).flat[places[0].flat_index])
     return quantity(value, numbers.unit, at_least=numbers.at_least)
 
 
@@ -180,8 +187,8 @@ def with_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> mujoco.MjM
     """Return a copy of a model with other scalar options, by path."""
     changed = copy(model)
     for path, value in values.items():
-        name = path.removeprefix(f"{ROOT}.{OPTION}.")
-        setattr(changed.opt, name, CHOSEN[name].index(value) if name in CHOSEN else value)
+        name = path.removeprefix(f"{PATH_ROOT}.{OPTION_KIND}.")
+        setattr(changed.opt, name, ENUM_OPTIONS[name].index(value) if name in ENUM_OPTIONS else value)
     return changed
 
 
@@ -197,9 +204,9 @@ def write_values(batch: Batch, values: Mapping[str, Any], source: Callable[[], m
         Names of the fields that were written.
     """
     values = _expand_groups(batch.model, values)
-    made = {path: value for path, value in values.items() if locate_numbers(batch.model, path)[0].compiled}
+    made = {path: value for path, value in values.items() if locate_numbers(batch.model, path)[0].needs_compiler}
     written = _compile(batch, made, source()) if made else set()
-    factors = [path for path in values if locate_numbers(batch.model, path)[0].factor]  # of what the others wrote
+    factors = [path for path in values if locate_numbers(batch.model, path)[0].is_factor]  # of what the others wrote
     for path in [*(path for path in values if path not in (*made, *factors)), *factors]:
         value = np.asarray(values[path])
         for field, flat, sign in locate_numbers(batch.model, path)[1]:
@@ -231,14 +238,14 @@ def check_variable(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, p
             check_variable(source, model, member)
         return
     kind, number, name, what = find_element(model, path)
-    geom = source().geom(name) if locate_numbers(model, path)[0].compiled else None
+    geom = source().geom(name) if locate_numbers(model, path)[0].needs_compiler else None
     for wrong, why in (
         (kind == "body" and what == "mass" and not model.body_mass[number],
          "the body has no mass in the file, so its inertia cannot be scaled"),
         (kind == "body" and what.startswith("ipos") and model.body_simple[number],
          'MuJoCo simplified the body: set simple="false" in its file'),
         (geom and np.isfinite(geom.fromto[0]) and what != "size.radius", "the geom's fromto sets its ends"),
-        (geom and geom.type == Shape.mjGEOM_MESH, "its mesh sets the geom's position"),
+        (geom and geom.type == GeomType.mjGEOM_MESH, "its mesh sets the geom's position"),
     ):  # fmt: skip
         if wrong:
             raise InputError(f"axis {path} is not allowed: {why}")
@@ -253,9 +260,9 @@ def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> 
         spec = source.copy()
         for path, value in zip(values, row, strict=True):
             (place,) = locate_numbers(model, path)[1]
-            getattr(spec.geom(find_element(model, path).name), place.field.removeprefix("geom_"))[place.flat % 3] = (
-                value
-            )
+            getattr(spec.geom(find_element(model, path).name), place.field.removeprefix("geom_"))[
+                place.flat_index % 3
+            ] = value
         other = spec.compile()
         for name in names:
             new = None if name.startswith("opt.") else field_values(other, name)
@@ -269,16 +276,20 @@ def find_element(model: mujoco.MjModel, path: str) -> Element:
     """Find the element that a path names. Raises `InputError` where there is none."""
     root, _, rest = path.partition(".")
     kind, _, rest = rest.partition(".")
-    require_choice(kind if root == ROOT else root, (*VARIED, OPTION), f"axis {path} is not allowed: {kind or root}")
-    if kind == OPTION:
+    require_choice(
+        kind if root == PATH_ROOT else root,
+        (*VARIABLE_NUMBERS, OPTION_KIND),
+        f"axis {path} is not allowed: {kind or root}",
+    )
+    if kind == OPTION_KIND:
         return Element(kind, 0, "", rest)
     parts = rest.split(".")
     heads = [".".join(parts[:k]) for k in range(len(parts), 0, -1)]  # names may have points in them, too
     for name in filter(None, heads):
-        if (number := mujoco.mj_name2id(model, KINDS[kind], name)) >= 0:
+        if (number := mujoco.mj_name2id(model, OBJECT_TYPES[kind], name)) >= 0:
             return Element(kind, number, name, rest.removeprefix(name).removeprefix("."))
-    count = len(field_values(model, next(iter(VARIED[kind].values())).field))
-    names = (mujoco.mj_id2name(model, KINDS[kind], k) for k in range(count))
+    count = len(field_values(model, next(iter(VARIABLE_NUMBERS[kind].values())).field))
+    names = (mujoco.mj_id2name(model, OBJECT_TYPES[kind], k) for k in range(count))
     near = suggest(parts[0], filter(None, names))
     raise InputError(f"axis {path} is not allowed: no {kind} is called {parts[0]}{near}")
 
@@ -291,11 +302,11 @@ def locate_numbers(model: mujoco.MjModel, path: str) -> tuple[NumberSpec, list[N
     kind, number, _, what = find_element(model, path)
     if kind == "actuator" and what == STRENGTH:
         return _strength(model, number)
-    if kind == "actuator" and what in SERVO:
+    if kind == "actuator" and what in SERVO_WORDS:
         return _servo(model, path, what, number)
-    varied = OPTIONS | SETTINGS if kind == OPTION else VARIED[kind]
+    varied = OPTION_NUMBERS | SETTING_NUMBERS if kind == OPTION_KIND else VARIABLE_NUMBERS[kind]
     if kind == "geom":
-        sizes = SIZES.get(Shape(model.geom_type[number]), ())
+        sizes = SIZE_MEANINGS.get(GeomType(model.geom_type[number]), ())
         varied = {**varied, "size": varied["size"]._replace(names=sizes)}
         if not sizes:
             del varied["size"]
@@ -303,7 +314,7 @@ def locate_numbers(model: mujoco.MjModel, path: str) -> tuple[NumberSpec, list[N
     require_choice(attribute, varied, f"axis {path} is not allowed: {attribute or 'what of it'}")
     numbers = varied[attribute]
     count, firsts = _places(model, kind, number, numbers.field)
-    names = [*(numbers.names or map(str, range(count)))][:count]
+    names = [*(numbers.component_names or map(str, range(count)))][:count]
     if count == 1 and not part:
         part = names[0]
     require_choice(part, names, f"axis {path} is not allowed: {part or 'which of its numbers'}")
@@ -312,7 +323,7 @@ def locate_numbers(model: mujoco.MjModel, path: str) -> tuple[NumberSpec, list[N
 
 def _places(model: mujoco.MjModel, kind: str, number: int, field: str) -> tuple[int, list[int]]:
     """Return how many numbers an element has in a field, and the first index for each joint freedom."""
-    if kind == OPTION:
+    if kind == OPTION_KIND:
         return field_values(model, field).size, [0]
     size = field_values(model, field)[0].size
     if kind != "joint" or field.startswith("jnt_"):
@@ -329,7 +340,8 @@ def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[Nu
         what = "the actuator is no position servo; vary gainprm.0 and biasprm.0, .1, .2 instead"
         raise InputError(f"axis {path} is not allowed: {what}")
     places = [
-        NumberLocation(field, number * field_values(model, field)[0].size + k, sign) for field, k, sign in SERVO[word]
+        NumberLocation(field, number * field_values(model, field)[0].size + k, sign)
+        for field, k, sign in SERVO_WORDS[word]
     ]
     return NumberSpec("", 0.0, field=places[0].field), places
 
@@ -341,12 +353,12 @@ def _strength(model: mujoco.MjModel, number: int) -> tuple[NumberSpec, list[Numb
         NumberLocation(field, width * number + k) for field in ("actuator_gainprm", "actuator_biasprm") for k in gains
     ]
     places += [NumberLocation("actuator_forcerange", 2 * number + k) for k in range(2)]
-    return NumberSpec("", 0.0, field="actuator_gainprm", factor=True), places
+    return NumberSpec("", 0.0, field="actuator_gainprm", is_factor=True), places
 
 
 def is_group(path: str) -> bool:
     """Return whether a path names several elements by a pattern, such as `model.actuator.*.kp`."""
-    return path.startswith(f"{ROOT}.") and any(sign in path for sign in "*?[{")
+    return path.startswith(f"{PATH_ROOT}.") and any(sign in path for sign in "*?[{")
 
 
 def group_members(model: mujoco.MjModel, path: str) -> list[str]:
@@ -356,16 +368,18 @@ def group_members(model: mujoco.MjModel, path: str) -> list[str]:
         model: The model.
         path: A path whose name is a pattern: `*`, `?`, `[ab]`, `{lf,rf}`; `.relative` at its end is left out.
     """
-    kind, _, rest = path.removeprefix(f"{ROOT}.").removesuffix(RELATIVE).partition(".")
-    require_choice(kind, VARIED, f"axis {path} names nothing: {kind}")
-    count = len(field_values(model, next(iter(VARIED[kind].values())).field if kind != "joint" else "jnt_type"))
+    kind, _, rest = path.removeprefix(f"{PATH_ROOT}.").removesuffix(RELATIVE_SUFFIX).partition(".")
+    require_choice(kind, VARIABLE_NUMBERS, f"axis {path} names nothing: {kind}")
+    count = len(
+        field_values(model, next(iter(VARIABLE_NUMBERS[kind].values())).field if kind != "joint" else "jnt_type")
+    )
     first = int(kind == "body")  # the world is a body, too
-    names = [name for k in range(first, count) if (name := mujoco.mj_id2name(model, KINDS[kind], k))]
+    names = [name for k in range(first, count) if (name := mujoco.mj_id2name(model, OBJECT_TYPES[kind], k))]
     parts = rest.split(".")
     for k in range(len(parts) - 1, 0, -1):  # names may have points in them
         patterns = _alternatives(".".join(parts[:k]))
         if found := [name for name in names if any(fnmatch.fnmatchcase(name, one) for one in patterns)]:
-            return [f"{ROOT}.{kind}.{name}.{'.'.join(parts[k:])}" for name in found]
+            return [f"{PATH_ROOT}.{kind}.{name}.{'.'.join(parts[k:])}" for name in found]
     raise InputError(f"axis {path} names nothing: no {kind} fits {parts[0]} (names: {', '.join(names)})")
 
 
@@ -381,12 +395,12 @@ def _group_parameter(model: mujoco.MjModel, path: str) -> Parameter:
     """Return the field that describes a group: one value for all, or a factor. Raises `InputError`."""
     members = group_members(model, path)
     about = [parameter(model, member) for member in members]
-    if path.endswith(RELATIVE):
+    if path.endswith(RELATIVE_SUFFIX):
         return quantity(1.0, f"of {len(members)} numbers", at_least=0)
     values: list[float] = [one.default for one in about]  # pyright: ignore[reportAssignmentType]
     if max(values) != min(values):
         differ = f"{len(values)} numbers from {min(values):g} to {max(values):g} differ"
-        raise InputError(f"axis {path} has no nominal value, {differ}: multiply them by {path}{RELATIVE}")
+        raise InputError(f"axis {path} has no nominal value, {differ}: multiply them by {path}{RELATIVE_SUFFIX}")
     told = dict(about[0].metadata)
     told["unit"] = ", ".join(filter(None, (told["unit"], f"{len(members)} numbers")))
     return dataclasses.field(default=values[0], metadata=told)  # pyright: ignore[reportReturnType]
@@ -398,7 +412,7 @@ def _expand_groups(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str
     for path in sorted(values, key=is_group, reverse=True):
         for member in group_members(model, path) if is_group(path) else [path]:
             value = np.asarray(values[path])
-            found[member] = value * parameter(model, member).default if path.endswith(RELATIVE) else value
+            found[member] = value * parameter(model, member).default if path.endswith(RELATIVE_SUFFIX) else value
     return found
 
 

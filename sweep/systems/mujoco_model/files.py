@@ -23,47 +23,50 @@ import numpy as np
 
 from sweep.backends.binary import model_bytes
 from sweep.core import project
-from sweep.core.errors import WRONG, InputError, format_user_exception, suggest
-from sweep.core.user_code import describe_user_error, report_silence, run_user_code
+from sweep.core.errors import USER_CODE_ERRORS, InputError, format_user_exception, suggest
+from sweep.core.user_code import describe_user_error, report_slow_call, run_user_code
 from sweep.systems.mujoco_model import learned_policy, onnx_network, policy_spec
 from sweep.systems.mujoco_model.actuation import JointControl
 from sweep.systems.mujoco_model.terrain import TerrainConfig, check_level, place_in_model
 
-ONNX, BINARY, PACKAGE = ".onnx", ".mjb", "package://"
+ONNX_SUFFIX, BINARY_SUFFIX, PACKAGE_PREFIX = ".onnx", ".mjb", "package://"
 TORCH = (".pt", ".pth", ".pt2", ".jit")  # networks of PyTorch
-FOLDERS = ("meshdir", "texturedir", "assetdir")  # of a model's files, as its compiler's options name them
-FORMS = {  # what a module may say beside its functions
+ASSET_FOLDER_OPTIONS = ("meshdir", "texturedir", "assetdir")  # of a model's files, as its compiler's options name them
+MODULE_MEMBERS = {  # what a module may say beside its functions
     "PARAMETERS": (Mapping, "numbers by name"),
     "BELIEVES": (Mapping, "paths by name"),
     "FIGURES": (Mapping, "meanings by name"),
     "FILES": ((list, tuple), "a list of names"),
 }
-STANDARD, INSTALLED = sysconfig.get_path("stdlib"), {"site-packages", "dist-packages"}  # of Python's own modules
+STANDARD_LIBRARY, INSTALL_FOLDERS = (
+    sysconfig.get_path("stdlib"),
+    {"site-packages", "dist-packages"},
+)  # of Python's own modules
 _READ: dict[str, tuple[Path, str]] = {}  # of modules by name: the project that they were read in, and their digest
 
 
-class Policy(NamedTuple):
+class LoadedController(NamedTuple):
     """A controller that was loaded: the members of a user's module, or those made from a network."""
 
     policy: Callable[..., Any]
     files: tuple[Path, ...]  # its source, what lies beside it in a package, and its `FILES`
     digest: str  # of these
-    batched: bool  # of NumPy: from observations (n, k) to controls (n, nu), and told nothing else
+    is_batched: bool  # of NumPy: from observations (n, k) to controls (n, nu), and told nothing else
     begin: Callable[..., Any] | None = None
     parameters: Mapping[str, float] = MappingProxyType({})  # its own numbers, which are axes: `PARAMETERS`
-    believes: Mapping[str, str] = MappingProxyType({})  # paths of what it is told of the model, by name: `BELIEVES`
+    belief_paths: Mapping[str, str] = MappingProxyType({})  # paths of what it is told of the model, by name: `BELIEVES`
     figures: Callable[..., Any] | None = None  # of a rollout, from the state that it ended with
-    measured: Mapping[str, str] = MappingProxyType({})  # what these figures mean, by name: `FIGURES`
+    metric_meanings: Mapping[str, str] = MappingProxyType({})  # what these figures mean, by name: `FIGURES`
     measure: Callable[..., Any] | None = None  # what figures are made of, besides, as every tick begins
     observe: Callable[..., Any] | None = None  # what the policy is told, of all that can be observed by name
     folder: Path = Path()  # that its relative paths are from
-    learned: learned_policy.LearnedPolicy | None = None  # of a network with a specification beside it
+    fitted_policy: learned_policy.LearnedPolicy | None = None  # of a network with a specification beside it
 
     @property
     def joint_control(self) -> JointControl | None:
         """The joint control law that turns commands into controls at every physics step; None where commands are
         controls."""
-        return self.learned.joint_control if self.learned else None
+        return self.fitted_policy.joint_control if self.fitted_policy else None
 
 
 def project_folder() -> Path:
@@ -123,7 +126,7 @@ def _refuse_foreign_module(controller: str, name: str) -> None:
     while spec is not None:  # else the import reports it
         origin = str(spec.origin or "")
         own = origin in ("built-in", "frozen") or (
-            origin.startswith(STANDARD) and not INSTALLED & {*Path(origin).parts}
+            origin.startswith(STANDARD_LIBRARY) and not INSTALL_FOLDERS & {*Path(origin).parts}
         )
         if own:
             raise InputError(f"model.controller = {controller} is not allowed: {name} is a module of Python itself")
@@ -139,8 +142,8 @@ def _refuse_foreign_module(controller: str, name: str) -> None:
 def _compiled(file: Path, changed: int, ground: TerrainConfig | None, fields: int) -> mujoco.MjModel:
     mujoco.set_mju_user_warning(lambda _: None)  # what cannot be read is told below, and a row is invalid
     try:
-        binary = file.suffix == BINARY
-        with report_silence(f"MuJoCo, which compiles model.mjcf = {file.name},"):
+        binary = file.suffix == BINARY_SUFFIX
+        with report_slow_call(f"MuJoCo, which compiles model.mjcf = {file.name},"):
             if binary and not ground:
                 made = mujoco.MjModel.from_binary_path(str(file))
             else:
@@ -171,7 +174,7 @@ def load_spec(mjcf: str, ground: TerrainConfig | None = None, fields: int = 1) -
         fields: Number of height fields of the terrain.
     """
     file = project_folder() / mjcf
-    if file.suffix == BINARY:
+    if file.suffix == BINARY_SUFFIX:
         what = "a terrain needs" if ground else "sizes and positions of geoms can vary in"
         raise InputError(f"model.mjcf = {mjcf} is compiled: {what} MJCF or URDF{'' if ground else ' only'}")
     source = _source(file, file.stat().st_mtime_ns)
@@ -186,8 +189,8 @@ def _source(file: Path, changed: int) -> mujoco.MjSpec:
     with warnings.catch_warnings(action="ignore"):  # of how it could be saved
         spec = mujoco.MjSpec.from_file(str(file))
     for mesh in spec.meshes:
-        if mesh.file.startswith(PACKAGE):  # of ROS: a package is a folder above the file
-            _, *rest = mesh.file.removeprefix(PACKAGE).split("/")
+        if mesh.file.startswith(PACKAGE_PREFIX):  # of ROS: a package is a folder above the file
+            _, *rest = mesh.file.removeprefix(PACKAGE_PREFIX).split("/")
             found = (folder.joinpath(*rest) for folder in file.absolute().parents)
             mesh.file = str(next((one for one in found if one.is_file()), "/".join(rest)))
     return spec
@@ -199,10 +202,10 @@ def list_files(mjcf: str) -> list[Path]:
     found, folders = [main], {""}
     for file in found:  # which grows
         every = [one.attrib for one in ElementTree.parse(file).iter()] if file.suffix in (".xml", ".urdf") else []
-        folders |= {value for one in every for key, value in one.items() if key in FOLDERS}
+        folders |= {value for one in every for key, value in one.items() if key in ASSET_FOLDER_OPTIONS}
         for named in (value for one in every for key, value in one.items() if key.startswith("file") and value):
-            name = "/".join(named.removeprefix(PACKAGE).split("/")[named.startswith(PACKAGE) :])
-            above = file.absolute().parents if named.startswith(PACKAGE) else [file.parent, main.parent]
+            name = "/".join(named.removeprefix(PACKAGE_PREFIX).split("/")[named.startswith(PACKAGE_PREFIX) :])
+            above = file.absolute().parents if named.startswith(PACKAGE_PREFIX) else [file.parent, main.parent]
             there = (up / folder / n for up in above for folder in folders for n in (name, Path(name).name))
             there = next((one for one in there if one.is_file()), None)
             if there and there not in found:
@@ -237,7 +240,7 @@ def digest_files(listed: Sequence[Path]) -> str:
     return _digest(listed)
 
 
-def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: float) -> Policy:
+def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: float) -> LoadedController:
     """Load the controller that `module:function` names, or a network from a file.
 
     Args:
@@ -252,7 +255,7 @@ def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: flo
     Raises:
         InputError: There is none, or it does not fit the model.
     """
-    if name.endswith(ONNX):
+    if name.endswith(ONNX_SUFFIX):
         return _load_network(name, model, keyframe, period)
     refuse_torch(f"model.controller = {name}", name)
     module_name, sign, function = name.partition(":")
@@ -271,12 +274,12 @@ def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: flo
             raise InputError(f"model.controller = {name}: FILES has {file.name}, which is not a file")
     files, more = (*project.source_files(module), *files), {"folder": folder, **_beside(name, module)}
     if batched := _batched(policy):
-        return Policy(policy, files, _digest(files), batched, **more)
+        return LoadedController(policy, files, _digest(files), batched, **more)
     parameters, believes = (getattr(module, key, {}) for key in ("PARAMETERS", "BELIEVES"))
     if both := {*parameters} & {*believes}:
         raise InputError(f"model.controller = {name}: {min(both)} is both in PARAMETERS and in BELIEVES")
     begin = getattr(module, "begin", None)
-    return Policy(policy, files, _digest(files), batched, begin, parameters, believes, **more)
+    return LoadedController(policy, files, _digest(files), batched, begin, parameters, believes, **more)
 
 
 def refuse_torch(error_prefix: str, name: str) -> None:
@@ -287,7 +290,7 @@ def refuse_torch(error_prefix: str, name: str) -> None:
         name: Name of the file.
     """
     if name.endswith(TORCH):
-        new = f"{name.rpartition('.')[0]}{ONNX}"
+        new = f"{name.rpartition('.')[0]}{ONNX_SUFFIX}"
         how = f"torch.onnx.export(policy, (observation,), '{new}') writes a network that is"
         raise InputError(f"{error_prefix} is not allowed: {how}")
 
@@ -295,12 +298,12 @@ def refuse_torch(error_prefix: str, name: str) -> None:
 def controller_files(name: str) -> list[Path]:
     """List the files of a controller, whatever model it is for. Raises `InputError`."""
     refuse_torch(f"model.controller = {name}", name)
-    if not name.endswith(ONNX):
+    if not name.endswith(ONNX_SUFFIX):
         module = _module(name, name.partition(":")[0])
         named = [str(file) for file in getattr(module, "FILES", ())]
         folder = code_folder(Path(str(module.__file__)), named)
         return [*project.source_files(module), *(folder / file for file in named)]
-    file = require_file("controller", name, ONNX)
+    file = require_file("controller", name, ONNX_SUFFIX)
     found = [*onnx_network.network_files(file)]
     found += [told] if (told := learned_policy.spec_file(file)).is_file() else []
     if file.with_suffix(".py").is_file():
@@ -319,9 +322,9 @@ def require_inside_project(path: str, name: str) -> None:
         raise InputError(f"{path} = {name} is not allowed as a value of an axis: a file within the project")
 
 
-def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float) -> Policy:
+def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float) -> LoadedController:
     """Load a network, which maps the observation to controls, or is as its specification says. Raises `InputError`."""
-    file = require_file("controller", name, ONNX)
+    file = require_file("controller", name, ONNX_SUFFIX)
     network, files, learned = onnx_network.read_network(name, file), onnx_network.network_files(file), None
     about: dict[str, Any] = {"batched": False, "folder": project_folder()}
     if spec := read_policy_spec(name):
@@ -340,14 +343,14 @@ def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float
             told = learned_policy.spec_file(file).name
             raise InputError(f"model.controller = {name}: `observe` is not allowed beside {told}")
         files, digest, about = [*files, *beside], f"{digest}-{_digest(beside)}", {**about, **said}
-    return Policy(files=tuple(files), digest=digest, **about)
+    return LoadedController(files=tuple(files), digest=digest, **about)
 
 
 def read_policy_spec(name: str) -> policy_spec.PolicySpec | None:
     """Read the specification beside a network, by the controller's name; None without one. Raises `InputError`."""
-    if not name.endswith(ONNX):
+    if not name.endswith(ONNX_SUFFIX):
         return None
-    told = learned_policy.spec_file(file := require_file("controller", name, ONNX))
+    told = learned_policy.spec_file(file := require_file("controller", name, ONNX_SUFFIX))
     return learned_policy.read_spec(told, onnx_network.read_network(name, file).metadata) if told.is_file() else None
 
 
@@ -384,10 +387,10 @@ def _module(controller: str, name: str) -> ModuleType:
         with run_user_code(f"{name}, which is imported,", _folder_of_module(name)):
             module = importlib.import_module(name)
         _READ[name] = here, _digest(project.source_files(module))
-    except WRONG as error:
+    except USER_CODE_ERRORS as error:
         reason = describe_user_error(error, here) or format_user_exception(error)
         raise InputError(f"model.controller = {controller} cannot be imported: {reason}") from None
-    for key, (form, what) in FORMS.items():
+    for key, (form, what) in MODULE_MEMBERS.items():
         said = getattr(module, key, ())
         words = [*said, *(said.values() if key == "BELIEVES" else ())] if said and isinstance(said, form) else []
         if said != () and not (isinstance(said, form) and all(isinstance(one, str | Path) for one in words)):
@@ -395,11 +398,13 @@ def _module(controller: str, name: str) -> ModuleType:
     return module
 
 
-def code_folder(source: Path, named: Sequence[str]) -> Path:
+def code_folder(source: Path, file_names: Sequence[str]) -> Path:
     """Return the folder that a module's relative paths start from: its own if its `FILES` are there, else the
     project's."""
     beside = source.resolve().parent
-    return beside if named and all((beside / file).is_file() for file in named) else project_folder().resolve()
+    return (
+        beside if file_names and all((beside / file).is_file() for file in file_names) else project_folder().resolve()
+    )
 
 
 def _folder_of_module(name: str) -> Path:

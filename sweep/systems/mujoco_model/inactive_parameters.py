@@ -10,8 +10,8 @@ from sweep.contract.system import split_side
 from sweep.systems.mujoco_model import fields, terrain, terrain_heights
 from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelSpec
 
-CONDIM = {"slide": 3, "spin": 4, "roll": 6}  # of contacts, from which a friction counts
-SENSED, FREE = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtJoint.mjJNT_FREE
+CONDIM_OF_FRICTION = {"slide": 3, "spin": 4, "roll": 6}  # of contacts, from which a friction counts
+SITE_TYPE, FREE_JOINT = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtJoint.mjJNT_FREE
 
 
 def explain_inactive(spec: ModelSpec, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
@@ -27,14 +27,14 @@ def explain_inactive(spec: ModelSpec, column: str, settings: EngineSettings, end
     if root != "model":
         return ""
     if side == "belief":
-        return "" if path in spec.controller.believes.values() else "the controller's BELIEVES does not name it"
+        return "" if path in spec.controller.belief_paths.values() else "the controller's BELIEVES does not name it"
     if terrain.is_terrain(path):
         return _terrain(spec, path)
     if fields.is_group(path):
         why = [explain_inactive(spec, one, settings, ends) for one in fields.group_members(spec.model, path)]
         return why[0] if all(why) else ""
     kind, number, _, what = fields.find_element(spec.model, path)
-    if kind == fields.OPTION:
+    if kind == fields.OPTION_KIND:
         return _option(spec.model, what)
     if kind == "geom":
         return _geom(spec.model, number, what, ends)
@@ -81,10 +81,12 @@ def _geom(model: mujoco.MjModel, geom: int, what: str, ends: tuple[Any, Any]) ->
         return ""
     lower = model.geom_priority[others] < model.geom_priority[geom]
     condim = np.where(lower, model.geom_condim[geom], np.maximum(model.geom_condim[others], model.geom_condim[geom]))
-    if condim.max() < CONDIM[part]:
-        return f"contacts have condim {condim.max()}, it needs {CONDIM[part]}"
+    if condim.max() < CONDIM_OF_FRICTION[part]:
+        return f"contacts have condim {condim.max()}, it needs {CONDIM_OF_FRICTION[part]}"
     equal = others[model.geom_priority[others] == model.geom_priority[geom]]
-    ranked = sorted((model.geom_friction[other, [*CONDIM].index(part)], name(other).name or other) for other in equal)
+    ranked = sorted(
+        (model.geom_friction[other, [*CONDIM_OF_FRICTION].index(part)], name(other).name or other) for other in equal
+    )
     if lower.any() or not ranked or max(ends) > ranked[0][0]:  # then the geom's own number counts somewhere
         return ""
     (least, low), (most, high) = ranked[0], ranked[-1]
@@ -95,11 +97,11 @@ def _geom(model: mujoco.MjModel, geom: int, what: str, ends: tuple[Any, Any]) ->
 def _other(model: mujoco.MjModel, kind: str, number: int, what: str) -> str:
     """Why the attribute `what` of something that is no geom counts for nothing; empty where it counts."""
     match kind, what:
-        case "body", "pos" if (first := model.body_jntadr[number]) >= 0 and model.jnt_type[first] == FREE:
+        case "body", "pos" if (first := model.body_jntadr[number]) >= 0 and model.jnt_type[first] == FREE_JOINT:
             return "the keyframe sets the position of a free body"
         case "body", _ if what != "pos" and model.body_weldid[number] == 0:
             return "the body does not move"
-        case "joint", "pos" if model.jnt_type[number] == FREE:
+        case "joint", "pos" if model.jnt_type[number] == FREE_JOINT:
             return "a free joint ignores it"
         case "joint", "range" if not model.jnt_limited[number]:
             return "the joint has no limits"
@@ -109,7 +111,7 @@ def _other(model: mujoco.MjModel, kind: str, number: int, what: str) -> str:
             return "the actuator does not have these limits"
         case "actuator", "ctrlrange" if not model.actuator_ctrllimited[number]:
             return "the actuator does not have these limits"
-        case "site", _ if SENSED not in model.sensor_objtype[model.sensor_objid == number]:
+        case "site", _ if SITE_TYPE not in model.sensor_objtype[model.sensor_objid == number]:
             return "no sensor is at the site"
         case _:
             return ""

@@ -25,8 +25,8 @@ from sweep.fused import driver, kernel, launch
 from sweep.fused.arrays import Unsupported
 from sweep.systems.mujoco_model import batch, disturbances, fields
 from sweep.systems.mujoco_model.engine import (
-    CHUNK,
     ON_NATIVE,
+    TICKS_PER_CALL,
     BatchResult,
     ModelEngine,
     NativeModelEngine,
@@ -99,7 +99,7 @@ class KernelModelEngine(ModelEngine):
         self._layout = find_layout(spec.model)
         super().__init__(spec, settings)
         model = self._model
-        self._is_inside = not (spec.controller.batched or spec.controller.learned)
+        self._is_inside = not (spec.controller.is_batched or spec.controller.fitted_policy)
         self._iterations = max(int(model.opt.iterations), LEAST_ITERATIONS)
         self._read_sensors = self._find_read_sensors()
         self._watched = guard.find_pairs(model)
@@ -110,7 +110,7 @@ class KernelModelEngine(ModelEngine):
         """Sensors that the controller may read. Raises `InputError` where the kernel does not compute one of them."""
         spec, model = self._spec, self._model
         read, control = set(range(model.nsensor)), spec.controller
-        if spec.config.observe and not (control.measure or control.observe or control.learned):
+        if spec.config.observe and not (control.measure or control.observe or control.fitted_policy):
             read = {k for k in read if model.sensor(k).name in spec.config.observe}
         feet = {*spec.touch_sensors("feet"), *spec.touch_sensors("collisions")}
         unknown = sensors.find_unknown(self._layout, model)
@@ -124,7 +124,7 @@ class KernelModelEngine(ModelEngine):
         jax.eval_shape(partial(self._read_numbers, numbers))
         for path in paths:
             for place in fields.locate_numbers(self._model, path)[1]:
-                ground = place.field.startswith("body_pos") and not self._model.body_weldid[place.flat // 3]
+                ground = place.field.startswith("body_pos") and not self._model.body_weldid[place.flat_index // 3]
                 if place.field not in numbers.read or ground:
                     raise refuse(f"{path} that differs between rollouts")
         return ()
@@ -376,7 +376,7 @@ class KernelModelEngine(ModelEngine):
             runner = _CpuRunner if jax.default_backend() == "cpu" else _GpuRunner
             running = runner(partial(self._compile, varied), inputs, carry, len(streams), slots)
             frames = []
-            chunk = 1 if outside is not None else CHUNK
+            chunk = 1 if outside is not None else TICKS_PER_CALL
             for first in range(0, longest, chunk):
                 count = min(chunk, longest - first)
                 if outside is not None:
@@ -434,7 +434,7 @@ class _CpuRunner:
     """A batch in the memory of a CPU kernel."""
 
     def __init__(self, make: Callable[..., Any], inputs: Inputs, carry: Carry, n: int, slots: np.ndarray):
-        self._tiles = make(inputs, carry, n, CHUNK, 0).enter(inputs, carry, n)
+        self._tiles = make(inputs, carry, n, TICKS_PER_CALL, 0).enter(inputs, carry, n)
         self._slots = slots if len(slots) else None
 
     def command(self, commands: np.ndarray) -> None:
@@ -479,8 +479,8 @@ class _GpuRunner:
             def call(inputs: Inputs, carry: Carry, first: Array, slots: Any) -> Any:
                 return launch.run_kernel(code, inputs, carry, first, slots)
 
-            self._calls[count] = jax.jit(call, donate_argnums=1, compiler_options=launch.OPTIONS)
-            driver.start_translation(code.text)
+            self._calls[count] = jax.jit(call, donate_argnums=1, compiler_options=launch.XLA_OPTIONS)
+            driver.start_ptx_translation(code.text)
         self._carry, record = self._calls[count](self._inputs, self._carry, first, self._slots)
         return jax.tree.map(np.asarray, record)
 

@@ -18,19 +18,19 @@ from sweep.systems.mujoco_model import actuation, policy_spec
 from sweep.systems.mujoco_model.onnx_network import Network
 from sweep.systems.mujoco_model.policy_spec import ActionSpec, PolicySpec, RecurrentSpec, TermSpec
 
-SIZES = {"projected_gravity": 3, "base_linear_velocity": 3, "base_angular_velocity": 3, "base_height": 1,
+TERM_SIZES = {"projected_gravity": 3, "base_linear_velocity": 3, "base_angular_velocity": 3, "base_height": 1,
          "base_orientation": 4}  # fmt: skip
-FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+FREE_JOINT = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
-class Term(NamedTuple):
+class ObservationTerm(NamedTuple):
     """A term of a policy's observation, fitted to a model."""
 
     spec: TermSpec
     size: int
     unit: str
     history: int  # ticks
-    raw: slice | None  # place in what is measured; None for a term that is not
+    measurement_slice: slice | None  # place in what is measured; None for a term that is not
     scale: np.ndarray  # (size,)
 
 
@@ -38,7 +38,7 @@ class LearnedPolicy(NamedTuple):
     """A learned policy fitted to one model: the functions of a controller, and the specification behind them."""
 
     spec: PolicySpec
-    inputs: Mapping[str, tuple[Term, ...]]  # by the network's input
+    inputs: Mapping[str, tuple[ObservationTerm, ...]]  # by the network's input
     joints: tuple[str, ...]
     offset: np.ndarray  # (k,) of the action, by joint
     scale: np.ndarray  # (k,) of the action
@@ -79,7 +79,7 @@ class LearnedPolicy(NamedTuple):
                 found += [f"{start}_{one.spec.label}{f'_{part}' if part else ''}" for part in parts]
         return (*found, *(f"action_{joint}" for joint in self.joints))
 
-    def _component_names(self, term: Term) -> tuple[str, ...]:
+    def _component_names(self, term: ObservationTerm) -> tuple[str, ...]:
         """Names of a term's numbers: of joints, of commands, or their index; none for a single number."""
         one = term.spec
         if one.term in ("joint_positions", "joint_velocities", "last_action") and not one.sensor:
@@ -94,14 +94,16 @@ class LearnedPolicy(NamedTuple):
         return state["seen"], state["action"]
 
     @property
-    def measured_terms(self) -> dict[str, Term]:
+    def measured_terms(self) -> dict[str, ObservationTerm]:
         """The terms that are measured and therefore have sensor errors, by label."""
-        return {one.spec.label: one for terms in self.inputs.values() for one in terms if one.raw is not None}
+        return {
+            one.spec.label: one for terms in self.inputs.values() for one in terms if one.measurement_slice is not None
+        }
 
 
 def spec_file(network: Path) -> Path:
     """Return the path of a network's specification file."""
-    return network.with_name(f"{network.stem}{policy_spec.SUFFIX}")
+    return network.with_name(f"{network.stem}{policy_spec.SPECIFICATION_SUFFIX}")
 
 
 def read_spec(file: Path, metadata: Mapping[str, str]) -> PolicySpec:
@@ -153,7 +155,7 @@ def fit_policy(
 
     require_action_of(network.outputs[output][-1] if network.outputs[output] else None)
     resting = model.key_ctrl[keyframe] if keyframe >= 0 else np.zeros(model.nu)
-    measured = [one for terms in inputs.values() for one in terms if one.raw is not None]
+    measured = [one for terms in inputs.values() for one in terms if one.measurement_slice is not None]
     readers = [_make_reader(one, model, joints, defaults, pose) for one in measured]
 
     def observe(state: Mapping[str, Any]) -> Any:
@@ -184,7 +186,11 @@ def fit_policy(
         for name, terms in inputs.items():
             parts = []
             for one in terms:
-                new = seen[one.raw] if one.raw is not None else _compute_term(one, spec, belief, state, period)
+                new = (
+                    seen[one.measurement_slice]
+                    if one.measurement_slice is not None
+                    else _compute_term(one, spec, belief, state, period)
+                )
                 new = jnp.clip(new, *one.spec.clip) if one.spec.clip else new
                 new = new * one.scale
                 present.append(new.astype(float))
@@ -232,7 +238,7 @@ def _joint_names(error_prefix: str, names: Any, model: mujoco.MjModel) -> list[s
 
 def _fit_inputs(
     error_prefix: str, spec: PolicySpec, network: Network, model: mujoco.MjModel, joints: list[str]
-) -> dict[str, tuple[Term, ...]]:
+) -> dict[str, tuple[ObservationTerm, ...]]:
     """Fit the terms of each input of the network. Raises `InputError`."""
     for one in spec.recurrent:
         require_choice(one.input, network.inputs, f"{error_prefix}: recurrent input {one.input}")
@@ -258,7 +264,7 @@ def _fit_inputs(
         terms = []
         for one in policy_spec.parse_terms(f"{error_prefix}: observation", given[name]):
             term = _fit_term(error_prefix, one, spec, model, joints, at)
-            at += term.size if term.raw is not None else 0
+            at += term.size if term.measurement_slice is not None else 0
             terms.append(term)
         if spec.stacking == "by_tick" and len({one.history for one in terms}) > 1:
             raise InputError(f"{error_prefix}: stacking = by_tick is not allowed: terms have different histories")
@@ -269,14 +275,14 @@ def _fit_inputs(
             raise InputError(f"{error_prefix}: {network.name} takes {math.prod(declared)} numbers as {name}: "
                              f"its terms have {sum(sizes)} ({parts})")  # fmt: skip
         found[name] = tuple(terms)
-    labels = [one.spec.label for terms in found.values() for one in terms if one.raw is not None]
-    policy_spec.require_own_labels(error_prefix, labels, "in two inputs")
+    labels = [one.spec.label for terms in found.values() for one in terms if one.measurement_slice is not None]
+    policy_spec.require_unique_labels(error_prefix, labels, "in two inputs")
     return found
 
 
 def _fit_term(
     error_prefix: str, one: TermSpec, spec: PolicySpec, model: mujoco.MjModel, joints: list[str], at: int
-) -> Term:
+) -> ObservationTerm:
     """Fit a term whose numbers, if they are measured, begin at the place `at`. Raises `InputError`."""
     error_prefix = f"{error_prefix}: {one.label}"
     sensors = {name: k for k in range(model.nsensor) if (name := model.sensor(k).name)}
@@ -286,8 +292,10 @@ def _fit_term(
     if one.sensor:
         require_choice(one.sensor, sensors, f"{error_prefix}: sensor {one.sensor}")
         size = int(model.sensor_dim[sensors[one.sensor]])
-        if one.term != "sensor" and size != SIZES.get(one.term, size):
-            raise InputError(f"{error_prefix}: sensor {one.sensor} has {size} numbers, the term has {SIZES[one.term]}")
+        if one.term != "sensor" and size != TERM_SIZES.get(one.term, size):
+            raise InputError(
+                f"{error_prefix}: sensor {one.sensor} has {size} numbers, the term has {TERM_SIZES[one.term]}"
+            )
     elif one.term in ("joint_positions", "joint_velocities"):
         size = len(_joint_names(error_prefix, one.joints or joints, model))
     elif one.term == "last_action":
@@ -304,20 +312,20 @@ def _fit_term(
     elif one.term == "constant":
         size = len(one.values)
     else:
-        if not (model.jnt_type == FREE).any():
+        if not (model.jnt_type == FREE_JOINT).any():
             raise InputError(f"{error_prefix} is not allowed: the model has no free joint; name a sensor (key sensor)")
-        size = SIZES[one.term]
+        size = TERM_SIZES[one.term]
     scale = np.asarray(one.scale, float)
     if scale.shape not in ((), (size,)):
         raise InputError(f"{error_prefix}: scale has {scale.size} numbers: the term has {size}")
-    raw = slice(at, at + size) if one.sensor or one.term in policy_spec.MEASURED else None
-    return Term(
-        one, size, policy_spec.UNITS[one.term], one.history or spec.history, raw, np.broadcast_to(scale, (size,))
+    raw = slice(at, at + size) if one.sensor or one.term in policy_spec.MEASURED_TERMS else None
+    return ObservationTerm(
+        one, size, policy_spec.TERM_UNITS[one.term], one.history or spec.history, raw, np.broadcast_to(scale, (size,))
     )
 
 
 def _make_reader(
-    term: Term, model: mujoco.MjModel, joints: list[str], defaults: Mapping[str, float], pose: np.ndarray
+    term: ObservationTerm, model: mujoco.MjModel, joints: list[str], defaults: Mapping[str, float], pose: np.ndarray
 ) -> Callable[[Mapping[str, Any]], Any]:
     """Make the function that reads a measured term from the state by name."""
     one = term.spec
@@ -332,7 +340,7 @@ def _make_reader(
         rest = [defaults.get(name, pose[at]) for name, at in zip(one.joints or joints, places, strict=True)]
         rest = np.array(rest) if one.relative else np.zeros(len(ids))
         return lambda state: state["qpos"][places] - rest
-    base = int(np.flatnonzero(model.jnt_type == FREE)[0])
+    base = int(np.flatnonzero(model.jnt_type == FREE_JOINT)[0])
     at, dof = int(model.jnt_qposadr[base]), int(model.jnt_dofadr[base])
     turn = slice(at + 3, at + 7)
     readers: dict[str, Callable[[Mapping[str, Any]], Any]] = {
@@ -346,7 +354,7 @@ def _make_reader(
 
 
 def _compute_term(
-    term: Term, spec: PolicySpec, belief: Mapping[str, Any], state: Mapping[str, Any], period: float
+    term: ObservationTerm, spec: PolicySpec, belief: Mapping[str, Any], state: Mapping[str, Any], period: float
 ) -> Any:
     """Compute a term that is not measured."""
     one = term.spec

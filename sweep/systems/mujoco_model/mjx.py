@@ -25,10 +25,10 @@ from sweep.contract.engine import Metrics, TimeSeriesRequest
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
-from sweep.core.user_code import report_silence
+from sweep.core.user_code import report_slow_call
 from sweep.systems.mujoco_model import batch, disturbances, fields, terrain
 from sweep.systems.mujoco_model.engine import (
-    CHUNK,
+    TICKS_PER_CALL,
     BatchResult,
     ModelEngine,
     TickSample,
@@ -37,38 +37,53 @@ from sweep.systems.mujoco_model.engine import (
     print_note,
 )
 from sweep.systems.mujoco_model.geom_pairs import find_geom_pairs
-from sweep.systems.mujoco_model.metrics.unsolved import BALANCE, is_unbalanced
+from sweep.systems.mujoco_model.metrics.unsolved import BALANCE_FIELDS, is_unbalanced
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
-from sweep.systems.mujoco_model.tick import STEPS
+from sweep.systems.mujoco_model.tick import STEP_FIELDS
 
 with redirect_stdout(io.StringIO()):  # it prints which of its parts are not installed
     from mujoco import mjx
 
-CARRIED = "qpos", "qvel", "act", "qacc_warmstart", "time"  # of its data, from step to step
-COMPARED = 3  # ticks that are compared with C MuJoCo's
-UNLIKE = 0.1  # difference of an acceleration, over the largest of all joints, from which the engines disagree
+CARRIED_FIELDS = "qpos", "qvel", "act", "qacc_warmstart", "time"  # of its data, from step to step
+COMPARED_TICKS = 3  # ticks that are compared with C MuJoCo's
+MAX_ACCELERATION_DIFFERENCE = (
+    0.1  # difference of an acceleration, over the largest of all joints, from which the engines disagree
+)
 # likewise on a terrain, where MuJoCo and MJX make contacts with different cells: that of gravity
 LITTLE_ON_TERRAIN = GRAVITY
-LITTLE = 1e-3  # acceleration (m/s^2, rad/s^2) below which rounding is all there is
-SOON = 3.0  # s, until what MJX traces is told
-RUBBING = "dof_frictionloss", "tendon_frictionloss"
+ROUNDING_ACCELERATION = 1e-3  # acceleration (m/s^2, rad/s^2) below which rounding is all there is
+TRACE_NOTE_AFTER_S = 3.0  # s, until what MJX traces is told
+FRICTION_LOSS_FIELDS = "dof_frictionloss", "tendon_frictionloss"
 # by whether they are 0
-SHAPING = *RUBBING, "opt.density", "opt.viscosity", "opt.wind", "body_gravcomp", "geom_margin", "pair_margin"
-LEAST = 1e-9  # where a program has friction, MJX takes a joint with none for one that is held
+PROGRAM_SHAPING_FIELDS = (
+    *FRICTION_LOSS_FIELDS,
+    "opt.density",
+    "opt.viscosity",
+    "opt.wind",
+    "body_gravcomp",
+    "geom_margin",
+    "pair_margin",
+)
+MIN_FRICTION_LOSS = 1e-9  # where a program has friction, MJX takes a joint with none for one that is held
 # what MJX may leave out in silence, by the words for it: all that varies, and what is no axis
-SILENT = {f"{kind}.{name}": one.field for kind, words in fields.VARIED.items() for name, one in words.items()} | {
+SILENTLY_IGNORED_FIELDS = {
+    f"{kind}.{name}": one.field for kind, words in fields.VARIABLE_NUMBERS.items() for name, one in words.items()
+} | {
     "option.noslip_iterations": "opt.noslip_iterations",
     "actuator.delay": "actuator_delay",
     "sensor.delay": "sensor_delay",
-    **mujoco_versions.YIELDING,
+    **mujoco_versions.YIELDING_SPRING_FIELDS,
 }
 # of this what it has a field for and makes no use of: of delays the history is not carried on
-UNUSED = {
+UNUSED_FIELDS = {
     "jax": ("jnt_stiffnesspoly", "tendon_stiffnesspoly", "dof_dampingpoly", "tendon_dampingpoly", "geom_fluid"),
     "warp": ("actuator_delay", "sensor_delay"),
 }
-CONTACTS, CONSTRAINTS = 64, 4  # warp's room for a rollout, and of a contact; a rollout with more is invalid
-INSTEAD = {  # by a part of what MJX says
+WARP_CONTACTS_PER_ROLLOUT, WARP_CONSTRAINTS_PER_CONTACT = (
+    64,
+    4,
+)  # warp's room for a rollout, and of a contact; a rollout with more is invalid
+ALTERNATIVES = {  # by a part of what MJX says
     "collisions not implemented": "other shapes, or geoms that do not collide",
     "mjINT": "model.option.integrator=implicitfast or Euler",
     "mjSOL": "model.option.solver=Newton or CG",
@@ -98,9 +113,12 @@ class MjxModelEngine(ModelEngine):
         self._limited = [] if warp else limited_contact_dims(self._model)
         self._compared = False  # with C MuJoCo
         self._placed: dict[Any, tuple[Any, Any]] = {}  # MJX's model and data of a batch's shape
-        if spec.controller.batched:
+        if spec.controller.is_batched:
             raise self._refusal("it cannot compile a NumPy controller", "one of JAX's, ")
-        with self._within(), report_silence(f"{settings.name}, which traces {self._about},", after=SOON):
+        with (
+            self._within(),
+            report_slow_call(f"{settings.name}, which traces {self._about},", after=TRACE_NOTE_AFTER_S),
+        ):
             self._check()
         self._first, self._enter, self._finish = self._programs.compile_for_batches()
         self._ticks = jax.jit(self._run_ticks, donate_argnums=2)
@@ -128,8 +146,8 @@ class MjxModelEngine(ModelEngine):
         """Raise `InputError` where it cannot simulate the model, or would leave a part of it out without a word."""
         template = self._template(self._model)
         parts = template, template._impl, template.opt, getattr(template.opt, "_impl", None)
-        has = {name for part in parts if part for name in vars(part)}.difference(UNUSED[self._impl])
-        for what, name in SILENT.items():
+        has = {name for part in parts if part for name in vars(part)}.difference(UNUSED_FIELDS[self._impl])
+        for what, name in SILENTLY_IGNORED_FIELDS.items():
             if name.removeprefix("opt.") not in has and np.any(fields.field_values(self._model, name)):
                 raise self._refusal(f"MJX leaves out {what}", "a model without, ")
 
@@ -142,7 +160,7 @@ class MjxModelEngine(ModelEngine):
                     jax.eval_shape(mjx.step, template, mjx.put_data(model, data))
         except (NotImplementedError, ValueError) as error:
             said = " ".join(str(error).split())
-            instead = next((words for part, words in INSTEAD.items() if part in said), "")
+            instead = next((words for part, words in ALTERNATIVES.items() if part in said), "")
             raise self._refusal(f"MJX has no {said.rstrip('.')}", f"{instead}, " if instead else "") from None
         return template
 
@@ -165,9 +183,11 @@ class MjxModelEngine(ModelEngine):
         if grounds and self._impl == "warp":
             raise self._refusal(f"Warp has one terrain for all rollouts, which {grounds[0]} varies", "engine=mjx, ")
         written = [(path, place.field) for path in paths for place in fields.locate_numbers(self._model, path)[1]]
-        template = self._template(with_features(self._model, {name: 1.0 for _, name in written if name in SHAPING}))
+        template = self._template(
+            with_features(self._model, {name: 1.0 for _, name in written if name in PROGRAM_SHAPING_FIELDS})
+        )
         for path, name in written:
-            if name in UNUSED[self._impl] or not hasattr(model_leaf(template, name), "at"):
+            if name in UNUSED_FIELDS[self._impl] or not hasattr(model_leaf(template, name), "at"):
                 raise self._refusal(f"MJX has no {name.removeprefix('opt.')}, which {path} varies", "other axes, ")
         return self.known_differences()
 
@@ -205,7 +225,7 @@ class MjxModelEngine(ModelEngine):
             activation = reference.batch.bind("act")
             _, fixed, carry, _, _ = self._start(world, belief, streams)
             stepper = TickStepper(spec, reference, self._shares)
-            for tick in range(COMPARED):
+            for tick in range(COMPARED_TICKS):
                 qpos, qvel, act = (
                     np.asarray(carry["sim_state"][name], float)[rows] for name in ("qpos", "qvel", "act")
                 )
@@ -229,9 +249,9 @@ class MjxModelEngine(ModelEngine):
     def _compare(self, tick: int, here: np.ndarray, there: np.ndarray) -> None:
         """Raise `InputError` where mean accelerations (r, nv) of a tick differ from those of C MuJoCo, `there`."""
         size = np.maximum(np.abs(here), np.abs(there)).max(axis=1, initial=0.0, keepdims=True)
-        least = LITTLE_ON_TERRAIN if self._spec.config.terrain else LITTLE
+        least = LITTLE_ON_TERRAIN if self._spec.config.terrain else ROUNDING_ACCELERATION
         off = np.where(np.isfinite(there), np.abs(here - there), 0.0) / np.maximum(size, least)
-        if not off.size or (np.nanmax(off) <= UNLIKE and not np.isnan(off).any()):
+        if not off.size or (np.nanmax(off) <= MAX_ACCELERATION_DIFFERENCE and not np.isnan(off).any()):
             return
         row, dof = np.unravel_index(np.argmax(np.nan_to_num(off, nan=np.inf)), off.shape)
         joint = int(self._model.dof_jntid[dof])
@@ -250,7 +270,7 @@ class MjxModelEngine(ModelEngine):
         with self._within():
             begun, fixed, carry, ticks, at_first = self._start(world, belief, streams)
             policy_inputs = fixed[3]
-            longest, chunk = int(ticks.max(initial=0)), every if len(slots) else CHUNK
+            longest, chunk = int(ticks.max(initial=0)), every if len(slots) else TICKS_PER_CALL
             for k in range(0, longest, chunk):
                 carry = self._advance(fixed, k, min(chunk, longest - k), carry)
                 if len(slots) and k + every <= longest:
@@ -288,7 +308,9 @@ class MjxModelEngine(ModelEngine):
         seen = jnp.asarray(spec.observable_state(begun.qpos, begun.qvel, begun.sensors), float)
         ticks = batch.count_ticks(spec, duration)
         template, data, leaves = self._put(begun)
-        sim_state = {name: jnp.broadcast_to(getattr(data, name), (n, *getattr(data, name).shape)) for name in CARRIED}
+        sim_state = {
+            name: jnp.broadcast_to(getattr(data, name), (n, *getattr(data, name).shape)) for name in CARRIED_FIELDS
+        }
         sim_state |= {"qpos": jnp.asarray(begun.qpos, float), "qvel": jnp.asarray(begun.qvel, float)}
         carry = {
             "sim_state": sim_state,
@@ -328,7 +350,7 @@ class MjxModelEngine(ModelEngine):
     def _put(self, begun: batch.BatchStart) -> tuple[Any, Any, dict[str, Array]]:
         """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""
         n, rows = begun.batch.nsim, batch.differing_fields(begun)
-        most = {name: np.abs(rows[name]).max(axis=0) for name in SHAPING if name in rows}
+        most = {name: np.abs(rows[name]).max(axis=0) for name in PROGRAM_SHAPING_FIELDS if name in rows}
         shape = n, *((name, values.tobytes()) for name, values in most.items())
         ground = begun.ground
         shared = ground.field_data[0] if ground and not ground.varies else None
@@ -348,7 +370,7 @@ class MjxModelEngine(ModelEngine):
         template, data = self._placed[shape]
         leaves = {}
         for name, values in rows.items():
-            values = np.maximum(values, LEAST) if name in RUBBING else values
+            values = np.maximum(values, MIN_FRICTION_LOSS) if name in FRICTION_LOSS_FIELDS else values
             if hasattr(one := model_leaf(template, name), "at"):  # others it works out itself, or `check` refuses them
                 leaves[name] = jnp.asarray(values.reshape(n, *one.shape), float)
         if ground and ground.varies:
@@ -374,11 +396,11 @@ class MjxModelEngine(ModelEngine):
             model = template.tree_replace(rows)
             after = mjx.step(model, data.replace(**sim_state, **inputs(ctrl, wrench)))
             internal = {"actuator_velocity": after._impl}
-            told = {name: getattr(internal.get(name, after), name) for name in STEPS}
+            told = {name: getattr(internal.get(name, after), name) for name in STEP_FIELDS}
             if wrench is not None:
                 told["places"] = after.xipos[bodies]  # as the step began
             told["full"], told["unsolved"] = self._invalid_flags(model, after)
-            return {name: getattr(after, name).astype(sim_state[name].dtype) for name in CARRIED}, told
+            return {name: getattr(after, name).astype(sim_state[name].dtype) for name in CARRIED_FIELDS}, told
 
         def current(rows: Mapping[str, Array], sim_state: Mapping[str, Array], ctrl: Array, wrench: Any) -> Array:
             return mjx.forward(
@@ -451,7 +473,7 @@ class MjxModelEngine(ModelEngine):
             lacking = OverflowType.ALL & ~OverflowType.ITERATIONS & ~OverflowType.LS_ITERATIONS
             full = jnp.any(data._impl.overflow & int(lacking) > 0)
             return full, jnp.max(data._impl.solver_niter) >= self._model.opt.iterations
-        contact, forces = data._impl.contact, (getattr(data, name) for name in BALANCE)
+        contact, forces = data._impl.contact, (getattr(data, name) for name in BALANCE_FIELDS)
         near = contact.dist < contact.includemargin
         full = jnp.array([False, *(near[np.asarray(contact.dim) == dim].all() for dim in self._limited)]).any()
         return full, is_unbalanced(mjx.full_m(model, data), *forces)
@@ -500,4 +522,7 @@ def with_features(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjMo
 
 def warp_buffer_sizes(model: mujoco.MjModel, n: int) -> dict[str, int]:
     """Return the sizes of Warp's buffers for n rollouts: contacts of all, and constraints of each."""
-    return {"naconmax": CONTACTS * n, "njmax": CONSTRAINTS * CONTACTS + model.njnt + 2 * model.nv}
+    return {
+        "naconmax": WARP_CONTACTS_PER_ROLLOUT * n,
+        "njmax": WARP_CONSTRAINTS_PER_CONTACT * WARP_CONTACTS_PER_ROLLOUT + model.njnt + 2 * model.nv,
+    }

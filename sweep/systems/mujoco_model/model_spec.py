@@ -8,15 +8,15 @@ import mujoco
 import numpy as np
 
 from sweep.contract.engine_settings import EngineSettings
-from sweep.contract.system import Parameter, Values
+from sweep.contract.system import ColumnValues, Parameter
 from sweep.core.errors import InputError, require_choice
 from sweep.core.metric import array_namespace
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.systems.mujoco_model import fields, files, initial_state, terrain, terrain_heights
-from sweep.systems.mujoco_model.disturbances import PUSH, PushedBody
+from sweep.systems.mujoco_model.disturbances import PUSH_PARAMETERS, PushedBody
 from sweep.systems.mujoco_model.motors import MOTOR, MotorGroup, MotorLaw, make_law
 from sweep.systems.mujoco_model.payloads import PAYLOAD, Payload, add_payloads
-from sweep.systems.mujoco_model.policy_spec import VELOCITY
+from sweep.systems.mujoco_model.policy_spec import VELOCITY_COMMANDS
 from sweep.systems.mujoco_model.schedules import FACTOR, Schedule
 from sweep.systems.mujoco_model.terrain import TerrainConfig
 
@@ -46,13 +46,13 @@ class ModelConfig:
 
 
 @parameters
-class Settings(EngineSettings):
+class ModelEngineSettings(EngineSettings):
     """Engine settings of a MuJoCo model, with the additional engines `warp` and `kernel`."""
 
     name: str = choice("native", "native", "mjx", "warp", "kernel")
 
 
-NOISE = {  # errors of what the controller observes, alike in all components, in their own units
+NOISE_PARAMETERS = {  # errors of what the controller observes, alike in all components, in their own units
     "noise.white": quantity(0.0, "", at_least=0),  # deviation, drawn anew at every tick
     "noise.bias": quantity(0.0, "", at_least=0),  # deviation of the constant error
     "noise.delay": quantity(0.0, "ticks", at_least=0, at_most=50),  # whole control ticks that it is late by
@@ -61,7 +61,7 @@ NOISE = {  # errors of what the controller observes, alike in all components, in
 
 PHYSICAL = ("push", "start", "payload", "motor")  # groups of the world, beside `model` and `noise`
 
-TERM_NOISE = {  # errors of one term of a learned policy's observation, in its unit, before clip and scale
+TERM_NOISE_PARAMETERS = {  # errors of one term of a learned policy's observation, in its unit, before clip and scale
     "white": quantity(0.0, "", at_least=0),  # deviation, drawn anew at every tick, beside that of `noise.white`
     "bias": quantity(0.0, "", at_least=0),  # deviation of the constant error, beside that of `noise.bias`
     "delay": quantity(0.0, "ticks", at_least=0, at_most=50),  # whole control ticks, beside those of `noise.delay`
@@ -144,7 +144,7 @@ class ModelSpec:
         return terrain.make_batch(shape, numbers, any(terrain.PREFIX + name in own for name in numbers), image)
 
     @cached_property
-    def controller(self) -> files.Policy:
+    def controller(self) -> files.LoadedController:
         """The controller that the configuration names, loaded."""
         about = self.config
         return files.load_controller(about.controller, self.model, self.keyframe_index, about.period)
@@ -152,18 +152,18 @@ class ModelSpec:
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
         """Fields of the parameters of noise, pushes, controller and terrain, by path."""
-        pushes = {f"push.{one.name}.{key}": about for one in self.pushes for key, about in PUSH.items()}
+        pushes = {f"push.{one.name}.{key}": about for one in self.pushes for key, about in PUSH_PARAMETERS.items()}
         own = {f"controller.{name}": quantity(value, "") for name, value in self.controller.parameters.items()}
-        learned = self.controller.learned
+        learned = self.controller.fitted_policy
         labels = learned.measured_terms if learned else ()
-        terms = {f"noise.{label}.{key}": about for label in labels for key, about in TERM_NOISE.items()}
+        terms = {f"noise.{label}.{key}": about for label in labels for key, about in TERM_NOISE_PARAMETERS.items()}
         ground = terrain_heights.NUMBERS if self.config.terrain else {}
         grounds = {terrain.PREFIX + name: about for name, about in ground.items()}
         loads = {f"payload.{one.name}.{key}": about for one in self.payloads for key, about in PAYLOAD.items()}
         drives = {f"motor.{one.name}.{key}": about for one in self.motors for key, about in MOTOR.items()}
         start = initial_state.start_parameters(self.model, self.base_address is not None)
         schedules = {f"schedule.{one.name}.factor": FACTOR for one in self.schedules}
-        return NOISE | terms | pushes | loads | drives | start | own | schedules | grounds
+        return NOISE_PARAMETERS | terms | pushes | loads | drives | start | own | schedules | grounds
 
     @cached_property
     def pushed_bodies(self) -> np.ndarray:
@@ -173,8 +173,8 @@ class ModelSpec:
     @property
     def tracked_commands(self) -> tuple[str, ...]:
         """Velocity commands whose errors are metrics: of a learned policy, or where there are schedules."""
-        names = tuple(name for name in VELOCITY if name in self.controller.parameters)
-        is_tracked = self.base_address is not None and (self.controller.learned or self.schedules)
+        names = tuple(name for name in VELOCITY_COMMANDS if name in self.controller.parameters)
+        is_tracked = self.base_address is not None and (self.controller.fitted_policy or self.schedules)
         return names if is_tracked else ()
 
     @property
@@ -234,9 +234,9 @@ class ModelSpec:
         usual = slice(model.nq + model.nv if model.nsensordata else 0, None)
         return [self.state_slices[name] for name in names] or [usual]
 
-    def believed_values(self, values: Values) -> dict[str, Any]:
+    def believed_values(self, values: ColumnValues) -> dict[str, Any]:
         """Return what the controller believes, by its own names; `values` by path replace nominal ones."""
-        paths = {**self.controller.believes, **{name: f"controller.{name}" for name in self.controller.parameters}}
+        paths = {**self.controller.belief_paths, **{name: f"controller.{name}" for name in self.controller.parameters}}
         return {name: values[path] if path in values else self.nominal_value(path) for name, path in paths.items()}
 
     def file_value(self, path: str) -> str:
@@ -254,7 +254,7 @@ class ModelSpec:
     @property
     def policy_columns(self) -> tuple[str, ...]:
         """Columns of what a learned policy saw and did; none of other controllers."""
-        return self.controller.learned.recorded_columns if self.controller.learned else ()
+        return self.controller.fitted_policy.recorded_columns if self.controller.fitted_policy else ()
 
     def time_series_columns(
         self, qpos: np.ndarray, qvel: np.ndarray, recorded: np.ndarray | None = None

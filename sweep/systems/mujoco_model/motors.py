@@ -11,7 +11,7 @@ from mujoco.batch import Batch
 from sweep.contract.system import Parameter
 from sweep.core.errors import InputError
 from sweep.core.parameters import quantity
-from sweep.systems.mujoco_model.actuation import JOINT
+from sweep.systems.mujoco_model.actuation import JOINT_TRANSMISSIONS
 from sweep.systems.mujoco_model.named_groups import iterate_named
 
 MOTOR: Mapping[str, Parameter] = {  # numbers of the motors of some joints
@@ -96,7 +96,7 @@ def parse_motors(given: Any, model: mujoco.MjModel) -> tuple[tuple[MotorGroup, .
 
 def _find_motors(error_prefix: str, pattern: str, model: mujoco.MjModel) -> tuple[int, ...]:
     """Return the actuators of joints whose names fit a pattern. Raises `InputError`."""
-    on_joints = [k for k in range(model.nu) if int(model.actuator_trntype[k]) in JOINT]
+    on_joints = [k for k in range(model.nu) if int(model.actuator_trntype[k]) in JOINT_TRANSMISSIONS]
     names = [model.joint(int(model.actuator_trnid[k, 0])).name for k in on_joints]
     found = [k for k, name in zip(on_joints, names, strict=True) if fnmatch.fnmatchcase(name, pattern)]
     if not found:

@@ -17,16 +17,20 @@ import numpy as np
 from sweep.core.errors import InputError
 from sweep.systems.mujoco_model.onnx_operators import OPERATORS, OperatorCall
 
-Shape = tuple[int | None, ...]  # of an input or output; None for sizes that may be any
-DRAWS = "Random", "Multinomial", "Bernoulli"  # what the names of operators begin with that draw random numbers
+ArrayShape = tuple[int | None, ...]  # of an input or output; None for sizes that may be any
+RANDOM_OPERATOR_PREFIXES = (
+    "Random",
+    "Multinomial",
+    "Bernoulli",
+)  # what the names of operators begin with that draw random numbers
 
 
 class Network(NamedTuple):
     """A neural network read from an ONNX file."""
 
     name: str  # as messages call it
-    inputs: Mapping[str, Shape]
-    outputs: Mapping[str, Shape]
+    inputs: Mapping[str, ArrayShape]
+    outputs: Mapping[str, ArrayShape]
     metadata: Mapping[str, str]  # what the exporter wrote beside the graph
     evaluate: Callable[[Mapping[str, Any]], dict[str, Any]]  # outputs by name, of inputs by name, in their shapes
 
@@ -137,7 +141,7 @@ def make_policy(network: Network) -> Callable[..., Any]:
 def _require_operator(error_prefix: str, node: Any) -> None:
     """Raise `InputError` for a node whose operator is not on the list."""
     named = f"{node.domain}.{node.op_type}" if node.domain not in ("", "ai.onnx") else node.op_type
-    if node.op_type.startswith(DRAWS):
+    if node.op_type.startswith(RANDOM_OPERATOR_PREFIXES):
         raise InputError(f"{error_prefix} draws random numbers ({named}): export the policy's mean action instead")
     if named not in OPERATORS:
         known = ", ".join(sorted([*OPERATORS, "Constant"]))
@@ -156,6 +160,6 @@ def _attribute(given: Any) -> Any:
     return onnx.numpy_helper.to_array(value) if isinstance(value, onnx.TensorProto) else value
 
 
-def _shape(given: Any) -> Shape:
+def _shape(given: Any) -> ArrayShape:
     sizes = given.type.tensor_type.shape.dim
     return tuple(one.dim_value if one.HasField("dim_value") and one.dim_value > 0 else None for one in sizes)

@@ -15,8 +15,15 @@ import numpy as np
 from sweep.core.errors import InputError
 
 Operator = Callable[..., Any]  # of a call and the arrays that go in; gives an array, or a tuple of them
-SELU = 1.67326319217681884765625, 1.05070102214813232421875  # defaults of alpha and gamma
-CELL = {"activations", "activation_alpha", "activation_beta", "clip", "input_forget", "direction"}  # of LSTM and GRU
+SELU_DEFAULTS = 1.67326319217681884765625, 1.05070102214813232421875  # defaults of alpha and gamma
+CELL_ATTRIBUTES = {
+    "activations",
+    "activation_alpha",
+    "activation_beta",
+    "clip",
+    "input_forget",
+    "direction",
+}  # of LSTM and GRU
 
 
 class OperatorCall:
@@ -29,12 +36,12 @@ class OperatorCall:
         """Return an attribute, or its default."""
         return self.attributes.get(name, default)
 
-    def option(self, name: str, given: Sequence[Any], place: int, default: Any = None) -> Any:
+    def option(self, name: str, inputs: Sequence[Any], place: int, default: Any = None) -> Any:
         """Return a value that is an attribute in older operator sets and a constant input in newer ones.
 
         Args:
             name: Name of the attribute.
-            given: All inputs; None where one is left out.
+            inputs: All inputs; None where one is left out.
             place: Index of the input.
             default: Value where there is neither.
 
@@ -43,11 +50,11 @@ class OperatorCall:
         """
         if name in self.attributes:
             return self.attributes[name]
-        if place >= len(given) or given[place] is None:
+        if place >= len(inputs) or inputs[place] is None:
             return default
-        if not isinstance(given[place], np.ndarray):
+        if not isinstance(inputs[place], np.ndarray):
             raise InputError(f"{self.name} with {name} that depends on the input is not supported")
-        return given[place]
+        return inputs[place]
 
 
 def _unary(function: Callable[[Any, Any], Any]) -> Operator:
@@ -109,7 +116,7 @@ def _elu(call: OperatorCall, x: Any) -> Any:
 
 
 def _selu(call: OperatorCall, x: Any) -> Any:
-    xp, alpha, gamma = _module(x), call.attribute("alpha", SELU[0]), call.attribute("gamma", SELU[1])
+    xp, alpha, gamma = _module(x), call.attribute("alpha", SELU_DEFAULTS[0]), call.attribute("gamma", SELU_DEFAULTS[1])
     return gamma * xp.where(x > 0, x, alpha * xp.expm1(xp.minimum(x, 0)))
 
 
@@ -283,7 +290,7 @@ def _gru(call: OperatorCall, x: Any, w: Any, r: Any, b: Any = None, lengths: Any
 
 def _require_plain_cell(call: OperatorCall, x: Any, lengths: Any, peepholes: Any) -> None:
     """Raise `InputError` for variants of a recurrent cell that are not implemented."""
-    odd = {name: call.attributes[name] for name in CELL & {*call.attributes}}
+    odd = {name: call.attributes[name] for name in CELL_ATTRIBUTES & {*call.attributes}}
     for name, usual in (("direction", b"forward"), ("input_forget", 0)):
         if odd.get(name) == usual:
             del odd[name]

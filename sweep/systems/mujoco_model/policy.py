@@ -15,17 +15,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from sweep.core.errors import WRONG, InputError, format_user_exception
-from sweep.core.metric import Metric, freeze_ended
+from sweep.core.errors import USER_CODE_ERRORS, InputError, format_user_exception
+from sweep.core.metric import Metric, keep_ended_states
 from sweep.core.user_code import describe_user_error, run_user_code
-from sweep.fused.numbers import evaluate_constants
+from sweep.fused.numbers import evaluate_numbers
 from sweep.systems.mujoco_model import files
 from sweep.systems.mujoco_model.batch import BatchStart, controller_inputs, count_ticks
 from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelSpec, SideValues
 from sweep.systems.mujoco_model.schedules import tabulate
 from sweep.systems.mujoco_model.tracking import VelocityTracking
 
-TILE = 64
+TILE_ROLLOUTS = 64
 logging.getLogger("jax._src.callback").setLevel(logging.CRITICAL)  # it prints tracebacks of errors that are told here
 
 
@@ -46,7 +46,7 @@ class ControllerEnd(NamedTuple):
     state: Any  # of the controller
 
 
-def make_user_metric(control: files.Policy) -> Metric[Any]:
+def make_user_metric(control: files.LoadedController) -> Metric[Any]:
     """Make a metric from a controller's `measure` and `figures`; its columns are those of `FIGURES`.
 
     It begins with, and is updated by, all that can be observed by name.
@@ -57,7 +57,7 @@ def make_user_metric(control: files.Policy) -> Metric[Any]:
         return figures(*end, *([measurement] if measure else [])) if figures else {}
 
     begin = (lambda told: measure(None, told)) if measure else (lambda told: ())
-    return Metric(begin, measure or (lambda measurement, told: ()), compute, control.measured)
+    return Metric(begin, measure or (lambda measurement, told: ()), compute, control.metric_meanings)
 
 
 class FirstTick(NamedTuple):
@@ -80,10 +80,10 @@ class ControllerPrograms:
 
     def __init__(self, spec: ModelSpec, belief: Mapping[str, Any]):
         control, self._spec = spec.controller, spec
-        self.period, self.learned = spec.config.period, control.learned
+        self.period, self.learned = spec.config.period, control.fitted_policy
         self._begin = control.begin or (lambda belief, key: (None, (), None))
         # what is batched is called with what this gives
-        self._policy = (lambda belief, told, state, key: (told, state)) if control.batched else control.policy
+        self._policy = (lambda belief, told, state, key: (told, state)) if control.is_batched else control.policy
         self._metric = make_user_metric(control)
         ticks = round(spec.config.duration / self.period) + 1
         self._commands = {one.name: tabulate(one, ticks, self.period) for one in spec.schedules}
@@ -140,7 +140,7 @@ class ControllerPrograms:
 
     def _term_numbers(self, policy_inputs: Mapping[str, Any], key: str) -> Any:
         """A number of the errors of terms for each number of the observation, (k,); 0 without a learned policy."""
-        learned = self._spec.controller.learned
+        learned = self._spec.controller.fitted_policy
         if learned is None or not learned.measured_terms:
             return 0
         errors = policy_inputs["terms"][key]
@@ -163,7 +163,7 @@ class ControllerPrograms:
             told, held = seen_late + carried["bias"] + policy_inputs["white"] * _draw_normal(noise, seen), {}
         ctrl, state = self._policy(self._belief(policy_inputs, tick), told, carried["state"], policy_key)
         new = {"late": late, "tick": tick + 1, **self._measured(policy_inputs, carried, observable), **held}
-        return ctrl, {**carried, **new, "state": freeze_ended(tick < carried["ticks"], state, carried["state"])}
+        return ctrl, {**carried, **new, "state": keep_ended_states(tick < carried["ticks"], state, carried["state"])}
 
     def _observe_terms(self, policy_inputs: Mapping[str, Any], carried: Any, late: Array, key: Array) -> Array:
         """What a learned policy measures in a tick (k,), with the errors of each term."""
@@ -172,7 +172,7 @@ class ControllerPrograms:
         seen = late[(tick - delay) % length, jnp.arange(late.shape[1])]
         white = policy_inputs["white"] + self._term_numbers(policy_inputs, "white")
         told = seen + carried["bias"] + white * _draw_normal(key, seen)
-        learned = self._spec.controller.learned
+        learned = self._spec.controller.fitted_policy
         terms = learned.measured_terms if learned else {}
         luck = jax.random.uniform(jax.random.fold_in(key, 1), (len(terms),), jnp.float32)  # one for each term
         each = [jnp.full(one.size, luck[k]) for k, one in enumerate(terms.values())]
@@ -221,7 +221,7 @@ class ControllerPrograms:
             belief = self._belief(policy_inputs, carried["tick"] - 1)  # of the tick that has ended
             new["tracking"] = self._tracking.update(carried["tracking"], belief, state)
         within = (carried["tick"] > 0) & (carried["tick"] <= carried["ticks"])  # the start is in it
-        return freeze_ended(within, new, old)
+        return keep_ended_states(within, new, old)
 
     def check_start(self, begun: BatchStart) -> None:
         """Raise `InputError` where the first controls are not finite, or a second call returns different ones.
@@ -230,7 +230,7 @@ class ControllerPrograms:
         """
 
         def found(function: Callable[..., Any], *more: Any) -> Any:  # without compiling it
-            return self.call_user_code(evaluate_constants, lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
+            return self.call_user_code(evaluate_numbers, lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
 
         first = jax.tree.map(lambda rows: rows[0], begun.policy_inputs)
         start, state, duration = found(self.begin_controller)
@@ -240,11 +240,11 @@ class ControllerPrograms:
         begun.place(start)
         observable = self._spec.observable_state(begun.qpos, begun.qvel, begun.sensors)[0]
         ctrl, _ = found(self.tick_controller, found(self.start_rollout, state, observable, np.int32(1)), observable)
-        told = np.tile(ctrl, (TILE, 1))
+        told = np.tile(ctrl, (TILE_ROLLOUTS, 1))
         controls = np.array(self.compute_controls(told))
         if not np.isfinite(controls).all():
             raise self._error("gives controls that are not finite at the nominal start")
-        if not self._spec.controller.batched:
+        if not self._spec.controller.is_batched:
             return
         with contextlib.suppress(InputError):  # it may have no answer to what no rollout observes
             self.compute_controls(told + 1)
@@ -271,9 +271,9 @@ class ControllerPrograms:
         carried = self.call_user_code(self.start_rollout, first, state, observable, np.int32(1))
         seen = spec.observe_state(observable)
         ctrl, carried = self.call_user_code(self.tick_controller, first, carried, observable)
-        controls = np.array(self.compute_controls(np.tile(ctrl, (TILE, 1))))[0]
+        controls = np.array(self.compute_controls(np.tile(ctrl, (TILE_ROLLOUTS, 1))))[0]
         names = [model.actuator(k).name or f"actuator {k}" for k in range(model.nu)]
-        learned, numbers = spec.controller.learned, np.full(model.nu, np.nan)
+        learned, numbers = spec.controller.fitted_policy, np.full(model.nu, np.nan)
         if learned is None:
             parts = spec.config.observe or ("observation",)
             every = [observable[spec.state_slices[name]] for name in spec.config.observe] or [seen]
@@ -305,7 +305,7 @@ class ControllerPrograms:
                 return function(*args)
         except InputError:
             raise
-        except WRONG as error:
+        except USER_CODE_ERRORS as error:
             reason = describe_user_error(error, files.project_folder())
             if reason is None and not is_own:
                 raise
@@ -335,7 +335,7 @@ class ControllerPrograms:
     def compute_controls(self, policy_output: np.ndarray, when: str = "") -> np.ndarray:
         """Return controls (n, nu) from the program's output (n, ...), which a batched controller receives as its
         observation."""
-        if not self._spec.controller.batched:
+        if not self._spec.controller.is_batched:
             return policy_output
         policy_output, controls = np.array(policy_output), self._spec.model.nu
         ctrl = self.call_user_code(lambda: np.asarray(self._spec.controller.policy(policy_output)), when=when)
@@ -363,7 +363,7 @@ class ControllerPrograms:
 
         for wrong, what in (
             (getattr(seen, "ndim", 0) != 1, f"observes {getattr(seen, 'shape', seen)}: (k,) is wanted"),
-            (not spec.controller.batched and shape != (model.nu,),
+            (not spec.controller.is_batched and shape != (model.nu,),
              f"gives controls {shape}: ({model.nu},) are wanted"),
             (differ(state, after), "returns a state of another shape or type than it receives"),
             (differ(measurement, more), "returns measurements of another shape or type than at first"),
@@ -373,27 +373,31 @@ class ControllerPrograms:
         ):  # fmt: skip
             if wrong:
                 raise self._error(what)
-        told = {"observes": seen, "gives controls": None if spec.controller.batched else ctrl, "begins at": start,
+        told = {"observes": seen, "gives controls": None if spec.controller.is_batched else ctrl, "begins at": start,
                 "lasts": duration}  # fmt: skip
         for what, one in told.items():
             if one is not None and not jnp.isdtype(one.dtype, ("real floating", "integral")):
                 raise self._error(f"{what} {one.dtype} {one.shape}: numbers are wanted")
-        if {*found} != {*spec.controller.measured} or any(one.shape or one.dtype.kind == "c" for one in found.values()):
+        if {*found} != {*spec.controller.metric_meanings} or any(
+            one.shape or one.dtype.kind == "c" for one in found.values()
+        ):
             has = ", ".join(f"{name} {one.dtype} {one.shape}" for name, one in found.items())
             raise self._error(f"has figures {has}: numbers are wanted, named in FIGURES")
-        if spec.controller.batched:
-            self.compute_controls(np.zeros((TILE, seen.shape[0]), jnp.zeros(0).dtype))
+        if spec.controller.is_batched:
+            self.compute_controls(np.zeros((TILE_ROLLOUTS, seen.shape[0]), jnp.zeros(0).dtype))
 
 
 class ControllerBatch:
-    """The controllers of n rollouts, called in tiles of `TILE` rollouts.
+    """The controllers of n rollouts, called in tiles of `TILE_ROLLOUTS` rollouts.
 
     The last tile is filled up with copies of the last rollout. `policy_inputs` has one row for each rollout.
     """
 
     def __init__(self, programs: ControllerPrograms, policy_inputs: Mapping[str, Any], n: int):
         self._programs, self._n = programs, n
-        self._rows = np.minimum(np.arange(-(-self._n // TILE) * TILE), self._n - 1).reshape(-1, TILE)
+        self._rows = np.minimum(np.arange(-(-self._n // TILE_ROLLOUTS) * TILE_ROLLOUTS), self._n - 1).reshape(
+            -1, TILE_ROLLOUTS
+        )
         self._given = [jax.device_put(jax.tree.map(lambda x, r=r: np.asarray(x)[r], policy_inputs)) for r in self._rows]
         self._tick, self._period = 0, programs.period
         starts, self._carried, durations = zip(*self._call(lambda: list(map(programs.first, self._given))), strict=True)

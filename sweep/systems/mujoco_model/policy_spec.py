@@ -14,8 +14,8 @@ import numpy as np
 
 from sweep.core.errors import InputError, require_choice
 
-SUFFIX = ".policy.yaml"  # of the file beside a network
-UNITS = {  # terms of an observation, with their units
+SPECIFICATION_SUFFIX = ".policy.yaml"  # of the file beside a network
+TERM_UNITS = {  # terms of an observation, with their units
     "joint_positions": "rad",
     "joint_velocities": "rad/s",
     "projected_gravity": "",
@@ -29,8 +29,10 @@ UNITS = {  # terms of an observation, with their units
     "phase": "",
     "constant": "",
 }
-MEASURED = [name for name in UNITS if name not in ("command", "last_action", "phase", "constant")]  # have errors
-ALIASES = {  # names of training frameworks for terms
+MEASURED_TERMS = [
+    name for name in TERM_UNITS if name not in ("command", "last_action", "phase", "constant")
+]  # have errors
+TERM_ALIASES = {  # names of training frameworks for terms
     **dict.fromkeys(("joint_pos", "joint_pos_rel", "joint_angles"), "joint_positions"),
     **dict.fromkeys(("joint_vel", "joint_vel_rel"), "joint_velocities"),
     **dict.fromkeys(("gravity", "gravity_vec"), "projected_gravity"),
@@ -40,32 +42,32 @@ ALIASES = {  # names of training frameworks for terms
     **dict.fromkeys(("actions", "last_act", "last_actions"), "last_action"),
     "gait_phase": "phase",
 }
-VELOCITY = {"velocity_x": 1.0, "velocity_y": 0.0, "yaw_rate": 0.0}  # m/s, m/s, rad/s
-USUAL_ORDER = ("base_linear_velocity", "base_angular_velocity", "projected_gravity")
+VELOCITY_COMMANDS = {"velocity_x": 1.0, "velocity_y": 0.0, "yaw_rate": 0.0}  # m/s, m/s, rad/s
+USUAL_TERM_ORDER = ("base_linear_velocity", "base_angular_velocity", "projected_gravity")
 PRESETS: dict[str, dict[str, Any]] = {  # by the documented conventions of the frameworks' velocity tasks
     "playground": {
-        "observation": [*USUAL_ORDER, "joint_positions", "joint_velocities", "last_action", "command"],
-        "commands": VELOCITY,
+        "observation": [*USUAL_TERM_ORDER, "joint_positions", "joint_velocities", "last_action", "command"],
+        "commands": VELOCITY_COMMANDS,
         "action": {"scale": 0.5},
         "sensors": {"base_linear_velocity": "local_linvel", "base_angular_velocity": "gyro"},
     },
     "playground_gait": {
-        "observation": [*USUAL_ORDER, "command", "joint_positions", "joint_velocities", "last_action",
+        "observation": [*USUAL_TERM_ORDER, "command", "joint_positions", "joint_velocities", "last_action",
                         {"term": "phase", "frequency": 1.5, "offsets": [0.0, np.pi]}],
-        "commands": VELOCITY,
+        "commands": VELOCITY_COMMANDS,
         "action": {"scale": 0.5},
         "sensors": {"base_linear_velocity": "local_linvel_pelvis local_linvel",
                     "base_angular_velocity": "gyro_pelvis gyro"},
     },
     "mjlab": {
-        "observation": [*USUAL_ORDER, "joint_positions", "joint_velocities", "last_action", "command"],
-        "commands": VELOCITY,
+        "observation": [*USUAL_TERM_ORDER, "joint_positions", "joint_velocities", "last_action", "command"],
+        "commands": VELOCITY_COMMANDS,
         "action": {"scale": 0.5},
         "sensors": {"base_linear_velocity": "imu_lin_vel", "base_angular_velocity": "imu_ang_vel"},
     },
     "isaaclab": {
-        "observation": [*USUAL_ORDER, "command", "joint_positions", "joint_velocities", "last_action"],
-        "commands": VELOCITY,
+        "observation": [*USUAL_TERM_ORDER, "command", "joint_positions", "joint_velocities", "last_action"],
+        "commands": VELOCITY_COMMANDS,
         "action": {"scale": 0.5},
     },
 }  # fmt: skip
@@ -156,12 +158,12 @@ CHOICES = {
 }
 
 
-def parse_policy(error_prefix: str, given: Mapping[str, Any], metadata: Mapping[str, str]) -> PolicySpec:
+def parse_policy(error_prefix: str, config: Mapping[str, Any], metadata: Mapping[str, str]) -> PolicySpec:
     """Build the specification of a policy from its file, the network's metadata and its preset.
 
     Args:
         error_prefix: What messages begin with, such as `walk.policy.yaml`.
-        given: Content of the file.
+        config: Content of the file.
         metadata: Metadata of the network.
 
     Returns:
@@ -170,11 +172,11 @@ def parse_policy(error_prefix: str, given: Mapping[str, Any], metadata: Mapping[
     Raises:
         InputError: A key is unknown, or a value is not allowed.
     """
-    if not isinstance(given, Mapping):
+    if not isinstance(config, Mapping):
         raise InputError(f"{error_prefix} is not allowed: keys and values")
-    require_choice(given.get("preset", ""), CHOICES["preset"], f"{error_prefix}: preset = {given.get('preset')}")
-    merged = dict(PRESETS.get(given.get("preset", ""), {}))
-    for source in (read_metadata(error_prefix, metadata), given):
+    require_choice(config.get("preset", ""), CHOICES["preset"], f"{error_prefix}: preset = {config.get('preset')}")
+    merged = dict(PRESETS.get(config.get("preset", ""), {}))
+    for source in (read_metadata(error_prefix, metadata), config):
         for key, value in source.items():
             both = key == "action" and isinstance(value, Mapping)
             merged[key] = {**merged.get(key, {}), **value} if both else value
@@ -210,21 +212,21 @@ def read_metadata(error_prefix: str, metadata: Mapping[str, str]) -> dict[str, A
     return found
 
 
-def parse_terms(error_prefix: str, given: Any) -> tuple[TermSpec, ...]:
+def parse_terms(error_prefix: str, config: Any) -> tuple[TermSpec, ...]:
     """Build the terms of one input from a list of names and mappings. Raises `InputError`."""
-    if not isinstance(given, list | tuple) or not given:
+    if not isinstance(config, list | tuple) or not config:
         raise InputError(
             f"{error_prefix} is not allowed: a list of terms, such as [projected_gravity, joint_positions]"
         )
     found = []
-    for k, one in enumerate(given):
+    for k, one in enumerate(config):
         one = {"term": one} if isinstance(one, str) else one
         if not isinstance(one, Mapping) or not isinstance(one.get("term"), str):
             raise InputError(
                 f"{error_prefix}[{k}] = {one!r:.80} is not allowed: a term's name, or a mapping with the key term"
             )
-        term = ALIASES.get(one["term"], one["term"])
-        require_choice(term, UNITS, f"{error_prefix}[{k}]: {term}")
+        term = TERM_ALIASES.get(one["term"], one["term"])
+        require_choice(term, TERM_UNITS, f"{error_prefix}[{k}]: {term}")
         made = _build(TermSpec, {**one, "term": term}, f"{error_prefix}[{k}]")
         if bool(made.sensor) < (made.term == "sensor"):
             raise InputError(f"{error_prefix}[{k}]: a term `sensor` needs the key sensor")
@@ -232,11 +234,11 @@ def parse_terms(error_prefix: str, given: Any) -> tuple[TermSpec, ...]:
             raise InputError(f"{error_prefix}[{k}]: a term `constant` needs the key values")
         require_clip(f"{error_prefix}[{k}].clip", made.clip)
         found.append(made)
-    require_own_labels(error_prefix, [one.label for one in found], "twice")
+    require_unique_labels(error_prefix, [one.label for one in found], "twice")
     return tuple(found)
 
 
-def require_own_labels(error_prefix: str, labels: Sequence[str], where: str) -> None:
+def require_unique_labels(error_prefix: str, labels: Sequence[str], where: str) -> None:
     """Raise `InputError` where two terms have the same label.
 
     Args:
@@ -259,12 +261,12 @@ def require_clip(key: str, clip: Sequence[float]) -> None:
         raise InputError(f"{key} = {list(clip)} is not allowed: the least and the largest value")
 
 
-def joint_numbers(error_prefix: str, given: Any, joints: Sequence[str]) -> np.ndarray:
+def joint_numbers(error_prefix: str, config: Any, joints: Sequence[str]) -> np.ndarray:
     """Return one number for each joint.
 
     Args:
         error_prefix: Key, for messages.
-        given: A number for all; a list in the order of the joints; or numbers by pattern of names, such as
+        config: A number for all; a list in the order of the joints; or numbers by pattern of names, such as
             `{"*_knee": 0.5, "*": 0.25}`, of which the first that fits counts.
         joints: Names of the joints.
 
@@ -274,21 +276,21 @@ def joint_numbers(error_prefix: str, given: Any, joints: Sequence[str]) -> np.nd
     Raises:
         InputError: The value has another form, or a joint has no number, or a pattern no joint.
     """
-    if isinstance(given, Mapping):
-        for pattern in given:
+    if isinstance(config, Mapping):
+        for pattern in config:
             if not fnmatch.filter(joints, str(pattern)):
                 raise InputError(f"{error_prefix}: {pattern} fits no joint (joints: {', '.join(joints)})")
-        first = [next((v for k, v in given.items() if fnmatch.fnmatchcase(one, str(k))), None) for one in joints]
+        first = [next((v for k, v in config.items() if fnmatch.fnmatchcase(one, str(k))), None) for one in joints]
         if None in first:
             raise InputError(f"{error_prefix} has no number for joint {joints[first.index(None)]}")
-        given = first
+        config = first
     try:
-        found = np.asarray(given, float)
+        found = np.asarray(config, float)
     except (TypeError, ValueError):
         found = np.full(0, np.nan)
-    if isinstance(given, bool) or found.shape not in ((), (len(joints),)) or not np.isfinite(found).all():
+    if isinstance(config, bool) or found.shape not in ((), (len(joints),)) or not np.isfinite(found).all():
         wanted = f"a number, {len(joints)} numbers (one for each joint), or numbers by pattern of joint names"
-        raise InputError(f"{error_prefix} = {given!r:.100} is not allowed: {wanted}")
+        raise InputError(f"{error_prefix} = {config!r:.100} is not allowed: {wanted}")
     return np.broadcast_to(found, (len(joints),)).copy()
 
 

@@ -12,12 +12,19 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from sweep.core.constants import GRAVITY, LOADED
-from sweep.core.metric import Array, Metric, array_namespace, initial_state
+from sweep.core.constants import FOOT_LOAD_THRESHOLD_N, GRAVITY
+from sweep.core.metric import Array, Metric, array_namespace, make_constant_begin
 from sweep.systems.mujoco_model.model_spec import ModelSpec, arccos_deg, cosine_of_tilt
 
-STEPS = ("qpos", "qvel", "actuator_force", "actuator_velocity", "sensordata", "site_xpos")  # recorded of each step
-LIMITED = 0.999  # share of a limit, from which an actuator or a joint is at it
+STEP_FIELDS = (
+    "qpos",
+    "qvel",
+    "actuator_force",
+    "actuator_velocity",
+    "sensordata",
+    "site_xpos",
+)  # recorded of each step
+LIMIT_SHARE = 0.999  # share of a limit, from which an actuator or a joint is at it
 
 
 Places = slice | np.ndarray  # of numbers in an array
@@ -105,10 +112,10 @@ class ModelStart(NamedTuple):
         dtype = self.qpos.dtype if value.dtype.kind == "f" else value.dtype
         return xp.broadcast_to(xp.asarray(value, dtype), (len(self.qpos), *value.shape))
 
-    def foot_holds(self) -> "TouchHolds":
+    def init_touchdown_points(self) -> "GroundTouchdownPoints":
         """Return the touchdown points before any foot is loaded."""
         feet = self.parts.feet_count
-        return TouchHolds(self.constant(np.zeros((feet, 2))), self.constant(np.zeros(feet, bool)))
+        return GroundTouchdownPoints(self.constant(np.zeros((feet, 2))), self.constant(np.zeros(feet, bool)))
 
 
 class ModelTick:
@@ -194,24 +201,26 @@ class ModelTick:
         return None, self.number
 
 
-class TouchHolds(NamedTuple):
+class GroundTouchdownPoints(NamedTuple):
     """Points where the feet last touched down, in the ground's plane (m), and which feet are loaded."""
 
-    place: Array  # (n, feet, 2)
+    positions: Array  # (n, feet, 2)
     loaded: Array  # (n, feet)
 
-    def update(self, ctx: ModelTick) -> tuple["TouchHolds", Array]:
+    def update(self, ctx: ModelTick) -> tuple["GroundTouchdownPoints", Array]:
         """Return the state after a report, and the largest distance of each loaded foot from its touchdown point (n,
         feet)."""
-        loaded, place = ctx.foot_loads > LOADED, ctx.steps["site_xpos"][:, :, ctx.parts.foot_sites, :2]
+        loaded, place = ctx.foot_loads > FOOT_LOAD_THRESHOLD_N, ctx.steps["site_xpos"][:, :, ctx.parts.foot_sites, :2]
         xp = array_namespace(place)
         before = xp.concatenate([self.loaded[:, None], loaded[:, :-1]], axis=1)
         # the last step at which it came down, counted from 1; 0 is that of the place before the report
         when = xp.maximum.accumulate(xp.where(loaded & ~before, 1 + xp.arange(ctx.number)[:, None], 0), axis=1)
-        places = xp.concatenate([self.place[:, None], place], axis=1)
+        places = xp.concatenate([self.positions[:, None], place], axis=1)
         down_x, down_y = (xp.take_along_axis(places[..., k], when, axis=1) for k in range(2))
         moved = xp.hypot(place[..., 0] - down_x, place[..., 1] - down_y) * loaded
-        return TouchHolds(xp.stack([down_x[:, -1], down_y[:, -1]], axis=-1), loaded[:, -1]), moved.max(axis=1)
+        return GroundTouchdownPoints(xp.stack([down_x[:, -1], down_y[:, -1]], axis=-1), loaded[:, -1]), moved.max(
+            axis=1
+        )
 
 
 class ModelRollout(NamedTuple):
@@ -219,12 +228,12 @@ class ModelRollout(NamedTuple):
 
     parts: ModelParts
     steps: np.ndarray  # number of physics steps
-    start: np.ndarray  # positions (n, nq)
-    last: np.ndarray  # likewise
+    start_qpos: np.ndarray  # positions (n, nq)
+    end_qpos: np.ndarray  # likewise
     mass: np.ndarray  # kg
-    gained: np.ndarray  # J, energy at the end less that at the start
-    broken: np.ndarray  # whether the engine found a number that is not finite
-    full: np.ndarray  # whether a buffer was full
+    energy_gain: np.ndarray  # J, energy at the end less that at the start
+    is_not_finite: np.ndarray  # whether the engine found a number that is not finite
+    is_buffer_full: np.ndarray  # whether a buffer was full
     columns: Mapping[str, np.ndarray] = MappingProxyType({})  # of the metrics before
 
     @property
@@ -245,9 +254,9 @@ class ModelRollout(NamedTuple):
         """Return `count` divided by the number of physics steps."""
         return count / np.maximum(self.steps, 1)
 
-    def displacement_along(self, way: np.ndarray) -> np.ndarray:
+    def displacement_along(self, displacement: np.ndarray) -> np.ndarray:
         """Return the part of displacements (n, 3) along `model.direction`."""
-        return way @ self.parts.direction
+        return displacement @ self.parts.direction
 
 
 def interpolate_heights(fields: Array, index: Array, place: Array, x: np.ndarray, y: np.ndarray) -> Array:
@@ -288,7 +297,7 @@ def share_of_steps(
         needs: See `Metric.needs`.
     """
     return Metric(
-        initial_state(lambda total: total, 0.0),
+        make_constant_begin(lambda total: total, 0.0),
         lambda total, ctx: total + count(ctx),
         lambda total, rollout: {column: rollout.share(total)},
         {column: meaning},
@@ -307,5 +316,5 @@ def share_at_limit(values: Array, limits: Array) -> Array:
         Sums over s of the shares of the k numbers, (n,).
     """
     low, high = array_namespace(values).moveaxis(limits[:, None], -1, 0)
-    room = (1 - LIMITED) * (high - low)
+    room = (1 - LIMIT_SHARE) * (high - low)
     return ((values <= low + room) | (values >= high - room)).mean(axis=2).sum(axis=1)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.core.rotations import conjugate, rotate
-from sweep.systems.mujoco_model.policy_spec import VELOCITY
+from sweep.systems.mujoco_model.policy_spec import VELOCITY_COMMANDS
 
 SPEED, TURN = "velocity_error_rms_mps", "yaw_rate_error_rms_radps"
 COLUMNS = {
@@ -51,7 +51,7 @@ class VelocityTracking:
             state: State of the model at its end, by name: see `ModelSpec.split_state`.
         """
         velocity = rotate(conjugate(state["qpos"][self._quat]), state["qvel"][self._linear])
-        actual = dict(zip(VELOCITY, (velocity[0], velocity[1], state["qvel"][self._yaw]), strict=True))
+        actual = dict(zip(VELOCITY_COMMANDS, (velocity[0], velocity[1], state["qvel"][self._yaw]), strict=True))
         error = {name: (belief[name] - actual[name]) ** 2 for name in self._commands}
         linear = error.get("velocity_x", 0.0) + error.get("velocity_y", 0.0)
         return total + jnp.stack([jnp.asarray(x, total.dtype) for x in (linear, error.get("yaw_rate", 0.0), 1.0)])

@@ -40,14 +40,14 @@ def find_varied_elements(
     for path in paths:
         for member in fields.group_members(model, path) if fields.is_group(path) else [path]:
             numbers, places = fields.locate_numbers(model, member)
-            if numbers.compiled:
+            if numbers.needs_compiler:
                 for field in COMPILED:
                     mark(field)
                 continue
             for place in places:
-                mark(place.field, place.flat)
+                mark(place.field, place.flat_index)
                 if place.field == "body_mass":
-                    mark("body_inertia", *range(3 * place.flat, 3 * place.flat + 3))
+                    mark("body_inertia", *range(3 * place.flat_index, 3 * place.flat_index + 3))
     for one in payloads:
         body = model.body(f"{PREFIX}{one.name}").id
         mark("body_mass", body)

@@ -6,9 +6,9 @@ Those of `sweep.core.shared_metrics` exist for models as well. Their causes do n
 from sweep.core import shared_metrics
 from sweep.core.metric import Cause, Metric, find_metrics
 
-OWN = find_metrics(__name__)
-METRICS: tuple[Metric, ...] = (*shared_metrics.METRICS.values(), *OWN.values())
+MODEL_METRICS = find_metrics(__name__)
+METRICS: tuple[Metric, ...] = (*shared_metrics.METRICS.values(), *MODEL_METRICS.values())
 # every model has them; those of invalidity decide before others
 CAUSES: tuple[Cause, ...] = tuple(
-    sorted((cause for metric in OWN.values() for cause in metric.causes), key=lambda cause: not cause.invalid)
+    sorted((cause for metric in MODEL_METRICS.values() for cause in metric.causes), key=lambda cause: not cause.invalid)
 )

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from sweep.core.metric import Array, array_namespace, extremes
+from sweep.core.metric import Array, array_namespace, make_extremes_metric
 from sweep.systems.mujoco_model.tick import ModelTick
 
 
@@ -12,7 +12,7 @@ def least_clearance(ctx: ModelTick) -> Iterator[Array]:
     yield array_namespace(height).min(height, axis=-1)
 
 
-METRIC = extremes(
+METRIC = make_extremes_metric(
     least_clearance,
     {"base_clearance_min_m": "least height of the base above the terrain straight below it"},
     needs=("base", "terrain"),

@@ -2,30 +2,33 @@
 
 from typing import NamedTuple
 
-from sweep.core.metric import Metric, initial_state
+from sweep.core.metric import Metric, make_constant_begin
 from sweep.systems.mujoco_model.tick import Array, ModelRollout, ModelTick
 
 
-class Collisions(NamedTuple):
+class CollisionTotals(NamedTuple):
     """Number of steps with an unwanted contact, and the sum of its loads over steps (N)."""
 
-    touched: Array
+    steps_with_touch: Array
     load: Array
 
 
-def update(state: Collisions, ctx: ModelTick) -> Collisions:
+def update(state: CollisionTotals, ctx: ModelTick) -> CollisionTotals:
     """Add the unwanted contacts since the previous report."""
     touch = ctx.steps["sensordata"][..., ctx.parts.collision_sensors].sum(axis=2)
-    return Collisions(state.touched + (touch > 0).sum(axis=1), state.load + touch.sum(axis=1))
+    return CollisionTotals(state.steps_with_touch + (touch > 0).sum(axis=1), state.load + touch.sum(axis=1))
 
 
-def compute(state: Collisions, rollout: ModelRollout) -> dict[str, Array]:
+def compute(state: CollisionTotals, rollout: ModelRollout) -> dict[str, Array]:
     """Return the share of steps with an unwanted contact, and the impulse (N s), by column."""
-    return {"collision_share": rollout.share(state.touched), "collision_impulse_ns": rollout.integral(state.load)}
+    return {
+        "collision_share": rollout.share(state.steps_with_touch),
+        "collision_impulse_ns": rollout.integral(state.load),
+    }
 
 
 METRIC = Metric(
-    initial_state(Collisions, 0.0, 0.0),
+    make_constant_begin(CollisionTotals, 0.0, 0.0),
     update,
     compute,
     {

@@ -2,29 +2,31 @@
 
 from typing import NamedTuple
 
-from sweep.core.metric import Metric, initial_state
+from sweep.core.metric import Metric, make_constant_begin
 from sweep.systems.mujoco_model.tick import Array, ModelRollout, ModelTick
 
 
-class Work(NamedTuple):
+class AppliedWork(NamedTuple):
     """Power of the actuators summed over steps (W), and work of the pushes (J)."""
 
-    power: Array
-    pushes: Array
+    actuator_power_sum: Array
+    push_work: Array
 
 
-def update(state: Work, ctx: ModelTick) -> Work:
+def update(state: AppliedWork, ctx: ModelTick) -> AppliedWork:
     """Add the actuator power and the work of pushes since the previous report."""
-    return Work(state.power + ctx.power.sum(axis=(1, 2)), state.pushes + ctx.steps.get("push_work", 0.0))
+    return AppliedWork(
+        state.actuator_power_sum + ctx.power.sum(axis=(1, 2)), state.push_work + ctx.steps.get("push_work", 0.0)
+    )
 
 
-def compute(state: Work, rollout: ModelRollout) -> dict[str, Array]:
+def compute(state: AppliedWork, rollout: ModelRollout) -> dict[str, Array]:
     """Return the growth of mechanical energy beyond the work of actuators and pushes (J), by column."""
-    return {"energy_gained_j": rollout.gained - rollout.integral(state.power) - state.pushes}
+    return {"energy_gained_j": rollout.energy_gain - rollout.integral(state.actuator_power_sum) - state.push_work}
 
 
 METRIC = Metric(
-    initial_state(Work, 0.0, 0.0),
+    make_constant_begin(AppliedWork, 0.0, 0.0),
     update,
     compute,
     {"energy_gained_j": "growth of mechanical energy beyond the work of actuators and pushes"},

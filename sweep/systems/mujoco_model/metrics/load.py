@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from sweep.core.metric import extremes
+from sweep.core.metric import make_extremes_metric
 from sweep.systems.mujoco_model.tick import Array, ModelTick
 
 
@@ -11,4 +11,4 @@ def largest_load(ctx: ModelTick) -> Iterator[Array]:
     yield ctx.foot_loads.max(axis=(1, 2))
 
 
-METRIC = extremes(largest_load, {"load_max_n": "largest load of a foot"}, needs=("feet",))
+METRIC = make_extremes_metric(largest_load, {"load_max_n": "largest load of a foot"}, needs=("feet",))

@@ -5,8 +5,8 @@ import numpy as np
 from sweep.core.metric import array_namespace
 from sweep.systems.mujoco_model.tick import Array, share_of_steps
 
-BALANCE = ("qacc", "qfrc_smooth", "qfrc_constraint")  # recorded of each step for `is_unbalanced`, beside M
-BALANCED = 0.01  # share of the forces, up to which those of a step are in balance
+BALANCE_FIELDS = ("qacc", "qfrc_smooth", "qfrc_constraint")  # recorded of each step for `is_unbalanced`, beside M
+MAX_IMBALANCE_SHARE = 0.01  # share of the forces, up to which those of a step are in balance
 
 
 @np.errstate(invalid="ignore", over="ignore")
@@ -27,7 +27,7 @@ def is_unbalanced(mass: Array, qacc: Array, smooth: Array, constraint: Array) ->
     left = (mass @ qacc[..., None])[..., 0] - smooth - constraint
     inertia = xp.diagonal(mass, axis1=-2, axis2=-1)
     left, smooth, constraint = (xp.sqrt((one**2 / inertia).sum(axis=-1)) for one in (left, smooth, constraint))
-    return left > BALANCED * (smooth + constraint)
+    return left > MAX_IMBALANCE_SHARE * (smooth + constraint)
 
 
 METRIC = share_of_steps(

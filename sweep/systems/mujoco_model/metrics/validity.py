@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sweep.core.metric import EVERY_COLUMN, Cause, Metric, array_namespace, initial_state
+from sweep.core.metric import EVERY_COLUMN, Cause, Metric, array_namespace, make_constant_begin
 from sweep.systems.mujoco_model.tick import Array, ModelRollout, ModelTick
 
 
@@ -14,8 +14,8 @@ def update(state: Array, ctx: ModelTick) -> Array:
 
 def compute(state: Array, rollout: ModelRollout) -> dict[str, Array]:
     """Return 1 where a rollout is invalid: a number was not finite or a buffer was full."""
-    finite = state & np.isfinite(np.stack([*rollout.columns.values()])).all(axis=0) & ~rollout.broken
-    return {"not_finite": (~finite).astype(float), "buffer_full": rollout.full.astype(float)}
+    finite = state & np.isfinite(np.stack([*rollout.columns.values()])).all(axis=0) & ~rollout.is_not_finite
+    return {"not_finite": (~finite).astype(float), "buffer_full": rollout.is_buffer_full.astype(float)}
 
 
 def _invalid(name: str, sentence: str) -> Cause:
@@ -23,7 +23,7 @@ def _invalid(name: str, sentence: str) -> Cause:
 
 
 METRIC = Metric(
-    initial_state(lambda finite: finite, True),
+    make_constant_begin(lambda finite: finite, True),
     update,
     compute,
     {
