@@ -362,7 +362,7 @@ def _beside(name: str, module: Any) -> dict[str, Any]:
         raise InputError(f"model.controller = {name}: the function `figures` and the names FIGURES need each other")
     if odd := next((one for one in measured if not one.isidentifier()), None):
         raise InputError(f"model.controller = {name}: FIGURES has {odd!r}: a name has letters, digits and _")
-    return {**found, "measured": measured}
+    return {**found, "metric_meanings": measured}
 
 
 def _module(controller: str, name: str) -> ModuleType:
