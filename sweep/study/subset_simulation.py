@@ -112,8 +112,9 @@ def start_search(d: int, settings: LevelSettings, runs: int, seed: int) -> Searc
 def _together(parts: list[RoundDraws]) -> RoundDraws:
     """Join the draws of several runs into one round."""
     columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
-    shares, numbers = (np.concatenate([getattr(part, name) for part in parts]) for name in ("shares", "numbers"))
-    return RoundDraws(shares, numbers, columns)
+    quantiles = np.concatenate([part.quantiles for part in parts])
+    numbers = np.concatenate([part.numbers for part in parts])
+    return RoundDraws(quantiles, numbers, columns)
 
 
 def _run(d: int, settings: LevelSettings, seed: int, run: int) -> Generator[RoundDraws, RoundSummary, SubsetRunResult]:
