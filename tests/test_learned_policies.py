@@ -240,7 +240,7 @@ def test_a_term_is_read_from_the_first_of_its_sensors_that_the_model_has(here):
         robot = Path("robot.xml").read_text()
         Path("robot.xml").write_text(robot.replace('name="local_linvel"', f'name="{name}"'))
         save_perceptron("walk.onnx", (52, 12))
-        terms = compose(["study=one"]).system.controller.learned.inputs["obs"]
+        terms = compose(["study=one"]).system.controller.fitted_policy.inputs["obs"]
         assert [one.spec.sensor for one in terms[:2]] == [name, "gyro"]
 
 

@@ -326,15 +326,14 @@ def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float
     """Load a network, which maps the observation to controls, or is as its specification says. Raises `InputError`."""
     file = require_file("controller", name, ONNX_SUFFIX)
     network, files, learned = onnx_network.read_network(name, file), onnx_network.network_files(file), None
-    about: dict[str, Any] = {"batched": False, "folder": project_folder()}
     if spec := read_policy_spec(name):
         told = learned_policy.spec_file(file)
         files = [*files, told]
         learned = learned_policy.fit_policy(told.name, spec, network, model, keyframe, period)
-        about |= {"policy": learned.policy, "begin": learned.begin, "observe": learned.observe, "learned": learned,
-                  "parameters": spec.commands}  # fmt: skip
+        found = LoadedController(learned.policy, (), "", is_batched=False, begin=learned.begin, observe=learned.observe,
+                                 parameters=spec.commands, fitted_policy=learned)  # fmt: skip
     else:
-        about["policy"] = onnx_network.make_policy(network)
+        found = LoadedController(onnx_network.make_policy(network), (), "", is_batched=False)
     digest = _digest(files)
     if file.with_suffix(".py").is_file():
         beside = project.source_files(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
@@ -342,8 +341,8 @@ def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float
         if learned and said.pop("observe"):
             told = learned_policy.spec_file(file).name
             raise InputError(f"model.controller = {name}: `observe` is not allowed beside {told}")
-        files, digest, about = [*files, *beside], f"{digest}-{_digest(beside)}", {**about, **said}
-    return LoadedController(files=tuple(files), digest=digest, **about)
+        files, digest, found = [*files, *beside], f"{digest}-{_digest(beside)}", found._replace(**said)
+    return found._replace(files=tuple(files), digest=digest, folder=project_folder())
 
 
 def read_policy_spec(name: str) -> policy_spec.PolicySpec | None:

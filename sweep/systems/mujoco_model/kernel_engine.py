@@ -397,7 +397,7 @@ class KernelModelEngine(ModelEngine):
                 measured = outside.finish(np.asarray(observable, float))
         last = jax.tree.map(np.asarray, end.metrics)
         wrong = np.asarray(end.wrong)
-        gained = begun.energy(last.last, last.speed) - at_first
+        gained = begun.energy(last.last_qpos, last.last_qvel) - at_first
         found = self._meter.compute(last, begun.mass, gained, wrong, np.zeros(len(streams), bool)) | measured
         models = [begun.batch.get_model(int(slot)) for slot in slots]
         needs_native = np.flatnonzero(np.asarray(end.needs_native))

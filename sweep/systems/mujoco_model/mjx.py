@@ -281,7 +281,7 @@ class MjxModelEngine(ModelEngine):
         measured = {name: np.asarray(values, float) for name, values in measured.items()}
         last = jax.tree.map(np.asarray, carry["metric_state"])
         wrong, full = (np.asarray(carry[name]) for name in ("wrong", "full"))
-        gained = begun.energy(last.last, last.speed) - at_first
+        gained = begun.energy(last.last_qpos, last.last_qvel) - at_first
         found = self._meter.compute(last, begun.mass, gained, wrong, full) | measured
         return found, frames, [begun.get_model(int(slot)) for slot in slots]
 
