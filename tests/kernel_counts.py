@@ -9,7 +9,9 @@ is installed; other releases of `ptxas` allocate registers otherwise, so they ar
 release only.
 """
 
+import contextlib
 import json
+import operator
 import re
 import shutil
 import subprocess
@@ -20,15 +22,31 @@ from functools import partial
 from pathlib import Path
 
 import jax
+import numpy as np
 
+import sweep
 from sweep.backends import devices
 from sweep.config.experiment import compose
 from sweep.engines.closed_loop import classify_sensing
 from sweep.engines.mjx import MjxEngine
 from sweep.fused import cuda, launch
+from sweep.systems.mujoco_model import nominal
+from sweep.systems.mujoco_model.model_spec import SideValues
 
-PATH = Path(__file__).with_name("data") / "kernel_counts.json"
+DATA = Path(__file__).with_name("data")
+PATH = DATA / "kernel_counts.json"
 SCENARIOS = ("walk_tripod", "pole_climb", "ball_balance", "ball_drive", "raft_stand", "corner_full", "ladder_climb")
+FEET = ["lf_touch", "rf_touch", "lh_touch", "rh_touch"]
+QUADRUPED = {"mjcf": "quadruped.xml", "controller": "trot:policy", "keyframe": "home", "observe": ["turn", "spin"],
+             "sensors": "current", "feet": FEET}  # fmt: skip
+MODELS = {  # folder, model and its varied numbers, of kernels of MuJoCo models
+    "template_quadruped": (
+        Path(sweep.__file__).parent / "cli" / "template_model",
+        QUADRUPED,
+        ("model.body.trunk.mass", "model.geom.floor.friction.slide"),
+    ),
+    "biped": (DATA / "biped", {"mjcf": "biped.xml", "controller": "stand:policy"}, ("model.body.trunk.mass",)),
+}
 WIDTH, TICKS = 131072, 250
 TOLERANCE = 0.02  # relative change of a count that passes
 ARCHITECTURE = "sm_90"  # H100 and H200
@@ -44,6 +62,24 @@ def kernel_printer(name: str) -> tuple[launch.TracedProgram, cuda.GpuPrinter]:
     key = jax.eval_shape(partial(jax.random.key, 0))
     plan, carry = jax.eval_shape(partial(engine._start, classify_sensing(exp.case.noise)), *cases, key)
     return launch.print_program(engine._tick, (*cases, plan), carry, lambda carry: carry.is_over, TICKS, 0, WIDTH)
+
+
+def model_printer(name: str) -> tuple[launch.TracedProgram, cuda.GpuPrinter]:
+    """The program of a MuJoCo model's closed loop by `engine=kernel`, and its text for a GPU; nothing is simulated."""
+    folder, model, varied = MODELS[name]
+    with contextlib.chdir(folder):
+        values = {"model": model | {"period": 0.02}, "engine": {"name": "kernel", "width": WIDTH}, "outcome": {}}
+        system, settings, *_ = nominal(values, {})
+        engine = system.make_engine(settings, *system.make_sides({}), limits=None)
+        world = SideValues(tuple((path, np.ones(2)) for path in varied))
+        with engine._within():
+            _, _, varied, inputs, carry, *_ = engine._start(world, SideValues(), np.arange(2))
+            inputs, carry = (
+                jax.tree.map(lambda one: jax.ShapeDtypeStruct(one.shape[1:], one.dtype), tree)
+                for tree in (inputs, carry)
+            )
+            tick, is_over = partial(engine._tick, varied), operator.attrgetter("over")
+            return launch.print_program(tick, inputs, carry, is_over, TICKS, 0, WIDTH, engine._layout.group)
 
 
 def text_counts(program: launch.TracedProgram, printer: cuda.GpuPrinter) -> Counts:
@@ -89,8 +125,8 @@ def register_counts(printer: cuda.GpuPrinter) -> Counts:
 
 
 def scenario_counts(name: str) -> Counts:
-    """All counts of a scenario's kernel; without those of `ptxas` where it is not installed."""
-    program, printer = kernel_printer(name)
+    """All counts of the kernel of a scenario or model; without those of `ptxas` where it is not installed."""
+    program, printer = model_printer(name) if name in MODELS else kernel_printer(name)
     counts = text_counts(program, printer)
     return counts | (register_counts(printer) if ptxas_release() else {})
 
@@ -127,7 +163,7 @@ def main(*args: str) -> None:
     if args != ("--show",):
         if not ptxas_release():
             raise SystemExit("kernel_counts: ptxas is not installed (CUDA's compiler): its counts would be lost")
-        scenarios = {name: scenario_counts(name) for name in SCENARIOS}
+        scenarios = {name: scenario_counts(name) for name in (*SCENARIOS, *MODELS)}
         PATH.write_text(json.dumps({"ptxas": ptxas_release(), "scenarios": scenarios}, indent=1) + "\n")
     print(table())
 

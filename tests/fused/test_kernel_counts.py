@@ -13,7 +13,10 @@ DEFAULT = "walk_tripod"
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(x, marks=[] if x == DEFAULT else pytest.mark.slow) for x in kernel_counts.SCENARIOS],
+    [
+        pytest.param(x, marks=[] if x in (DEFAULT, *kernel_counts.MODELS) else pytest.mark.slow)
+        for x in (*kernel_counts.SCENARIOS, *kernel_counts.MODELS)
+    ],
 )
 def test_kernels_are_as_large_as_stored(name):
     changed = kernel_counts.changed_counts(name, kernel_counts.scenario_counts(name))
