@@ -1,6 +1,7 @@
-"""How large GPU kernels of scenarios are, which tells of lost speed without a GPU.
+"""How large GPU kernels of scenarios and MuJoCo models are, which tells of lost speed without a GPU.
 
     python tests/kernel_counts.py          # renews tests/data/kernel_counts.json
+    python tests/kernel_counts.py biped    # renews one of its kernels
     python tests/kernel_counts.py --show   # prints a table of it
 
 Counts are of the text that the fused compiler prints for a batch of 131,072 rollouts, before LLVM, so that they depend
@@ -68,7 +69,7 @@ def model_printer(name: str) -> tuple[launch.TracedProgram, cuda.GpuPrinter]:
     """The program of a MuJoCo model's closed loop by `engine=kernel`, and its text for a GPU; nothing is simulated."""
     folder, model, varied = MODELS[name]
     with contextlib.chdir(folder):
-        values = {"model": model | {"period": 0.02}, "engine": {"name": "kernel", "width": WIDTH}, "outcome": {}}
+        values = {"model": model | {"period": 0.02}, "engine": {"name": "kernel", "width": WIDTH}, "outcome": {"fell": "tilt_max_deg > 60"}}
         system, settings, *_ = nominal(values, {})
         engine = system.make_engine(settings, *system.make_sides({}), limits=None)
         world = SideValues(tuple((path, np.ones(2)) for path in varied))
@@ -159,12 +160,13 @@ def table() -> str:
 
 
 def main(*args: str) -> None:
-    """Renew the stored counts, or show them."""
+    """Renew the stored counts of all kernels, or of those that are named; or show them."""
     if args != ("--show",):
         if not ptxas_release():
             raise SystemExit("kernel_counts: ptxas is not installed (CUDA's compiler): its counts would be lost")
-        scenarios = {name: scenario_counts(name) for name in (*SCENARIOS, *MODELS)}
-        PATH.write_text(json.dumps({"ptxas": ptxas_release(), "scenarios": scenarios}, indent=1) + "\n")
+        found = {name: scenario_counts(name) for name in args or (*SCENARIOS, *MODELS)}
+        known = json.loads(PATH.read_text())["scenarios"] if args else {}
+        PATH.write_text(json.dumps({"ptxas": ptxas_release(), "scenarios": known | found}, indent=1) + "\n")
     print(table())
 
 

@@ -13,19 +13,20 @@ import sweep
 from sweep.cli.main import main
 from sweep.core.errors import InputError
 from sweep.fused import eager
+from sweep.systems.mujoco_model import kernel_engine, nominal
 from sweep.systems.mujoco_model.kernel import agreement, guard
 from sweep.systems.mujoco_model.kernel.layout import find_layout
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.smooth import compute_smooth
 from sweep.systems.mujoco_model.kernel.step import read_state
+from sweep.systems.mujoco_model.model_spec import SideValues
 
 TEMPLATE = Path(sweep.__file__).parent / "cli" / "template_model"
+DATA = Path(__file__).parent / "data"
 QUADRUPED = (TEMPLATE / "quadruped.xml").read_text()
 LEG = [("1 0 0", "-40 40"), ("0 1 0", "-60 60"), ("0 1 .1", "-90 20")]
-HUMAN_LEG = [("0 0 1", "-40 40"), ("1 0 0", "-40 40"), ("0 1 0", "-60 60"), ("0 1 0", "-10 90"), ("0 1 0", "-40 40")]
 ARM = [("0 1 0", "-90 90"), ("1 0 0", "-90 90")]
 TOUCHES = 'conaffinity="1" contype="0"'
-SOLE = f'<geom type="box" size="0.08 0.04 0.02" pos="0.02 0 -.22" mass="0.2" friction="0.9" {TOUCHES}/>'
 FOOT = f'<geom type="sphere" size="0.03" pos="0 0 -0.2" mass="0.1" friction="0.7" margin="0.003" {TOUCHES}/>'
 BAR = f'<geom type="capsule" size="0.02" fromto="-.05 0 -.2 0.09 0 -.2" mass="0.1" condim="1" {TOUCHES}/>'
 SLIDE = (
@@ -69,17 +70,9 @@ def limbs(joints, tip, places="ab"):
     return "".join(limb(name, at[name], joints, tip) for name in places)
 
 
-WAIST = (
-    '<body pos="0 0 .1"><joint name="turn" axis="0 0 1" range="-30 30"/><joint name="bow" axis="0 1 0" '
-    'range="-30 30"/><geom type="sphere" size=".08" mass="2" contype="0" conaffinity="0"/>{}</body>'
-)
 MODELS = {
     "the template": QUADRUPED,
-    "biped with waist, arms, box feet and friction of joints": robot(
-        limbs(HUMAN_LEG, SOLE) + WAIST.format(limb("e", "0 .15 .1", ARM, "") + limb("f", "0 -.15 .1", ARM, "")),
-        'integrator="implicitfast"',
-        'frictionloss="0.2"',
-    ),
+    "biped with waist, arms, box feet and friction of joints": (DATA / "biped" / "biped.xml").read_text(),
     "elliptic cones, an arm beside four legs, a tilted floor": robot(
         limbs(LEG, FOOT, "cdef") + limb("arm", "0.2 0 .05", ARM, ""),
         'cone="elliptic" impratio="10" gravity="1 0.5 -9"',
@@ -155,6 +148,41 @@ def test_touches_that_it_does_not_simulate_are_never_missed():
     assert apart.sum() > 20
     assert seen[touch].all()
     assert seen[apart].mean() < 0.2  # boxes and capsules enclose what they stand for
+
+
+def test_programs_are_stored_by_structure_and_constants_but_not_by_varied_numbers(tmp_path, monkeypatch):
+    """A later start compiles nothing, other values of an axis neither; what the program contains makes another."""
+    monkeypatch.chdir(tmp_path)
+    Path("hold.py").write_text(
+        "import jax.numpy as jnp\n\ndef policy(belief, observation, state, key):\n    return jnp.zeros(2), state\n"
+    )
+    compiled, original = [], kernel_engine.kernel.compile_function
+    monkeypatch.setattr(
+        kernel_engine.kernel, "compile_function", lambda *args: compiled.append(args) or original(*args)
+    )
+
+    def count(text, *paths, value=0.5):
+        Path("robot.xml").write_text(text)
+        model = {"mjcf": "robot.xml", "controller": "hold:policy", "period": 0.004, "duration": 0.02}
+        values = {"model": model, "engine": {"name": "kernel", "cross_check": False}, "outcome": {"fell": "energy_j < -1"}}
+        system, settings, *_ = nominal(values, {})
+        engine = system.make_engine(settings, *system.make_sides({}), limits=None)
+        world = SideValues(tuple((path, np.full(2, value)) for path in paths))
+        engine.run(world, SideValues(), np.arange(2))
+        return len(compiled)
+
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "programs"))
+    try:
+        text, damping = robot(limbs(LEG[:1], BAR), base=""), "model.joint.a0.damping"
+        assert count(text, damping) == 1
+        assert count(text, damping) == 1
+        assert count(text, damping, value=0.7) == 1
+        assert count(text, damping, "model.joint.b0.damping") == 2
+        assert count(text.replace('mass="0.5"', 'mass="0.6"'), damping) == 3
+        assert count(robot(limbs(LEG[:1], BAR), joint='frictionloss="0.1"', base=""), damping) == 4
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
 
 
 @pytest.fixture

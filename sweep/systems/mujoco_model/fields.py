@@ -307,7 +307,7 @@ def locate_numbers(model: mujoco.MjModel, path: str) -> tuple[NumberSpec, list[N
     varied = OPTION_NUMBERS | SETTING_NUMBERS if kind == OPTION_KIND else VARIABLE_NUMBERS[kind]
     if kind == "geom":
         sizes = SIZE_MEANINGS.get(GeomType(model.geom_type[number]), ())
-        varied = {**varied, "size": varied["size"]._replace(names=sizes)}
+        varied = {**varied, "size": varied["size"]._replace(component_names=sizes)}
         if not sizes:
             del varied["size"]
     attribute, _, part = what.partition(".")

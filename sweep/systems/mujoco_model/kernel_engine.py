@@ -434,7 +434,7 @@ class _CpuRunner:
     """A batch in the memory of a CPU kernel."""
 
     def __init__(self, make: Callable[..., Any], inputs: Inputs, carry: Carry, n: int, slots: np.ndarray):
-        self._tiles = make(inputs, carry, n, TICKS_PER_CALL, 0).enter(inputs, carry, n)
+        self._tiles = make(inputs, carry, n, TICKS_PER_CALL, 0).load_batch(inputs, carry, n)
         self._slots = slots if len(slots) else None
 
     def command(self, commands: np.ndarray) -> None:
