@@ -69,7 +69,11 @@ def model_printer(name: str) -> tuple[launch.TracedProgram, cuda.GpuPrinter]:
     """The program of a MuJoCo model's closed loop by `engine=kernel`, and its text for a GPU; nothing is simulated."""
     folder, model, varied = MODELS[name]
     with contextlib.chdir(folder):
-        values = {"model": model | {"period": 0.02}, "engine": {"name": "kernel", "width": WIDTH}, "outcome": {"fell": "tilt_max_deg > 60"}}
+        values = {
+            "model": model | {"period": 0.02},
+            "engine": {"name": "kernel", "width": WIDTH},
+            "outcome": {"fell": "tilt_max_deg > 60"},
+        }
         system, settings, *_ = nominal(values, {})
         engine = system.make_engine(settings, *system.make_sides({}), limits=None)
         world = SideValues(tuple((path, np.ones(2)) for path in varied))

@@ -164,7 +164,11 @@ def test_programs_are_stored_by_structure_and_constants_but_not_by_varied_number
     def count(text, *paths, value=0.5):
         Path("robot.xml").write_text(text)
         model = {"mjcf": "robot.xml", "controller": "hold:policy", "period": 0.004, "duration": 0.02}
-        values = {"model": model, "engine": {"name": "kernel", "cross_check": False}, "outcome": {"fell": "energy_j < -1"}}
+        values = {
+            "model": model,
+            "engine": {"name": "kernel", "cross_check": False},
+            "outcome": {"fell": "energy_j < -1"},
+        }
         system, settings, *_ = nominal(values, {})
         engine = system.make_engine(settings, *system.make_sides({}), limits=None)
         world = SideValues(tuple((path, np.full(2, value)) for path in paths))

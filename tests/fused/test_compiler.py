@@ -298,6 +298,53 @@ def test_what_no_rollout_needs_is_skipped_and_changes_nothing_where_another_need
         assert both(partial(cube_root, form), jnp.full(WIDTH, alone))[0]["y"][0] == row
 
 
+def square_roots(x):
+    """Roots (6,) of x and the numbers beside it: Newton's method in a loop that ends when all six are found.
+
+    Each step's length is halved in a loop within it, until no root passes 9.
+    """
+    wanted = x + jnp.arange(6.0)
+
+    def wants_more(state):
+        return (state[0] < 40) & (jnp.abs(state[1] ** 2 - wanted) > 1e-4 * wanted).any()
+
+    def step(state):
+        count, roots, halvings = state
+        way = (wanted - roots**2) / (2 * roots)
+        length, more = jax.lax.while_loop(
+            lambda inner: (roots + inner[0] * way > 9).any(),
+            lambda inner: (inner[0] / 2, inner[1] + 1),
+            (jnp.ones(()), jnp.int32(0)),
+        )
+        return count + 1, roots + length * way, halvings + more
+
+    count, roots, halvings = jax.lax.while_loop(wants_more, step, (jnp.int32(0), jnp.full(6, 0.5), jnp.int32(0)))
+    return {"count": count, "roots": roots, "halvings": halvings}
+
+
+def test_a_loop_within_a_loop_ends_for_each_rollout_by_itself():
+    x = jnp.array([0.0, 2.0, 40.0, 9.0, 75.0], jnp.float32)  # the root of 0 takes all 40 steps
+    fused, xla = both(square_roots, x)
+    assert len(set(fused["count"].tolist())) > 2
+    assert 0 in fused["halvings"]
+    assert fused["halvings"].max() > 2
+    for name in ("count", "halvings"):
+        np.testing.assert_array_equal(fused[name], xla[name])
+    np.testing.assert_allclose(fused["roots"], np.sqrt(np.asarray(x)[:, None] + np.arange(6)), rtol=1e-4, atol=1e-6)
+    for row, alone in zip(fused["roots"], x, strict=True):  # the rollouts beside it make no difference
+        np.testing.assert_array_equal(both(square_roots, jnp.full(WIDTH, alone))[0]["roots"][0], row)
+
+
+def test_a_loop_that_no_rollout_enters_leaves_what_it_carries():
+    def count_down(x):
+        left, steps = jax.lax.while_loop(lambda s: s[0] > 0, lambda s: (s[0] - 1, s[1] + 1), (x, jnp.int32(3)))
+        return {"left": left, "steps": steps}
+
+    fused, _ = both(count_down, jnp.array([-1.0, -2.5, 0.0, -7.0, -0.5], jnp.float32))
+    np.testing.assert_array_equal(fused["left"], [-1.0, -2.5, 0.0, -7.0, -0.5])
+    np.testing.assert_array_equal(fused["steps"], 3)
+
+
 def test_what_may_be_skipped_stands_in_a_branch_but_for_what_the_loop_repeats():
     one = jax.ShapeDtypeStruct((), jnp.float32)
     program, _ = kernel.print_program(lambda x, carried, k: (carried, cube_root("cond", x)), one, jnp.zeros(()), 6)
