@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # What whoever installs the package gets: sdist and wheel (left in dist/), the wheel alone in an empty environment of
-# each Python that is named, and a newcomer's first commands in an empty folder. `make wheel` names the Pythons found.
+# each Python that is named, and a newcomer's first commands in an empty folder; with the first Python, the tutorials too.
+# `make wheel` names the Pythons found.
 # WITH='mujoco==4.*' replaces a locked version.
 set -euo pipefail
 root=$(cd "$(dirname "$0")/.." && pwd)
@@ -36,6 +37,9 @@ for name in "$@"; do
 from sweep import load, run
 assert len(run("scenario=walk_tripod")) == 1
 assert len(load("results/first", "friction > 0.1")) > 8'
+  if [ "$name" = "$1" ]; then
+    SWEEP_WHEEL_ENV="$work/env" "$root/.venv/bin/python" -m pytest -q -p no:cacheprovider -m wheel "$root/tests/test_tutorials.py"
+  fi
   # which code rows are from is known away from a checkout too
   [ ! -e "$root/.git" ] || grep -q "^commit: [0-9a-f'\"]" results/first/study.yaml
 done
